@@ -92,6 +92,7 @@ def test_a_store_is_described(run: Run) -> None:
         (("in.zarr", "in.zarr", *FLAT), ("in.zarr", "exists", "--force")),
         (("in.zarr", "there.zarr", *FLAT), ("there.zarr exists already", "--force")),
         (("in.zarr", "in.zarr", "out.zarr", *FLAT), ("one at a time",)),
+        (("*.zarr", "out.zarr", *FLAT), ("one at a time",)),
         (("in.zarr", "out.png", *FLAT), ("in.zarr", "out.png", "out.zarr")),
         (("in.zarr", "-", *FLAT), ("standard output",)),
         (("none.zarr", "out.zarr", *FLAT), ("none.zarr", "no such folder")),

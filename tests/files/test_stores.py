@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
+import concurrent.futures
 import errno
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -452,3 +455,22 @@ def test_a_store_that_fails_in_the_middle(where: str, memory: str, monkeypatch: 
     made = warp_store("in.zarr", target, DEEP)
     assert 0 < made.done < made.blocks
     assert np.array_equal(arrays(target)[0], whole(made, values))
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (
+            concurrent.futures.CancelledError("task-1"),
+            "the workers were lost (their scheduler ended): start them again",
+        ),
+        (asyncio.CancelledError(), "the workers were lost (their scheduler ended)"),
+        (ConnectionError("reset by peer"), "the workers were lost (reset by peer)"),
+        (ModuleNotFoundError("No module named 'supple'"), "install the same versions of Supple"),
+        (SuppleError("a sentence"), "a sentence"),
+    ],
+)
+def test_what_happens_to_a_cluster_is_one_sentence(error: BaseException, told: str) -> None:
+    pytest.importorskip("distributed")
+    with pytest.raises(SuppleError, match=re.escape(told)), tasks._Distributed(None, "the workers")._failing():
+        raise error

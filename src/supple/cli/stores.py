@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import glob
 import math
+import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -102,7 +104,7 @@ def _pair(paths: Sequence[str]) -> tuple[str, str]:
     from supple.media.stores import is_store
 
     *sources, target = paths
-    if len(sources) > 1:
+    if len(sources) > 1 or (glob.has_magic(sources[0]) and not os.path.exists(sources[0]) and "://" not in sources[0]):
         stored = next(path for path in sources if is_store(path))
         raise SuppleError(f"{shown(stored)} is a Zarr store, and stores are bent one at a time: give one, and OUT")
     if target == STREAM or is_media_name(target):

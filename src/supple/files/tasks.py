@@ -185,10 +185,13 @@ class _Distributed:
                 f"{self._told} cannot do this ({_said(error)}): install the same versions of Supple and of its "
                 "packages there"
             ) from error
-        except (OSError, CancelledError, Cancelled) as error:
-            raise SuppleError(
-                f"{self._told} were lost ({_said(error)}): start them again; the same command goes on"
-            ) from error
+        except (CancelledError, Cancelled) as error:
+            raise self._lost("their scheduler ended") from error
+        except OSError as error:
+            raise self._lost(_said(error)) from error
+
+    def _lost(self, why: str) -> SuppleError:
+        return SuppleError(f"{self._told} were lost ({why}): start them again; the same command goes on")
 
 
 def _swapped(item: Item, *, function: Callable[[Job, Item], Result], job: Job) -> Result:
