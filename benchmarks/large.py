@@ -165,7 +165,7 @@ def workers(sizes: Sizes, here: Path) -> Iterator[Row]:
 
     side = sizes.workers
     source, deformation = Made(side, sizes.block), stroke(side)
-    options = {"threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": None, "silence_logs": 50}
+    options = {"threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "silence_logs": 50}
     with (
         LocalCluster(n_workers=2, **options) as both, LocalCluster(n_workers=1, **options) as single,
         Client(both, set_as_default=False) as two, Client(single, set_as_default=False) as one,

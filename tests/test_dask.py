@@ -390,7 +390,7 @@ def client() -> Iterator[Any]:
     }
     with dask.config.set(quiet), warnings.catch_warnings():
         cluster = distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs=50
+            n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs=50
         )
         with cluster, distributed.Client(cluster) as made:
             made.wait_for_workers(2, timeout=30)

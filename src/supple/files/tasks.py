@@ -205,7 +205,7 @@ def _processes(count: int) -> Iterator[Runner]:
     share = max(1, round(threads() / count))
     with _ignored():
         cluster = distributed.LocalCluster(
-            n_workers=count, threads_per_worker=share, processes=True, dashboard_address=None,
+            n_workers=count, threads_per_worker=share, processes=True, dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL, env={"SUPPLE_THREADS": str(share)}, preload=[__name__],
         )  # fmt: skip
     try:
