@@ -24,6 +24,7 @@ Chunks = Sequence[Sequence[int]]
 Read = tuple[Box, tuple[float, ...], Certificate]
 """The part of the source that a block reads, how far each of its planes moves, and the certificate of the map."""
 
+_TOGETHER = 16  # blocks of which one task finds the parts
 _PACKING = threading.Lock()
 
 
@@ -95,6 +96,10 @@ class Warp:
         part = ((first, end), (y0, y1), (x0, x1))
         return part[3 - self.deformation.ndim :], tuple(moved), certificate
 
+    def all_reads(self, boxes: Sequence[Box]) -> list[Read]:
+        """Return `reads` of each of some blocks."""
+        return [self.reads(box) for box in boxes]
+
     def space(self, box: Box) -> Space:
         """Return the map of a block."""
         whole = self.deformation.grid if self.grid is None else self.grid
@@ -111,7 +116,7 @@ class Warp:
             return self._packed[0]
 
     def plan(
-        self, boxes: Sequence[Box], each: Callable[[Callable[[Box], Read], Sequence[Box]], Sequence[Read]] | None = None
+        self, boxes: Sequence[Box], each: Callable[[Warp, Sequence[Box]], list[Read]] = all_reads
     ) -> tuple[list[Block], Certificate]:
         """Find the part of the source that each block reads, and the blocks that are copies.
 
@@ -120,8 +125,8 @@ class Warp:
         boxes : sequence of Box
             The places of all blocks, which together are the whole output.
         each : function, optional
-            Computes a function of all boxes, perhaps on other machines. By default, one after the other: each uses all
-            threads.
+            `all_reads` of a warp and boxes, perhaps on other machines (`batches`). By default, one block after the
+            other: each uses all threads.
 
         Returns
         -------
@@ -130,8 +135,7 @@ class Warp:
         Certificate
             The accuracy of the map.
         """
-        each = each or (lambda reads, some: [reads(box) for box in some])
-        found = each(self.reads, boxes)
+        found = each(self, boxes)
         certificate = Certificate(0.0, 0.0)
         deep = self.deformation.ndim == 3
         plain = self._space().composite is None
@@ -159,7 +163,7 @@ class Warp:
         self,
         still: npt.NDArray[np.bool_],
         found: Sequence[tuple[Box, tuple[float, ...]]],
-        each: Callable[[Callable[[Box], Read], Sequence[Box]], Sequence[Read]],
+        each: Callable[[Warp, Sequence[Box]], list[Read]],
     ) -> None:
         """Keep of the planes of which a part moves hardly those of which the whole does not."""
         assert self.grid is not None
@@ -169,7 +173,7 @@ class Warp:
         doubtful = np.flatnonzero(still & reached)
         first, whole = self.grid.first[2], [(0, size) for size in self.grid.whole[1:]]
         planes: list[Box] = [((first + int(z), first + int(z) + 1), *whole) for z in doubtful]
-        for z, (_, moved, _) in zip(doubtful, each(replace(self, grid=None).reads, planes), strict=True):
+        for z, (_, moved, _) in zip(doubtful, each(replace(self, grid=None), planes), strict=True):
             still[z] = moved[0] * math.sqrt(3) <= self.sampling.tolerance
 
     def block(self, part: Array, block: Block) -> tuple[Array, Certificate]:
@@ -214,6 +218,11 @@ class Warp:
         """Sample a block of an array whose axes before ``first`` are carried along, as `block` does."""
         made, certificate = self.block(part.reshape(-1, *part.shape[first:]), block)
         return made.reshape(*part.shape[:first], *made.shape[1:]), certificate
+
+
+def batches(boxes: Sequence[Box]) -> list[Sequence[Box]]:
+    """Return the blocks whose parts one task finds."""
+    return [boxes[k : k + _TOGETHER] for k in range(0, len(boxes), _TOGETHER)]
 
 
 def boxes_of(chunks: Chunks) -> Iterator[Box]:

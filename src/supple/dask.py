@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.blocks import Block, Box, Read, Warp, boxes_of
+from supple.blocks import Block, Box, Read, Warp, batches, boxes_of
 from supple.deformation import Deformation
 from supple.domain import refuse
 from supple.engines.base import Layout, Sampling, warn_of
@@ -25,7 +25,6 @@ from dask.highlevelgraph import HighLevelGraph  # noqa: E402
 
 __all__ = ["warp"]
 
-_TOGETHER = 16  # blocks of which one task finds the parts
 _DEFAULT = 1 << 26  # bytes of a block of an array without chunks
 
 
@@ -175,19 +174,15 @@ def _warped(array: Any, job: Warp, chunks: Any, first: int, stacklevel: int = 4)
     return da.Array(layers, name, blocks, meta=meta)  # type: ignore[no-untyped-call]
 
 
-def _everywhere(reads: Callable[[Box], Read], boxes: Sequence[Box]) -> list[Read]:
+def _everywhere(job: Warp, boxes: Sequence[Box]) -> list[Read]:
     """Find the parts that blocks read, by Dask: on the threads here, or the cluster that is connected."""
-    some = [boxes[k : k + _TOGETHER] for k in range(0, len(boxes), _TOGETHER)]
+    some = batches(boxes)
     if len(some) == 1:
-        return [reads(box) for box in boxes]
+        return job.all_reads(boxes)
     # The map, which may hold a large field, is sent once, and not with each task.
-    held = dask.delayed(reads, traverse=False)  # type: ignore[attr-defined]
-    found = dask.compute(*[dask.delayed(_each)(held, part) for part in some])  # type: ignore[attr-defined, no-untyped-call]
+    held = dask.delayed(job, traverse=False)  # type: ignore[attr-defined]
+    found = dask.compute(*[dask.delayed(Warp.all_reads)(held, part) for part in some])  # type: ignore[attr-defined, no-untyped-call]
     return [read for part in found for read in part]
-
-
-def _each(reads: Callable[[Box], Read], boxes: Sequence[Box]) -> list[Read]:
-    return [reads(box) for box in boxes]
 
 
 def _chunks(

@@ -24,13 +24,15 @@ import pytest
 zarr = pytest.importorskip("zarr")
 pytest.importorskip("dask")
 
-from supple import Affine, Recipe, Stroke, SuppleError  # noqa: E402
+from supple import Affine, Deformation, Recipe, Stroke, SuppleError  # noqa: E402
+from supple.blocks import Warp, boxes_of  # noqa: E402
+from supple.engines.base import Sampling  # noqa: E402
 from supple.fields import Placed  # noqa: E402
 from supple.files import plans, tasks  # noqa: E402
 from supple.files.grids import GridOptions  # noqa: E402
-from supple.files.plans import chunks_of, plan_file, task_shape  # noqa: E402
+from supple.files.plans import chunks_of, plan_boxes, plan_file, task_shape  # noqa: E402
 from supple.files.stores import WarpedStore, warp_store  # noqa: E402
-from supple.files.tasks import Running  # noqa: E402
+from supple.files.tasks import Running, runner_of  # noqa: E402
 from supple.files.volumes import VolumeOptions  # noqa: E402
 from supple.media.stores import Target, open_image  # noqa: E402
 from supple.media.stores.pyramid import reduced  # noqa: E402
@@ -474,3 +476,13 @@ def test_what_happens_to_a_cluster_is_one_sentence(error: BaseException, told: s
     pytest.importorskip("distributed")
     with pytest.raises(SuppleError, match=re.escape(told)), tasks._Distributed(None, "the workers")._failing():
         raise error
+
+
+def test_planes_of_a_crop_that_hardly_move_are_asked_of_the_whole() -> None:
+    """By a runner, as the command does: what reads a whole plane is not what reads the crop."""
+    d = Deformation((17, 10, 14)).grab((4.8, 6.2, 4.8), by=(-3.7, -0.11, -5.27), radius=3.07)
+    warp = Warp(d, Sampling.checked(filter="linear"), d.grid.crop((8, 3, 0), (6, 5, 17)))
+    boxes = list(boxes_of([[17], [5], [6]]))
+    with runner_of(Running()) as runner:
+        assert plan_boxes(warp, boxes, runner) == warp.plan(boxes)
+    assert 0 < sum(warp.plan(boxes)[0][0].copied) < 17

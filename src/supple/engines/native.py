@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,7 +101,7 @@ def needed(space: Space, sampling: Sampling) -> tuple[tuple[int, ...], list[floa
         space.composite,
         box,
     )
-    return part, moved, Certificate(error, 0.0, *((0, 0, 0) if space.composite is None else found))
+    return part, moved, _certificate(space, error, 0.0, found)
 
 
 def _padded(array: Array) -> Array:
@@ -121,9 +121,12 @@ def _part(grid: Grid) -> tuple[range, tuple[int, int, int, int]]:
 
 def certificate_of(plan: _core.Plan, space: Space) -> Certificate:
     """Return the certificate of a plan from the checks of its cells, with their reserve."""
-    if space.composite is None:
-        return Certificate(plan.error, plan.evaluations)
-    return Certificate(plan.error, plan.evaluations, plan.unsolved, plan.folds, plan.outside)
+    return _certificate(space, plan.error, plan.evaluations, (plan.unsolved, plan.folds, plan.outside))
+
+
+def _certificate(space: Space, error: float, evaluations: float, found: tuple[int, int, int]) -> Certificate:
+    """Return a certificate; points that are not solved, fold, and lie outside are those of fields alone."""
+    return Certificate(error, evaluations, *((0, 0, 0) if space.composite is None else found))
 
 
 def measured(plan: _core.Plan, tolerance: float) -> Certificate:
@@ -237,19 +240,18 @@ class Native:
                     plan.sample(each)
             yield len(wanted), certificate_of(plan, space)
             return
-        together, table = _TOGETHER * _core.threads(), numbers(space.table)
         first, shape, box = 0, space.planned(step) if space.is_plain else space.shape, None
         if space.grid is not None:
             parts, box = _part(space.grid)
             first, shape = parts[0], (space.grid.whole[-2], space.grid.whole[-1])
-        for start in range(0, len(wanted), together):
-            some = [first + z for z in wanted[start : start + together]]
-            given = samplings_of(work, frames, [out[start : start + len(some)] for out in outs], space.count)
-            error, steps, (folded, outside, unknown) = _core.warp_stack(
-                table, space.axes, *shape, some, tolerance, given, space.composite, box
-            )
-            found = (0, 0, 0) if space.composite is None else (unknown, folded, outside)
-            yield start + len(some), Certificate(error, steps, *found)
+        numbered = [first + z for z in wanted]
+        yield from _stacked(
+            work,
+            numbered,
+            shape,
+            box,
+            lambda some: samplings_of(work, frames, [out[some] for out in outs], space.count),
+        )
 
     def warp_part(
         self,
@@ -286,21 +288,14 @@ class Native:
                     plan.sample(each)
             return certificate_of(plan, space)
         planes, box = _part(grid)
-        certificate, table = Certificate(0.0, 0.0), numbers(space.table)
-        together = _TOGETHER * _core.threads()
-        for start in range(0, len(planes), together):
-            some = planes[start : start + together]
-            given = [
-                each
-                for held, out in zip(frames, outs, strict=True)
-                for each in samplings_of(work, [held], [out[start : start + len(some)]], space.count, corner)
-            ]
-            error, steps, (folded, outside, unknown) = _core.warp_stack(
-                table, space.axes, grid.whole[-2], grid.whole[-1], list(some), tolerance, given, space.composite, box,
-                list(copied[start : start + len(some)]),
-            )  # fmt: skip
-            found = (0, 0, 0) if space.composite is None else (unknown, folded, outside)
-            certificate |= Certificate(error, steps, *found)
+
+        def given(some: slice) -> list[_core.Sampling]:
+            items = zip(frames, outs, strict=True)
+            return [s for held, out in items for s in samplings_of(work, [held], [out[some]], space.count, corner)]
+
+        certificate = Certificate(0.0, 0.0)
+        for _, known in _stacked(work, list(planes), (grid.whole[-2], grid.whole[-1]), box, given, copied):
+            certificate |= known
         return certificate
 
     def stream(self, work: Work, window: Sequence[Array]) -> contextlib.AbstractContextManager[Planes]:
@@ -401,6 +396,25 @@ class _Window:
         for each in samplings_of(work, frames, outs, count):
             plan.sample(each)
         return certificate_of(plan, work.space)
+
+
+def _stacked(
+    work: Work,
+    planes: Sequence[int],
+    shape: tuple[int, int],
+    box: tuple[int, int, int, int] | None,
+    given: Callable[[slice], list[_core.Sampling]],
+    copied: Sequence[bool] | None = None,
+) -> Steps:
+    """Sample planes of a stack, a few for each thread at a time, of which ``given`` returns the sampling jobs."""
+    space, table, together = work.space, numbers(work.space.table), _TOGETHER * _core.threads()
+    for start in range(0, len(planes), together):
+        some = slice(start, min(start + together, len(planes)))
+        error, steps, (folded, outside, unknown) = _core.warp_stack(
+            table, space.axes, *shape, planes[some], work.sampling.tolerance, given(some), space.composite, box,
+            None if copied is None else list(copied[some]),
+        )  # fmt: skip
+        yield some.stop, _certificate(space, error, steps, (unknown, folded, outside))
 
 
 def _rows(space: Space, points: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from supple.arrays import work_of
-from supple.blocks import Block, Box, Read, Warp, boxes_of
+from supple.blocks import Block, Box, Read, Warp, batches, boxes_of
 from supple.deformation import Deformation
 from supple.engines.base import Certificate, Sampling, warn_of
 from supple.engines.choice import engine_for
@@ -35,7 +35,6 @@ PathLike = str | os.PathLike[str]
 TASK = 1 << 25
 """Bytes of a block that a task writes, where chunks are smaller."""
 _TURNS = 4  # tasks of each thread, at least, so that none waits long for the last ones
-_TOGETHER = 16  # blocks whose parts one task finds
 _PORTION = 1024  # blocks that are planned before they are written: neither waits for all the others
 _SIDE, _EDGE = 1024, 128  # of the blocks in which pictures and volumes without chunks are planned
 
@@ -279,6 +278,7 @@ def warp_on(
     if known.labels and medium.dtype.kind == "f":
         raise SuppleError(f"labels is for whole numbers, and {medium.name} holds {medium.dtype}: leave it out")
     name = "nearest" if known.labels else filter
+    whole = np.broadcast_to(np.zeros((), medium.dtype), medium.space)  # which takes no memory
     if medium.geometry is None:
         if known.world:
             raise SuppleError(f"world is for volumes, and {medium.name} is a picture: leave it out")
@@ -292,10 +292,8 @@ def warp_on(
         if maps:
             warn_of_place(medium.geometry, medium.name)
         regrid = grid_on(grid, medium.grid, medium.name, maps)
-        room = np.broadcast_to(np.zeros((), medium.dtype), medium.space)  # which takes no memory
-        volume = Volume(room, medium.geometry, medium.name)
+        volume = Volume(whole, medium.geometry, medium.name)
         deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
-    whole = np.broadcast_to(np.zeros((), medium.dtype), medium.space)
     engine_for("cpu", work_of(whole, deformation.space_on(regrid), sampling, alpha=False))  # raise its errors now
     return Warp(deformation, sampling, regrid)
 
@@ -347,16 +345,11 @@ def portions(stacked: Iterator[list[Box]]) -> Iterator[list[list[Box]]]:
 def plan_boxes(warp: Warp, boxes: Sequence[Box], runner: Runner) -> tuple[list[Block], Certificate]:
     """Find what blocks read, which together are whole layers."""
 
-    def each(reads: Any, boxes: Sequence[Box]) -> list[Read]:
-        some = [boxes[k : k + _TOGETHER] for k in range(0, len(boxes), _TOGETHER)]
-        found = runner.each(_reads, warp, some, lambda: None)
+    def each(warp: Warp, boxes: Sequence[Box]) -> list[Read]:
+        found = runner.each(Warp.all_reads, warp, batches(boxes), lambda: None)
         return [one for part in found for one in part]
 
     return warp.plan(boxes, each)
-
-
-def _reads(warp: Warp, boxes: Sequence[Box]) -> list[Read]:
-    return [warp.reads(box) for box in boxes]
 
 
 def _whole(part: Box, shape: Sequence[int], chunks: Sequence[int] | None) -> int:

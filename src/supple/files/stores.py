@@ -25,7 +25,7 @@ from supple.files.tasks import Runner, Running, check_shared, runner_of
 from supple.files.volumes import VolumeOptions
 from supple.geometry import Geometry, Grid
 from supple.media.files import check_store, unwritable
-from supple.media.stores import Place, StoredImage, Target, create
+from supple.media.stores import Place, StoredImage, Target, create, is_begun
 from supple.pipeline import Tell
 from supple.strokes import Fit, Recipe
 
@@ -175,7 +175,7 @@ def warp_store(
     )  # fmt: skip
     placement = _placement(image, medium, warp.grid, target)
     job = _job(image, warp, recipe, known)
-    begun = _is_begun(target)
+    begun = is_begun(target)
     with runner_of(where) as runner:
         made = create(target, image, force=force, job=job, **placement)
         work = Work(image, made, warp)
@@ -239,13 +239,6 @@ def _job(image: StoredImage, warp: Warp, recipe: Recipe, options: VolumeOptions)
         else:
             digest.update(np.ascontiguousarray(held.matrix).data)
     return f"warp {address}, {digest.hexdigest()}"
-
-
-def _is_begun(target: PathLike) -> bool:
-    """Return whether some blocks may be there. Of a new output none is asked for, which takes a request each."""
-    place = Place(target)
-    folder = place.folder
-    return place.job() is not None if folder is None else os.path.lexists(f"{os.path.realpath(folder)}.partial")
 
 
 def _write_blocks(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed], begun: bool) -> tuple[_Counts, int]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from supple.errors import SuppleError, shown
-from supple.media.files import check_store
+from supple.media.files import PathLike, check_store
 from supple.media.stores.image import StoredImage
 from supple.media.stores.places import MARKER, ROOTS, Place, put, read, run
 
@@ -34,6 +34,19 @@ def _agrees(store: Any, files: dict[str, bytes]) -> bool:
 
 def _plain(value: Any) -> str:
     return json.dumps(value, sort_keys=True)  # NaN is not equal to itself, but its text is
+
+
+def unfinished(folder: Path) -> Path:
+    """Return the folder that an output is written to, until it is finished."""
+    return folder.with_name(f"{folder.name}.partial")
+
+
+def is_begun(address: PathLike) -> bool:
+    """Return whether some blocks of an output may be there."""
+    place = Place(address)
+    if place.folder is None:
+        return place.job() is not None
+    return os.path.lexists(unfinished(Path(os.path.realpath(place.folder))))
 
 
 def claim_folder(place: Place, site: Place, files: dict[str, bytes], job: str, force: bool) -> None:

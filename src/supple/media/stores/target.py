@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError
 from supple.media.files import PathLike, check_store
-from supple.media.stores.claims import check_apart, claim_address, claim_folder, publish
+from supple.media.stores.claims import check_apart, claim_address, claim_folder, publish, unfinished
 from supple.media.stores.image import Level, StoredImage, described
 from supple.media.stores.places import MARKER, Place, put, quiet, read, refresh, run
 from supple.media.stores.plans import planned
@@ -80,7 +80,7 @@ def create(
     with place.writing():
         if place.folder is not None:
             target = check_store(place.folder, force=force)
-            site = Place(target.with_name(f"{target.name}.partial"))
+            site = Place(unfinished(target))
             claim_folder(place, site, plan.files, job, force)
         else:
             site = place
