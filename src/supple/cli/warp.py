@@ -172,7 +172,7 @@ def warp(
     if not paths[-1]:
         raise SuppleError("cannot write '': name a file, or a folder, last")
     reading = sampling["volume"]
-    if any(map(is_store, paths[:-1])):
+    if any(map(is_store, paths)):
         from supple.cli.stores import warp_stored
 
         if save_recipe is not None:

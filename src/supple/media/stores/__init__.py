@@ -2,7 +2,21 @@
 
 from supple.media.stores.claims import is_begun
 from supple.media.stores.image import Level, StoredAxis, StoredImage, open_image
+from supple.media.stores.inputs import like_file
 from supple.media.stores.places import Place, is_store
+from supple.media.stores.samples import Samples
 from supple.media.stores.target import Target, create
 
-__all__ = ["Level", "Place", "StoredAxis", "StoredImage", "Target", "create", "is_begun", "is_store", "open_image"]
+__all__ = [
+    "Level",
+    "Place",
+    "Samples",
+    "StoredAxis",
+    "StoredImage",
+    "Target",
+    "create",
+    "is_begun",
+    "is_store",
+    "like_file",
+    "open_image",
+]
