@@ -90,8 +90,8 @@ def warp(
     ----------
     paths
         Files to read, and last the file or folder to write. The suffix of OUT is its format: PNG, JPEG, TIFF,
-        WebP, AVIF; MP4, MOV, MKV, WebM, AVI, GIF; NIfTI, NRRD, MHA. A dash, -, is standard input or output, in the
-        input's format.
+        WebP, AVIF; MP4, MOV, MKV, WebM, AVI, GIF; NIfTI, NRRD, MHA; Zarr, of pictures and volumes. A dash, -, is
+        standard input or output, in the input's format.
     filter
         Interpolation: auto (cubic, averaged where the picture shrinks), cubic, linear or nearest.
     outside

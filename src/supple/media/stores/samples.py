@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import os
+import re
 import threading
 import warnings
 from collections.abc import Callable, Iterator
@@ -151,13 +153,17 @@ class Samples:
         import zarr
 
         path = self._path
-        head_of(path, 1)
+        if head_of(path, 2) not in (b"II", b"MM"):
+            raise unreadable(path, "it is no TIFF", "check its name")
         with contextlib.ExitStack() as stack:
             with _reading(path):
-                file = stack.enter_context(tifffile.TiffFile(path))
-                listed = list(file.series)
-                first = listed[0]
-                page = first.keyframe
+                if pages.linked(path) is None:
+                    raise unreadable(path, "it is cut short")
+                with _heard(path):
+                    file = stack.enter_context(tifffile.TiffFile(path))
+                    listed = list(file.series)
+                    first = listed[0]
+                    page = first.keyframe
             _check_kind(path, first, page)
             if len(listed) > 1:
                 warnings.warn(
@@ -178,6 +184,9 @@ class Samples:
             self.shape = tuple(int(array.shape[axis]) for axis in order)
             self.dtype = np.dtype(array.dtype).newbyteorder("=")
             self.chunks = tuple(int(array.chunks[axis]) for axis in order)
+            held = math.prod(first.shape[k] for k, name in kept.items() if name in "tcz" and first.axes[k] != "S")
+            if held < (promised := int((file.imagej_metadata or {}).get("images", 1))):
+                raise unreadable(path, f"it is said to hold {promised} images, and has {held} pages")
             if "z" in self.axes:
                 self.geometry = _place(path, file)
             told_interval = float((file.imagej_metadata or {}).get("finterval") or 0)
@@ -219,6 +228,27 @@ def _reading(path: str) -> Iterator[None]:
     except Exception as error:  # of any kind, where a file is damaged
         said = (str(error).splitlines() or [""])[0] or type(error).__name__
         raise unreadable(path, f"it is damaged, cut short, or no TIFF ({said})") from error
+
+
+@contextlib.contextmanager
+def _heard(path: str) -> Iterator[None]:
+    """Warn of what tifffile logs; raise SuppleError where it would put zeros in place of what is missing."""
+    import tifffile
+
+    said: list[str] = []
+    handler, logger = logging.Handler(logging.WARNING), tifffile.logger()
+    handler.emit = lambda record: said.append(record.getMessage())  # type: ignore[method-assign]
+    before = logger.propagate, logger.handlers
+    logger.propagate, logger.handlers = False, [handler]
+    try:
+        yield
+    finally:
+        logger.propagate, logger.handlers = before
+    if any("zeroed" in text for text in said):
+        raise unreadable(path, "some of its pages are missing, or in files that are", "give all of them")
+    if said:
+        text = " ".join(re.sub(r"^<.*?> ?", "", said[0]).split())
+        warnings.warn(f"{shown(path)} is read, but tifffile says: {text}", VolumeWarning, stacklevel=7)
 
 
 def _place(path: str, file: Any) -> Geometry:

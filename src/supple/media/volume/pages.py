@@ -63,7 +63,7 @@ def read(path: PathLike) -> Volume:
         raise unreadable(path, f"it is no TIFF, but {form}", "check its name")
     pages = facts(image)[0]
     with reading(path):
-        if _linked(path) != pages:
+        if linked(path) != pages:
             raise unreadable(path, f"it is cut short: {pages} of its pages are whole")
         source = pyvips.Source.new_from_file(os.fsencode(path))
         options = {"access": "sequential", "fail_on": "error"}
@@ -93,7 +93,7 @@ def read(path: PathLike) -> Volume:
 
 
 # Kept: libvips takes a file that ends between two pages for whole (test_a_stack_that_ends_between_two_pages).
-def _linked(path: PathLike) -> int | None:
+def linked(path: PathLike) -> int | None:
     """Return the number of linked pages, or None if the last link leads out of the file."""
     with open(path, "rb") as file:
         head = file.read(16)
