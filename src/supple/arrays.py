@@ -246,7 +246,11 @@ def _finite_range(source: Array) -> tuple[Any, Any, bool]:
 
 
 def _slabs(array: Array) -> Iterator[Array]:
-    """Yield parts of an array along its first axis that fit the CPU's cache."""
+    """Yield parts of an array along its first axes that fit the CPU's cache."""
+    if array.ndim > 1 and len(array) and array[0].nbytes > _SLAB:
+        for part in array:
+            yield from _slabs(part)
+        return
     rows = max(1, _SLAB * len(array) // max(array.nbytes, 1))
     for start in range(0, len(array), rows):
         yield array[start : start + rows]

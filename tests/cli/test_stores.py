@@ -57,6 +57,24 @@ def test_maps_and_parts(run: Run) -> None:
     assert status == 0, err
 
 
+def test_files_become_stores(run: Run) -> None:
+    values = np.random.default_rng(1).integers(0, 200, (11, 32, 40)).astype(np.uint8)
+    Path("in.raw").write_bytes(values.tobytes())
+    layout = ("--shape", "40,32,11", "--dtype", "uint8", "--spacing", "1,1,2")
+    status, _, err = run("warp", "in.raw", "out.zarr", *DEEP, *layout)
+    assert (status, err) == (0, "")
+    assert run("warp", "in.raw", "out.mha", *DEEP, *layout, "--no-clamp")[0] == 0
+    simpleitk = pytest.importorskip("SimpleITK")
+    expected = simpleitk.GetArrayFromImage(simpleitk.ReadImage("out.mha"))
+    assert np.array_equal(zarr.open("out.zarr")["0"][...], expected)
+    assert (expected != values).any()
+    status, out, _ = run("plan", "in.raw", *DEEP, *layout)
+    assert (status, "11 x 32 x 40 uint8" in out) == (0, True)
+    assert "one at a time" in one_line(run("warp", "in.png", "in.raw", "several.zarr", *FLAT)[2])
+    assert "--quality is not for Zarr stores" in one_line(run("warp", "in.png", "p.zarr", *FLAT, "--quality", "9")[2])
+    assert run("warp", "in.png", "p.zarr", "--field", "none.nii", "--quiet")[0] == 2
+
+
 def test_a_plan_reads_no_sample(run: Run) -> None:
     store("in.zarr", (64, 96))
     for chunk in Path("in.zarr/c").rglob("*"):

@@ -229,16 +229,19 @@ class Target:
         ends = zip(box, factors, source.shape, strict=True)
         region = [(a * factor, min(b * factor, size)) for (a, b), factor, size in ends]
         made = np.empty([b - a for a, b in box], source.dtype)
-        # slab by slab, since many shards are read for one
+        # slab by slab, since many shards are read for one; and plane by plane, since sums are wider than samples
         k = len(box) - len(self.image.spatial)
-        step = self.arrays[level].chunks[k]
+        step, factor = self.arrays[level].chunks[k], factors[k]
+        first, end = region[k]
         for at in range(0, made.shape[k], step):
-            first = region[k][0] + at * factors[k]
-            region_of = list(region)
-            region_of[k] = first, min(first + step * factors[k], region[k][1])
+            start, stop = first + at * factor, min(first + (at + step) * factor, end)
             with self._place.reading(f"its level {level - 1} cannot be read"):
-                values = np.asarray(source[tuple(slice(a, b) for a, b in region_of)])
-            made[(slice(None),) * k + (slice(at, at + step),)] = reduced(values, factors, mode)
+                slab = np.asarray(
+                    source[tuple(slice(*span) for span in (*region[:k], (start, stop), *region[k + 1 :]))]
+                )
+            for plane in range(-(-(stop - start) // factor)):
+                some = (slice(None),) * k + (slice(plane * factor, (plane + 1) * factor),)
+                made[(slice(None),) * k + (slice(at + plane, at + plane + 1),)] = reduced(slab[some], factors, mode)
         self.write(level, box, made)
 
     def writing(self) -> contextlib.AbstractContextManager[None]:
