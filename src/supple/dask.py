@@ -71,8 +71,8 @@ def warp(
     -------
     dask.array.Array or xarray.DataArray
         Of the source's type, and equal to what `Deformation.warp` returns, bit for bit. A DataArray keeps its name, its
-        attributes, and the coordinates of axes that are not bent; on another grid, those of bent axes are the grid's
-        positions, if its axes are those of space.
+        attributes and its coordinates. On another grid, bent axes have the grid's positions, if its axes are those of
+        space; on a part of the deformation's own grid, their own ones.
 
     Raises
     ------
@@ -262,8 +262,11 @@ def _of_xarray(array: Any, job: Warp, chunks: Any, axes: Sequence[int] | None) -
     made = _warped(array.data, job, chunks, first, 5)
     bent = array.dims[first : first + job.deformation.ndim]
     coords = dict(array.coords)
-    grid = job.grid
-    if grid is not None:
+    grid, own = job.grid, job.deformation.grid
+    if grid is not None and grid.uncropped().is_same_space(own):  # a part of what was there
+        kept = dict(zip(bent[::-1], map(slice, grid.first, np.add(grid.first, grid.sizes)), strict=True))
+        coords = {name: value.isel(kept, missing_dims="ignore") for name, value in coords.items()}
+    elif grid is not None:
         coords = {name: value for name, value in coords.items() if not set(value.dims) & set(bent)}
         if np.array_equal(grid.direction, np.eye(grid.ndim)):
             for dim, size, step, start in zip(bent[::-1], grid.sizes, grid.spacing, grid.origin, strict=True):

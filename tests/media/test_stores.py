@@ -440,7 +440,7 @@ BAD = {
     "field": (axis_of(1, type="displacement"), "of the type 'displacement'"),
     "twice": (axis_of(1, name="t"), "are named t, t, z, y, x"),
     "no name": (axis_of(1, name=None), "has no name"),
-    "unit": (axis_of(2, unit="furlong"), "its axis z has the unit 'furlong': use a length"),
+    "unit": (axis_of(2, unit="furlong"), "its axis z has the unit 'furlong': name a length"),
     "unit type": (axis_of(2, unit=3), "its axis z has the unit 3"),
     "units in part": (axis_of(2, unit=None), r"units only in part: z \(none\), y \(micrometer\)"),
     "no steps": (steps_of([]), "level 1 has no coordinateTransformations: add a scale"),

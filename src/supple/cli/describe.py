@@ -97,7 +97,7 @@ def _stored(name: str) -> tuple[dict[str, Any], str]:
     from supple.media.stores import open_image
 
     image = open_image(name)
-    unit = "mm" if image.placed else "pixels"
+    unit, n = "mm" if image.placed else "pixels", len(image.spatial)
     levels: list[dict[str, Any]] = [
         {
             "path": level.path,
@@ -120,8 +120,8 @@ def _stored(name: str) -> tuple[dict[str, Any], str]:
         "shape": list(image.shape),
         "dtype": str(image.dtype),
         "bytes": image.dtype.itemsize * math.prod(image.shape),
-        "spacing": list(image.spacing),
-        "origin": list(image.origin),
+        "spacing": [float(f"{step:.12g}") for step in image.spacing],
+        "origin": [float(f"{start:.12g}") for start in image.origin],
         "units": unit,
         "levels": levels,
     }
@@ -129,11 +129,14 @@ def _stored(name: str) -> tuple[dict[str, Any], str]:
     lines = {
         "format": f"{facts['format']}, Zarr format {facts['zarr']}",
         "axes": f"{', '.join(told)}: {'a picture' if len(image.spatial) == 2 else 'a volume'}",
-        "size": " x ".join(map(str, image.shape)),
+        "size": f"{' x '.join(map(str, image.shape))}, in this order",
         "values": str(image.dtype),
         "bytes": f"{facts['bytes']:,}, decoded",
-        "spacing": f"{' x '.join(f'{step:.6g}' for step in image.spacing)} {unit}",
+        "spacing": f"{' x '.join(f'{step:.6g}' for step in image.spacing)} {unit} along x, y{', z' * (n == 3)}",
+        "origin": f"{', '.join(f'{start:.6g}' for start in image.origin)} {unit}",
     }
+    if not image.placed and image.version:
+        lines["spacing"] += ": its axes have no units, and their scale is not used"
     for k, level in enumerate(levels):
         shards = f", in shards of {' x '.join(map(str, level['shards']))}" if level["shards"] else ""
         sizes, chunks = (" x ".join(map(str, level[key])) for key in ("shape", "chunks"))

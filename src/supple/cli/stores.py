@@ -241,13 +241,14 @@ def plan(
 
 def _described(name: str, found: Planned) -> str:
     each = " x ".join(map(str, found.block))
-    work = f"{found.copied} of them copies ({bytes_of(found.copied_bytes)})" if found.copied else "none of them a copy"
+    copies = f"{found.copied} of them copies of what no stroke reaches ({bytes_of(found.copied_bytes)} uncompressed)"
     lines = {
-        "output": f"{' x '.join(map(str, found.shape))} {found.dtype}, {bytes_of(found.size)} with all levels, decoded",
-        "blocks": f"{found.blocks} of {each}, {work}",
-        "to read": f"{bytes_of(found.read)}, decoded",
-        "memory": f"{bytes_of(found.memory)} of a worker, for {found.tasks} blocks at a time",
-        "error": f"{found.error:.2g} px",
+        "output": f"{' x '.join(map(str, found.shape))} {found.dtype}, {bytes_of(found.size)} with coarser levels, "
+        "uncompressed",
+        "blocks": f"{found.blocks} of {each}, {copies if found.copied else 'none of them a copy'}",
+        "to read": f"{bytes_of(found.read)} of whole chunks, uncompressed{', beside the copies' * bool(found.copied)}",
+        "memory": f"{bytes_of(found.memory)} for each process, which works on {found.tasks} blocks at a time",
+        "error": f"{found.error:.2g} px at most, of the inverse map",
     }
     return "\n".join([f"{shown(name)}:", *(f"  {key:<12}{value}" for key, value in lines.items())])
 

@@ -148,8 +148,14 @@ def _deformation(
     from supple.files.clips import is_clip, open_clip, refuse_places
     from supple.files.volumes import deformation_of as on_volume
     from supple.files.volumes import is_volume_job, open_volume
+    from supple.media.stores import is_store
     from supple.strokes import fit_recipe
 
+    if is_store(on):
+        from supple.files.plans import open_source, warp_on
+
+        medium = open_source(on, recipe, reading).medium
+        return warp_on(medium, recipe, options=reading, fit=fit).deformation, medium.geometry
     if is_volume_job(on, "", recipe, reading):
         volume = open_volume(on, reading)
         return on_volume(recipe, volume, world=reading.world, fit=fit), volume.geometry

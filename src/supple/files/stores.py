@@ -7,6 +7,7 @@ import itertools
 import json
 import math
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,13 +17,13 @@ import numpy as np
 from supple.blocks import Block, Box, Warp, boxes_of
 from supple.deformation import Deformation, Report
 from supple.engines.base import Certificate, warn_of
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Field, Placed, folds_of, only_name
 from supple.files import plans
 from supple.files.grids import GridOptions
 from supple.files.plans import Medium, Source, chunks_of, open_source, plan_boxes, task_shape, warp_on
 from supple.files.tasks import Runner, Running, check_shared, runner_of
-from supple.files.volumes import VolumeOptions
+from supple.files.volumes import VolumeOptions, warn_of_labels
 from supple.geometry import Geometry, Grid
 from supple.media.files import check_store, unwritable
 from supple.media.stores import Level, Place, StoredImage, Target, create, is_begun
@@ -31,6 +32,7 @@ from supple.strokes import Fit, Recipe
 
 PathLike = str | os.PathLike[str]
 
+_SIDE = 64  # voxels of the part that is looked at for labels
 _AT_ONCE = 4096  # tasks that wait at a time, each of which takes a few kilobytes
 
 
@@ -173,6 +175,7 @@ def warp_store(
         medium, recipe, filter=filter, tolerance=tolerance, outside=outside, fill=fill, options=known, fit=fit,
         maps=maps, grid=grid,
     )  # fmt: skip
+    _warn_of_labels(opened, warp)
     placement = _placement(image, medium, warp.grid, target)
     job = _job(opened, warp, recipe, known)
     begun = is_begun(target)
@@ -189,6 +192,25 @@ def warp_store(
         tuple(made.arrays[0].shape), len(made.arrays), blocks, counts.done, counts.copied, counts.read, warp.grid,
         found.folded, found.outside, found.unknown,
     )  # fmt: skip
+
+
+def _warn_of_labels(source: Source, warp: Warp) -> None:
+    """Warn of labels that are mixed, and of label images beside an image, which are not carried over."""
+    image, medium, n = source.image, source.medium, len(source.medium.space)
+    for name in image.labels:
+        warnings.warn(
+            f"the label image {name} of {medium.name} is not carried over: bend it with the same strokes and --labels "
+            f"({medium.name.rstrip('/')}/labels/{name})",
+            VolumeWarning,
+            stacklevel=3,
+        )
+    if warp.sampling.filter == "nearest" or warp.deformation.is_identity or n == 2:
+        return
+    middle = [(max(0, (size - _SIDE) // 2), min(size, (size + _SIDE) // 2)) for size in medium.space]
+    part = [(0, 1)] * (len(medium.shape) - n) + middle
+    with Place(image.address).reading("its samples cannot be decoded"):
+        some = np.asarray(source.samples[tuple(slice(*span) for span in part)])
+    warn_of_labels(some.reshape(some.shape[-n:]), medium.name, known=image.is_labels)
 
 
 def _placement(image: StoredImage, medium: Medium, grid: Grid | None, target: PathLike) -> dict[str, Any]:
@@ -212,7 +234,8 @@ def _placement(image: StoredImage, medium: Medium, grid: Grid | None, target: Pa
     scale, translation = np.array(level.scale), np.array(level.translation)
     translation[axes] += scale[axes] * first[::-1]
     scale[axes] *= steps[::-1]
-    return {"shape": grid.shape, "scale": scale.tolist(), "translation": translation.tolist()}
+    told = [[float(f"{number:.12g}") for number in numbers] for numbers in (scale, translation)]  # without noise
+    return {"shape": grid.shape, "scale": told[0], "translation": told[1]}
 
 
 def _job(source: Source, warp: Warp, recipe: Recipe, options: VolumeOptions) -> str:

@@ -50,7 +50,9 @@ class Running:
         if given is not None and (not isinstance(given, int) or isinstance(given, bool) or given < 1):
             refuse("workers", "a number of processes from 1", given)
         if self.workers is not None and self.scheduler is not None:
-            raise SuppleError("workers are processes of this machine, and scheduler is another's: give one of them")
+            raise SuppleError(
+                "workers starts processes on this machine, and scheduler uses a cluster: give one of them"
+            )
 
     @property
     def elsewhere(self) -> bool:

@@ -48,6 +48,7 @@ ONE_FILE = frozenset({".nii", ".nii.gz", ".nrrd", ".mha"})
 _TIFF = (".tif", ".tiff")
 # The test for label maps: the number of slices, and the fraction of equal neighbours beside the background.
 _LOOKED_AT, _AREAS, _MOST_LABELS, _FEW = 16, 0.7, 1024, 8
+_HUGE, _TINY = 2, 0.1  # radii, in the size of a volume and in the distance of its samples, that are in another unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +175,25 @@ def deformation_of(
             raise SuppleError(f"{which}a volume's points have three numbers, x, y and z, and {stroke.at} has two")
     known = fit_recipe(in_space(recipe, volume.geometry, volume.name, world), volume.sizes, fit, volume.name)
     made = indexed(known, volume.geometry, volume.name)
+    unplaced = volume.geometry.convention == "array" and volume.geometry.spacing == (1.0, 1.0, 1.0)
+    warn_of_lengths(made, volume.grid, volume.name, "voxels" if unplaced else "mm")
     return Deformation.from_recipe(made, volume.grid, maps=maps, warn=False)
+
+
+def warn_of_lengths(recipe: Recipe, grid: Grid, name: str, unit: str) -> None:
+    """Warn of a radius that is in another unit, most likely: larger than the whole, or much smaller than a sample."""
+    size = np.multiply(grid.sizes, grid.spacing)
+    for stroke in recipe.strokes:
+        if stroke.radius > _HUGE * max(size):
+            told = f"{stroke.radius / max(size):.3g} times {name}, of {' x '.join(f'{x:.3g}' for x in size)} {unit}"
+        elif stroke.radius < _TINY * min(grid.spacing):
+            told = f"{stroke.radius / min(grid.spacing):.2g} times the distance between samples of {name}"
+        else:
+            continue
+        warnings.warn(
+            f"the radius {stroke.radius:g} {unit} is {told}: lengths are in {unit}", VolumeWarning, stacklevel=4
+        )
+        return
 
 
 def in_space(recipe: Recipe, geometry: Geometry, name: str, world: bool) -> Recipe:
@@ -360,29 +379,38 @@ def _first_fraction(samples: Array) -> float | None:
 
 
 def _warn_of_labels(volume: Volume) -> None:
-    """Warn of interpolated labels, if a volume looks like a label map: few integers in large areas."""
+    """Warn of interpolated labels, if a volume looks like a label map."""
     samples = volume.samples[0] if volume.series else volume.samples
-    if volume.components > 1:
+    if volume.components == 1:
+        warn_of_labels(np.asarray(samples[:: -(-len(samples) // _LOOKED_AT)]), volume.name)
+
+
+def warn_of_labels(some: Array, name: str, *, known: bool = False) -> None:
+    """Warn of interpolated labels, if samples (Z, H, W) look like those of a label map: few integers in large areas.
+
+    With ``known``, they are a label map.
+    """
+    if not (known or _is_of_labels(some)):
         return
-    some = np.asarray(samples[:: -(-len(samples) // _LOOKED_AT)])
-    left, right = some[..., :-1], some[..., 1:]
-    seen = (left != some.flat[0]) | (right != some.flat[0])  # the first voxel is taken as background
-    same = left == right
-    if (
-        np.count_nonzero(same & seen) < _AREAS * max(int(np.count_nonzero(seen)), 1)
-        or _first_fraction(some) is not None
-    ):
-        return
-    count = len(np.unique(some))
-    # In a smooth image of few values, neighbours differ by 1.
-    if count > _MOST_LABELS or (count > _FEW and np.median(np.abs(np.subtract(left, right, dtype=float)[~same])) <= 1):
-        return
+    told = "is a label map" if known else f"looks like a label map, of {len(np.unique(some))} values"
     warnings.warn(
-        f"{volume.name} looks like a label map, of {count} values, and its labels are mixed where they meet: "
-        "--labels or --filter nearest keeps them",
+        f"{name} {told}, and its labels are mixed where they meet: --labels or --filter nearest keeps them",
         VolumeWarning,
         stacklevel=4,
     )
+
+
+def _is_of_labels(some: Array) -> bool:
+    left, right = some[..., :-1], some[..., 1:]
+    seen = (left != some.flat[0]) | (right != some.flat[0])  # the first voxel is taken as background
+    same = left == right
+    areas = np.count_nonzero(same & seen) >= _AREAS * max(int(np.count_nonzero(seen)), 1)
+    if not areas or _first_fraction(some) is not None:
+        return False
+    count = len(np.unique(some))
+    # In a smooth image of few values, neighbours differ by 1.
+    steps = np.abs(np.subtract(left, right, dtype=float)[~same])
+    return count <= _MOST_LABELS and (count <= _FEW or float(np.median(steps)) > 1)
 
 
 def _written(

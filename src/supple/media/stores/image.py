@@ -82,6 +82,8 @@ class StoredImage:
         As the metadata have it.
     attributes : mapping
         Those of the group or the array, with all metadata of OME-Zarr.
+    labels : tuple of str
+        The names of the label images that lie in its group.
     """
 
     address: str
@@ -91,6 +93,13 @@ class StoredImage:
     spatial: tuple[int, ...]
     name: str = ""
     attributes: Mapping[str, Any] = field(default_factory=dict)
+    labels: tuple[str, ...] = ()
+
+    @property
+    def is_labels(self) -> bool:
+        """Whether the metadata say that it is a label image."""
+        found = self.attributes.get("ome", self.attributes)
+        return isinstance(found, Mapping) and "image-label" in found
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -263,7 +272,19 @@ def _multiscale(place: Place, group: Any, attributes: Mapping[str, Any], ndim: i
     for one, other in itertools.pairwise(levels):
         _check_fall(place, one, other, len(axes) - space)
     spatial = tuple(range(len(axes) - (ndim or space), len(axes)))
-    return StoredImage(place.address, told.version, axes, tuple(levels), spatial, told.name, attributes)
+    labels = _labels(group)
+    return StoredImage(place.address, told.version, axes, tuple(levels), spatial, told.name, attributes, labels)
+
+
+def _labels(group: Any) -> tuple[str, ...]:
+    """Return the names of label images, as the group of labels lists them."""
+    try:
+        with quiet():
+            attributes = dict(group["labels"].attrs)
+    except Exception:  # most images have none
+        return ()
+    listed = attributes.get("ome", attributes).get("labels")
+    return tuple(map(str, listed)) if isinstance(listed, list) else ()
 
 
 def _array(place: Place, group: Any, path: str) -> Any:

@@ -137,7 +137,7 @@ def _axes(image: Json, dataset: Json, error: Refusal) -> list[Json]:
     before = kinds[: len(kinds) - space]
     if space not in (2, 3) or "space" in before or before not in ([], ["time"], ["channel"], [""], *_BOTH):
         told = ", ".join(f"{name} ({kind or 'no type'})" for name, kind in zip(names, kinds, strict=True))
-        raise error(f"its axes are {told}", "have time first, then channels, then two or three axes of space")
+        raise error(f"its axes are {told}", "store them in the order time, channels, and two or three axes of space")
     return axes
 
 

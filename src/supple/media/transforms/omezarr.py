@@ -29,6 +29,8 @@ _UNITS |= {
     "mile": 1_609_344.0,
     "parsec": 3.0856775814913673e19,
 }
+# Not of the specification, but of many files.
+_UNITS |= {**dict.fromkeys(("um", "\u00b5m", "\u03bcm", "micron", "microns"), 1e-3), "nm": 1e-6, "mm": 1.0, "cm": 10.0}
 """Millimetres."""
 _ORIENTATIONS = {
     "right-to-left": (0, 1.0), "left-to-right": (0, -1.0), "anterior-to-posterior": (1, 1.0),
@@ -82,7 +84,7 @@ def space_matrix(axes: Sequence[Json], units: Sequence[str | None], error: Calla
     made = np.zeros((n, n))
     for i, unit in enumerate(units):
         if unit and unit not in _UNITS:
-            raise error(f"its axis {names[i]} has the unit {unit!r}", "use a length, as millimeter")
+            raise error(f"its axis {names[i]} has the unit {unit!r}", "name a length, as micrometer or millimeter")
         made[order[i], i] = signs[i] * (_UNITS[unit] if unit else 1.0)
     return made
 
