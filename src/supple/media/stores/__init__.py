@@ -1,8 +1,21 @@
 """Zarr arrays and OME-Zarr images: opened, and created like another for blocks that many processes write."""
 
-from supple.media.stores.claims import is_begun
+from supple.media.stores.claims import NOTES, check_free, is_begun
 from supple.media.stores.image import Level, StoredAxis, StoredImage, open_image
 from supple.media.stores.places import Place, is_store
-from supple.media.stores.target import Target, create
+from supple.media.stores.target import Target, create, create_arrays
 
-__all__ = ["Level", "Place", "StoredAxis", "StoredImage", "Target", "create", "is_begun", "is_store", "open_image"]
+__all__ = [
+    "NOTES",
+    "Level",
+    "Place",
+    "StoredAxis",
+    "StoredImage",
+    "Target",
+    "check_free",
+    "create",
+    "create_arrays",
+    "is_begun",
+    "is_store",
+    "open_image",
+]
