@@ -401,6 +401,21 @@ def test_force_replaces_and_others_are_refused() -> None:
         warp_store("in.zarr", "out.zarr", DEEP, options=MAP, force=True)
 
 
+def test_the_map_of_a_file_that_becomes_a_store() -> None:
+    nibabel = pytest.importorskip("nibabel")
+    affine = np.diag([-0.8, 0.5, 3.0, 1.0])
+    affine[:3, 3] = [10, -20, 30]
+    nibabel.save(nibabel.Nifti1Image(RNG.integers(0, 9, (34, 40, 12)).astype(np.uint8), affine), "in.nii")
+    made = warp_store("in.nii", "out.zarr", strokes(1), options=MAP)
+    check(made, *fields("map.zarr", 3, (3, 0.5, 0.8)))
+    field, own = Field.read("map.zarr"), open_image("out.zarr").grid
+    assert np.allclose(field.grid.matrix, own.matrix)
+    index = np.array([14, 12, 4])
+    there = nibabel.affines.apply_affine(affine, made.deformation.inverse(index).points) * [-1, -1, 1]
+    here = nibabel.affines.apply_affine(affine, index) * [-1, -1, 1]
+    assert np.abs(field.values[4, 12, 14] - (there - here)).max() < 0.02
+
+
 def test_processes_make_the_same() -> None:
     pytest.importorskip("distributed")
     image("in.zarr", "zyx")

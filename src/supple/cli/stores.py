@@ -45,7 +45,7 @@ def warp_stored(
     from supple.progress import counted
 
     source, target = _pair(paths)
-    check_known(source, known)
+    check_known((source, target), known)
     given = {key: known[key] for key in ("filter", "tolerance", "outside", "fill", "fit", "grid", "force")}
     blocks: dict[str, tuple[int, int]] = {}
 
@@ -89,13 +89,13 @@ def warp_stored(
 def refer(console: Console, source: str, recipe: Recipe, maps: Maps, known: Mapping[str, Any]) -> Grid | None:
     """Return the grid of a store, where maps refer to it; tell of them."""
     from supple.files.grids import grid_on
-    from supple.files.plans import medium_of, open_stored
+    from supple.files.plans import open_source
 
     if not maps:
         return None
-    own = medium_of(open_stored(source, recipe, grid=known["grid"])).grid
+    own = open_source(source, recipe, known["volume"], grid=known["grid"]).medium.grid
     read = maps.read(own)
-    own = medium_of(open_stored(source, recipe, maps=read, grid=known["grid"])).grid
+    own = open_source(source, recipe, known["volume"], maps=read, grid=known["grid"]).medium.grid
     grid_on(known["grid"], own, shown(source), maps.read(own))
     maps.check_sizes(own, shown(source))
     for facts in maps.facts(own):
@@ -110,8 +110,8 @@ def _pair(paths: Sequence[str]) -> tuple[str, str]:
 
     *sources, target = paths
     if len(sources) > 1 or (glob.has_magic(sources[0]) and not os.path.exists(sources[0]) and "://" not in sources[0]):
-        stored = next(path for path in sources if is_store(path))
-        raise SuppleError(f"{shown(stored)} is a Zarr store, and stores are bent one at a time: give one, and OUT")
+        stored = next(path for path in paths if is_store(path))
+        raise SuppleError(f"{shown(stored)} is a Zarr store, and stores are written one at a time: give one, and OUT")
     if target == STREAM or is_media_name(target):
         name = "standard output" if target == STREAM else shown(target)
         raise SuppleError(
@@ -120,11 +120,12 @@ def _pair(paths: Sequence[str]) -> tuple[str, str]:
     return sources[0], target
 
 
-def check_known(source: str, known: Mapping[str, Any]) -> None:
+def check_known(paths: Sequence[str], known: Mapping[str, Any]) -> None:
     """Raise SuppleError for an option that does not apply to stores; the message names it."""
     from dataclasses import fields
 
     from supple.files.clips import ClipOptions
+    from supple.media.stores import is_store
 
     wrong = [f"--{name.replace('_', '-')}" for name in ("linear_light", "quality", "lossless") if known.get(name)]
     if known.get("clamp") is not None:
@@ -133,12 +134,14 @@ def check_known(source: str, known: Mapping[str, Any]) -> None:
     names = [each.name for each in fields(clip) if getattr(clip, each.name) != getattr(usual, each.name)]
     wrong += ["--" + {"rate": "fps"}.get(name, name).replace("_", "-") for name in names]
     volume = known["volume"]
-    for option, value in (("--series", volume.series), ("--shape", volume.layout)):
+    own = (("--series", volume.series), ("--shape", volume.layout)) if is_store(paths[0]) else ()
+    for option, value in own:
         wrong += [option] if value is not None else []
     if known.get("device", "cpu") not in ("cpu", "auto"):
         wrong.append(f"--device {known['device']}")
     if wrong:
-        raise SuppleError(f"{wrong[0]} is not for Zarr stores, and {shown(source)} is one: leave it out")
+        stored = next(path for path in paths if is_store(path))
+        raise SuppleError(f"{wrong[0]} is not for Zarr stores, and {shown(stored)} is one: leave it out")
 
 
 def _facts(made: WarpedStore) -> dict[str, Any]:
@@ -212,9 +215,7 @@ def plan(
     threads
         Number of threads (default: all cores).
     """
-    from supple.files import grid_of
     from supple.files.plans import plan_file
-    from supple.media.stores import is_store
     from supple.progress import counted
 
     console = current()
@@ -224,11 +225,7 @@ def plan(
     if fill is not None and outside != "constant":
         raise SuppleError(f"--fill is the constant of --outside constant, and --outside is {outside}: give both")
     known: dict[str, Any] = {"volume": volume.to_reading(labels=labels), "grid": maps.to_grid()}
-    own = None
-    if elements and is_store(source):
-        own = refer(console, source, recipe, elements, known)
-    elif elements:
-        own = grid_of(source, source, recipe, volume=known["volume"], grid=known["grid"])
+    own = refer(console, source, recipe, elements, known)
     exact = parse_number("--tolerance", tolerance, "a number of pixels above 0")
     with counted(console.terminal, "blocks") as tell:
         found = plan_file(

@@ -90,8 +90,8 @@ def warp(
     ----------
     paths
         Files to read, and last the file or folder to write. The suffix of OUT is its format: PNG, JPEG, TIFF,
-        WebP, AVIF; MP4, MOV, MKV, WebM, AVI, GIF; NIfTI, NRRD, MHA. A dash, -, is standard input or output, in the
-        input's format.
+        WebP, AVIF; MP4, MOV, MKV, WebM, AVI, GIF; NIfTI, NRRD, MHA; Zarr, of pictures and volumes. A dash, -, is
+        standard input or output, in the input's format.
     filter
         Interpolation: auto (cubic, averaged where the picture shrinks), cubic, linear or nearest.
     outside
@@ -174,7 +174,7 @@ def warp(
     if save_recipe and save_field and os.path.realpath(save_recipe) == os.path.realpath(save_field):
         raise SuppleError(f"{save_recipe} cannot be both the recipe and the field: give one another name")
     reading = sampling["volume"]
-    if any(map(is_store, paths[:-1])):
+    if any(map(is_store, paths)):
         from supple.cli.stores import warp_stored
 
         if save_recipe is not None:

@@ -142,7 +142,7 @@ def check_field(address: PathLike, others: Sequence[PathLike], *, flat: bool, fo
 
 
 def begin_field(
-    address: PathLike, image: StoredImage, warp: Warp, samples: ngff.Samples, job: str, *, force: bool
+    address: PathLike, image: StoredImage, warp: Warp, samples: ngff.Placement, job: str, *, force: bool
 ) -> Begun:
     """Plan a scene; SuppleError if it cannot be written.
 
@@ -154,7 +154,7 @@ def begin_field(
         The input, along whose axes displacements are written, in its units.
     warp : Warp
         The map.
-    samples : Samples
+    samples : Placement
         Where the samples of the output lie.
     job : str
         That of the output, beside which it is written.
@@ -165,7 +165,7 @@ def begin_field(
     check_free(address, job, force)
     first, axes = image.levels[0], list(image.spatial)
     scale, translation = ([values[axis] for axis in axes] for values in (first.scale, first.translation))
-    own = ngff.Samples(warp.deformation.shape, scale, translation)
+    own = ngff.Placement(warp.deformation.shape, scale, translation)
     files, paths = ngff.bijection(_axes(image), samples, own, "warp")
     return Begun(address, warp, tuple(scale), files, paths, job)
 

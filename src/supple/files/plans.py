@@ -22,11 +22,10 @@ from supple.fields import Placed, folds_of, only_name
 from supple.files.clips import is_clip
 from supple.files.grids import GridOptions, grid_on, warn_of_place
 from supple.files.tasks import Runner, Running, runner_of
-from supple.files.volumes import VolumeOptions, deformation_of, is_volume_job, sampling_of
+from supple.files.volumes import VolumeOptions, deformation_of, sampling_of
 from supple.geometry import Geometry, Grid
-from supple.media.image import info
-from supple.media.stores import StoredImage, is_store, open_image
-from supple.media.volume import Volume, outline_of
+from supple.media.stores import Samples, StoredImage, is_store, like_file, open_image
+from supple.media.volume import Volume
 from supple.pipeline import Tell
 from supple.strokes import Fit, Recipe, fit_recipe
 
@@ -36,7 +35,6 @@ TASK = 1 << 25
 """Bytes of a block that a task writes, where chunks are smaller."""
 _TURNS = 4  # tasks of each thread, at least, so that none waits long for the last ones
 _PORTION = 1024  # blocks that are planned before they are written: neither waits for all the others
-_SIDE, _EDGE = 1024, 128  # of the blocks in which pictures and volumes without chunks are planned
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +67,29 @@ class Medium:
     def grid(self) -> Grid:
         """The grid of the samples: in pixels, or in millimetres."""
         return Grid(self.space) if self.geometry is None else self.geometry.grid(self.space)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """An input that is warped block by block.
+
+    Parameters
+    ----------
+    image : StoredImage
+        What a store is, or what a file becomes.
+    medium : Medium
+    samples : array or Samples
+        It is sliced.
+    """
+
+    image: StoredImage
+    medium: Medium
+    samples: Any
+
+    @property
+    def is_file(self) -> bool:
+        """Whether it is no store."""
+        return isinstance(self.samples, Samples)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,23 +148,15 @@ def plan_file(
     running: Running | None = None,
     tell: Tell = lambda step, done, total: None,
 ) -> Planned:
-    """Plan the warp of a store, a volume or a picture, of which the header alone is read.
+    """Plan the warp of a store, a volume or a picture to a store; if possible, its header alone is read.
 
-    Parameters and errors are those of `warp_store`. What is no store is planned in blocks as they would be if it were
-    one.
+    Parameters and errors are those of `warp_store`.
     """
     known = options or VolumeOptions()
-    chunks: tuple[int, ...] | None = None
-    if is_store(source):
-        check_options(known)
-        image = open_stored(source, recipe, maps=maps, grid=grid)
-        medium, array = medium_of(image), image.levels[0].array
-        chunks, block = tuple(array.chunks), tuple(array.metadata.chunk_grid.chunk_shape)
-        smaller = [math.prod(level.array.shape) / math.prod(medium.shape) for level in image.levels]
-    else:
-        medium, smaller = header_of(source, recipe, known, maps=maps, grid=grid), [1.0]
-        carried = len(medium.shape) - len(medium.space)
-        block = (*[1] * carried, *[_SIDE if len(medium.space) == 2 else _EDGE] * len(medium.space))
+    opened = open_source(source, recipe, known, maps=maps, grid=grid)
+    image, medium, chunks = opened.image, opened.medium, opened.samples.chunks
+    block = tuple(image.levels[0].array.metadata.chunk_grid.chunk_shape)
+    smaller = [math.prod(level.array.shape) / math.prod(medium.shape) for level in image.levels]
     warp = warp_on(
         medium, recipe, filter=filter, tolerance=tolerance, outside=outside, fill=fill, options=known, fit=fit,
         maps=maps, grid=grid,
@@ -184,27 +197,56 @@ def plan_file(
     )  # fmt: skip
 
 
-def open_stored(
-    source: PathLike, recipe: Recipe, *, maps: Sequence[Placed] = (), grid: GridOptions | None = None
-) -> StoredImage:
-    """Open a store as a picture or as a volume: as the points of the strokes say, or else as it says itself.
+def open_source(
+    source: PathLike,
+    recipe: Recipe,
+    options: VolumeOptions | None = None,
+    *,
+    maps: Sequence[Placed] = (),
+    grid: GridOptions | None = None,
+) -> Source:
+    """Open an input as a picture or as a volume: as the points of the strokes say, or else as it says itself.
 
     Raises
     ------
     SuppleError
-        If it cannot be read, or its image has fewer axes of space than the strokes, the maps or the grid.
+        If it cannot be read, an option does not apply to it, or it has fewer axes of space than the strokes, the maps
+        or the grid.
     """
-    image = open_image(source)
+    known = options or VolumeOptions()
+    if is_store(source):
+        check_options(known)
+        image = open_image(source)
+        n = _axes_of_space(source, len(image.spatial), recipe, maps, grid)
+        image = image if n == len(image.spatial) else open_image(source, ndim=n)
+        return Source(image, medium_of(image), image.levels[0].array)
+    _refuse_clip(source, recipe)
+    samples = Samples(source, raw=known.layout, series=known.series)
+    n = _axes_of_space(source, 3 if "z" in samples.axes else 2, recipe, maps, grid)
+    geometry = samples.geometry if n == 3 else None
+    medium = Medium(shown(source), samples.shape, samples.dtype, geometry)
+    return Source(like_file(source, samples, ndim=n), medium, samples)
+
+
+def _axes_of_space(
+    source: PathLike, found: int, recipe: Recipe, maps: Sequence[Placed], grid: GridOptions | None
+) -> int:
+    """Return the number of axes that are bent."""
     told = [stroke.ndim for stroke in recipe.strokes[:1]] + [each.map.ndim for each in maps[:1]]
     n = told[0] if told else grid.ndim if grid is not None else None
-    if n is None or n == len(image.spatial):
-        return image
-    if n > len(image.spatial):
+    if n is not None and n > found:
         raise SuppleError(
-            f"{shown(source)} is a picture, with {len(image.spatial)} axes of space, and strokes, maps or the crop "
-            f"have {n}: give points of two numbers, x and y"
+            f"{shown(source)} is a picture, with {found} axes of space, and strokes, maps or the crop have {n}: give "
+            "points of two numbers, x and y"
         )
-    return open_image(source, ndim=n)
+    return n or found
+
+
+def _refuse_clip(source: PathLike, recipe: Recipe) -> None:
+    if is_clip(source, source, recipe):
+        raise SuppleError(
+            f"{shown(source)} is a clip, and blocks are of pictures, volumes and Zarr stores: give one of these"
+        )
 
 
 def medium_of(image: StoredImage) -> Medium:
@@ -222,34 +264,6 @@ def check_options(options: VolumeOptions) -> None:
     for name, given in (("series", options.series), ("shape", options.layout)):
         if given is not None:
             raise SuppleError(f"{name} is not for Zarr stores: leave it out")
-
-
-def header_of(
-    source: PathLike,
-    recipe: Recipe,
-    options: VolumeOptions | None = None,
-    *,
-    maps: Sequence[Placed] = (),
-    grid: GridOptions | None = None,
-) -> Medium:
-    """Return what the header of a volume or a picture says.
-
-    Raises
-    ------
-    SuppleError
-        If it cannot be read, or says less than its samples do.
-    """
-    known, name = options or VolumeOptions(), shown(source)
-    if is_volume_job(source, source, recipe, known, maps=maps, grid=grid):
-        outline = outline_of(source, raw=known.layout)
-        before = outline.samples.shape[:1] if outline.series else outline.samples.shape[3:]
-        return Medium(name, (*before, *outline.sizes[::-1]), outline.samples.dtype, outline.geometry)
-    if is_clip(source, source, recipe):
-        raise SuppleError(f"{name} is a clip, and plans are for pictures, volumes and Zarr stores: give one of these")
-    facts = info(source)
-    height, width, channels = (int(str(facts[key])) for key in ("height", "width", "channels"))
-    before = (channels,) if channels > 1 else ()
-    return Medium(name, (*before, height, width), np.dtype(str(facts["dtype"])), None)
 
 
 def warp_on(

@@ -20,14 +20,14 @@ from supple.fields import Field, Placed, folds_of, only_name
 from supple.files import plans
 from supple.files.bijections import Begun, SavedField, begin_field, check_field, is_scene, write_field
 from supple.files.grids import GridOptions
-from supple.files.plans import Medium, check_options, chunks_of, medium_of, open_stored, plan_boxes, task_shape, warp_on
+from supple.files.plans import Medium, Source, chunks_of, open_source, plan_boxes, task_shape, warp_on
 from supple.files.tasks import Runner, Running, check_seen, check_shared, runner_of
 from supple.files.transforms import write_transform
 from supple.files.volumes import VolumeOptions
 from supple.geometry import Geometry, Grid
 from supple.media.files import check_store, replacing, unwritable
-from supple.media.stores import Place, StoredImage, Target, create, is_begun
-from supple.media.transforms.ngff import Samples
+from supple.media.stores import Level, Place, StoredImage, Target, create, is_begun
+from supple.media.transforms.ngff import Placement
 from supple.pipeline import Tell
 from supple.strokes import Fit, Recipe
 
@@ -99,14 +99,12 @@ class WarpedStore:
 class Work:
     """What all tasks of a job share: a few kilobytes, and the fields of the map."""
 
-    image: StoredImage
+    address: str
+    samples: Any  # it is sliced
+    level: Level | None  # whose chunks may be copied; None of a file
+    carried: int  # the number of axes that are carried along
     target: Target
     warp: Warp
-
-    @property
-    def carried(self) -> int:
-        """The number of axes that are carried along."""
-        return len(self.image.axes) - len(self.image.spatial)
 
 
 @dataclass(slots=True)
@@ -134,24 +132,27 @@ def warp_store(
     running: Running | None = None,
     tell: Tell = lambda step, done, total: None,
 ) -> WarpedStore:
-    """Warp a Zarr array or an OME-Zarr image to another, block by block.
+    """Warp a Zarr array, an OME-Zarr image, a volume or a picture to a Zarr store, block by block.
 
-    The output is of the input's format: chunks, shards, codecs, levels and metadata. Each task reads the part of the
-    input that its block needs; blocks that no stroke reaches are copied as they are compressed. If the work is
-    interrupted, the same call goes on with it. The result equals that of `Deformation.warp`, bit for bit.
+    The output of a store is of its format: chunks, shards, codecs, levels and metadata. That of a file is an OME-Zarr
+    image of version 0.5. Each task reads the part of the input that its block needs; blocks of a store that no stroke
+    reaches are copied as they are compressed. If the work is interrupted, the same call goes on with it. The result
+    equals that of `Deformation.warp`, bit for bit.
 
     Parameters
     ----------
     source, target : str or os.PathLike
         Folders, or addresses that fsspec knows (``s3://``, ``gs://``, ``memory://``, ...). What has two axes of space
         is a picture, in pixels; three are a volume, in millimetres where its axes have units. Other axes are carried
-        along. If strokes have points of two numbers, the planes of a volume are pictures.
+        along. If strokes have points of two numbers, the planes of a volume are pictures. The source may also be a
+        file: uncompressed NIfTI and raw voxels are mapped, tiles and strips of a TIFF are read as they are needed, and
+        other volumes and pictures are held in memory, by each process.
     recipe, filter, tolerance, outside, fill, force, fit, maps, grid
         As in `warp_file`.
     options : VolumeOptions, optional
-        ``world``, ``labels`` and ``save_field``: a store (``.zarr``, or an address) becomes an OME-Zarr scene with a
-        bijection, both directions of the map, in the units and along the axes of the input; the field of a volume may
-        be a file as well, as those of `warp_volume`.
+        ``world`` and ``labels``; of files, also ``layout`` and ``series``; and ``save_field``: a store (``.zarr``, or
+        an address) becomes an OME-Zarr scene with a bijection, both directions of the map, in the units and along the
+        axes of the input; the field of a volume may be a file as well, as those of `warp_volume`.
     running : Running, optional
         Where the tasks run: by default, on threads of this process.
     tell : function of (str, int, int)
@@ -169,26 +170,26 @@ def warp_store(
         does not fit, or workers are lost. What is written stays, and the same call goes on.
     """
     known, where = options or VolumeOptions(), running or Running()
-    check_options(known)
     if where.elsewhere:
         check_shared((source, target, *([] if known.save_field is None else [known.save_field])))
     folder = Place(target).folder
     if folder is not None:
         check_store(folder if "://" in os.fspath(target) else target, force=force)  # before workers are started
-    image = open_stored(source, recipe, maps=maps, grid=grid)
-    medium = medium_of(image)
+    opened = open_source(source, recipe, known, maps=maps, grid=grid)
+    image, medium = opened.image, opened.medium
     warp = warp_on(
         medium, recipe, filter=filter, tolerance=tolerance, outside=outside, fill=fill, options=known, fit=fit,
         maps=maps, grid=grid,
     )  # fmt: skip
     placement = _placement(image, medium, warp.grid, target)
-    job = _job(image, warp, recipe, replace(known, save_field=None))
+    job = _job(opened, warp, recipe, replace(known, save_field=None))
     saving = _begin_field(image, medium, warp, job, (source, target), known.save_field, force)
     begun = is_begun(target)
     with runner_of(where) as runner:
         made = create(target, image, force=force, job=job, **placement)
         mapping = None if saving is None else saving.claimed(force)
-        work = Work(image, made, warp)
+        level = None if opened.is_file else image.levels[0]
+        work = Work(image.address, opened.samples, level, len(image.axes) - len(image.spatial), made, warp)
         saved = None if mapping is None else write_field(mapping, runner, tell, maps)
         counts, blocks = _write_blocks(work, runner, tell, maps, begun, warn=saved is None)
         _write_levels(work, runner, tell, "nearest" if known.labels else "mean")
@@ -222,7 +223,7 @@ def _begin_field(
     if warp.grid is not None:
         placed = list(_located(image, medium, warp.grid, address))
     scale, translation = ([values[axis] for axis in image.spatial] for values in placed)
-    return begin_field(address, image, warp, Samples(warp.shape, scale, translation), job, force=force)
+    return begin_field(address, image, warp, Placement(warp.shape, scale, translation), job, force=force)
 
 
 def _save_file(
@@ -273,8 +274,9 @@ def _located(
     return tuple(scale.tolist()), tuple(translation.tolist())
 
 
-def _job(image: StoredImage, warp: Warp, recipe: Recipe, options: VolumeOptions) -> str:
+def _job(source: Source, warp: Warp, recipe: Recipe, options: VolumeOptions) -> str:
     """Return what identifies the work: the input, the recipe and all options that change a sample."""
+    image = source.image
     folder = Place(image.address).folder
     address = image.address if folder is None else str(folder)
     deformation, grid = warp.deformation, warp.deformation.grid if warp.grid is None else warp.grid
@@ -287,6 +289,7 @@ def _job(image: StoredImage, warp: Warp, recipe: Recipe, options: VolumeOptions)
         "sampling": repr(warp.sampling),
         "options": repr(options),
         "grid": [grid.shape, grid.spacing, grid.origin, grid.direction, grid.first],
+        "changed": os.stat(image.address).st_mtime_ns if source.is_file else 0,
     }
     digest = hashlib.sha256(json.dumps(told, sort_keys=True, default=float).encode())
     for each in deformation.maps:
@@ -306,7 +309,7 @@ def _write_blocks(
     """Write the finest level; return what was done, and the number of blocks."""
     carried, target = work.carried, work.target
     shape = tuple(target.arrays[0].shape)
-    task = task_shape(target.block, shape, work.image.dtype.itemsize, carried, runner.slots)
+    task = task_shape(target.block, shape, work.samples.dtype.itemsize, carried, runner.slots)
     chunks = chunks_of(task, shape)
     leads = list(boxes_of(chunks[:carried]))
     total = math.prod(map(len, chunks))
@@ -356,18 +359,18 @@ def _is_there(work: Work, item: tuple[list[Box], list[Box]]) -> bool:
 def _warp_block(work: Work, item: tuple[Box, Block]) -> tuple[bool, bool, int]:
     """Write a block; return whether it was there, whether it was copied, and the bytes that were read."""
     lead, block = item
-    image, target, source = work.image, work.target, work.image.levels[0]
-    _check_seen(image.address, target)
+    target = work.target
+    _check_seen(work.address, target)
     box = (*lead, *block.box)
     if target.is_done(0, box):
         return True, False, 0
-    if block.identity and block.part == block.box:
-        count = target.copy(0, box, source)
+    if block.identity and block.part == block.box and work.level is not None:
+        count = target.copy(0, box, work.level)
         if count is not None:
             return False, True, count
-    place = Place(image.address)
+    place = Place(work.address)
     with place.reading(f"samples of it cannot be decoded, at {_told((*lead, *block.part))}"):
-        part = np.asarray(source.array[tuple(slice(*each) for each in (*lead, *block.part))])
+        part = np.asarray(work.samples[tuple(slice(*each) for each in (*lead, *block.part))])
     made, _ = work.warp.along(part, block, work.carried)
     target.write(0, box, made)
     return False, False, part.nbytes
@@ -390,7 +393,7 @@ def _write_levels(work: Work, runner: Runner, tell: Tell, mode: str) -> None:
     for level in range(1, len(target.arrays)):
         shape = tuple(target.arrays[level].shape)
         limit = max(1, plans.TASK // math.prod(target.factors[level]))
-        task = task_shape(target.blocks[level], shape, work.image.dtype.itemsize, work.carried, runner.slots, limit)
+        task = task_shape(target.blocks[level], shape, work.samples.dtype.itemsize, work.carried, runner.slots, limit)
         levels.append([(level, box, mode) for box in boxes_of(chunks_of(task, shape))])
     total, ready = sum(map(len, levels)), 0
 
@@ -405,6 +408,6 @@ def _write_levels(work: Work, runner: Runner, tell: Tell, mode: str) -> None:
 
 def _reduce_block(work: Work, item: tuple[int, Box, Any]) -> None:
     level, box, mode = item
-    _check_seen(work.image.address, work.target)
+    _check_seen(work.address, work.target)
     if not work.target.is_done(level, box):
         work.target.reduce(level, box, mode)

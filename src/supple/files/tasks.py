@@ -269,8 +269,8 @@ def check_shared(addresses: Sequence[str | os.PathLike[str]]) -> None:
 
 
 def check_seen(name: str, folder: Path | None) -> None:
-    """Raise SuppleError on a worker that does not see a folder: to Zarr, it looks like a store of fill values."""
-    if folder is not None and not folder.is_dir():
+    """Raise SuppleError on a worker that does not see a folder, to Zarr a store of fill values, or a file."""
+    if folder is not None and not folder.exists():
         raise SuppleError(
             f"a worker does not see {shown(name)}: give addresses that all workers reach, and start them where "
             "these are"

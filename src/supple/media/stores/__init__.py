@@ -2,13 +2,16 @@
 
 from supple.media.stores.claims import NOTES, check_free, is_begun
 from supple.media.stores.image import Level, StoredAxis, StoredImage, open_image
+from supple.media.stores.inputs import like_file
 from supple.media.stores.places import Place, is_store
+from supple.media.stores.samples import Samples
 from supple.media.stores.target import Target, create, create_arrays
 
 __all__ = [
     "NOTES",
     "Level",
     "Place",
+    "Samples",
     "StoredAxis",
     "StoredImage",
     "Target",
@@ -17,5 +20,6 @@ __all__ = [
     "create_arrays",
     "is_begun",
     "is_store",
+    "like_file",
     "open_image",
 ]

@@ -277,10 +277,19 @@ class Target:
         self._check(level, box)
         source, factors = self.arrays[level - 1], self.factors[level]
         ends = zip(box, factors, source.shape, strict=True)
-        region = tuple(slice(a * factor, min(b * factor, size)) for (a, b), factor, size in ends)
-        with self._place.reading(f"its level {level - 1} cannot be read"):
-            values = np.asarray(source[region])
-        self.write(level, box, reduced(values, factors, mode))
+        region = [(a * factor, min(b * factor, size)) for (a, b), factor, size in ends]
+        made = np.empty([b - a for a, b in box], source.dtype)
+        # slab by slab, since many shards are read for one
+        k = len(box) - len(self.image.spatial)
+        step = self.arrays[level].chunks[k]
+        for at in range(0, made.shape[k], step):
+            first = region[k][0] + at * factors[k]
+            region_of = list(region)
+            region_of[k] = first, min(first + step * factors[k], region[k][1])
+            with self._place.reading(f"its level {level - 1} cannot be read"):
+                values = np.asarray(source[tuple(slice(a, b) for a, b in region_of)])
+            made[(slice(None),) * k + (slice(at, at + step),)] = reduced(values, factors, mode)
+        self.write(level, box, made)
 
     def writing(self) -> contextlib.AbstractContextManager[None]:
         """Return a context in which errors of the file system become one sentence that names the output."""

@@ -126,7 +126,7 @@ def _affine(matrix: Matrix) -> dict[str, Any]:
     return {"type": "affine", "affine": matrix[:-1][::-1][:, [*range(n)[::-1], n]].tolist()}
 
 
-class Samples(NamedTuple):
+class Placement(NamedTuple):
     """Where the samples of a field lie, in the order of an array's axes and in the units of these."""
 
     shape: Sequence[int]
@@ -135,7 +135,7 @@ class Samples(NamedTuple):
 
 
 def bijection(
-    axes: Sequence[Mapping[str, Any]], forward: Samples, inverse: Samples, name: str
+    axes: Sequence[Mapping[str, Any]], forward: Placement, inverse: Placement, name: str
 ) -> tuple[dict[str, bytes], tuple[str, str]]:
     """Return the metadata of a scene that holds both directions of a map, as fields without samples yet.
 
@@ -143,9 +143,9 @@ def bijection(
     ----------
     axes : sequence of mapping
         The descriptions of the axes of space, of both images.
-    forward : Samples
+    forward : Placement
         Of the field from the output image to the input image, on the grid of the output.
-    inverse : Samples
+    inverse : Placement
         Of that from the input to the output, on the grid of the input.
     name : str
         Of the transformation.
@@ -185,7 +185,9 @@ def _scene(store: Any, transformation: Mapping[str, Any], axes: Sequence[Mapping
     return imported().create_group(store, attributes={"ome": {"version": VERSION, "scene": scene}})
 
 
-def _field(root: Any, index: int, axes: Sequence[Mapping[str, Any]], samples: Samples, dtype: Any, **more: Any) -> Any:
+def _field(
+    root: Any, index: int, axes: Sequence[Mapping[str, Any]], samples: Placement, dtype: Any, **more: Any
+) -> Any:
     """Create the array of a field, as a multiscale image of one scale; return it."""
     vector = {"name": "c", "type": "displacement", "discrete": True}
     steps = [
@@ -212,7 +214,7 @@ def _write_field(root: Any, index: int, field: Displacements, turn: Matrix) -> N
     values = field.values if np.array_equal(turn, np.eye(n + 1)) else field.values @ turn[:-1, :-1].T
     dtype = np.float64 if field.values.dtype.itemsize == 8 else np.float32
     origin = turn[:-1, :-1] @ grid.origin
-    samples = Samples(grid.shape, grid.spacing[::-1], origin[::-1].tolist())
+    samples = Placement(grid.shape, grid.spacing[::-1], origin[::-1].tolist())
     _field(root, index, _axes(n), samples, dtype)[...] = np.moveaxis(values[..., ::-1], -1, 0).astype(dtype)
 
 

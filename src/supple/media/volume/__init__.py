@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError
 from supple.geometry import Geometry, Grid
 from supple.media.files import PathLike, check_output, check_suffix, head_of, unreadable, unwritable
 from supple.media.volume import pages as stack
@@ -127,29 +127,23 @@ def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
     return itk.read(path, form)
 
 
-def outline_of(path: PathLike, *, raw: RawLayout | None = None) -> Volume:
+def outline_of(path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> Volume:
     """Return a volume from its header alone; its samples have their shape and type, take no memory, and are 0.
 
-    Raises
-    ------
-    SuppleError
-        As in `read`; and for DICOM and TIFF, whose slices tell what they hold one by one.
+    Parameters and errors are those of `read`. DICOM and TIFF are read for it: their slices tell what they hold one by
+    one.
     """
     form = "raw" if raw is not None else _format(path)
-    if form == "raw":
-        known = _raw(path, raw)  # which is mapped
-        return replace(known, samples=np.broadcast_to(np.zeros((), known.samples.dtype), known.samples.shape))
     if form == "NIfTI":
         from supple.media.volume import nifti
 
-        shape, dtype, series = nifti.read_kind(path)
-    elif form in ("NRRD", "MetaImage"):
+        return nifti.read_outline(path)
+    if form in ("NRRD", "MetaImage"):
         from supple.media.volume import itk
 
-        shape, dtype, series = itk.read_kind(path, form)
-    else:
-        raise unreadable(path, f"{form} has no header of the whole", "convert it to NIfTI or to Zarr")
-    return Volume(np.broadcast_to(np.zeros((), dtype), shape), place_of(path)[0], shown(path), form, series)
+        return itk.read_outline(path, form)
+    known = read(path, raw=raw, series=series)
+    return replace(known, samples=np.broadcast_to(np.zeros((), known.samples.dtype), known.samples.shape))
 
 
 def grid_of(path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> Grid:

@@ -10,6 +10,7 @@ import re
 import tempfile
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -69,12 +70,29 @@ def read(path: PathLike, form: str) -> Volume:
     SuppleError if it is missing, of another kind, damaged or cut short; if its voxels are not real numbers; or if it
     has more axes than x, y, z and time.
     """
+    found, reader, fields, end = _outline(path, form)
+    each = found.samples.dtype.itemsize
+    # a NRRD counts components as an axis
+    data = _data_file(path, fields)
+    _check_data(path, data, fields, end, each * found.components if form == "MetaImage" else each)
+    with failing(path, form, tuple(reader.GetSize())):
+        samples = imported().GetArrayFromImage(reader.Execute())
+    return replace(found, samples=samples.reshape(found.samples.shape))
+
+
+def read_outline(path: PathLike, form: str) -> Volume:
+    """Return a volume from its header alone; its samples take no memory, and are 0. Errors as in `read`."""
+    return _outline(path, form)[0]
+
+
+def _outline(path: PathLike, form: str) -> tuple[Volume, Any, Any, int]:
+    """Return a volume without its samples, the reader, the fields of the header, and where it ends."""
     sitk = imported()
     head = head_of(path, 4)
     if form == "NRRD" and head != b"NRRD":
         raise unreadable(path, "it is no NRRD file", "check its name")
     fields, end = _fields(path, form)
-    data = _data_file(path, fields)
+    _data_file(path, fields)
     reader = sitk.ImageFileReader()
     reader.SetFileName(os.fspath(path))
     reader.SetImageIO(_LOADERS[form])
@@ -89,17 +107,16 @@ def read(path: PathLike, form: str) -> Volume:
     _check_place(path, fields, ndim)
     placed = form == "MetaImage" or "space" in fields or "spacedimension" in fields
     geometry = geometry_of(path, reader, "LPS" if placed else "array")
-    each = int(re.findall(r"(\d+)-bit", _kind(sitk, reader))[0]) // 8
-    # a NRRD counts components as an axis
-    _check_data(path, data, fields, end, each * components if form == "MetaImage" else each)
     told = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys() if not _OWN.match(key)}
     # SimpleITK has no type for matrices, such as NRRD's measurement frame
     header = {key: text for key, text in told.items() if not text.startswith("[UNKNOWN")}
-    with failing(path, form, sizes):
-        samples = sitk.GetArrayFromImage(reader.Execute())
+    kind = _kind(sitk, reader)
+    letter = "f" if "float" in kind else "u" if "unsigned" in kind else "i"
+    dtype = np.dtype(f"{letter}{int(re.findall(r'([0-9]+)-bit', kind)[0]) // 8}")
+    shape = (*([1] if ndim < 3 else []), *sizes[::-1], *([components] if components > 1 else []))
     interval = abs(reader.GetSpacing()[3]) if series else 1.0
-    samples = samples if ndim > 2 else samples[np.newaxis]
-    return Volume(samples, geometry, shown(path), form, series, header, interval=interval)
+    outline = np.broadcast_to(np.zeros((), dtype), shape)
+    return Volume(outline, geometry, shown(path), form, series, header, interval=interval), reader, fields, end
 
 
 def read_place(path: PathLike, form: str) -> tuple[Geometry, tuple[int, int, int]]:
@@ -114,22 +131,6 @@ def read_place(path: PathLike, form: str) -> tuple[Geometry, tuple[int, int, int
     _check_place(path, fields, reader.GetDimension())
     x, y, z = (*reader.GetSize(), 1)[:3]
     return geometry_of(path, reader), (z, y, x)
-
-
-def read_kind(path: PathLike, form: str) -> tuple[tuple[int, ...], np.dtype[Any], bool]:
-    """Return the shape of the samples as `read` has them, their type, and whether they are a series, of the header."""
-    sitk = imported()
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(os.fspath(path))
-    reader.SetImageIO(_LOADERS[form])
-    with failing(path, form):
-        reader.ReadImageInformation()
-    check_voxels(path, sitk, reader)
-    kind = _kind(sitk, reader)
-    letter = "f" if "float" in kind else "u" if "unsigned" in kind else "i"
-    sizes, components = tuple(reader.GetSize()), reader.GetNumberOfComponents()
-    shape = (*([1] if len(sizes) < 3 else []), *sizes[::-1], *([components] if components > 1 else []))
-    return shape, np.dtype(f"{letter}{int(re.findall(r'([0-9]+)-bit', kind)[0]) // 8}"), len(sizes) == 4
 
 
 def check_voxels(path: PathLike, sitk: Any, reader: Any) -> None:

@@ -8,6 +8,7 @@ import math
 import os
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, Literal, cast
 
@@ -58,12 +59,11 @@ def read(path: PathLike) -> Volume:
         If it is not a NIfTI file, damaged or cut short; its voxels are not at right angles, or not real numbers; or it
         has more axes than x, y, z and either time or components.
     """
+    found = read_outline(path)
     first, data = _pair(path)
     header, single = _header(first)
-    sizes, components, series = _axes(path, header)
-    dtype, colours = _dtype(path, header), _COLOURS.get(int(header["datatype"]), 0)
-    if colours and (series or components > 1):
-        raise unreadable(path, "it is a series or a field of colours", "give one volume of colours")
+    sizes, components, _ = _axes(path, header)
+    colours = _COLOURS.get(int(header["datatype"]), 0)
     try:
         offset = int(header["vox_offset"])
     except (ValueError, OverflowError) as error:
@@ -71,14 +71,24 @@ def read(path: PathLike) -> Volume:
     offset = max(offset, header.single_vox_offset) if single else max(offset, 0)
     shape = (*sizes[::-1], colours) if colours else sizes[::-1]
     with reading(data):
-        samples = native(_samples(data, shape, dtype, offset, colours=bool(colours)))
+        samples = native(_samples(data, shape, _dtype(path, header), offset, colours=bool(colours)))
     if components > 1:
         samples = np.ascontiguousarray(np.moveaxis(samples.reshape(components, *shape[-3:]), 0, -1))
-    elif not colours and not series:
-        samples = samples.reshape(shape[-3:])
+    return replace(found, samples=samples.reshape(found.samples.shape))
+
+
+def read_outline(path: PathLike) -> Volume:
+    """Return a volume from its header alone; its samples take no memory, and are 0. Errors as in `read`."""
+    first, _ = _pair(path)
+    header, _ = _header(first)
+    sizes, components, series = _axes(path, header)
+    dtype, colours = _dtype(path, header).newbyteorder("="), _COLOURS.get(int(header["datatype"]), 0)
+    if colours and (series or components > 1):
+        raise unreadable(path, "it is a series or a field of colours", "give one volume of colours")
+    after = (components,) if components > 1 else (colours,) if colours else ()
     units = int(header["xyzt_units"])
     return Volume(
-        samples,
+        np.broadcast_to(np.zeros((), dtype), sizes[::-1] if series else (*sizes[2::-1], *after)),
         _geometry(path, first, header, sizes[:3], _MILLIMETRES.get(units & 7, 1.0)),
         shown(path),
         "NIfTI",
@@ -102,16 +112,6 @@ def read_place(path: PathLike) -> tuple[Geometry, tuple[int, int, int]]:
     x, y, z = _axes(path, header)[0][:3]
     unit = _MILLIMETRES.get(int(header["xyzt_units"]) & 7, 1.0)
     return _geometry(path, first, header, (x, y, z), unit), (z, y, x)
-
-
-def read_kind(path: PathLike) -> tuple[tuple[int, ...], np.dtype[Any], bool]:
-    """Return the shape of the samples as `read` has them, their type, and whether they are a series, of the header."""
-    header, _ = _header(_pair(path)[0])
-    sizes, components, series = _axes(path, header)
-    colours = _COLOURS.get(int(header["datatype"]), 0)
-    after = (components,) if components > 1 else (colours,) if colours else ()
-    shape = sizes[::-1] if series else (*sizes[2::-1], *after)
-    return shape, _dtype(path, header).newbyteorder("="), series
 
 
 def _pair(path: PathLike) -> tuple[Path, Path]:
@@ -260,7 +260,7 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
         f"the qform and the sform of {shown(path)} disagree, by up to {far:.3g} mm: the {used} is used, as by "
         "SimpleITK, ANTs and 3D Slicer",
         VolumeWarning,
-        stacklevel=5,
+        stacklevel=6,
     )
     return geometry
 

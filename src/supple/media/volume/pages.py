@@ -15,7 +15,7 @@ from supple.media.files import PathLike, replacing, unreadable, unwritable
 from supple.media.volume.data import Array, Volume, native
 
 SUFFIXES = (".tif", ".tiff")
-_MILLIMETRES = {
+MILLIMETRES = {
     **dict.fromkeys(("m", "meter", "metre"), 1000.0),
     **dict.fromkeys(("cm", "centimeter"), 10.0),
     **dict.fromkeys(("mm", "millimeter"), 1.0),
@@ -23,6 +23,7 @@ _MILLIMETRES = {
     **dict.fromkeys(("nm", "nanometer"), 1e-6),
     **dict.fromkeys(("inch", "in"), 25.4),
 }
+"""By the names of units, in lower case."""
 
 
 def has_pages(path: PathLike) -> bool:
@@ -37,6 +38,14 @@ def has_pages(path: PathLike) -> bool:
     except SuppleError:
         return False
     return form == "TIFF" and facts(image)[0] > 1
+
+
+def place(path: PathLike) -> Geometry:
+    """Return the spacing of a stack, from ImageJ's description; errors as in `read`."""
+    from supple.media.image.vips import opened
+
+    image, _ = opened(path)
+    return Geometry(_spacing(image, _description(image)))
 
 
 def read(path: PathLike) -> Volume:
@@ -54,7 +63,7 @@ def read(path: PathLike) -> Volume:
         raise unreadable(path, f"it is no TIFF, but {form}", "check its name")
     pages = facts(image)[0]
     with reading(path):
-        if _linked(path) != pages:
+        if linked(path) != pages:
             raise unreadable(path, f"it is cut short: {pages} of its pages are whole")
         source = pyvips.Source.new_from_file(os.fsencode(path))
         options = {"access": "sequential", "fail_on": "error"}
@@ -84,7 +93,7 @@ def read(path: PathLike) -> Volume:
 
 
 # Kept: libvips takes a file that ends between two pages for whole (test_a_stack_that_ends_between_two_pages).
-def _linked(path: PathLike) -> int | None:
+def linked(path: PathLike) -> int | None:
     """Return the number of linked pages, or None if the last link leads out of the file."""
     with open(path, "rb") as file:
         head = file.read(16)
@@ -109,7 +118,7 @@ def _description(image: Any) -> dict[str, float]:
     if not text.startswith("ImageJ="):
         return {}
     pairs = dict(line.strip().partition("=")[::2] for line in text.splitlines())
-    told = {"unit": _MILLIMETRES.get(pairs.pop("unit", "").lower(), 1.0)}
+    told = {"unit": MILLIMETRES.get(pairs.pop("unit", "").lower(), 1.0)}
     for key, value in pairs.items():
         with contextlib.suppress(ValueError):
             if np.isfinite(number := float(value)):

@@ -1,0 +1,269 @@
+"""Samples of files that are no stores, sliced when they are read: of volumes, TIFFs and pictures."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import os
+import re
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.errors import SuppleError, VolumeWarning, need, shown
+from supple.geometry import Geometry
+from supple.media import image, volume
+from supple.media.files import PathLike, head_of, unreadable
+from supple.media.stores.places import quiet
+from supple.media.volume import RawLayout, pages
+from supple.media.volume.data import rescaled, rescaled_dtype
+
+Array = npt.NDArray[Any]
+
+_TIFF = (*pages.SUFFIXES, ".btf")
+_LETTERS = {"T": "t", "C": "c", "S": "c", "Z": "z", "Q": "z", "I": "z", "Y": "y", "X": "x"}  # of tifffile
+_OPACITY, _PALETTE, _WHITE_IS_ZERO, _YCBCR, _JPEGS = (1, 2), 3, 0, 6, (6, 7, 33003, 33005, 34712)
+
+
+class Opened(NamedTuple):
+    """A file that is open."""
+
+    array: Any  # it is sliced
+    order: tuple[int, ...]  # for each of the axes, that of the array
+    close: Callable[[], None] = lambda: None
+
+
+class Samples:
+    """The samples of a file: a part of them is read when it is asked for.
+
+    They are sent to other processes as the name of the file, which each opens.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        A volume as `supple.media.volume.read` takes it, or a picture. Of uncompressed NIfTI and raw files, and of
+        TIFFs, parts are read; others are held in memory, from the first part on.
+    raw, series
+        As in `supple.media.volume.read`.
+
+    Attributes
+    ----------
+    axes : str
+        The names of the axes, some of "tczyx" in this order.
+    shape : tuple of int
+    dtype : dtype
+    chunks : tuple of int or None
+        The shape of what is decoded as a whole: a tile, a strip, a page. None of what is mapped or in memory.
+    geometry : Geometry or None
+        The place of a volume in space.
+    interval : float or None
+        Seconds from a time to the next, if they are known.
+
+    Raises
+    ------
+    SuppleError
+        If the file cannot be read, or holds what a store does not.
+    """
+
+    axes: str
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    chunks: tuple[int, ...] | None = None
+    geometry: Geometry | None = None
+    interval: float | None = None
+
+    def __init__(self, path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> None:
+        self._path, self._raw, self._series = os.fspath(path), raw, series
+        self._scaling = 1.0, 0.0
+        self._lock = threading.Lock()
+        self._held: Opened | None = None
+        whole = raw is not None or series is not None or os.path.isdir(path)
+        self._is_tiff = not whole and os.path.splitext(path)[1].lower() in _TIFF
+        self._is_volume = whole or (not self._is_tiff and volume.is_volume(path))
+        if self._is_tiff:
+            self._held = self._open_tiff()
+        elif self._is_volume:
+            found = volume.outline_of(path, raw=raw, series=series)
+            self.axes = "tzyx" if found.series else "zyx" if found.samples.ndim == 3 else "czyx"
+            shape, self.geometry, self._scaling = found.samples.shape, found.geometry, found.scaling
+            self.shape = (*shape[3:], *shape[:3]) if self.axes == "czyx" else shape
+            self.dtype = rescaled_dtype(found.samples.dtype, found.scaling).newbyteorder("=")
+            self.interval = found.interval if found.series else None
+        else:
+            facts = image.info(path)
+            if facts["alpha"]:
+                raise _with_opacity(self._path)
+            height, width, channels = (int(str(facts[name])) for name in ("height", "width", "channels"))
+            self.axes, self.shape = ("cyx", (channels, height, width)) if channels > 1 else ("yx", (height, width))
+            self.dtype = np.dtype(str(facts["dtype"]))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the file, which is opened again."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("_held", "_lock")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Be closed; the file is opened when a part is asked for."""
+        self.__dict__.update(state, _held=None, _lock=threading.Lock())
+
+    def __getitem__(self, key: tuple[slice, ...]) -> Array:
+        """Return a part, for slices without steps along all axes."""
+        with self._lock:
+            if self._held is None:
+                with warnings.catch_warnings():  # they were given when its header was read
+                    warnings.simplefilter("ignore")
+                    self._held = self._opened()
+            known = self._held
+        stored = [slice(0, 1)] * known.array.ndim
+        for axis, part in zip(known.order, key, strict=True):
+            stored[axis] = part
+        found = np.asarray(known.array[tuple(stored)])
+        rest = [axis for axis in range(found.ndim) if axis not in known.order]  # of one sample
+        found = found.transpose(*known.order, *rest).reshape([found.shape[axis] for axis in known.order])
+        return rescaled(found.astype(found.dtype.newbyteorder("="), copy=False), self._scaling)
+
+    def close(self) -> None:
+        """Close the file; it is opened again if a part is asked for."""
+        with self._lock:
+            if self._held is not None:
+                self._held.close()
+                self._held = None
+
+    def __del__(self) -> None:
+        with contextlib.suppress(Exception):
+            self.close()
+
+    def _opened(self) -> Opened:
+        if self._is_tiff:
+            return self._open_tiff()
+        order = (3, 0, 1, 2) if self.axes == "czyx" else (2, 0, 1) if self.axes == "cyx" else range(len(self.axes))
+        if self._is_volume:
+            return Opened(volume.read(self._path, raw=self._raw, series=self._series).samples, tuple(order))
+        return Opened(image.read(self._path).pixels, tuple(order))
+
+    def _open_tiff(self) -> Opened:
+        """Open a TIFF by tifffile, which reads single tiles and strips, and knows the axes of OME-TIFF and ImageJ."""
+        need("zarr", "TIFFs that are read in parts", "tifffile")
+        import tifffile
+        import zarr
+
+        path = self._path
+        if head_of(path, 2) not in (b"II", b"MM"):
+            raise unreadable(path, "it is no TIFF", "check its name")
+        with contextlib.ExitStack() as stack:
+            with _reading(path):
+                if pages.linked(path) is None:
+                    raise unreadable(path, "it is cut short")
+                with _heard(path):
+                    file = stack.enter_context(tifffile.TiffFile(path))
+                    listed = list(file.series)
+                    first = listed[0]
+                    page = first.keyframe
+            _check_kind(path, first, page)
+            if len(listed) > 1:
+                warnings.warn(
+                    f"{shown(path)} holds {len(listed)} images of different sizes or kinds, and the first is read",
+                    VolumeWarning,
+                    stacklevel=5,
+                )
+            names = [_LETTERS.get(letter, letter) for letter in first.axes]
+            kept = {k: name for k, name in enumerate(names) if first.shape[k] > 1 or name in "yx"}
+            self.axes = "".join(sorted(kept.values(), key="tczyx".find))
+            if any(name not in "tczyx" for name in self.axes) or len(set(self.axes)) < len(self.axes):
+                told = " x ".join(f"{size} {letter}" for size, letter in zip(first.shape, first.axes, strict=True))
+                what = "give times, channels, planes, rows and columns, once each"
+                raise unreadable(path, f"its axes are {told}", what)
+            order = tuple(next(k for k, name in kept.items() if name == axis) for axis in self.axes)
+            with _reading(path), quiet():
+                array: Any = zarr.open(stack.enter_context(first.aszarr(level=0)), mode="r")
+            self.shape = tuple(int(array.shape[axis]) for axis in order)
+            self.dtype = np.dtype(array.dtype).newbyteorder("=")
+            self.chunks = tuple(int(array.chunks[axis]) for axis in order)
+            held = math.prod(first.shape[k] for k, name in kept.items() if name in "tcz" and first.axes[k] != "S")
+            if held < (promised := int((file.imagej_metadata or {}).get("images", 1))):
+                raise unreadable(path, f"it is said to hold {promised} images, and has {held} pages")
+            if "z" in self.axes:
+                self.geometry = _place(path, file)
+            told_interval = float((file.imagej_metadata or {}).get("finterval") or 0)
+            self.interval = told_interval if 0 < told_interval < math.inf else None
+            return Opened(array, order, stack.pop_all().close)
+
+
+def _with_opacity(path: str) -> SuppleError:
+    advice = "write a picture, which keeps it, or remove it first"
+    return unreadable(path, "it has opacity, and channels of a store are bent one by one", advice)
+
+
+def _check_kind(path: str, first: Any, page: Any) -> None:
+    """Raise SuppleError for samples that are no numbers of a channel."""
+    what = ""
+    if "S" in first.axes and any(int(kind) in _OPACITY for kind in page.extrasamples):
+        raise _with_opacity(path)
+    if page.photometric == _PALETTE:
+        what = "its colours are a palette"
+    elif page.photometric == _WHITE_IS_ZERO:
+        what = "its samples are stored as negatives"
+    elif page.photometric == _YCBCR and int(page.compression) not in _JPEGS:
+        what = "its colours are YCbCr"
+    elif page.dtype is None or first.dtype.kind not in "biuf" or page.bitspersample % 8:
+        what = f"its samples have {page.bitspersample} bits"
+    elif "Orientation" in page.tags and page.tags["Orientation"].value not in (0, 1):
+        what = "its rows and columns are stored turned"
+    if what:
+        raise unreadable(path, f"{what}, which is read for pictures alone", "convert it, as vips copy does")
+
+
+@contextlib.contextmanager
+def _reading(path: str) -> Iterator[None]:
+    """Convert all errors of tifffile to one sentence."""
+    try:
+        yield
+    except SuppleError:
+        raise
+    except Exception as error:  # of any kind, where a file is damaged
+        said = (str(error).splitlines() or [""])[0] or type(error).__name__
+        raise unreadable(path, f"it is damaged, cut short, or no TIFF ({said})") from error
+
+
+@contextlib.contextmanager
+def _heard(path: str) -> Iterator[None]:
+    """Warn of what tifffile logs; raise SuppleError where it would put zeros in place of what is missing."""
+    import tifffile
+
+    said: list[str] = []
+    handler, logger = logging.Handler(logging.WARNING), tifffile.logger()
+    handler.emit = lambda record: said.append(record.getMessage())  # type: ignore[method-assign]
+    before = logger.propagate, logger.handlers
+    logger.propagate, logger.handlers = False, [handler]
+    try:
+        yield
+    finally:
+        logger.propagate, logger.handlers = before
+    if any("zeroed" in text for text in said):
+        raise unreadable(path, "some of its pages are missing, or in files that are", "give all of them")
+    if said:
+        text = " ".join(re.sub(r"^<.*?> ?", "", said[0]).split())
+        warnings.warn(f"{shown(path)} is read, but tifffile says: {text}", VolumeWarning, stacklevel=7)
+
+
+def _place(path: str, file: Any) -> Geometry:
+    """Return the spacing of a stack of pages: of OME-TIFF and ImageJ's; 1 if there is none."""
+    if not file.is_ome:
+        return pages.place(path)
+    with _reading(path):
+        root = ElementTree.fromstring(file.ome_metadata)
+        found = next((one for one in root.iter() if one.tag.endswith("}Pixels")), None)
+        known = {} if found is None else found.attrib
+    steps = []
+    for axis in "XYZ":
+        with contextlib.suppress(KeyError, ValueError):
+            unit = pages.MILLIMETRES[known.get(f"PhysicalSize{axis}Unit", "um").lower()]
+            step = float(known[f"PhysicalSize{axis}"]) * unit
+            if 0 < step < math.inf:
+                steps.append(step)
+    return Geometry((steps[0], steps[1], steps[2])) if len(steps) == 3 else Geometry()
