@@ -56,7 +56,7 @@ def counted(
             if step in ("read", "write"):
                 return
             if step not in tasks:
-                names = {"plan": "planning", "warp": unit, "render": "rendering", "reduce": "levels"}
+                names = {"plan": "planning", "warp": unit, "render": "rendering", "reduce": "levels", "field": "field"}
                 tasks[step] = bar.add_task(names[step], total=total)
             bar.update(tasks[step], completed=done)
 

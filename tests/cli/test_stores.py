@@ -46,6 +46,25 @@ def test_a_store_is_bent(run: Run) -> None:
     assert np.array_equal(zarr.open("again.zarr")[...], zarr.open("same.zarr")[...])
 
 
+def test_a_field_is_saved(run: Run) -> None:
+    store("in.zarr", (20, 40, 48))
+    line = ("warp", "in.zarr", "out.zarr", *DEEP, "--save-field", "map.zarr", "--json")
+    status, out, err = run(*line)
+    assert (status, err) == (0, "")
+    told = json.loads(out)["field"]
+    noted = zarr.open("map.zarr").attrs["supple"]
+    assert told["address"] == "map.zarr"
+    assert noted["forward"] == {"tolerance": 0.01, "error": told["forward"]}
+    assert 0 < told["forward"] <= 0.0104
+    assert noted["inverse"] == {"tolerance": 0.01, "error": told["inverse"]} == {"tolerance": 0.01, "error": 0.0}
+    assert (told["blocks"], told["stored"], told["done"]) == (2, 2, 0)
+    assert run("check", "map.zarr")[0] == 0
+    assert "exists" in one_line(run(*line)[2])
+    status, out, _ = run(*line[:-3], "--save-field", "map.nii", "--json", "--force")
+    assert (status, json.loads(out)["field"]["inverse"]) == (0, None)
+    assert Path("map.nii").is_file()
+
+
 def test_maps_and_parts(run: Run) -> None:
     store("in.zarr", (40, 48))
     line = ("--affine", "1,0,3,0,1,2", "--crop", "4,5,20,30", "--filter", "nearest")
@@ -123,7 +142,19 @@ def test_a_store_is_described(run: Run) -> None:
         (("in.zarr", "out.zarr", *FLAT, "--between", "cubic"), ("--between is not for Zarr stores",)),
         (("in.zarr", "out.zarr", *FLAT, "--time-scale", "2"), ("--time-scale is not for Zarr stores",)),
         (("in.zarr", "out.zarr", *FLAT, "--fps", "2"), ("--fps is not for Zarr stores",)),
-        (("in.zarr", "out.zarr", *FLAT, "--save-field", "f.nii"), ("--save-field is not for Zarr stores",)),
+        (("in.zarr", "out.zarr", *FLAT, "--save-field", "f.nii"), ("OME-Zarr", "f.nii", "name it .zarr")),
+        (("in.zarr", "out.zarr", *FLAT, "--save-field", "out.zarr"), ("out.zarr cannot be the field and an image",)),
+        (("in.zarr", "out.zarr", *FLAT, "--save-field", "in.zarr/map.zarr"), ("cannot be the field and an image",)),
+        (("in.zarr", "out.zarr", *FLAT, "--save-field", "there.zarr"), ("there.zarr exists already", "--force")),
+        (("in.zarr", "out.zarr", *FLAT, "--save-field", "missing/map.zarr"), ("missing",)),
+        (
+            ("in.zarr", "out.zarr", *FLAT, "--save-field", "memory://x/map.zarr", "--workers", "2"),
+            ("memory of this process",),
+        ),
+        (
+            ("in.zarr", "out.zarr", *FLAT, "--save-field", "map.zarr", "--save-recipe", "map.zarr"),
+            ("both the recipe and the field",),
+        ),
         (("in.zarr", "out.zarr", *FLAT, "--series", "2"), ("--series is not for Zarr stores",)),
         (("in.zarr", "out.zarr", *FLAT, "--world"), ("--world is for volumes",)),
         (("in.zarr", "out.zarr", *FLAT, "--fill", "3"), ("--outside constant",)),

@@ -316,7 +316,7 @@ def test_what_is_there_is_not_replaced() -> None:
     [
         ({"recipe": DEEP}, "is a picture, with 2 axes of space"),
         ({"options": VolumeOptions(world=True)}, "world is for volumes"),
-        ({"options": VolumeOptions(save_field="field.nii")}, "save_field is not for Zarr stores"),
+        ({"options": VolumeOptions(save_field="field.nii")}, "the field of a picture is written as OME-Zarr"),
         ({"options": VolumeOptions(series="1")}, "series is not for Zarr stores"),
         ({"grid": GridOptions(crop=(0, 0, 99, 3))}, "crop must be within the grid"),
         ({"filter": "sharp"}, "filter must be"),

@@ -435,7 +435,7 @@ BAD = {
         ),
         "has the axes z, y, x, and its array 0 has 5",
     ),
-    "order": (break_metadata(swapped), r"its axes are t \(time\), z \(space\), c \(channel\).*have time first"),
+    "order": (break_metadata(swapped), r"its axes are t \(time\), z \(space\), c \(channel\).*in the order time"),
     "type": (axis_of(2, type="spice"), "its axis z is of the type 'spice': use time, channel or space"),
     "field": (axis_of(1, type="displacement"), "of the type 'displacement'"),
     "twice": (axis_of(1, name="t"), "are named t, t, z, y, x"),

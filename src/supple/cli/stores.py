@@ -6,6 +6,7 @@ import glob
 import math
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
@@ -63,6 +64,10 @@ def warp_stored(
         if "warp" in blocks:
             done, total = blocks["warp"]
             console.goes_on = f"{done} of {total} blocks of {shown(target)} are written, the same command goes on"
+        elif "field" in blocks:
+            done, total = blocks["field"]
+            name = shown(known["volume"].save_field)
+            console.goes_on = f"{done} of {total} parts of {name} are written, the same command goes on"
         raise
     except SuppleError as error:
         if json:
@@ -130,7 +135,7 @@ def check_known(paths: Sequence[str], known: Mapping[str, Any]) -> None:
     wrong += ["--" + {"rate": "fps"}.get(name, name).replace("_", "-") for name in names]
     volume = known["volume"]
     own = (("--series", volume.series), ("--shape", volume.layout)) if is_store(paths[0]) else ()
-    for option, value in (("--save-field", volume.save_field), *own):
+    for option, value in own:
         wrong += [option] if value is not None else []
     if known.get("device", "cpu") not in ("cpu", "auto"):
         wrong.append(f"--device {known['device']}")
@@ -153,14 +158,21 @@ def _facts(made: WarpedStore) -> dict[str, Any]:
         "read": made.read,
         "spacing": list(grid.spacing),
         "tolerance": made.tolerance,
-        "error": made.error if math.isfinite(made.error) else None,
+        "error": _finite(made.error),
         **told_of(made.deformation),
     }
     if made.grid is not None:
         facts["grid"] = grid_facts(made.grid)
+    if made.field is not None:
+        facts["field"] = {key: _finite(value) for key, value in asdict(made.field).items()}
     if made.deformation.maps:
         facts |= {"folded": made.folded, "outside": made.outside, "unsolved": made.unsolved}
     return facts
+
+
+def _finite(value: Any) -> Any:
+    """Return a value as JSON holds it: an error that is infinite becomes null."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def plan(
@@ -203,8 +215,6 @@ def plan(
     threads
         Number of threads (default: all cores).
     """
-    from dataclasses import asdict
-
     from supple.files.plans import plan_file
     from supple.progress import counted
 
@@ -234,7 +244,7 @@ def plan(
         )
     if json:
         facts = {"file": source, **asdict(found)}
-        console.tell({**facts, "error": found.error if math.isfinite(found.error) else None})
+        console.tell({**facts, "error": _finite(found.error)})
     else:
         print(_described(source, found))
 

@@ -115,7 +115,7 @@ def warp(
         The volume is a label map: each voxel takes the label of the nearest one, and labels are not mixed.
     save_field
         Also write the displacement field of the inverse map, for SimpleITK, ANTs and 3D Slicer: NIfTI, NRRD,
-        MHA or .h5.
+        MHA or .h5; or beside a Zarr store, of both directions of the map, as OME-Zarr: .zarr.
     device
         Where to compute: cpu, gpu, auto (the GPU if there is one), or cuda (an NVIDIA GPU, for pictures and
         volumes).
@@ -171,6 +171,8 @@ def warp(
         raise SuppleError("--json and the picture cannot both go to standard output: leave --json out, or name a file")
     if not paths[-1]:
         raise SuppleError("cannot write '': name a file, or a folder, last")
+    if save_recipe and save_field and os.path.realpath(save_recipe) == os.path.realpath(save_field):
+        raise SuppleError(f"{save_recipe} cannot be both the recipe and the field: give one another name")
     reading = sampling["volume"]
     if any(map(is_store, paths)):
         from supple.cli.stores import warp_stored
@@ -191,8 +193,6 @@ def warp(
     else:
         jobs, many = pair(paths[:-1], paths[-1])
     if save_recipe is not None:
-        if save_field is not None and os.path.realpath(save_recipe) == os.path.realpath(save_field):
-            raise SuppleError(f"{save_recipe} cannot be both the recipe and the field: give one another name")
         check_recipe_file(save_recipe, jobs, options.force)
 
     kept: set[Recipe] = set()

@@ -304,11 +304,13 @@ class Native:
 
     def forward(self, space: Space, points: npt.ArrayLike, *, matrices: bool = False) -> Floats:
         """See `Engine.forward`."""
+        if not matrices:
+            moved, certificate = forward_of(space, points)
+            warn_of(certificate, 1.0, 4)
+            return moved
         given, shape = _rows(space, points)
         if space.composite is not None:
-            return _through(space, given, shape, matrices=matrices)
-        if not matrices:
-            return _points(space, _core.forward(numbers(space.table), space.axes, given, False)[0], shape)
+            return _slopes_through(space, given, shape)
         _, found = _core.forward(numbers(space.table), space.axes, given, True)
         n, steps = space.ndim, space.axes[: space.ndim, 3]
         full = found[:, :n, :n] * (steps[None, :] / steps[:, None])
@@ -348,15 +350,25 @@ class Native:
 NATIVE = Native()
 
 
-def _through(space: Space, given: Floats, shape: tuple[int, ...], *, matrices: bool) -> Floats:
-    """Return T of points, or its derivatives, for a composite map."""
+def forward_of(space: Space, points: npt.ArrayLike) -> tuple[Floats, Certificate]:
+    """Return T of points, as `Engine.forward` does, and its certificate: without fields, T is explicit."""
+    given, shape = _rows(space, points)
+    if space.composite is None:
+        found, _ = _core.forward(numbers(space.table), space.axes, given, False)
+        return _points(space, found, shape), Certificate(0.0, 0.0)
+    status = np.zeros(len(given), np.uint8)
+    found, _, _ = space.composite.through(given, False, False, status)
+    return _points(space, found, shape), certificate_of_status(status)
+
+
+def _slopes_through(space: Space, given: Floats, shape: tuple[int, ...]) -> Floats:
+    """Return the derivatives of T at points, for a composite map."""
     assert space.composite is not None
     status = np.zeros(len(given), np.uint8)
-    found, slopes, _ = space.composite.through(given, False, matrices, status)
+    _, slopes, _ = space.composite.through(given, False, True, status)
+    assert slopes is not None
     warn_of(certificate_of_status(status), 1.0, 5)
     n, steps = space.ndim, space.axes[: space.ndim, 3]
-    if slopes is None:
-        return _points(space, found, shape)
     full = slopes[:, :n, :n] * (steps[None, :] / steps[:, None])
     return np.ascontiguousarray(full.reshape(*shape[:-1], n, n))
 

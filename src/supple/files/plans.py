@@ -261,7 +261,7 @@ def medium_of(image: StoredImage) -> Medium:
 
 def check_options(options: VolumeOptions) -> None:
     """Raise SuppleError for options of volumes that stores do not have."""
-    for name, given in (("save_field", options.save_field), ("series", options.series), ("shape", options.layout)):
+    for name, given in (("series", options.series), ("shape", options.layout)):
         if given is not None:
             raise SuppleError(f"{name} is not for Zarr stores: leave it out")
 

@@ -9,7 +9,7 @@ import math
 import os
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,16 +17,19 @@ import numpy as np
 from supple.blocks import Block, Box, Warp, boxes_of
 from supple.deformation import Deformation, Report
 from supple.engines.base import Certificate, warn_of
-from supple.errors import SuppleError, VolumeWarning, shown
+from supple.errors import VolumeWarning
 from supple.fields import Field, Placed, folds_of, only_name
 from supple.files import plans
+from supple.files.bijections import Begun, SavedField, begin_field, check_field, is_scene, write_field
 from supple.files.grids import GridOptions
 from supple.files.plans import Medium, Source, chunks_of, open_source, plan_boxes, task_shape, warp_on
-from supple.files.tasks import Runner, Running, check_shared, runner_of
+from supple.files.tasks import Runner, Running, check_seen, check_shared, runner_of
+from supple.files.transforms import write_transform
 from supple.files.volumes import VolumeOptions, warn_of_labels
 from supple.geometry import Geometry, Grid
-from supple.media.files import check_store, unwritable
+from supple.media.files import check_store, replacing, unwritable
 from supple.media.stores import Level, Place, StoredImage, Target, create, is_begun
+from supple.media.transforms.ngff import Placement
 from supple.pipeline import Tell
 from supple.strokes import Fit, Recipe
 
@@ -68,6 +71,8 @@ class WarpedStore:
         The grid of the output, if it is not that of the input.
     folded, outside, unsolved : int
         As in `supple.files.Warped`.
+    field : SavedField, optional
+        The field that was saved beside it.
     """
 
     source: str
@@ -86,6 +91,7 @@ class WarpedStore:
     folded: int = 0
     outside: int = 0
     unsolved: int = 0
+    field: SavedField | None = None
 
     def report(self) -> Report:
         """Return the report on the strokes and the certified error, measured at every sample; this is slow."""
@@ -147,11 +153,14 @@ def warp_store(
     recipe, filter, tolerance, outside, fill, force, fit, maps, grid
         As in `warp_file`.
     options : VolumeOptions, optional
-        ``world`` and ``labels``; of files, also ``layout`` and ``series``.
+        ``world`` and ``labels``; of files, also ``layout`` and ``series``; and ``save_field``: a store (``.zarr``, or
+        an address) becomes an OME-Zarr scene with a bijection, both directions of the map, in the units and along the
+        axes of the input; the field of a volume may be a file as well, as those of `warp_volume`.
     running : Running, optional
         Where the tasks run: by default, on threads of this process.
     tell : function of (str, int, int)
-        Called with ``"plan"``, ``"warp"`` and ``"reduce"``, and the finished and the total number of blocks.
+        Called with ``"field"``, ``"plan"``, ``"warp"`` and ``"reduce"``, and the finished and the total number of
+        blocks.
 
     Returns
     -------
@@ -165,7 +174,7 @@ def warp_store(
     """
     known, where = options or VolumeOptions(), running or Running()
     if where.elsewhere:
-        check_shared((source, target))
+        check_shared((source, target, *([] if known.save_field is None else [known.save_field])))
     folder = Place(target).folder
     if folder is not None:
         check_store(folder if "://" in os.fspath(target) else target, force=force)  # before workers are started
@@ -177,20 +186,30 @@ def warp_store(
     )  # fmt: skip
     _warn_of_labels(opened, warp)
     placement = _placement(image, medium, warp.grid, target)
-    job = _job(opened, warp, recipe, known)
+    job = _job(opened, warp, recipe, replace(known, save_field=None))
+    saving = _begin_field(image, medium, warp, job, (source, target), known.save_field, force)
     begun = is_begun(target)
     with runner_of(where) as runner:
         made = create(target, image, force=force, job=job, **placement)
+        mapping = None if saving is None else saving.claimed(force)
         level = None if opened.is_file else image.levels[0]
         work = Work(image.address, opened.samples, level, len(image.axes) - len(image.spatial), made, warp)
-        counts, blocks = _write_blocks(work, runner, tell, maps, begun)
+        saved = None if mapping is None else write_field(mapping, runner, tell, maps)
+        counts, blocks = _write_blocks(work, runner, tell, maps, begun, warn=saved is None)
         _write_levels(work, runner, tell, "nearest" if known.labels else "mean")
-    made.finish()
     found = counts.certificate
+    if mapping is not None:
+        mapping.target.finish(keep=True)  # the same job knows it, if it ends before the next line
+        made.finish()
+        mapping.target.forget()
+    elif known.save_field is not None:
+        saved = _save_file(known.save_field, warp, medium, found.error, made, force)
+    else:
+        made.finish()
     return WarpedStore(
         os.fspath(source), os.fspath(target), warp.deformation, medium.geometry, tolerance, found.error,
         tuple(made.arrays[0].shape), len(made.arrays), blocks, counts.done, counts.copied, counts.read, warp.grid,
-        found.folded, found.outside, found.unknown,
+        found.folded, found.outside, found.unknown, saved,
     )  # fmt: skip
 
 
@@ -213,12 +232,53 @@ def _warn_of_labels(source: Source, warp: Warp) -> None:
     warn_of_labels(some.reshape(some.shape[-n:]), medium.name, known=image.is_labels)
 
 
+def _begin_field(
+    image: StoredImage, medium: Medium, warp: Warp, job: str, others: Sequence[PathLike], address: PathLike | None,
+    force: bool,
+) -> Begun | None:  # fmt: skip
+    """Return what is to be written as the map of an image; None if it is no scene, or nothing."""
+    if address is None:
+        return None
+    check_field(address, others, flat=medium.geometry is None, force=force)
+    if not is_scene(address):
+        return None
+    placed = [image.levels[0].scale, image.levels[0].translation]
+    if warp.grid is not None:
+        placed = list(_located(image, medium, warp.grid, address))
+    scale, translation = ([values[axis] for axis in image.spatial] for values in placed)
+    return begin_field(address, image, warp, Placement(warp.shape, scale, translation), job, force=force)
+
+
+def _save_file(
+    address: PathLike, warp: Warp, medium: Medium, error: float, made: Target, force: bool
+) -> SavedField:  # fmt: skip
+    """Write the field of a volume as a file, which appears together with the output."""
+    geometry, grid = medium.geometry, warp.grid
+    assert geometry is not None
+    if grid is not None:
+        (x, y, z), (a, b, c) = grid.spacing, grid.origin
+        geometry = Geometry((x, y, z), (a, b, c), np.array(grid.direction), geometry.convention)
+    tolerance = warp.sampling.tolerance
+    with replacing(address, force=force) as place:
+        write_transform(place, warp.deformation, geometry, tolerance=tolerance, force=True, grid=grid, warn=False)
+        made.finish()
+    return SavedField(os.fspath(address), tolerance, error)
+
+
 def _placement(image: StoredImage, medium: Medium, grid: Grid | None, target: PathLike) -> dict[str, Any]:
     """Return the shape of an output on another grid, and its scale and translation, in array order."""
     if grid is None:
         return {}
     if not image.version:
         return {"shape": grid.shape}
+    scale, translation = _located(image, medium, grid, target)
+    return {"shape": grid.shape, "scale": scale, "translation": translation}
+
+
+def _located(
+    image: StoredImage, medium: Medium, grid: Grid, target: PathLike
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the scale and the translation of another grid, of all axes; SuppleError if it is turned."""
     own, n = medium.grid, grid.ndim
     if not np.allclose(grid.direction, own.direction, atol=1e-6):
         raise unwritable(
@@ -234,8 +294,8 @@ def _placement(image: StoredImage, medium: Medium, grid: Grid | None, target: Pa
     scale, translation = np.array(level.scale), np.array(level.translation)
     translation[axes] += scale[axes] * first[::-1]
     scale[axes] *= steps[::-1]
-    told = [[float(f"{number:.12g}") for number in numbers] for numbers in (scale, translation)]  # without noise
-    return {"shape": grid.shape, "scale": told[0], "translation": told[1]}
+    told = [tuple(float(f"{number:.12g}") for number in numbers) for numbers in (scale, translation)]
+    return told[0], told[1]  # without noise
 
 
 def _job(source: Source, warp: Warp, recipe: Recipe, options: VolumeOptions) -> str:
@@ -267,7 +327,9 @@ def _job(source: Source, warp: Warp, recipe: Recipe, options: VolumeOptions) -> 
     return f"warp {address}, {digest.hexdigest()}"
 
 
-def _write_blocks(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed], begun: bool) -> tuple[_Counts, int]:
+def _write_blocks(
+    work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed], begun: bool, *, warn: bool
+) -> tuple[_Counts, int]:
     """Write the finest level; return what was done, and the number of blocks."""
     carried, target = work.carried, work.target
     shape = tuple(target.arrays[0].shape)
@@ -300,7 +362,7 @@ def _write_blocks(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]
             blocks, found = plan_boxes(work.warp, boxes, runner)
             certificate |= found
         tell("plan", planned, boxes_total)
-        if planned == boxes_total:  # before the rest is written, if warnings are errors
+        if warn and planned == boxes_total:  # before the rest is written, if warnings are errors
             warn_of(certificate, work.warp.sampling.tolerance, 4, folds_of(maps), only_name(maps))
         items = itertools.product(leads, blocks)
         while some := list(itertools.islice(items, _AT_ONCE)):
@@ -343,13 +405,9 @@ def _told(box: Box) -> str:
 
 
 def _check_seen(address: str, target: Target) -> None:
-    """Raise SuppleError on a worker that does not see the folders: to Zarr, it looks like a store of fill values."""
+    """Raise SuppleError on a worker that does not see the folders."""
     for name, place in ((address, Place(address)), (target.address, target.site)):
-        if place.folder is not None and not place.folder.exists():
-            raise SuppleError(
-                f"a worker does not see {shown(name)}: give addresses that all workers reach, and start them where "
-                "these are"
-            )
+        check_seen(name, place.folder)
 
 
 def _write_levels(work: Work, runner: Runner, tell: Tell, mode: str) -> None:

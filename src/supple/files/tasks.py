@@ -11,11 +11,12 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from supple.domain import refuse
 from supple.engines.workers import threads
-from supple.errors import SuppleError, need
+from supple.errors import SuppleError, need, shown
 
 Job = TypeVar("Job")
 Item = TypeVar("Item")
@@ -267,6 +268,15 @@ def check_shared(addresses: Sequence[str | os.PathLike[str]]) -> None:
                 f"{os.fspath(address)} is in the memory of this process, which workers do not see: name a folder or a "
                 "bucket"
             )
+
+
+def check_seen(name: str, folder: Path | None) -> None:
+    """Raise SuppleError on a worker that does not see a folder, to Zarr a store of fill values, or a file."""
+    if folder is not None and not folder.exists():
+        raise SuppleError(
+            f"a worker does not see {shown(name)}: give addresses that all workers reach, and start them where "
+            "these are"
+        )
 
 
 def _distributed() -> Any:

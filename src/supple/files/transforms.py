@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +10,7 @@ import numpy.typing as npt
 from supple.buffers import beside
 from supple.deformation import Deformation
 from supple.domain import number
-from supple.engines.base import Certificate, warn_of
+from supple.engines.base import Certificate, Space, warn_of
 from supple.engines.native import certificate_of, plan_of
 from supple.errors import SuppleError
 from supple.geometry import Geometry, Grid
@@ -23,6 +22,8 @@ PathLike = str | os.PathLike[str]
 
 MOST = 1 << 27
 """The bytes of a field that are held in memory: it is larger than its volume."""
+ROUNDING = 2.0**-22
+"""Samples: to that, source points are known, as the core holds their fractions as float32."""
 
 
 def displacement_of(
@@ -73,27 +74,66 @@ def displacement_of(
     if space.is_identity:
         made[...] = 0
         return made
-    held = deformation.grid if grid is None else grid.uncropped()
-    first = (0, 0, 0) if grid is None else grid.first
-    # In voxels of the input, those of the output lie at index @ turned.T + shift.
     matrix: Floats = geometry.matrix[:3, :3] if grid is None else deformation.grid.matrix[:3, :3]
-    turned: Any = np.eye(3) if grid is None else np.linalg.solve(matrix, held.matrix[:3, :3])
-    shift = np.zeros(3) if grid is None else deformation.grid.indices(held.origin)
-    certificate = Certificate(0.0, 0.0)
-    # float64, since differences of positions would lose half their digits in float32.
-    points, here = np.empty(made.shape[1:]), np.zeros(made.shape[1:])
-    rows, columns = np.indices(made.shape[1:3])
-    here[..., 0], here[..., 1] = columns + first[0], rows + first[1]
-    for k in range(len(made)):
-        plan = plan_of(space, k, tolerance)
-        plan.points(points)
-        here[..., 2] = first[2] + k
-        at = here if grid is None else here @ turned.T + shift
-        np.matmul(points - at, matrix.T, out=made[k], casting="same_kind")
-        certificate |= certificate_of(plan, space)
+    certificate = pull_of(space, matrix, tolerance, made, None if grid is None else between(deformation.grid, grid))
     if warn:
         warn_of(certificate, tolerance, 3)
     return made
+
+
+def between(own: Grid, grid: Grid) -> tuple[Floats, Floats]:
+    """Return the matrix and the shift from the indices of a grid, of all of it, to those of another in its space."""
+    whole = grid.uncropped()
+    turned = np.linalg.solve(own.matrix[:-1, :-1], whole.matrix[:-1, :-1])
+    return np.asarray(turned, np.float64), own.indices(whole.origin)
+
+
+def pull_of(
+    space: Space,
+    matrix: Floats,
+    tolerance: float,
+    out: npt.NDArray[np.float32],
+    turned: tuple[Floats, Floats] | None = None,
+) -> Certificate:
+    """Write T⁻¹(q) - q for all samples q of the output, or of the part of it that the map's grid is.
+
+    Parameters
+    ----------
+    space : Space
+        The map.
+    matrix : float64 array, shape (D, D)
+        From a vector in samples of the input, x first, to what is written.
+    tolerance : float
+        In samples.
+    out : float32 array, shape (H, W, D) or (Z, H, W, D)
+        The array for the result.
+    turned : (float64 array, float64 array), optional
+        The matrix and the shift from an index of the output's whole grid to one of the input; by default, they are the
+        same.
+
+    Returns
+    -------
+    Certificate
+        The accuracy of T⁻¹, before it is rounded to float32.
+    """
+    planes = out if space.ndim == 3 else out[None]
+    first = (0,) * space.ndim if space.grid is None else space.grid.first
+    certificate = Certificate(0.0, 0.0)
+    # float64, since differences of positions would lose half their digits in float32.
+    points, here = np.empty(planes.shape[1:]), np.zeros(planes.shape[1:])
+    rows, columns = np.indices(planes.shape[1:3])
+    here[..., 0], here[..., 1] = columns + first[0], rows + first[1]
+    for k, plane in enumerate(planes):
+        plan = plan_of(space, k, tolerance)
+        plan.points(points)
+        if space.ndim == 3:
+            here[..., 2] = first[2] + k
+        np.subtract(points, here if turned is None else here @ turned[0].T + turned[1], out=points)
+        if space.composite is not None:
+            points[np.abs(points) < ROUNDING] = 0  # where nothing moves, but what is solved is rounded
+        np.matmul(points, matrix.T, out=plane, casting="same_kind")
+        certificate |= certificate_of(plan, space)
+    return certificate
 
 
 def write_transform(

@@ -64,7 +64,8 @@ class VolumeOptions:
         Whether values are labels, which are not interpolated: every voxel takes that of the nearest. Integers only,
         which may be stored as floats.
     save_field : str or os.PathLike, optional
-        The file for the inverse displacement field, for SimpleITK, ANTs and 3D Slicer.
+        The file for the inverse displacement field, for SimpleITK, ANTs and 3D Slicer; beside a Zarr store, also
+        one of OME-Zarr (``.zarr``), for both directions.
     layout : RawLayout, optional
         The layout of a file without a header.
     series : str, optional

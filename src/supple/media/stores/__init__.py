@@ -1,20 +1,23 @@
 """Zarr arrays and OME-Zarr images: opened, and created like another for blocks that many processes write."""
 
-from supple.media.stores.claims import is_begun
+from supple.media.stores.claims import NOTES, check_free, is_begun
 from supple.media.stores.image import Level, StoredAxis, StoredImage, open_image
 from supple.media.stores.inputs import like_file
 from supple.media.stores.places import Place, is_store
 from supple.media.stores.samples import Samples
-from supple.media.stores.target import Target, create
+from supple.media.stores.target import Target, create, create_arrays
 
 __all__ = [
+    "NOTES",
     "Level",
     "Place",
     "Samples",
     "StoredAxis",
     "StoredImage",
     "Target",
+    "check_free",
     "create",
+    "create_arrays",
     "is_begun",
     "is_store",
     "like_file",

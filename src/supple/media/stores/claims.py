@@ -15,15 +15,19 @@ from supple.media.files import PathLike, check_store
 from supple.media.stores.image import StoredImage
 from supple.media.stores.places import MARKER, ROOTS, Place, put, read, run
 
+NOTES = "supple"
+"""The attribute that says what is known of an output."""
+ROOT = "zarr.json"
 _LEFT_OVER = re.compile(r"\.[0-9a-f]{32}\.partial$")  # of zarr's local store, where a writer was killed
 
 
-def _told(job: str, state: str) -> bytes:
+def told_of(job: str, state: str) -> bytes:
+    """Return what a marker holds."""
     return json.dumps({"program": "supple", "state": state, "job": job}).encode()
 
 
 def _agrees(store: Any, files: dict[str, bytes]) -> bool:
-    """Return whether what a store has of the metadata is what would be written."""
+    """Return whether what a store has of the metadata is what would be written, but for what is noted at the end."""
     for key, data in files.items():
         found = read(store, key)
         with contextlib.suppress(ValueError):
@@ -32,7 +36,17 @@ def _agrees(store: Any, files: dict[str, bytes]) -> bool:
     return True
 
 
+def note(store: Any, told: dict[str, Any]) -> None:
+    """Add what is known of an output of Zarr format 3, now that it is written, to the attributes of its root."""
+    found = json.loads(read(store, ROOT) or b"{}")
+    found["attributes"] = {**found.get("attributes", {}), NOTES: told}
+    put(store, ROOT, json.dumps(found, indent=2).encode())
+
+
 def _plain(value: Any) -> str:
+    if isinstance(value, dict) and isinstance(value.get("attributes"), dict):
+        kept = {key: one for key, one in value["attributes"].items() if key != NOTES}
+        value = {**value, "attributes": kept}
     return json.dumps(value, sort_keys=True)  # NaN is not equal to itself, but its text is
 
 
@@ -47,6 +61,19 @@ def is_begun(address: PathLike) -> bool:
     if place.folder is None:
         return place.job() is not None
     return os.path.lexists(unfinished(Path(os.path.realpath(place.folder))))
+
+
+def is_complete(place: Place, job: str) -> bool:
+    """Return whether an output is there that the same job has finished, and waits for another one of it."""
+    found = place.marker()
+    return found is not None and found["job"] == job and found.get("state") == "complete"
+
+
+def check_free(address: PathLike, job: str, force: bool) -> None:
+    """Raise SuppleError, before any work, for an output in a folder that cannot be written."""
+    place = Place(address)
+    if place.folder is not None and not is_complete(place, job):
+        check_store(place.folder if "://" in place.address else address, force=force)
 
 
 def claim_folder(place: Place, site: Place, files: dict[str, bytes], job: str, force: bool) -> None:
@@ -67,7 +94,7 @@ def claim_folder(place: Place, site: Place, files: dict[str, bytes], job: str, f
             shutil.rmtree(folder)
     folder.mkdir(exist_ok=True)
     if site.marker() is None:
-        put(store, MARKER, _told(job, "unfinished"))
+        put(store, MARKER, told_of(job, "unfinished"))
 
 
 def _of_another(name: str) -> tuple[str, str]:
@@ -92,7 +119,7 @@ def claim_address(place: Place, files: dict[str, bytes], job: str, force: bool) 
         if not zarr:
             raise place.unwritable("what is there is no Zarr store", "give another name")
     elif found is None:
-        put(store, MARKER, _told(job, "unfinished"))
+        put(store, MARKER, told_of(job, "unfinished"))
         return
     elif found["job"] != job or not _agrees(store, files):
         if not force:
@@ -104,18 +131,18 @@ def claim_address(place: Place, files: dict[str, bytes], job: str, force: bool) 
     elif found["state"] == "unfinished":
         return
     # the marker comes first, and stays: if clearing is interrupted, it begins again
-    put(store, MARKER, _told(job, "clearing"))
+    put(store, MARKER, told_of(job, "clearing"))
     run(_cleared(store))
-    put(store, MARKER, _told(job, "unfinished"))
+    put(store, MARKER, told_of(job, "unfinished"))
 
 
-def publish(place: Place, folder: Path, job: str, force: bool) -> None:
-    """Rename a finished folder; if it cannot be renamed, all is as it was."""
+def publish(place: Place, folder: Path, job: str, force: bool, keep: bool) -> None:
+    """Rename a finished folder; if it cannot be renamed, all is as it was. ``keep`` keeps a marker of that."""
     for root, _, names in os.walk(folder):
         for name in names:
             if _LEFT_OVER.search(name):
                 os.unlink(os.path.join(root, name))
-    put(Place(folder).store(read_only=False), MARKER, _told(job, "complete"))
+    put(Place(folder).store(read_only=False), MARKER, told_of(job, "complete"))
     assert place.folder is not None
     target = check_store(place.folder, force=force)
     old = target.with_name(f".{os.urandom(6).hex()}-old")
@@ -128,8 +155,9 @@ def publish(place: Place, folder: Path, job: str, force: bool) -> None:
             raise
     else:
         os.rename(folder, target)
-    with contextlib.suppress(OSError):  # it says that the output is complete
-        os.unlink(target / MARKER)
+    if not keep:
+        with contextlib.suppress(OSError):  # it says that the output is complete
+            os.unlink(target / MARKER)
     shutil.rmtree(old, ignore_errors=True)
 
 

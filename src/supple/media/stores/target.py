@@ -16,8 +16,17 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError
 from supple.media.files import PathLike, check_store
-from supple.media.stores.claims import check_apart, claim_address, claim_folder, publish, unfinished
-from supple.media.stores.image import Level, StoredImage, described
+from supple.media.stores.claims import (
+    check_apart,
+    claim_address,
+    claim_folder,
+    is_complete,
+    note,
+    publish,
+    told_of,
+    unfinished,
+)
+from supple.media.stores.image import Level, StoredAxis, StoredImage, described
 from supple.media.stores.places import MARKER, Place, put, quiet, read, refresh, run
 from supple.media.stores.plans import planned
 from supple.media.stores.pyramid import Mode, Step, reduced
@@ -77,24 +86,61 @@ def create(
     """
     place = Place(address)
     plan = planned(place, like, shape, scale, translation, chunks)
-    with place.writing():
-        if place.folder is not None:
-            target = check_store(place.folder, force=force)
-            site = Place(unfinished(target))
-            claim_folder(place, site, plan.files, job, force)
-        else:
-            site = place
-            check_apart(place, like)
-            claim_address(place, plan.files, job, force)
-        store = site.store(read_only=False)
-        for key, data in plan.files.items():
-            if read(store, key) is None:
-                put(store, key, data)
+    if place.folder is None:
+        check_apart(place, like)
+    site = _claimed(place, plan.files, job, force)
     with place.reading("what was written cannot be read"), quiet():
         import zarr
 
-        made = described(site, zarr.open(store, mode="r+"), len(like.spatial))
+        made = described(site, zarr.open(site.store(read_only=False), mode="r+"), len(like.spatial))
     return Target(place, site, made, plan.steps, job, force)
+
+
+def create_arrays(
+    address: PathLike, files: dict[str, bytes], paths: Sequence[str], *, force: bool = False, job: str
+) -> Target:
+    """Create an output of prepared metadata, or go on with one that was interrupted, as `create` does.
+
+    Parameters
+    ----------
+    address, force, job
+        As in `create`. If the same job has finished it already (`Target.finish` with ``keep``), it is taken as it is.
+    files : dict of bytes
+        All metadata, by their keys in the store.
+    paths : sequence of str
+        The arrays in it, which become the levels of the target: the first axis holds components, the others are those
+        of space. None is made from another.
+    """
+    place = Place(address)
+    complete = is_complete(place, job)
+    site = place if complete else _claimed(place, files, job, force)
+    with place.reading("what was written cannot be read"), quiet():
+        import zarr
+
+        root = zarr.open_group(site.store(read_only=False), mode="r+")
+        arrays: list[Any] = [root[path] for path in paths]
+    n = arrays[0].ndim
+    levels = tuple(Level(path, a, (1.0,) * n, (0.0,) * n) for path, a in zip(paths, arrays, strict=True))
+    names = arrays[0].metadata.dimension_names or ("",) * n
+    axes = tuple(StoredAxis(name or "", "space" if k else "", None) for k, name in enumerate(names))
+    image = StoredImage(place.address, "", axes, levels, tuple(range(1, n)), "", dict(root.attrs))
+    return Target(place, site, image, (), job, force, complete)
+
+
+def _claimed(place: Place, files: dict[str, bytes], job: str, force: bool) -> Place:
+    """Take the place of an output, write its metadata, and return where it is written."""
+    with place.writing():
+        if place.folder is not None:
+            site = Place(unfinished(check_store(place.folder, force=force)))
+            claim_folder(place, site, files, job, force)
+        else:
+            site = place
+            claim_address(place, files, job, force)
+        store = site.store(read_only=False)
+        for key, data in files.items():
+            if read(store, key) is None:
+                put(store, key, data)
+    return site
 
 
 class Target:
@@ -113,6 +159,8 @@ class Target:
     blocks : tuple of tuple of int
         For each level, the shape of the smallest region that processes may write independently: of a shard, or of a
         chunk without shards.
+    complete : bool
+        Whether the same job has finished it already.
     """
 
     def __init__(
@@ -123,8 +171,10 @@ class Target:
         steps: tuple[tuple[Step, ...], ...],
         job: str,
         force: bool,
+        complete: bool = False,
     ) -> None:
         self.address = place.address
+        self.complete = complete
         self._place, self._site, self._steps, self._job, self._force = place, site, steps, job, force
         levels = tuple(Level(a.path, _writable(a.array), a.scale, a.translation) for a in image.levels)
         self.image = StoredImage(
@@ -248,14 +298,31 @@ class Target:
         """Return a context in which errors of the file system become one sentence that names the output."""
         return self._place.writing()
 
-    def finish(self) -> str:
-        """Make the output appear under its name, and return its address. Call it once, when all is written."""
+    def note(self, told: dict[str, Any]) -> None:
+        """Add what is known of the output to the attributes of its root, as ``supple``."""
         with self.writing():
-            if self._site.folder is None:
-                run(self._site.store(read_only=False).delete(MARKER))
+            note(self._site.store(read_only=False), told)
+
+    def finish(self, *, keep: bool = False) -> str:
+        """Make the output appear under its name, and return its address. Call it once, when all is written.
+
+        ``keep`` keeps the marker, by which the same job knows that it is complete, until `forget` removes it.
+        """
+        if self.complete:
+            return self.address
+        with self.writing():
+            if self._site.folder is not None:
+                publish(self._place, self._site.folder, self._job, self._force, keep)
+            elif keep:
+                put(self._site.store(read_only=False), MARKER, told_of(self._job, "complete"))
             else:
-                publish(self._place, self._site.folder, self._job, self._force)
+                run(self._site.store(read_only=False).delete(MARKER))
         return self.address
+
+    def forget(self) -> None:
+        """Remove the marker that `finish` has kept; where it stays, it does no harm."""
+        with contextlib.suppress(Exception):
+            run(self._place.store(read_only=False).delete(MARKER))
 
     def _check(self, level: int, box: Box) -> None:
         array, block = self.arrays[level], self.blocks[level]

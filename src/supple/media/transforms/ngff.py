@@ -9,9 +9,9 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,8 @@ SUFFIXES = (".zarr",)
 UNAMBIGUOUS = SUFFIXES
 VERSION = "0.6"
 _FIELDS = "coordinateTransformations"
+_ARRAY = "s0"
+_SIDES = {2: 512, 3: 64}  # of chunks
 _INTERPOLATION = {"linear": "linear", "cubic": "cubic"}  # so the schema; its text calls the latter bspline-cubic
 
 
@@ -92,30 +94,25 @@ def write(path: PathLike, contents: Sequence[Content], *, source: Grid | None = 
             raise unwritable(path, what, "sample it first")
         if not all(np.isfinite(part).all() for part in (one if isinstance(one, np.ndarray) else one.values)):
             raise unwritable(path, "the map holds NaN or infinity", "mend it first")
-    zarr = imported()
+    imported()
     with _replacing_store(path, force) as temporary:
-        fields: list[str] = []
+        fields: list[tuple[Displacements, Matrix]] = []
         steps: list[dict[str, Any]] = []
         for one in contents:
             if isinstance(one, np.ndarray):
                 steps.append(_affine(one))
                 continue
-            name = f"{_FIELDS}/{len(fields)}"
-            fields.append(name)
             turn: Matrix = np.eye(n + 1)
             turn[:-1, :-1] = one.grid.direction
             back: Matrix = np.asarray(np.linalg.inv(turn), np.float64)
             plain = np.array_equal(turn, np.eye(n + 1))
-            _write_field(zarr.create_group(str(temporary / name)), one, back)
-            step = {"type": "displacements", "path": name, "interpolation": _INTERPOLATION[one.interpolation]}
+            step = _displacements(len(fields), one.interpolation)
+            fields.append((one, back))
             steps += [step] if plain else [_affine(back), step, _affine(turn)]
         whole = steps[0] if len(steps) == 1 else {"type": "sequence", "transformations": steps}
-        systems = [{"name": name, "axes": _axes(n)} for name in ("output", "input")]
-        ends = {"input": {"name": "output"}, "output": {"name": "input"}}
-        scene = {"coordinateSystems": systems, "coordinateTransformations": [whole | ends]}
-        zarr.create_group(str(temporary), overwrite=False, attributes={"ome": {"version": VERSION, "scene": scene}})
-        if fields:
-            zarr.open_group(str(temporary), mode="r+").require_group(_FIELDS)
+        root = _scene(str(temporary), whole, _axes(n))
+        for k, (one, back) in enumerate(fields):
+            _write_field(root, k, one, back)
 
 
 def _axes(n: int) -> list[dict[str, Any]]:
@@ -129,29 +126,96 @@ def _affine(matrix: Matrix) -> dict[str, Any]:
     return {"type": "affine", "affine": matrix[:-1][::-1][:, [*range(n)[::-1], n]].tolist()}
 
 
-def _write_field(group: Any, field: Displacements, turn: Matrix) -> None:
-    """Write a field along the axes of its grid, to which ``turn`` leads, as a multiscale image of one scale."""
+class Placement(NamedTuple):
+    """Where the samples of a field lie, in the order of an array's axes and in the units of these."""
+
+    shape: Sequence[int]
+    scale: Sequence[float]
+    translation: Sequence[float]
+
+
+def bijection(
+    axes: Sequence[Mapping[str, Any]], forward: Placement, inverse: Placement, name: str
+) -> tuple[dict[str, bytes], tuple[str, str]]:
+    """Return the metadata of a scene that holds both directions of a map, as fields without samples yet.
+
+    Parameters
+    ----------
+    axes : sequence of mapping
+        The descriptions of the axes of space, of both images.
+    forward : Placement
+        Of the field from the output image to the input image, on the grid of the output.
+    inverse : Placement
+        Of that from the input to the output, on the grid of the input.
+    name : str
+        Of the transformation.
+
+    Returns
+    -------
+    dict of bytes
+        All files of metadata, by their keys in the store.
+    tuple of str
+        The paths of the arrays of ``forward`` and ``inverse``: float32, of shape (components, ...), the components in
+        the order of the axes. The fill value is 0; chunks hold all components, of 64 samples along each axis of a
+        volume and 512 of a picture: two or three megabytes, a good size for an object, and whole patches of the map.
+    """
+    from zarr.storage import MemoryStore
+
+    held: dict[str, Any] = {}
+    ways = {"forward": _displacements(0, "linear"), "inverse": _displacements(1, "linear")}
+    root = _scene(MemoryStore(held), {"type": "bijection", "name": name, **ways}, axes)
+    side = _SIDES[len(axes)]
+    for k, samples in enumerate((forward, inverse)):
+        chunks = (len(axes), *(min(side, size) for size in samples.shape))
+        _field(root, k, axes, samples, np.float32, chunks=chunks)
+    paths = (f"{ways['forward']['path']}/{_ARRAY}", f"{ways['inverse']['path']}/{_ARRAY}")
+    return {key: bytes(data.to_bytes()) for key, data in held.items()}, paths
+
+
+def _displacements(index: int, interpolation: str) -> dict[str, Any]:
+    path = f"{_FIELDS}/{index}"
+    return {"type": "displacements", "path": path, "interpolation": _INTERPOLATION[interpolation]}
+
+
+def _scene(store: Any, transformation: Mapping[str, Any], axes: Sequence[Mapping[str, Any]]) -> Any:
+    """Create the group of a scene of one transformation, from the output to the input; return it."""
+    systems = [{"name": name, "axes": list(axes)} for name in ("output", "input")]
+    ends = {"input": {"name": "output"}, "output": {"name": "input"}}
+    scene = {"coordinateSystems": systems, "coordinateTransformations": [{**transformation, **ends}]}
+    return imported().create_group(store, attributes={"ome": {"version": VERSION, "scene": scene}})
+
+
+def _field(
+    root: Any, index: int, axes: Sequence[Mapping[str, Any]], samples: Placement, dtype: Any, **more: Any
+) -> Any:
+    """Create the array of a field, as a multiscale image of one scale; return it."""
+    vector = {"name": "c", "type": "displacement", "discrete": True}
+    steps = [
+        {"type": "scale", "scale": [1.0, *map(float, samples.scale)]},
+        {"type": "translation", "translation": [0.0, *map(float, samples.translation)]},
+    ]
+    ends = {"input": {"path": _ARRAY}, "output": {"name": "physical"}}
+    image = {
+        "name": "displacements",
+        "coordinateSystems": [{"name": "physical", "axes": [vector, *axes]}],
+        "datasets": [
+            {"path": _ARRAY, "coordinateTransformations": [{"type": "sequence", "transformations": steps, **ends}]}
+        ],
+    }
+    attributes = {"ome": {"version": VERSION, "multiscales": [image]}}
+    group = root.require_group(_FIELDS).create_group(str(index), attributes=attributes)
+    names = ["c", *(axis["name"] for axis in axes)]
+    return group.create_array(_ARRAY, shape=(len(axes), *samples.shape), dtype=dtype, dimension_names=names, **more)
+
+
+def _write_field(root: Any, index: int, field: Displacements, turn: Matrix) -> None:
+    """Write a field along the axes of its grid, to which ``turn`` leads."""
     grid, n = field.grid, field.grid.ndim
     values = field.values if np.array_equal(turn, np.eye(n + 1)) else field.values @ turn[:-1, :-1].T
     dtype = np.float64 if field.values.dtype.itemsize == 8 else np.float32
-    stored = np.moveaxis(values[..., ::-1], -1, 0).astype(dtype)
-    vector = {"name": "c", "type": "displacement", "discrete": True}
     origin = turn[:-1, :-1] @ grid.origin
-    steps = [
-        {"type": "scale", "scale": [1.0, *grid.spacing[::-1]]},
-        {"type": "translation", "translation": [0.0, *origin[::-1].tolist()]},
-    ]
-    ends = {"input": {"path": "s0"}, "output": {"name": "physical"}}
-    image = {
-        "name": "displacements",
-        "coordinateSystems": [{"name": "physical", "axes": [vector, *_axes(n)]}],
-        "datasets": [
-            {"path": "s0", "coordinateTransformations": [{"type": "sequence", "transformations": steps, **ends}]}
-        ],
-    }
-    group.attrs["ome"] = {"version": VERSION, "multiscales": [image]}
-    array = group.create_array("s0", shape=stored.shape, dtype=dtype, dimension_names=["c", *"zyx"[-n:]])
-    array[...] = stored
+    samples = Placement(grid.shape, grid.spacing[::-1], origin[::-1].tolist())
+    _field(root, index, _axes(n), samples, dtype)[...] = np.moveaxis(values[..., ::-1], -1, 0).astype(dtype)
 
 
 @contextlib.contextmanager
