@@ -64,14 +64,14 @@ def suffix_of(path: PathLike) -> str:
 def is_volume(path: PathLike) -> bool:
     """Return whether a file or folder is a volume: by its suffix, or, without one, by its first bytes.
 
-    A folder is one if it holds DICOM files. For TIFFs, see `has_pages`. A Radiance image, which also has the suffix
+    A folder is one if it holds DICOM files, or a Zarr store, which `read` refuses. For TIFFs, see `has_pages`. A Radiance image, which also has the suffix
     ``.hdr``, is not one.
     """
     suffix = suffix_of(path)
     if os.path.isdir(path):
         from supple.media.volume import dicom
 
-        return dicom.in_folder(path)
+        return _is_zarr(path) or dicom.in_folder(path)
     if suffix == ".hdr":
         try:
             return not head_of(path, 2).startswith(b"#?")
@@ -178,9 +178,15 @@ def _raw(path: PathLike, layout: RawLayout | None) -> Volume:
     return raw.read_dat(path) if layout is None and suffix_of(path) == ".dat" else raw.read(path, layout)
 
 
+def _is_zarr(path: PathLike) -> bool:
+    return any(os.path.isfile(os.path.join(path, name)) for name in ("zarr.json", ".zgroup", ".zarray"))
+
+
 def _format(path: PathLike) -> str:
     suffix = suffix_of(path)
     if os.path.isdir(path):
+        if _is_zarr(path):
+            raise unreadable(path, "it is a Zarr store", "use info, plan, points, or warp to another store")
         return "DICOM"
     if suffix in stack.SUFFIXES:
         return "TIFF"
