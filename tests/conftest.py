@@ -7,10 +7,15 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 from supple.engines.wgpu.device import Gpu, open_gpu
 from supple.errors import SuppleError
+
+# No test fails because a machine is slow.
+hypothesis.settings.register_profile("supple", deadline=None)
+hypothesis.settings.load_profile("supple")
 
 # Numba's simulator takes the place of CUDA from its import on: those tests are run by themselves.
 collect_ignore = (

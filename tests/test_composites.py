@@ -103,7 +103,7 @@ seeds = st.integers(0, 2**32 - 1)
 axes = st.sampled_from([2, 2, 3])
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=120)
 @given(seed=seeds, n=axes, odd=st.booleans())
 def test_points_go_there_and_back(seed: int, n: int, odd: bool) -> None:
     made, rng = random_deformation(seed, n, odd=odd), np.random.default_rng(seed)
@@ -114,7 +114,7 @@ def test_points_go_there_and_back(seed: int, n: int, odd: bool) -> None:
     assert (off[found.converged] <= 1e-5).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=seeds, n=axes)
 def test_fields_without_an_end_are_always_solved(seed: int, n: int) -> None:
     made, rng = random_deformation(seed, n, beyond="edge"), np.random.default_rng(seed)
@@ -126,7 +126,7 @@ def test_fields_without_an_end_are_always_solved(seed: int, n: int) -> None:
     assert report.unconverged == report.folds == 0
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(seed=seeds, n=axes)
 def test_jacobians_are_central_differences(seed: int, n: int) -> None:
     made, rng, h = random_deformation(seed, n), np.random.default_rng(seed), 1e-6
@@ -140,7 +140,7 @@ def test_jacobians_are_central_differences(seed: int, n: int) -> None:
     assert (off[smooth] <= 1e-3 * (1 + np.abs(ahead[smooth]).max(axis=(1, 2)))).all()
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(seed=seeds, n=axes, tolerance=st.sampled_from([1e-3, 0.01, 0.1]), odd=st.booleans())
 def test_maps_are_the_inverse_at_every_pixel(seed: int, n: int, tolerance: float, odd: bool) -> None:
     made = random_deformation(seed, n, odd=odd)
@@ -151,7 +151,7 @@ def test_maps_are_the_inverse_at_every_pixel(seed: int, n: int, tolerance: float
     assert report.unconverged or report.within
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seed=seeds, n=axes, tolerance=st.sampled_from([1e-3, 0.05]))
 def test_other_grids_are_sampled_at_their_positions(seed: int, n: int, tolerance: float) -> None:
     made, rng = random_deformation(seed, n), np.random.default_rng(seed)
@@ -166,7 +166,7 @@ def test_other_grids_are_sampled_at_their_positions(seed: int, n: int, tolerance
     assert (np.abs(got.ravel() - wanted) <= 1e-4 + 2 * tolerance * steep)[found.converged].all()
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(
     seed=seeds,
     n=axes,

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from supple.domain import Domain, border_factor, choice, integer, items, length, number, point, value_shown
@@ -120,7 +120,6 @@ def test_packed_is_a_copy() -> None:
     assert domain.packed()[0, 0] == -0.5
 
 
-@settings(deadline=None)
 @given(
     st.lists(st.integers(1, 10**6), min_size=2, max_size=3),
     st.floats(1e-6, 1e6),

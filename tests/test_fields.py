@@ -169,7 +169,7 @@ def test_an_inverse_that_is_not_known_has_no_error() -> None:
     assert np.isfinite(found.field.values).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 2**32 - 1),
     option=st.sampled_from(OPTIONS),

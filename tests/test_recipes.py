@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from supple.deformation import Deformation
@@ -88,7 +88,6 @@ class TestJson:
             "supple": 2, "border": None, "border_profile": "quartic", "on_fold": "flow", "amount": 1, "strokes": [],
         }  # fmt: skip
 
-    @settings(deadline=None)
     @given(recipes())
     def test_round_trip(self, recipe: Recipe) -> None:
         text = recipe.to_json()
@@ -229,7 +228,6 @@ class TestJson:
     def test_not_text(self, text: Any) -> None:
         assert read_refusal(text).startswith("a recipe must be text in JSON, found ")
 
-    @settings(deadline=None)
     @given(
         st.recursive(
             st.none() | st.booleans() | st.floats() | st.integers() | st.text(),
@@ -240,12 +238,10 @@ class TestJson:
         read_refusal(json.dumps(data))
         read_refusal(with_stroke(json.dumps(data)))
 
-    @settings(deadline=None)
     @given(st.text())
     def test_any_other_text(self, text: str) -> None:
         read_refusal(text)
 
-    @settings(deadline=None)
     @given(recipes(), st.data())
     def test_truncated(self, recipe: Recipe, data: st.DataObject) -> None:
         text = recipe.to_json()

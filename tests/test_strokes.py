@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from supple.deformation import Deformation
@@ -231,14 +231,12 @@ class TestPack:
         else:
             assert float(ratio) == pytest.approx(expected, rel=1e-4)
 
-    @settings(deadline=None)
     @given(st.floats(1e-30, 1e30), ratios, st.sampled_from([2, 3]))
     def test_far_fields_cancel_to_the_last_bit(self, radius: float, poisson: float, scales: int) -> None:
         row = pack([grab(radius=radius, poisson=poisson, scales=scales)], (1, 1))[0]
         assert sum(Fraction(float(x)) for x in row["p"]) == 0
         assert sum(Fraction(float(x)) for x in row["r"]) == 0
 
-    @settings(deadline=None)
     @given(recipes())
     def test_anything_allowed_is_finite(self, recipe: Recipe) -> None:
         ndim = recipe.strokes[0].ndim if recipe.strokes else 2

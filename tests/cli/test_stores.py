@@ -94,6 +94,14 @@ def test_files_become_stores(run: Run) -> None:
     assert run("warp", "in.png", "p.zarr", "--field", "none.nii", "--quiet")[0] == 2
 
 
+def test_points_are_moved_on_a_store(run: Run) -> None:
+    store("in.zarr", (11, 32, 40))
+    Path("cells.csv").write_text("i,j,k\n14,12,4\n39,31,10\n")
+    assert run("points", "cells.csv", "moved.csv", "--on", "in.zarr", *DEEP)[0] == 0
+    made = np.genfromtxt("moved.csv", delimiter=",", skip_header=1)
+    assert np.allclose(made[:, :3], [(16, 13, 5), (39, 31, 10)], atol=0.02)
+
+
 def test_a_plan_reads_no_sample(run: Run) -> None:
     store("in.zarr", (64, 96))
     for chunk in Path("in.zarr/c").rglob("*"):

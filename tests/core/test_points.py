@@ -47,7 +47,7 @@ def agrees(strokes: list[Stroke], domain: Domain, points: Floats) -> None:
     np.testing.assert_allclose(matrices, slopes, rtol=1e-9, atol=1e-9)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(deformations())
 def test_forward_is_the_printed_equation(d: Deformation) -> None:
     agrees(reference.carried_out(d), d.domain, places(d, 80))
@@ -113,7 +113,7 @@ def test_any_number_of_points(count: int) -> None:
         np.testing.assert_allclose(part, all_of_it[:count], rtol=0, atol=1e-9)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(deformations())
 def test_the_inverse_undoes_the_map(d: Deformation) -> None:
     rows, finest = numbers(d.space.table), min(d.domain.spacing)

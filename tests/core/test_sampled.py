@@ -106,7 +106,7 @@ def test_inverses_are_within_their_error(
                 assert np.isfinite(found.error).all()
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     seed=st.integers(0, 2**32 - 1),
     tolerance=st.sampled_from([1e-6, 1e-3, 0.05, 0.5]),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import concurrent.futures
+import contextlib
 import errno
 import os
 import re
@@ -13,6 +14,7 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -27,6 +29,7 @@ pytest.importorskip("dask")
 from supple import Affine, Deformation, Recipe, Stroke, SuppleError  # noqa: E402
 from supple.blocks import Warp, boxes_of  # noqa: E402
 from supple.engines.base import Sampling  # noqa: E402
+from supple.errors import VolumeWarning  # noqa: E402
 from supple.fields import Placed  # noqa: E402
 from supple.files import plans, tasks  # noqa: E402
 from supple.files.grids import GridOptions  # noqa: E402
@@ -486,3 +489,47 @@ def test_planes_of_a_crop_that_hardly_move_are_asked_of_the_whole() -> None:
     with runner_of(Running()) as runner:
         assert plan_boxes(warp, boxes, runner) == warp.plan(boxes)
     assert 0 < sum(warp.plan(boxes)[0][0].copied) < 17
+
+
+def test_lengths_in_another_unit_are_told() -> None:
+    ome("in.zarr", "0.5", "zyx", (14, 40, 44), (4, 16, 16), unit="micrometer")
+    drag = Stroke.grab((14, 12, 4), to=(16, 13, 5), radius=0.002)
+    warp_store("in.zarr", "fine.zarr", Recipe(strokes=[drag]))
+    for radius, words in (
+        (2.0, r"2 mm is 45\.5 times in\.zarr, of 0\.044 x 0\.04 x 0\.014 mm"),
+        (5e-5, r"0\.05 times"),
+    ):
+        with pytest.warns(VolumeWarning, match=words), contextlib.suppress(SuppleError):
+            plan_file("in.zarr", Recipe(strokes=[replace(drag, radius=radius)]))
+
+
+@pytest.mark.parametrize("unit", ["um", "\u00b5m", "micron"])
+def test_units_that_many_files_have(unit: str) -> None:
+    ome("in.zarr", "0.5", "zyx", (14, 40, 44), (4, 16, 16), unit=unit)
+    assert np.allclose(open_image("in.zarr").spacing, 1e-3)
+
+
+def test_labels_are_not_mixed_in_silence() -> None:
+    values = ome("in.zarr", "0.5", "zyx", (14, 40, 44), (4, 16, 16))
+    areas = np.repeat(np.repeat(values[:, ::10, ::11], 10, 1), 11, 2)
+    zarr.open_group("in.zarr")["0"][...] = areas
+    with pytest.warns(VolumeWarning, match="in.zarr looks like a label map"):
+        warp_store("in.zarr", "mixed.zarr", DEEP)
+    made = warp_store("in.zarr", "kept.zarr", DEEP, options=VolumeOptions(labels=True))
+    assert np.isin(arrays(made.target)[0], areas).all()
+
+
+def test_label_images_are_told() -> None:
+    ome("in.zarr", "0.5", "zyx", (14, 40, 44), (4, 16, 16))
+    Path("in.zarr/labels").mkdir()
+    ome("in.zarr/labels/nuclei", "0.5", "zyx", (14, 40, 44), (4, 16, 16))
+    group = zarr.open_group("in.zarr")
+    group.create_group("labels", attributes={"ome": {"version": "0.5", "labels": ["nuclei"]}}, overwrite=False)
+    with pytest.warns(
+        VolumeWarning, match="label image nuclei of in.zarr is not carried over: .*in.zarr/labels/nuclei"
+    ):
+        warp_store("in.zarr", "out.zarr", DEEP)
+    label = zarr.open_group("in.zarr/labels/nuclei")
+    label.attrs["ome"] = {**label.attrs["ome"], "image-label": {}}
+    with pytest.warns(VolumeWarning, match="nuclei is a label map, and its labels are mixed"):
+        warp_store("in.zarr/labels/nuclei", "label.zarr", DEEP)

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import zarr
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from supple import SuppleError
@@ -727,7 +727,6 @@ def exact(values: Array, factors: list[int]) -> Array:
     return made
 
 
-@settings(deadline=None)
 @given(
     st.sampled_from(["?", "u1", "i1", "u2", ">i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8"]),
     st.lists(st.tuples(st.integers(1, 7), st.integers(1, 3)), min_size=1, max_size=3),

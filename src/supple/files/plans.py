@@ -244,8 +244,9 @@ def _axes_of_space(
 
 def _refuse_clip(source: PathLike, recipe: Recipe) -> None:
     if is_clip(source, source, recipe):
+        kind = "folder without a volume" if os.path.isdir(source) else "clip"
         raise SuppleError(
-            f"{shown(source)} is a clip, and blocks are of pictures, volumes and Zarr stores: give one of these"
+            f"{shown(source)} is a {kind}, and blocks are of pictures, volumes and Zarr stores: give one of these"
         )
 
 

@@ -232,7 +232,7 @@ class TestExifInTiff:
         assert not whole
         assert len(block) < 1000
 
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=150)
     @given(st.data(), st.sampled_from("<>"), st.booleans())
     def test_any_damage_comes_to_no_harm(self, tmp_path_factory, data, order, big):
         path = tmp_path_factory.getbasetemp() / "hurt.tif"
@@ -250,7 +250,7 @@ class TestExifInTiff:
             assert from_tiff(path)[1]
             np.testing.assert_array_equal(loaded(path)[0], smooth(4, 5))
 
-    @settings(max_examples=100, deadline=None)
+    @settings(max_examples=100)
     @given(st.data())
     def test_any_block_comes_to_no_harm(self, tmp_path_factory, data):
         path = tmp_path_factory.getbasetemp() / "block.tif"

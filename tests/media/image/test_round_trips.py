@@ -60,7 +60,7 @@ class TestRoundTrips:
         assert picture.alpha == alpha
         assert not alpha or np.array_equal(picture.pixels[..., 3], pixels[..., 1])
 
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30)
     @given(
         hnp.arrays(
             st.sampled_from([np.uint8, np.uint16]),

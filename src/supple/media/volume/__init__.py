@@ -64,8 +64,8 @@ def suffix_of(path: PathLike) -> str:
 def is_volume(path: PathLike) -> bool:
     """Return whether a file or folder is a volume: by its suffix, or, without one, by its first bytes.
 
-    A folder is one if it holds DICOM files, or a Zarr store, which `read` refuses. For TIFFs, see `has_pages`. A Radiance image, which also has the suffix
-    ``.hdr``, is not one.
+    A folder is one if it holds DICOM files, or a Zarr store, which `read` refuses. For TIFFs, see `has_pages`. A
+    Radiance image, which also has the suffix ``.hdr``, is not one.
     """
     suffix = suffix_of(path)
     if os.path.isdir(path):
