@@ -243,6 +243,14 @@ def test_xarray_on_another_grid() -> None:
     assert np.array_equal(made.values, np.stack([d.warp(each, grid=grid) for each in source.values]))
     turned = supple.Grid((20, 30), 1.0, (30.0, 2.0), [[0.6, -0.8], [0.8, 0.6]])
     assert set(warp(source, d, turned).coords) == {"t"}
+    # A part of what was there has the coordinates of that part.
+    part = warp(source, d, own.crop((7, 5), (20, 12)), {"y": 6})
+    assert part.chunks == ((1, 1, 1), (6, 6), (20,))
+    assert part.name is None
+    here = source.isel(y=slice(5, 17), x=slice(7, 27))
+    assert part.coords.to_dataset().identical(here.coords.to_dataset())
+    with pytest.raises(SuppleError, match="chunks must be sizes by the names of the axes, t, y, x"):
+        warp(source, d, chunks={"z": 4})
 
 
 # Laziness.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import operator
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -58,8 +58,9 @@ def warp(
     deformation : Deformation
     grid : Grid, optional
         The grid of the output; by default, that of the input.
-    chunks : int or tuple, optional
-        The chunks of the output, as in Dask; by default, those of the source.
+    chunks : int, tuple or dict, optional
+        The chunks of the output, as in Dask; by default, those of the source. Of a DataArray, a dict names axes; where
+        it leaves one out, blocks are whole along axes that are bent, and have one position of others.
     axes : sequence of int, optional
         The axes that are bent, in ascending order, side by side. By default the last ones, if they have the shape of
         the deformation, and the first ones otherwise, as of images with channels. Axes before them are carried along:
@@ -259,6 +260,10 @@ def _of_xarray(array: Any, job: Warp, chunks: Any, axes: Sequence[int] | None) -
     if not isinstance(array, xarray.DataArray):
         refuse("array", "a DataArray (choose a variable of the Dataset)", array)
     first = _first_axis(array.shape, job.deformation.shape, axes)
+    if isinstance(chunks, Mapping):
+        if not set(chunks) <= set(array.dims):
+            refuse("chunks", f"sizes by the names of the axes, {', '.join(map(str, array.dims))}", chunks)
+        chunks = tuple(chunks.get(name, 1 if axis < first else -1) for axis, name in enumerate(array.dims))
     made = _warped(array.data, job, chunks, first, 5)
     bent = array.dims[first : first + job.deformation.ndim]
     coords = dict(array.coords)
@@ -271,4 +276,6 @@ def _of_xarray(array: Any, job: Warp, chunks: Any, axes: Sequence[int] | None) -
         if np.array_equal(grid.direction, np.eye(grid.ndim)):
             for dim, size, step, start in zip(bent[::-1], grid.sizes, grid.spacing, grid.origin, strict=True):
                 coords[dim] = (dim, start + step * np.arange(size))
-    return xarray.DataArray(made, coords, array.dims, array.name, array.attrs)
+    result = xarray.DataArray(made, coords, array.dims, attrs=array.attrs)
+    result.name = array.name  # without one, it would be that of Dask's array
+    return result

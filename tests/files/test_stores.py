@@ -6,6 +6,7 @@ import asyncio
 import concurrent.futures
 import contextlib
 import errno
+import itertools
 import os
 import re
 import shutil
@@ -13,9 +14,9 @@ import signal
 import subprocess
 import sys
 import textwrap
+import time
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -142,7 +143,7 @@ def test_stores_are_warped_as_arrays_are(version: str, case: str) -> None:
     assert np.array_equal(levels[0], whole(made, values))
     assert not np.array_equal(levels[0], values)
     assert made.blocks > 1
-    for fine, coarse in pairwise(levels):
+    for fine, coarse in itertools.pairwise(levels):
         assert np.array_equal(coarse, reduced(fine, [2 if n in "yx" else 1 for n in axes], "mean"))
     source, target = zarr.open("in.zarr"), zarr.open("out.zarr")
     assert dict(source.attrs) == dict(target.attrs)
@@ -402,7 +403,7 @@ def test_a_worker_that_does_not_see_the_folders(tmp_path: Path) -> None:
         if step == "plan" and os.path.exists("in.zarr"):
             shutil.move("in.zarr", "away.zarr")
 
-    with pytest.raises(SuppleError, match=r"a worker does not see in\.zarr"):
+    with pytest.raises(SuppleError, match=r"in\.zarr is gone, or a worker does not see it"):
         warp_store("in.zarr", "out.zarr", FLAT, tell=moved)
 
 
@@ -533,3 +534,56 @@ def test_label_images_are_told() -> None:
     label.attrs["ome"] = {**label.attrs["ome"], "image-label": {}}
     with pytest.warns(VolumeWarning, match="nuclei is a label map, and its labels are mixed"):
         warp_store("in.zarr/labels/nuclei", "label.zarr", DEEP)
+
+
+def test_another_input_of_the_same_shape_is_another_job(monkeypatch: pytest.MonkeyPatch) -> None:
+    plain("in.zarr", RNG.random((40, 44)), (16, 16))
+    with monkeypatch.context() as patch:
+        patch.setattr(Target, "finish", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            warp_store("in.zarr", "out.zarr", FLAT)
+    shutil.rmtree("in.zarr")
+    plain("in.zarr", RNG.random((40, 44)), (16, 16))
+    with pytest.raises(SuppleError, match="unfinished output of another job"):
+        warp_store("in.zarr", "out.zarr", FLAT)
+
+
+def stopped(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_axes_of_space_in_another_order_are_refused() -> None:
+    ome("in.zarr", "0.5", "xy", (40, 44), (16, 16))
+    with pytest.raises(SuppleError, match=r"in\.zarr: its axes of space are x, y, in this order: store them .* y, x"):
+        warp_store("in.zarr", "out.zarr", FLAT)
+
+
+def test_no_task_goes_on_after_an_error() -> None:
+    begun, ready = itertools.count(), []
+
+    def work(_: object, item: int) -> None:
+        if next(begun) == 0:
+            raise SuppleError("this one")
+        time.sleep(0.2)
+        ready.append(item)
+
+    with runner_of(Running()) as runner, pytest.raises(SuppleError, match="this one"):
+        runner.each(work, None, range(100), lambda: None)
+    count = len(ready)
+    assert count < 50
+    time.sleep(0.5)
+    assert len(ready) == count
+
+
+def test_processes_that_do_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed")
+
+    def failing(**_: object) -> None:
+        raise RuntimeError("Nanny failed to start.")
+
+    monkeypatch.setattr(distributed, "LocalCluster", failing)
+    with (
+        pytest.raises(SuppleError, match=r"2 processes do not start \(Nanny failed.*__main__"),
+        runner_of(Running(workers=2)),
+    ):
+        pass

@@ -156,6 +156,7 @@ def _facts(made: WarpedStore) -> dict[str, Any]:
         "done": made.done,
         "copied": made.copied,
         "read": made.read,
+        "copied_bytes": made.copied_bytes,
         "spacing": list(grid.spacing),
         "tolerance": made.tolerance,
         "error": _finite(made.error),

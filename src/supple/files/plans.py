@@ -24,6 +24,7 @@ from supple.files.grids import GridOptions, grid_on, warn_of_place
 from supple.files.tasks import Runner, Running, runner_of
 from supple.files.volumes import VolumeOptions, deformation_of, sampling_of
 from supple.geometry import Geometry, Grid
+from supple.media.files import unreadable
 from supple.media.stores import Samples, StoredImage, is_store, like_file, open_image
 from supple.media.volume import Volume
 from supple.pipeline import Tell
@@ -186,7 +187,7 @@ def plan_file(
                     copied += leads
                     held += count * positions
                     continue
-                part = _whole(one.part, medium.space, chunks and chunks[carried:]) * item
+                part = whole_chunks(one.part, medium.space, chunks and chunks[carried:]) * item
                 read += part * positions
                 most = max(most, (part + math.prod(b - a for a, b in one.part) * item + 2 * count) * each)
     warn_of(certificate, warp.sampling.tolerance, 3, folds_of(maps), only_name(maps))
@@ -219,6 +220,7 @@ def open_source(
         image = open_image(source)
         n = _axes_of_space(source, len(image.spatial), recipe, maps, grid)
         image = image if n == len(image.spatial) else open_image(source, ndim=n)
+        _check_order(image)
         return Source(image, medium_of(image), image.levels[0].array)
     _refuse_clip(source, recipe)
     samples = Samples(source, raw=known.layout, series=known.series)
@@ -226,6 +228,18 @@ def open_source(
     geometry = samples.geometry if n == 3 else None
     medium = Medium(shown(source), samples.shape, samples.dtype, geometry)
     return Source(like_file(source, samples, ndim=n), medium, samples)
+
+
+def _check_order(image: StoredImage) -> None:
+    """Raise SuppleError for axes that are named otherwise than points are meant: x along the last one."""
+    names = [image.axes[axis].name.lower() for axis in image.spatial]
+    usual = list("zyx"[-len(names) :])
+    if sorted(names) == sorted(usual) and names != usual:
+        raise unreadable(
+            image.address,
+            f"its axes of space are {', '.join(names)}, in this order",
+            f"store them in the order {', '.join(usual)}, as OME-Zarr has them",
+        )
 
 
 def _axes_of_space(
@@ -367,7 +381,7 @@ def plan_boxes(warp: Warp, boxes: Sequence[Box], runner: Runner) -> tuple[list[B
     return warp.plan(boxes, each)
 
 
-def _whole(part: Box, shape: Sequence[int], chunks: Sequence[int] | None) -> int:
+def whole_chunks(part: Box, shape: Sequence[int], chunks: Sequence[int] | None) -> int:
     """Return the number of samples of the chunks that a part meets."""
     if chunks is None:
         return math.prod(b - a for a, b in part)

@@ -22,13 +22,13 @@ from supple.fields import Field, Placed, folds_of, only_name
 from supple.files import plans
 from supple.files.bijections import Begun, SavedField, begin_field, check_field, is_scene, write_field
 from supple.files.grids import GridOptions
-from supple.files.plans import Medium, Source, chunks_of, open_source, plan_boxes, task_shape, warp_on
+from supple.files.plans import Medium, Source, chunks_of, open_source, plan_boxes, task_shape, warp_on, whole_chunks
 from supple.files.tasks import Runner, Running, check_seen, check_shared, runner_of
 from supple.files.transforms import write_transform
 from supple.files.volumes import VolumeOptions, warn_of_labels
 from supple.geometry import Geometry, Grid
 from supple.media.files import check_store, replacing, unwritable
-from supple.media.stores import Level, Place, StoredImage, Target, create, is_begun
+from supple.media.stores import ROOTS, Level, Place, StoredImage, Target, create, is_begun
 from supple.media.transforms.ngff import Placement
 from supple.pipeline import Tell
 from supple.strokes import Fit, Recipe
@@ -66,7 +66,9 @@ class WarpedStore:
     copied : int
         Blocks whose chunks were copied as they were compressed.
     read : int
-        Bytes of samples that were read, decoded, and of chunks that were copied.
+        Bytes of the samples that were read, uncompressed, without copies: whole chunks, as often as they are read.
+    copied_bytes : int
+        Bytes of the chunks that were copied, compressed.
     grid : Grid, optional
         The grid of the output, if it is not that of the input.
     folded, outside, unsolved : int
@@ -87,6 +89,7 @@ class WarpedStore:
     done: int
     copied: int
     read: int
+    copied_bytes: int
     grid: Grid | None = None
     folded: int = 0
     outside: int = 0
@@ -102,7 +105,7 @@ class WarpedStore:
 class Work:
     """What all tasks of a job share: a few kilobytes, and the fields of the map."""
 
-    address: str
+    place: Place  # of the input; workers may run in another folder
     samples: Any  # it is sliced
     level: Level | None  # whose chunks may be copied; None of a file
     carried: int  # the number of axes that are carried along
@@ -115,6 +118,7 @@ class _Counts:
     done: int = 0
     copied: int = 0
     read: int = 0
+    copied_bytes: int = 0
     certificate: Certificate = field(default_factory=lambda: Certificate(0.0, 0.0))
 
 
@@ -193,7 +197,14 @@ def warp_store(
         made = create(target, image, force=force, job=job, **placement)
         mapping = None if saving is None else saving.claimed(force)
         level = None if opened.is_file else image.levels[0]
-        work = Work(image.address, opened.samples, level, len(image.axes) - len(image.spatial), made, warp)
+        work = Work(
+            Place(image.address),
+            opened.samples,
+            level,
+            len(image.axes) - len(image.spatial),
+            made,
+            warp,
+        )
         saved = None if mapping is None else write_field(mapping, runner, tell, maps)
         counts, blocks = _write_blocks(work, runner, tell, maps, begun, warn=saved is None)
         _write_levels(work, runner, tell, "nearest" if known.labels else "mean")
@@ -208,7 +219,8 @@ def warp_store(
         made.finish()
     return WarpedStore(
         os.fspath(source), os.fspath(target), warp.deformation, medium.geometry, tolerance, found.error,
-        tuple(made.arrays[0].shape), len(made.arrays), blocks, counts.done, counts.copied, counts.read, warp.grid,
+        tuple(made.arrays[0].shape), len(made.arrays), blocks, counts.done, counts.copied, counts.read,
+        counts.copied_bytes, warp.grid,
         found.folded, found.outside, found.unknown, saved,
     )  # fmt: skip
 
@@ -313,7 +325,7 @@ def _job(source: Source, warp: Warp, recipe: Recipe, options: VolumeOptions) -> 
         "sampling": repr(warp.sampling),
         "options": repr(options),
         "grid": [grid.shape, grid.spacing, grid.origin, grid.direction, grid.first],
-        "changed": os.stat(image.address).st_mtime_ns if source.is_file else 0,
+        "changed": _changed(image),
     }
     digest = hashlib.sha256(json.dumps(told, sort_keys=True, default=float).encode())
     for each in deformation.maps:
@@ -325,6 +337,15 @@ def _job(source: Source, warp: Warp, recipe: Recipe, options: VolumeOptions) -> 
         else:
             digest.update(np.ascontiguousarray(held.matrix).data)
     return f"warp {address}, {digest.hexdigest()}"
+
+
+def _changed(image: StoredImage) -> list[int]:
+    """Return when the metadata of a store in a folder were written, or a file; samples of a store are not looked at."""
+    folder = Place(image.address).folder
+    if folder is None:
+        return []
+    places = [folder, *(folder / level.path / name for level in image.levels for name in ROOTS)]
+    return [os.stat(place).st_mtime_ns for place in places if place.is_file()]
 
 
 def _write_blocks(
@@ -366,10 +387,11 @@ def _write_blocks(
             warn_of(certificate, work.warp.sampling.tolerance, 4, folds_of(maps), only_name(maps))
         items = itertools.product(leads, blocks)
         while some := list(itertools.islice(items, _AT_ONCE)):
-            for done, copied, read in runner.each(_warp_block, work, some, advance):
+            for done, copied, count in runner.each(_warp_block, work, some, advance):
                 counts.done += done
                 counts.copied += copied
-                counts.read += read
+                counts.copied_bytes += count if copied else 0
+                counts.read += 0 if copied else count
     counts.certificate = certificate
     return counts, total
 
@@ -381,10 +403,10 @@ def _is_there(work: Work, item: tuple[list[Box], list[Box]]) -> bool:
 
 
 def _warp_block(work: Work, item: tuple[Box, Block]) -> tuple[bool, bool, int]:
-    """Write a block; return whether it was there, whether it was copied, and the bytes that were read."""
+    """Write a block; return whether it was there, whether it was copied, and the bytes of what was read or copied."""
     lead, block = item
     target = work.target
-    _check_seen(work.address, target)
+    _check_seen(work.place, target)
     box = (*lead, *block.box)
     if target.is_done(0, box):
         return True, False, 0
@@ -392,22 +414,22 @@ def _warp_block(work: Work, item: tuple[Box, Block]) -> tuple[bool, bool, int]:
         count = target.copy(0, box, work.level)
         if count is not None:
             return False, True, count
-    place = Place(work.address)
-    with place.reading(f"samples of it cannot be decoded, at {_told((*lead, *block.part))}"):
+    with work.place.reading(f"samples of it cannot be decoded, at {_told((*lead, *block.part))}"):
         part = np.asarray(work.samples[tuple(slice(*each) for each in (*lead, *block.part))])
     made, _ = work.warp.along(part, block, work.carried)
     target.write(0, box, made)
-    return False, False, part.nbytes
+    read = whole_chunks((*lead, *block.part), work.samples.shape, work.samples.chunks)
+    return False, False, read * part.itemsize
 
 
 def _told(box: Box) -> str:
     return ", ".join(f"{a}:{b}" for a, b in box)
 
 
-def _check_seen(address: str, target: Target) -> None:
+def _check_seen(source: Place, target: Target) -> None:
     """Raise SuppleError on a worker that does not see the folders."""
-    for name, place in ((address, Place(address)), (target.address, target.site)):
-        check_seen(name, place.folder)
+    check_seen(source.address, source.folder)
+    check_seen(target.address, target.site.folder)
 
 
 def _write_levels(work: Work, runner: Runner, tell: Tell, mode: str) -> None:
@@ -432,6 +454,6 @@ def _write_levels(work: Work, runner: Runner, tell: Tell, mode: str) -> None:
 
 def _reduce_block(work: Work, item: tuple[int, Box, Any]) -> None:
     level, box, mode = item
-    _check_seen(work.address, work.target)
+    _check_seen(work.place, work.target)
     if not work.target.is_done(level, box):
         work.target.reduce(level, box, mode)

@@ -10,6 +10,7 @@ import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -130,8 +131,12 @@ class _Threads:
         graph = {("supple", k): (functools.partial(function, job, item),) for k, item in enumerate(items)}
         if not graph:
             return []
-        with Callback(posttask=lambda *rest: advance()):  # type: ignore[no-untyped-call]
-            return list(dask.threaded.get(graph, list(graph), num_workers=self.slots))
+        pool = ThreadPoolExecutor(self.slots)
+        try:
+            with Callback(posttask=lambda *rest: advance()):  # type: ignore[no-untyped-call]
+                return list(dask.threaded.get(graph, list(graph), pool=pool))
+        finally:
+            pool.shutdown(cancel_futures=True)  # after an error, no task goes on writing
 
 
 class _Distributed:
@@ -207,10 +212,16 @@ def _processes(count: int) -> Iterator[Runner]:
     # Each process has its share of the cores: tasks side by side, since chunks are decoded by one thread each.
     share = max(1, round(threads() / count))
     with _ignored():
-        cluster = distributed.LocalCluster(
-            n_workers=count, threads_per_worker=share, processes=True, dashboard_address="127.0.0.1:0",
-            silence_logs=logging.CRITICAL, env={"SUPPLE_THREADS": str(share)}, preload=[__name__],
-        )  # fmt: skip
+        try:
+            cluster = distributed.LocalCluster(
+                n_workers=count, threads_per_worker=share, processes=True, dashboard_address="127.0.0.1:0",
+                silence_logs=logging.CRITICAL, env={"SUPPLE_THREADS": str(share)}, preload=[__name__],
+            )  # fmt: skip
+        except (OSError, RuntimeError) as error:
+            raise SuppleError(
+                f"{count} processes do not start ({_said(error)}): give fewer workers; and in a script, call this "
+                'under if __name__ == "__main__":, since they import it'
+            ) from error
     try:
         client = distributed.Client(cluster, timeout=_PATIENCE)
         try:
@@ -274,8 +285,8 @@ def check_seen(name: str, folder: Path | None) -> None:
     """Raise SuppleError on a worker that does not see a folder, to Zarr a store of fill values, or a file."""
     if folder is not None and not folder.exists():
         raise SuppleError(
-            f"a worker does not see {shown(name)}: give addresses that all workers reach, and start them where "
-            "these are"
+            f"{shown(name)} is gone, or a worker does not see it: give addresses that all workers reach, and start "
+            "them where these are"
         )
 
 

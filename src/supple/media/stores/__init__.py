@@ -3,12 +3,13 @@
 from supple.media.stores.claims import NOTES, check_free, is_begun
 from supple.media.stores.image import Level, StoredAxis, StoredImage, open_image
 from supple.media.stores.inputs import like_file
-from supple.media.stores.places import Place, is_store
+from supple.media.stores.places import ROOTS, Place, is_store
 from supple.media.stores.samples import Samples
 from supple.media.stores.target import Target, create, create_arrays
 
 __all__ = [
     "NOTES",
+    "ROOTS",
     "Level",
     "Place",
     "Samples",

@@ -105,7 +105,8 @@ class Samples:
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the file, which is opened again."""
-        return {name: value for name, value in self.__dict__.items() if name not in ("_held", "_lock")}
+        state = {name: value for name, value in self.__dict__.items() if name not in ("_held", "_lock")}
+        return {**state, "_path": os.path.abspath(self._path)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Be closed; the file is opened when a part is asked for."""
