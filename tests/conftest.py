@@ -35,6 +35,10 @@ LONGEST = (
     "pipeline/test_streaming.py",
     "examples/test_gallery.py",
     "engines/wgpu/test_parity.py",
+    "engines/wgpu/test_images.py",
+    "engines/wgpu/test_clips.py",
+    "viewer/test_panels.py",
+    "examples/test_examples.py",
 )
 
 

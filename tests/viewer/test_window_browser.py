@@ -55,13 +55,13 @@ def edited_there(browser: Browser, saved: Path, made: Path) -> tuple[Stroke, ...
     time.sleep(1)
     browser.key("z", 90, 2)
     browser.key("s", 83, 2)
-    wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=2.0)
+    wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=0.5)
     (stroke,) = recipe_in(saved).strokes
     assert np.linalg.norm(stroke.by) > 2
     again = ("y", 89, 2), ("s", 83, 2)
-    wait_for(lambda: [browser.key(*key) for key in again] and len(recipe_in(saved).strokes) == 2, every=1.5)
+    wait_for(lambda: [browser.key(*key) for key in again] and len(recipe_in(saved).strokes) == 2, every=0.5)
     browser.key("e", 69, 2)
-    wait_for(lambda: browser.key("Enter", 13) or made.exists(), every=2.0)
+    wait_for(lambda: browser.key("Enter", 13) or made.exists(), every=0.5)
     browser.key("Escape", 27)
     browser.mouse("mouseMoved", 900, 600)
     return recipe_in(saved).strokes
@@ -74,7 +74,7 @@ def undone_and_opened(browser: Browser, bent: Callable[[], bool], plain: Callabl
         browser.key("z", 90, 2)
     wait_for(plain)
     browser.key("o", 79, 2)
-    wait_for(lambda: browser.key("Enter", 13) or bent(), every=2.0)
+    wait_for(lambda: browser.key("Enter", 13) or bent(), every=0.5)
 
 
 def test_a_photograph_in_a_browser(gpu: Gpu, photo: Path, state: Path) -> None:

@@ -27,13 +27,12 @@ AREA = (SIZE[0] - WIDE, SIZE[1] - LINE)
 
 
 def edited(
-    source: Path, mouse: Mouse, stem: str, target: str, first: Callable[[Mouse], None], pause: float = 0.6
+    source: Path, stem: str, target: str, first: Callable[[Mouse], None], pause: float = 0.6
 ) -> tuple[Pixels, Recipe]:
     """Drag, undo, redo, save and export, by hand; what is seen in the end, and the recipe that was saved."""
     folder = source.parent
     saved, made = folder / f"{stem}.recipe.json", folder / target
-    with viewing(str(source), folder=folder, display=mouse.display):
-        wait_for(mouse.window)
+    with a_screen(folder / "screen") as mouse, viewing(str(source), folder=folder, display=mouse.display):
         mouse.settled()
         first(mouse)
         mouse.drag((400, 380), (440, 350))
@@ -43,30 +42,28 @@ def edited(
         mouse.do("key", "ctrl+z")
         time.sleep(pause)
         mouse.do("key", "ctrl+s")
-        wait_for(lambda: mouse.enter() or saved.exists(), every=1.0)
+        wait_for(lambda: mouse.enter() or saved.exists(), every=0.5)
         assert len(recipe_in(saved).strokes) == 1
         # What is pressed while a question is still seen is not for the picture.
-        wait_for(lambda: mouse.do("key", "ctrl+shift+z", "ctrl+s") or len(recipe_in(saved).strokes) == 2, every=1.5)
+        wait_for(lambda: mouse.do("key", "ctrl+shift+z", "ctrl+s") or len(recipe_in(saved).strokes) == 2, every=0.5)
         mouse.do("key", "ctrl+e")
-        wait_for(lambda: mouse.enter() or made.exists(), every=1.0)
+        wait_for(lambda: mouse.enter() or made.exists(), every=0.5)
         mouse.do("key", "Escape")
         mouse.do("mousemove", 1100, 780)
         seen = mouse.settled()
-    # What was saved is opened again, and looks as it did.
-    with viewing(str(source), folder=folder, display=mouse.display):
-        wait_for(mouse.window)
+    # What was saved is opened again, on a screen that has shown nothing yet, and looks as it did.
+    with a_screen(folder / "again") as mouse, viewing(str(source), folder=folder, display=mouse.display):
         plain = mouse.settled()
         first(mouse)
         mouse.do("key", "ctrl+o")
         mouse.do("mousemove", 1100, 780)
-        wait_for(lambda: mouse.enter() or near(mouse.shown(), seen, np.s_[: AREA[1] - BAR, : AREA[0]]) < 0.5, every=1.0)
+        wait_for(lambda: mouse.enter() or near(mouse.shown(), seen, np.s_[: AREA[1] - BAR, : AREA[0]]) < 0.5, every=0.5)
         assert near(plain, seen, np.s_[: AREA[1] - BAR, : AREA[0]]) > 5
     return seen, recipe_in(saved)
 
 
 def test_a_photograph_by_a_real_pointer(gpu: Gpu, photo: Path, state: Path) -> None:
-    with a_screen(state) as mouse:
-        seen, recipe = edited(photo, mouse, "photo", "photo-bent.png", lambda mouse: mouse.do("key", "1") and None)
+    seen, recipe = edited(photo, "photo", "photo-bent.png", lambda mouse: mouse.do("key", "1") and None)
     assert recipe.strokes[0].by == pytest.approx((40, -30), abs=0.01)
     wanted = warped(photo, "wanted.png", state / "photo.recipe.json")
     made = image.read(state / "photo-bent.png").pixels
@@ -82,8 +79,7 @@ def test_a_clip_by_a_real_pointer(gpu: Gpu, clip: Path, state: Path) -> None:
         mouse.do("key", "1", "Home", *["Right"] * 8)
         time.sleep(0.5)
 
-    with a_screen(state) as mouse:
-        seen, recipe = edited(clip, mouse, "clip", "clip-bent.mp4", first)
+    seen, recipe = edited(clip, "clip", "clip-bent.mp4", first)
     assert [stroke.at[2] for stroke in recipe.strokes] == [8, 8]
     assert recipe.strokes[0].by == pytest.approx((40, -30, 0), abs=0.01)
     made, wanted = (
@@ -98,8 +94,7 @@ def test_a_clip_by_a_real_pointer(gpu: Gpu, clip: Path, state: Path) -> None:
 
 
 def test_a_volume_by_a_real_pointer(gpu: Gpu, volume: Path, state: Path) -> None:
-    with a_screen(state) as mouse:
-        seen, recipe = edited(volume, mouse, "head", "head-bent.nii.gz", lambda mouse: None, 1.5)
+    seen, recipe = edited(volume, "head", "head-bent.nii.gz", lambda mouse: None, 1.5)
     assert all(np.linalg.norm(stroke.by) > 2 for stroke in recipe.strokes)
     saved = state / "head.recipe.json"
     made, wanted = (

@@ -167,8 +167,9 @@ def viewing(*arguments: str, folder: Path, display: str = "") -> Iterator[subpro
 
 @contextmanager
 def a_screen(folder: Path) -> Iterator[Mouse]:
-    """A screen of its own, by Xvfb, with a pointer; what is on it lies in a folder."""
+    """A screen of its own, by Xvfb, with a pointer; what is on it lies in a new folder."""
     needs("Xvfb", "xdotool")
+    folder.mkdir()
     read, write = os.pipe()
     server = subprocess.Popen(
         ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x800x24", "-nolisten", "tcp", "-fbdir", str(folder)],
@@ -197,11 +198,6 @@ class Mouse:
         )
         return made.stdout
 
-    def window(self) -> bool:
-        """Whether there is a window of ours."""
-        made = subprocess.run(["xdotool", "search", "--name", "Supple"], env=self.env, capture_output=True, check=False)
-        return bool(made.stdout.strip())
-
     def shown(self) -> Pixels:
         """What is on the screen: a header, colours that are not used, and words of blue, green, red and nothing."""
         data = self._memory.read_bytes()
@@ -210,8 +206,12 @@ class Mouse:
         pixels = np.frombuffer(data, np.uint8, int(line * rows), int(head[0] + 12 * colours))
         return np.ascontiguousarray(pixels.reshape(rows, line // 4, 4)[:, :columns, 2::-1])
 
-    def settled(self, seconds: float = 60.0) -> Pixels:
-        """What is on the screen, once there is something and it stays as it is."""
+    def settled(self, seconds: float = 240.0) -> Pixels:
+        """What is on the screen, once there is something and it stays as it is.
+
+        No window is asked for: the screen begins anew after each program that was alone on it, such as xdotool, and
+        refuses a window that comes just then.
+        """
         last, times = self.shown(), 0
 
         def still() -> bool:
