@@ -24,7 +24,7 @@ SAYS = {
     ],
     "warp_large": [
         "36 blocks of (32, 32, 32)",
-        "the blocks are equal to the whole, bit for bit",
+        "both are equal to the whole, bit for bit",
         "at 4 mm: (46, 55, 46) instead of (91, 109, 91)",
     ],
 }

@@ -376,6 +376,7 @@ def _write_blocks(
             there_already = (sum(map(len, portion)) - sum(map(len, wanted))) * len(leads)
             counts.done += there_already
             ready += there_already
+            tell("warp", ready, total)
         boxes = list(itertools.chain.from_iterable(wanted))
         planned += sum(map(len, portion))
         blocks: list[Block] = []
