@@ -32,7 +32,7 @@ def main(folder: Path) -> None:
     print(f"source points are known within {made.field.forward:.2g} voxels; the way back is explicit")
     head, bent = (zarr.open_group(folder / name, mode="r")["0"] for name in ("head.zarr", "bent.zarr"))
 
-    # The same by Dask: nothing is sampled before it is asked for. Along depth, volumes are filtered as along the others.
+    # The same by Dask: nothing is sampled before it is asked for. Along depth, volumes are filtered as across.
     volume = {"between": "cubic", "time_filter": True}
     lazy = supple.dask.warp(head, made.deformation, chunks=32, **volume)
     print(f"{lazy.npartitions} blocks of {lazy.chunksize}")

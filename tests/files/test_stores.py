@@ -520,18 +520,27 @@ def test_labels_are_not_mixed_in_silence() -> None:
     assert np.isin(arrays(made.target)[0], areas).all()
 
 
-def test_label_images_are_told() -> None:
-    ome("in.zarr", "0.5", "zyx", (14, 40, 44), (4, 16, 16))
-    Path("in.zarr/labels").mkdir()
-    ome("in.zarr/labels/nuclei", "0.5", "zyx", (14, 40, 44), (4, 16, 16))
-    group = zarr.open_group("in.zarr")
-    group.create_group("labels", attributes={"ome": {"version": "0.5", "labels": ["nuclei"]}}, overwrite=False)
-    with pytest.warns(
-        VolumeWarning, match="label image nuclei of in.zarr is not carried over: .*in.zarr/labels/nuclei"
-    ):
-        warp_store("in.zarr", "out.zarr", DEEP)
+@pytest.mark.parametrize("version", ["0.4", "0.5"])
+def test_label_images_are_bent_with_their_image(version: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    ome("in.zarr", version, "tzyx", (2, 14, 40, 44), (1, 4, 16, 16))
+    names = ["nuclei", "coarse"]
+    listed = {"labels": names} if version == "0.4" else {"ome": {"version": version, "labels": names}}
+    zarr.open_group("in.zarr").create_group("labels", attributes=listed)
+    values = ome("in.zarr/labels/nuclei", version, "zyx", (14, 40, 44), (4, 16, 16))
+    ome("in.zarr/labels/coarse", version, "zyx", (14, 20, 22), (4, 16, 16))
+    with monkeypatch.context() as patch:
+        patch.setattr(Target, "finish", stopped)
+        with pytest.raises(KeyboardInterrupt), pytest.warns(VolumeWarning, match="coarse"):
+            warp_store("in.zarr", "out.zarr", DEEP)
+    with pytest.warns(VolumeWarning, match="label image coarse of in.zarr is on another grid, and not carried over"):
+        made = warp_store("in.zarr", "out.zarr", DEEP)
+    assert made.labels == ("nuclei",)
+    found = arrays("out.zarr/labels/nuclei")
+    assert np.array_equal(found[0], made.deformation.warp(values, filter="nearest", between="nearest"))
+    assert np.array_equal(found[1], found[0][:, ::2, ::2])
+    assert open_image("out.zarr").labels == ("nuclei",)
     label = zarr.open_group("in.zarr/labels/nuclei")
-    label.attrs["ome"] = {**label.attrs["ome"], "image-label": {}}
+    label.attrs["image-label" if version == "0.4" else "ome"] = {**label.attrs.get("ome", {}), "image-label": {}}
     with pytest.warns(VolumeWarning, match="nuclei is a label map, and its labels are mixed"):
         warp_store("in.zarr/labels/nuclei", "label.zarr", DEEP)
 

@@ -79,6 +79,8 @@ def warp_stored(
     if made.done:
         what = f"{made.done} of {made.blocks} blocks were there already"
         console.note(f"{shown(target)}: {what}, of a job that was interrupted")
+    if made.labels:
+        console.note(f"{shown(target)}: the label images {', '.join(made.labels)} are bent with it")
     if made.grid is not None:
         units = "mm" if made.geometry is not None and made.geometry.convention != "array" else "pixels"
         console.note(f"{shown(target)} is written on {describe_grid(grid_facts(made.grid), units)}")
@@ -152,6 +154,7 @@ def _facts(made: WarpedStore) -> dict[str, Any]:
         **dict(zip(("width", "height", "depth"), grid.sizes, strict=False)),
         "shape": list(made.shape),
         "levels": made.levels,
+        "labels": list(made.labels),
         "blocks": made.blocks,
         "done": made.done,
         "copied": made.copied,

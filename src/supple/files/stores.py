@@ -28,7 +28,17 @@ from supple.files.transforms import write_transform
 from supple.files.volumes import VolumeOptions, warn_of_labels
 from supple.geometry import Geometry, Grid
 from supple.media.files import check_store, replacing, unwritable
-from supple.media.stores import ROOTS, Level, Place, StoredImage, Target, create, is_begun
+from supple.media.stores import (
+    LABELS,
+    ROOTS,
+    Level,
+    Place,
+    StoredImage,
+    Target,
+    create,
+    is_begun,
+    is_written,
+)
 from supple.media.transforms.ngff import Placement
 from supple.pipeline import Tell
 from supple.strokes import Fit, Recipe
@@ -59,6 +69,8 @@ class WarpedStore:
         The shape of the output, of all axes.
     levels : int
         The number of its levels.
+    labels : tuple of str
+        The label images that were bent with it.
     blocks : int
         The number of blocks of the finest level.
     done : int
@@ -85,6 +97,7 @@ class WarpedStore:
     error: float
     shape: tuple[int, ...]
     levels: int
+    labels: tuple[str, ...]
     blocks: int
     done: int
     copied: int
@@ -144,7 +157,8 @@ def warp_store(
     The output of a store is of its format: chunks, shards, codecs, levels and metadata. That of a file is an OME-Zarr
     image of version 0.5. Each task reads the part of the input that its block needs; blocks of a store that no stroke
     reaches are copied as they are compressed. If the work is interrupted, the same call goes on with it. The result
-    equals that of `Deformation.warp`, bit for bit.
+    equals that of `Deformation.warp`, bit for bit. Label images in an OME-Zarr image, on its grid, are bent with it,
+    and keep their labels.
 
     Parameters
     ----------
@@ -208,6 +222,18 @@ def warp_store(
         saved = None if mapping is None else write_field(mapping, runner, tell, maps)
         counts, blocks = _write_blocks(work, runner, tell, maps, begun, warn=saved is None)
         _write_levels(work, runner, tell, "nearest" if known.labels else "mean")
+    labels = _labels(opened, recipe, maps, grid)
+    if labels:
+        made.put_labels(labels, image.version)
+    for name in labels:
+        here, there = (f"{address.rstrip('/')}/{LABELS}/{name}" for address in (image.address, made.site.address))
+        if not is_written(there):
+            with warnings.catch_warnings():  # what is wrong with the map is told already
+                warnings.simplefilter("ignore")
+                warp_store(
+                    here, there, recipe, tolerance=tolerance, outside=outside, fill=fill, fit=fit, maps=maps,
+                    grid=grid, options=replace(known, labels=True, save_field=None), running=where, tell=tell,
+                )  # fmt: skip
     found = counts.certificate
     if mapping is not None:
         mapping.target.finish(keep=True)  # the same job knows it, if it ends before the next line
@@ -219,22 +245,34 @@ def warp_store(
         made.finish()
     return WarpedStore(
         os.fspath(source), os.fspath(target), warp.deformation, medium.geometry, tolerance, found.error,
-        tuple(made.arrays[0].shape), len(made.arrays), blocks, counts.done, counts.copied, counts.read,
+        tuple(made.arrays[0].shape), len(made.arrays), labels, blocks, counts.done, counts.copied, counts.read,
         counts.copied_bytes, warp.grid,
         found.folded, found.outside, found.unknown, saved,
     )  # fmt: skip
 
 
-def _warn_of_labels(source: Source, warp: Warp) -> None:
-    """Warn of labels that are mixed, and of label images beside an image, which are not carried over."""
-    image, medium, n = source.image, source.medium, len(source.medium.space)
-    for name in image.labels:
+def _labels(
+    source: Source, recipe: Recipe, maps: Sequence[Placed], grid: GridOptions | None
+) -> tuple[str, ...]:  # fmt: skip
+    """Return the names of the label images that are bent with an image: strokes are for its grid alone."""
+    names = []
+    for name in source.image.labels:
+        own = open_source(f"{source.image.address.rstrip('/')}/{LABELS}/{name}", recipe, maps=maps, grid=grid).medium
+        if own.space == source.medium.space and own.grid == source.medium.grid:
+            names.append(name)
+            continue
         warnings.warn(
-            f"the label image {name} of {medium.name} is not carried over: bend it with the same strokes and --labels "
-            f"({medium.name.rstrip('/')}/labels/{name})",
+            f"the label image {name} of {source.medium.name} is on another grid, and not carried over: bend it by "
+            "itself, with --labels",
             VolumeWarning,
             stacklevel=3,
         )
+    return tuple(names)
+
+
+def _warn_of_labels(source: Source, warp: Warp) -> None:
+    """Warn of labels that are mixed."""
+    image, medium, n = source.image, source.medium, len(source.medium.space)
     if warp.sampling.filter == "nearest" or warp.deformation.is_identity or n == 2:
         return
     middle = [(max(0, (size - _SIDE) // 2), min(size, (size + _SIDE) // 2)) for size in medium.space]

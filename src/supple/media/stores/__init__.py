@@ -1,13 +1,14 @@
 """Zarr arrays and OME-Zarr images: opened, and created like another for blocks that many processes write."""
 
-from supple.media.stores.claims import NOTES, check_free, is_begun
-from supple.media.stores.image import Level, StoredAxis, StoredImage, open_image
+from supple.media.stores.claims import NOTES, check_free, is_begun, is_written
+from supple.media.stores.image import LABELS, Level, StoredAxis, StoredImage, open_image
 from supple.media.stores.inputs import like_file
 from supple.media.stores.places import ROOTS, Place, is_store
 from supple.media.stores.samples import Samples
 from supple.media.stores.target import Target, create, create_arrays
 
 __all__ = [
+    "LABELS",
     "NOTES",
     "ROOTS",
     "Level",
@@ -21,6 +22,7 @@ __all__ = [
     "create_arrays",
     "is_begun",
     "is_store",
+    "is_written",
     "like_file",
     "open_image",
 ]

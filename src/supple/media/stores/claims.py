@@ -55,6 +55,15 @@ def unfinished(folder: Path) -> Path:
     return folder.with_name(f"{folder.name}.partial")
 
 
+def is_written(address: PathLike) -> bool:
+    """Return whether there is a finished store."""
+    place = Place(address)
+    if place.folder is not None:
+        return place.folder.is_dir()
+    store = place.store(read_only=True)
+    return place.job() is None and any(read(store, name) is not None for name in ROOTS)
+
+
 def is_begun(address: PathLike) -> bool:
     """Return whether some blocks of an output may be there."""
     place = Place(address)

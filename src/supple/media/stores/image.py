@@ -16,6 +16,8 @@ from supple.media.stores import ome
 from supple.media.stores.places import Place, quiet
 from supple.media.transforms.omezarr import space_matrix
 
+LABELS = "labels"
+"""The group of an image's label images."""
 _PIXELS = ("", "pixel", "pixels", "voxel", "voxels")  # of programs, not of the specification
 _MOST = 8  # names in a message
 
@@ -280,10 +282,10 @@ def _labels(group: Any) -> tuple[str, ...]:
     """Return the names of label images, as the group of labels lists them."""
     try:
         with quiet():
-            attributes = dict(group["labels"].attrs)
+            attributes = dict(group[LABELS].attrs)
     except Exception:  # most images have none
         return ()
-    listed = attributes.get("ome", attributes).get("labels")
+    listed = attributes.get("ome", attributes).get(LABELS)
     return tuple(map(str, listed)) if isinstance(listed, list) else ()
 
 

@@ -59,11 +59,12 @@ def planned(
     files: dict[str, bytes] = {}
     if like.version:
         attributes = ome.rewritten(like.attributes, like.version, datasets, count)
-        files.update(_group("", like, attributes))
+        form = finest.array.metadata.zarr_format
+        files.update(group_files("", form, attributes))
         for level in like.levels[:count]:
             parts = level.path.split("/")[:-1]
             for k in range(len(parts)):
-                files.update(_group("/".join(parts[: k + 1]), like, {}))
+                files.update(group_files("/".join(parts[: k + 1]), form, {}))
     blocks = None if chunks is None else [int(x) for x in _numbers("chunks", chunks, n, None, whole, integer=True)]
     for level, sizes in zip(like.levels, shapes, strict=False):
         files.update(_array(level, sizes, blocks))
@@ -135,9 +136,10 @@ def _datasets(
     return made
 
 
-def _group(path: str, like: StoredImage, attributes: dict[str, Any]) -> dict[str, bytes]:
+def group_files(path: str, zarr_format: int, attributes: dict[str, Any]) -> dict[str, bytes]:
+    """Return the metadata of a group, by their keys."""
     prefix = f"{path}/" if path else ""
-    if like.levels[0].array.metadata.zarr_format == 2:
+    if zarr_format == 2:
         return {f"{prefix}.zgroup": _json({"zarr_format": 2}), f"{prefix}.zattrs": _json(attributes)}
     return {f"{prefix}zarr.json": _json({"zarr_format": 3, "node_type": "group", "attributes": attributes})}
 

@@ -26,9 +26,9 @@ from supple.media.stores.claims import (
     told_of,
     unfinished,
 )
-from supple.media.stores.image import Level, StoredAxis, StoredImage, described
+from supple.media.stores.image import LABELS, Level, StoredAxis, StoredImage, described
 from supple.media.stores.places import MARKER, Place, put, quiet, read, refresh, run
-from supple.media.stores.plans import planned
+from supple.media.stores.plans import group_files, planned
 from supple.media.stores.pyramid import Mode, Step, reduced
 
 Box = Sequence[tuple[int, int]]
@@ -297,6 +297,14 @@ class Target:
     def writing(self) -> contextlib.AbstractContextManager[None]:
         """Return a context in which errors of the file system become one sentence that names the output."""
         return self._place.writing()
+
+    def put_labels(self, names: Sequence[str], version: str) -> None:
+        """Write the group of label images of an OME-Zarr image: its metadata alone."""
+        listed = {LABELS: list(names)}
+        attributes = listed if version == "0.4" else {"ome": {"version": version, **listed}}
+        with self.writing():
+            for key, data in group_files(LABELS, self.arrays[0].metadata.zarr_format, attributes).items():
+                put(self._site.store(read_only=False), key, data)
 
     def note(self, told: dict[str, Any]) -> None:
         """Add what is known of the output to the attributes of its root, as ``supple``."""
