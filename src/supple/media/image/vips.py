@@ -174,7 +174,9 @@ def _damaged(path: PathLike, error: Exception) -> SuppleError:
     """Return an error that explains in one sentence why a file was not read, with libvips' relevant line, if any."""
     text = getattr(error, "detail", "")
     if isinstance(error, MemoryError) or "out of memory" in text:
-        return unreadable(path, "it is too large for the memory", "cut it into parts")
+        tiff = os.fspath(path).lower().endswith((".tif", ".tiff"))
+        advice = "bend it to a Zarr store, block by block: out.zarr" if tiff else "cut it into parts"
+        return unreadable(path, "it is too large for the memory", advice)
     if _UNSUPPORTED.search(text):
         what = f"it is of a kind that is not supported{_reason(text)}"
         return unreadable(path, what, "convert it, to PNG or TIFF for instance")
