@@ -135,7 +135,7 @@ def _stored(name: str) -> tuple[dict[str, Any], str]:
         "spacing": f"{' x '.join(f'{step:.6g}' for step in image.spacing)} {unit} along x, y{', z' * (n == 3)}",
         "origin": f"{', '.join(f'{start:.6g}' for start in image.origin)} {unit}",
     }
-    if not image.placed and image.version:
+    if not image.placed and any(image.levels[0].scale[axis] != 1 for axis in image.spatial):
         lines["spacing"] += ": its axes have no units, and their scale is not used"
     for k, level in enumerate(levels):
         shards = f", in shards of {' x '.join(map(str, level['shards']))}" if level["shards"] else ""
