@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import random
+import re
+import string
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +13,7 @@ import pytest
 from supple.strokes import Stroke
 from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
 from supple.viewer.tools.gestures import Tools
+from supple.viewer.tools.keys import KEYS
 from tests.viewer.tools import (
     LEFT,
     MIDDLE,
@@ -122,3 +125,43 @@ def test_merged_events_equal_single_ones(make: Make, seed: int) -> None:
         assert other.viewport.centre == pytest.approx(one.viewport.centre)
     if isinstance(one, VolumeTools) and isinstance(other, VolumeTools):
         assert one.stage.project(one.camera, (3, 4, 5)) == pytest.approx(other.stage.project(other.camera, (3, 4, 5)))
+
+
+NAMED = (
+    "Escape",
+    "Delete",
+    "Backspace",
+    "Home",
+    "End",
+    "ArrowLeft",
+    "ArrowRight",
+    "F1",
+    "F2",
+    "Tab",
+    "Enter",
+    "ArrowUp",
+)
+SPOKEN = {" ": "Space", "ArrowLeft": "Left", "ArrowRight": "Right"}
+
+
+@pytest.mark.parametrize(("make", "kind"), [(image, "image"), (clip, "video"), (solid, "volume")])
+def test_all_keys_are_listed(make: Make, kind: str) -> None:
+    rows = KEYS[kind]
+    listed = {word for keys in rows if "Ctrl" not in keys for word in re.split("[ ,]+", keys)}
+    for key in (*string.printable, *NAMED):
+        spoken = SPOKEN.get(key, key.upper() if len(key) == 1 else key)
+        assert press(make(), key) == (spoken in listed), key
+
+
+def test_the_list_of_keys_is_shown_and_hidden() -> None:
+    tools = image(Stroke.grab((100, 100), to=(120, 100), radius=20))
+    tools.document.select(0)
+    for key in ("?", "F1"):
+        press(tools, key)
+        assert tools.listing
+        press(tools, "Escape")
+        assert not tools.listing
+        assert tools.document.selected == 0
+    press(tools, "F1")
+    press(tools, "F1")
+    assert not tools.listing

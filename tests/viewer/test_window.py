@@ -482,3 +482,35 @@ def test_the_panel_says_where_a_stroke_arrives() -> None:
     assert "reach: no limit" in text
     assert "later" not in text
     assert "arrives" not in described(held, None)
+
+
+def test_the_title_says_what_is_unsaved(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
+    from rendercanvas.offscreen import RenderCanvas
+
+    titles: list[str] = []
+    monkeypatch.setattr(RenderCanvas, "set_title", lambda self, title: titles.append(title))
+    view, hand = opened(np.zeros((60, 80), np.uint8))
+    view.document.add(Stroke.grab((40, 30), to=(44, 30), radius=9))
+    hand.canvas.draw()
+    hand.canvas.draw()
+    view.document.undo()
+    hand.canvas.draw()
+    name = titles[-1]
+    assert name.endswith(" - Supple")
+    assert titles[-2:] == [f"\u25cf {name}", name]
+    assert titles.count(name) == 2
+
+
+def test_keys_are_listed_over_the_picture(gpu: Gpu) -> None:
+    view, hand = opened(np.full((60, 80), 255, np.uint8))
+    bare = hand.canvas.draw().astype(int)
+    view.tools.press("F1")
+    view.refresh()
+    hand.canvas.draw()
+    listed = hand.canvas.draw().astype(int)
+    changed = np.abs(listed - bare).max(axis=-1) > 60
+    assert changed[200:400, 150:550].mean() > 0.8
+    view.tools.press("F1")
+    view.refresh()
+    hand.canvas.draw()
+    assert np.abs(hand.canvas.draw().astype(int) - bare)[200:400, 150:550].max() <= 2

@@ -43,6 +43,7 @@ def panel(view: View) -> None:
         _volume(view)
     _seeing(view)
     _files(view)
+    _help(view)
     imgui.pop_item_width()
     imgui.end()
 
@@ -348,6 +349,14 @@ def _files(view: View) -> None:
         if imgui.small_button("close" if job.done else "cancel"):
             view.commands.end_export()
     question(view)
+
+
+def _help(view: View) -> None:
+    imgui.spacing()
+    if imgui.small_button("keys and gestures"):
+        view.tools.listing = not view.tools.listing
+    imgui.same_line()
+    imgui.text_disabled("(? or F1)")
 
 
 def question(view: View) -> None:

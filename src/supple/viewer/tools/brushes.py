@@ -150,8 +150,8 @@ class VideoTools(ImageTools):
         step = {"ArrowLeft": -1, "ArrowRight": 1}.get(key)
         acts: dict[str, Callable[[], None]] = {
             " ": playback.toggle,
-            "Home": playback.home,
-            "End": playback.end,
+            "home": playback.home,
+            "end": playback.end,
             "i": playback.mark_in,
             "o": playback.mark_out,
             "u": playback.unmark,
@@ -161,10 +161,10 @@ class VideoTools(ImageTools):
             self._carry(held, step)
         elif step is not None:
             playback.step(step)
-        elif key not in acts:
+        elif key.lower() not in acts:
             return super()._key(key)
         elif held is None:  # otherwise, the displayed frame is that of the held point
-            acts[key]()
+            acts[key.lower()]()
         return True
 
 

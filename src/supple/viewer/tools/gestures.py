@@ -129,6 +129,7 @@ class Tools(ABC, Generic[V]):
         self.reach: float | None = REACH
         self.original = False  # whether to display the original, without strokes
         self.split: float | None = None
+        self.listing = False  # whether to list keys and gestures
         """The split between original and result, as a fraction of the width; None without a split."""
         self.requests: list[str] = []
         """Requests to the window: ``"save"``, ``"save as"``, ``"open"``, ``"export"``."""
@@ -381,8 +382,12 @@ class Tools(ABC, Generic[V]):
     def _edit(self, key: str) -> bool:
         document, chosen = self.document, self.document.selected
         if key == "Escape":
-            if not self.abandon():
+            if self.listing:
+                self.listing = False
+            elif not self.abandon():
                 document.select(None)
+        elif key in ("?", "F1"):
+            self.listing = not self.listing
         elif key in ("[", "]"):
             self.grow(1 if key == "]" else -1)
         elif key == "\\":

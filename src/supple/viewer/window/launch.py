@@ -166,9 +166,7 @@ def opened(
     document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind, geometry=geometry)
     tools = tools_of(stage, document, canvas.get_logical_size())
     path = Path(source) if isinstance(source, str | os.PathLike) else None
-    made = Window(stage, document, tools, canvas, gpu, path, options.export, loop.call_later)
-    canvas.set_title(f"{stage.name} - Supple")
-    return made
+    return Window(stage, document, tools, canvas, gpu, path, options.export, loop.call_later)
 
 
 def _gpu() -> Gpu:

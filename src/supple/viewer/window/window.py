@@ -13,7 +13,7 @@ from typing import Any
 
 from supple.engines.wgpu.screen import Screen
 from supple.errors import SuppleError
-from supple.viewer.panels import overlay, panel
+from supple.viewer.panels import keys, overlay, panel
 from supple.viewer.panels.painter import Shot
 from supple.viewer.panels.stages import VideoStage, VolumeStage
 from supple.viewer.panels.view import SETTLED, View
@@ -85,6 +85,7 @@ class Window(View):
         self._pressed = 0.0
         self._textures: tuple[Any, Any] | None = None
         self._laid = (0.0, 0.0, 0.0)
+        self._titled = ""
         self._context = canvas.get_wgpu_context()
         presented = self._context.get_preferred_format(device.adapter)
         self._context.configure(device=device, format=presented)
@@ -145,6 +146,7 @@ class Window(View):
         if self._closed:
             return
         self.commands.tick()  # first: autosave before any error
+        self._title()
         begun = time.perf_counter()
         self._frames.append(begun)
         tools, (width, height) = self.tools, self.area
@@ -170,6 +172,14 @@ class Window(View):
         if anew and moving:
             self.painter.learn(begun)
         self._go_on(shot)
+
+    def _title(self) -> None:
+        """Show the name, and whether there are unsaved strokes."""
+        unsaved = "\u25cf " if self.document.dirty else ""
+        title = f"{unsaved}{self.stage.name} - Supple"
+        if title != self._titled:
+            self._titled = title
+            self.canvas.set_title(title)
 
     def _present(self, shot: Shot, encoder: Any) -> None:
         """Compose image and controls on the canvas."""
@@ -213,6 +223,7 @@ class Window(View):
     def _controls(self) -> None:
         panel.panel(self)
         overlay.draw(self)
+        keys.draw(self)
 
     def drop(self, paths: list[str]) -> None:
         """Open a file dropped on the window: a recipe here, other files in a window of their own."""

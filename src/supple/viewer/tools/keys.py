@@ -1,0 +1,53 @@
+"""What hands and keys do, in words: what the window shows on `?` and F1."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+Rows = Mapping[str, str]
+
+_ALWAYS: Rows = {
+    "click": "select the stroke whose handle is there, or none",
+    "[  ]": "smaller and larger brush, or selected stroke",
+    "Delete, Backspace": "remove the selected stroke",
+    "H": "hide it, or show it again",
+    "Escape": "abandon the drag, or select nothing",
+    "Ctrl+Z": "undo; a drag is one step",
+    "Ctrl+Shift+Z, Ctrl+Y": "redo",
+    "\\ held": "show the original",
+    "B": "before and after, side by side; drag the knob between them",
+    "Ctrl+S, Ctrl+Shift+S": "save the recipe; under another name",
+    "Ctrl+O": "open a recipe, or drop its file on the window",
+    "Ctrl+E": "export",
+    "?  F1": "show or hide this list",
+}
+_PICTURE: Rows = {
+    "drag": "pull what is under the pointer, or a handle of the selected stroke",
+    "wheel": "radius of the brush, which the ring shows",
+    "Ctrl+wheel": "zoom about the pointer",
+    "middle drag, Alt+drag": "move the view",
+    "0  1": "fit the picture, or show it at 100 %",
+}
+KEYS: Mapping[str, Rows] = {
+    "image": {**_PICTURE, **_ALWAYS},
+    "video": {
+        **_PICTURE,
+        "wheel in a drag": "pull the pixel through time, up is later; also with the arrows Left and Right",
+        "Space": "play and pause",
+        "Left, Right": "the frame before, and after",
+        "Home, End": "the first frame, and the last",
+        "I  O  U": "begin and end of the part that is played; the whole clip",
+        "L": "play again and again",
+        **_ALWAYS,
+    },
+    "volume": {
+        "drag on the object": "pull the point under the pointer, parallel to the screen",
+        "drag beside it, right drag": "turn the view",
+        "middle drag": "move the view",
+        "wheel": "nearer and farther",
+        "Shift+wheel": "radius of the brush, which the ring shows",
+        "0": "the view of the beginning",
+        **_ALWAYS,
+    },
+}
+"""For each kind of media, hands and keys in the order in which they are shown, and what they do."""
