@@ -134,7 +134,6 @@ def test_another_grid_has_its_scale_and_translation_on_each_level(
     again = open_image(tmp_path / "out.zarr")
     np.testing.assert_allclose(again.spacing, (0.003, 0.0015, 0.001))
     np.testing.assert_allclose(again.origin, (0.00025, -0.002, 0.007))
-    assert again.level_grid(1).shape == (6, 21, 41)
 
 
 def test_no_translation_is_written_where_there_is_none_and_what_all_levels_share_is_theirs(tmp_path: Path) -> None:
@@ -166,21 +165,6 @@ def test_levels_that_would_be_the_one_before_are_left_out(tmp_path: Path) -> Non
     assert len(open_image(tmp_path / "out.zarr").levels) == 2
 
 
-@pytest.mark.parametrize("form", [2, 3])
-def test_chunks_of_ones_own(form: int, tmp_path: Path) -> None:
-    image(tmp_path / "in.zarr", form, {2: "0.4", 3: "0.5"}[form])
-    like = open_image(tmp_path / "in.zarr")
-    target = create(tmp_path / "out.zarr", like, chunks=(10, 20, 30), job="a")
-    assert target.blocks == ((2, 2, 10, 20, 30),) * 3
-    if form == 3:
-        image(tmp_path / "shards.zarr", 3, "0.5", shards=(1, 2, 8, 16, 32))
-        target = create(tmp_path / "b.zarr", open_image(tmp_path / "shards.zarr"), chunks=(1, 1, 5, 5, 10), job="a")
-        assert target.arrays[0].chunks == (1, 1, 5, 5, 10)
-        assert target.block == (1, 2, 10, 15, 30)
-        fill(target, np.ones(target.arrays[0].shape))
-        target.finish()
-
-
 def test_an_input_of_no_whole_factors_is_refused(tmp_path: Path) -> None:
     attributes = metadata("0.5", described_axes("yx"), [([1, 1], [0, 0]), ([1.5, 1.5], [0, 0])])
     group = zarr.create_group(str(tmp_path / "in.zarr"), attributes=attributes)
@@ -202,7 +186,6 @@ def test_an_input_of_no_whole_factors_is_refused(tmp_path: Path) -> None:
         ({"scale": (1, 2, 0)}, "scale must be 5 numbers above 0"),
         ({"scale": 3}, "scale must be 5"),
         ({"translation": (1, 2, float("nan"))}, "translation must be 5 finite numbers"),
-        ({"chunks": (1,) * 6}, "chunks must be 5 integers"),
     ],
 )
 def test_arguments_that_do_not_fit(more: Json, expected: str, tmp_path: Path) -> None:

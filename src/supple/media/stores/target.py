@@ -44,7 +44,6 @@ def create(
     shape: Sequence[int] | None = None,
     scale: Sequence[float] | None = None,
     translation: Sequence[float] | None = None,
-    chunks: Sequence[int] | None = None,
     force: bool = False,
     job: str,
 ) -> Target:
@@ -67,8 +66,6 @@ def create(
         Of the finest level, for all axes or the last ones, in array order and in the units of the axes. By default,
         those of ``like``. Coarser levels follow by the convention of ``like``: their translations are those of the
         means, or the same as that of the finest.
-    chunks : sequence of int, optional
-        The shape of chunks, for all axes or the last ones; the first are then whole.
     force : bool
         Whether to replace an existing Zarr store, and an unfinished output of another job. Where an output is a folder,
         the old one stays until the new one is finished.
@@ -85,7 +82,7 @@ def create(
         If there is something else already, an argument does not fit, or nothing can be written there.
     """
     place = Place(address)
-    plan = planned(place, like, shape, scale, translation, chunks)
+    plan = planned(place, like, shape, scale, translation)
     if place.folder is None:
         check_apart(place, like)
     site = _claimed(place, plan.files, job, force)
