@@ -301,8 +301,6 @@ def _located(
 def _job(source: Source, warp: Warp, recipe: Recipe, options: VolumeOptions) -> str:
     """Return what identifies the work: the input, the recipe and all options that change a sample."""
     image = source.image
-    folder = Place(image.address).folder
-    address = image.address if folder is None else str(folder)
     deformation, grid = warp.deformation, warp.deformation.grid if warp.grid is None else warp.grid
     told = {
         "shape": image.shape,
@@ -324,7 +322,7 @@ def _job(source: Source, warp: Warp, recipe: Recipe, options: VolumeOptions) -> 
             digest.update(held.values.data)
         else:
             digest.update(np.ascontiguousarray(held.matrix).data)
-    return f"warp {address}, {digest.hexdigest()}"
+    return f"warp {Place(image.address).identity}, {digest.hexdigest()}"
 
 
 def _write_blocks(

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
+import importlib
 import os
+import re
 import signal
 import subprocess
 import sys
 import textwrap
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+import zarr
 
 from supple import SuppleError
-from supple.media.stores import create, open_image
+from supple.media.stores import Place, create, open_image, overlap
 from tests.children import SOURCE
-from tests.media.stores.images import RNG, boxes, files, fill, image, part, small, whole
+from tests.media.stores.images import RNG, Json, boxes, files, fill, image, part, small, whole
 
 
 @pytest.mark.parametrize("remote", [False, True])
@@ -75,22 +79,124 @@ def test_what_is_no_store_is_never_replaced(force: bool, tmp_path: Path, memory:
         create(tmp_path / "no" / "out.zarr", like, job="a", force=force)
 
 
-def test_an_input_is_not_overwritten_in_place(memory: str) -> None:
-    values, like = small(f"{memory}/in.zarr")
-    for address in (f"{memory}/in.zarr", f"{memory}/in.zarr/", memory):
-        with pytest.raises(SuppleError, match="it is the input too"):
+@pytest.fixture
+def buckets(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two names of one file system, as S3's client has, and hosts that are no part of a path."""
+    registry = importlib.import_module("fsspec.registry")  # fsspec has something else by that name
+    from fsspec.implementations.memory import MemoryFileSystem
+
+    class Bucket(MemoryFileSystem):  # type: ignore[misc]
+        protocol = ("s3", "s3a")
+        store: ClassVar[Json] = {}
+        pseudo_dirs: ClassVar[list[str]] = [""]
+
+        @classmethod
+        def _strip_protocol(cls, path: str) -> str:
+            return str(super()._strip_protocol(path.partition("://")[2] or path))
+
+    class Host(MemoryFileSystem):  # type: ignore[misc]
+        protocol = "sftp"
+
+        @classmethod
+        def _strip_protocol(cls, path: str) -> str:
+            return "/" + path.partition("://")[2].partition("/")[2]
+
+        @staticmethod
+        def _get_kwargs_from_urls(path: str) -> Json:
+            return {"host": path.partition("://")[2].partition("/")[0]}
+
+    for name, kind in (("s3", Bucket), ("s3a", Bucket), ("sftp", Host)):
+        monkeypatch.setitem(registry._registry, name, kind)
+
+
+@pytest.mark.usefixtures("buckets")
+@pytest.mark.parametrize("root", ["memory://", "s3://"])
+def test_an_input_is_not_overwritten_in_place(root: str) -> None:
+    base = f"supple-{os.urandom(4).hex()}"
+    values, like = small(f"{root}{base}/in.zarr")
+    other = "s3a://" if root == "s3://" else "memory:///"
+    for address, told in (
+        (f"{root}{base}/in.zarr", "it is the input too"),
+        (f"{root}{base}/in.zarr/", "it is the input too"),
+        (f"{other}{base}/in.zarr", "it is the input too"),
+        (f"simplecache::{other}{base}/in.zarr", "it is the input too"),
+        (f"{other}{base}/in.zarr/0", "it lies in the input"),
+        (f"{root}{base}/in.zarr/new", "it lies in the input"),
+        (f"{other}{base}", "the input lies in it"),
+    ):
+        with pytest.raises(SuppleError, match=f"^cannot write {re.escape(address)}: {told}: choose another place$"):
             create(address, like, job="a", force=True)
-    np.testing.assert_array_equal(like.levels[0].array[...], values)
+    np.testing.assert_array_equal(open_image(f"{root}{base}/in.zarr").levels[0].array[...], values)
+    assert create(f"{other}{base}/in.zarr2", like, job="a").image.shape == like.shape
 
 
-def test_an_input_that_is_a_folder_is_replaced_at_the_end(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("buckets")
+def test_spellings_of_a_place(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    same = (
+        ("memory://a/b", "memory:///a/b/"),
+        ("s3://a/b", "s3a://a/b"),
+        (str(tmp_path / "link"), (tmp_path / "real").as_uri()),
+        ("zip://a::s3://b", "zip://a::s3a://b/"),
+    )
+    for one, other in same:
+        assert Place(one).identity == Place(other).identity
+        assert overlap(one, other) == "same"
+    apart = (
+        ("memory://a/b", "s3://a/b"),
+        ("memory://a/b", "memory://a/bc"),
+        ("memory://a/b", "/a/b"),
+        ("sftp://one/a", "sftp://two/a"),
+        ("nothing://a/b", "nothing://a/c"),
+    )
+    for one, other in apart:
+        assert Place(one).identity != Place(other).identity
+        assert not overlap(one, other)
+    assert overlap("nothing://a/b", "nothing://a") == "inside"
+    assert overlap(tmp_path / "link", tmp_path) == ""  # which is no store
+    assert overlap(tmp_path, tmp_path / "link" / "in.zarr") == "around"
+
+
+def test_an_output_in_a_folder_does_not_reach_into_its_input(tmp_path: Path) -> None:
+    group = zarr.create_group(str(tmp_path / "data.zarr"))
+    group.create_array("other", data=np.ones(3))
+    values, like = small(tmp_path / "data.zarr" / "in.zarr")
+    (tmp_path / "link").symlink_to(tmp_path / "data.zarr")
+    before = files(tmp_path)
+    inside = tmp_path / "link" / "in.zarr"
+    for address, told in (
+        (tmp_path / "data.zarr", "the input lies in it"),
+        (tmp_path / "link", "the input lies in it"),
+        ((tmp_path / "link").as_uri(), "the input lies in it"),
+        (inside / "0", "it lies in the input"),
+        (inside / "new.zarr", "it lies in the input"),
+    ):
+        with pytest.raises(
+            SuppleError, match=f"^cannot write {re.escape(str(address))}: {told}: choose another place$"
+        ):
+            create(address, like, job="a", force=True)
+    assert files(tmp_path) == before
+    fill(create(inside.with_name("beside.zarr"), like, job="a"), values)
+
+
+def test_an_output_may_lie_beside_the_slices_it_is_made_of(tmp_path: Path) -> None:
+    """A folder of slices is no store."""
+    _, like = small(tmp_path / "in.zarr")
+    (tmp_path / "slices").mkdir()
+    create(tmp_path / "slices" / "out.zarr", dataclasses.replace(like, address=str(tmp_path / "slices")), job="a")
+
+
+@pytest.mark.parametrize("name", ["in.zarr", "link.zarr"])
+def test_an_input_that_is_a_folder_is_replaced_at_the_end(name: str, tmp_path: Path) -> None:
     values, like = small(tmp_path / "in.zarr")
-    target = create(tmp_path / "in.zarr", like, job="a", force=True)
+    (tmp_path / "link.zarr").symlink_to("in.zarr")
+    target = create(tmp_path / name, like, job="a", force=True)
     for box in boxes(target, 0):
         target.write(0, box, part(like.levels[0].array, box) // 2)
     target.finish()
     np.testing.assert_array_equal(open_image(tmp_path / "in.zarr").levels[0].array[...], values // 2)
-    assert os.listdir(tmp_path) == ["in.zarr"]
+    assert sorted(os.listdir(tmp_path)) == ["in.zarr", "link.zarr"]
+    assert (tmp_path / "link.zarr").is_symlink()
 
 
 def child(code: str, *arguments: Any) -> subprocess.Popen[str]:

@@ -14,7 +14,7 @@ import pytest
 import zarr
 
 from supple import SuppleError
-from supple.media.stores import create, open_image
+from supple.media.stores import create, is_store, open_image
 from tests.media.stores.images import Json, described_axes, fill, image, metadata, small
 
 
@@ -256,3 +256,13 @@ def test_codecs_of_numcodecs_are_looked_for_at_once(tmp_path: Path) -> None:
             open_image(tmp_path / "in.zarr")
     else:
         assert pcodec
+
+
+def test_colons_alone_make_no_address(tmp_path: Path) -> None:
+    """A name may hold ``::``, which chains addresses."""
+    small(tmp_path / "in.zarr")
+    (tmp_path / "in.zarr").rename(tmp_path / "a::b.zarr")
+    assert open_image(tmp_path / "a::b.zarr").shape == (4, 9, 9)
+    (tmp_path / "a::b.png").write_text("")
+    assert not is_store(tmp_path / "a::b.png")
+    assert is_store("simplecache::memory://a")

@@ -8,12 +8,11 @@ import os
 import re
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from supple.errors import SuppleError, shown
 from supple.media.files import PathLike, check_store
-from supple.media.stores.image import StoredImage
-from supple.media.stores.places import MARKER, ROOTS, Place, put, read, run
+from supple.media.stores.places import MARKER, ROOTS, Place, is_store, put, read, run
 
 NOTES = "supple"
 """The attribute that says what is known of an output."""
@@ -101,11 +100,28 @@ def _of_another(name: str) -> tuple[str, str]:
     return f"{name} is the unfinished output of another job", "choose another name, or --force starts anew"
 
 
-def check_apart(place: Place, like: StoredImage) -> None:
-    """Raise SuppleError for an output that would overwrite its input."""
-    here, there = (address.rstrip("/") + "/" for address in (place.address, like.address))
-    if there.startswith(here):
-        raise place.unwritable("it is the input too", "choose another name")
+def overlap(address: PathLike, other: PathLike) -> Literal["", "same", "inside", "around"]:
+    """Return how an output lies to something else, a store or a file; empty if they have nothing in common.
+
+    A folder that is no store, such as that of a series of slices, may hold outputs.
+    """
+    here, there = Place(address).parts, Place(other).parts
+    if here == there:
+        return "same"
+    if there[: len(here)] == here:
+        return "around"
+    return "inside" if here[: len(there)] == there and is_store(other) else ""
+
+
+def check_apart(place: Place, source: PathLike) -> None:
+    """Raise SuppleError for an output that would overwrite its input, or a part of it.
+
+    A folder may be its own input: it is replaced when the output is finished.
+    """
+    found = overlap(place.address, source)
+    if found and (found != "same" or place.folder is None):
+        what = {"same": "it is the input too", "inside": "it lies in the input", "around": "the input lies in it"}
+        raise place.unwritable(what[found], "choose another place")
 
 
 def claim_address(place: Place, files: dict[str, bytes], job: str, force: bool) -> None:

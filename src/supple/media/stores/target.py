@@ -82,9 +82,8 @@ def create(
         If there is something else already, an argument does not fit, or nothing can be written there.
     """
     place = Place(address)
+    check_apart(place, like.address)
     plan = planned(place, like, shape, scale, translation)
-    if place.folder is None:
-        check_apart(place, like)
     site = _claimed(place, plan.files, job, force)
     with place.reading("what was written cannot be read"), quiet():
         import zarr
