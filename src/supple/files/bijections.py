@@ -228,7 +228,7 @@ def _write_chunks(work: Work, item: tuple[int, list[Box]]) -> tuple[Certificate,
     check_seen(target.address, target.site.folder)
     certificate, new, there = Certificate(0.0, 0.0), 0, 0
     for box in boxes:
-        done = target.is_done(way, box)
+        done = target.begun and target.is_done(way, box)
         values, found = (_pulled if way == PULL else _pushed)(work, box[1:], done)
         certificate |= found
         there += done

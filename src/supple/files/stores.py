@@ -28,7 +28,7 @@ from supple.files.transforms import write_transform
 from supple.files.volumes import VolumeOptions, warn_of_labels
 from supple.geometry import Geometry, Grid
 from supple.media.files import check_store, replacing, unwritable
-from supple.media.stores import Level, Place, StoredImage, Target, create, is_begun
+from supple.media.stores import Level, Place, StoredImage, Target, create, holding
 from supple.media.transforms.ngff import Placement
 from supple.pipeline import Tell
 from supple.strokes import Fit, Recipe
@@ -118,6 +118,7 @@ class _Counts:
     certificate: Certificate = field(default_factory=lambda: Certificate(0.0, 0.0))
 
 
+@holding()
 def warp_store(
     source: PathLike,
     target: PathLike,
@@ -188,14 +189,13 @@ def warp_store(
     placement = _placement(image, medium, warp.grid, target)
     job = _job(opened, warp, recipe, replace(known, save_field=None))
     saving = _begin_field(image, medium, warp, job, (source, target), known.save_field, force)
-    begun = is_begun(target)
     with runner_of(where) as runner:
         made = create(target, image, force=force, job=job, **placement)
         mapping = None if saving is None else saving.claimed(force)
         level = None if opened.is_file else image.levels[0]
         work = Work(image.address, opened.samples, level, len(image.axes) - len(image.spatial), made, warp)
         saved = None if mapping is None else write_field(mapping, runner, tell, maps)
-        counts, blocks = _write_blocks(work, runner, tell, maps, begun, warn=saved is None)
+        counts, blocks = _write_blocks(work, runner, tell, maps, made.begun, warn=saved is None)
         _write_levels(work, runner, tell, "nearest" if known.labels else "mean")
     found = counts.certificate
     if mapping is not None:
@@ -384,10 +384,10 @@ def _warp_block(work: Work, item: tuple[Box, Block]) -> tuple[bool, bool, int]:
     target = work.target
     _check_seen(work.address, target)
     box = (*lead, *block.box)
-    if target.is_done(0, box):
+    if target.begun and target.is_done(0, box):
         return True, False, 0
     if block.identity and block.part == block.box and work.level is not None:
-        count = target.copy(0, box, work.level)
+        count = target.copy(0, box, work.level, work.address)
         if count is not None:
             return False, True, count
     place = Place(work.address)
@@ -431,5 +431,5 @@ def _write_levels(work: Work, runner: Runner, tell: Tell, mode: str) -> None:
 def _reduce_block(work: Work, item: tuple[int, Box, Any]) -> None:
     level, box, mode = item
     _check_seen(work.address, work.target)
-    if not work.target.is_done(level, box):
+    if not (work.target.begun and work.target.is_done(level, box)):
         work.target.reduce(level, box, mode)

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
+import textwrap
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -13,6 +17,7 @@ import zarr
 
 from supple.media.stores import StoredImage, Target, open_image
 from supple.media.stores.pyramid import reduced
+from tests.children import SOURCE
 
 Array = npt.NDArray[Any]
 Json = dict[str, Any]
@@ -157,3 +162,10 @@ def exact(values: Array, factors: list[int]) -> Array:
             low, rest = divmod(total, n)
             made[place] = low + (2 * rest > n or (2 * rest == n and low % 2 == 1))
     return made
+
+
+def child(code: str, *arguments: Any) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", textwrap.dedent(code), *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": SOURCE}
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    return subprocess.Popen(command, env=environment, text=True, **pipes)

@@ -17,7 +17,19 @@ from hypothesis import strategies as st
 from supple import SuppleError
 from supple.media.stores import Target, create, open_image
 from supple.media.stores.pyramid import Step, reduced, step_of
-from tests.media.stores.images import RNG, boxes, described_axes, exact, files, fill, image, metadata, small, whole
+from tests.media.stores.images import (
+    RNG,
+    boxes,
+    described_axes,
+    exact,
+    files,
+    fill,
+    image,
+    part,
+    metadata,
+    small,
+    whole,
+)
 
 
 @pytest.mark.parametrize("sharded", [False, True])
@@ -49,10 +61,10 @@ def test_blocks_are_copied_as_they_are(form: int, sharded: bool, remote: bool, t
     arrays = image(f"{root}/in.zarr", form, version, shards=(1, 2, 8, 16, 32) if sharded else None)
     like = open_image(f"{root}/in.zarr")
     target = create(f"{root}/out.zarr", like, job="a")
-    counts = [target.copy(0, box, like.levels[0]) for box in boxes(target, 0)]
+    counts = [target.copy(0, box, like.levels[0], like.address) for box in boxes(target, 0)]
     assert all(counts)
     assert target.is_done(0, whole(target))
-    total = target.copy(1, whole(target, 1), like.levels[1])
+    total = target.copy(1, whole(target, 1), like.levels[1], like.address)
     np.testing.assert_array_equal(target.arrays[0][...], arrays[0])
     np.testing.assert_array_equal(target.arrays[1][...], arrays[1])
     if not remote:
@@ -72,9 +84,9 @@ def test_blocks_that_are_stored_otherwise_are_not_copied(tmp_path: Path) -> None
         zarr.create_array(str(tmp_path / name), **made)
         return open_image(tmp_path / name).levels[0]
 
-    assert target.copy(0, box, other("same")) == 0
+    assert target.copy(0, box, other("same"), tmp_path) == 0
     assert not target.is_done(0, box)
-    assert target.copy(0, box, like.levels[0])
+    assert target.copy(0, box, like.levels[0], like.address)
     for k, more in enumerate(
         (
             {"dtype": "i2"},
@@ -87,12 +99,12 @@ def test_blocks_that_are_stored_otherwise_are_not_copied(tmp_path: Path) -> None
             {"shape": (1, 4, 9, 9), "chunks": (1, 2, 4, 4)},
         )
     ):
-        assert target.copy(0, box, other(str(k), **more)) is None
+        assert target.copy(0, box, other(str(k), **more), tmp_path) is None
     # another encoding of keys is no other encoding of chunks
     flat = other("flat", chunk_key_encoding={"name": "v2", "separator": "."})
     writable = zarr.open_array(str(tmp_path / "flat"), mode="r+")
     writable[...] = values
-    assert target.copy(0, whole(target), flat)
+    assert target.copy(0, whole(target), flat, tmp_path)
     np.testing.assert_array_equal(target.arrays[0][...], values)
 
 
@@ -101,7 +113,7 @@ def test_nan_as_fill_value_is_equal_to_itself(tmp_path: Path) -> None:
         zarr.create_array(str(tmp_path / name), data=np.ones((4, 4), np.float32), chunks=(2, 2), fill_value=np.nan)
     target = create(tmp_path / "out.zarr", open_image(tmp_path / "a"), job="a")
     assert create(tmp_path / "out.zarr", open_image(tmp_path / "a"), job="a").copy(
-        0, whole(target), open_image(tmp_path / "b").levels[0]
+        0, whole(target), open_image(tmp_path / "b").levels[0], tmp_path / "b"
     )
 
 
@@ -193,7 +205,7 @@ def test_a_store_that_fails_in_the_middle(
             patched.setattr(kind, "set", failing)
             for act in (
                 lambda: target.write(0, whole(target), values),
-                lambda: target.copy(0, whole(target), like.levels[0]),
+                lambda: target.copy(0, whole(target), like.levels[0], like.address),
                 lambda: create(f"{root}/other.zarr", like, job="a"),
             ):
                 with pytest.raises(SuppleError, match=expected) as told:
@@ -220,3 +232,55 @@ def test_a_client_that_remembers_listings_sees_what_others_wrote(memory: str, mo
     assert not target.is_done(0, whole(target))
     create(f"{memory}/out.zarr", like, job="a").write(0, whole(target), values)
     assert target.is_done(0, whole(target))
+
+
+@pytest.mark.parametrize("remote", [False, True])
+def test_a_source_that_cannot_be_read_is_named(
+    remote: bool, tmp_path: Path, memory: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not the output, to which its chunks are copied."""
+    from zarr.storage import FsspecStore, LocalStore
+
+    root = memory if remote else str(tmp_path)
+    _, like = small(f"{root}/in.zarr")
+    target = create(f"{root}/out.zarr", like, job="a")
+
+    async def failing(self: Any, key: str, *more: Any, **named: Any) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(FsspecStore if remote else LocalStore, "get", failing)
+    told = "it cannot be reached" if remote else "its chunks cannot be read"
+    with pytest.raises(SuppleError, match=rf"^cannot read {root}/in\.zarr: {told} \(.*Input/output error\): \w+"):
+        target.copy(0, whole(target), like.levels[0], like.address)
+    assert not target.is_done(0, [(0, 2), (0, 4), (0, 4)])
+
+
+def test_blocks_are_looked_for_one_by_one(memory: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is listed, and nothing kept: arrays have millions of blocks."""
+    from zarr.storage import FsspecStore
+
+    values, like = small(f"{memory}/in.zarr")
+    assert not create(f"{memory}/out.zarr", like, job="a").begun
+    target = create(f"{memory}/out.zarr", like, job="a")
+    assert target.begun
+    asked: list[str] = []
+    exists = FsspecStore.exists
+
+    def listed(*rest: Any, **more: Any) -> None:
+        raise AssertionError("it is listed")
+
+    async def counted(self: Any, key: str) -> bool:
+        asked.append(key)
+        return bool(await exists(self, key))
+
+    for name in ("list", "list_dir", "list_prefix"):
+        monkeypatch.setattr(FsspecStore, name, listed)
+    monkeypatch.setattr(FsspecStore, "exists", counted)
+    before = dict(vars(target))
+    box = [(0, 4), (4, 9), (0, 4)]
+    assert not target.is_done(0, box)
+    target.write(0, box, part(values, box))
+    asked.clear()
+    assert target.is_done(0, box)
+    assert sorted(asked) == [f"0/c/{z}/{y}/0" for z in range(2) for y in (1, 2)]
+    assert vars(target) == before

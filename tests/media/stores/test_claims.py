@@ -8,9 +8,6 @@ import importlib
 import os
 import re
 import signal
-import subprocess
-import sys
-import textwrap
 import time
 from pathlib import Path
 from typing import Any, ClassVar
@@ -21,8 +18,7 @@ import zarr
 
 from supple import SuppleError
 from supple.media.stores import Place, create, open_image, overlap
-from tests.children import SOURCE
-from tests.media.stores.images import RNG, Json, boxes, files, fill, image, part, small, whole
+from tests.media.stores.images import RNG, Json, boxes, child, files, fill, image, part, small, whole
 
 
 @pytest.mark.parametrize("remote", [False, True])
@@ -199,12 +195,6 @@ def test_an_input_that_is_a_folder_is_replaced_at_the_end(name: str, tmp_path: P
     assert (tmp_path / "link.zarr").is_symlink()
 
 
-def child(code: str, *arguments: Any) -> subprocess.Popen[str]:
-    command = [sys.executable, "-c", textwrap.dedent(code), *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": SOURCE}
-    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
 WRITER = """
     import sys
     import numpy as np
@@ -273,42 +263,6 @@ def test_a_writer_that_was_killed_before_all_metadata_were_there(tmp_path: Path)
     fill(target, values)
     target.finish()
     assert sorted(files(tmp_path / "out.zarr")) == sorted(files(tmp_path / "in.zarr"))
-
-
-@pytest.mark.parametrize("step", ["old", "new", "marker"])
-def test_a_finish_that_was_interrupted_is_finished_again(
-    step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """An interrupt comes instead of one of the renames, or of the last removal."""
-    values, like = small(tmp_path / "in.zarr")
-    small(tmp_path / "out.zarr")
-    target = create(tmp_path / "out.zarr", like, job="a", force=True)
-    fill(target, values + 1)
-    calls = {"rename": 0}
-    rename, unlink = os.rename, os.unlink
-
-    def counted(before: Any, after: Any) -> None:
-        calls["rename"] += 1
-        if calls["rename"] == {"old": 1, "new": 2, "marker": 9}[step]:
-            raise KeyboardInterrupt
-        rename(before, after)
-
-    def removed(path: Any, **more: Any) -> None:
-        if step == "marker":
-            raise KeyboardInterrupt
-        unlink(path, **more)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "rename", counted)
-        patched.setattr(os, "unlink", removed)
-        with pytest.raises(KeyboardInterrupt):
-            target.finish()
-    if step != "marker":
-        again = create(tmp_path / "out.zarr", like, job="a", force=True)
-        assert again.is_done(0, whole(again))
-        again.finish()
-    np.testing.assert_array_equal(open_image(tmp_path / "out.zarr").levels[0].array[...], values + 1)
-    assert not (tmp_path / "out.zarr.partial").exists()
 
 
 class Stopped(Exception):  # noqa: N818

@@ -1,6 +1,6 @@
 """Zarr arrays and OME-Zarr images: opened, and created like another for blocks that many processes write."""
 
-from supple.media.stores.claims import NOTES, check_free, is_begun, overlap
+from supple.media.stores.claims import NOTES, check_free, holding, overlap
 from supple.media.stores.image import Level, StoredAxis, StoredImage, open_image
 from supple.media.stores.inputs import like_file
 from supple.media.stores.places import Place, is_store
@@ -18,7 +18,7 @@ __all__ = [
     "check_free",
     "create",
     "create_arrays",
-    "is_begun",
+    "holding",
     "is_store",
     "like_file",
     "open_image",

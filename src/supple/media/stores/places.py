@@ -106,6 +106,7 @@ class Place:
         from zarr.errors import NodeNotFoundError
 
         if self.folder is not None:
+            mend(self.folder)
             if not os.path.lexists(self.folder):
                 raise self.unreadable("there is no such folder", "check the name")
             if not self.folder.is_dir():
@@ -199,7 +200,27 @@ def is_store(address: PathLike) -> bool:
     text = os.fspath(address)
     if _protocol(text) or text.rstrip("/").lower().endswith(".zarr"):
         return True
-    return any(os.path.isfile(os.path.join(text, name)) for name in ROOTS)
+    return any(os.path.isfile(os.path.join(text, name)) for name in ROOTS) or _nameless(text) is not None
+
+
+def replaced(target: Path) -> Path:
+    """Return where an output lies between the two renames by which a new one takes its name."""
+    return target.with_name(f".{target.name}.supple")
+
+
+def mend(path: PathLike) -> None:
+    """Give an output its name back, if the process was killed between those."""
+    if (old := _nameless(path)) is not None:
+        with contextlib.suppress(OSError):
+            os.rename(old, os.path.realpath(path))
+
+
+def _nameless(path: PathLike) -> Path | None:
+    with contextlib.suppress(OSError, ValueError):  # no file can have that name
+        target = Path(os.path.realpath(path))
+        if not os.path.lexists(target) and os.path.lexists(replaced(target)):
+            return replaced(target)
+    return None
 
 
 def run(work: Coroutine[Any, Any, Any]) -> Any:
