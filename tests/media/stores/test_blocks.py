@@ -25,8 +25,8 @@ from tests.media.stores.images import (
     files,
     fill,
     image,
-    part,
     metadata,
+    part,
     small,
     whole,
 )

@@ -298,6 +298,32 @@ def test_a_clearing_that_was_interrupted_begins_again(memory: str, monkeypatch: 
     np.testing.assert_array_equal(open_image(out).levels[0].array[...], values + 1)
 
 
+@pytest.mark.parametrize("remote", [False, True])
+def test_what_was_to_be_cleared_is_not_continued(
+    remote: bool, tmp_path: Path, memory: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from supple.media.stores import claims
+
+    root = memory if remote else str(tmp_path)
+    values, like = small(f"{root}/in.zarr")
+    out = f"{root}/out.zarr"
+    fill(create(out, like, job="one"), values)
+
+    def stopped(site: Place) -> None:
+        raise Stopped
+
+    with monkeypatch.context() as patched:
+        patched.setattr(claims, "_clear", stopped)
+        with pytest.raises(Stopped):
+            create(out, like, job="two", force=True)
+    second = create(out, like, job="two")
+    assert not second.begun
+    assert not any(second.is_done(0, box) for box in boxes(second, 0))
+    fill(second, values + 1)
+    second.finish()
+    np.testing.assert_array_equal(open_image(out).levels[0].array[...], values + 1)
+
+
 def test_where_objects_may_be_incomplete_nothing_is_continued(memory: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from supple.media.stores import places
 

@@ -126,6 +126,61 @@ def test_an_output_that_appears_while_its_folder_is_waited_for(tmp_path: Path, m
     np.testing.assert_array_equal(open_image(tmp_path / "out.zarr").levels[0].array[...], values)
 
 
+def test_another_job_that_begins_while_its_folder_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And is killed, with a block written: that is its own, and stays."""
+    from supple.media.stores import claims
+
+    values, like = small(tmp_path / "in.zarr")
+    hold, calls = claims._hold, []
+
+    def late(place: Any, folder: Path) -> None:
+        calls.append(folder)
+        if len(calls) == 1:
+            with holding():
+                other = create(tmp_path / "out.zarr", like, job="b")
+                other.write(0, whole(other), values)
+        hold(place, folder)
+
+    monkeypatch.setattr(claims, "_hold", late)
+    with holding(), pytest.raises(SuppleError, match="is the unfinished output of another job"):
+        create(tmp_path / "out.zarr", like, job="a")
+    other = create(tmp_path / "out.zarr", like, job="b")
+    assert other.is_done(0, whole(other))
+    other.finish()
+    assert sorted(files(tmp_path / "in.zarr")) == sorted(files(tmp_path / "out.zarr"))
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="nothing is held on Windows")
+def test_a_folder_that_gets_its_name_while_it_is_locked_is_not_the_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another process has finished it in that moment: what is locked is in an output now."""
+    from supple.media.stores import claims
+
+    values, like = small(tmp_path / "in.zarr")
+    small(tmp_path / "out.zarr")
+    lock, calls = claims.locked, []
+
+    def late(path: Path) -> Any:
+        calls.append(path)
+        file = lock(path)
+        if len(calls) == 1:
+            path.parent.rename(tmp_path / "moved")
+        return file
+
+    monkeypatch.setattr(claims, "locked", late)
+    with holding():
+        target = create(tmp_path / "out.zarr", like, job="a", force=True)
+        fill(target, values + 1)
+        assert lock(tmp_path / "out.zarr.partial" / "supple.lock") is None
+        target.finish()
+    assert len(calls) == 2
+    assert os.listdir(tmp_path / "moved") == ["supple.lock"]
+    np.testing.assert_array_equal(open_image(tmp_path / "out.zarr").levels[0].array[...], values + 1)
+
+
 def killed_at(number: int, name: str, act: Callable[[], object], monkeypatch: pytest.MonkeyPatch) -> None:
     """Do something, in which one call of the system's is where the process ends."""
     real, calls = getattr(os, name), []

@@ -102,8 +102,9 @@ def claim(place: Place, files: dict[str, bytes], job: str, force: bool) -> tuple
             site_of(place, force)
             found = _found(place, site, files, job, force)
         except SuppleError:
-            if found == "nothing":
-                shutil.rmtree(site.folder)
+            for remove, path in ((os.unlink, site.folder / LOCK), (os.rmdir, site.folder)):
+                with contextlib.suppress(OSError):  # it is not empty
+                    remove(path)
             raise
     store = site.store(read_only=False)
     if found == "another":
@@ -253,7 +254,7 @@ def _clear(site: Place) -> None:
     if site.folder is None:
         run(_cleared(site.store(read_only=False)))
         return
-    for entry in os.scandir(site.folder):
+    for entry in list(os.scandir(site.folder)):
         if entry.is_dir(follow_symlinks=False):
             shutil.rmtree(entry)
         elif entry.name not in (MARKER, LOCK):
