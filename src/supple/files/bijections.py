@@ -22,7 +22,7 @@ from supple.files.plans import chunks_of
 from supple.files.tasks import Runner, check_seen
 from supple.files.transforms import between, pull_of
 from supple.media.files import check_output
-from supple.media.stores import NOTES, Place, StoredImage, Target, check_free, create_arrays, is_store
+from supple.media.stores import NOTES, StoredImage, Target, check_free, create_arrays, is_store, overlap
 from supple.media.transforms import check_target, ngff
 from supple.pipeline import Tell
 
@@ -127,10 +127,8 @@ def check_field(address: PathLike, others: Sequence[PathLike], *, flat: bool, fo
     force : bool
         Whether an existing file may be replaced; `check_free` asks that of a scene.
     """
-    own = _parts(address)
-    for other in map(_parts, others):
-        if own[: len(other)] == other or other[: len(own)] == own:
-            raise SuppleError(f"{shown(address)} cannot be the field and an image too: give it a place of its own")
+    if any(overlap(address, other) for other in others):
+        raise SuppleError(f"{shown(address)} cannot be the field and an image too: give it a place of its own")
     if is_scene(address):
         return
     if flat:
@@ -230,7 +228,7 @@ def _write_chunks(work: Work, item: tuple[int, list[Box]]) -> tuple[Certificate,
     check_seen(target.address, target.site.folder)
     certificate, new, there = Certificate(0.0, 0.0), 0, 0
     for box in boxes:
-        done = target.is_done(way, box)
+        done = target.begun and target.is_done(way, box)
         values, found = (_pulled if way == PULL else _pushed)(work, box[1:], done)
         certificate |= found
         there += done
@@ -312,12 +310,3 @@ def _axes(image: StoredImage) -> list[Mapping[str, Any]]:
         known = {key: one for key, one in told.items() if one}
         made.append({"name": axis.name, "type": "space", "discrete": False, **known})
     return made
-
-
-def _parts(address: PathLike) -> list[str]:
-    """Return the parts of an address, or of the path of a folder without links."""
-    text = os.fspath(address)
-    if "://" not in text and "::" not in text:
-        return os.path.realpath(text).split(os.sep)
-    folder = Place(text).folder
-    return text.rstrip("/").split("/") if folder is None else os.path.realpath(folder).split(os.sep)

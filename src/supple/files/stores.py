@@ -36,7 +36,7 @@ from supple.media.stores import (
     StoredImage,
     Target,
     create,
-    is_begun,
+    holding,
     is_written,
 )
 from supple.media.transforms.ngff import Placement
@@ -135,6 +135,7 @@ class _Counts:
     certificate: Certificate = field(default_factory=lambda: Certificate(0.0, 0.0))
 
 
+@holding()
 def warp_store(
     source: PathLike,
     target: PathLike,
@@ -206,7 +207,6 @@ def warp_store(
     placement = _placement(image, medium, warp.grid, target)
     job = _job(opened, warp, recipe, replace(known, save_field=None))
     saving = _begin_field(image, medium, warp, job, (source, target), known.save_field, force)
-    begun = is_begun(target)
     with runner_of(where) as runner:
         made = create(target, image, force=force, job=job, **placement)
         mapping = None if saving is None else saving.claimed(force)
@@ -220,7 +220,7 @@ def warp_store(
             warp,
         )
         saved = None if mapping is None else write_field(mapping, runner, tell, maps)
-        counts, blocks = _write_blocks(work, runner, tell, maps, begun, warn=saved is None)
+        counts, blocks = _write_blocks(work, runner, tell, maps, made.begun, warn=saved is None)
         _write_levels(work, runner, tell, "nearest" if known.labels else "mean")
     labels = _labels(opened, recipe, maps, grid)
     if labels:
@@ -351,8 +351,6 @@ def _located(
 def _job(source: Source, warp: Warp, recipe: Recipe, options: VolumeOptions) -> str:
     """Return what identifies the work: the input, the recipe and all options that change a sample."""
     image = source.image
-    folder = Place(image.address).folder
-    address = image.address if folder is None else str(folder)
     deformation, grid = warp.deformation, warp.deformation.grid if warp.grid is None else warp.grid
     told = {
         "shape": image.shape,
@@ -374,7 +372,7 @@ def _job(source: Source, warp: Warp, recipe: Recipe, options: VolumeOptions) -> 
             digest.update(held.values.data)
         else:
             digest.update(np.ascontiguousarray(held.matrix).data)
-    return f"warp {address}, {digest.hexdigest()}"
+    return f"warp {Place(image.address).identity}, {digest.hexdigest()}"
 
 
 def _changed(image: StoredImage) -> list[int]:
@@ -447,10 +445,10 @@ def _warp_block(work: Work, item: tuple[Box, Block]) -> tuple[bool, bool, int]:
     target = work.target
     _check_seen(work.place, target)
     box = (*lead, *block.box)
-    if target.is_done(0, box):
+    if target.begun and target.is_done(0, box):
         return True, False, 0
     if block.identity and block.part == block.box and work.level is not None:
-        count = target.copy(0, box, work.level)
+        count = target.copy(0, box, work.level, work.place.address)
         if count is not None:
             return False, True, count
     with work.place.reading(f"samples of it cannot be decoded, at {_told((*lead, *block.part))}"):
@@ -494,5 +492,5 @@ def _write_levels(work: Work, runner: Runner, tell: Tell, mode: str) -> None:
 def _reduce_block(work: Work, item: tuple[int, Box, Any]) -> None:
     level, box, mode = item
     _check_seen(work.place, work.target)
-    if not work.target.is_done(level, box):
+    if not (work.target.begun and work.target.is_done(level, box)):
         work.target.reduce(level, box, mode)

@@ -7,8 +7,10 @@ import errno
 import os
 import shutil
 import stat
+import sys
 from collections.abc import Container, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import IO
 
 from supple.errors import SuppleError, shown
 
@@ -177,6 +179,26 @@ def replacing(path: PathLike, *, force: bool = False) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink()
+
+
+def locked(path: Path) -> IO[bytes] | None:
+    """Return a file that is locked while it is open; None if it is already locked."""
+    file = open(path, "ab")  # noqa: SIM115, closing it is what unlocks it
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        file.close()
+        return None
+    except OSError:
+        pass  # a disk without locks: rather offer it than lose it
+    return file
 
 
 def _is_full(folder: Path) -> bool:

@@ -1,6 +1,6 @@
 """Zarr arrays and OME-Zarr images: opened, and created like another for blocks that many processes write."""
 
-from supple.media.stores.claims import NOTES, check_free, is_begun, is_written
+from supple.media.stores.claims import NOTES, check_free, holding, is_written, overlap
 from supple.media.stores.image import LABELS, Level, StoredAxis, StoredImage, open_image
 from supple.media.stores.inputs import like_file
 from supple.media.stores.places import ROOTS, Place, is_store
@@ -20,9 +20,10 @@ __all__ = [
     "check_free",
     "create",
     "create_arrays",
-    "is_begun",
+    "holding",
     "is_store",
     "is_written",
     "like_file",
     "open_image",
+    "overlap",
 ]

@@ -121,15 +121,11 @@ class StoredImage:
         As the fields of OME-Zarr, positions are by the names of the axes if these are x, y, z, and turned to LPS if all
         axes have an anatomical orientation.
         """
-        return self.level_grid(0)
-
-    def level_grid(self, level: int) -> Grid:
-        """Return the grid of a level, as `grid`."""
-        one, axes = self.levels[level], [self.axes[axis] for axis in self.spatial]
+        one, axes = self.levels[0], [self.axes[axis] for axis in self.spatial]
         shape = [one.array.shape[axis] for axis in self.spatial]
         units = [None if (axis.unit or "").lower() in _PIXELS else axis.unit for axis in axes]
         if not any(units):
-            return Grid(shape) if level == 0 else self._in_pixels(level)
+            return Grid(shape)
         if not all(units):
             told = ", ".join(f"{axis.name} ({axis.unit or 'none'})" for axis in axes)
             raise self._error(f"its axes have units only in part: {told}", "give all of them one")
@@ -140,13 +136,6 @@ class StoredImage:
         spacing = np.linalg.norm(columns, axis=0)
         origin = matrix @ [one.translation[axis] for axis in self.spatial]
         return Grid(shape, spacing.tolist(), origin.tolist(), columns / spacing)
-
-    def _in_pixels(self, level: int) -> Grid:
-        """Return the grid of a coarser level in pixels of the finest."""
-        first, one, axes = self.levels[0], self.levels[level], self.spatial[::-1]
-        scale = [one.scale[axis] / first.scale[axis] for axis in axes]
-        origin = [(one.translation[axis] - first.translation[axis]) / first.scale[axis] for axis in axes]
-        return Grid([one.array.shape[axis] for axis in self.spatial], scale, origin)
 
     @property
     def placed(self) -> bool:

@@ -69,6 +69,22 @@ class Place:
         except (ValueError, OSError) as error:
             raise unreadable(self.address, _said(error), "check the address") from error
 
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Where it lies, from the root on, without links: the same for all spellings of an address."""
+        if self.folder is not None:
+            return Path(os.path.realpath(self.folder)).parts
+        *chain, last = self.address.split("::")
+        return Place(last).parts if chain else _parts(last)
+
+    @property
+    def identity(self) -> str:
+        """The address in the one spelling that stands for all."""
+        if self.folder is not None:
+            return os.path.realpath(self.folder)
+        root, *path = self.parts
+        return "::".join([*self.address.split("::")[:-1], f"{root}://{'/'.join(path)}"])
+
     def parent(self) -> Place | None:
         """Return the place above; None if there is none."""
         if self.folder is not None:
@@ -90,6 +106,7 @@ class Place:
         from zarr.errors import NodeNotFoundError
 
         if self.folder is not None:
+            mend(self.folder)
             if not os.path.lexists(self.folder):
                 raise self.unreadable("there is no such folder", "check the name")
             if not self.folder.is_dir():
@@ -183,7 +200,27 @@ def is_store(address: PathLike) -> bool:
     text = os.fspath(address)
     if _protocol(text) or text.rstrip("/").lower().endswith(".zarr"):
         return True
-    return any(os.path.isfile(os.path.join(text, name)) for name in ROOTS)
+    return any(os.path.isfile(os.path.join(text, name)) for name in ROOTS) or _nameless(text) is not None
+
+
+def replaced(target: Path) -> Path:
+    """Return where an output lies between the two renames by which a new one takes its name."""
+    return target.with_name(f".{target.name}.supple")
+
+
+def mend(path: PathLike) -> None:
+    """Give an output its name back, if the process was killed between those."""
+    if (old := _nameless(path)) is not None:
+        with contextlib.suppress(OSError):
+            os.rename(old, os.path.realpath(path))
+
+
+def _nameless(path: PathLike) -> Path | None:
+    with contextlib.suppress(OSError, ValueError):  # no file can have that name
+        target = Path(os.path.realpath(path))
+        if not os.path.lexists(target) and os.path.lexists(replaced(target)):
+            return replaced(target)
+    return None
 
 
 def run(work: Coroutine[Any, Any, Any]) -> Any:
@@ -242,8 +279,22 @@ def quiet() -> Iterator[None]:
 
 def _protocol(address: str) -> str:
     """Return the protocol of an address of fsspec, the first of a chain; empty for a path."""
-    head = address.partition("::")[0] if "::" in address else address.partition("://")[0]
-    return head.partition("://")[0].lower() if "://" in address or "::" in address else ""
+    return address.partition("::")[0].partition("://")[0].lower() if "://" in address else ""
+
+
+def _parts(address: str) -> tuple[str, ...]:
+    """Return the protocol, the host if that is no part of the path, and the path; nothing is reached."""
+    from fsspec.registry import get_filesystem_class
+
+    protocol, path = _protocol(address), address.partition("://")[2]
+    root: tuple[str, ...] = (protocol,)
+    with contextlib.suppress(ImportError, ValueError):  # it is not installed, or there is none: no store can be there
+        kind = get_filesystem_class(protocol)
+        names, given = kind.protocol, kind._get_kwargs_from_urls(f"{protocol}://{path}")
+        root = (names if isinstance(names, str) else names[0],)
+        root += tuple(str(given[name]) for name in ("host", "account_name") if given.get(name))
+        path = kind._strip_protocol(f"{protocol}://{path}")
+    return (*root, *(part for part in path.split("/") if part))
 
 
 def _is_missing(error: Exception) -> bool:

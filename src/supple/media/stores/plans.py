@@ -31,7 +31,6 @@ def planned(
     shape: Sequence[int] | None,
     scale: Sequence[float] | None,
     translation: Sequence[float] | None,
-    chunks: Sequence[int] | None,
 ) -> Plan:
     """Return what is to be written; SuppleError for arguments that do not fit."""
     n, carried = len(like.axes), len(like.axes) - len(like.spatial)
@@ -65,9 +64,8 @@ def planned(
             parts = level.path.split("/")[:-1]
             for k in range(len(parts)):
                 files.update(group_files("/".join(parts[: k + 1]), form, {}))
-    blocks = None if chunks is None else [int(x) for x in _numbers("chunks", chunks, n, None, whole, integer=True)]
     for level, sizes in zip(like.levels, shapes, strict=False):
-        files.update(_array(level, sizes, blocks))
+        files.update(_array(level, sizes))
     return Plan(files, tuple(steps[: count - 1]))
 
 
@@ -76,7 +74,6 @@ def _numbers(
     values: Sequence[float],
     n: int,
     carried: Sequence[float] | None,
-    filled: Sequence[float] | None = None,
     *,
     least: float = 0.0,
     integer: bool = False,
@@ -86,9 +83,8 @@ def _numbers(
         found = [float(x) for x in values]
     except (TypeError, ValueError):
         found = []
-    given = carried if carried is not None else filled
-    if given is not None and 2 <= len(found) < n:
-        found = [*(float(x) for x in given[: n - len(found)]), *found]
+    if carried is not None and 2 <= len(found) < n:
+        found = [*(float(x) for x in carried[: n - len(found)]), *found]
     good = all(math.isfinite(x) and (x > least) and (not integer or x == int(x)) for x in found)
     if len(found) != n or not good:
         what = "integers above 0" if integer else "finite numbers" if least < 0 else "numbers above 0"
@@ -148,32 +144,10 @@ def _json(told: Any) -> bytes:
     return json.dumps(told, indent=2).encode()
 
 
-def _array(level: Level, shape: tuple[int, ...], chunks: Sequence[int] | None) -> dict[str, bytes]:
+def _array(level: Level, shape: tuple[int, ...]) -> dict[str, bytes]:
     """Return the metadata of an array like that of a level, of another shape."""
     from zarr.core.buffer import default_buffer_prototype
 
-    metadata = level.array.metadata
-    told: dict[str, Any] = {"shape": shape}
-    if chunks is not None and metadata.zarr_format == 2:
-        told["chunks"] = tuple(chunks)
-    elif chunks is not None:
-        told |= _chunked(metadata, chunks)
-    files = dataclasses.replace(metadata, **told).to_buffer_dict(default_buffer_prototype())
+    files = dataclasses.replace(level.array.metadata, shape=shape).to_buffer_dict(default_buffer_prototype())
     prefix = f"{level.path}/" if level.path else ""
     return {f"{prefix}{key}": bytes(data.to_bytes()) for key, data in files.items()}
-
-
-def _chunked(metadata: Any, chunks: Sequence[int]) -> dict[str, Any]:
-    """Return the chunk grid and the codecs for other chunks; shards hold about as many samples as before."""
-    from zarr.codecs import ShardingCodec
-
-    grid = metadata.chunk_grid
-    outer = tuple(chunks)
-    codecs = list(metadata.codecs)
-    for k, codec in enumerate(codecs):
-        if isinstance(codec, ShardingCodec):
-            if len(codecs) > 1:
-                raise SuppleError("chunks cannot be chosen where other codecs come before shards: leave them out")
-            outer = tuple(max(1, round(a / b)) * b for a, b in zip(grid.chunk_shape, chunks, strict=True))
-            codecs[k] = dataclasses.replace(codec, chunk_shape=tuple(chunks))
-    return {"chunk_grid": dataclasses.replace(grid, chunk_shape=outer), "codecs": tuple(codecs)}

@@ -4,28 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import json
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
-from supple.media.files import PathLike, check_store
-from supple.media.stores.claims import (
-    check_apart,
-    claim_address,
-    claim_folder,
-    is_complete,
-    note,
-    publish,
-    told_of,
-    unfinished,
-)
+from supple.media.files import PathLike
+from supple.media.stores.claims import check_apart, check_written, claim, is_complete, note, publish, told_of
 from supple.media.stores.image import LABELS, Level, StoredAxis, StoredImage, described
 from supple.media.stores.places import MARKER, Place, put, quiet, read, refresh, run
 from supple.media.stores.plans import group_files, planned
@@ -33,6 +25,8 @@ from supple.media.stores.pyramid import Mode, Step, reduced
 
 Box = Sequence[tuple[int, int]]
 """The first sample and the one after the last, along each axis."""
+
+Item = TypeVar("Item")
 
 _AT_ONCE = 16  # requests
 
@@ -44,7 +38,6 @@ def create(
     shape: Sequence[int] | None = None,
     scale: Sequence[float] | None = None,
     translation: Sequence[float] | None = None,
-    chunks: Sequence[int] | None = None,
     force: bool = False,
     job: str,
 ) -> Target:
@@ -67,8 +60,6 @@ def create(
         Of the finest level, for all axes or the last ones, in array order and in the units of the axes. By default,
         those of ``like``. Coarser levels follow by the convention of ``like``: their translations are those of the
         means, or the same as that of the finest.
-    chunks : sequence of int, optional
-        The shape of chunks, for all axes or the last ones; the first are then whole.
     force : bool
         Whether to replace an existing Zarr store, and an unfinished output of another job. Where an output is a folder,
         the old one stays until the new one is finished.
@@ -85,15 +76,14 @@ def create(
         If there is something else already, an argument does not fit, or nothing can be written there.
     """
     place = Place(address)
-    plan = planned(place, like, shape, scale, translation, chunks)
-    if place.folder is None:
-        check_apart(place, like)
-    site = _claimed(place, plan.files, job, force)
+    check_apart(place, like.address)
+    plan = planned(place, like, shape, scale, translation)
+    site, begun = _claimed(place, plan.files, job, force)
     with place.reading("what was written cannot be read"), quiet():
         import zarr
 
         made = described(site, zarr.open(site.store(read_only=False), mode="r+"), len(like.spatial))
-    return Target(place, site, made, plan.steps, job, force)
+    return Target(place, site, made, plan.steps, job, force, begun=begun)
 
 
 def create_arrays(
@@ -113,7 +103,7 @@ def create_arrays(
     """
     place = Place(address)
     complete = is_complete(place, job)
-    site = place if complete else _claimed(place, files, job, force)
+    site, begun = (place, True) if complete else _claimed(place, files, job, force)
     with place.reading("what was written cannot be read"), quiet():
         import zarr
 
@@ -124,23 +114,18 @@ def create_arrays(
     names = arrays[0].metadata.dimension_names or ("",) * n
     axes = tuple(StoredAxis(name or "", "space" if k else "", None) for k, name in enumerate(names))
     image = StoredImage(place.address, "", axes, levels, tuple(range(1, n)), "", dict(root.attrs))
-    return Target(place, site, image, (), job, force, complete)
+    return Target(place, site, image, (), job, force, begun=begun, complete=complete)
 
 
-def _claimed(place: Place, files: dict[str, bytes], job: str, force: bool) -> Place:
-    """Take the place of an output, write its metadata, and return where it is written."""
+def _claimed(place: Place, files: dict[str, bytes], job: str, force: bool) -> tuple[Place, bool]:
+    """Take the place of an output, write its metadata; return where it is written, and whether it was begun."""
     with place.writing():
-        if place.folder is not None:
-            site = Place(unfinished(check_store(place.folder, force=force)))
-            claim_folder(place, site, files, job, force)
-        else:
-            site = place
-            claim_address(place, files, job, force)
+        site, begun = claim(place, files, job, force)
         store = site.store(read_only=False)
         for key, data in files.items():
             if read(store, key) is None:
                 put(store, key, data)
-    return site
+    return site, begun
 
 
 class Target:
@@ -159,6 +144,8 @@ class Target:
     blocks : tuple of tuple of int
         For each level, the shape of the smallest region that processes may write independently: of a shard, or of a
         chunk without shards.
+    begun : bool
+        Whether some of it may have been there: else no block has to be looked for.
     complete : bool
         Whether the same job has finished it already.
     """
@@ -171,10 +158,12 @@ class Target:
         steps: tuple[tuple[Step, ...], ...],
         job: str,
         force: bool,
+        *,
+        begun: bool,
         complete: bool = False,
     ) -> None:
         self.address = place.address
-        self.complete = complete
+        self.begun, self.complete = begun, complete
         self._place, self._site, self._steps, self._job, self._force = place, site, steps, job, force
         levels = tuple(Level(a.path, _writable(a.array), a.scale, a.translation) for a in image.levels)
         self.image = StoredImage(
@@ -182,10 +171,6 @@ class Target:
         )
         self.arrays = tuple(level.array for level in levels)
         self.blocks = tuple(tuple(array.metadata.chunk_grid.chunk_shape) for array in self.arrays)
-        self._seen: dict[int, set[str]] = {}
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_seen": {}}
 
     @property
     def block(self) -> tuple[int, ...]:
@@ -211,18 +196,9 @@ class Target:
         if folder is not None:
             # a file without content is what some file systems leave after a power failure
             return all(_size(folder / key) > 0 for key in keys)
-        with self._place.reading("its chunks cannot be listed"):
-            if level not in self._seen:
-                refresh(array.store)
-                self._seen[level] = set(run(_listed(array.store, array.path)))
-            seen = self._seen[level]
-            for key in keys:
-                if key not in seen:
-                    refresh(array.store)
-                    if not run(array.store.exists(key)):
-                        return False
-                    seen.add(key)
-        return True
+        with self._place.reading("its chunks cannot be found"):
+            refresh(array.store)
+            return all(run(_each(array.store.exists, keys)))
 
     def write(self, level: int, box: Box, values: npt.ArrayLike) -> None:
         """Write the samples of an aligned box; SuppleError if they cannot be stored."""
@@ -230,7 +206,7 @@ class Target:
         with self.writing():
             self.arrays[level][tuple(slice(a, b) for a, b in box)] = values
 
-    def copy(self, level: int, box: Box, source: Level) -> int | None:
+    def copy(self, level: int, box: Box, source: Level, address: PathLike) -> int | None:
         """Copy an aligned box of a level as it is compressed.
 
         Parameters
@@ -241,13 +217,22 @@ class Target:
             Along each axis. It is the same in both.
         source : Level
             Where it is read.
+        address : str or os.PathLike
+            That of the store in which it lies.
 
         Returns
         -------
         int or None
             The number of bytes; blocks that the source does not store are left out, as they hold its fill value. None
             if chunks, codecs, types, fill values or formats differ: then the samples must be written.
+
+        Raises
+        ------
+        SuppleError
+            If the source cannot be read, or the output not be written.
         """
+        from zarr.core.buffer import default_buffer_prototype
+
         array = self.arrays[level]
         names = list(self._keys(level, box, array))
         shape = tuple(source.array.shape)
@@ -255,9 +240,14 @@ class Target:
             return None
         if any(stop > size for (_, stop), size in zip(box, shape, strict=True)):
             return None
-        pairs = list(zip(self._keys(level, box, source.array), names, strict=True))
+        # all is read before any is written, so that each error is told of its own side: a box is no more than a task's
+        with Place(address).reading("its chunks cannot be read"):
+            get = functools.partial(source.array.store.get, prototype=default_buffer_prototype())
+            found = run(_each(get, self._keys(level, box, source.array)))
+        pairs = [(name, data) for name, data in zip(names, found, strict=True) if data is not None]
         with self.writing():
-            return int(sum(run(_copied(source.array.store, array.store, pairs))))
+            run(_each(lambda pair: array.store.set(*pair), pairs))
+        return sum(len(data) for _, data in pairs)
 
     def reduce(self, level: int, box: Box, mode: Mode = "mean") -> None:
         """Compute an aligned box of a level from the level before, and write it.
@@ -319,6 +309,7 @@ class Target:
         if self.complete:
             return self.address
         with self.writing():
+            check_written(self._place, self._site, (level.path for level in self.image.levels), self._job)
             if self._site.folder is not None:
                 publish(self._place, self._site.folder, self._job, self._force, keep)
             elif keep:
@@ -371,21 +362,12 @@ def _size(path: Path) -> int:
         return 0
 
 
-async def _listed(store: Any, path: str) -> list[str]:
-    return [key async for key in store.list_prefix(f"{path}/" if path else "")]
+async def _each(act: Callable[[Item], Awaitable[Any]], items: Iterable[Item]) -> list[Any]:
+    """Return what requests for several items return, of which some are made at a time."""
+    places = asyncio.Semaphore(_AT_ONCE)
 
-
-async def _copied(source: Any, target: Any, pairs: Iterable[tuple[str, str]]) -> list[int]:
-    from zarr.core.buffer import default_buffer_prototype
-
-    prototype, places = default_buffer_prototype(), asyncio.Semaphore(_AT_ONCE)
-
-    async def one(before: str, after: str) -> int:
+    async def one(item: Item) -> Any:
         async with places:
-            data = await source.get(before, prototype=prototype)
-            if data is None:
-                return 0
-            await target.set(after, data)
-            return len(data)
+            return await act(item)
 
-    return list(await asyncio.gather(*(one(before, after) for before, after in pairs)))
+    return list(await asyncio.gather(*map(one, items)))

@@ -7,7 +7,6 @@ import hashlib
 import json
 import os
 import secrets
-import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -19,7 +18,7 @@ import numpy as np
 
 from supple.errors import SuppleError
 from supple.files import PathLike
-from supple.media.files import replacing
+from supple.media.files import locked, replacing
 from supple.strokes import Recipe
 from supple.viewer.document.editing import Document
 
@@ -120,7 +119,7 @@ class Autosave:
             else:
                 self._folder.mkdir(parents=True, exist_ok=True)
                 if self._lock is None:
-                    self._lock = _locked(self.place.with_suffix(".lock"))
+                    self._lock = locked(self.place.with_suffix(".lock"))
                 data: dict[str, object] = {"supple_autosave": _VERSION, "source": _described(self.source)}
                 data |= {"saved": time.time(), "medium": _medium(self.document)}
                 data["recipe"] = json.loads(recipe.to_json())
@@ -145,7 +144,7 @@ def found(source: PathLike, folder: PathLike | None = None) -> Found | None:
     best: Found | None = None
     for place in sorted(_home(folder).glob(f"{_stem(source)}-*.json")):
         with contextlib.suppress(OSError):  # it may be deleted, or not readable
-            lock = _locked(place.with_suffix(".lock"))
+            lock = locked(place.with_suffix(".lock"))
             if lock is None:
                 continue
             with lock:
@@ -201,23 +200,3 @@ def _described(source: PathLike) -> dict[str, object]:
 def _medium(document: Document) -> list[list[float]]:
     """Return the JSON form of the spacing that a source is read with; a time scale is a spacing."""
     return [[float(n) for n in np.ravel(values)] for values in (document.shape, document.spacing)]
-
-
-def _locked(path: Path) -> IO[bytes] | None:
-    """Return a file that is locked while it is open; None if it is already locked."""
-    file = open(path, "ab")  # noqa: SIM115, closing it is what unlocks it
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (BlockingIOError, PermissionError):
-        file.close()
-        return None
-    except OSError:
-        pass  # a disk without locks: rather offer it than lose it
-    return file

@@ -1,0 +1,286 @@
+"""Blocks of an output: written, copied as they are compressed, reduced to coarser levels, and found again."""
+
+from __future__ import annotations
+
+import errno
+import pickle
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zarr
+from hypothesis import given
+from hypothesis import strategies as st
+
+from supple import SuppleError
+from supple.media.stores import Target, create, open_image
+from supple.media.stores.pyramid import Step, reduced, step_of
+from tests.media.stores.images import (
+    RNG,
+    boxes,
+    described_axes,
+    exact,
+    files,
+    fill,
+    image,
+    metadata,
+    part,
+    small,
+    whole,
+)
+
+
+@pytest.mark.parametrize("sharded", [False, True])
+def test_chunks_are_stored_even_if_empty_and_arrays_go_to_other_processes(sharded: bool, tmp_path: Path) -> None:
+    image(tmp_path / "in.zarr", 3, "0.5", shards=(1, 2, 8, 16, 32) if sharded else None)
+    target = create(tmp_path / "out.zarr", open_image(tmp_path / "in.zarr"), job="a")
+    target.write(0, whole(target), np.full(target.arrays[0].shape, 7))  # the fill value
+    assert target.is_done(0, whole(target))
+    other = pickle.loads(pickle.dumps(target))
+    other.reduce(1, whole(other, 1))
+    assert target.is_done(1, whole(target, 1))
+    array = pickle.loads(pickle.dumps(target.arrays[2]))
+    array[...] = 7
+    assert target.is_done(2, whole(target, 2))
+    with pytest.raises(SuppleError, match=r"is not aligned to blocks of \(1, 2, "):
+        target.is_done(0, [(0, 1), (0, 2), (0, 4), (0, 8), (0, 15)])
+    with pytest.raises(SuppleError, match="level must be from 1 to 2, not 0"):
+        target.reduce(0, whole(target))
+
+
+@pytest.mark.parametrize("form", [2, 3])
+@pytest.mark.parametrize("sharded", [False, True])
+@pytest.mark.parametrize("remote", [False, True])
+def test_blocks_are_copied_as_they_are(form: int, sharded: bool, remote: bool, tmp_path: Path, memory: str) -> None:
+    if sharded and form == 2:
+        pytest.skip("Zarr 2 has no shards")
+    version = {2: "0.4", 3: "0.5"}[form]
+    root = memory if remote else str(tmp_path)
+    arrays = image(f"{root}/in.zarr", form, version, shards=(1, 2, 8, 16, 32) if sharded else None)
+    like = open_image(f"{root}/in.zarr")
+    target = create(f"{root}/out.zarr", like, job="a")
+    counts = [target.copy(0, box, like.levels[0], like.address) for box in boxes(target, 0)]
+    assert all(counts)
+    assert target.is_done(0, whole(target))
+    total = target.copy(1, whole(target, 1), like.levels[1], like.address)
+    np.testing.assert_array_equal(target.arrays[0][...], arrays[0])
+    np.testing.assert_array_equal(target.arrays[1][...], arrays[1])
+    if not remote:
+        kept, made = files(tmp_path / "in.zarr"), files(tmp_path / "out.zarr.partial")
+        chunks = [name for name in kept if name[0] in "01" and not name.endswith((".json", ".zarray", ".zattrs"))]
+        assert all(kept[name] == made[name] for name in chunks)
+        assert sum(len(kept[name]) for name in chunks) == sum(map(int, filter(None, counts))) + int(total or 0)
+
+
+def test_blocks_that_are_stored_otherwise_are_not_copied(tmp_path: Path) -> None:
+    values, like = small(tmp_path / "in.zarr")
+    target = create(tmp_path / "out.zarr", like, job="a")
+    box = [(0, 2), (0, 4), (0, 4)]
+
+    def other(name: str, **more: Any) -> Any:
+        made = {"shape": (4, 9, 9), "dtype": "u2", "chunks": (2, 4, 4), "fill_value": 7} | more
+        zarr.create_array(str(tmp_path / name), **made)
+        return open_image(tmp_path / name).levels[0]
+
+    assert target.copy(0, box, other("same"), tmp_path) == 0
+    assert not target.is_done(0, box)
+    assert target.copy(0, box, like.levels[0], like.address)
+    for k, more in enumerate(
+        (
+            {"dtype": "i2"},
+            {"chunks": (2, 4, 5)},
+            {"fill_value": 0},
+            {"compressors": None},
+            {"zarr_format": 2},
+            {"chunks": (1, 2, 2), "shards": (2, 4, 4)},
+            {"shape": (1, 9, 9)},
+            {"shape": (1, 4, 9, 9), "chunks": (1, 2, 4, 4)},
+        )
+    ):
+        assert target.copy(0, box, other(str(k), **more), tmp_path) is None
+    # another encoding of keys is no other encoding of chunks
+    flat = other("flat", chunk_key_encoding={"name": "v2", "separator": "."})
+    writable = zarr.open_array(str(tmp_path / "flat"), mode="r+")
+    writable[...] = values
+    assert target.copy(0, whole(target), flat, tmp_path)
+    np.testing.assert_array_equal(target.arrays[0][...], values)
+
+
+def test_nan_as_fill_value_is_equal_to_itself(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        zarr.create_array(str(tmp_path / name), data=np.ones((4, 4), np.float32), chunks=(2, 2), fill_value=np.nan)
+    target = create(tmp_path / "out.zarr", open_image(tmp_path / "a"), job="a")
+    assert create(tmp_path / "out.zarr", open_image(tmp_path / "a"), job="a").copy(
+        0, whole(target), open_image(tmp_path / "b").levels[0], tmp_path / "b"
+    )
+
+
+@given(
+    st.sampled_from(["?", "u1", "i1", "u2", ">i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8"]),
+    st.lists(st.tuples(st.integers(1, 7), st.integers(1, 3)), min_size=1, max_size=3),
+    st.integers(0, 2**32),
+)
+def test_means_are_exact(dtype: str, axes: list[tuple[int, int]], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    shape, factors = [n for n, _ in axes], [f for _, f in axes]
+    kind = np.dtype(dtype)
+    if kind.kind in "iu":
+        info = np.iinfo(kind)
+        values = rng.integers(info.min, info.max, shape, kind.newbyteorder("="), endpoint=True).astype(kind)
+        if seed % 3 == 0:
+            values = values // max(1, info.max // 3)  # many ties
+        values = values.astype(kind)
+    else:
+        values = rng.normal(0, 2, shape).astype(kind)
+    made = reduced(values, factors, "mean")
+    assert made.dtype == kind
+    np.testing.assert_allclose(made, exact(values, factors), rtol=1e-12 if kind == "f8" else 0, atol=0)
+    first = reduced(values, factors, "nearest")
+    np.testing.assert_array_equal(first, values[tuple(slice(None, None, f) for f in factors)])
+
+
+def test_steps_between_levels() -> None:
+    assert step_of(1000, 500, 2.0) == Step(2, False)
+    assert step_of(1001, 501, 2.0) == Step(2, False)
+    assert step_of(1001, 500, 2.002) == Step(2, True)
+    assert step_of(1000, 500, 1.0) == Step(2, False)  # the scale is wrong
+    assert step_of(1, 1, 2.0) == Step(2, False)
+    assert step_of(1, 1, 1.0) == Step(1, False)
+    assert step_of(30, 20, 1.5) is None
+    assert step_of(81, 27, 3.0) == Step(3, False)
+
+
+def test_an_incomplete_group_is_left_out_where_the_input_does(tmp_path: Path) -> None:
+    attributes = metadata("0.5", described_axes("yx"), [([1, 1], [0, 0]), ([2, 2], [0.5, 0.5])])
+    group = zarr.create_group(str(tmp_path / "in.zarr"), attributes=attributes)
+    group.create_array("0", shape=(9, 11), dtype="u1", chunks=(4, 4))
+    group.create_array("1", shape=(4, 5), dtype="u1", chunks=(4, 4))
+    target = create(tmp_path / "out.zarr", open_image(tmp_path / "in.zarr"), shape=(7, 13), job="a")
+    assert [array.shape for array in target.arrays] == [(7, 13), (3, 6)]
+    values = RNG.integers(0, 255, (7, 13), np.uint8)
+    fill(target, values)
+    np.testing.assert_array_equal(target.arrays[1][...], exact(values[:6, :12], [2, 2]))
+
+
+def test_labels_are_reduced_to_first_samples(tmp_path: Path) -> None:
+    (values, *_) = image(tmp_path / "in.zarr", 3, "0.5", count=2)
+    target = create(tmp_path / "out.zarr", open_image(tmp_path / "in.zarr"), job="a")
+    target.write(0, whole(target), values)
+    for box in boxes(target, 1):
+        target.reduce(1, box, "nearest")
+    np.testing.assert_array_equal(target.arrays[1][...], values[..., ::2, ::2])
+
+
+def test_a_chunk_without_content_is_not_done(tmp_path: Path) -> None:
+    values, like = small(tmp_path / "in.zarr")
+    target = create(tmp_path / "out.zarr", like, job="a")
+    fill(target, values)
+    (tmp_path / "out.zarr.partial" / "0" / "c" / "0" / "0" / "0").write_bytes(b"")
+    assert not target.is_done(0, [(0, 2), (0, 4), (0, 4)])
+    assert target.is_done(0, [(0, 2), (0, 4), (4, 8)])
+
+
+@pytest.mark.parametrize("remote", [False, True])
+def test_a_store_that_fails_in_the_middle(
+    remote: bool, tmp_path: Path, memory: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from zarr.storage import FsspecStore, LocalStore
+
+    root = memory if remote else str(tmp_path)
+    values, like = small(f"{root}/in.zarr")
+    target = create(f"{root}/out.zarr", like, job="a")
+    kind = FsspecStore if remote else LocalStore
+    for error, expected in (
+        (OSError(errno.ENOSPC, "No space left on device"), "No space left on device: make room"),
+        (PermissionError(errno.EACCES, "Permission denied"), "Permission denied: choose a place"),
+        (OSError("bucket is gone"), "bucket is gone: choose another place"),
+    ):
+
+        async def failing(self: Any, key: str, value: Any, error: Exception = error) -> None:
+            raise error
+
+        with monkeypatch.context() as patched:
+            patched.setattr(kind, "set", failing)
+            for act in (
+                lambda: target.write(0, whole(target), values),
+                lambda: target.copy(0, whole(target), like.levels[0], like.address),
+                lambda: create(f"{root}/other.zarr", like, job="a"),
+            ):
+                with pytest.raises(SuppleError, match=expected) as told:
+                    act()
+                assert str(told.value).startswith(f"cannot write {root}/o")
+    if not remote:
+        assert not (tmp_path / "out.zarr").exists()
+
+
+def test_a_client_that_remembers_listings_sees_what_others_wrote(memory: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Clients of buckets look into their last listing, as this one does."""
+    from fsspec.implementations.memory import MemoryFileSystem
+
+    from supple.media.stores import places
+
+    values, like = small(f"{memory}/in.zarr")
+    target = create(f"{memory}/out.zarr", like, job="a")
+    known: dict[str, bool] = {}
+    exists = MemoryFileSystem.exists
+    monkeypatch.setattr(MemoryFileSystem, "exists", lambda self, path: known.setdefault(path, exists(self, path)))
+    refresh = places.refresh
+    for module in (places, sys.modules[Target.__module__]):
+        monkeypatch.setattr(module, "refresh", lambda store: (known.clear(), refresh(store)))
+    assert not target.is_done(0, whole(target))
+    create(f"{memory}/out.zarr", like, job="a").write(0, whole(target), values)
+    assert target.is_done(0, whole(target))
+
+
+@pytest.mark.parametrize("remote", [False, True])
+def test_a_source_that_cannot_be_read_is_named(
+    remote: bool, tmp_path: Path, memory: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not the output, to which its chunks are copied."""
+    from zarr.storage import FsspecStore, LocalStore
+
+    root = memory if remote else str(tmp_path)
+    _, like = small(f"{root}/in.zarr")
+    target = create(f"{root}/out.zarr", like, job="a")
+
+    async def failing(self: Any, key: str, *more: Any, **named: Any) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(FsspecStore if remote else LocalStore, "get", failing)
+    told = "it cannot be reached" if remote else "its chunks cannot be read"
+    with pytest.raises(SuppleError, match=rf"^cannot read {root}/in\.zarr: {told} \(.*Input/output error\): \w+"):
+        target.copy(0, whole(target), like.levels[0], like.address)
+    assert not target.is_done(0, [(0, 2), (0, 4), (0, 4)])
+
+
+def test_blocks_are_looked_for_one_by_one(memory: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is listed, and nothing kept: arrays have millions of blocks."""
+    from zarr.storage import FsspecStore
+
+    values, like = small(f"{memory}/in.zarr")
+    assert not create(f"{memory}/out.zarr", like, job="a").begun
+    target = create(f"{memory}/out.zarr", like, job="a")
+    assert target.begun
+    asked: list[str] = []
+    exists = FsspecStore.exists
+
+    def listed(*rest: Any, **more: Any) -> None:
+        raise AssertionError("it is listed")
+
+    async def counted(self: Any, key: str) -> bool:
+        asked.append(key)
+        return bool(await exists(self, key))
+
+    for name in ("list", "list_dir", "list_prefix"):
+        monkeypatch.setattr(FsspecStore, name, listed)
+    monkeypatch.setattr(FsspecStore, "exists", counted)
+    before = dict(vars(target))
+    box = [(0, 4), (4, 9), (0, 4)]
+    assert not target.is_done(0, box)
+    target.write(0, box, part(values, box))
+    asked.clear()
+    assert target.is_done(0, box)
+    assert sorted(asked) == [f"0/c/{z}/{y}/0" for z in range(2) for y in (1, 2)]
+    assert vars(target) == before
