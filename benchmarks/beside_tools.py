@@ -1,6 +1,6 @@
 """What `beside.py` sets beside Supple: each tool bends a picture by strokes as its own users would, and tells its map.
 
-A tool that is not installed says so in a line. Points are (x, y) in pixels, the centre of the top left one being (0, 0).
+A tool that is not installed says so in a line. Points are (x, y) in pixels, (0, 0) is the centre of the top left one.
 A map says for each pixel of the result which point of the picture it shows: (H, W, 2), float64.
 """
 
@@ -39,6 +39,11 @@ class Stroke:
     end: Point
     radius: float
 
+    def halved(self) -> Stroke:
+        """On every second pixel."""
+        (x0, y0), (x1, y1) = self.start, self.end
+        return Stroke((x0 / 2, y0 / 2), (x1 / 2, y1 / 2), self.radius / 2)
+
 
 def pixels(height: int, width: int) -> Floats:
     """The points of all pixels, x first."""
@@ -46,7 +51,7 @@ def pixels(height: int, width: int) -> Floats:
 
 
 def staying(shape: tuple[int, int], strokes: Sequence[Stroke]) -> list[Point]:
-    """Points that are to stay, for tools that move all that is not held: the edges, and a grid away from all strokes."""
+    """Points that are to stay, for tools that move all that is not held: a grid, away from all strokes."""
     radius = strokes[0].radius
     counts = [max(2, round((n - 1) / (APART * radius)) + 1) for n in shape]
     ys, xs = (np.linspace(0, n - 1, count) for n, count in zip(shape, counts, strict=True))
@@ -146,14 +151,14 @@ class Gimp(Program):
     """GIMP's warp tool, by the program of its library: brushes that move, at full strength, and GIMP's hardness.
 
     All strokes are nodes that pass displacements on, as one session of GIMP's tool has them: the picture is sampled
-    once, by a cubic. A stroke writes pairs of floats to a copy of what it is given, whatever its format, so that has to
-    be a picture of two floats; GIMP's own is.
+    once. NoHalo is the sharpest of its samplers here, and cubic GIMP's default. A stroke writes pairs of floats to a
+    copy of what it is given, whatever its format, so that has to be a picture of two floats; GIMP's own is.
     """
 
-    name = "GIMP's warp"
     size = 4.0  # the brush's diameter, in radii
 
-    def __init__(self) -> None:
+    def __init__(self, sampler: str = "nohalo") -> None:
+        self.sampler, self.name = sampler, f"GIMP's warp, {sampler}"
         if shutil.which("gegl") is None:
             self.missing = "the program gegl is not installed"
 
@@ -179,7 +184,9 @@ class Gimp(Program):
             brushes.append(node("warp", stroke=path, behavior="move", **hand))
         nothing = node("convert-format", format="YA float") + node("crop", width=shape[1], height=shape[0])
         nothing += node("color", value="rgba(0,0,0,0)")
-        moved = node("map-relative", "".join(brushes) + nothing, **{"sampler-type": "cubic", "abyss-policy": "clamp"})
+        moved = node(
+            "map-relative", "".join(brushes) + nothing, **{"sampler-type": self.sampler, "abyss-policy": "clamp"}
+        )
         return f"<gegl>{moved}{node('load', path=source)}</gegl>"
 
     def map(self, shape: tuple[int, int], strokes: Sequence[Stroke]) -> Floats:
@@ -190,9 +197,10 @@ class Gimp(Program):
 
 
 class Magick(Program):
-    """ImageMagick's `-distort Shepards`, which moves points to points, by inverse distances."""
+    """ImageMagick's `-distort Shepards`, which moves points to points, by inverse distances; its sharpest filter."""
 
     name = "ImageMagick, Shepards"
+    how = ("-virtual-pixel", "edge", "-filter", "LanczosSharp", "-distort", "Shepards")
 
     def __init__(self) -> None:
         if not self.program:
@@ -215,7 +223,7 @@ class Magick(Program):
             f"{x0 + 0.5:.3f},{y0 + 0.5:.3f} {x1 + 0.5:.3f},{y1 + 0.5:.3f}"
             for (x0, y0), (x1, y1) in zip(start, end, strict=True)
         )
-        return [[self.program, str(source), "-virtual-pixel", "edge", "-distort", "Shepards", words, str(target)]]
+        return [[self.program, str(source), *self.how, words, str(target)]]
 
     def command(self, source: Path, target: Path, stroke: Stroke) -> list[str]:
         return self.files(source, target, [stroke])[0]
@@ -289,4 +297,4 @@ class OpenCV(Tool):
 
 def tools() -> tuple[Tool, ...]:
     """Ours first."""
-    return Supple(), Gimp(), Magick(), Spline(), OpenCV()
+    return Supple(), Gimp(), Gimp("cubic"), Magick(), Spline(), OpenCV()
