@@ -252,7 +252,7 @@ def main() -> int:
     print(machine())
     page = PAGE.read_text(encoding="utf-8") if asked.write else ""
     if asked.write:
-        page = kept(page, "machine", f"{machine()}; medians of {runs} pairs.")
+        page = kept(page, "machine", f"{machine()}; medians of {runs} pairs, of 3 for the volume.")
     jobs = {
         "drag": lambda: dragged(picture, mild, runs),
         "command": lambda: commands(picture, mild, runs),

@@ -92,7 +92,7 @@ def volume(quick: bool, runs: int) -> Iterator[str]:
 
     def whole() -> Any:
         d = ours(shape)
-        return d.warp(head, filter="linear"), d.forward(grid)
+        return d.warp(head, filter="linear"), d.inverse_map(), d.forward(grid)
 
     grid = grid_of(shape)
     d = ours(shape)
