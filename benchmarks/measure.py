@@ -14,6 +14,7 @@ from pathlib import Path
 
 HEAD = "| what | ours | peer | ratio | bar | | before | runs |\n|---|---|---|---|---|---|---|---|"
 BY_HAND = "by hand"
+BEGIN, END = "<!-- measured: {} -->", "<!-- end -->"  # around what a page keeps
 
 
 @dataclass(frozen=True)
@@ -131,4 +132,13 @@ def machine() -> str:
     return f"{model}, {cores} cores, {platform.system()}, Python {platform.python_version()}"
 
 
-__all__ = ["BY_HAND", "HEAD", "Row", "faster", "machine", "milliseconds", "pair", "run", "shown", "timed"]
+def kept(page: str, name: str, text: str) -> str:
+    """Return the page with the text between its two marks replaced."""
+    before, begun, rest = page.partition(BEGIN.format(name))
+    _, ended, after = rest.partition(END)
+    if not (begun and ended):
+        raise ValueError(f"the page's marks {begun or BEGIN.format(name)} and {END} are missing")
+    return f"{before}{begun}\n{text}\n{ended}{after}"
+
+
+__all__ = ["BY_HAND", "HEAD", "Row", "faster", "kept", "machine", "milliseconds", "pair", "run", "shown", "timed"]

@@ -21,7 +21,7 @@ import cv2
 import pictures
 import video
 import volume
-from measure import BY_HAND, HEAD, Row, machine, shown
+from measure import BY_HAND, HEAD, Row, kept, machine, shown
 
 import supple
 
@@ -29,7 +29,6 @@ Part = Callable[[], Iterable[Row]]
 
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"
 PEERS = ("numpy", "numba", "opencv-python-headless", "scikit-image", "pyvips", "av", "scipy", "simpleitk", "vtk")
-BEGIN, END = "<!-- measured: {} -->", "<!-- end -->"
 
 
 def by_hand(demo: float | None, tests: float | None) -> list[Row]:
@@ -77,15 +76,6 @@ def parts(here: Path, runs: int, quick: bool) -> tuple[dict[str, Part], dict[str
         "volume-memory": lambda: volume.memory(here, quick),
     }
     return first, rest
-
-
-def kept(page: str, name: str, text: str) -> str:
-    """Return the page with the text between its two marks replaced."""
-    before, begun, rest = page.partition(BEGIN.format(name))
-    _, ended, after = rest.partition(END)
-    if not (begun and ended):
-        raise ValueError(f"{PAGE}: the marks {begun or BEGIN.format(name)} and {END} are missing")
-    return f"{before}{begun}\n{text}\n{ended}{after}"
 
 
 def main() -> int:

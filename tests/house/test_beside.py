@@ -1,0 +1,95 @@
+"""The comparison with other tools: its measures, on known maps, and its run where no other tool is installed."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import subprocess
+import sys
+from types import ModuleType
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from tests.children import ROOT
+
+FOLDER = ROOT / "benchmarks"
+ALONE = """
+import sys
+sys.path.insert(0, sys.argv[1])
+for name in ("cv2", "skimage", "skimage.transform", "SimpleITK"):
+    sys.modules[name] = None
+sys.argv = ["beside.py", "--quick"]
+import beside
+sys.exit(beside.main())
+"""
+
+
+@pytest.fixture
+def beside(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(FOLDER))
+    monkeypatch.setenv("SUPPLE_THREADS", os.environ.get("SUPPLE_THREADS", "2"))
+    return importlib.import_module("beside")
+
+
+def bump(beside: ModuleType, by: tuple[float, float]) -> npt.NDArray[np.float64]:
+    """A map that shows at (40, 30) what is at (40, 30) - by, and moves less and less around it."""
+    q = beside.pixels(64, 80)
+    weight = np.exp(-((q - (40.0, 30.0)) ** 2).sum(axis=-1) / 200)
+    return np.asarray(q - weight[..., None] * by)
+
+
+def test_where_a_point_arrives(beside: ModuleType) -> None:
+    stroke = beside.Stroke((36.0, 33.0), (40.0, 30.0), 10.0)
+    assert beside.arrival(bump(beside, (4.0, -3.0)), stroke) == pytest.approx([40, 30], abs=1e-6)
+    short = beside.arrival(bump(beside, (2.0, -1.5)), stroke)
+    assert 1.5 < np.linalg.norm(short - (40, 30)) < 3
+
+
+def test_folds_are_counted(beside: ModuleType) -> None:
+    assert beside.folded(beside.pixels(20, 30)) == 0
+    # The slope of the bump's displacement is at most 1.21 / 20 of its height: from 16.5 pixels on, it folds.
+    assert beside.folded(bump(beside, (16.0, 0.0))) == 0
+    assert beside.folded(bump(beside, (17.5, 0.0))) > 0
+    mirrored = beside.pixels(20, 30)[:, ::-1]
+    assert beside.folded(mirrored) == 19 * 29
+
+
+def test_truth_of_the_identity_is_the_average(beside: ModuleType) -> None:
+    q = beside.pixels(60, 80)
+    full = np.stack([np.sin(q[..., 0] / 3), np.cos(q[..., 1] / 4), np.sin(q.sum(axis=-1) / 5)], axis=-1) * 100
+    same = beside.truth(full, [beside.pixels(30, 40)])
+    blocks = full.reshape(30, 2, 40, 2, 3).mean(axis=(1, 3))
+    assert np.abs(same - blocks)[4:-4, 4:-4].max() < 1
+
+
+def test_points_that_stay_are_away_from_strokes(beside: ModuleType) -> None:
+    from beside_tools import pairs
+
+    start, end = pairs((100, 120), [beside.Stroke((50.0, 40.0), (56.0, 44.0), 8.0)])
+    assert start[0].tolist() == [50, 40]
+    assert end[0].tolist() == [56, 44]
+    assert np.array_equal(start[1:], end[1:])
+    assert np.linalg.norm(start[1:] - start[0], axis=1).min() > 20
+    assert {(0, 0), (119, 0), (0, 99), (119, 99)} <= {tuple(point) for point in start[1:].tolist()}
+
+
+def test_supples_map_is_that_of_its_picture(beside: ModuleType) -> None:
+    stroke = beside.Stroke((40.0, 30.0), (46.0, 33.0), 9.0)
+    ours = beside.Supple()
+    q = beside.pixels(64, 80)
+    ramp = np.repeat(np.rint(q[..., :1] * 3), 3, axis=-1).astype(np.uint8)
+    assert np.abs(ours.warp(ramp, [stroke])[..., 0] / 3 - ours.map((64, 80), [stroke])[..., 0]).max() < 0.6
+
+
+def test_it_runs_where_no_other_tool_is_installed() -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "PATH": ""}
+    done = subprocess.run(
+        [sys.executable, "-c", ALONE, str(FOLDER)], env=environment, capture_output=True, encoding="utf-8", cwd=ROOT
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    for line, rows in (("gegl is not installed", 6), ("ImageMagick is", 3), ("scikit-image is", 3), ("OpenCV is", 3)):
+        assert done.stdout.count(line) == rows, line
+    assert "| SimpleITK | is not installed |" in done.stdout
+    assert done.stdout.count("| Supple | 0.00 px | 0 |") == 2
