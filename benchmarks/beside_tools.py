@@ -229,7 +229,7 @@ class Magick(Program):
         return self.files(source, target, [stroke])[0]
 
     def map(self, shape: tuple[int, int], strokes: Sequence[Stroke]) -> Floats:
-        """By its documented formula, which a picture of coordinates confirms to its 16 bits."""
+        """By its documented formula; a picture of coordinates of 16 bits agreed within 0.05 pixels."""
         start, end = pairs(shape, strokes)
         q = pixels(*shape)
         weight = 1 / np.maximum(((q[:, :, None] - end) ** 2).sum(axis=-1), 1e-12)
