@@ -245,7 +245,7 @@ def test_units_times_and_levels() -> None:
         assert np.allclose(level.translation, (0, *((np.array(steps) - (2, 0.5, 0.5)) / 2)))
 
 
-def test_spacing_of_ome_tiff() -> None:
+def test_spacing_of_ome_tiff_is_the_same_however_it_is_read() -> None:
     told = {
         "axes": "ZYX",
         "PhysicalSizeX": 250.0,
@@ -254,9 +254,30 @@ def test_spacing_of_ome_tiff() -> None:
         "PhysicalSizeZ": 3.0,
     }
     tifffile.imwrite("in.ome.tif", noise((11, 32, 40), "uint8"), metadata=told)
-    geometry = Samples("in.ome.tif").geometry
-    assert geometry is not None
-    assert np.allclose(geometry.spacing, (250e-6, 5e-4, 3e-3))
+    for geometry in (Samples("in.ome.tif").geometry, volume.read("in.ome.tif").geometry):
+        assert geometry is not None
+        assert np.allclose(geometry.spacing, (250e-6, 5e-4, 3e-3))
+
+
+def test_a_series_of_slices() -> None:
+    sitk = pytest.importorskip("SimpleITK")
+    values = noise((11, 32, 40), "int16")
+    Path("ct").mkdir()
+    writer = sitk.ImageFileWriter()
+    writer.KeepOriginalImageUIDOn()
+    for k, plane in enumerate(values):
+        one = sitk.GetImageFromArray(plane)
+        place = "\\".join(map(str, (0.0, 0.0, float(k))))
+        tags = {"0008|0060": "CT", "0020|000e": "1.2.3", "0020|000d": "1.2", "0008|0018": f"1.2.3.{k + 1}"}
+        tags |= {"0020|0032": place, "0020|0037": "1\\0\\0\\0\\1\\0", "0020|0013": str(k + 1), "0018|0050": "1"}
+        for tag, text in tags.items():
+            one.SetMetaData(tag, text)
+        writer.SetFileName(f"ct/{k:03d}.dcm")
+        writer.Execute(one)
+    made = warp_store("ct", "out.zarr", DEEP)
+    expected = made.deformation.warp(values, between="cubic", time_filter=True)
+    assert np.array_equal(open_image("out.zarr").levels[0].array[...], expected)
+    assert plan_file("ct", DEEP).shape == (11, 32, 40)
 
 
 def test_only_needed_tiles_are_read() -> None:
@@ -276,7 +297,7 @@ def test_only_needed_tiles_are_read() -> None:
 
 
 def test_shards_cover_pages() -> None:
-    tifffile.imwrite("in.tif", noise((40, 64, 80), "uint16"), photometric="minisblack")
+    tifffile.imwrite("in.tif", noise((40, 64, 80), "uint16"), photometric="minisblack", compression="zlib")
     warp_store("in.tif", "out.zarr", DEEP)
     array = open_image("out.zarr").levels[0].array
     assert array.shards[1:] == (64, 80)
@@ -332,6 +353,13 @@ def changed(name: str, before: bytes, after: bytes) -> None:
     Path(name).write_bytes(held.replace(before, after))
 
 
+def empty_strip() -> None:
+    tifffile.imwrite("in.tif", noise((80, 90), "uint8"), rowsperstrip=8, compression="zlib")
+    with tifffile.TiffFile("in.tif", mode="r+") as file:
+        tag = file.pages[0].tags["StripByteCounts"]
+        tag.overwrite((0, *tag.value[1:]))
+
+
 def lacking_ome() -> None:
     tifffile.imwrite("in.ome.tif", noise((2, 3, 8, 9), "uint8"), ome=True, metadata={"axes": "CZYX"})
     changed("in.ome.tif", b'SizeZ="3"', b'SizeZ="4"')
@@ -367,6 +395,7 @@ WRONG: dict[str, tuple[Callable[[], object], str, Recipe, str]] = {
     "no TIFF": (lambda: Path("in.tif").write_bytes(b"P6 2 2 255 "), "in.tif", FLAT, "it is no TIFF: check its name"),
     "pages of OME-TIFF": (lacking_ome, "in.ome.tif", DEEP, "some of its pages are missing"),
     "pages of ImageJ": (lacking_imagej, "in.tif", DEEP, "said to hold 8 images, and has 6 pages"),
+    "empty strips": (empty_strip, "in.tif", FLAT, "some of its tiles or strips are empty"),
     "missing": (lambda: None, "none.tif", FLAT, "No such file"),
     "missing volume": (lambda: None, "none.nii", DEEP, "No such file"),
     "picture": (

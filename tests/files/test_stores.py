@@ -15,6 +15,7 @@ import subprocess
 import sys
 import textwrap
 import time
+import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -532,7 +533,11 @@ def test_label_images_are_bent_with_their_image(version: str, monkeypatch: pytes
         patch.setattr(Target, "finish", stopped)
         with pytest.raises(KeyboardInterrupt), pytest.warns(VolumeWarning, match="coarse"):
             warp_store("in.zarr", "out.zarr", DEEP)
-    with pytest.warns(VolumeWarning, match="label image coarse of in.zarr is on another grid, and not carried over"):
+    label = Path("in.zarr/labels/nuclei/.zgroup" if version == "0.4" else "in.zarr/labels/nuclei/zarr.json")
+    os.utime(label, ns=(0, 0))  # as if it had been replaced meanwhile: it is begun anew
+    with pytest.warns(
+        VolumeWarning, match=r"label image coarse of in.zarr is not carried over \(it is on another grid"
+    ):
         made = warp_store("in.zarr", "out.zarr", DEEP)
     assert made.labels == ("nuclei",)
     found = arrays("out.zarr/labels/nuclei")
@@ -543,6 +548,34 @@ def test_label_images_are_bent_with_their_image(version: str, monkeypatch: pytes
     label.attrs["image-label" if version == "0.4" else "ome"] = {**label.attrs.get("ome", {}), "image-label": {}}
     with pytest.warns(VolumeWarning, match="nuclei is a label map, and its labels are mixed"):
         warp_store("in.zarr/labels/nuclei", "label.zarr", DEEP)
+
+
+def test_label_images_that_cannot_be_bent_are_told_before_any_work() -> None:
+    ome("in.zarr", "0.5", "zyx", (14, 40, 44), (4, 16, 16))
+    ome("evil.zarr", "0.5", "zyx", (14, 40, 44), (4, 16, 16))
+    names = ["gone", "flat", "real", "../../evil.zarr"]
+    zarr.open_group("in.zarr").create_group("labels", attributes={"ome": {"version": "0.5", "labels": names}})
+    ome("in.zarr/labels/flat", "0.5", "yx", (40, 44), (16, 16))
+    ome("in.zarr/labels/real", "0.5", "zyx", (14, 40, 44), (4, 16, 16), dtype="float32")
+    with pytest.warns(VolumeWarning) as told:
+        made = warp_store("in.zarr", "out.zarr", DEEP)
+    assert made.labels == ()
+    said = [str(each.message) for each in told]
+    for name, why in zip(names, ("gone", "2 axes of space", "it holds float32", "no plain name"), strict=True):
+        assert any(f"label image {name} of in.zarr is not carried over (" in text and why in text for text in said)
+    assert sorted(os.listdir()) == ["evil.zarr", "in.zarr", "out.zarr"]
+
+
+def test_labels_outside_are_background() -> None:
+    ome("in.zarr", "0.5", "zyx", (14, 40, 44), (4, 16, 16))
+    zarr.open_group("in.zarr").create_group("labels", attributes={"ome": {"version": "0.5", "labels": ["nuclei"]}})
+    ome("in.zarr/labels/nuclei", "0.5", "zyx", (14, 40, 44), (4, 16, 16), dtype="uint8")
+    shift = Placed(Affine(np.c_[np.eye(3), (60, 0, 0)]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        made = warp_store("in.zarr", "out.zarr", Recipe(strokes=[]), maps=(shift,), outside="constant", fill=300)
+    assert set(np.unique(arrays(made.target)[0])) == {300}
+    assert set(np.unique(arrays("out.zarr/labels/nuclei")[0])) == {0}
 
 
 def test_another_input_of_the_same_shape_is_another_job(monkeypatch: pytest.MonkeyPatch) -> None:

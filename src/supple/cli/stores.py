@@ -114,6 +114,8 @@ def _pair(paths: Sequence[str]) -> tuple[str, str]:
     if len(sources) > 1 or (glob.has_magic(sources[0]) and not os.path.exists(sources[0]) and "://" not in sources[0]):
         stored = next(path for path in paths if is_store(path))
         raise SuppleError(f"{shown(stored)} is a Zarr store, and stores are written one at a time: give one, and OUT")
+    if sources[0] == STREAM:
+        raise SuppleError(f"standard input is read as a picture, and {shown(target)} is a Zarr store: name a file")
     if target == STREAM or is_media_name(target):
         name = "standard output" if target == STREAM else shown(target)
         raise SuppleError(

@@ -22,7 +22,7 @@ from supple.fields import Placed, folds_of, only_name
 from supple.files.clips import is_clip
 from supple.files.grids import GridOptions, grid_on, warn_of_place
 from supple.files.tasks import Runner, Running, runner_of
-from supple.files.volumes import VolumeOptions, deformation_of, sampling_of
+from supple.files.volumes import VolumeOptions, deformation_of, is_volume_job, sampling_of
 from supple.geometry import Geometry, Grid
 from supple.media.files import unreadable
 from supple.media.stores import Samples, StoredImage, is_store, like_file, open_image
@@ -222,7 +222,7 @@ def open_source(
         image = image if n == len(image.spatial) else open_image(source, ndim=n)
         _check_order(image)
         return Source(image, medium_of(image), image.levels[0].array)
-    _refuse_clip(source, recipe)
+    _refuse_clip(source, recipe, known, maps, grid)
     samples = Samples(source, raw=known.layout, series=known.series)
     n = _axes_of_space(source, 3 if "z" in samples.axes else 2, recipe, maps, grid)
     geometry = samples.geometry if n == 3 else None
@@ -256,7 +256,11 @@ def _axes_of_space(
     return n or found
 
 
-def _refuse_clip(source: PathLike, recipe: Recipe) -> None:
+def _refuse_clip(
+    source: PathLike, recipe: Recipe, options: VolumeOptions, maps: Sequence[Placed], grid: GridOptions | None
+) -> None:
+    if is_volume_job(source, source, recipe, options, maps=maps, grid=grid):
+        return
     if is_clip(source, source, recipe):
         kind = "folder without a volume" if os.path.isdir(source) else "clip"
         raise SuppleError(

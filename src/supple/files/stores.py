@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import itertools
 import json
@@ -17,7 +18,7 @@ import numpy as np
 from supple.blocks import Block, Box, Warp, boxes_of
 from supple.deformation import Deformation, Report
 from supple.engines.base import Certificate, warn_of
-from supple.errors import VolumeWarning
+from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Field, Placed, folds_of, only_name
 from supple.files import plans
 from supple.files.bijections import Begun, SavedField, begin_field, check_field, is_scene, write_field
@@ -37,7 +38,7 @@ from supple.media.stores import (
     Target,
     create,
     holding,
-    is_written,
+    is_store,
 )
 from supple.media.transforms.ngff import Placement
 from supple.pipeline import Tell
@@ -158,8 +159,8 @@ def warp_store(
     The output of a store is of its format: chunks, shards, codecs, levels and metadata. That of a file is an OME-Zarr
     image of version 0.5. Each task reads the part of the input that its block needs; blocks of a store that no stroke
     reaches are copied as they are compressed. If the work is interrupted, the same call goes on with it. The result
-    equals that of `Deformation.warp`, bit for bit. Label images in an OME-Zarr image, on its grid, are bent with it,
-    and keep their labels.
+    equals that of `Deformation.warp` of each channel, bit for bit. Label images in an OME-Zarr
+    image, on its grid, are bent with it, and keep their labels.
 
     Parameters
     ----------
@@ -204,6 +205,7 @@ def warp_store(
         maps=maps, grid=grid,
     )  # fmt: skip
     _warn_of_labels(opened, warp)
+    labels = _labels(opened, recipe, maps, grid)
     placement = _placement(image, medium, warp.grid, target)
     job = _job(opened, warp, recipe, replace(known, save_field=None))
     saving = _begin_field(image, medium, warp, job, (source, target), known.save_field, force)
@@ -222,18 +224,16 @@ def warp_store(
         saved = None if mapping is None else write_field(mapping, runner, tell, maps)
         counts, blocks = _write_blocks(work, runner, tell, maps, made.begun, warn=saved is None)
         _write_levels(work, runner, tell, "nearest" if known.labels else "mean")
-    labels = _labels(opened, recipe, maps, grid)
     if labels:
         made.put_labels(labels, image.version)
     for name in labels:
         here, there = (f"{address.rstrip('/')}/{LABELS}/{name}" for address in (image.address, made.site.address))
-        if not is_written(there):
-            with warnings.catch_warnings():  # what is wrong with the map is told already
-                warnings.simplefilter("ignore")
-                warp_store(
-                    here, there, recipe, tolerance=tolerance, outside=outside, fill=fill, fit=fit, maps=maps,
-                    grid=grid, options=replace(known, labels=True, save_field=None), running=where, tell=tell,
-                )  # fmt: skip
+        with warnings.catch_warnings():  # what is wrong with the map is told already
+            warnings.simplefilter("ignore")
+            warp_store(
+                here, there, recipe, tolerance=tolerance, outside=outside, fit=fit, maps=maps, grid=grid, force=True,
+                options=replace(known, labels=True, save_field=None), running=where, tell=tell,
+            )  # fmt: skip
     found = counts.certificate
     if mapping is not None:
         mapping.target.finish(keep=True)  # the same job knows it, if it ends before the next line
@@ -254,16 +254,28 @@ def warp_store(
 def _labels(
     source: Source, recipe: Recipe, maps: Sequence[Placed], grid: GridOptions | None
 ) -> tuple[str, ...]:  # fmt: skip
-    """Return the names of the label images that are bent with an image: strokes are for its grid alone."""
+    """Return the names of the label images that are bent with an image, and warn of others: found before any work."""
     names = []
     for name in source.image.labels:
-        own = open_source(f"{source.image.address.rstrip('/')}/{LABELS}/{name}", recipe, maps=maps, grid=grid).medium
-        if own.space == source.medium.space and own.grid == source.medium.grid:
+        why = ""
+        try:
+            if not name or {*name} & {"/", "\\", ":"} or name.startswith("."):
+                why = "it has no plain name"
+            else:
+                address = f"{source.image.address.rstrip('/')}/{LABELS}/{name}"
+                own = open_source(address, recipe, maps=maps, grid=grid).medium
+                if own.space != source.medium.space or not own.grid.is_same_space(source.medium.grid):
+                    why = "it is on another grid"
+                elif own.dtype.kind not in "iub":
+                    why = f"it holds {own.dtype}"
+        except SuppleError as error:
+            why = str(error)
+        if not why:
             names.append(name)
             continue
         warnings.warn(
-            f"the label image {name} of {source.medium.name} is on another grid, and not carried over: bend it by "
-            "itself, with --labels",
+            f"the label image {shown(name)} of {source.medium.name} is not carried over ({why}): bend it by itself, "
+            "with --labels",
             VolumeWarning,
             stacklevel=3,
         )
@@ -273,7 +285,7 @@ def _labels(
 def _warn_of_labels(source: Source, warp: Warp) -> None:
     """Warn of labels that are mixed."""
     image, medium, n = source.image, source.medium, len(source.medium.space)
-    if warp.sampling.filter == "nearest" or warp.deformation.is_identity or n == 2:
+    if warp.sampling.filter == "nearest" or warp.deformation.is_identity or (n == 2 and not image.is_labels):
         return
     middle = [(max(0, (size - _SIDE) // 2), min(size, (size + _SIDE) // 2)) for size in medium.space]
     part = [(0, 1)] * (len(medium.shape) - n) + middle
@@ -344,6 +356,7 @@ def _located(
     scale, translation = np.array(level.scale), np.array(level.translation)
     translation[axes] += scale[axes] * first[::-1]
     scale[axes] *= steps[::-1]
+    translation[np.abs(translation) < 1e-9 * scale] = 0.0
     told = [tuple(float(f"{number:.12g}") for number in numbers) for numbers in (scale, translation)]
     return told[0], told[1]  # without noise
 
@@ -376,12 +389,18 @@ def _job(source: Source, warp: Warp, recipe: Recipe, options: VolumeOptions) -> 
 
 
 def _changed(image: StoredImage) -> list[int]:
-    """Return when the metadata of a store in a folder were written, or a file; samples of a store are not looked at."""
+    """Return when the metadata of a store in a folder were written, or a file and those that belong to it.
+
+    Samples of a store are not looked at.
+    """
     folder = Place(image.address).folder
     if folder is None:
         return []
-    places = [folder, *(folder / level.path / name for level in image.levels for name in ROOTS)]
-    return [os.stat(place).st_mtime_ns for place in places if place.is_file()]
+    if is_store(image.address):
+        places = [folder / level.path / name for level in image.levels for name in ROOTS]
+    else:  # a folder of slices; or a header beside its data
+        places = list(folder.iterdir() if folder.is_dir() else folder.parent.glob(f"{glob.escape(folder.stem)}.*"))
+    return [os.stat(place).st_mtime_ns for place in sorted(places) if place.is_file()]
 
 
 def _write_blocks(

@@ -1,6 +1,6 @@
 """Zarr arrays and OME-Zarr images: opened, and created like another for blocks that many processes write."""
 
-from supple.media.stores.claims import NOTES, check_free, holding, is_written, overlap
+from supple.media.stores.claims import NOTES, check_free, holding, overlap
 from supple.media.stores.image import LABELS, Level, StoredAxis, StoredImage, open_image
 from supple.media.stores.inputs import like_file
 from supple.media.stores.places import ROOTS, Place, is_store
@@ -22,7 +22,6 @@ __all__ = [
     "create_arrays",
     "holding",
     "is_store",
-    "is_written",
     "like_file",
     "open_image",
     "overlap",

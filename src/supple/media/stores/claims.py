@@ -69,15 +69,6 @@ def _plain(value: Any) -> str:
     return json.dumps(value, sort_keys=True)  # NaN is not equal to itself, but its text is
 
 
-def is_written(address: PathLike) -> bool:
-    """Return whether there is a finished store."""
-    place = Place(address)
-    if place.folder is not None:
-        return place.folder.is_dir()
-    store = place.store(read_only=True)
-    return place.job() is None and any(read(store, name) is not None for name in ROOTS)
-
-
 def site_of(place: Place, force: bool) -> Place:
     """Return where an output is written until it is finished; SuppleError if its name is taken."""
     if place.folder is None:

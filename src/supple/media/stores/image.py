@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, VolumeWarning
 from supple.geometry import Grid
 from supple.media.files import PathLike, unreadable
 from supple.media.stores import ome
@@ -263,18 +264,22 @@ def _multiscale(place: Place, group: Any, attributes: Mapping[str, Any], ndim: i
     for one, other in itertools.pairwise(levels):
         _check_fall(place, one, other, len(axes) - space)
     spatial = tuple(range(len(axes) - (ndim or space), len(axes)))
-    labels = _labels(group)
+    labels = _labels(place, group)
     return StoredImage(place.address, told.version, axes, tuple(levels), spatial, told.name, attributes, labels)
 
 
-def _labels(group: Any) -> tuple[str, ...]:
+def _labels(place: Place, group: Any) -> tuple[str, ...]:
     """Return the names of label images, as the group of labels lists them."""
     try:
         with quiet():
             attributes = dict(group[LABELS].attrs)
-    except Exception:  # most images have none
+        listed = attributes.get("ome", attributes).get(LABELS)
+    except KeyError:
         return ()
-    listed = attributes.get("ome", attributes).get(LABELS)
+    except Exception as error:  # damaged, or not to be reached: what is in the image itself is
+        said = (str(error).splitlines() or [""])[0] or type(error).__name__
+        warnings.warn(f"the label images of {place.address} cannot be listed ({said})", VolumeWarning, stacklevel=6)
+        return ()
     return tuple(map(str, listed)) if isinstance(listed, list) else ()
 
 

@@ -11,7 +11,6 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 import numpy.typing as npt
@@ -181,15 +180,22 @@ class Samples:
                 raise unreadable(path, f"its axes are {told}", what)
             order = tuple(next(k for k, name in kept.items() if name == axis) for axis in self.axes)
             with _reading(path), quiet():
-                array: Any = zarr.open(stack.enter_context(first.aszarr(level=0)), mode="r")
+                array: Any
+                if first.dataoffset is not None:  # uncompressed, and in one piece
+                    array = np.memmap(path, f"{file.byteorder}{first.dtype.char}", "r", first.dataoffset, first.shape)
+                else:
+                    if any(page is None or 0 in page.databytecounts for page in first.pages):
+                        raise unreadable(path, "some of its tiles or strips are empty")
+                    array = zarr.open(stack.enter_context(first.aszarr(level=0)), mode="r")
             self.shape = tuple(int(array.shape[axis]) for axis in order)
             self.dtype = np.dtype(array.dtype).newbyteorder("=")
-            self.chunks = tuple(int(array.chunks[axis]) for axis in order)
+            if first.dataoffset is None:
+                self.chunks = tuple(int(array.chunks[axis]) for axis in order)
             held = math.prod(first.shape[k] for k, name in kept.items() if name in "tcz" and first.axes[k] != "S")
             if held < (promised := int((file.imagej_metadata or {}).get("images", 1))):
                 raise unreadable(path, f"it is said to hold {promised} images, and has {held} pages")
             if "z" in self.axes:
-                self.geometry = _place(path, file)
+                self.geometry = pages.place(path)
             told_interval = float((file.imagej_metadata or {}).get("finterval") or 0)
             self.interval = told_interval if 0 < told_interval < math.inf else None
             return Opened(array, order, stack.pop_all().close)
@@ -250,21 +256,3 @@ def _heard(path: str) -> Iterator[None]:
     if said:
         text = " ".join(re.sub(r"^<.*?> ?", "", said[0]).split())
         warnings.warn(f"{shown(path)} is read, but tifffile says: {text}", VolumeWarning, stacklevel=7)
-
-
-def _place(path: str, file: Any) -> Geometry:
-    """Return the spacing of a stack of pages: of OME-TIFF and ImageJ's; 1 if there is none."""
-    if not file.is_ome:
-        return pages.place(path)
-    with _reading(path):
-        root = ElementTree.fromstring(file.ome_metadata)
-        found = next((one for one in root.iter() if one.tag.endswith("}Pixels")), None)
-        known = {} if found is None else found.attrib
-    steps = []
-    for axis in "XYZ":
-        with contextlib.suppress(KeyError, ValueError):
-            unit = pages.MILLIMETRES[known.get(f"PhysicalSize{axis}Unit", "um").lower()]
-            step = float(known[f"PhysicalSize{axis}"]) * unit
-            if 0 < step < math.inf:
-                steps.append(step)
-    return Geometry((steps[0], steps[1], steps[2])) if len(steps) == 3 else Geometry()

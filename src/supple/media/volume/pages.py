@@ -6,6 +6,7 @@ import contextlib
 import os
 from pathlib import Path
 from typing import Any, Literal
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -41,7 +42,7 @@ def has_pages(path: PathLike) -> bool:
 
 
 def place(path: PathLike) -> Geometry:
-    """Return the spacing of a stack, from ImageJ's description; errors as in `read`."""
+    """Return the spacing of a stack, from the description of ImageJ or OME-TIFF; errors as in `read`."""
     from supple.media.image.vips import opened
 
     image, _ = opened(path)
@@ -128,6 +129,8 @@ def _description(image: Any) -> dict[str, float]:
 
 def _spacing(image: Any, told: dict[str, float]) -> tuple[float, float, float]:
     """Return the spacing in millimetres; 1 if the file has none: dots per inch are not a spacing."""
+    if (known := _of_ome(image)) is not None:
+        return known
     if not told:
         return 1.0, 1.0, 1.0
     unit = told["unit"]
@@ -136,6 +139,22 @@ def _spacing(image: Any, told: dict[str, float]) -> tuple[float, float, float]:
     x, y = (across / res if res > 0 else 1.0 for res in (image.xres, image.yres))
     z = abs(told.get("spacing", 0.0)) * unit
     return x, y, z or 1.0
+
+
+def _of_ome(image: Any) -> tuple[float, float, float] | None:
+    """Return the spacing in the description of an OME-TIFF, if it has all of it."""
+    text = image.get("image-description") if image.get_typeof("image-description") else ""
+    if "<OME" not in text[:1000]:
+        return None
+    with contextlib.suppress(ElementTree.ParseError, KeyError, ValueError, StopIteration):
+        found = next(one.attrib for one in ElementTree.fromstring(text).iter() if one.tag.endswith("Pixels"))
+        x, y, z = (
+            float(found[f"PhysicalSize{axis}"]) * MILLIMETRES[found.get(f"PhysicalSize{axis}Unit", "um").lower()]
+            for axis in "XYZ"
+        )
+        if all(0 < step < np.inf for step in (x, y, z)):
+            return x, y, z
+    return None
 
 
 def check(path: PathLike, like: Volume, dtype: np.dtype[Any]) -> None:
