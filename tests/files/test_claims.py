@@ -118,14 +118,13 @@ def test_an_output_that_is_new_is_not_asked_for_its_blocks(monkeypatch: pytest.M
         return bool(await exists(self, key))
 
     monkeypatch.setattr(FsspecStore, "exists", counted)
-    made = warp_store(f"{root}/in.zarr", f"{root}/out.zarr", FLAT)
+    warp_store(f"{root}/in.zarr", f"{root}/out.zarr", FLAT)
     assert not asked
     monkeypatch.setattr(stores, "_write_levels", lambda *rest: 1 / 0)
     for _ in range(2):
         with pytest.raises(ZeroDivisionError):
             warp_store(f"{root}/in.zarr", f"{root}/more.zarr", FLAT)
     assert set(asked) == {f"c/{y}/{x}" for y in range(4) for x in range(4)}
-    assert made.blocks == 8
 
 
 def test_another_spelling_of_the_input_goes_on() -> None:
