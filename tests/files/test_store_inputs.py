@@ -291,7 +291,7 @@ def test_only_needed_tiles_are_read() -> None:
     made = warp_store("in.tif", "part.zarr", FLAT, grid=GridOptions(crop=(10, 8, 60, 36)))
     part = made.deformation.warp(values, grid=made.grid)
     assert np.array_equal(open_image("part.zarr").levels[0].array[...], part)
-    with pytest.raises(SuppleError, match=r"cannot read in\.tif: samples of it cannot be decoded, at \d+:64, 80:96"):
+    with pytest.raises(SuppleError, match=r"cannot read in\.tif: samples of it cannot be decoded, at \d+:64, \d+:96 "):
         warp_store("in.tif", "whole.zarr", FLAT)
     assert not os.path.exists("whole.zarr")
 
