@@ -64,3 +64,14 @@ def gpu() -> Gpu:
         if os.environ.get("SUPPLE_TEST_GPU") == "1":
             raise
         pytest.skip(str(error))
+
+
+@pytest.fixture
+def memory() -> Iterator[str]:
+    """An address in memory, empty."""
+    fsspec = pytest.importorskip("fsspec")
+    address = f"memory://supple-{os.urandom(4).hex()}"
+    yield address
+    fs = fsspec.filesystem("memory")
+    if fs.exists(address):
+        fs.rm(address, recursive=True)

@@ -53,6 +53,11 @@ class GapWarning(UserWarning):
     """Voxels are not finite numbers, and spread to their neighbours."""
 
 
+def said(error: BaseException) -> str:
+    """Return the first line of an error, or its type if it says nothing."""
+    return (str(error).splitlines() or [""])[0] or type(error).__name__
+
+
 def shown(path: str | os.PathLike[str]) -> str:
     """Return a path for one line of text: quoted if it is empty or holds odd characters."""
     text = os.fspath(path)

@@ -202,6 +202,11 @@ class Grid:
         made[:-1, -1] = self.origin
         return made
 
+    def geometry(self, convention: str) -> Geometry:
+        """Return the geometry of the samples of a volume, in a convention of `Geometry`: the inverse of its `grid`."""
+        (x, y, z), (a, b, c) = self.spacing, self.origin
+        return Geometry((x, y, z), (a, b, c), np.array(self.direction), convention)
+
     @property
     def box(self) -> Box:
         """The box around the grid, up to half a sample beyond its outermost samples."""

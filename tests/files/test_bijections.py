@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -45,15 +44,6 @@ def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(plans, "TASK", 1 << 12)
     monkeypatch.setattr(ngff, "_SIDES", {2: 16, 3: 8})
     monkeypatch.chdir(tmp_path)
-
-
-@pytest.fixture
-def memory() -> Iterator[str]:
-    fsspec = pytest.importorskip("fsspec")
-    address = f"memory://supple-{os.urandom(4).hex()}"
-    yield address
-    if fsspec.filesystem("memory").exists(address):
-        fsspec.filesystem("memory").rm(address, recursive=True)
 
 
 def image(name: str, axes: str, version: str = "0.5", unit: str | None = "micrometer", turned: bool = False) -> None:

@@ -16,7 +16,6 @@ import sys
 import textwrap
 import time
 import warnings
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -56,15 +55,6 @@ def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Tasks of a few chunks, in an empty folder."""
     monkeypatch.setattr(plans, "TASK", 1 << 12)
     monkeypatch.chdir(tmp_path)
-
-
-@pytest.fixture
-def memory() -> Iterator[str]:
-    fsspec = pytest.importorskip("fsspec")
-    address = f"memory://supple-{os.urandom(4).hex()}"
-    yield address
-    if fsspec.filesystem("memory").exists(address):
-        fsspec.filesystem("memory").rm(address, recursive=True)
 
 
 def plain(name: str, values: Array, chunks: tuple[int, ...], **more: Any) -> Array:

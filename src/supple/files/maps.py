@@ -15,7 +15,7 @@ import numpy.typing as npt
 from supple.affine import Affine
 from supple.errors import SuppleError, shown
 from supple.fields import Field, Map, own_grid, read_maps, told
-from supple.geometry import Geometry, Grid
+from supple.geometry import Grid
 from supple.media import transforms, volume
 from supple.media.files import unwritable
 from supple.media.volume import is_volume, suffix_of
@@ -234,10 +234,7 @@ def write_image(path: PathLike, values: Array, grid: Grid | None, *, in_nifti: f
 
         image.write(path, values)
         return
-    x, y, z = grid.spacing
-    a, b, c = grid.origin
-    geometry = Geometry((x, y, z), (a, b, c), np.array(grid.direction), "LPS")
-    volume.write(path, values, volume.Volume(values, geometry))
+    volume.write(path, values, volume.Volume(values, grid.geometry("LPS")))
 
 
 def _facts_of(maps: Sequence[Map]) -> list[dict[str, Any]]:

@@ -272,9 +272,7 @@ def medium_of(image: StoredImage) -> Medium:
     """Return what is known of a stored image: a picture in pixels, or a volume in millimetres."""
     name, geometry = shown(image.address), None
     if len(image.spatial) == 3:
-        grid = image.grid
-        (x, y, z), (a, b, c) = grid.spacing, grid.origin
-        geometry = Geometry((x, y, z), (a, b, c), np.array(grid.direction), "LPS") if image.placed else Geometry()
+        geometry = image.grid.geometry("LPS") if image.placed else Geometry()
     return Medium(name, image.shape, image.dtype, geometry)
 
 

@@ -213,14 +213,8 @@ def warp_store(
         made = create(target, image, force=force, job=job, **placement)
         mapping = None if saving is None else saving.claimed(force)
         level = None if opened.is_file else image.levels[0]
-        work = Work(
-            Place(image.address),
-            opened.samples,
-            level,
-            len(image.axes) - len(image.spatial),
-            made,
-            warp,
-        )
+        carried = len(image.axes) - len(image.spatial)
+        work = Work(Place(image.address), opened.samples, level, carried, made, warp)
         saved = None if mapping is None else write_field(mapping, runner, tell, maps)
         counts, blocks = _write_blocks(work, runner, tell, maps, made.begun, warn=saved is None)
         _write_levels(work, runner, tell, "nearest" if known.labels else "mean")
@@ -246,14 +240,11 @@ def warp_store(
     return WarpedStore(
         os.fspath(source), os.fspath(target), warp.deformation, medium.geometry, tolerance, found.error,
         tuple(made.arrays[0].shape), len(made.arrays), labels, blocks, counts.done, counts.copied, counts.read,
-        counts.copied_bytes, warp.grid,
-        found.folded, found.outside, found.unknown, saved,
+        counts.copied_bytes, warp.grid, found.folded, found.outside, found.unknown, saved,
     )  # fmt: skip
 
 
-def _labels(
-    source: Source, recipe: Recipe, maps: Sequence[Placed], grid: GridOptions | None
-) -> tuple[str, ...]:  # fmt: skip
+def _labels(source: Source, recipe: Recipe, maps: Sequence[Placed], grid: GridOptions | None) -> tuple[str, ...]:
     """Return the names of the label images that are bent with an image, and warn of others: found before any work."""
     names = []
     for name in source.image.labels:
@@ -311,15 +302,12 @@ def _begin_field(
     return begin_field(address, image, warp, Placement(warp.shape, scale, translation), job, force=force)
 
 
-def _save_file(
-    address: PathLike, warp: Warp, medium: Medium, error: float, made: Target, force: bool
-) -> SavedField:  # fmt: skip
+def _save_file(address: PathLike, warp: Warp, medium: Medium, error: float, made: Target, force: bool) -> SavedField:
     """Write the field of a volume as a file, which appears together with the output."""
     geometry, grid = medium.geometry, warp.grid
     assert geometry is not None
     if grid is not None:
-        (x, y, z), (a, b, c) = grid.spacing, grid.origin
-        geometry = Geometry((x, y, z), (a, b, c), np.array(grid.direction), geometry.convention)
+        geometry = grid.geometry(geometry.convention)
     tolerance = warp.sampling.tolerance
     with replacing(address, force=force) as place:
         write_transform(place, warp.deformation, geometry, tolerance=tolerance, force=True, grid=grid, warn=False)

@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeVar
 
 from supple.domain import refuse
 from supple.engines.workers import threads
-from supple.errors import SuppleError, need, shown
+from supple.errors import SuppleError, need, said, shown
 
 Job = TypeVar("Job")
 Item = TypeVar("Item")
@@ -190,13 +190,13 @@ class _Distributed:
             ) from error
         except (ImportError, AttributeError) as error:
             raise SuppleError(
-                f"{self._told} cannot do this ({_said(error)}): install the same versions of Supple and of its "
+                f"{self._told} cannot do this ({said(error)}): install the same versions of Supple and of its "
                 "packages there"
             ) from error
         except (CancelledError, Cancelled) as error:
             raise self._lost("their scheduler ended") from error
         except OSError as error:
-            raise self._lost(_said(error)) from error
+            raise self._lost(said(error)) from error
 
     def _lost(self, why: str) -> SuppleError:
         return SuppleError(f"{self._told} were lost ({why}): start them again; the same command goes on")
@@ -219,7 +219,7 @@ def _processes(count: int) -> Iterator[Runner]:
             )  # fmt: skip
         except (OSError, RuntimeError) as error:
             raise SuppleError(
-                f"{count} processes do not start ({_said(error)}): give fewer workers; and in a script, call this "
+                f"{count} processes do not start ({said(error)}): give fewer workers; and in a script, call this "
                 'under if __name__ == "__main__":, since they import it'
             ) from error
     try:
@@ -259,7 +259,7 @@ def _cluster(address: str) -> Iterator[Runner]:
         client = _distributed().Client(address, timeout=_PATIENCE)
     except (OSError, ValueError, TypeError, ImportError) as error:
         raise SuppleError(
-            f"the scheduler {address} does not answer ({_said(error)}): check the address, as tcp://HOST:8786, and "
+            f"the scheduler {address} does not answer ({said(error)}): check the address, as tcp://HOST:8786, and "
             "that it runs"
         ) from error
     try:
@@ -295,7 +295,3 @@ def _distributed() -> Any:
     import distributed
 
     return distributed
-
-
-def _said(error: BaseException) -> str:
-    return (str(error).splitlines() or [""])[0] or type(error).__name__

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from supple.errors import SuppleError, VolumeWarning
+from supple.errors import SuppleError, VolumeWarning, said
 from supple.geometry import Grid
 from supple.media.files import PathLike, unreadable
 from supple.media.stores import ome
@@ -101,8 +101,7 @@ class StoredImage:
     @property
     def is_labels(self) -> bool:
         """Whether the metadata say that it is a label image."""
-        found = self.attributes.get("ome", self.attributes)
-        return isinstance(found, Mapping) and "image-label" in found
+        return "image-label" in ome.ome_of(self.attributes)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -194,18 +193,13 @@ def described(place: Place, node: Any, ndim: int | None) -> StoredImage:
     attributes = dict(node.attrs)
     if hasattr(node, "shape"):
         made = _plain(place, node, attributes, ndim)
-    elif not _is_image(attributes):
+    elif "multiscales" not in ome.ome_of(attributes):
         raise place.unreadable(*_without_image(place, node))
     else:
         made = _multiscale(place, node, attributes, ndim)
     check_grid = made.grid  # it raises for units that are no lengths
     assert check_grid.ndim == len(made.spatial)
     return made
-
-
-def _is_image(attributes: Mapping[str, Any]) -> bool:
-    found = attributes.get("ome", attributes)
-    return isinstance(found, Mapping) and "multiscales" in found
 
 
 def _without_image(place: Place, node: Any) -> tuple[str, str]:
@@ -277,8 +271,8 @@ def _labels(place: Place, group: Any) -> tuple[str, ...]:
     except KeyError:
         return ()
     except Exception as error:  # damaged, or not to be reached: what is in the image itself is
-        said = (str(error).splitlines() or [""])[0] or type(error).__name__
-        warnings.warn(f"the label images of {place.address} cannot be listed ({said})", VolumeWarning, stacklevel=6)
+        told = f"the label images of {place.address} cannot be listed ({said(error)})"
+        warnings.warn(told, VolumeWarning, stacklevel=6)
         return ()
     return tuple(map(str, listed)) if isinstance(listed, list) else ()
 

@@ -40,7 +40,7 @@ class Described(NamedTuple):
 
 def described(attributes: Json, error: Refusal) -> Described:
     """Return what a group's attributes say of its image, checked; its error for what no version allows."""
-    ome = _ome(attributes)
+    ome = ome_of(attributes)
     listed = ome.get("multiscales")
     if not isinstance(listed, list) or not listed or not isinstance(listed[0], Mapping):
         raise error("its multiscales are no list of images", _MEND)
@@ -83,7 +83,7 @@ def rewritten(attributes: Json, version: Version, datasets: Sequence[Dataset] | 
     count : int
         The number of the output's levels.
     """
-    ome = dict(_ome(attributes))
+    ome = dict(ome_of(attributes))
     image = dict(ome["multiscales"][0])
     if count > 1:
         # they say how the levels of the input were made, and those of the output are made otherwise
@@ -99,7 +99,8 @@ def rewritten(attributes: Json, version: Version, datasets: Sequence[Dataset] | 
     return {**attributes, "ome": ome} if "ome" in attributes else ome
 
 
-def _ome(attributes: Json) -> Json:
+def ome_of(attributes: Json) -> Json:
+    """Return the metadata of OME-Zarr among those of a group; before version 0.5, they had no name of their own."""
     ome = attributes.get("ome", attributes)
     return ome if isinstance(ome, Mapping) else {}
 

@@ -11,7 +11,7 @@ from collections.abc import Coroutine, Iterator
 from pathlib import Path
 from typing import Any
 
-from supple.errors import SuppleError, need
+from supple.errors import SuppleError, need, said
 from supple.media.files import PathLike, _refused, unreadable, unwritable
 from supple.media.transforms.omezarr import imported
 
@@ -67,7 +67,7 @@ class Place:
             what = f"{_protocol(self.address)}:// addresses need a package of their own ({error})"
             raise unreadable(self.address, what, "install it") from error
         except (ValueError, OSError) as error:
-            raise unreadable(self.address, _said(error), "check the address") from error
+            raise unreadable(self.address, said(error), "check the address") from error
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -137,12 +137,12 @@ class Place:
             client = type(error).__module__.split(".")[0] in _CLIENTS
             if self.folder is None and (client or (isinstance(error, OSError) and not _is_missing(error))):
                 advice = "check the address, your rights and the network"
-                raise self.unreadable(f"it cannot be reached ({_said(error)})", advice) from error
-            raise self.unreadable(f"{what} ({_said(error)})") from error
+                raise self.unreadable(f"it cannot be reached ({said(error)})", advice) from error
+            raise self.unreadable(f"{what} ({said(error)})") from error
 
     def no_codec(self, error: Exception) -> SuppleError:
         """Return an error that names a codec that is not there."""
-        name = _said(error).rpartition(":")[2].strip(" '\"")
+        name = said(error).rpartition(":")[2].strip(" '\"")
         return self.unreadable(f"it is compressed by {name!r}, which is not available", "install that codec for zarr")
 
     @contextlib.contextmanager
@@ -158,7 +158,7 @@ class Place:
         except Exception as error:
             _settle()
             if isinstance(error, NotImplementedError) or type(error).__module__.split(".")[0] in _CLIENTS:
-                raise self.unwritable(_said(error), "choose another place") from error
+                raise self.unwritable(said(error), "choose another place") from error
             raise
 
     def job(self) -> str | None:
@@ -299,7 +299,3 @@ def _parts(address: str) -> tuple[str, ...]:
 
 def _is_missing(error: Exception) -> bool:
     return isinstance(error, FileNotFoundError | KeyError)
-
-
-def _said(error: BaseException) -> str:
-    return (str(error).splitlines() or [""])[0] or type(error).__name__

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, VolumeWarning, need, shown
+from supple.errors import SuppleError, VolumeWarning, need, said, shown
 from supple.geometry import Geometry
 from supple.media import image, volume
 from supple.media.files import PathLike, head_of, unreadable
@@ -233,8 +233,7 @@ def _reading(path: str) -> Iterator[None]:
     except SuppleError:
         raise
     except Exception as error:  # of any kind, where a file is damaged
-        said = (str(error).splitlines() or [""])[0] or type(error).__name__
-        raise unreadable(path, f"it is damaged, cut short, or no TIFF ({said})") from error
+        raise unreadable(path, f"it is damaged, cut short, or no TIFF ({said(error)})") from error
 
 
 @contextlib.contextmanager

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from supple.geometry import Geometry
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable, unwritable
 from supple.media.transforms.base import (
     Content,
@@ -160,11 +159,7 @@ def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: b
     only = contents[0] if len(contents) == 1 else None
     linear = isinstance(only, Displacements) and only.interpolation == "linear"
     if isinstance(only, Displacements) and linear and suffix in SUFFIXES_OUT:
-        x, y, z = only.grid.spacing
-        a, b, c = only.grid.origin
-        write_field(
-            path, only.values, Geometry((x, y, z), (a, b, c), np.array(only.grid.direction), "LPS"), force=force
-        )
+        write_field(path, only.values, only.grid.geometry("LPS"), force=force)
         return
     check_suffix(path, suffix, _OUT, _NONE, f"use {', '.join(_OUT)}")
     if suffix not in TRANSFORMS:

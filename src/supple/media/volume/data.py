@@ -71,9 +71,7 @@ class Volume:
 
     def moved(self, samples: Array, grid: Grid, convention: str) -> Volume:
         """Return a volume with the same header, and other samples on another grid, in a convention of `Geometry`."""
-        (x, y, z), (a, b, c) = grid.spacing, grid.origin
-        geometry = Geometry((x, y, z), (a, b, c), np.array(grid.direction), convention)
-        return replace(self, samples=samples, geometry=geometry, regridded=True)
+        return replace(self, samples=samples, geometry=grid.geometry(convention), regridded=True)
 
     @property
     def components(self) -> int:
