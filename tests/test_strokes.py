@@ -155,9 +155,9 @@ class TestStroke:
     def test_refuses_what_is_neither_hidden_nor_not(self, bad: Any) -> None:
         assert refusal(lambda: grab(hidden=bad)).startswith("hidden must be true or false, found ")
 
-    @pytest.mark.parametrize("bad", ["twist", "", "Grab", None, 1, ["grab"]])
+    @pytest.mark.parametrize("bad", ["bend", "", "Grab", None, 1, ["grab"]])
     def test_refuses_brushes(self, bad: Any) -> None:
-        assert refusal(lambda: grab(brush=bad)).startswith('brush must be "grab", found ')
+        assert refusal(lambda: grab(brush=bad)).startswith('brush must be "grab", "twist", "scale" or "pinch", found ')
 
 
 class TestPack:

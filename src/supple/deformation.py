@@ -417,6 +417,109 @@ class Deformation:
         stroke = Stroke.grab(at, to=to, by=by, radius=radius, poisson=poisson, scales=scales, reach=reach)
         return self.add(stroke)
 
+    def twist(
+        self, at: Point, *, angle: float, radius: float, axis: Point | None = None, reach: float | None = REACH
+    ) -> Self:
+        """Return the deformation with one more stroke, which turns the material around a point.
+
+        At the point, the turn is a rotation by exactly the angle; it fades with the distance.
+
+        Parameters
+        ----------
+        at : sequence of float
+            The pivot, in pixels, x first. It stays where it is.
+        angle : float
+            In degrees, from x towards y: clockwise on a screen. In a volume, right-handed about the axis. Any number of
+            turns, up to ten.
+        radius : float
+            The radius of the brush, in physical units.
+        axis : sequence of float, optional
+            In a volume or a clip, the direction of the axis, in samples; by default, that of z or of time.
+        reach : float or None
+            As in `grab`.
+
+        Raises
+        ------
+        SuppleError
+            If an argument is invalid, or the stroke would fold under ``on_fold="error"`` (`FoldError`).
+
+        Warns
+        -----
+        FoldWarning
+            If it was damped, under ``on_fold="damp"``.
+        """
+        return self.add(Stroke(brush="twist", at=at, angle=angle, axis=axis, radius=radius, reach=reach))  # type: ignore[arg-type]
+
+    def scale(self, at: Point, *, factor: float, radius: float, reach: float | None = REACH) -> Self:
+        """Return the deformation with one more stroke, which bloats or puckers the material around a point.
+
+        At the point, lengths are magnified by exactly the factor; it fades with the distance. In a clip, x and y are
+        magnified, and time is not.
+
+        Parameters
+        ----------
+        at : sequence of float
+            The pivot, in pixels, x first. It stays where it is.
+        factor : float
+            Above 1 it bloats, below 1 it puckers; from 0.01 to 100.
+        radius : float
+            The radius of the brush, in physical units.
+        reach : float or None
+            As in `grab`.
+
+        Raises
+        ------
+        SuppleError
+            As in `twist`.
+
+        Warns
+        -----
+        FoldWarning
+            As in `twist`.
+        """
+        return self.add(Stroke(brush="scale", at=at, factor=factor, radius=radius, reach=reach))  # type: ignore[arg-type]
+
+    def pinch(
+        self,
+        at: Point,
+        *,
+        factor: float,
+        radius: float,
+        axis: Point | None = None,
+        poisson: float | None = None,
+        reach: float | None = REACH,
+    ) -> Self:
+        """Return the deformation with one more stroke, which pinches the material around a point.
+
+        At the point, lengths along the axis are multiplied by exactly the factor, and those across it by its inverse
+        (in a volume, by the inverse's root along both axes across), so that areas and volumes there stay the same.
+
+        Parameters
+        ----------
+        at : sequence of float
+            The pivot, in pixels, x first. It stays where it is.
+        factor : float
+            Below 1 it squeezes along the axis, above 1 it stretches; from 0.01 to 100.
+        radius : float
+            The radius of the brush, in physical units.
+        axis : sequence of float, optional
+            A direction, in samples; by default, that of x.
+        poisson, reach : float or None
+            As in `grab`.
+
+        Raises
+        ------
+        SuppleError
+            As in `twist`.
+
+        Warns
+        -----
+        FoldWarning
+            As in `twist`.
+        """
+        stroke = Stroke(brush="pinch", at=at, factor=factor, axis=axis, radius=radius, poisson=poisson, reach=reach)  # type: ignore[arg-type]
+        return self.add(stroke)
+
     def add(self, stroke: Stroke, *, warn: bool = True) -> Self:
         """Return the deformation with one more stroke, applied to the result of the strokes so far.
 
@@ -800,7 +903,7 @@ def reduced(stroke: Stroke, amount: float, whole: Deformation, now: Deformation)
     if part == 1 and whole is now:
         return stroke
     at = stroke.at if whole is now else tuple(now.forward(whole.inverse(stroke.at).points).tolist())
-    return replace(stroke, at=at, by=tuple(part * x for x in stroke.by), strength=1.0)
+    return replace(stroke.weakened(part), at=at)
 
 
 def after(stroke: Stroke, amount: float, whole: Deformation, before: Deformation, now: Deformation) -> Deformation:

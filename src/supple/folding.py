@@ -50,6 +50,7 @@ NEAR = 0.5
 _SQUEEZED = 1e-5  # a sequence that leaves less of a length has lost too many digits to be undone
 _ALONG = 1e-9  # of the radius: the rounding error of a drag along a face
 _GAP = 0.002
+_FARTHEST = 1000.0  # radii
 _FREE_GAP = 1e-9  # computed once for all strokes of a kind
 _FLOW_GAP = 0.05
 _FLOW_MARGIN = 0.3  # substrokes are well-conditioned: Newton takes few steps, and errors grow little
@@ -125,8 +126,10 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     table = pack([stroke], domain.spacing, time=domain.time)
     axes = domain.packed()
     target = tuple(a + b for a, b in zip(stroke.at, stroke.by, strict=True))
-    if not table["force"].any():
+    if stroke.is_still:
         return Resolved(table[:0], target)
+    if stroke.brush != "grab":
+        return _turned(stroke, domain, on_fold)
     if on_fold == "flow":
         return _flow(stroke, domain, table[0])
     lower, _ = weakest(table[0], axes)
@@ -158,11 +161,70 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     return Resolved(table, arrived, alpha, 1 + alpha * lower, cause, warning)
 
 
+def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
+    """Resolve an affine brush: its pivot stays, and equal parts of it add up to the whole there."""
+    axes, weights = domain.packed(), np.ones(3)
+    held = _held(_padded(stroke, domain), axes)
+    if held and on_fold == "flow":
+        weights = _beta(_padded(stroke, domain), axes)
+        needed = np.abs(stroke.matrix(domain.spacing, time=domain.time)).sum(axis=1) > 0
+        if np.any(needed & (weights < 1e-100)):
+            raise SuppleError(
+                f"{described(stroke)} cannot be carried out: its pivot is on the edge, and the border is fixed, so that "
+                "what is on it only slides along it; use border=None, or a point further in"
+            )
+        weights = np.where(needed, weights, 1.0)
+
+    def rows(part: float) -> Table:
+        table = pack([stroke.weakened(part)], domain.spacing, time=domain.time)
+        table["matrix"] /= weights[:, None]
+        return table
+
+    def lowest(part: float, target: float, gap: float) -> float:
+        return weakest(rows(part)[0], axes, target, gap)[0]
+
+    if on_fold == "flow":
+        pieces, lower = 1, lowest(1.0, _FLOW_MARGIN - 1, _FLOW_GAP)
+        while lower < (_FLOW_MARGIN - 1) * (1 + 1e-9):
+            pieces = max(pieces + 1, math.ceil(pieces * min(-lower / (1 - _FLOW_MARGIN), 1e4) * (1 - _FLOW_GAP)))
+            if pieces > MOST_SUBSTROKES:
+                raise SuppleError(
+                    f"{described(stroke)} would take more than {MOST_SUBSTROKES} strokes to arrive without a fold; use "
+                    "a point further from the border, or on_fold='damp'"
+                )
+            lower = lowest(1 / pieces, _FLOW_MARGIN - 1, _FLOW_GAP)
+        return Resolved(np.repeat(rows(1 / pieces), pieces), stroke.at, margin=1 + lower, cause=None if held else "outside")
+    alpha, lower = 1.0, lowest(1.0, CLEARLY_SAFE, _GAP)
+    if lower < MARGIN - 1:
+        safe, folds = 0.0, 1.0
+        while folds - safe > 0.5 * _GAP * folds:
+            middle = (safe + folds) / 2
+            bound = lowest(middle, MARGIN - 1, _GAP)
+            if bound >= MARGIN - 1:
+                safe, lower = middle, bound
+            else:
+                folds = middle
+        alpha = safe
+    warning = None
+    if alpha < 1:
+        most = described(stroke.weakened(0.999 * alpha)).split(" at ")[0]
+        if on_fold == "error":
+            raise FoldError(f"{described(stroke)} folds: at most {most} does not (on_fold='flow' goes all the way)")
+        warning = f"{described(stroke)} folds: damped to {_cut(alpha, 2):g} of it (on_fold='flow' goes all the way)"
+    cause = "outside" if not held else "fold" if alpha < 1 else None
+    return Resolved(rows(alpha), stroke.at, alpha, 1 + lower, cause, warning)
+
+
+def _padded(stroke: Stroke, domain: Domain) -> Floats:
+    """Return a stroke's pivot in physical units, with a third coordinate."""
+    made = np.zeros(3)
+    made[: domain.ndim] = np.multiply(stroke.at, domain.spacing)
+    return made
+
+
 def _arrived(stroke: Stroke, table: Table, domain: Domain) -> tuple[float, ...]:
     """Return the position of the stroke's point after these rows, in samples."""
-    point = np.zeros((1, 3))
-    point[0, : domain.ndim] = np.multiply(stroke.at, domain.spacing)
-    moved, _ = _core.forward(numbers(table), domain.packed(), point, False)
+    moved, _ = _core.forward(numbers(table), domain.packed(), _padded(stroke, domain)[None], False)
     return tuple((moved[0, : domain.ndim] / domain.spacing).tolist())
 
 
@@ -255,7 +317,11 @@ def _beta(position: Floats, axes: Floats) -> Floats:
 
 def described(stroke: Stroke) -> str:
     """Name a stroke in a message."""
-    return f"a drag by {_shown(stroke.by)} at {_shown(stroke.at)} with radius {stroke.radius:g}"
+    where = f"at {_shown(stroke.at)} with radius {stroke.radius:g}"
+    if stroke.brush == "grab":
+        return f"a drag by {_shown(stroke.by)} {where}"
+    amount = f"{stroke.angle:g}°" if stroke.angle is not None else f"{stroke.factor:g}"
+    return f"a {stroke.brush} by {amount} {where}"
 
 
 def _shown(values: Iterable[float]) -> str:
@@ -311,7 +377,7 @@ def _free(poisson: float, scales: int, reach: float) -> tuple[float, float, floa
 
 
 def weakest(row: np.void, axes: Floats, target: float = CLEARLY_SAFE, gap: float = _GAP) -> tuple[float, float]:
-    """Return lower and upper bounds of μ for one stroke.
+    """Return lower and upper bounds of μ for one row.
 
     Parameters
     ----------
@@ -325,6 +391,8 @@ def weakest(row: np.void, axes: Floats, target: float = CLEARLY_SAFE, gap: float
         small or the volume very anisotropic.
     """
     free, active = axes[:, 2] < 0, (axes[:, 1] > axes[:, 0]) & (axes[:, 2] > 0)
+    if row["power"] != 1:
+        return _core.smallest_strain(_numbers(row), _around(row, axes), -math.inf, 0.0, target, gap)
     # In a plane through the pivot, the force across it has no displacement within it.
     force = np.where(~free & ~active & (row["pivot"] == axes[:, 0]), 0.0, row["force"])
     size = math.hypot(*force.tolist())
@@ -338,6 +406,18 @@ def weakest(row: np.void, axes: Floats, target: float = CLEARLY_SAFE, gap: float
         above = target / size * (1 - 1e-12)  # so that rounding does not put the result below it
         lower, upper = _core.smallest_strain(_numbers(unit), axes, lower, distance, above, gap)
     return lower * size, upper * size
+
+
+def _around(row: np.void, axes: Floats) -> Floats:
+    """Return the domain; all of space, as far as a row reaches, if no axis is fixed."""
+    if not np.all(axes[:, 2] < 0):
+        return axes
+    # Without a limit, the strain is below 1e-8 of the matrix from there on.
+    reach = min(float(row["reach"]), _FARTHEST * math.sqrt(row["radius2"][0]))
+    around, extended = axes.copy(), axes[:, 1] > axes[:, 0]
+    around[:, 0] = np.where(extended, row["pivot"] - reach, axes[:, 0])
+    around[:, 1] = np.where(extended, row["pivot"] + reach, axes[:, 1])
+    return around
 
 
 def _numbers(row: np.void) -> Floats:

@@ -32,7 +32,7 @@ from supple.domain import (
 )
 from supple.errors import ScaleWarning, SuppleError
 
-Brush = Literal["grab"]
+Brush = Literal["grab", "twist", "scale", "pinch"]
 FoldPolicy = Literal["damp", "flow", "error"]
 CoordinateSpace = Literal["pixels", "LPS", "RAS"]
 Fit = Literal["pixels", "stretch", "inside"]
@@ -47,19 +47,26 @@ STROKE_DTYPE = np.dtype(
     [
         ("pivot", np.float64, (3,)),
         ("force", np.float64, (3,)),
+        ("matrix", np.float64, (3, 3)),
         ("radius2", np.float64, (3,)),
         ("p", np.float64, (3,)),
         ("q", np.float64, (3,)),
         ("r", np.float64, (3,)),
         ("terms", np.int64),
+        ("power", np.int64),
+        ("joined", np.int64),
         ("reach", np.float64),
     ],
     align=True,
 )
 
 # Keys added after version 1.
-_NEW = ("border_profile", "reach", "size", "space", "amount", "time_scale", "name", "strength", "to")
+_NEW = (
+    "border_profile", "reach", "size", "space", "amount", "time_scale", "name", "strength", "to", "angle", "factor", "axis"
+)  # fmt: skip
 _PART = "a number from 0 to 1"
+_TURNS = 3600.0
+_LARGEST_FACTOR = 100.0
 
 # The radii are ε, 1.1ε and 1.21ε. The weights that cancel the far field, divided by their sum at the pivot, are
 # exactly these fractions; computed in floats they would lose digits.
@@ -169,8 +176,8 @@ class Stroke:
     ----------
     at : sequence of float
         The position of the brush, in samples, x first: ``(x, y)``, ``(x, y, t)`` or ``(x, y, z)``.
-    by : sequence of float
-        The drag, in samples; as many numbers.
+    by : sequence of float, optional
+        The drag of a grab, in samples; as many numbers. The pivot of the other brushes stays where it is.
     radius : float
         The brush's radius, in physical units.
     poisson : float or None
@@ -181,7 +188,16 @@ class Stroke:
     reach : float or None
         The reach in radii, from 1: beyond, the displacement is exactly 0. None: unlimited, as in the paper.
     brush : str
-        ``"grab"``.
+        ``"grab"`` moves the pivot by the drag. The others are affine at the pivot, and fade with the distance:
+        ``"twist"`` turns it by the angle; ``"scale"`` magnifies it by the factor (in a clip, in x and y alone);
+        ``"pinch"`` stretches it by the factor along the axis, and by the inverse across it (in a volume, by the
+        inverse's root along both axes across).
+    angle : float or None
+        Of a twist: degrees, from x towards y; in a volume, right-handed about the axis.
+    factor : float or None
+        Of a scale or a pinch: above 1, it bloats or stretches; below 1, it puckers or squeezes.
+    axis : sequence of float or None
+        Of a twist of three coordinates, and of a pinch: a direction, in samples. None: z or time; and x.
     hidden : bool
         Whether it is kept in the recipe, but not applied.
     name : str or None
@@ -191,12 +207,15 @@ class Stroke:
     """
 
     at: tuple[float, ...]
-    by: tuple[float, ...]
+    by: tuple[float, ...] = ()
     radius: float
     poisson: float | None = None
     scales: int = 1
     reach: float | None = REACH
     brush: Brush = "grab"
+    angle: float | None = None
+    factor: float | None = None
+    axis: tuple[float, ...] | None = None
     hidden: bool = False
     name: str | None = None
     strength: float = 1.0
@@ -210,7 +229,7 @@ class Stroke:
         at = point("at", self.at)
         checked = {
             "at": at,
-            "by": point("by", self.by, (len(at),)),
+            "by": self._checked_by(at),
             "radius": length("radius", self.radius),
             "poisson": None
             if self.poisson is None
@@ -218,9 +237,42 @@ class Stroke:
             "scales": integer("scales", self.scales, "1, 2 or 3", 1, 3),
             "reach": _checked_reach(self.reach),
             "strength": number("strength", self.strength, _PART, 0.0, 1.0),
+            **self._checked_shape(len(at)),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
+
+    def _checked_by(self, at: tuple[float, ...]) -> tuple[float, ...]:
+        if self.brush == "grab":
+            return point("by", self.by, (len(at),))
+        still = (0.0,) * len(at)
+        if not isinstance(self.by, tuple) or self.by not in ((), still):
+            refuse("by", f"left out for a {self.brush}, which does not move its pivot", self.by)
+        return still
+
+    def _checked_shape(self, ndim: int) -> dict[str, object]:
+        """Return the angle, the factor and the axis, each if the brush has one."""
+        takes = {"grab": (), "twist": ("angle", "axis"), "scale": ("factor",), "pinch": ("factor", "axis")}[self.brush]
+        for name in ("angle", "factor", "axis"):
+            if name not in takes and getattr(self, name) is not None:
+                refuse(name, f"left out for a {self.brush}", getattr(self, name))
+        if self.brush != "grab" and self.scales != 1:
+            refuse("scales", f"1 for a {self.brush}, which fades as 1/r² of itself", self.scales)
+        checked: dict[str, object] = {}
+        if "angle" in takes:
+            wanted = f"a number of degrees from {-_TURNS:g} to {_TURNS:g}"
+            checked["angle"] = number("angle", self.angle, wanted, -_TURNS, _TURNS)
+        if "factor" in takes:
+            wanted = f"a number from {1 / _LARGEST_FACTOR:g} to {_LARGEST_FACTOR:g}"
+            checked["factor"] = number("factor", self.factor, wanted, 1 / _LARGEST_FACTOR, _LARGEST_FACTOR)
+        if self.axis is not None:
+            if self.brush == "twist" and ndim == 2:
+                refuse("axis", "left out for a twist of points of 2 numbers", self.axis)
+            axis = point("axis", self.axis, (ndim,))
+            if not any(axis):
+                refuse("axis", "a direction, with a number other than 0", self.axis)
+            checked["axis"] = axis
+        return checked
 
     @classmethod
     def grab(
@@ -249,6 +301,54 @@ class Stroke:
     def ndim(self) -> int:
         """The number of coordinates of its points: 2 or 3."""
         return len(self.at)
+
+    def weakened(self, part: float) -> Self:
+        """Return a part of the stroke: of its drag, its angle, or its factor's logarithm; at full strength."""
+        return replace(
+            self,
+            by=tuple(part * x for x in self.by),
+            angle=None if self.angle is None else part * self.angle,
+            factor=None if self.factor is None else self.factor**part,
+            strength=1.0,
+        )
+
+    @property
+    def is_still(self) -> bool:
+        """True if it moves nothing: a drag or an angle of 0, or a factor of 1."""
+        return not any(self.by) and not self.angle and self.factor in (None, 1.0)
+
+    def matrix(self, spacing: Sequence[float], *, time: bool = False) -> npt.NDArray[np.float64]:
+        """Return ∂K/∂p at the pivot, in physical units, shape (3, 3): R - I of a rotation R, for instance.
+
+        Parameters
+        ----------
+        spacing : sequence of float
+            Physical units per sample, x first.
+        time : bool
+            Whether the third axis is time.
+        """
+        made, plane = np.zeros((3, 3)), time or self.ndim == 2
+        axis = np.zeros(3)
+        if self.axis is None:
+            axis[2 if self.brush == "twist" else 0] = 1.0
+        else:
+            axis[: self.ndim] = np.multiply(self.axis, spacing)
+            axis /= np.abs(axis).max()  # so that no square overflows
+            axis /= np.linalg.norm(axis)
+        if self.angle is not None:
+            angle, (x, y, z) = math.radians(self.angle), axis
+            skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+            made = math.sin(angle) * skew + 2 * math.sin(angle / 2) ** 2 * (skew @ skew)
+        elif self.factor is not None:
+            within = np.diag([1.0, 1.0, 0.0 if plane else 1.0])
+            if self.brush == "pinch" and plane and axis[2]:
+                refuse("axis", "a direction within the frame, with a 0 for time", self.axis)
+            along, power = np.outer(axis, axis), math.log(self.factor)
+            if self.brush == "scale":
+                made = math.expm1(power) * within
+            else:
+                made = math.expm1(power) * along + math.expm1(-power if plane else -power / 2) * (within - along)
+        return made
 
     def material(self, *, time: bool = False) -> float:
         """Return the Poisson ratio in effect, if the third axis is ``time`` or is not."""
@@ -367,7 +467,13 @@ class Recipe:
         if scaling is None:
             return replace(self, size=size)
         strokes = [
-            replace(s, at=scaling.point(s.at), by=scaling.drag(s.by), radius=s.radius * scaling.length)
+            replace(
+                s,
+                at=scaling.point(s.at),
+                by=scaling.drag(s.by),
+                axis=None if s.axis is None else scaling.drag(s.axis),
+                radius=s.radius * scaling.length,
+            )
             for s in self.strokes
         ]
         border = self.border
@@ -464,10 +570,15 @@ def _dump(value: object) -> str:
 
 
 def _stroke_entry(stroke: Stroke) -> dict[str, object]:
+    shape: dict[str, object] = {"by": [_plain(x) for x in stroke.by]}
+    if stroke.brush != "grab":
+        shape = {name: _plain(x) for name, x in (("angle", stroke.angle), ("factor", stroke.factor)) if x is not None}
+    if stroke.axis is not None:
+        shape["axis"] = [_plain(x) for x in stroke.axis]
     entry: dict[str, object] = {
         "brush": stroke.brush,
         "at": [_plain(x) for x in stroke.at],
-        "by": [_plain(x) for x in stroke.by],
+        **shape,
         "radius": _plain(stroke.radius),
         "scales": stroke.scales,
         "reach": _plain(stroke.reach),
@@ -490,7 +601,8 @@ def _stroke(where: str, entry: object, version: int) -> Stroke:
     if not isinstance(entry, dict):
         refuse(where, "a JSON object", entry)
     known, end = _known(Stroke, version), "to" if "to" in entry and version > 1 else "by"
-    _check_keys(where, entry, [*known, "to"] if version > 1 else known, ["brush", "at", end, "radius"])
+    needed = {"twist": "angle", "scale": "factor", "pinch": "factor"}.get(str(entry.get("brush")), end)
+    _check_keys(where, entry, [*known, "to"] if version > 1 else known, ["brush", "at", needed, "radius"])
     if end == "to":
         if "by" in entry:
             raise SuppleError(f'{where} takes one of "to" and "by", found both')
@@ -568,8 +680,11 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = Fa
     """Return the strokes as the table that the engines read.
 
     With ``d = point - pivot`` and ``rho_i² = |d|² + radius2_i``, a row is the displacement
-    ``sum_i (p_i / rho_i + q_i / rho_i³) force + (r_i / rho_i³) (d · force) d``: ``force`` at the pivot. Where
-    ``reach`` is finite, that is multiplied by ``1 - 10t³ + 15t⁴ - 6t⁵``, ``t = |d| / reach``, and 0 beyond.
+    ``sum_i (p_i / rho_iⁿ + q_i / rho_iⁿ⁺²) v + (r_i / rho_iⁿ⁺²) (d · v) d``. A grab has the ``power`` n = 1, and v is
+    its ``force``, the displacement of the pivot; the other brushes have n = 3, and v is ``matrix @ d``, where the matrix
+    is the displacement's Jacobian at the pivot (de Goes and James, "Regularized Kelvinlets", 2017; section 5). Where
+    ``reach`` is finite, that is multiplied by ``1 - 10t³ + 15t⁴ - 6t⁵``, ``t = |d| / reach``, and 0 beyond. Rows that
+    are ``joined`` act at once with the one before them: all are evaluated at the same point, and added.
 
     Parameters
     ----------
@@ -592,22 +707,32 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = Fa
             refuse(f"strokes[{i}].at", f"a point of {n} numbers, as the medium has {n} axes", stroke.at)
         row["pivot"][:n] = np.multiply(stroke.at, spacing)
         row["force"][:n] = np.multiply(stroke.by, spacing)
-        row["terms"] = stroke.scales
-        row["radius2"], row["p"], row["q"], row["r"] = _terms(stroke.radius, stroke.material(time=time), stroke.scales)
+        row["matrix"] = stroke.matrix(spacing, time=time)
+        row["terms"], row["power"] = stroke.scales, 1 if stroke.brush == "grab" else 3
+        row["radius2"], row["p"], row["q"], row["r"] = _terms(
+            stroke.radius, stroke.material(time=time), stroke.scales, stroke.brush
+        )
         row["reach"] = math.inf if stroke.reach is None else stroke.reach * stroke.radius
     return table
 
 
 @lru_cache(maxsize=256)
-def _terms(radius: float, poisson: float, scales: int) -> npt.NDArray[np.float64]:
+def _terms(radius: float, poisson: float, scales: int, brush: Brush) -> npt.NDArray[np.float64]:
     """Return the columns radius2, p, q and r of a row, as four rows."""
     # b/a of the kelvinlet (a itself cancels): from 0, at -inf, to 1/2, so that no sum here loses digits.
     ratio = 1 / (4 * (1 - poisson))
-    scale = radius * 2 / (3 - 2 * ratio)
-    weights, m = _WEIGHTS[scales], scales
     made = np.zeros((4, 3))
     radius2, p, q, r = made
     radius2[:] = radius**2
+    if brush != "grab":
+        # Of a rotation and of a scale, the part with b vanishes, or is proportional to that with a.
+        share = ratio if brush == "pinch" else 0.0
+        scale = radius**3 / (2.5 - 2 * share)
+        p[0], q[0], r[0] = scale * (1 - 2 * share), scale * 1.5 * radius**2, scale * 3 * share
+        made.flags.writeable = False
+        return made
+    scale = radius * 2 / (3 - 2 * ratio)
+    weights, m = _WEIGHTS[scales], scales
     radius2[:m] *= _RADIUS2[:m]
     p[:m] = weights * (scale * (1 - ratio))
     r[:m] = weights * (scale * ratio)
@@ -621,5 +746,5 @@ def _terms(radius: float, poisson: float, scales: int) -> npt.NDArray[np.float64
 
 
 def numbers(table: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
-    """Return a table's rows in the layout of the native core: float64 (n, 20), with the bits of the number of terms."""
+    """Return a table's rows in the layout of the native core: float64 (n, 31), with the bits of the integers."""
     return np.ascontiguousarray(table).view(np.float64).reshape(len(table), STROKE_DTYPE.itemsize // 8)

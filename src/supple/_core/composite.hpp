@@ -146,7 +146,7 @@ template <int D, int TANGENTS, bool MIXED, class V>
 NOINLINE void pass_strokes(const Chain& chain, const Axis* axes, bool solved, Jet<D, TANGENTS, MIXED, V>& jet,
                            Passed<V>& passed) {
     if (!solved) {
-        for (int n = 0; n < chain.count; n++) carry(chain[n], axes, jet);
+        carry(chain, axes, jet);
         passed.steps += 1.0;
         return;
     }
@@ -165,7 +165,7 @@ NOINLINE void pass_strokes(const Chain& chain, const Axis* axes, bool solved, Je
     if constexpr (MIXED) {
         Jet<D, TANGENTS, true, V> there = jet;
         for (int d = 0; d < D; d++) there.mixed[d] = V{};
-        for (int n = 0; n < chain.count; n++) carry(chain[n], axes, there);
+        carry(chain, axes, there);
         V r[D];
         for (int d = 0; d < D; d++) r[d] = jet.mixed[d] - there.mixed[d];
         for (int d = 0; d < D; d++) jet.mixed[d] = times<D>(found.m, r, d);

@@ -1,9 +1,12 @@
 // The field: one stroke's displacement, its derivatives, and the chain of strokes.
 //
-// With r = p - pivot and s = |r|², a stroke displaces by (MATH in the docs: docs/method.md)
+// With r = p - pivot and s = |r|², a stroke displaces by (docs/method.md)
 //
-//     K(p) = A(s) f + B(s) (r·f) r,     A = Σ p_i/ρ_i + q_i/ρ_i³,  B = Σ r_i/ρ_i³,  ρ_i² = s + e_i
-//     J(p) = 2A' f rᵀ + 2B' (r·f) r rᵀ + B [r fᵀ + (r·f) I]                                         (' = d/ds)
+//     K(p) = A(s) v + B(s) (r·v) r,     A = Σ p_i ρ_i⁻ⁿ + q_i ρ_i⁻ⁿ⁻²,  B = Σ r_i ρ_i⁻ⁿ⁻²,  ρ_i² = s + e_i
+//     J(p) u = 2A' (r·u) v + A M u + 2B' (r·u) (r·v) r + B [(u·v + r·M u) r + (r·v) u]              (' = d/ds)
+//
+// where v = f, M = 0 and n = 1 for a grab; and v = M r and n = 3 for the affine brushes: twist, scale and pinch.
+// Strokes of one group act at once: their displacements at the same point are added.
 //
 // With a reach R, A and B are multiplied by m(t) = (1-t)³ (1 + 3t + 6t²), t = √s / R: 0 beyond, and C². With a fixed
 // border, K_β = diag(β) K, J_β = diag(β) J + diag(β' ∘ K), and beyond a face the map is that at the nearest point of
@@ -18,8 +21,10 @@ namespace supple {
 
 // One row of the stroke table, in physical units, in the layout of `supple.strokes.STROKE_DTYPE`; and derived values.
 struct Stroke {
-    double pivot[3], force[3], radius2[3], p[3], q[3], r[3];
+    double pivot[3], force[3], matrix[3][3], radius2[3], p[3], q[3], r[3];
     int64_t terms;
+    int64_t power;     // n: 1, with a force, or 3, with a matrix
+    int64_t group;     // neighbours of one number act at once
     double reach;      // R, or infinity
     double per_reach;  // 1/R, or 0
     bool inner;        // the ball of its reach touches no fixed border: β is 1 in all of it
@@ -93,6 +98,14 @@ INLINE V dot(const V* a, const V* b) {
     return s;
 }
 
+// M x, for one component.
+template <int D, class V>
+INLINE V turned(const Stroke& k, const V* x, int i) {
+    V y = k.matrix[i][0] * x[0];
+    for (int j = 1; j < D; j++) y += k.matrix[i][j] * x[j];
+    return y;
+}
+
 // A, B and their derivatives: A[1] = 2A', A[2] = 4A''.
 template <class V>
 struct Radial {
@@ -103,18 +116,21 @@ struct Radial {
 template <int ORDER, class V>
 INLINE Radial<V> radial(const Stroke& k, V s) {
     Radial<V> f{};
+    const double n = (double)k.power, n2 = n + 2, n4 = n2 * (n + 4);
     for (int i = 0; i < k.terms; i++) {
-        V v = 1.0 / root(V(s + k.radius2[i])), v2 = v * v, v3 = v * v2;
-        f.A[0] += k.p[i] * v + k.q[i] * v3;
-        f.B[0] += k.r[i] * v3;
+        V v = 1.0 / root(V(s + k.radius2[i])), v2 = v * v;
+        if (k.power == 3) v *= v2;
+        V next = v * v2;
+        f.A[0] += k.p[i] * v + k.q[i] * next;
+        f.B[0] += k.r[i] * next;
         if (ORDER > 0) {
-            f.A[1] -= v3 * (k.p[i] + 3.0 * k.q[i] * v2);
-            f.B[1] -= 3.0 * k.r[i] * v3 * v2;
+            f.A[1] -= next * (n * k.p[i] + n2 * k.q[i] * v2);
+            f.B[1] -= n2 * k.r[i] * next * v2;
         }
         if (ORDER > 1) {
-            V v5 = v3 * v2;
-            f.A[2] += v5 * (3.0 * k.p[i] + 15.0 * k.q[i] * v2);
-            f.B[2] += 15.0 * k.r[i] * v5 * v2;
+            V last = next * v2;
+            f.A[2] += last * (n * n2 * k.p[i] + n4 * k.q[i] * v2);
+            f.B[2] += n4 * k.r[i] * last * v2;
         }
     }
     if (k.per_reach > 0) {  // the product rule with m, m1 = 2m' and m2 = 4m''
@@ -147,52 +163,67 @@ struct Jet {
     V smooth2[MIXED ? 2 : 1];
 };
 
-// Send a jet through one stroke: x ← T(x), t ← T'(x) t, mixed ← T'(x) mixed + T''(x)(t₀, t₁).
+// Add one stroke's part to a jet, at the point and the tangents `at`: x += K, t += J t, mixed += J mixed + K''(t₀, t₁).
+// `jet` may be `at` itself: then it goes through the stroke.
 template <int D, int TANGENTS, bool MIXED, class V>
-INLINE void carry(const Stroke& k, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& jet) {
+INLINE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V>& at,
+                Jet<D, TANGENTS, MIXED, V>& jet) {
     constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
     constexpr int N = TANGENTS > 0 ? TANGENTS : 1;
     V r[D], f[D], inside[D], beta[D][3], s = V{};
     for (int i = 0; i < D; i++) {
-        V near = jet.x[i];
+        V near = at.x[i];
         inside[i] = splat<V>(1.0);
         // Off the only plane of an axis without extent, the map is that on the plane, for inner strokes, too.
         bool fading = axes[i].fixed() && (!k.inner || axes[i].extent() == 0);
         if (fading) {
             near = nearest(near, axes[i]);
-            inside[i] = choose(near == jet.x[i], inside[i], V{});
+            inside[i] = choose(near == at.x[i], inside[i], V{});
             fade<ORDER>(near, axes[i], beta[i]);
         } else {
             beta[i][0] = splat<V>(1.0);
             beta[i][1] = beta[i][2] = V{};
         }
         r[i] = near - k.pivot[i];
-        f[i] = splat<V>(k.force[i]);
         s += r[i] * r[i];
     }
+    const bool affine = k.power == 3;
+    for (int i = 0; i < D; i++) f[i] = affine ? turned<D>(k, r, i) : splat<V>(k.force[i]);
     Radial<V> g = radial<ORDER>(k, s);
     V rf = dot<D>(r, f), K[D];
     for (int i = 0; i < D; i++) K[i] = g.A[0] * f[i] + g.B[0] * rf * r[i];
 
     if constexpr (TANGENTS > 0) {
-        // J u = 2A' (r·u) f + (2B' (r·u)(r·f) + B (u·f)) r + B (r·f) u, of each tangent as it is at the nearest point
-        V u[N][D], ru[N], uf[N], h[N], Ju[N][D];
+        // With each tangent u as it is at the nearest point, w = M u, and uf = u·v + r·w, the derivative of r·v.
+        V u[N][D], w[N][D], ru[N], uf[N], h[N], Ju[N][D];
         for (int j = 0; j < TANGENTS; j++) {
-            for (int i = 0; i < D; i++) u[j][i] = inside[i] * jet.t[j][i];
+            for (int i = 0; i < D; i++) u[j][i] = inside[i] * at.t[j][i];
             ru[j] = dot<D>(r, u[j]);
             uf[j] = dot<D>(u[j], f);
+            for (int i = 0; i < D; i++) w[j][i] = affine ? turned<D>(k, u[j], i) : V{};
+            if (affine) uf[j] += dot<D>(r, w[j]);
             h[j] = g.B[1] * ru[j] * rf + g.B[0] * uf[j];
             for (int i = 0; i < D; i++) Ju[j][i] = g.A[1] * ru[j] * f[i] + h[j] * r[i] + g.B[0] * rf * u[j][i];
+            if (affine)
+                for (int i = 0; i < D; i++) Ju[j][i] += g.A[0] * w[j][i];
         }
         if constexpr (MIXED) {
             V n[D];
-            for (int i = 0; i < D; i++) n[i] = inside[i] * jet.mixed[i];
+            for (int i = 0; i < D; i++) n[i] = inside[i] * at.mixed[i];
             V uv = dot<D>(u[0], u[1]), a = g.A[2] * ru[0] * ru[1] + g.A[1] * uv;
             V b = g.B[2] * ru[0] * ru[1] * rf + g.B[1] * (uv * rf + ru[0] * uf[1] + ru[1] * uf[0]);
-            V rn = dot<D>(r, n), hn = g.B[1] * rn * rf + g.B[0] * dot<D>(n, f);
+            V rn = dot<D>(r, n), nf = dot<D>(n, f), wn[D];
+            for (int i = 0; i < D; i++) wn[i] = V{};
+            if (affine) {
+                for (int i = 0; i < D; i++) wn[i] = turned<D>(k, n, i);
+                nf += dot<D>(r, wn);
+                b += g.B[0] * (dot<D>(u[0], w[1]) + dot<D>(u[1], w[0]));
+            }
+            V hn = g.B[1] * rn * rf + g.B[0] * nf;
             for (int i = 0; i < D; i++) {
                 V Jn = g.A[1] * rn * f[i] + hn * r[i] + g.B[0] * rf * n[i];
                 V second = a * f[i] + b * r[i] + h[0] * u[1][i] + h[1] * u[0][i] + Jn;
+                if (affine) second += g.A[0] * wn[i] + g.A[1] * (ru[0] * w[1][i] + ru[1] * w[0][i]);
                 jet.mixed[i] += beta[i][0] * second +
                                 beta[i][1] * (u[0][i] * Ju[1][i] + u[1][i] * Ju[0][i] + n[i] * K[i]) +
                                 beta[i][2] * u[0][i] * u[1][i] * K[i];
@@ -201,24 +232,15 @@ INLINE void carry(const Stroke& k, const Axis* axes, Jet<D, TANGENTS, MIXED, V>&
             for (int i = 0; i < D; i++)
                 if (axes[i].sigma > 0 && !k.inner) {
                     // β varies over σ at a face, and is constant farther in.
-                    V scale = 2.0 * most(depth(jet.x[i], axes[i]), splat<V>(axes[i].sigma));
+                    V scale = 2.0 * most(depth(at.x[i], axes[i]), splat<V>(axes[i].sigma));
                     scale2 = least(scale2, V(scale * scale));
                 }
-            for (int j = 0; j < 2; j++) jet.smooth2[j] = least(jet.smooth2[j], V(scale2 / dot<D>(jet.t[j], jet.t[j])));
+            for (int j = 0; j < 2; j++) jet.smooth2[j] = least(jet.smooth2[j], V(scale2 / dot<D>(at.t[j], at.t[j])));
         }
         for (int j = 0; j < TANGENTS; j++)
             for (int i = 0; i < D; i++) jet.t[j][i] += beta[i][0] * Ju[j][i] + beta[i][1] * u[j][i] * K[i];
     }
     for (int i = 0; i < D; i++) jet.x[i] += beta[i][0] * K[i];
-}
-
-// T of points, without derivatives.
-template <int D, class V>
-INLINE void move(const Stroke& k, const Axis* axes, V* x) {
-    Jet<D, 0, false, V> jet;
-    for (int i = 0; i < D; i++) jet.x[i] = x[i];
-    carry(k, axes, jet);
-    for (int i = 0; i < D; i++) x[i] = jet.x[i];
 }
 
 // The inverse of the matrix whose columns are t, as columns again.

@@ -16,28 +16,29 @@ namespace supple {
 
 namespace {
 
-typedef nb::ndarray<const double, nb::shape<1, STROKE_NUMBERS>, nb::c_contig, nb::device::cpu> Row;
+typedef nb::ndarray<const double, nb::shape<-1, STROKE_NUMBERS>, nb::c_contig, nb::device::cpu> Table;
 typedef nb::ndarray<const double, nb::shape<3, AXIS_NUMBERS>, nb::c_contig, nb::device::cpu> Rows;
 
-std::tuple<double, double> smallest_strain(const Row& row, const Rows& domain, double free, double distance,
+std::tuple<double, double> smallest_strain(const Table& table, const Rows& domain, double free, double distance,
                                            double target, double gap) {
+    if (!table.shape(0)) throw nb::value_error("a group has one stroke at least");
     const Axes axes = load_axes(domain.data());
-    const Stroke stroke = load_strokes(row.data(), 1, axes.data())[0];
-    const folds::Bounds found = folds::smallest_strain(stroke, axes.data(), free, distance, target, gap);
+    const std::vector<Stroke> strokes = load_strokes(table.data(), table.shape(0), axes.data());
+    const folds::Bounds found = folds::smallest_strain(strokes, axes.data(), free, distance, target, gap);
     return {found.lower, found.upper};
 }
 
-std::tuple<double, double, double> smallest_free_strain(const Row& row, double gap) {
-    const Stroke stroke = load_strokes(row.data(), 1, Axes{}.data())[0];
-    const folds::Bounds found = folds::smallest_free_strain(stroke, gap);
+std::tuple<double, double, double> smallest_free_strain(const Table& table, double gap) {
+    if (table.shape(0) != 1) throw nb::value_error("the free border is for one stroke");
+    const folds::Bounds found = folds::smallest_free_strain(load_strokes(table.data(), 1, Axes{}.data()), gap);
     return {found.lower, found.upper, found.point[0]};
 }
 
 }  // namespace
 
 void bind_folds(nb::module_& m) {
-    m.def("smallest_strain", &smallest_strain, "stroke"_a, "axes"_a, "free"_a, "distance"_a, "target"_a, "gap"_a,
-          "Bound μ of a unit force with a fixed border from below and above.");
+    m.def("smallest_strain", &smallest_strain, "strokes"_a, "axes"_a, "free"_a, "distance"_a, "target"_a, "gap"_a,
+          "Bound μ of strokes that act at once from below and above.");
     m.def("smallest_free_strain", &smallest_free_strain, "stroke"_a, "gap"_a,
           "Bound μ of a unit force of finite reach in all of space; return the bounds, and how far ahead of the pivot "
           "the upper one is reached.");

@@ -1,6 +1,7 @@
-// The margin of a stroke to folding: the smallest eigenvalue of a matrix field, bounded over all points.
+// The margin of strokes that act at once to folding: the smallest eigenvalue of a matrix field, bounded over all
+// points.
 //
-// Let S = sym(J_β), of a force of length 1 (`field.hpp`), and μ the minimum of λ_min(S) over the domain. Branch and
+// Let S = sym(J_β), of the sum of some strokes (`field.hpp`), and μ the minimum of λ_min(S) over the domain. Branch and
 // bound finds it, the box with the lowest bound first; no end of the border goes across a box. In one of widths h, S
 // differs from the multilinear interpolant of its values at the corners v by Σ_k h_k²/8 |∂_kk S| at most. Since the
 // interpolant is a mean of the S(v), and λ_min is concave,
@@ -26,6 +27,9 @@
 // ρ^-k is a Gegenbauer polynomial of a cosine times |r|/ρ, over ρ^(k+n). As 2ω ≤ 1, the bracket and its two
 // derivatives are at most |r|², 2|r| and 2.
 //
+// The affine brushes. The derivatives of M r are at most |M| |r| and |M|, those of (rᵀ M r) r at most 1, 3, 6 and 6
+// times |M| |r|³, |M| |r|², |M| |r| and |M|; products with powers of ρ follow by Leibniz. Bounds of a sum are sums.
+//
 // The reach multiplies K by m = 1 - 10t³ + 15t⁴ - 6t⁵, t = |r|/R. Its first three derivatives are at most 30 t² (1-t)²,
 // 10/√3 and 60, over R, R² and R³; those of the product follow by Leibniz. The third jumps at t = 0 and 1, but the
 // second derivatives of S are bounded all the same, which is all that (1) asks for.
@@ -39,7 +43,8 @@
 #include <numbers>
 #include <vector>
 
-#include "field.hpp"
+#include "newton.hpp"
+#include "table.hpp"
 
 namespace supple::folds {
 
@@ -103,7 +108,7 @@ inline Derivatives grab_bounds(const Stroke& stroke, double near2, double far2) 
         x * x * next[2] + 4 * x * next[1] + 2 * next[0],
         x * x * next[3] + 6 * x * next[2] + 6 * next[1],
     };
-    double scale = (stroke.p[0] + stroke.q[0] / e[0]) / rho;  // the constant, times ρ^-k
+    double scale = strength_of(stroke) * (stroke.p[0] + stroke.q[0] / e[0]) / rho;  // the constant, times ρ^-k
     for (int i = 1; i <= last; i++) scale *= (1 - 0.5 / i) * (e[i] - e[0]) / rho2;
     Derivatives found;
     for (int n = 0; n < 4; n++) {
@@ -116,9 +121,31 @@ inline Derivatives grab_bounds(const Stroke& stroke, double near2, double far2) 
     return found;
 }
 
+// Of an affine brush without reach, likewise.
+inline Derivatives affine_bounds(const Stroke& stroke, double near2, double far2) {
+    const double e = stroke.radius2[0], rho2 = near2 + e, x = std::sqrt(far2 / (far2 + e));
+    const Derivatives third = power_bounds(3, x), fifth = power_bounds(5, x);
+    const Derivatives cubic{
+        x * x * x * fifth[0],
+        x * x * (x * fifth[1] + 3 * fifth[0]),
+        x * (x * x * fifth[2] + 6 * x * fifth[1] + 6 * fifth[0]),
+        x * x * x * fifth[3] + 9 * x * x * fifth[2] + 18 * x * fifth[1] + 6 * fifth[0],
+    };
+    double scale = strength_of(stroke) / rho2;
+    Derivatives found;
+    for (int n = 0; n < 4; n++) {
+        const double along = x * third[n] + (n ? n * third[n - 1] : 0),
+                     next = x * fifth[n] + (n ? n * fifth[n - 1] : 0);
+        found[n] = scale * (std::abs(stroke.p[0]) * along + std::abs(stroke.q[0]) / rho2 * next +
+                            std::abs(stroke.r[0]) * cubic[n]);
+        scale /= std::sqrt(rho2);
+    }
+    return found;
+}
+
 // Of K: the N_n.
 inline Derivatives displacement_bounds(const Stroke& stroke, double near2, double far2) {
-    const Derivatives n = grab_bounds(stroke, near2, far2);
+    const Derivatives n = stroke.power == 3 ? affine_bounds(stroke, near2, far2) : grab_bounds(stroke, near2, far2);
     if (stroke.per_reach == 0) return n;
     const double i = stroke.per_reach, a = i * std::sqrt(near2), b = i * std::sqrt(far2), t = std::clamp(0.5, a, b);
     const double m = (1 - a) * (1 - a) * (1 - a) * (1 + a * (3 + 6 * a));
@@ -138,20 +165,24 @@ struct Symmetric {
     V xx, yy, zz, xy, xz, yz;
 };
 
-// S at points: with c = 2A' f + 2B' (r·f) r, J_β = diag(β) [c rᵀ + B (r fᵀ + (r·f) I)] + diag(β' ∘ K).
-inline Symmetric<Lanes> strain(const Stroke& k, const Axis* axes, const Lanes* x) {
-    Lanes r[3], f[3], beta[3][2], J[3][3];
+// S at points, of some strokes of a table.
+inline Symmetric<Lanes> strain(const Chain& group, const Axis* axes, const Lanes* x) {
+    Lanes beta[3][2], J[3][3] = {};
+    for (int i = 0; i < 3; i++) fade<1>(x[i], axes[i], beta[i]);
+    const Axis free[3] = {{0, 0, -1, 1, QUARTIC}, {0, 0, -1, 1, QUARTIC}, {0, 0, -1, 1, QUARTIC}};
+    Jet<3, 3, false, Lanes> at, moved;
     for (int i = 0; i < 3; i++) {
-        fade<1>(x[i], axes[i], beta[i]);
-        r[i] = x[i] - k.pivot[i];
-        f[i] = splat<Lanes>(k.force[i]);
+        at.x[i] = x[i];
+        moved.x[i] = Lanes{};
+        for (int j = 0; j < 3; j++) {
+            at.t[j][i] = splat<Lanes>(i == j);
+            moved.t[j][i] = Lanes{};
+        }
     }
-    const Radial<Lanes> g = radial<1>(k, dot<3>(r, r));
-    const Lanes rf = dot<3>(r, f);
+    for (int k = 0; k < group.count; k++) add(group[k], free, at, moved);
     for (int i = 0; i < 3; i++) {
-        const Lanes c = g.A[1] * f[i] + g.B[1] * rf * r[i], K = g.A[0] * f[i] + g.B[0] * rf * r[i];
-        for (int j = 0; j < 3; j++) J[i][j] = beta[i][0] * (c * r[j] + g.B[0] * r[i] * f[j]);
-        J[i][i] += beta[i][0] * g.B[0] * rf + beta[i][1] * K;
+        for (int j = 0; j < 3; j++) J[i][j] = beta[i][0] * moved.t[j][i];
+        J[i][i] += beta[i][1] * moved.x[i];
     }
     // An axis without extent has no points along it that could fold.
     const auto s = [&](int i, int j) {
@@ -190,13 +221,16 @@ inline bool is_at_least(const Symmetric<double>& s, double level) {
 
 class Search {
 public:
-    // Of a stroke whose force has the length 1. `free` is a lower bound of μ with a free border. The relative distance
-    // of the bounds shall be below `gap`, unless the lower one is above `target`.
-    Search(const Stroke& stroke, const Axis* axes, double free, double target, double gap)
-        : stroke(stroke), axes(axes), free(free), target(target), gap(gap) {
-        for (int i = 0; i < stroke.terms; i++)
-            noise +=
-                2e-14 * (std::abs(stroke.p[i]) + std::abs(stroke.r[i]) + std::abs(stroke.q[i]) / stroke.radius2[i]);
+    // `free` is a lower bound of μ with a free border. The relative distance of the bounds shall be below `gap`, unless
+    // the lower one is above `target`.
+    Search(const std::vector<Stroke>& strokes, const Axis* axes, double free, double target, double gap)
+        : strokes(strokes), axes(axes), free(free), target(target), gap(gap) {
+        for (const Stroke& k : strokes) {
+            double sum = 0;
+            for (int i = 0; i < k.terms; i++)
+                sum += std::abs(k.p[i]) + std::abs(k.r[i]) + std::abs(k.q[i]) / k.radius2[i];
+            noise.push_back(2e-14 * strength_of(k) * sum);
+        }
     }
 
     Bounds known;
@@ -226,7 +260,7 @@ public:
             Lanes x[3];
             for (int i = 0; i < 3; i++)
                 for (int l = 0; l < LANES; l++) x[i][l] = (v + l) >> i & 1 ? box.high[i] : box.low[i];
-            const Symmetric<Lanes> s = strain(stroke, axes, x);
+            const Symmetric<Lanes> s = strain({strokes.data(), near.data(), (int)near.size()}, axes, x);
             for (int l = 0; l < LANES; l++) {
                 const Symmetric<double> lowered = less(s, l, errors.all);
                 if (is_at_least(lowered, worst + errors.rounding)) continue;
@@ -259,22 +293,35 @@ private:
         double rounding = 0;
     };
 
-    Errors errors_in(const Box& box) const {
-        double near2 = 0, far2 = 0, value = 0, steepest = 0;
-        Derivatives b[3];
+    // Those of the strokes that reach the box, which are listed in `near`.
+    Errors errors_in(const Box& box) {
+        double value = 0, steepest = 0;
+        Derivatives b[3], n{};
         for (int k = 0; k < 3; k++) {
-            const double below = box.low[k] - stroke.pivot[k], above = box.high[k] - stroke.pivot[k];
-            const double near = std::max({below, -above, 0.0}), far = std::max(-below, above);
-            near2 += near * near;
-            far2 += far * far;
             b[k] = fade_bounds(axes[k], box.low[k], box.high[k]);
             value = std::max(value, b[k][0]);
             steepest = std::max(steepest, b[k][1]);
         }
         Errors found;
-        if (std::sqrt(near2) >= stroke.reach) return found;  // the displacement is 0 there
-
-        const Derivatives n = displacement_bounds(stroke, near2, far2);
+        near.clear();
+        for (int s = 0; s < (int)strokes.size(); s++) {
+            const Stroke& stroke = strokes[s];
+            double near2 = 0, far2 = 0;
+            for (int k = 0; k < 3; k++) {
+                const double below = box.low[k] - stroke.pivot[k], above = box.high[k] - stroke.pivot[k];
+                const double nearest = std::max({below, -above, 0.0}), farthest = std::max(-below, above);
+                near2 += nearest * nearest;
+                far2 += farthest * farthest;
+            }
+            if (std::sqrt(near2) >= stroke.reach) continue;  // the displacement is 0 there
+            near.push_back(s);
+            const Derivatives own = displacement_bounds(stroke, near2, far2);
+            for (int i = 0; i < 4; i++) n[i] += own[i];
+            const double rho = std::sqrt(near2 + stroke.radius2[0]);
+            found.rounding +=
+                noise[s] / (stroke.power == 3 ? rho * rho : rho) * (5 / rho + steepest + 2 * stroke.per_reach);
+        }
+        if (near.empty()) return found;
         double most = 0;
         for (int k = 0; k < 3; k++) {
             const double width = box.high[k] - box.low[k], share = 0.125 * width * width;
@@ -292,8 +339,6 @@ private:
         }
         found.simple = -(value * n[1] + steepest * n[0]) * (1 + 1e-12);
         if (steepest == 0) found.simple = std::max(found.simple, free);
-        const double rho = std::sqrt(near2 + stroke.radius2[0]);
-        found.rounding = noise / rho * (5 / rho + steepest + 2 * stroke.per_reach);
         return found;
     }
 
@@ -303,28 +348,35 @@ private:
 
     static bool later(const Box& a, const Box& b) { return a.bound > b.bound; }
 
-    const Stroke& stroke;
+    const std::vector<Stroke>& strokes;
     const Axis* axes;
     const double free, target, gap;
-    double noise = 0;
+    std::vector<double> noise;  // of each stroke
+    std::vector<int> near;
     std::vector<Box> waiting;  // a heap
 };
 
-// Bound μ in a domain. With a free border, the worst point is at `distance` ahead of the pivot.
-inline Bounds smallest_strain(const Stroke& stroke, const Axis* axes, double free, double distance, double target,
-                              double gap) {
-    Search search(stroke, axes, free, target, gap);
+// Bound μ in a domain. With a free border, the worst point of a single grab by 1 is at `distance` ahead of its pivot.
+inline Bounds smallest_strain(const std::vector<Stroke>& strokes, const Axis* axes, double free, double distance,
+                              double target, double gap) {
+    Search search(strokes, axes, free, target, gap);
     Box ahead;
-    std::vector<double> cuts[3];  // where the border ends, as far as the stroke reaches
+    std::vector<double> cuts[3];  // where the border ends, as far as the strokes reach
     for (int i = 0; i < 3; i++) {
         const Axis& a = axes[i];
-        ahead.low[i] = ahead.high[i] = std::clamp(stroke.pivot[i] + distance * stroke.force[i], a.first, a.last);
+        const Stroke& one = strokes[0];
+        ahead.low[i] = ahead.high[i] = std::clamp(one.pivot[i] + distance * one.force[i], a.first, a.last);
         // Their depth is σ at least, rounded, too.
         double begin = a.first + a.sigma, end = a.last - a.sigma;
         if (begin - a.first < a.sigma) begin = std::nextafter(begin, a.last);
         if (a.last - end < a.sigma) end = std::nextafter(end, a.first);
-        const double low = std::max(a.first, stroke.pivot[i] - stroke.reach);
-        const double high = std::min(a.last, stroke.pivot[i] + stroke.reach);
+        double low = a.last, high = a.first;
+        for (const Stroke& k : strokes) {
+            low = std::min(low, k.pivot[i] - k.reach);
+            high = std::max(high, k.pivot[i] + k.reach);
+        }
+        low = std::max(a.first, low);
+        high = std::min(a.last, high);
         cuts[i] = {low};
         for (double x : {begin, end, high})
             if (cuts[i].back() < x && x <= high) cuts[i].push_back(x);
@@ -341,10 +393,11 @@ inline Bounds smallest_strain(const Stroke& stroke, const Axis* axes, double fre
 
 // Bound μ in all of space, of a stroke with a finite reach from 0 along x. S is the same all around that axis, so that
 // a half-plane stands for space.
-inline Bounds smallest_free_strain(const Stroke& stroke, double gap) {
+inline Bounds smallest_free_strain(const std::vector<Stroke>& one, double gap) {
     const Axis axes[] = {{0, 1, -1, 1, QUARTIC}, {0, 1, -1, 1, QUARTIC}, {0, 1, -1, 1, QUARTIC}};
-    Search search(stroke, axes, -INFINITE, 0, gap);
-    search.add({{-stroke.reach, 0, 0}, {stroke.reach, stroke.reach, 0}});
+    Search search(one, axes, -INFINITE, 0, gap);
+    const double reach = one[0].reach;
+    search.add({{-reach, 0, 0}, {reach, reach, 0}});
     search.run();
     return search.known;
 }

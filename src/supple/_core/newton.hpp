@@ -15,8 +15,50 @@ struct Chain {
     const int* list;
     int count;
     const Stroke& operator[](int i) const { return strokes[list[i]]; }
-    Chain only(int i) const { return {strokes, list + i, 1}; }
+    // The end of the group that begins at i.
+    int end_of(int i) const {
+        int end = i + 1;
+        while (end < count && (*this)[end].group == (*this)[i].group) end++;
+        return end;
+    }
+    // The group that ends before `end`.
+    Chain last_before(int end) const {
+        int i = end - 1;
+        while (i > 0 && (*this)[i - 1].group == (*this)[end - 1].group) i--;
+        return {strokes, list + i, end - i};
+    }
 };
+
+// Add the displacements of strokes that act at once, all at the same point, to a jet.
+template <int D, int TANGENTS, bool MIXED, class V>
+NOINLINE void add_group(const Chain& group, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& jet) {
+    const Jet<D, TANGENTS, MIXED, V> at = jet;
+    for (int k = 0; k < group.count; k++) add(group[k], axes, at, jet);
+}
+
+// Send a jet through a chain: x ← T(x), t ← T'(x) t, mixed ← T'(x) mixed + T''(x)(t₀, t₁). `reached` has, for each
+// stroke, a bit for each lane whose length scales it concerns, so that neighbours do not split what belongs to others.
+template <int D, int TANGENTS, bool MIXED, class V>
+INLINE void carry(const Chain& chain, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& jet,
+                  const uint8_t* reached = nullptr) {
+    for (int k = 0, end; k < chain.count; k = end) {
+        end = chain.end_of(k);
+        V before[2], own{};
+        if constexpr (MIXED)
+            for (int j = 0; j < 2; j++) before[j] = jet.smooth2[j];
+        if (end - k == 1)
+            add(chain[k], axes, jet, jet);
+        else
+            add_group({chain.strokes, chain.list + k, end - k}, axes, jet);
+        if constexpr (MIXED) {
+            if (!reached) continue;
+            uint8_t lanes = 0;
+            for (int i = k; i < end; i++) lanes |= reached[i];
+            for (int l = 0; l < Masked<V>::lanes; l++) set_lane(own, l, lanes >> l & 1);
+            for (int j = 0; j < 2; j++) jet.smooth2[j] = choose(own > 0.5, jet.smooth2[j], before[j]);
+        }
+    }
+}
 
 // A point p with T(p) = q, the columns of (∂T/∂p)⁻¹ there, the evaluations of T with its Jacobian, and the mask of
 // converged lanes.
@@ -51,7 +93,10 @@ INLINE V kept_inside(V x, V q, const Axis& a) {
 
 template <int D, class V>
 INLINE void apply(const Chain& chain, const Axis* axes, V* x) {
-    for (int k = 0; k < chain.count; k++) move<D>(chain[k], axes, x);
+    Jet<D, 0, false, V> jet;
+    for (int i = 0; i < D; i++) jet.x[i] = x[i];
+    carry(chain, axes, jet);
+    for (int i = 0; i < D; i++) x[i] = jet.x[i];
 }
 // T and its Jacobian, as columns t.
 template <int D, class V>
@@ -61,7 +106,7 @@ INLINE void apply(const Chain& chain, const Axis* axes, V* x, V (*t)[D]) {
         jet.x[i] = x[i];
         for (int j = 0; j < D; j++) jet.t[j][i] = splat<V>(i == j);
     }
-    for (int k = 0; k < chain.count; k++) carry(chain[k], axes, jet);
+    carry(chain, axes, jet);
     for (int i = 0; i < D; i++) {
         x[i] = jet.x[i];
         for (int j = 0; j < D; j++) t[j][i] = jet.t[j][i];
@@ -154,8 +199,9 @@ NOINLINE void undo(const Chain& chain, const Axis* axes, const V* q, double tole
         found.p[i] = at[i];
         for (int j = 0; j < D; j++) found.m[j][i] = splat<V>(i == j);
     }
-    for (int k = chain.count - 1; k >= 0; k--) {
-        Chain one = chain.only(k);
+    for (int k = chain.count; k > 0;) {
+        const Chain one = chain.last_before(k);
+        k -= one.count;
         for (int i = 0; i < D; i++) found.p[i] = at[i];
         newton<D>(one, axes, at, tolerance, 40, found);
         for (int l = 0; l < Masked<V>::lanes; l++)
@@ -192,12 +238,7 @@ INLINE void polish(const Chain& chain, const uint8_t* reached, const Axis* axes,
         for (int j = 0; j < D; j++) jet.t[j][i] = found.m[j][i];
     }
     jet.smooth2[0] = jet.smooth2[1] = splat<V>(1e300);
-    for (int k = 0; k < chain.count; k++) {
-        V before[2] = {jet.smooth2[0], jet.smooth2[1]}, own{};
-        for (int l = 0; l < Masked<V>::lanes; l++) set_lane(own, l, !reached || reached[k] >> l & 1);
-        carry(chain[k], axes, jet);
-        for (int j = 0; j < 2; j++) jet.smooth2[j] = choose(own > 0.5, jet.smooth2[j], before[j]);
-    }
+    carry(chain, axes, jet, reached);
     for (int j = 0; j < 2; j++) smooth2[j] = jet.smooth2[j];
     // jet.t = (∂T/∂p) m ≈ I, so that its inverse is 2I - jet.t but for squares.
     V better[D][D], e[D];

@@ -37,7 +37,7 @@ double invert_as_published(const std::vector<Stroke>& strokes, const Axis* axes,
                 jet.x[d] = p[d];
                 for (int e = 0; e < D; e++) jet.t[e][d] = d == e;
             }
-            carry(strokes[k], axes, jet);
+            add(strokes[k], axes, jet, jet);
             double xi[D], off = 0;
             for (int d = 0; d < D; d++) {
                 xi[d] = jet.x[d] - q[d];

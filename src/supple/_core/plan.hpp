@@ -19,6 +19,7 @@
 #include <vector>
 
 #include "composite.hpp"
+#include "table.hpp"
 #include "threads.hpp"
 
 namespace supple {
@@ -198,11 +199,12 @@ private:
     }
 
     std::vector<Stroke> strokes;
-    std::vector<double> bends;  // a bound of |J| of each stroke
+    std::vector<Bound> bounds;  // of each stroke
+    std::vector<int> all;       // a list of all strokes
     Axis axes[3];
     int size[2], last[2], across, down;
     size_t words;
-    int first_limited = 0;           // the first stroke with a reach: balls need not be carried back beyond it
+    int first_limited = 0;           // the last of the first group with a reach: balls are not carried back beyond it
     std::vector<uint64_t> reaching;  // for each root, a set of strokes
     std::vector<Root> roots;
     std::vector<Band> bands;
@@ -217,21 +219,12 @@ inline double widest_of(double xx, double xy, double yx, double yy) {
 
 // ---- which strokes reach which cells ------------------------------------------------------------------------------
 
-// A bound of |J_β| = |f| (|2A'| r + |2B'| r³ + 2|B| r), and of the additional term of a border's slope.
-inline double bend_of(const Stroke& k, const Axis* axes, int dimensions) {
-    double force = 0, most_bend = 0, radius = sqrt(k.radius2[0]);
-    for (double f : k.force) force += f * f;
-    force = sqrt(force);
-    double farthest = std::min(k.reach, 8 * radius);
-    for (int i = 0; i <= 64; i++) {
-        double r = farthest * i / 64;
-        Radial<double> g = radial<1>(k, r * r);
-        most_bend = std::max(most_bend, fabs(g.A[1]) * r + fabs(g.B[1]) * r * r * r + 2 * fabs(g.B[0]) * r);
-    }
-    most_bend *= 1.05 * force;
+// Bounds of |K_β| and |J_β|, with the additional term of a border's slope.
+inline Bound bound_within(const Stroke& k, const Axis* axes, int dimensions) {
+    Bound bound = bound_of(k);
     for (int i = 0; i < dimensions; i++)
-        if (axes[i].sigma > 0 && !k.inner) most_bend += 2 * force / axes[i].sigma;
-    return most_bend;
+        if (axes[i].sigma > 0 && !k.inner) bound.slope += 2 * bound.value / axes[i].sigma;
+    return bound;
 }
 
 template <int D>
@@ -250,8 +243,12 @@ Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int heigh
       down((last[1] - 1) / ROOT + 1),
       words((strokes.size() + 63) / 64) {
     std::copy(given, given + 3, axes);
-    while (first_limited < (int)strokes.size() && !(strokes[first_limited].per_reach > 0)) first_limited++;
-    for (int i = 0; i < (int)strokes.size(); i++) bends.push_back(i > first_limited ? bend_of(strokes[i], axes, D) : 0);
+    const int count = (int)strokes.size();
+    while (first_limited < count && !(strokes[first_limited].per_reach > 0)) first_limited++;
+    while (first_limited + 1 < count && strokes[first_limited + 1].group == strokes[first_limited].group)
+        first_limited++;
+    for (int i = 0; i < count; i++) bounds.push_back(i > first_limited ? bound_within(strokes[i], axes, D) : Bound{});
+    for (int i = 0; i < count; i++) all.push_back(i);
     roots.resize((size_t)across * down);
     reaching.assign(roots.size() * words, 0);
     bands.resize((down + BAND - 1) / BAND);
@@ -289,8 +286,8 @@ Chain Plan<D>::chain_of(Work& w, RootOf root_of) const {
     return {strokes.data(), w.list.data(), (int)w.list.size()};
 }
 
-// A ball around each root of a row is carried back through the chain: its centre by a fixed point of each stroke that
-// it touches, its radius by a bound of that inverse's slope, or of the displacement.
+// A ball around each root of a row is carried back through the chain: its centre by a fixed point of each group of
+// strokes that it touches, its radius by a bound of that inverse's slope, or of the displacement.
 template <int D>
 void Plan<D>::find_reaching(int j, int left, int right) {
     // The same groups of roots as of the whole row.
@@ -310,27 +307,34 @@ void Plan<D>::find_reaching(int j, int left, int right) {
         }
         Lanes radius = root(radius2) * (1 + 1e-9);
         Mask rim = radius == radius;
-        for (int n = (int)strokes.size() - 1; n >= 0; n--) {
-            const Stroke& k = strokes[n];
-            Lanes distance2{}, far2{};
-            for (int d = 0; d < D; d++) {
-                Lanes off = centre[d] - k.pivot[d];
-                distance2 += off * off;
-                Lanes corner = most(magnitude(Lanes(low[d] - k.pivot[d])), magnitude(Lanes(high[d] - k.pivot[d])));
-                far2 += corner * corner;
+        const Chain whole{strokes.data(), all.data(), (int)all.size()};
+        for (int end = whole.count; end > 0;) {
+            const Chain group = whole.last_before(end);
+            const int begin = end - group.count;
+            end = begin;
+            Mask touched = radius != radius;
+            for (int n = begin; n < begin + group.count; n++) {
+                const Stroke& k = strokes[n];
+                Lanes distance2{}, far2{};
+                for (int d = 0; d < D; d++) {
+                    Lanes off = centre[d] - k.pivot[d];
+                    distance2 += off * off;
+                    Lanes corner = most(magnitude(Lanes(low[d] - k.pivot[d])), magnitude(Lanes(high[d] - k.pivot[d])));
+                    far2 += corner * corner;
+                }
+                Mask by = without(Mask{} == 0, root(distance2) >= k.reach + radius);  // also for NaN
+                for (int l = 0; l < LANES && first + l < across; l++)
+                    if (by[l]) reaching[((size_t)j * across + first + l) * words + n / 64] |= 1ull << (n % 64);
+                rim = without(rim, both(by, far2 < k.reach * k.reach));
+                touched = either(touched, by);
             }
-            Lanes distance = root(distance2);
-            Mask touched = without(Mask{} == 0, distance >= k.reach + radius);  // also for NaN
-            for (int l = 0; l < LANES && first + l < across; l++)
-                if (touched[l]) reaching[((size_t)j * across + first + l) * words + n / 64] |= 1ull << (n % 64);
-            rim = without(rim, both(touched, far2 < k.reach * k.reach));
-            if (n <= first_limited || !any(touched)) continue;
+            if (begin <= first_limited || !any(touched)) continue;
             Lanes x[D], off2{};
             for (int d = 0; d < D; d++) x[d] = centre[d];
             for (int round = 0; round < 3; round++) {
                 Lanes y[D];
                 for (int d = 0; d < D; d++) y[d] = x[d];
-                move<D>(k, axes, y);
+                apply<D>(group, axes, y);
                 off2 = Lanes{};
                 for (int d = 0; d < D; d++) {
                     Lanes e = centre[d] - y[d];
@@ -338,13 +342,23 @@ void Plan<D>::find_reaching(int j, int left, int right) {
                     if (round < 2) x[d] += e;
                 }
             }
-            // No displacement within the ball's preimage is longer than that at its point nearest to the pivot.
-            double force2 = 0;
-            for (int d = 0; d < D; d++) force2 += k.force[d] * k.force[d];
-            Lanes zero{}, one = splat<Lanes>(1.0), off = root(off2);
-            Lanes t = least(most(Lanes((distance - radius - sqrt(force2)) * k.per_reach), zero), one), v = one - t;
-            Lanes grown = radius + off + 2.0 * sqrt(force2) * v * v * v * (1.0 + t * (3.0 + 6.0 * t));
-            if (bends[n] < 0.9) grown = least(grown, Lanes((radius + off) * (1 / (1 - bends[n]))));
+            // No displacement within the ball's preimage is longer than the sizes allow at its point nearest to a
+            // pivot.
+            double size = 0, bend = 0;
+            for (int n = begin; n < begin + group.count; n++) {
+                size += bounds[n].value;
+                bend += bounds[n].slope;
+            }
+            Lanes zero{}, one = splat<Lanes>(1.0), off = root(off2), grown = radius + off;
+            for (int n = begin; n < begin + group.count; n++) {
+                const Stroke& k = strokes[n];
+                Lanes distance2{};
+                for (int d = 0; d < D; d++) distance2 += (centre[d] - k.pivot[d]) * (centre[d] - k.pivot[d]);
+                Lanes near = (root(distance2) - radius - size) * k.per_reach;
+                Lanes t = least(most(near, zero), one), v = one - t;
+                grown += 2.0 * bounds[n].value * v * v * v * (1.0 + t * (3.0 + 6.0 * t));
+            }
+            if (bend < 0.9) grown = least(grown, Lanes((radius + off) * (1 / (1 - bend))));
             radius = choose(touched, grown, radius);
             for (int d = 0; d < D; d++) centre[d] = choose(touched, x[d], centre[d]);
         }

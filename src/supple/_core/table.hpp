@@ -8,7 +8,7 @@
 
 namespace supple {
 
-constexpr int STROKE_NUMBERS = 20;  // pivot, force, radius2, p, q, r: three each; terms, of int64; and the reach
+constexpr int STROKE_NUMBERS = 31;  // pivot, force; matrix; radius2, p, q, r; terms, power, joined, of int64; reach
 constexpr int AXIS_NUMBERS = 5;     // first, last, sigma, spacing, profile
 
 typedef std::array<Axis, 3> Axes;
@@ -25,21 +25,55 @@ inline Axes load_axes(const double* rows) {
 inline bool is_inner(const Stroke& k, const Axis* axes) {
     for (int i = 0; i < 3; i++) {
         const Axis& a = axes[i];
-        bool flat = a.extent() == 0 && k.pivot[i] == a.first && k.force[i] == 0;
+        const double *row = k.matrix[i], across = fabs(row[(i + 1) % 3]) + fabs(row[(i + 2) % 3]);
+        bool flat = a.extent() == 0 && k.pivot[i] == a.first && k.force[i] == 0 && across == 0;
         bool clear = a.sigma > 0 && depth(k.pivot[i], a) - k.reach >= a.sigma;
         if (a.fixed() && !flat && !clear) return false;
     }
     return true;
 }
 
+// |M| by Frobenius' norm, or |f|.
+inline double strength_of(const Stroke& k) {
+    double sum = 0;
+    for (int i = 0; i < 3; i++) {
+        sum += k.force[i] * k.force[i];
+        for (double m : k.matrix[i]) sum += m * m;
+    }
+    return sqrt(sum);
+}
+
+// Bounds of |K| and |J| of a stroke, without a border, from samples along the distance r: with V = |v| = |f| or |M| r,
+//
+//     |K| ≤ (|A| + |B| r²) V,    |J| ≤ (|2A'| r + |2B'| r³ + 2 |B| r) V + (|A| + |B| r²) |M|.
+struct Bound {
+    double value, slope;
+};
+inline Bound bound_of(const Stroke& k) {
+    const double farthest = std::min(k.reach, 8 * sqrt(k.radius2[0])), strength = strength_of(k);
+    Bound most{};
+    for (int i = 0; i <= 64; i++) {
+        const double r = farthest * i / 64, length = k.power == 3 ? r : 1.0;
+        const Radial<double> g = radial<1>(k, r * r);
+        const double both = fabs(g.A[0]) + fabs(g.B[0]) * r * r;
+        const double bend = (fabs(g.A[1]) + fabs(g.B[1]) * r * r + 2 * fabs(g.B[0])) * r * length;
+        most.value = std::max(most.value, both * length);
+        most.slope = std::max(most.slope, bend + (k.power == 3 ? both : 0));
+    }
+    return {1.05 * strength * most.value, 1.05 * strength * most.slope};
+}
+
 // Read `count` rows of STROKE_NUMBERS, and derive the rest.
 inline std::vector<Stroke> load_strokes(const double* rows, size_t count, const Axis* axes) {
     std::vector<Stroke> strokes(count);
+    int64_t group = 0;
     for (Stroke& k : strokes) {
-        double* parts[] = {k.pivot, k.force, k.radius2, k.p, k.q, k.r};
+        double* parts[] = {k.pivot, k.force, k.matrix[0], k.matrix[1], k.matrix[2], k.radius2, k.p, k.q, k.r};
         for (double* part : parts)
             for (int i = 0; i < 3; i++) part[i] = *rows++;
-        memcpy(&k.terms, rows++, sizeof k.terms);
+        int64_t joined;
+        for (int64_t* count : {&k.terms, &k.power, &joined}) memcpy(count, rows++, sizeof *count);
+        k.group = joined ? group : ++group;
         k.reach = *rows++;
         k.per_reach = std::isfinite(k.reach) ? 1.0 / k.reach : 0.0;
         k.inner = is_inner(k, axes);

@@ -104,7 +104,7 @@ class Document:
         if known is None:
             return stroke
         applied = self.deformation.strokes[known]
-        return replace(stroke, at=applied.at, by=applied.by)
+        return replace(stroke, at=applied.at, by=applied.by, angle=applied.angle, factor=applied.factor)
 
     def add(self, stroke: Stroke) -> int:
         """Append a stroke, and select it; return its index."""

@@ -104,7 +104,7 @@ class Solved:
         part = self.state.rest.amount * stroke.strength
         if whole is not now:
             stroke = replace(stroke, at=tuple(whole.forward(now.inverse(stroke.at).points).tolist()))
-        return replace(stroke, by=tuple(x / part for x in stroke.by)) if 0 < part < 1 else stroke
+        return replace(stroke.weakened(1 / part), strength=stroke.strength) if 0 < part < 1 else stroke
 
 
 class History(Generic[S]):
