@@ -179,7 +179,7 @@ class TestJson:
             *[("poisson", v) for v in ("0.51", '"inf"', '"0.4"', "true", "[0]")],
             *[("scales", v) for v in ("0", "4", "1.0", "true", '"1"', "null", "9" * 5000)],
             *[("hidden", v) for v in ("0", "1", "null", '"true"', "[]")],
-            *[("brush", v) for v in ('"twist"', "1", "null", "[]", '"' + "x" * 10_000 + '"')],
+            *[("brush", v) for v in ('"bend"', "1", "null", "[]", '"' + "x" * 10_000 + '"')],
         ],
     )  # fmt: skip
     def test_wrong_values_of_strokes(self, name: str, value: str) -> None:

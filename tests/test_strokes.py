@@ -157,14 +157,15 @@ class TestStroke:
 
     @pytest.mark.parametrize("bad", ["bend", "", "Grab", None, 1, ["grab"]])
     def test_refuses_brushes(self, bad: Any) -> None:
-        assert refusal(lambda: grab(brush=bad)).startswith('brush must be "grab", "twist", "scale" or "pinch", found ')
+        assert refusal(lambda: grab(brush=bad)).startswith('brush must be "grab" or "twist" or "scale" or "pinch", found ')
 
 
 class TestPack:
     def test_layout(self) -> None:
         assert STROKE_DTYPE.isalignedstruct
-        assert STROKE_DTYPE.itemsize == 20 * 8
-        assert STROKE_DTYPE.names == ("pivot", "force", "radius2", "p", "q", "r", "terms", "reach")
+        assert STROKE_DTYPE.itemsize == 31 * 8
+        assert STROKE_DTYPE.names[:3] == ("pivot", "force", "matrix")
+        assert STROKE_DTYPE.names[3:] == ("radius2", "p", "q", "r", "terms", "power", "joined", "reach")
         table = pack([grab(), grab()], (1, 1))
         assert table.dtype == STROKE_DTYPE
         assert table.shape == (2,)
