@@ -13,16 +13,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from supple import _core
+from supple import _core, strain
 from supple.domain import BorderProfile, Domain
 from supple.errors import FoldError, SuppleError
-from supple.folding import CLEARLY_SAFE, MARGIN, NEAR, Resolved, limit, resolve, weakest
+from supple.folding import NEAR, Resolved, resolve
+from supple.strain import CLEARLY_SAFE, MARGIN, limit
 from supple.strokes import STROKE_DTYPE, FoldPolicy, Stroke, numbers, pack
 from tests import reference
 
 Floats = npt.NDArray[np.float64]
 
 RATIOS = [-math.inf, -3.0, 0.0, 0.25, 0.3, 0.4, 0.45, 0.5]
+
+
+def weakest(row: np.void, axes: Floats, **options: float) -> tuple[float, float]:
+    return strain.weakest(np.array([row]), axes, **options)
 
 
 def strains(row: np.void, poisson: float, axes: Floats, points: Floats) -> Floats:

@@ -417,6 +417,57 @@ class Deformation:
         stroke = Stroke.grab(at, to=to, by=by, radius=radius, poisson=poisson, scales=scales, reach=reach)
         return self.add(stroke)
 
+    def pull(
+        self,
+        points: npt.ArrayLike,
+        *,
+        to: npt.ArrayLike | None = None,
+        by: npt.ArrayLike | None = None,
+        pins: npt.ArrayLike = (),
+        radius: float,
+        poisson: float | None = None,
+        reach: float | None = REACH,
+    ) -> Self:
+        """Return the deformation with one more stroke, which drags many points at once, each to its own target.
+
+        The forces at the points are solved together, so that every point arrives, whatever the others do; where the map
+        would fold, they move in several steps, each solved anew at the points' positions (de Goes and James,
+        "Regularized Kelvinlets", 2017; section 6).
+
+        Parameters
+        ----------
+        points : array_like, shape (N, D)
+            The dragged points, in pixels, x first; up to 1,000 with the pins.
+        to, by : array_like, shape (N, D)
+            Their targets, or their drags; one of the two.
+        pins : array_like, shape (M, D), optional
+            Points that stay where they are.
+        radius : float
+            The radius of the brush at each point, in physical units: about the distance between the points, or more.
+        poisson, reach : float or None
+            As in `grab`.
+
+        Raises
+        ------
+        SuppleError
+            If an argument is invalid, or two points pull against each other so that they cannot arrive without a fold:
+            the message names them.
+
+        Warns
+        -----
+        FoldWarning
+            If it was damped, under ``on_fold="damp"``.
+
+        Examples
+        --------
+        >>> d = Deformation((512, 512))
+        >>> d = d.pull([(200, 250), (300, 250)], to=[(180, 250), (320, 250)], pins=[(250, 250)], radius=60)
+        >>> d.forward([(200, 250), (250, 250)]).round(6)
+        array([[180., 250.],
+               [250., 250.]])
+        """
+        return self.add(Stroke.pull(points, to=to, by=by, pins=pins, radius=radius, poisson=poisson, reach=reach))
+
     def twist(
         self, at: Point, *, angle: float, radius: float, axis: Point | None = None, reach: float | None = REACH
     ) -> Self:

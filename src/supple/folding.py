@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -31,16 +31,11 @@ import numpy.typing as npt
 from supple import _core
 from supple.domain import FREE, Domain, border_factor
 from supple.errors import FoldError, SuppleError
+from supple.strain import CLEARLY_SAFE, GAP, MARGIN, largest, limit, weakest
 from supple.strokes import FoldPolicy, Stroke, numbers, pack
 
 Floats = npt.NDArray[np.float64]
 Table = npt.NDArray[np.void]
-
-MARGIN = 0.01
-"""The least m of every stroke."""
-
-CLEARLY_SAFE = -0.5 * (1 - MARGIN)
-"""The value of μ above which no closer bound is needed."""
 
 MOST_SUBSTROKES = 10_000
 
@@ -49,10 +44,8 @@ NEAR = 0.5
 
 _SQUEEZED = 1e-5  # a sequence that leaves less of a length has lost too many digits to be undone
 _ALONG = 1e-9  # of the radius: the rounding error of a drag along a face
-_GAP = 0.002
-_FARTHEST = 1000.0  # radii
-_FREE_GAP = 1e-9  # computed once for all strokes of a kind
 _FLOW_GAP = 0.05
+_HIT = 1e-6  # samples: the accuracy of handles
 _FLOW_MARGIN = 0.3  # substrokes are well-conditioned: Newton takes few steps, and errors grow little
 
 
@@ -130,9 +123,11 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         return Resolved(table[:0], target)
     if stroke.brush != "grab":
         return _turned(stroke, domain, on_fold)
+    if stroke.also:
+        return _pulled(stroke, domain, on_fold)
     if on_fold == "flow":
         return _flow(stroke, domain, table[0])
-    lower, _ = weakest(table[0], axes)
+    lower, _ = weakest(table, axes)
     alpha = 1.0 if lower >= MARGIN - 1 else (1 - MARGIN) / -lower * (1 - 1e-14)
     folds = alpha < 1
     if folds and on_fold == "error":
@@ -170,8 +165,8 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         needed = np.abs(stroke.matrix(domain.spacing, time=domain.time)).sum(axis=1) > 0
         if np.any(needed & (weights < 1e-100)):
             raise SuppleError(
-                f"{described(stroke)} cannot be carried out: its pivot is on the edge, and the border is fixed, so that "
-                "what is on it only slides along it; use border=None, or a point further in"
+                f"{described(stroke)} cannot be carried out: its pivot is on the edge, and the border is fixed, so "
+                "that what is on it only slides along it; use border=None, or a point further in"
             )
         weights = np.where(needed, weights, 1.0)
 
@@ -181,7 +176,7 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         return table
 
     def lowest(part: float, target: float, gap: float) -> float:
-        return weakest(rows(part)[0], axes, target, gap)[0]
+        return weakest(rows(part), axes, target, gap)[0]
 
     if on_fold == "flow":
         pieces, lower = 1, lowest(1.0, _FLOW_MARGIN - 1, _FLOW_GAP)
@@ -193,13 +188,15 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
                     "a point further from the border, or on_fold='damp'"
                 )
             lower = lowest(1 / pieces, _FLOW_MARGIN - 1, _FLOW_GAP)
-        return Resolved(np.repeat(rows(1 / pieces), pieces), stroke.at, margin=1 + lower, cause=None if held else "outside")
-    alpha, lower = 1.0, lowest(1.0, CLEARLY_SAFE, _GAP)
+        return Resolved(
+            np.repeat(rows(1 / pieces), pieces), stroke.at, margin=1 + lower, cause=None if held else "outside"
+        )
+    alpha, lower = 1.0, lowest(1.0, CLEARLY_SAFE, GAP)
     if lower < MARGIN - 1:
         safe, folds = 0.0, 1.0
-        while folds - safe > 0.5 * _GAP * folds:
+        while folds - safe > 0.5 * GAP * folds:
             middle = (safe + folds) / 2
-            bound = lowest(middle, MARGIN - 1, _GAP)
+            bound = lowest(middle, MARGIN - 1, GAP)
             if bound >= MARGIN - 1:
                 safe, lower = middle, bound
             else:
@@ -213,6 +210,104 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         warning = f"{described(stroke)} folds: damped to {_cut(alpha, 2):g} of it (on_fold='flow' goes all the way)"
     cause = "outside" if not held else "fold" if alpha < 1 else None
     return Resolved(rows(alpha), stroke.at, alpha, 1 + lower, cause, warning)
+
+
+def _pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
+    """Resolve a grab of several handles: forces f_j at the handles, with Σ_j K_ij f_j the displacement of each."""
+    axes, ndim = domain.packed(), domain.ndim
+    single = [replace(stroke, at=at, by=by, also=()) for at, by in stroke.handles]
+    table = pack(single, domain.spacing, time=domain.time)
+    table["joined"][1:] = 1
+    start, goal = table["pivot"].copy(), table["pivot"] + table["force"]
+    _check_handles(stroke, start, goal, axes)
+    groups: list[Table] = []
+    position, margin, pieces = start.copy(), 1.0, 2
+    while pieces > 1:
+        table["pivot"] = position
+        table["force"] = _forces(table, goal - position, axes, ndim)
+        lower, _ = weakest(table, axes, _FLOW_MARGIN - 1 if on_fold == "flow" else CLEARLY_SAFE, _FLOW_GAP)
+        if on_fold != "flow":
+            break
+        pieces = max(math.ceil(-lower / (1 - _FLOW_MARGIN) * (1 - 1e-9)), 1)
+        margin = min(margin, 1 + lower / pieces)
+        table["force"] /= pieces
+        if groups or pieces > 1:
+            table["most"] = largest(table, axes)
+        groups.append(table.copy())
+        position, _ = _core.forward(numbers(table), axes, position, False)
+        if pieces > MOST_SUBSTROKES or len(groups) * len(table) > MOST_SUBSTROKES:
+            raise SuppleError(f"{described(stroke)} cannot arrive without a fold: {_conflict(stroke, start, position)}")
+    if on_fold == "flow":
+        missed = float(np.linalg.norm(position - goal, axis=1).max())
+        if missed > _HIT * min(domain.spacing):
+            raise SuppleError(f"{described(stroke)} cannot arrive: {_conflict(stroke, start, position)}")
+        return Resolved(np.concatenate(groups), tuple((position[0, :ndim] / domain.spacing).tolist()), margin=margin)
+    alpha = 1.0 if lower >= MARGIN - 1 else (1 - MARGIN) / -lower * (1 - 1e-14)
+    warning = None
+    if alpha < 1:
+        if on_fold == "error":
+            raise FoldError(
+                f"{described(stroke)} folds: at most {_cut(0.999 * alpha, 3):g} of it does not (on_fold='flow' goes "
+                f"all the way); {_conflict(stroke, start, goal)}"
+            )
+        warning = f"{described(stroke)} folds: damped to {_cut(alpha, 2):g} of it (on_fold='flow' goes all the way)"
+    table["force"] *= alpha
+    arrived = tuple(a + alpha * b for a, b in zip(stroke.at, stroke.by, strict=True))
+    return Resolved(table, arrived, alpha, 1 + alpha * lower, "fold" if alpha < 1 else None, warning)
+
+
+def _check_handles(stroke: Stroke, start: Floats, goal: Floats, axes: Floats) -> None:
+    """Refuse handles that cannot arrive: at one place, or on a fixed edge."""
+    places: dict[tuple[float, ...], int] = {}
+    first, last = axes[:, 0], axes[:, 1]
+    fixed = axes[:, 2] >= 0
+    for i, (a, b) in enumerate(zip(start, goal, strict=True)):
+        other = places.setdefault(tuple(a.tolist()), i)
+        if other != i:
+            raise SuppleError(f"{described(stroke)} has two handles at {_shown(stroke.handles[i][0])}: leave one out")
+        across = fixed & (a != b)
+        out = across & ((b <= first) | (b >= last) | (_beta(a, axes) < 1e-100))
+        if out.any() or not _held(a, axes):
+            raise SuppleError(
+                f"{described(stroke)} cannot arrive: the handle at {_shown(stroke.handles[i][0])} starts or ends on "
+                "the edge or outside, where the border is fixed; use border=None, or points further in"
+            )
+
+
+def _forces(table: Table, drags: Floats, axes: Floats, ndim: int) -> Floats:
+    """Return forces (N, 3) whose displacements at the pivots add up to the drags (N, 3)."""
+    pivots, n = table["pivot"], len(table)
+    moving = np.array([_beta(p, axes) > 1e-100 for p in pivots])
+    moving[:, ndim:] = False
+    columns = []
+    for j, d in zip(*np.nonzero(moving), strict=True):
+        unit = table[j : j + 1].copy()
+        unit["joined"], unit["force"] = 0, np.eye(3)[d]
+        there, _ = _core.forward(numbers(unit), axes, pivots, False)
+        columns.append((there - pivots)[moving])
+    forces = np.zeros((n, 3))
+    if columns:
+        matrix = np.stack(columns, axis=1)
+        try:
+            forces[moving] = np.linalg.solve(matrix, drags[moving])
+        except np.linalg.LinAlgError:
+            forces[moving] = np.linalg.lstsq(matrix, drags[moving], rcond=1e-13)[0]
+    return forces
+
+
+def _conflict(stroke: Stroke, start: Floats, now: Floats) -> str:
+    """Name the two handles that have come nearest to each other, or farthest apart, from where they were."""
+    before = np.linalg.norm(start[:, None] - start, axis=2)
+    after = np.linalg.norm(now[:, None] - now, axis=2)
+    np.fill_diagonal(before, 1.0)
+    np.fill_diagonal(after, 1.0)
+    with np.errstate(divide="ignore"):
+        i, j = np.unravel_index(np.argmax(np.abs(np.log(after / before))), before.shape)
+    (a, u), (b, v) = stroke.handles[i], stroke.handles[j]
+    return (
+        f"the handles at {_shown(a)} and {_shown(b)}, dragged by {_shown(u)} and {_shown(v)}, "
+        "pull against each other; use a larger radius, or other targets"
+    )
 
 
 def _padded(stroke: Stroke, domain: Domain) -> Floats:
@@ -257,7 +352,7 @@ def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
         beta, left = _beta(position, weights), target - position
         row["pivot"] = position
         row["force"] = np.divide(left, beta, out=np.zeros(3), where=beta > 0)
-        lower, _ = weakest(row, axes, _FLOW_MARGIN - 1, _FLOW_GAP)
+        lower, _ = weakest(np.array([row]), axes, _FLOW_MARGIN - 1, _FLOW_GAP)
         pieces = max(float(np.ceil(-lower / (1 - _FLOW_MARGIN) * (1 - 1e-9))), 1.0)
         # Close to a border steps are short, but they grow with β.
         slow = pieces * float(np.min(beta, where=left != 0, initial=1.0)) > MOST_SUBSTROKES
@@ -318,6 +413,8 @@ def _beta(position: Floats, axes: Floats) -> Floats:
 def described(stroke: Stroke) -> str:
     """Name a stroke in a message."""
     where = f"at {_shown(stroke.at)} with radius {stroke.radius:g}"
+    if stroke.also:
+        return f"a pull of {len(stroke.handles)} handles from {_shown(stroke.at)} on with radius {stroke.radius:g}"
     if stroke.brush == "grab":
         return f"a drag by {_shown(stroke.by)} {where}"
     amount = f"{stroke.angle:g}°" if stroke.angle is not None else f"{stroke.factor:g}"
@@ -333,97 +430,3 @@ def _cut(x: float, digits: int) -> float:
     import decimal
 
     return float(decimal.Context(prec=digits, rounding=decimal.ROUND_DOWN).create_decimal_from_float(x))
-
-
-def limit(poisson: float, scales: int, reach: float | None = None) -> float:
-    """Return the largest |f|/ε of a stroke with a free border: there, λ_min(sym(I + J)) reaches 0.
-
-    Parameters
-    ----------
-    poisson : float
-    scales : int
-    reach : float or None
-        The reach in radii. With one, the value returned is smaller by a factor of 1 - 10⁻⁹ at most.
-    """
-    return -1 / _free(poisson, scales, math.inf if reach is None else reach)[0]
-
-
-@lru_cache(maxsize=1024)
-def _free(poisson: float, scales: int, reach: float) -> tuple[float, float, float]:
-    """Return bounds of μ for |f| = ε = 1 and a free border, and the place of the upper bound ahead of the pivot."""
-    stroke = Stroke(at=(0.0, 0.0), by=(1.0, 0.0), radius=1.0, poisson=poisson, scales=scales)
-    row = pack([stroke], (1.0, 1.0))[0]
-    if reach < math.inf:
-        row["reach"] = reach
-        return _core.smallest_free_strain(_numbers(row), _FREE_GAP)
-    e, a, g = row["radius2"], row["p"] + row["r"], row["q"] - row["r"] * row["radius2"]
-
-    def slope(u: float) -> float:
-        return -math.sqrt(u) * float(np.sum((a + 3 * g / (u + e)) * (u + e) ** -1.5))
-
-    def bend(u: float) -> float:
-        v = u / (u + e)
-        return float(np.sum((a * (3 * v - 1) + 3 * g / (u + e) * (5 * v - 1)) * (u + e) ** -1.5))
-
-    if scales == 1:
-        half = 3 * g[0] / a[0] - 0.75
-        worst = math.sqrt(half**2 + 7.5 * g[0] / a[0]) - half - 1
-    else:
-        worst, high = 0.05, 0.5
-        for _ in range(60):
-            middle = (worst + high) / 2
-            worst, high = (middle, high) if bend(middle) < 0 else (worst, middle)
-    return slope(worst) * (1 + 1e-12), slope(worst) * (1 - 1e-12), math.sqrt(worst)
-
-
-def weakest(row: np.void, axes: Floats, target: float = CLEARLY_SAFE, gap: float = _GAP) -> tuple[float, float]:
-    """Return lower and upper bounds of μ for one row.
-
-    Parameters
-    ----------
-    row : void of STROKE_DTYPE
-    axes : ndarray, shape (3, 5)
-        The packed domain. Where it is free, the bounds hold for all of space.
-    target : float
-        The value above which the lower bound need not be close to the upper one; 0 for a close one always.
-    gap : float
-        The relative gap of the bounds. Rounding and the limited number of boxes can leave a larger one, if |μ| is very
-        small or the volume very anisotropic.
-    """
-    free, active = axes[:, 2] < 0, (axes[:, 1] > axes[:, 0]) & (axes[:, 2] > 0)
-    if row["power"] != 1:
-        return _core.smallest_strain(_numbers(row), _around(row, axes), -math.inf, 0.0, target, gap)
-    # In a plane through the pivot, the force across it has no displacement within it.
-    force = np.where(~free & ~active & (row["pivot"] == axes[:, 0]), 0.0, row["force"])
-    size = math.hypot(*force.tolist())
-    if size == 0 or not (active.any() or free.all()):
-        return 0.0, 0.0
-    unit, radius = row.copy(), math.sqrt(row["radius2"][0])
-    unit["force"] = force / size
-    lower, upper, distance = _free(_poisson(row), int(row["terms"]), row["reach"] / radius)
-    lower, upper, distance = lower / radius, upper / radius, distance * radius
-    if active.any():
-        above = target / size * (1 - 1e-12)  # so that rounding does not put the result below it
-        lower, upper = _core.smallest_strain(_numbers(unit), axes, lower, distance, above, gap)
-    return lower * size, upper * size
-
-
-def _around(row: np.void, axes: Floats) -> Floats:
-    """Return the domain; all of space, as far as a row reaches, if no axis is fixed."""
-    if not np.all(axes[:, 2] < 0):
-        return axes
-    # Without a limit, the strain is below 1e-8 of the matrix from there on.
-    reach = min(float(row["reach"]), _FARTHEST * math.sqrt(row["radius2"][0]))
-    around, extended = axes.copy(), axes[:, 1] > axes[:, 0]
-    around[:, 0] = np.where(extended, row["pivot"] - reach, axes[:, 0])
-    around[:, 1] = np.where(extended, row["pivot"] + reach, axes[:, 1])
-    return around
-
-
-def _numbers(row: np.void) -> Floats:
-    return numbers(np.array([row]))
-
-
-def _poisson(row: np.void) -> float:
-    ratio = row["r"][0] / (row["p"][0] + row["r"][0])
-    return min(1 - 1 / (4 * float(ratio)), 0.5) if ratio > 0 else -math.inf

@@ -56,16 +56,19 @@ STROKE_DTYPE = np.dtype(
         ("power", np.int64),
         ("joined", np.int64),
         ("reach", np.float64),
+        ("most", np.float64),
     ],
     align=True,
 )
 
 # Keys added after version 1.
 _NEW = (
-    "border_profile", "reach", "size", "space", "amount", "time_scale", "name", "strength", "to", "angle", "factor", "axis"
+    "border_profile", "reach", "size", "space", "amount", "time_scale", "name", "strength", "to", "angle", "factor",
+    "axis", "also",
 )  # fmt: skip
 _PART = "a number from 0 to 1"
 _TURNS = 3600.0
+MOST_HANDLES = 1000
 _LARGEST_FACTOR = 100.0
 
 # The radii are ε, 1.1ε and 1.21ε. The weights that cancel the far field, divided by their sum at the pivot, are
@@ -198,6 +201,9 @@ class Stroke:
         Of a scale or a pinch: above 1, it bloats or stretches; below 1, it puckers or squeezes.
     axis : sequence of float or None
         Of a twist of three coordinates, and of a pinch: a direction, in samples. None: z or time; and x.
+    also : sequence of (sequence of float, sequence of float)
+        Of a grab: further points and their drags, in samples. All are carried out at once, so that each point arrives;
+        a point with a drag of 0 is a pin.
     hidden : bool
         Whether it is kept in the recipe, but not applied.
     name : str or None
@@ -216,6 +222,7 @@ class Stroke:
     angle: float | None = None
     factor: float | None = None
     axis: tuple[float, ...] | None = None
+    also: tuple[tuple[tuple[float, ...], tuple[float, ...]], ...] = ()
     hidden: bool = False
     name: str | None = None
     strength: float = 1.0
@@ -238,6 +245,7 @@ class Stroke:
             "reach": _checked_reach(self.reach),
             "strength": number("strength", self.strength, _PART, 0.0, 1.0),
             **self._checked_shape(len(at)),
+            "also": self._checked_pairs(len(at)),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
@@ -246,9 +254,26 @@ class Stroke:
         if self.brush == "grab":
             return point("by", self.by, (len(at),))
         still = (0.0,) * len(at)
-        if not isinstance(self.by, tuple) or self.by not in ((), still):
+        if self.by not in ((), still):
             refuse("by", f"left out for a {self.brush}, which does not move its pivot", self.by)
         return still
+
+    def _checked_pairs(self, ndim: int) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...]:
+        wanted = "pairs of a point and its drag"
+        given: object = self.also
+        if not isinstance(given, Iterable):
+            refuse("also", wanted, given)
+        pairs = tuple(given)
+        if pairs and self.brush != "grab":
+            refuse("also", f"left out for a {self.brush}", self.also)
+        if len(pairs) >= MOST_HANDLES:
+            refuse("also", f"fewer than {MOST_HANDLES} pairs", len(pairs))
+        made = []
+        for i, pair in enumerate(pairs):
+            if not isinstance(pair, tuple | list) or len(pair) != 2:
+                refuse(f"also[{i}]", wanted, pair)
+            made.append((point(f"also[{i}] point", pair[0], (ndim,)), point(f"also[{i}] drag", pair[1], (ndim,))))
+        return tuple(made)
 
     def _checked_shape(self, ndim: int) -> dict[str, object]:
         """Return the angle, the factor and the axis, each if the brush has one."""
@@ -297,6 +322,36 @@ class Stroke:
             raise SuppleError(f"a grab takes one of to and by, found {'neither' if to is None else 'both'}")
         return cls(at=start, by=drag, radius=radius, poisson=poisson, scales=scales, reach=reach)
 
+    @classmethod
+    def pull(
+        cls,
+        points: npt.ArrayLike,
+        *,
+        to: npt.ArrayLike | None = None,
+        by: npt.ArrayLike | None = None,
+        pins: npt.ArrayLike = (),
+        radius: float,
+        poisson: float | None = None,
+        reach: float | None = REACH,
+    ) -> Self:
+        """Return a stroke that drags many points at once; see `supple.Deformation.pull`."""
+        start = _points("points", points)
+        if (to is None) == (by is None):
+            raise SuppleError(f"a pull takes one of to and by, found {'neither' if to is None else 'both'}")
+        given = _points("by" if to is None else "to", by if to is None else to)
+        if len(given) != len(start):
+            refuse("by" if to is None else "to", f"{len(start)} points, one for each of points", f"{len(given)}")
+        drags = given
+        if to is not None:
+            pairs_given = zip(start, given, strict=True)
+            drags = [[b - a for a, b in zip(p, q, strict=False)] for p, q in pairs_given]
+        stay = _points("pins", pins)
+        pairs = [*zip(start, drags, strict=True), *((p, [0.0] * len(p)) for p in stay)]
+        if not start:
+            refuse("points", "one point at least", points)
+        (at, drag), *also = pairs
+        return cls(at=at, by=drag, also=also, radius=radius, poisson=poisson, reach=reach)  # type: ignore[arg-type]
+
     @property
     def ndim(self) -> int:
         """The number of coordinates of its points: 2 or 3."""
@@ -307,6 +362,7 @@ class Stroke:
         return replace(
             self,
             by=tuple(part * x for x in self.by),
+            also=tuple((at, tuple(part * x for x in by)) for at, by in self.also),
             angle=None if self.angle is None else part * self.angle,
             factor=None if self.factor is None else self.factor**part,
             strength=1.0,
@@ -315,7 +371,13 @@ class Stroke:
     @property
     def is_still(self) -> bool:
         """True if it moves nothing: a drag or an angle of 0, or a factor of 1."""
-        return not any(self.by) and not self.angle and self.factor in (None, 1.0)
+        drags = (self.by, *(by for _, by in self.also))
+        return not any(map(any, drags)) and not self.angle and self.factor in (None, 1.0)
+
+    @property
+    def handles(self) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...]:
+        """The points of a grab and their drags, in samples: one pair, and those that it has besides."""
+        return ((self.at, self.by), *self.also)
 
     def matrix(self, spacing: Sequence[float], *, time: bool = False) -> npt.NDArray[np.float64]:
         """Return ∂K/∂p at the pivot, in physical units, shape (3, 3): R - I of a rotation R, for instance.
@@ -355,6 +417,19 @@ class Stroke:
         if self.poisson is not None:
             return self.poisson
         return -math.inf if time and not any(self.by[:2]) else POISSON
+
+
+def _points(name: str, values: object) -> list[list[float]]:
+    """Return rows of coordinates; what the rows hold is checked by `Stroke`."""
+    try:
+        made = np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        refuse(name, "points of 2 or 3 numbers each, x first", values)
+    if made.size == 0:
+        return []
+    if made.ndim != 2 or made.shape[1] not in (2, 3):
+        refuse(name, "points of 2 or 3 numbers each, x first", f"an array of shape {made.shape}")
+    return made.tolist()  # type: ignore[no-any-return]
 
 
 def _checked_reach(reach: object) -> float | None:
@@ -471,6 +546,7 @@ class Recipe:
                 s,
                 at=scaling.point(s.at),
                 by=scaling.drag(s.by),
+                also=tuple((scaling.point(at), scaling.drag(by)) for at, by in s.also),
                 axis=None if s.axis is None else scaling.drag(s.axis),
                 radius=s.radius * scaling.length,
             )
@@ -573,6 +649,8 @@ def _stroke_entry(stroke: Stroke) -> dict[str, object]:
     shape: dict[str, object] = {"by": [_plain(x) for x in stroke.by]}
     if stroke.brush != "grab":
         shape = {name: _plain(x) for name, x in (("angle", stroke.angle), ("factor", stroke.factor)) if x is not None}
+    if stroke.also:
+        shape["also"] = [[[_plain(x) for x in at], [_plain(x) for x in by]] for at, by in stroke.also]
     if stroke.axis is not None:
         shape["axis"] = [_plain(x) for x in stroke.axis]
     entry: dict[str, object] = {
@@ -681,10 +759,11 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = Fa
 
     With ``d = point - pivot`` and ``rho_i² = |d|² + radius2_i``, a row is the displacement
     ``sum_i (p_i / rho_iⁿ + q_i / rho_iⁿ⁺²) v + (r_i / rho_iⁿ⁺²) (d · v) d``. A grab has the ``power`` n = 1, and v is
-    its ``force``, the displacement of the pivot; the other brushes have n = 3, and v is ``matrix @ d``, where the matrix
-    is the displacement's Jacobian at the pivot (de Goes and James, "Regularized Kelvinlets", 2017; section 5). Where
-    ``reach`` is finite, that is multiplied by ``1 - 10t³ + 15t⁴ - 6t⁵``, ``t = |d| / reach``, and 0 beyond. Rows that
-    are ``joined`` act at once with the one before them: all are evaluated at the same point, and added.
+    its ``force``, the displacement of the pivot; the other brushes have n = 3, and v is ``matrix @ d``, where the
+    matrix is the displacement's Jacobian at the pivot (de Goes and James, "Regularized Kelvinlets", 2017; section 5).
+    Where ``reach`` is finite, that is multiplied by ``1 - 10t³ + 15t⁴ - 6t⁵``, ``t = |d| / reach``, and 0 beyond.
+    Rows that are ``joined`` act at once with the one before them: all are evaluated at the same point, and added;
+    ``most`` bounds their displacement, if it is known, and is infinite otherwise.
 
     Parameters
     ----------
@@ -713,6 +792,7 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = Fa
             stroke.radius, stroke.material(time=time), stroke.scales, stroke.brush
         )
         row["reach"] = math.inf if stroke.reach is None else stroke.reach * stroke.radius
+        row["most"] = math.inf
     return table
 
 
@@ -746,5 +826,5 @@ def _terms(radius: float, poisson: float, scales: int, brush: Brush) -> npt.NDAr
 
 
 def numbers(table: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
-    """Return a table's rows in the layout of the native core: float64 (n, 31), with the bits of the integers."""
+    """Return a table's rows in the layout of the native core: float64 (n, 32), with the bits of the integers."""
     return np.ascontiguousarray(table).view(np.float64).reshape(len(table), STROKE_DTYPE.itemsize // 8)

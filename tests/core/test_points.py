@@ -12,7 +12,7 @@ from hypothesis import given, settings
 
 from supple import Deformation, _core
 from supple.domain import Domain
-from supple.folding import limit
+from supple.strain import limit
 from supple.strokes import Stroke, numbers, pack
 from tests import reference
 from tests.core.drawn import POISSONS, deformation, deformations, lifted, places
@@ -234,7 +234,7 @@ def test_what_the_core_is_given_is_checked() -> None:
         _core.inverse(rows, d.space.axes, np.zeros((4, 2)), 2, 1e-9)
     with pytest.raises(ValueError, match="axes must have the shape"):
         _core.forward(rows, d.space.axes[:2], points, False)
-    with pytest.raises(ValueError, match="strokes must have 20 columns"):
+    with pytest.raises(ValueError, match="strokes must have 32 columns"):
         _core.forward(np.ascontiguousarray(rows[:, :19]), d.space.axes, points, False)
     np.testing.assert_array_equal(_core.forward(rows[:0], d.space.axes, points + 3, False)[0], points + 3)
 

@@ -18,7 +18,7 @@ inline Axes axes_of(const Doubles& rows) {
     return load_axes(rows.data());
 }
 inline std::vector<Stroke> strokes_of(const Doubles& rows, const Axis* axes) {
-    if (rows.shape(0) && rows.shape(1) != STROKE_NUMBERS) throw nb::value_error("strokes must have 31 columns");
+    if (rows.shape(0) && rows.shape(1) != STROKE_NUMBERS) throw nb::value_error("strokes must have 32 columns");
     return load_strokes(rows.data(), rows.shape(0), axes);
 }
 

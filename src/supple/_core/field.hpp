@@ -26,6 +26,7 @@ struct Stroke {
     int64_t power;     // n: 1, with a force, or 3, with a matrix
     int64_t group;     // neighbours of one number act at once
     double reach;      // R, or infinity
+    double most;       // a bound of the displacement of the strokes that act at once, or infinity
     double per_reach;  // 1/R, or 0
     bool inner;        // the ball of its reach touches no fixed border: β is 1 in all of it
 };

@@ -34,6 +34,13 @@ std::tuple<double, double, double> smallest_free_strain(const Table& table, doub
     return {found.lower, found.upper, found.point[0]};
 }
 
+double largest_displacement(const Table& table, const Rows& domain) {
+    if (!table.shape(0)) throw nb::value_error("a group has one stroke at least");
+    const Axes axes = load_axes(domain.data());
+    const std::vector<Stroke> strokes = load_strokes(table.data(), table.shape(0), axes.data());
+    return folds::largest_displacement(strokes, axes.data());
+}
+
 }  // namespace
 
 void bind_folds(nb::module_& m) {
@@ -42,6 +49,8 @@ void bind_folds(nb::module_& m) {
     m.def("smallest_free_strain", &smallest_free_strain, "stroke"_a, "gap"_a,
           "Bound μ of a unit force of finite reach in all of space; return the bounds, and how far ahead of the pivot "
           "the upper one is reached.");
+    m.def("largest_displacement", &largest_displacement, "strokes"_a, "axes"_a,
+          "Bound |K| of strokes that act at once from above.");
 }
 
 }  // namespace supple

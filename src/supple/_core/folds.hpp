@@ -45,6 +45,7 @@
 
 #include "newton.hpp"
 #include "table.hpp"
+#include "threads.hpp"
 
 namespace supple::folds {
 
@@ -234,6 +235,35 @@ public:
     }
 
     Bounds known;
+    std::vector<int> near;  // the strokes that reach the last box
+
+    // List the strokes that reach a box in `near`, and add their bounds up.
+    Derivatives sum_in(const Box& box) {
+        Derivatives n{};
+        near.clear();
+        for (int s = 0; s < (int)strokes.size(); s++) {
+            const Stroke& stroke = strokes[s];
+            double near2 = 0, far2 = 0;
+            for (int k = 0; k < 3; k++) {
+                const double below = box.low[k] - stroke.pivot[k], above = box.high[k] - stroke.pivot[k];
+                const double nearest = std::max({below, -above, 0.0}), farthest = std::max(-below, above);
+                near2 += nearest * nearest;
+                far2 += farthest * farthest;
+            }
+            if (std::sqrt(near2) >= stroke.reach) continue;  // the displacement is 0 there
+            near.push_back(s);
+            const Derivatives own = displacement_bounds(stroke, near2, far2);
+            for (int i = 0; i < 4; i++) n[i] += own[i];
+        }
+        return n;
+    }
+
+    std::vector<Stroke> those_in(const Box& box) {
+        std::vector<Stroke> those;
+        sum_in(box);
+        for (int s : near) those.push_back(strokes[s]);
+        return those;
+    }
 
     void add(const Box& box) {
         waiting.push_back(box);
@@ -293,35 +323,23 @@ private:
         double rounding = 0;
     };
 
-    // Those of the strokes that reach the box, which are listed in `near`.
     Errors errors_in(const Box& box) {
         double value = 0, steepest = 0;
-        Derivatives b[3], n{};
+        Derivatives b[3];
         for (int k = 0; k < 3; k++) {
             b[k] = fade_bounds(axes[k], box.low[k], box.high[k]);
             value = std::max(value, b[k][0]);
             steepest = std::max(steepest, b[k][1]);
         }
         Errors found;
-        near.clear();
-        for (int s = 0; s < (int)strokes.size(); s++) {
+        const Derivatives n = sum_in(box);
+        if (near.empty()) return found;
+        for (int s : near) {
             const Stroke& stroke = strokes[s];
-            double near2 = 0, far2 = 0;
-            for (int k = 0; k < 3; k++) {
-                const double below = box.low[k] - stroke.pivot[k], above = box.high[k] - stroke.pivot[k];
-                const double nearest = std::max({below, -above, 0.0}), farthest = std::max(-below, above);
-                near2 += nearest * nearest;
-                far2 += farthest * farthest;
-            }
-            if (std::sqrt(near2) >= stroke.reach) continue;  // the displacement is 0 there
-            near.push_back(s);
-            const Derivatives own = displacement_bounds(stroke, near2, far2);
-            for (int i = 0; i < 4; i++) n[i] += own[i];
-            const double rho = std::sqrt(near2 + stroke.radius2[0]);
+            const double rho = std::sqrt(stroke.radius2[0]);
             found.rounding +=
                 noise[s] / (stroke.power == 3 ? rho * rho : rho) * (5 / rho + steepest + 2 * stroke.per_reach);
         }
-        if (near.empty()) return found;
         double most = 0;
         for (int k = 0; k < 3; k++) {
             const double width = box.high[k] - box.low[k], share = 0.125 * width * width;
@@ -352,20 +370,20 @@ private:
     const Axis* axes;
     const double free, target, gap;
     std::vector<double> noise;  // of each stroke
-    std::vector<int> near;
-    std::vector<Box> waiting;  // a heap
+    std::vector<Box> waiting;   // a heap
 };
 
-// Bound μ in a domain. With a free border, the worst point of a single grab by 1 is at `distance` ahead of its pivot.
-inline Bounds smallest_strain(const std::vector<Stroke>& strokes, const Axis* axes, double free, double distance,
-                              double target, double gap) {
-    Search search(strokes, axes, free, target, gap);
-    Box ahead;
-    std::vector<double> cuts[3];  // where the border ends, as far as the strokes reach
+constexpr size_t FEW = 8;   // strokes, up to which a domain is not divided in advance
+constexpr double TILE = 4;  // radii
+
+// Boxes that cover what strokes reach of a domain: no end of the border goes across one.
+inline std::vector<Box> boxes_of(const std::vector<Stroke>& strokes, const Axis* axes) {
+    std::vector<double> cuts[3];
+    double radius = 0;
+    const bool flat = axes[2].extent() == 0;
+    for (const Stroke& k : strokes) radius = std::max(radius, std::sqrt(k.radius2[0]));
     for (int i = 0; i < 3; i++) {
         const Axis& a = axes[i];
-        const Stroke& one = strokes[0];
-        ahead.low[i] = ahead.high[i] = std::clamp(one.pivot[i] + distance * one.force[i], a.first, a.last);
         // Their depth is σ at least, rounded, too.
         double begin = a.first + a.sigma, end = a.last - a.sigma;
         if (begin - a.first < a.sigma) begin = std::nextafter(begin, a.last);
@@ -377,18 +395,96 @@ inline Bounds smallest_strain(const std::vector<Stroke>& strokes, const Axis* ax
         }
         low = std::max(a.first, low);
         high = std::min(a.last, high);
+        std::vector<double> ends{begin, end, high};
+        const double tiles = std::min(std::ceil((high - low) / (TILE * radius)), flat ? 32.0 : 8.0);
+        for (int n = 1; strokes.size() > FEW && n < tiles; n++) ends.push_back(low + (high - low) * n / tiles);
+        std::sort(ends.begin(), ends.end());
         cuts[i] = {low};
-        for (double x : {begin, end, high})
+        for (double x : ends)
             if (cuts[i].back() < x && x <= high) cuts[i].push_back(x);
         if (a.extent() == 0) cuts[i] = {a.first, a.first};
     }
-    search.visit(ahead);
+    std::vector<Box> boxes;
     for (size_t i = 1; i < cuts[0].size(); i++)
         for (size_t j = 1; j < cuts[1].size(); j++)
             for (size_t k = 1; k < cuts[2].size(); k++)
-                search.add({{cuts[0][i - 1], cuts[1][j - 1], cuts[2][k - 1]}, {cuts[0][i], cuts[1][j], cuts[2][k]}});
-    search.run();
-    return search.known;
+                boxes.push_back(
+                    {{cuts[0][i - 1], cuts[1][j - 1], cuts[2][k - 1]}, {cuts[0][i], cuts[1][j], cuts[2][k]}});
+    return boxes;
+}
+
+// Bound μ in a domain. With a free border, the worst point of a single grab by 1 is at `distance` ahead of its pivot.
+inline Bounds smallest_strain(const std::vector<Stroke>& strokes, const Axis* axes, double free, double distance,
+                              double target, double gap) {
+    const std::vector<Box> boxes = boxes_of(strokes, axes);
+    if (strokes.size() <= FEW) {
+        Search search(strokes, axes, free, target, gap);
+        Box ahead;
+        for (int i = 0; i < 3; i++)
+            ahead.low[i] = ahead.high[i] =
+                std::clamp(strokes[0].pivot[i] + distance * strokes[0].force[i], axes[i].first, axes[i].last);
+        search.visit(ahead);
+        for (const Box& box : boxes) search.add(box);
+        search.run();
+        return search.known;
+    }
+    std::vector<Bounds> found(boxes.size());
+    parallel((int)boxes.size(), [&](int i, int) {
+        const std::vector<Stroke> near = Search(strokes, axes, free, target, gap).those_in(boxes[i]);
+        Search search(near, axes, free, target, gap);
+        search.add(boxes[i]);
+        search.run();
+        found[i] = search.known;
+    });
+    Bounds all;
+    for (const Bounds& one : found) {
+        all.lower = std::min(all.lower, one.lower);
+        if (one.upper < all.upper) {
+            all.upper = one.upper;
+            std::copy(one.point, one.point + 3, all.point);
+        }
+    }
+    return all;
+}
+
+// An upper bound of |K_β| in a domain, within LOOSE of the largest one unless it takes too many boxes.
+constexpr double LOOSE = 1.2;
+constexpr int MOST_PLACES = 20'000;
+inline double largest_displacement(const std::vector<Stroke>& strokes, const Axis* axes) {
+    Search search(strokes, axes, -INFINITE, 0, 0);
+    std::vector<Box> waiting = boxes_of(strokes, axes);
+    const auto smaller = [](const Box& a, const Box& b) { return a.bound < b.bound; };
+    for (Box& box : waiting) box.bound = INFINITE;
+    double most = 0;
+    for (int visited = 0; !waiting.empty(); visited++) {
+        std::pop_heap(waiting.begin(), waiting.end(), smaller);
+        Box box = waiting.back();
+        waiting.pop_back();
+        if (box.bound <= LOOSE * most || (visited >= MOST_PLACES && std::isfinite(box.bound))) return box.bound;
+        double across2 = 0;
+        int widest = 0;
+        Jet<3, 0, false, double> at, moved{};
+        for (int i = 0; i < 3; i++) {
+            const double width = box.high[i] - box.low[i];
+            across2 += 0.25 * width * width;
+            if (width > box.high[widest] - box.low[widest]) widest = i;
+            at.x[i] = 0.5 * (box.low[i] + box.high[i]);
+        }
+        const Derivatives n = search.sum_in(box);
+        const Axis free[3] = {{0, 0, -1, 1, QUARTIC}, {0, 0, -1, 1, QUARTIC}, {0, 0, -1, 1, QUARTIC}};
+        for (int s : search.near) add(strokes[s], free, at, moved);
+        const double here = std::sqrt(dot<3>(moved.x, moved.x));
+        box.bound = std::min(n[0], here + n[1] * std::sqrt(across2)) * (1 + 1e-12);
+        // β is not part of it: the bound holds, if it is not as close near a border.
+        most = std::max(most, here);
+        Box other = box;
+        box.high[widest] = other.low[widest] = at.x[widest];
+        for (const Box& half : {box, other}) {
+            waiting.push_back(half);
+            std::push_heap(waiting.begin(), waiting.end(), smaller);
+        }
+    }
+    return most;
 }
 
 // Bound μ in all of space, of a stroke with a finite reach from 0 along x. S is the same all around that axis, so that

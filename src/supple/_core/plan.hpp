@@ -344,20 +344,23 @@ void Plan<D>::find_reaching(int j, int left, int right) {
             }
             // No displacement within the ball's preimage is longer than the sizes allow at its point nearest to a
             // pivot.
+            const double known = strokes[begin].most;
             double size = 0, bend = 0;
             for (int n = begin; n < begin + group.count; n++) {
                 size += bounds[n].value;
                 bend += bounds[n].slope;
             }
-            Lanes zero{}, one = splat<Lanes>(1.0), off = root(off2), grown = radius + off;
+            size = std::min(size, known);
+            Lanes zero{}, one = splat<Lanes>(1.0), off = root(off2), moved{};
             for (int n = begin; n < begin + group.count; n++) {
                 const Stroke& k = strokes[n];
                 Lanes distance2{};
                 for (int d = 0; d < D; d++) distance2 += (centre[d] - k.pivot[d]) * (centre[d] - k.pivot[d]);
                 Lanes near = (root(distance2) - radius - size) * k.per_reach;
                 Lanes t = least(most(near, zero), one), v = one - t;
-                grown += 2.0 * bounds[n].value * v * v * v * (1.0 + t * (3.0 + 6.0 * t));
+                moved += bounds[n].value * v * v * v * (1.0 + t * (3.0 + 6.0 * t));
             }
+            Lanes grown = radius + off + 2.0 * least(moved, splat<Lanes>(known));
             if (bend < 0.9) grown = least(grown, Lanes((radius + off) * (1 / (1 - bend))));
             radius = choose(touched, grown, radius);
             for (int d = 0; d < D; d++) centre[d] = choose(touched, x[d], centre[d]);

@@ -8,8 +8,9 @@
 
 namespace supple {
 
-constexpr int STROKE_NUMBERS = 31;  // pivot, force; matrix; radius2, p, q, r; terms, power, joined, of int64; reach
-constexpr int AXIS_NUMBERS = 5;     // first, last, sigma, spacing, profile
+constexpr int STROKE_NUMBERS =
+    32;                          // pivot, force; matrix; radius2, p, q, r; terms, power, joined, of int64; reach, most
+constexpr int AXIS_NUMBERS = 5;  // first, last, sigma, spacing, profile
 
 typedef std::array<Axis, 3> Axes;
 
@@ -75,6 +76,7 @@ inline std::vector<Stroke> load_strokes(const double* rows, size_t count, const 
         for (int64_t* count : {&k.terms, &k.power, &joined}) memcpy(count, rows++, sizeof *count);
         k.group = joined ? group : ++group;
         k.reach = *rows++;
+        k.most = *rows++;
         k.per_reach = std::isfinite(k.reach) ? 1.0 / k.reach : 0.0;
         k.inner = is_inner(k, axes);
     }

@@ -1,0 +1,135 @@
+"""The margin of strokes to folding: bounds of the smallest eigenvalue of the displacement's symmetric gradient.
+
+μ is the minimum over all points of λ_min(sym(J_β)), J_β the Jacobian of the displacement of strokes that act at once,
+with the border. If 1 + μ > 0, T is strongly monotone, hence one-to-one; μ is proportional to forces and matrices.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from supple import _core
+from supple.strokes import Stroke, numbers, pack
+
+Floats = npt.NDArray[np.float64]
+Table = npt.NDArray[np.void]
+
+MARGIN = 0.01
+"""The least 1 + μ of every stroke."""
+
+CLEARLY_SAFE = -0.5 * (1 - MARGIN)
+"""The value of μ above which no closer bound is needed."""
+
+GAP = 0.002
+"""The relative gap of the bounds."""
+
+_FREE_GAP = 1e-9  # computed once for all strokes of a kind
+_FARTHEST = 1000.0  # radii: without a limit, the strain is below 5e-6 of that at the pivot from there on
+_BEYOND = 5e-6
+
+
+def limit(poisson: float, scales: int, reach: float | None = None) -> float:
+    """Return the largest |f|/ε of a stroke with a free border: there, λ_min(sym(I + J)) reaches 0.
+
+    Parameters
+    ----------
+    poisson : float
+    scales : int
+    reach : float or None
+        The reach in radii. With one, the value returned is smaller by a factor of 1 - 10⁻⁹ at most.
+    """
+    return -1 / _free(poisson, scales, math.inf if reach is None else reach)[0]
+
+
+@lru_cache(maxsize=1024)
+def _free(poisson: float, scales: int, reach: float) -> tuple[float, float, float]:
+    """Return bounds of μ for |f| = ε = 1 and a free border, and the place of the upper bound ahead of the pivot."""
+    stroke = Stroke(at=(0.0, 0.0), by=(1.0, 0.0), radius=1.0, poisson=poisson, scales=scales)
+    row = pack([stroke], (1.0, 1.0))[0]
+    if reach < math.inf:
+        row["reach"] = reach
+        return _core.smallest_free_strain(_numbers(row), _FREE_GAP)
+    e, a, g = row["radius2"], row["p"] + row["r"], row["q"] - row["r"] * row["radius2"]
+
+    def slope(u: float) -> float:
+        return -math.sqrt(u) * float(np.sum((a + 3 * g / (u + e)) * (u + e) ** -1.5))
+
+    def bend(u: float) -> float:
+        v = u / (u + e)
+        return float(np.sum((a * (3 * v - 1) + 3 * g / (u + e) * (5 * v - 1)) * (u + e) ** -1.5))
+
+    if scales == 1:
+        half = 3 * g[0] / a[0] - 0.75
+        worst = math.sqrt(half**2 + 7.5 * g[0] / a[0]) - half - 1
+    else:
+        worst, high = 0.05, 0.5
+        for _ in range(60):
+            middle = (worst + high) / 2
+            worst, high = (middle, high) if bend(middle) < 0 else (worst, middle)
+    return slope(worst) * (1 + 1e-12), slope(worst) * (1 - 1e-12), math.sqrt(worst)
+
+
+def weakest(rows: Table, axes: Floats, target: float = CLEARLY_SAFE, gap: float = GAP) -> tuple[float, float]:
+    """Return lower and upper bounds of μ for rows that act at once.
+
+    Parameters
+    ----------
+    rows : ndarray of STROKE_DTYPE
+    axes : ndarray, shape (3, 5)
+        The packed domain. Where it is free, the bounds hold for all of space.
+    target : float
+        The value above which the lower bound need not be close to the upper one; 0 for a close one always.
+    gap : float
+        The relative gap of the bounds. Rounding and the limited number of boxes can leave a larger one, if |μ| is very
+        small or the volume very anisotropic.
+    """
+    free, active = axes[:, 2] < 0, (axes[:, 1] > axes[:, 0]) & (axes[:, 2] > 0)
+    if len(rows) > 1 or rows["power"][0] != 1:
+        around, beyond = _around(rows, axes)
+        lower, upper = _core.smallest_strain(numbers(rows), around, -math.inf, 0.0, target, gap)
+        return min(lower, beyond), upper
+    row = rows[0]
+    # In a plane through the pivot, the force across it has no displacement within it.
+    force = np.where(~free & ~active & (row["pivot"] == axes[:, 0]), 0.0, row["force"])
+    size = math.hypot(*force.tolist())
+    if size == 0 or not (active.any() or free.all()):
+        return 0.0, 0.0
+    unit, radius = row.copy(), math.sqrt(row["radius2"][0])
+    unit["force"] = force / size
+    lower, upper, distance = _free(_poisson(row), int(row["terms"]), row["reach"] / radius)
+    lower, upper, distance = lower / radius, upper / radius, distance * radius
+    if active.any():
+        above = target / size * (1 - 1e-12)  # so that rounding does not put the result below it
+        lower, upper = _core.smallest_strain(_numbers(unit), axes, lower, distance, above, gap)
+    return lower * size, upper * size
+
+
+def largest(rows: Table, axes: Floats) -> float:
+    """Return an upper bound of the displacement of rows that act at once, in physical units."""
+    return _core.largest_displacement(numbers(rows), _around(rows, axes)[0])
+
+
+def _around(rows: Table, axes: Floats) -> tuple[Floats, float]:
+    """Return the domain, and 0; or, if no axis is fixed, the space that rows reach, and a lower bound of μ beyond."""
+    if not np.all(axes[:, 2] < 0):
+        return axes, 0.0
+    radius = np.sqrt(rows["radius2"][:, :1])
+    reach = np.minimum(rows["reach"][:, None], _FARTHEST * radius)
+    around, extended = axes.copy(), axes[:, 1] > axes[:, 0]
+    around[:, 0] = np.where(extended, (rows["pivot"] - reach).min(axis=0), axes[:, 0])
+    around[:, 1] = np.where(extended, (rows["pivot"] + reach).max(axis=0), axes[:, 1])
+    strain = np.linalg.norm(rows["force"], axis=1) / radius[:, 0] + np.linalg.norm(rows["matrix"], axis=(1, 2))
+    return around, -_BEYOND * float(strain[np.isinf(rows["reach"])].sum())
+
+
+def _numbers(row: np.void) -> Floats:
+    return numbers(np.array([row]))
+
+
+def _poisson(row: np.void) -> float:
+    ratio = row["r"][0] / (row["p"][0] + row["r"][0])
+    return min(1 - 1 / (4 * float(ratio)), 0.5) if ratio > 0 else -math.inf

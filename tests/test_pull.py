@@ -1,0 +1,182 @@
+"""Pulls: grabs of many handles at once."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import warnings
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from supple import Deformation, Recipe, strain
+from supple.errors import FoldError, FoldWarning, SuppleError
+from supple.strokes import MOST_HANDLES, Stroke, pack
+from tests import reference
+from tests.strokes import refusal
+
+Floats = npt.NDArray[np.float64]
+SHAPES = {2: (120, 160), 3: (40, 50, 60)}
+
+
+def scattered(ndim: int, count: int, apart: float, seed: int) -> Floats:
+    """Points well within a shape, no two nearer than a distance."""
+    rng = np.random.default_rng(seed)
+    size = np.array(SHAPES[ndim][::-1])
+    found: list[Floats] = []
+    for _ in range(10_000):
+        point = rng.uniform(0.2 * size, 0.8 * size)
+        if len(found) < count and all(np.linalg.norm(point - q) >= apart for q in found):
+            found.append(point)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("ndim", [2, 3])
+@pytest.mark.parametrize("border", [None, "auto"])
+@pytest.mark.parametrize("reach", [None, 4.0, 2.0])
+@pytest.mark.parametrize("drag", [1.0, 6.0])
+def test_every_handle_arrives_and_nothing_folds(
+    ndim: int, border: str | None, reach: float | None, drag: float
+) -> None:
+    points = scattered(ndim, 12, 9.0, seed=ndim)
+    by = np.random.default_rng(7).normal(size=points.shape) * drag
+    by[3:5] = 0
+    d = Deformation(SHAPES[ndim], border=border).pull(points[3:], by=by[3:], pins=points[:3], radius=9, reach=reach)
+    np.testing.assert_allclose(d.forward(points[3:]), points[3:] + by[3:], atol=1e-6)
+    np.testing.assert_allclose(d.forward(points[:3]), points[:3], atol=1e-6)
+    assert d.resolution()["margin"] >= 0.29
+    places = np.random.default_rng(1).uniform(0, np.array(SHAPES[ndim][::-1]) - 1, (4000, ndim))
+    determinants = np.linalg.det(d.jacobian(places))
+    assert determinants.min() > 0
+    back = d.inverse(d.forward(places))
+    assert back.converged.all()
+    np.testing.assert_allclose(back.points, places, atol=1e-5)
+
+
+def test_the_displacement_is_the_sum_of_that_of_grabs() -> None:
+    d = Deformation((90, 120), border=None).pull([(40, 40), (60, 50)], by=[(2, 1), (-1, 2)], radius=15)
+    table = d.space.table
+    assert len(table) == 2
+    assert table["joined"].tolist() == [0, 1]
+    domain, places = d.domain, np.random.default_rng(2).uniform(0, 89, (300, 2))
+    total, slope = np.zeros((300, 2)), np.zeros((300, 2, 2))
+    for row in table:
+        alone = Stroke(at=tuple(row["pivot"][:2]), by=tuple(row["force"][:2]), radius=15)
+        k, j = reference.displacement(alone, domain, places)
+        total, slope = total + k, slope + j
+    np.testing.assert_allclose(d.forward(places) - places, total, atol=1e-12)
+    np.testing.assert_allclose(d.jacobian(places), np.eye(2) + slope, atol=1e-12)
+
+
+@pytest.mark.parametrize("border", [None, 20.0])
+@pytest.mark.parametrize("count", [3, 12])
+def test_bounds_of_a_sum_hold_at_dense_points(border: float | None, count: int) -> None:
+    d = Deformation((120, 160), border=border, on_fold="damp")
+    points = scattered(2, count, 14.0, seed=5)
+    d = d.pull(points, by=np.random.default_rng(3).normal(size=points.shape) * 1.2, radius=14)
+    table, axes = d.space.table, d.domain.packed()
+    lower, upper = strain.weakest(table, axes, target=0.0)
+    assert lower <= upper <= lower * 0.99 < 0
+    grid = reference.grid((120, 160)).reshape(-1, 2)
+    jacobians = d.jacobian(grid) - np.eye(2)
+    least = np.linalg.eigvalsh(0.5 * (jacobians + np.swapaxes(jacobians, 1, 2)))[:, 0].min()
+    assert least >= lower
+    assert least <= 0.9 * upper
+    moved = np.linalg.norm(d.forward(grid) - grid, axis=1).max()
+    assert moved <= strain.largest(table, axes) <= (1.6 if border else 1.25) * moved
+
+
+@pytest.mark.parametrize("on_fold", ["damp", "error"])
+def test_a_pull_that_folds_is_damped_or_refused(on_fold: str) -> None:
+    d = Deformation((120, 160), on_fold=on_fold)  # type: ignore[arg-type]
+    given = {"points": [(60, 60), (80, 60)], "by": [(30, 0), (-30, 5)], "radius": 12.0}
+    if on_fold == "error":
+        with pytest.raises(
+            FoldError, match=r"^a pull of 2 handles from \(60, 60\) on with radius 12 folds: at most 0\.\d"
+        ):
+            d.pull(**given)  # type: ignore[arg-type]
+        return
+    with pytest.warns(FoldWarning, match="damped to 0"):
+        d = d.pull(**given)  # type: ignore[arg-type]
+    grid = reference.grid((120, 160)).reshape(-1, 2)
+    assert np.linalg.det(d.jacobian(grid)).min() > 0
+
+
+def test_two_that_change_places_are_named() -> None:
+    d = Deformation((120, 160))
+    message = refusal(lambda: d.pull([(60, 60), (80, 60), (20, 20)], to=[(80, 60), (60, 60), (20, 22)], radius=12))
+    assert "the handles at (60, 60) and (80, 60), dragged by (20, 0) and (-20, 0), pull against each other" in message
+
+
+def test_refusals() -> None:
+    d = Deformation((120, 160))
+    assert "takes one of to and by, found neither" in refusal(lambda: d.pull([(1, 2)], radius=3))
+    assert "takes one of to and by, found both" in refusal(lambda: d.pull([(1, 2)], by=[(1, 1)], to=[(2, 2)], radius=3))
+    assert refusal(lambda: d.pull([(9, 9), (9, 8)], by=[(1, 1)], radius=3)).startswith("by must be 2 points")
+    assert refusal(lambda: d.pull([], by=[], radius=3)).startswith("points must be one point at least")
+    assert refusal(lambda: d.pull([1, 2], by=[1, 2], radius=3)).startswith("points must be points of 2 or 3 numbers")
+    assert "two handles at (9, 9)" in refusal(lambda: d.pull([(9, 9), (9, 9)], by=[(1, 1), (2, 1)], radius=3))
+    assert "starts or ends on the edge" in refusal(lambda: d.pull([(9, 9), (30, 9)], by=[(-20, 0), (0, 0)], radius=3))
+    assert "also must be left out for a twist" in refusal(
+        lambda: Stroke(brush="twist", at=(1, 2), angle=3, radius=4, also=[((1, 2), (3, 4))])  # type: ignore[arg-type]
+    )
+    assert refusal(lambda: Stroke(at=(1, 2), by=(1, 1), radius=4, also=[(1, 2)])).startswith("also[0]")  # type: ignore[arg-type]
+    many = list(itertools.repeat(((1, 2), (3, 4)), MOST_HANDLES))
+    assert "fewer than" in refusal(lambda: Stroke(at=(1, 2), by=(1, 1), radius=4, also=many))  # type: ignore[arg-type]
+
+
+def test_a_recipe_keeps_them() -> None:
+    d = Deformation((120, 160)).pull([(60, 60), (90, 60)], by=[(5, 0), (0, 5)], pins=[(75, 60)], radius=15)
+    text = d.recipe.to_json()
+    assert json.loads(text)["strokes"][0]["also"] == [[[90, 60], [0, 5]], [[75, 60], [0, 0]]]
+    again = Deformation.from_recipe(Recipe.from_json(text), (120, 160))
+    assert again == d
+    twice = Recipe.from_json(text).fitted((320, 240))
+    assert twice.strokes[0].also[0][1] == (0, 10)
+    half = Deformation.from_recipe(Recipe(strokes=d.strokes, size=(160, 120), amount=0.5), (120, 160))
+    np.testing.assert_allclose(
+        half.forward([(60, 60), (90, 60), (75, 60)]), [(62.5, 60), (90, 62.5), (75, 60)], atol=1e-6
+    )
+
+
+def test_in_millimetres() -> None:
+    d = Deformation(SHAPES[3], spacing=(1.0, 0.5, 3.0))
+    points = np.array([(20.0, 20, 12), (40.0, 30, 20)])
+    d = d.pull(points, by=[(3, 0, 1), (0, -4, 0)], radius=12)
+    np.testing.assert_allclose(d.forward(points), points + np.array([(3, 0, 1), (0, -4, 0)]), atol=1e-6)
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 10_000), st.sampled_from([None, "auto"]))
+def test_any_pull_arrives_or_is_refused(seed: int, border: str | None) -> None:
+    rng = np.random.default_rng(seed)
+    count, radius = int(rng.integers(2, 9)), float(rng.uniform(4, 40))
+    points = rng.uniform((10, 10), (149, 109), (count, 2))
+    by = rng.normal(size=(count, 2)) * rng.uniform(0, 12)
+    made = Deformation((120, 160), border=border)  # type: ignore[arg-type]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            d = made.pull(points, by=by, radius=radius)
+        except SuppleError:  # the targets of some cannot be reached
+            return
+    np.testing.assert_allclose(d.forward(points), points + by, atol=1e-6)
+    assert np.linalg.det(d.jacobian(reference.grid((120, 160)).reshape(-1, 2))).min() > 0
+
+
+def test_a_pull_of_one_is_a_grab() -> None:
+    d = Deformation((120, 160))
+    assert d.pull([(60, 60)], by=[(5, 0)], radius=15) == d.grab((60, 60), by=(5, 0), radius=15)
+    assert pack(d.pull([(60, 60)], by=[(5, 0)], radius=15).strokes, (1, 1))["joined"].tolist() == [0]
+
+
+def test_the_image_follows() -> None:
+    d = Deformation((120, 160)).pull([(40, 60), (120, 60)], by=[(12, 0), (-12, 0)], radius=18)
+    ramp = np.broadcast_to(np.arange(160.0), (120, 160)).copy()
+    out = d.warp(ramp)
+    assert out[60, 52] == pytest.approx(40, abs=0.02)
+    assert out[60, 108] == pytest.approx(120, abs=0.02)
+    assert d.report().within
