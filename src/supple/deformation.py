@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.affine import Affine, matrix_rows
-from supple.domain import BorderProfile, Domain, choice, colours_hint, flag, integer, number, refuse
+from supple.domain import BorderProfile, Domain, choice, colours_hint, flag, integer, length, number, point, refuse
 from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import DEVICES, engine_at
 from supple.engines.native import NATIVE, measured, plan_of
@@ -375,6 +375,7 @@ class Deformation:
         *,
         to: Point | None = None,
         by: Point | None = None,
+        path: Sequence[Point] = (),
         radius: float,
         poisson: float | None = None,
         scales: int = 1,
@@ -389,6 +390,8 @@ class Deformation:
         to, by : sequence of float
             The target or the drag; one of the two. Near a fixed border, a stroke that does not flow falls short by the
             border's factor β there.
+        path : sequence of points, optional
+            The points through which it is dragged on its way; without ``to`` and ``by``, the last one is the target.
         radius : float
             The radius of the brush, in physical units (ε of the regularized Kelvinlet).
         poisson : float, optional
@@ -414,7 +417,7 @@ class Deformation:
         MissWarning
             If the border keeps it more than half a pixel from its target, under ``on_fold="damp"``.
         """
-        stroke = Stroke.grab(at, to=to, by=by, radius=radius, poisson=poisson, scales=scales, reach=reach)
+        stroke = Stroke.grab(at, to=to, by=by, path=path, radius=radius, poisson=poisson, scales=scales, reach=reach)
         return self.add(stroke)
 
     def pull(
@@ -467,6 +470,85 @@ class Deformation:
                [250., 250.]])
         """
         return self.add(Stroke.pull(points, to=to, by=by, pins=pins, radius=radius, poisson=poisson, reach=reach))
+
+    def restore(self, at: Point, *, radius: float, strength: float = 1.0) -> Self:
+        """Return the deformation with one more stroke, which brings the material around a point back to its origin.
+
+        The stroke is a pull of the point and some around it, from where they are to where they came from; it moves
+        nothing beyond two radii of their way.
+
+        Parameters
+        ----------
+        at : sequence of float
+            A point of the output, in pixels, x first.
+        radius : float
+            The radius of the brush, in physical units.
+        strength : float
+            The part of the way back, from 0 to 1.
+
+        Raises
+        ------
+        SuppleError
+            If an argument is invalid, or the points cannot arrive.
+        """
+        return self._led(at, radius, strength, "restore", self._displaced)
+
+    def smooth(self, at: Point, *, radius: float, strength: float = 1.0) -> Self:
+        """Return the deformation with one more stroke, which relaxes the displacement around a point.
+
+        The stroke is a pull of the point and some around it, each to the mean displacement of its surroundings, at one
+        radius from it; it moves nothing beyond two radii of their way.
+
+        Parameters
+        ----------
+        at, radius, strength
+            As in `restore`.
+
+        Raises
+        ------
+        SuppleError
+            If an argument is invalid, or the points cannot arrive.
+        """
+
+        def rough(points: Floats) -> Floats:
+            around = points[:, None] + radius * self._directions() / np.array(self.domain.spacing)
+            return self._displaced(points) - self._displaced(around).mean(axis=1)
+
+        return self._led(at, radius, strength, "smooth", rough)
+
+    def _displaced(self, points: Floats) -> Floats:
+        """Return q - T⁻¹(q)."""
+        found: Floats = points - self.inverse(points).points
+        return found
+
+    def _directions(self) -> Floats:
+        """Return unit vectors around a point: of a hexagon, in a frame, or of an icosahedron, shape (N, D)."""
+        if self.ndim == 3 and not self.domain.time:
+            golden = (1 + math.sqrt(5)) / 2
+            corners = [(0.0, a, b * golden) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
+            turned = [corner[k:] + corner[:k] for k in range(3) for corner in corners]
+            return np.array(turned) / math.hypot(1, golden)
+        angles = np.arange(6) * math.pi / 3
+        made = np.zeros((6, self.ndim))
+        made[:, 0], made[:, 1] = np.cos(angles), np.sin(angles)
+        return made
+
+    def _led(self, at: Point, radius: float, strength: float, name: str, errors: Callable[[Floats], Floats]) -> Self:
+        """Return the deformation with a pull of some points around one, by a part of their errors."""
+        centre = np.array(point("at", at, (self.ndim,)))
+        radius, part = length("radius", radius), number("strength", strength, "a number from 0 to 1", 0.0, 1.0)
+        ring = centre + 0.5 * radius * self._directions() / np.array(self.domain.spacing)
+        points = np.concatenate([centre[None], ring])
+        first, last = (x[: self.ndim] / self.domain.spacing for x in self.domain.packed()[:, :2].T)
+        held = 0.0 if self.domain.border is None else 1.0  # samples within a fixed edge, which nothing else reaches
+        points = points[np.all((points > first + held) & (points < last - held), axis=1)]
+        if not len(points):
+            refuse("at", "a point within the domain", at)
+        targets = points - part * errors(points)
+        if held:
+            targets = np.clip(targets, first + held, last - held)
+        stroke = Stroke.pull(points, to=targets, radius=0.5 * radius, reach=3.0)
+        return self.add(replace(stroke, name=name))
 
     def twist(
         self, at: Point, *, angle: float, radius: float, axis: Point | None = None, reach: float | None = REACH

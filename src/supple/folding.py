@@ -125,6 +125,12 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         return _turned(stroke, domain, on_fold)
     if stroke.also:
         return _pulled(stroke, domain, on_fold)
+    if stroke.path:
+        if on_fold != "flow":
+            raise SuppleError(f"{described(stroke)} follows a path, which takes on_fold='flow'")
+        legs = [_resolve(leg, domain, on_fold) for leg in stroke.legs()]
+        rows = np.concatenate([leg.rows for leg in legs])
+        return Resolved(rows, legs[-1].arrived, margin=min(leg.margin for leg in legs), cause=legs[0].cause)
     if on_fold == "flow":
         return _flow(stroke, domain, table[0])
     lower, _ = weakest(table, axes)

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any, Literal, NoReturn, Self, get_args
 
 import numpy as np
@@ -64,7 +65,7 @@ STROKE_DTYPE = np.dtype(
 # Keys added after version 1.
 _NEW = (
     "border_profile", "reach", "size", "space", "amount", "time_scale", "name", "strength", "to", "angle", "factor",
-    "axis", "also",
+    "axis", "also", "path",
 )  # fmt: skip
 _PART = "a number from 0 to 1"
 _TURNS = 3600.0
@@ -204,6 +205,8 @@ class Stroke:
     also : sequence of (sequence of float, sequence of float)
         Of a grab: further points and their drags, in samples. All are carried out at once, so that each point arrives;
         a point with a drag of 0 is a pin.
+    path : sequence of sequences of float
+        Of a grab: the points through which it is dragged on its way, in samples. None: a straight line.
     hidden : bool
         Whether it is kept in the recipe, but not applied.
     name : str or None
@@ -223,6 +226,7 @@ class Stroke:
     factor: float | None = None
     axis: tuple[float, ...] | None = None
     also: tuple[tuple[tuple[float, ...], tuple[float, ...]], ...] = ()
+    path: tuple[tuple[float, ...], ...] = ()
     hidden: bool = False
     name: str | None = None
     strength: float = 1.0
@@ -246,6 +250,7 @@ class Stroke:
             "strength": number("strength", self.strength, _PART, 0.0, 1.0),
             **self._checked_shape(len(at)),
             "also": self._checked_pairs(len(at)),
+            "path": self._checked_path(len(at)),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
@@ -274,6 +279,15 @@ class Stroke:
                 refuse(f"also[{i}]", wanted, pair)
             made.append((point(f"also[{i}] point", pair[0], (ndim,)), point(f"also[{i}] drag", pair[1], (ndim,))))
         return tuple(made)
+
+    def _checked_path(self, ndim: int) -> tuple[tuple[float, ...], ...]:
+        given: object = self.path
+        if not isinstance(given, Iterable):
+            refuse("path", "a sequence of points", given)
+        made = tuple(point(f"path[{i}]", p, (ndim,)) for i, p in enumerate(given))
+        if made and (self.brush != "grab" or self.also):
+            refuse("path", f"left out for a {'pull' if self.also else self.brush}", f"{len(made)} points")
+        return made
 
     def _checked_shape(self, ndim: int) -> dict[str, object]:
         """Return the angle, the factor and the axis, each if the brush has one."""
@@ -306,13 +320,16 @@ class Stroke:
         *,
         to: Point | None = None,
         by: Point | None = None,
+        path: Sequence[Point] = (),
         radius: float,
         poisson: float | None = None,
         scales: int = 1,
         reach: float | None = REACH,
     ) -> Self:
-        """Return a stroke that drags the point ``at`` ``to`` another, or ``by`` a distance."""
+        """Return a stroke that drags the point ``at`` ``to`` another, or ``by`` a distance, or along a ``path``."""
         start = point("at", at)
+        if len(path) and to is None and by is None:
+            *path, to = path
         if by is not None and to is None:
             drag = point("by", by, (len(start),))
         elif to is not None and by is None:
@@ -320,7 +337,7 @@ class Stroke:
             drag = tuple(b - a for a, b in zip(start, end, strict=True))
         else:
             raise SuppleError(f"a grab takes one of to and by, found {'neither' if to is None else 'both'}")
-        return cls(at=start, by=drag, radius=radius, poisson=poisson, scales=scales, reach=reach)
+        return cls(at=start, by=drag, path=path, radius=radius, poisson=poisson, scales=scales, reach=reach)  # type: ignore[arg-type]
 
     @classmethod
     def pull(
@@ -357,12 +374,93 @@ class Stroke:
         """The number of coordinates of its points: 2 or 3."""
         return len(self.at)
 
+    def legs(self) -> tuple[Self, ...]:
+        """Return the straight grabs, one after the other, that make up a grab along a path.
+
+        Points within a twentieth of the radius of the straight line between others are left out; of crooked paths,
+        more, so that a path has at most four legs for each radius of its length.
+        """
+        end = tuple(a + b for a, b in zip(self.at, self.by, strict=True))
+        points = np.array([self.at, *self.path, end])
+        length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+        tolerance, kept = 0.05 * self.radius, [0, len(points) - 1]
+        while True:
+            kept = [0, *_corners(points, 0, len(points) - 1, tolerance), len(points) - 1]
+            if len(kept) - 1 <= 4 * max(1.0, length / self.radius):
+                break
+            tolerance *= 2
+        ways = pairwise(kept)
+        return tuple(
+            replace(self, at=tuple(points[i].tolist()), by=tuple((points[j] - points[i]).tolist()), path=())
+            for i, j in ways
+        )
+
+    def mirrored(self, at: Point, normal: Point) -> Self:
+        """Return the mirror image of the stroke about a line or, with three coordinates, a plane.
+
+        Parameters
+        ----------
+        at : sequence of float
+            A point of the line or plane, in samples.
+        normal : sequence of float
+            The direction across it, in samples.
+        """
+        origin, n = np.array(point("at", at, (self.ndim,))), np.array(point("normal", normal, (self.ndim,)))
+        if not n.any():
+            refuse("normal", "a direction, with a number other than 0", normal)
+        n = n / np.linalg.norm(n)
+
+        def turned(v: Sequence[float]) -> tuple[float, ...]:
+            return tuple((np.array(v) - 2 * np.dot(v, n) * n).tolist())
+
+        def placed(p: Sequence[float]) -> tuple[float, ...]:
+            return tuple((np.array(p) - 2 * np.dot(np.array(p) - origin, n) * n).tolist())
+
+        return replace(
+            self,
+            at=placed(self.at),
+            by=turned(self.by),
+            also=tuple((placed(p), turned(v)) for p, v in self.also),
+            path=tuple(map(placed, self.path)),
+            angle=None if self.angle is None else -self.angle,
+            axis=None if self.axis is None else turned(self.axis),
+        )
+
+    def symmetric(self, at: Point, normal: Point) -> tuple[Self, ...]:
+        """Return the strokes that make this one symmetric about a line or a plane.
+
+        Those are one that drags the points and their mirror images at once, as a pull; or, of other brushes and of
+        grabs along a path, the stroke and its mirror image after it. Points within a hundredth of the radius of the
+        line are their own images, and only dragged along it.
+
+        Parameters
+        ----------
+        at, normal : sequence of float
+            As in `mirrored`.
+        """
+        image = self.mirrored(at, normal)
+        apart = math.dist(self.at, image.at) > 0.02 * self.radius
+        if self.brush != "grab" or self.path:
+            if apart:
+                return self, image
+            if self.path:
+                raise SuppleError("a path that begins on the line of symmetry has two images there: begin beside it")
+            return (self,)
+        pairs = []
+        for (p, v), (q, w) in zip(self.handles, image.handles, strict=True):
+            if math.dist(p, q) > 0.02 * self.radius:
+                pairs += [(p, v), (q, w)]
+            else:
+                pairs.append((p, tuple((a + b) / 2 for a, b in zip(v, w, strict=True))))
+        return (replace(self, at=pairs[0][0], by=pairs[0][1], also=tuple(pairs[1:])),)
+
     def weakened(self, part: float) -> Self:
         """Return a part of the stroke: of its drag, its angle, or its factor's logarithm; at full strength."""
         return replace(
             self,
             by=tuple(part * x for x in self.by),
             also=tuple((at, tuple(part * x for x in by)) for at, by in self.also),
+            path=tuple(tuple(a + part * (b - a) for a, b in zip(self.at, p, strict=True)) for p in self.path),
             angle=None if self.angle is None else part * self.angle,
             factor=None if self.factor is None else self.factor**part,
             strength=1.0,
@@ -371,7 +469,7 @@ class Stroke:
     @property
     def is_still(self) -> bool:
         """True if it moves nothing: a drag or an angle of 0, or a factor of 1."""
-        drags = (self.by, *(by for _, by in self.also))
+        drags = (self.by, *(by for _, by in self.also), *(np.subtract(p, self.at) for p in self.path))
         return not any(map(any, drags)) and not self.angle and self.factor in (None, 1.0)
 
     @property
@@ -430,6 +528,22 @@ def _points(name: str, values: object) -> list[list[float]]:
     if made.ndim != 2 or made.shape[1] not in (2, 3):
         refuse(name, "points of 2 or 3 numbers each, x first", f"an array of shape {made.shape}")
     return made.tolist()  # type: ignore[no-any-return]
+
+
+def _corners(points: npt.NDArray[np.float64], first: int, last: int, tolerance: float) -> list[int]:
+    """Return the points of a line between two of it that are needed to stay within a tolerance (Douglas-Peucker)."""
+    if last - first < 2:
+        return []
+    way, offs = points[last] - points[first], points[first + 1 : last] - points[first]
+    length2 = float(way @ way)
+    along = np.clip(offs @ way / length2, 0, 1) if length2 > 0 else np.zeros(len(offs))
+    away = np.linalg.norm(offs - along[:, None] * way, axis=1)
+    worst = int(np.argmax(away))
+    if away[worst] <= tolerance:
+        return []
+    middle = first + 1 + worst
+    before, behind = _corners(points, first, middle, tolerance), _corners(points, middle, last, tolerance)
+    return [*before, middle, *behind]
 
 
 def _checked_reach(reach: object) -> float | None:
@@ -547,6 +661,7 @@ class Recipe:
                 at=scaling.point(s.at),
                 by=scaling.drag(s.by),
                 also=tuple((scaling.point(at), scaling.drag(by)) for at, by in s.also),
+                path=tuple(map(scaling.point, s.path)),
                 axis=None if s.axis is None else scaling.drag(s.axis),
                 radius=s.radius * scaling.length,
             )
@@ -651,6 +766,8 @@ def _stroke_entry(stroke: Stroke) -> dict[str, object]:
         shape = {name: _plain(x) for name, x in (("angle", stroke.angle), ("factor", stroke.factor)) if x is not None}
     if stroke.also:
         shape["also"] = [[[_plain(x) for x in at], [_plain(x) for x in by]] for at, by in stroke.also]
+    if stroke.path:
+        shape["path"] = [[_plain(x) for x in p] for p in stroke.path]
     if stroke.axis is not None:
         shape["axis"] = [_plain(x) for x in stroke.axis]
     entry: dict[str, object] = {
