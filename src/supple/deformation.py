@@ -527,7 +527,7 @@ class Deformation:
             golden = (1 + math.sqrt(5)) / 2
             corners = [(0.0, a, b * golden) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
             turned = [corner[k:] + corner[:k] for k in range(3) for corner in corners]
-            return np.array(turned) / math.hypot(1, golden)
+            return np.divide(turned, math.hypot(1, golden))
         angles = np.arange(6) * math.pi / 3
         made = np.zeros((6, self.ndim))
         made[:, 0], made[:, 1] = np.cos(angles), np.sin(angles)
