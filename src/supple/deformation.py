@@ -512,7 +512,8 @@ class Deformation:
 
         def rough(points: Floats) -> Floats:
             around = points[:, None] + radius * self._directions() / np.array(self.domain.spacing)
-            return self._displaced(points) - self._displaced(around).mean(axis=1)
+            mean: Floats = self._displaced(around).mean(axis=1)
+            return self._displaced(points) - mean
 
         return self._led(at, radius, strength, "smooth", rough)
 
@@ -527,7 +528,7 @@ class Deformation:
             golden = (1 + math.sqrt(5)) / 2
             corners = [(0.0, a, b * golden) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
             turned = [corner[k:] + corner[:k] for k in range(3) for corner in corners]
-            return np.divide(turned, math.hypot(1, golden))
+            return np.array(turned) / math.hypot(1, golden)
         angles = np.arange(6) * math.pi / 3
         made = np.zeros((6, self.ndim))
         made[:, 0], made[:, 1] = np.cos(angles), np.sin(angles)
