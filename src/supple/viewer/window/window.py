@@ -162,7 +162,7 @@ class Window(View):
         self._gui.lay()
         if self._gui.trouble:
             self.commands.message = self._gui.trouble
-        encoder, begun = self.gpu.device.create_command_encoder(), time.perf_counter()
+        encoder = self.gpu.device.create_command_encoder()
         anew = key != self._drawn_key or not self.painter.ready
         if anew:
             with contextlib.suppress(SuppleError):
@@ -170,7 +170,7 @@ class Window(View):
             self._drawn_key = key
         self._present(shot, encoder)
         if anew and moving:
-            self.painter.learn(begun)
+            self.painter.learn()
         self._go_on(shot)
 
     def _title(self) -> None:
