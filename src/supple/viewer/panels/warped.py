@@ -31,17 +31,18 @@ class Levels:
 
     def __init__(self, pixels: Pixels) -> None:
         self.has_alpha = not bool((pixels[..., 3] == 255).all())
-        self._made = [pixels]
+        self._made = [(pixels, Grid(pixels.shape[:2]))]
 
-    def at(self, k: int) -> Pixels:
-        """Return a level; 0 is the image itself."""
+    def at(self, k: int) -> tuple[Pixels, Grid]:
+        """Return a level, and the grid of its pixels; 0 is the image itself."""
         while len(self._made) <= k:
-            self._made.append(halved(self._made[-1]))
+            smaller = halved(self._made[-1][0])
+            self._made.append((smaller, Grid(smaller.shape[:2])))
         return self._made[k]
 
     def of(self, scale: float) -> int:
         """Return the level for a window, of whose pixels each covers some of the image: it has at least as many."""
-        longest = max(self._made[0].shape)
+        longest = max(self._made[0][0].shape)
         most = max(math.ceil(math.log2(longest / _SMALLEST)), 0)
         return min(max(math.ceil(math.log2(scale) - 1.0), 0), most)
 
@@ -51,14 +52,14 @@ class Warped:
 
     def __init__(self, gpu: Gpu, levels: Levels) -> None:
         self._levels = levels
-        self._laid = Laid(gpu, levels.at(0).shape[1::-1])
+        self._laid = Laid(gpu, levels.at(0)[0].shape[1::-1])
         self._place: tuple[int, Box] | None = None  # the level and the part that are held
         self.shown: Deformation | None = None
 
     def bring(self, deformation: Deformation, sight: Sight) -> None:
         """Warp the part that a sight shows, as far as it is not there yet."""
         k = self._levels.of(sight.scale)
-        source = self._levels.at(k)
+        source, grid = self._levels.at(k)
         place = k, _visible(sight, k, source.shape)
         stale = x0, y0, x1, y1 = place[1]
         if self.shown is None or place != self._place:
@@ -74,7 +75,7 @@ class Warped:
         if deformation.is_identity:
             made = source[y0:y1, x0:x1]
         else:
-            part = Grid(source.shape[:2]).crop((x0, y0), (x1 - x0, y1 - y0))
+            part = grid.crop((x0, y0), (x1 - x0, y1 - y0))
             space = replace(_reduced(deformation.space, k, source.shape), grid=part)
             made, _ = warp_array(source, space, _SAMPLING, alpha=self._levels.has_alpha)
         self._laid.put((x0, y0), made)
