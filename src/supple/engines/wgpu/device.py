@@ -86,7 +86,7 @@ def _know_types() -> None:
     That takes half of the time in which a window opens. Where cffi is another than we know, nothing changes.
     """
     with contextlib.suppress(Exception):
-        import _cffi_backend
+        import _cffi_backend  # type: ignore[import-untyped]
         from wgpu.backends.wgpu_native._ffi import ffi
 
         names = [name for name in ffi.list_types()[0] if name.startswith("WGPU")] + ["char", "uint8_t", "uint32_t"]

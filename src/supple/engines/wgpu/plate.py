@@ -192,7 +192,9 @@ class Laid(_Drawn):
 
     def __init__(self, gpu: Gpu, size: tuple[int, int]) -> None:
         super().__init__(gpu, size)
-        self._corner, self._step, self._texture, self._view = (0, 0), 1, None, None
+        self._corner, self._step = (0, 0), 1
+        self._texture: Any = None
+        self._view: Any = None
 
     def clear(self, corner: tuple[int, int], size: tuple[int, int], step: int) -> None:
         """Make room for a part: its first pixel, its columns and rows, and the pixels of the image along each side."""

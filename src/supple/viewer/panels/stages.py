@@ -41,9 +41,9 @@ class ImageStage:
         self._name(name, (width, height))
         self.pixels = pixels
         self._warped: tuple[Warped, ...] = ()
-        if gpu.software:  # its shaders run on the CPU, which warps faster itself: the result, and beside it the original
+        if gpu.software:  # the CPU itself warps faster than shaders on it
             levels = Levels(pixels)
-            self._warped = Warped(gpu, levels), Warped(gpu, levels)
+            self._warped = Warped(gpu, levels), Warped(gpu, levels)  # the result, and the original beside it
         else:
             self._plate = Plate(gpu, self.size)
             self._plate.put(0, pixels)

@@ -115,6 +115,9 @@ class Window(View):
         if kind == "close":
             self.close()
             return
+        if kind == "resize":  # the next frame tells the tools, whose area is smaller than the canvas
+            self.canvas.request_draw()
+            return
         if self.commands.asked is not None and kind not in ("pointer_up", "key_up"):  # these end a gesture
             self.canvas.request_draw()
             return
