@@ -55,6 +55,7 @@ class Painter:
         self._textures: dict[tuple[int, tuple[int, int]], Any] = {}
         self._plain: Deformation | None = None
         self._begun = 0.0  # when the device got its work
+        self._adapts = True  # whether fewer pixels take less
 
     def paint(self, shot: Shot, encoder: Any = None) -> tuple[Any, Any]:
         """Draw a shot; return the texture of the result and, if the shot is split, that of the original.
@@ -70,6 +71,8 @@ class Painter:
         sight = self._sight(shot)
         if not isinstance(self.stage, VolumeStage):
             self.stage.expect(seen, sight)
+            self._adapts = self.stage.solves(sight)
+            self.coarse = self.coarse if self._adapts else 1
         self._begun = time.perf_counter()
         textures = [self._drawn(k, shot, sight, deformation, encoder) for k, deformation in enumerate(seen)]
         # The status line, already laid out, shows the error.
@@ -80,6 +83,8 @@ class Painter:
         """Wait for the last image, and adapt the size of drawn pixels to the device's time."""
         wait(self.gpu)
         seconds = time.perf_counter() - self._begun
+        if not self._adapts:
+            return
         if seconds > FRAME and self.coarse < COARSEST:
             self.coarse += 1
         elif self.coarse > 1 and seconds * (self.coarse / (self.coarse - 1)) ** 2 < 0.7 * FRAME:

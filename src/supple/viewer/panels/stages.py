@@ -40,18 +40,22 @@ class ImageStage:
         self.spacing: tuple[float, ...] = (1.0, 1.0)
         self._name(name, (width, height))
         self.pixels = pixels
-        self._warped: tuple[Warped, ...] = ()
         if gpu.software:  # the CPU itself warps faster than shaders on it
             levels = Levels(pixels)
-            self._warped = Warped(gpu, levels), Warped(gpu, levels)  # the result, and the original beside it
+            self._warped = [Warped(gpu, levels), Warped(gpu, levels)]  # the result, and the original beside it
         else:
             self._plate = Plate(gpu, self.size)
             self._plate.put(0, pixels)
 
     def _name(self, name: str, size: tuple[int, int]) -> None:
         self.name, self.size = name, size
+        self._warped: list[Warped] = []
         self.trouble = ""  # the reason why the display is incomplete
         self._under: tuple[Deformation, Point, Point] | None = None
+
+    def solves(self, sight: Sight) -> bool:
+        """Return whether drawing solves for T⁻¹, which takes a slow device long."""
+        return not self._warped or bool(sight.overlay)
 
     def expect(self, deformations: tuple[Deformation, ...], sight: Sight) -> None:
         """Prepare the next drawing: warp the image, where the device does not."""

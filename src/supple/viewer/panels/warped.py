@@ -95,6 +95,11 @@ def changed(before: Space, after: Space) -> tuple[Floats, Floats]:
     most = min(len(one), len(other))
     same = _alike(one[:most], other[:most])
     last = _alike(one[::-1][: most - same], other[::-1][: most - same])
+    # Rows that act at once are one map.
+    while same and any(table["joined"][same : same + 1].any() for table in (before.table, after.table)):
+        same -= 1
+    while last and after.table["joined"][-last]:
+        last -= 1
     low, high = np.full(2, math.inf), np.full(2, -math.inf)
     for table in (before.table, after.table):
         for row in table[same : len(table) - last]:
