@@ -42,7 +42,7 @@ class ImageStage:
         self.pixels = pixels
         if gpu.software:  # the CPU itself warps faster than shaders on it
             levels = Levels(pixels)
-            self._warped = [Warped(gpu, levels), Warped(gpu, levels)]  # the result, and the original beside it
+            self._warped += [Warped(gpu, levels), Warped(gpu, levels)]  # the result, and the original beside it
         else:
             self._plate = Plate(gpu, self.size)
             self._plate.put(0, pixels)
