@@ -26,8 +26,8 @@ pytest.importorskip("glfw")
 
 
 @contextmanager
-def browsing(source: Path) -> Iterator[Browser]:
-    """A browser that shows a medium, after it was refused without the token."""
+def browsing(source: Path, addresses: list[str] | None = None) -> Iterator[Browser]:
+    """A browser that shows a medium, after it was refused without the token; its address is told."""
     needs("chromium")
     folder = source.parent
     with viewing(str(source), "--serve", folder=folder) as process:
@@ -35,6 +35,8 @@ def browsing(source: Path) -> Iterator[Browser]:
         line = process.stdout.readline()
         assert line.startswith("open http://127.0.0.1:")
         address = line.removeprefix("open ").strip()
+        if addresses is not None:
+            addresses.append(address)
         browser = Browser(folder / "browser")
         try:
             browser.go(address.partition("?")[0])
@@ -137,3 +139,75 @@ def test_a_volume_in_a_browser(gpu: Gpu, volume: Path, state: Path) -> None:
 
         undone_and_opened(browser, lambda: away(pictures[0]) < 6, lambda: away(pictures[1]) < 6)
         assert away(pictures[1]) > 6
+
+
+# What the browser would do with a key, or a click, is asked of the event once all have heard it.
+LOGGED = """
+window.heard = [];
+for (const kind of ["keydown", "contextmenu", "wheel"])
+  document.addEventListener(kind, (event) => setTimeout(
+    () => heard.push([kind, event.key ?? "", event.ctrlKey, event.defaultPrevented])), { capture: true });
+"""
+
+
+def test_the_keys_of_the_window_are_kept_from_the_browser_and_no_others(gpu: Gpu, photo: Path) -> None:
+    with browsing(photo) as browser:
+        browser.call("Runtime.evaluate", expression=LOGGED)
+        ours = {("s", 83, 2), ("o", 79, 2), ("e", 69, 2), ("z", 90, 2), ("y", 89, 2), ("Z", 90, 10), ("S", 83, 10)}
+        theirs = {("r", 82, 2), ("t", 84, 2), ("c", 67, 2), ("v", 86, 2), ("F5", 116, 0), ("s", 83, 0), (" ", 32, 0)}
+        for key, code, modifiers in (*ours, ("F1", 112, 0), *theirs):
+            browser.call(
+                "Input.dispatchKeyEvent", type="rawKeyDown", key=key, windowsVirtualKeyCode=code, modifiers=modifiers
+            )
+            browser.call(
+                "Input.dispatchKeyEvent", type="keyUp", key=key, windowsVirtualKeyCode=code, modifiers=modifiers
+            )
+        browser.mouse("mouseMoved", 300, 300)
+        for kind in ("mousePressed", "mouseReleased"):
+            browser.mouse(kind, 300, 300, button="right", clickCount=1)
+        browser.mouse("mouseWheel", 300, 300, deltaX=0, deltaY=-100, modifiers=2)
+
+        def heard() -> list[list[object]]:
+            found = browser.call("Runtime.evaluate", expression="heard", returnByValue=True)["result"]["value"]
+            return found if {kind for kind, *_ in found} == {"keydown", "contextmenu", "wheel"} else []
+
+        kept = {(kind, key, control): prevented for kind, key, control, prevented in wait_for(heard)}
+        for key, _, modifiers in ours:
+            assert kept["keydown", key, bool(modifiers & 2)] is True, key
+        assert kept["keydown", "F1", False] is True
+        for key, _, modifiers in theirs:
+            assert kept["keydown", key, bool(modifiers & 2)] is False, key
+        assert kept["contextmenu", "", False] is True
+        assert kept["wheel", "", True] is True
+        place = browser.call("Runtime.evaluate", expression="scrollX + scrollY + innerWidth - outerWidth")
+        assert place["result"]["value"] == 0  # neither moved nor zoomed
+
+
+def test_another_page_takes_over_and_gives_back(gpu: Gpu, photo: Path, state: Path) -> None:
+    addresses: list[str] = []
+    with browsing(photo, addresses) as first:
+        area = slice(100, 500), slice(100, 600)
+        plain = first.shown()
+        first.drag((350, 300), (430, 260))
+        first.mouse("mouseMoved", 900, 600)
+        wait_for(lambda: near(first.shown()[area], plain[area]) > 6)
+        time.sleep(2)  # until it is drawn in full
+        drawn_there = first.shown()
+        second = Browser(state / "second")
+        try:
+            second.go(addresses[0])
+            wait_for(lambda: "Another page has taken this window over." in first.text())
+            assert "reconnect" not in first.text()
+            wait_for(lambda: np.ptp(second.shown()[100:300, 100:400].astype(int)) > 100)
+            # The same session: the stroke of the first page is there, and is undone in the second.
+            wait_for(lambda: near(second.shown()[area], drawn_there[area]) < 6)
+            second.key("z", 90, 2)
+            wait_for(lambda: near(second.shown()[area], plain[area]) < 6)
+            first.call("Runtime.evaluate", expression="document.querySelector('#taken button').click()")
+            wait_for(lambda: "Another page has taken this window over." in second.text())
+            wait_for(lambda: "taken this window" not in first.text())
+            wait_for(lambda: near(first.shown()[area], plain[area]) < 6)
+            first.key("y", 89, 2)
+            wait_for(lambda: near(first.shown()[area], drawn_there[area]) < 6)
+        finally:
+            second.close()

@@ -230,12 +230,13 @@ def test_the_value_of_a_clip_is_that_of_the_frame_it_comes_from(gpu: Gpu, long: 
 
 
 @pytest.mark.parametrize("coarse", [4, 7, 8])
-def test_coarse_pixels_lie_where_fine_ones_do(gpu: Gpu, coarse: int) -> None:
+def test_coarse_pixels_lie_where_fine_ones_do(gpu: Gpu, coarse: int, monkeypatch: pytest.MonkeyPatch) -> None:
     from supple.deformation import Deformation
     from supple.engines.wgpu.screen import Screen, pixels_of
     from supple.viewer.panels.painter import Painter, Shot
     from supple.viewer.panels.stages import ImageStage
 
+    monkeypatch.setattr(gpu, "software", False)
     size = width, height = 705, 401  # no multiple of any
     ys, xs = np.mgrid[:height, :width]
     # Its slope tells a pixel's place to a fraction.

@@ -160,7 +160,10 @@ def test_the_panel_answers_though_it_keeps_events_to_itself(view: tuple[Any, Han
     assert min(later) < 0.5
 
 
-def test_the_ground_behind_what_is_transparent_stays_while_a_hand_moves(gpu: Gpu, tmp_path: Path) -> None:
+def test_the_ground_behind_what_is_transparent_stays_while_a_hand_moves(
+    gpu: Gpu, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gpu, "software", False)
     image.write(tmp_path / "glass.png", np.zeros((380, 560, 4), np.uint8))
     view, hand = opened(tmp_path / "glass.png", Recipe(border=None))
     hand.key("1")

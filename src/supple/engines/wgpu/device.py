@@ -80,6 +80,24 @@ class Gpu:
     lost: bool = False
 
 
+def _know_types() -> None:
+    """Tell cffi wgpu's C types at once, which it would parse one by one, each with all names of the header.
+
+    That takes half of the time in which a window opens. Where cffi is another than we know, nothing changes.
+    """
+    with contextlib.suppress(Exception):
+        import _cffi_backend  # type: ignore[import-untyped]
+        from wgpu.backends.wgpu_native._ffi import ffi
+
+        names = [name for name in ffi.list_types()[0] if name.startswith("WGPU")] + ["char", "uint8_t", "uint32_t"]
+        pointers = ffi.typeof(f"void(*)({', '.join(f'{name} *' for name in names)})").args
+        known = ffi._parsed_types
+        for name, pointer in zip(names, pointers, strict=True):
+            array = _cffi_backend.new_array_type(pointer, None)
+            for text, kind in ((f"{name} *", pointer), (f"{name}[]", array), (f"{name} []", array)):
+                known.setdefault(text, (kind, False))
+
+
 @functools.cache
 def adapters() -> tuple[Any, ...]:
     """Return the adapters of this machine, the fastest kind first."""
@@ -88,6 +106,7 @@ def adapters() -> tuple[Any, ...]:
         from wgpu.backends.wgpu_native import extras
     except (ImportError, OSError, RuntimeError) as error:
         raise SuppleError(f"the GPU needs wgpu, which cannot be loaded ({error}): pip install 'supple[gpu]'") from None
+    _know_types()
     # OpenGL lists the same adapters again, with fewer features. The user may have chosen a backend.
     with contextlib.suppress(RuntimeError):
         extras.set_instance_extras(backends=["Vulkan", "Metal", "DX12"])

@@ -19,10 +19,11 @@ Array = npt.NDArray[Any]
 T = TypeVar("T")
 
 UNIFORM, READ, WRITE, TEXTURE = "uniform", "read-only-storage", "storage", "texture"
-LAYERS, WHOLE_LAYERS = "layers", "layers of whole numbers"
+PICTURE, LAYERS, WHOLE_LAYERS = "picture", "layers", "layers of whole numbers"
 SOLID, WHOLE_SOLID, SIGNED_SOLID, FILLED = "solid", "solid of whole numbers", "solid of signed numbers", "filled solid"
 _TEXTURES: dict[str, Any] = {
     TEXTURE: {"storage_texture": {"access": "write-only", "format": "rgba8unorm", "view_dimension": "2d"}},
+    PICTURE: {"texture": {"sample_type": "unfilterable-float", "view_dimension": "2d"}},
     LAYERS: {"texture": {"sample_type": "unfilterable-float", "view_dimension": "2d-array"}},
     WHOLE_LAYERS: {"texture": {"sample_type": "uint", "view_dimension": "2d-array"}},
     SOLID: {"texture": {"sample_type": "unfilterable-float", "view_dimension": "3d"}},
@@ -104,8 +105,8 @@ def pipeline(
 ) -> Any:
     """Return the compiled entry point of a compute shader, cached on the device.
 
-    ``kinds`` are those of its bindings: UNIFORM, READ, WRITE, TEXTURE (rgba8unorm, written to), a texture of layers or
-    a solid that is read, as in `_TEXTURES`; None for a number without a binding.
+    ``kinds`` are those of its bindings: UNIFORM, READ, WRITE, TEXTURE (rgba8unorm, written to), a picture, layers or a
+    solid that is read, as in `_TEXTURES`; None for a number without a binding.
     """
     chosen = tuple(sorted((constants or {}).items()))
     key = (tuple(names), entry, tuple(kinds), chosen)

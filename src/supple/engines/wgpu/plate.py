@@ -11,7 +11,7 @@ import numpy.typing as npt
 from supple.engines.wgpu.buffers import Bound, Kept
 from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.field import domain, packed
-from supple.engines.wgpu.kernel import READ, TEXTURE, UNIFORM, WRITE, bound, pipeline, room
+from supple.engines.wgpu.kernel import PICTURE, READ, TEXTURE, UNIFORM, WRITE, bound, pipeline, room
 
 Floats = npt.NDArray[np.float64]
 
@@ -19,7 +19,7 @@ CELL = 16
 BACK = (0.12, 0.12, 0.13)  # the sRGB background
 OVERLAYS = {"": 0, "grid": 1, "stretch": 2, "residual": 3, "inversions": 4}
 _NAMES = ("plate", "warm", "blend", "field", "newton")
-_KINDS = (UNIFORM, UNIFORM, READ, WRITE, READ, TEXTURE)
+_COMMON = (UNIFORM, UNIFORM, READ, WRITE)
 
 _SETTINGS = np.dtype(
     [
@@ -39,6 +39,9 @@ _SETTINGS = np.dtype(
         ("solved", "u4"),
         ("overlay", "u4"),
         ("every", "f4"),
+        ("corner", "f4", 2),
+        ("step", "f4"),
+        ("unused", "u4"),
         ("back", "f4", 4),
     ]
 )
@@ -90,57 +93,24 @@ class _Sheet:
         self.bound = Bound()
 
 
-class Plate:
-    """Frames on a device: one of an image, or a ring of frames of a clip.
+class _Drawn:
+    """What is on a device, drawn through strokes into textures."""
 
-    Parameters
-    ----------
-    gpu : Gpu
-    size : (int, int)
-        Columns and rows.
-    frames : int
-        The number of frames of the whole clip.
-    slots : int
-        The number of frames held at once.
+    _entry: str  # of the shader
+    _kinds: tuple[str | None, ...]
 
-    Raises
-    ------
-    MemoryError
-        If they exceed the largest binding.
-    """
-
-    def __init__(self, gpu: Gpu, size: tuple[int, int], frames: int = 1, slots: int = 1) -> None:
-        self.gpu, self.size, self.frames, self.slots = gpu, size, frames, slots
-        self.sizes = [size]
-        while max(self.sizes[-1]) > 256 and frames == 1:
-            width, height = self.sizes[-1]
-            self.sizes.append(((width + 1) // 2, (height + 1) // 2))
-        self.stride = sum(width * height for width, height in self.sizes)
-        if 4 * self.stride * slots > gpu.binding:
-            raise MemoryError(f"{4 * self.stride * slots >> 20} MB of pixels are more than a shader takes")
-        self.earliest, self.held = 0, 0
-        self._pixels = room(gpu, 4 * self.stride * slots)
+    def __init__(self, gpu: Gpu, size: tuple[int, int]) -> None:
+        self.gpu, self.size = gpu, size
         self._nodes: tuple[int, Any] = (0, None)
         self._sheets: list[_Sheet] = []
 
-    @staticmethod
-    def most(gpu: Gpu, size: tuple[int, int]) -> int:
-        """Return how many frames of a size can be held."""
-        return gpu.binding // (4 * size[0] * size[1])
+    def _held(self, view: Any) -> tuple[Any, ...]:
+        """Return the resources after those in common; the view is that of the texture to draw into."""
+        raise NotImplementedError
 
-    def put(self, frame: int, pixels: npt.NDArray[np.uint8]) -> None:
-        """Hold a frame, of shape (rows, columns, 4): sRGB and opacity. The ring continues from the frames it holds."""
-        if not self.earliest <= frame <= self.earliest + self.held:
-            self.earliest, self.held = frame, 0
-        start = (frame % self.slots) * self.stride * 4
-        for width, height in self.sizes:
-            level = np.ascontiguousarray(pixels[:height, :width])
-            self.gpu.device.queue.write_buffer(self._pixels, start, level.reshape(-1))
-            start += level.nbytes
-            pixels = _halved(level) if (width, height) != self.sizes[-1] else level
-        self.held = max(self.held, frame - self.earliest + 1)
-        if self.held > self.slots:
-            self.earliest, self.held = frame - self.slots + 1, self.slots
+    def _told(self) -> dict[str, Any]:
+        """Return settings of what is held."""
+        raise NotImplementedError
 
     def draw(
         self,
@@ -171,16 +141,15 @@ class Plate:
             sheet.domain.hold(domain(axes)),
             sheet.strokes.hold(packed(table)),
             self._nodes[1],
-            self._pixels,
-            sheet.view,
+            *self._held(sheet.view),
         )
-        (solve, layout), (paint, _) = (pipeline(gpu, _NAMES, entry, _KINDS) for entry in ("solve", "paint"))
+        paint, layout = pipeline(gpu, _NAMES, self._entry, self._kinds, {"BENT": bool(table.size)})
         group = sheet.bound.group(resources, lambda: bound(gpu, layout, resources))
         commands = encoder or gpu.device.create_command_encoder()
         step = commands.begin_compute_pass()
         step.set_bind_group(0, group)
         if table.size:
-            step.set_pipeline(solve)
+            step.set_pipeline(pipeline(gpu, _NAMES, "solve", self._kinds)[0])
             step.dispatch_workgroups(-(-cells[0] // 8), -(-cells[1] // 8), 1)
         step.set_pipeline(paint)
         step.dispatch_workgroups(-(-width // 8), -(-height // 8), 1)
@@ -197,33 +166,131 @@ class Plate:
         return self._sheets[-1]
 
     def _settings(self, sight: Sight, cells: tuple[int, ...], strokes: int) -> npt.NDArray[np.void]:
-        return np.array(
-            [
-                (
-                    sight.size,
-                    cells,
-                    sight.origin,
-                    sight.scale,
-                    sight.time,
-                    self.size,
-                    self.frames,
-                    self.earliest,
-                    max(self.held, 1),
-                    self.slots,
-                    self.stride,
-                    len(self.sizes),
-                    strokes,
-                    sight.solved or sight.overlay in ("residual", "inversions"),
-                    OVERLAYS[sight.overlay],
-                    sight.every,
-                    (*sight.back, max(sight.square, 1.0)),
-                )
-            ],
-            _SETTINGS,
+        made = np.zeros(1, _SETTINGS)
+        told = {
+            "size": sight.size,
+            "nodes": cells,
+            "origin": sight.origin,
+            "scale": sight.scale,
+            "time": sight.time,
+            "source": self.size,
+            "strokes": strokes,
+            "solved": sight.solved or sight.overlay in ("residual", "inversions"),
+            "overlay": OVERLAYS[sight.overlay],
+            "every": sight.every,
+            "back": (*sight.back, max(sight.square, 1.0)),
+        }
+        for name, value in (told | self._told()).items():
+            made[name] = value
+        return made
+
+
+class Laid(_Drawn):
+    """A part of an image at one size, which is warped already: strokes are for the overlay only."""
+
+    _entry, _kinds = "lay", (*_COMMON, None, TEXTURE, PICTURE)
+
+    def __init__(self, gpu: Gpu, size: tuple[int, int]) -> None:
+        super().__init__(gpu, size)
+        self._corner, self._step = (0, 0), 1
+        self._texture: Any = None
+        self._view: Any = None
+
+    def clear(self, corner: tuple[int, int], size: tuple[int, int], step: int) -> None:
+        """Make room for a part: its first pixel, its columns and rows, and the pixels of the image along each side."""
+        self._corner, self._step = corner, step
+        if self._texture is None or self._texture.size[:2] != size:
+            self._texture = self.gpu.device.create_texture(
+                size=(*size, 1), format="rgba8unorm", usage="TEXTURE_BINDING|COPY_DST"
+            )
+            self._view = self._texture.create_view()
+
+    def put(self, corner: tuple[int, int], pixels: npt.NDArray[np.uint8]) -> None:
+        """Hold pixels, of shape (rows, columns, 4): sRGB and opacity; the corner is their place in the whole image."""
+        height, width = pixels.shape[:2]
+        origin = (corner[0] - self._corner[0], corner[1] - self._corner[1], 0)
+        self.gpu.device.queue.write_texture(
+            {"texture": self._texture, "origin": origin},
+            np.ascontiguousarray(pixels),
+            {"bytes_per_row": 4 * width, "rows_per_image": height},
+            (width, height, 1),
         )
 
+    def _held(self, view: Any) -> tuple[Any, ...]:
+        return None, view, self._view
 
-def _halved(pixels: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    def _told(self) -> dict[str, Any]:
+        return {"corner": self._corner, "step": self._step}
+
+
+class Plate(_Drawn):
+    """Frames on a device: one of an image, or a ring of frames of a clip.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    size : (int, int)
+        Columns and rows.
+    frames : int
+        The number of frames of the whole clip.
+    slots : int
+        The number of frames held at once.
+
+    Raises
+    ------
+    MemoryError
+        If they exceed the largest binding.
+    """
+
+    _entry, _kinds = "paint", (*_COMMON, READ, TEXTURE)
+
+    def __init__(self, gpu: Gpu, size: tuple[int, int], frames: int = 1, slots: int = 1) -> None:
+        super().__init__(gpu, size)
+        self.frames, self.slots = frames, slots
+        self.sizes = [size]
+        while max(self.sizes[-1]) > 256 and frames == 1:
+            width, height = self.sizes[-1]
+            self.sizes.append(((width + 1) // 2, (height + 1) // 2))
+        self.stride = sum(width * height for width, height in self.sizes)
+        if 4 * self.stride * slots > gpu.binding:
+            raise MemoryError(f"{4 * self.stride * slots >> 20} MB of pixels are more than a shader takes")
+        self.earliest, self.held = 0, 0
+        self._pixels = room(gpu, 4 * self.stride * slots)
+
+    @staticmethod
+    def most(gpu: Gpu, size: tuple[int, int]) -> int:
+        """Return how many frames of a size can be held."""
+        return gpu.binding // (4 * size[0] * size[1])
+
+    def put(self, frame: int, pixels: npt.NDArray[np.uint8]) -> None:
+        """Hold a frame, of shape (rows, columns, 4): sRGB and opacity. The ring continues from the frames it holds."""
+        if not self.earliest <= frame <= self.earliest + self.held:
+            self.earliest, self.held = frame, 0
+        start = (frame % self.slots) * self.stride * 4
+        for width, height in self.sizes:
+            level = np.ascontiguousarray(pixels[:height, :width])
+            self.gpu.device.queue.write_buffer(self._pixels, start, level.reshape(-1))
+            start += level.nbytes
+            pixels = halved(level) if (width, height) != self.sizes[-1] else level
+        self.held = max(self.held, frame - self.earliest + 1)
+        if self.held > self.slots:
+            self.earliest, self.held = frame - self.slots + 1, self.slots
+
+    def _held(self, view: Any) -> tuple[Any, ...]:
+        return self._pixels, view
+
+    def _told(self) -> dict[str, Any]:
+        return {
+            "frames": self.frames,
+            "earliest": self.earliest,
+            "held": max(self.held, 1),
+            "slots": self.slots,
+            "stride": self.stride,
+            "levels": len(self.sizes),
+        }
+
+
+def halved(pixels: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
     """Return the image at half the size, by averages weighted by opacity."""
     even = np.pad(pixels, [(0, pixels.shape[0] % 2), (0, pixels.shape[1] % 2), (0, 0)], mode="edge").astype(np.uint16)
     four = even[::2, ::2], even[1::2, ::2], even[::2, 1::2], even[1::2, 1::2]

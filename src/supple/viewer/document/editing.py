@@ -104,6 +104,8 @@ class Document:
         if known is None:
             return stroke
         applied = self.deformation.strokes[known]
+        if applied is stroke:
+            return stroke
         return replace(stroke, at=applied.at, by=applied.by, angle=applied.angle, factor=applied.factor)
 
     def add(self, stroke: Stroke) -> int:
@@ -293,8 +295,11 @@ class Document:
     def _solved(self, state: State, known: Solved | None) -> Solved:
         """Return the deformation of a state; strokes shared with a known state are not resolved again."""
         rest = state.rest
-        plain = replace(rest, space=None)
-        empty = Deformation.from_recipe(plain, self.shape, spacing=self.spacing, time=self._timed)
+        if known is not None and known.state.rest == rest:
+            empty = known.chain[0]
+        else:
+            plain = replace(rest, space=None)
+            empty = Deformation.from_recipe(plain, self.shape, spacing=self.spacing, time=self._timed)
         made = Solved(state, (empty,))
         visible, same = made.visible, 0
         if known is not None and known.chain[0] == empty and known.state.rest.amount == rest.amount:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from supple.deformation import Deformation
@@ -48,12 +48,14 @@ class Painter:
 
     def __init__(self, gpu: Gpu, stage: ImageStage | VolumeStage) -> None:
         self.gpu, self.stage = gpu, stage
-        self.coarse = 4 if gpu.software else 1
+        self.coarse = 4 if gpu.software and stage.kind != "image" else 1
         """The pixels of the canvas for each drawn one, along each side, during a drag."""
         self.ready = True  # whether the last image is complete
         self.part: Part = ALL  # the visible part of the textures
         self._textures: dict[tuple[int, tuple[int, int]], Any] = {}
         self._plain: Deformation | None = None
+        self._begun = 0.0  # when the device got its work
+        self._adapts = True  # whether fewer pixels take less
 
     def paint(self, shot: Shot, encoder: Any = None) -> tuple[Any, Any]:
         """Draw a shot; return the texture of the result and, if the shot is split, that of the original.
@@ -66,23 +68,41 @@ class Painter:
         if self._plain is None:
             self._plain = shot.deformation.without_strokes()
         seen = (self._plain if shot.original else shot.deformation, self._plain)[: 1 + shot.split]
+        sight = self._sight(shot)
         if not isinstance(self.stage, VolumeStage):
-            self.stage.expect(seen, shot.time)
-        textures = [self._drawn(k, shot, deformation, encoder) for k, deformation in enumerate(seen)]
+            self.stage.expect(seen, sight)
+            self._adapts = self.stage.solves(sight)
+            self.coarse = self.coarse if self._adapts else 1
+        self._begun = time.perf_counter()
+        textures = [self._drawn(k, shot, sight, deformation, encoder) for k, deformation in enumerate(seen)]
         # The status line, already laid out, shows the error.
         self.ready &= self.stage.trouble == before
         return textures[0], textures[1] if shot.split else None
 
-    def learn(self, begun: float) -> None:
-        """Wait for an image begun at a time, and adapt the size of drawn pixels to its time."""
+    def learn(self) -> None:
+        """Wait for the last image, and adapt the size of drawn pixels to the device's time."""
         wait(self.gpu)
-        seconds = time.perf_counter() - begun
+        seconds = time.perf_counter() - self._begun
+        if not self._adapts:
+            return
         if seconds > FRAME and self.coarse < COARSEST:
             self.coarse += 1
         elif self.coarse > 1 and seconds * (self.coarse / (self.coarse - 1)) ** 2 < 0.7 * FRAME:
             self.coarse -= 1
 
-    def _drawn(self, k: int, shot: Shot, deformation: Deformation, encoder: Any) -> Any:
+    def _sight(self, shot: Shot) -> Sight:
+        """Return the visible part, at full size."""
+        return Sight(
+            shot.origin,
+            shot.scale,
+            shot.size,
+            shot.time,
+            solved=not shot.moving,
+            overlay=shot.overlay,
+            square=8.0 * shot.ratio,
+        )
+
+    def _drawn(self, k: int, shot: Shot, sight: Sight, deformation: Deformation, encoder: Any) -> Any:
         stage, coarse = self.stage, self.coarse if shot.moving else 1
         size = (max(1, -(-shot.size[0] // coarse)), max(1, -(-shot.size[1] // coarse)))
         if (k, size) not in self._textures:
@@ -97,14 +117,7 @@ class Painter:
         self.part = 0.0, 0.0, shot.size[0] / (size[0] * coarse), shot.size[1] / (size[1] * coarse)
         # The centre of a coarse pixel lies between those of the fine ones that it covers.
         inset = 0.5 * (coarse - 1) * shot.scale
-        sight = Sight(
-            (shot.origin[0] + inset, shot.origin[1] + inset),
-            shot.scale * coarse,
-            size,
-            shot.time,
-            solved=not shot.moving,
-            overlay=shot.overlay,
-            square=8.0 * shot.ratio / coarse,
-        )
+        (x, y), scale = shot.origin, shot.scale * coarse
+        sight = replace(sight, origin=(x + inset, y + inset), scale=scale, size=size, square=sight.square / coarse)
         self.ready &= stage.draw(deformation, sight, texture, encoder)
         return texture

@@ -22,6 +22,7 @@ from supple.render.transfer import TransferFunction
 from supple.viewer.document.background import heard
 from supple.viewer.document.state import Kind
 from supple.viewer.panels.frame_cache import FrameCache
+from supple.viewer.panels.warped import Levels, Warped
 
 Pixels = npt.NDArray[np.uint8]
 Point = tuple[float, ...]
@@ -37,22 +38,37 @@ class ImageStage:
         height, width = pixels.shape[:2]
         self.shape: tuple[int, ...] = (height, width)
         self.spacing: tuple[float, ...] = (1.0, 1.0)
-        self._lay(name, (width, height), Plate(gpu, (width, height)))
+        self._name(name, (width, height))
         self.pixels = pixels
-        self._plate.put(0, pixels)
+        if gpu.software:  # the CPU itself warps faster than shaders on it
+            levels = Levels(pixels)
+            self._warped += [Warped(gpu, levels), Warped(gpu, levels)]  # the result, and the original beside it
+        else:
+            self._plate = Plate(gpu, self.size)
+            self._plate.put(0, pixels)
 
-    def _lay(self, name: str, size: tuple[int, int], plate: Plate) -> None:
-        self.name, self.size, self._plate = name, size, plate
+    def _name(self, name: str, size: tuple[int, int]) -> None:
+        self.name, self.size = name, size
+        self._warped: list[Warped] = []
         self.trouble = ""  # the reason why the display is incomplete
         self._under: tuple[Deformation, Point, Point] | None = None
 
-    def expect(self, deformations: tuple[Deformation, ...], time: float) -> None:
-        """Prepare the next drawing: an image is always complete."""
+    def solves(self, sight: Sight) -> bool:
+        """Return whether drawing solves for T⁻¹, which takes a slow device long."""
+        return not self._warped or bool(sight.overlay)
+
+    def expect(self, deformations: tuple[Deformation, ...], sight: Sight) -> None:
+        """Prepare the next drawing: warp the image, where the device does not."""
+        for deformation, warped in zip(deformations, self._warped, strict=False):
+            warped.bring(deformation, sight)
 
     def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
         """Draw the visible part, or record it into an encoder; return whether it is complete."""
-        space = deformation.space
-        self._plate.draw(sight, space.table, space.axes, texture, encoder)
+        if not self._warped:
+            space = deformation.space
+            self._plate.draw(sight, space.table, space.axes, texture, encoder)
+        else:
+            next(warped for warped in self._warped if warped.shown is deformation).draw(sight, texture, encoder)
         return True
 
     def value(self, point: tuple[float, float], time: float, deformation: Deformation | None = None) -> str:
@@ -88,11 +104,13 @@ class VideoStage(ImageStage):
         width, height = film.size
         self.shape, self.spacing = (film.count, height, width), (1.0, 1.0, time_scale)
         slots = max(2, min(film.most, Plate.most(gpu, film.size), film.count))
-        self._lay(film.name, film.size, Plate(gpu, film.size, film.count, slots))
+        self._name(film.name, film.size)
+        self._plate = Plate(gpu, film.size, film.count, slots)
         self._spans: dict[tuple[Deformation, float], Span] = {}
 
-    def expect(self, deformations: tuple[Deformation, ...], time: float) -> None:
+    def expect(self, deformations: tuple[Deformation, ...], sight: Sight) -> None:
         """Prepare the next drawing: request its frames together, since separate requests might displace each other."""
+        time = sight.time
         needed = {(d, time): self._spans.get((d, time)) or self.needed(d, time) for d in deformations}
         self._spans, self.trouble, slots = needed, "", self._plate.slots
         most = max(last - first + 1 for first, last in needed.values())

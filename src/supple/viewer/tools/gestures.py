@@ -27,6 +27,7 @@ _LEFT = 1
 _CUT = "cut"
 _MOST = 1e4  # the largest turn of the wheel at once: larger powers overflow
 _REQUESTS = {"s": "save", "o": "open", "e": "export"}
+COMMANDS = frozenset((*_REQUESTS, "z", "y"))  # letters that do something together with Control
 
 
 @dataclass(frozen=True, slots=True)

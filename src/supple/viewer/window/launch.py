@@ -315,8 +315,12 @@ def view(
     if not in_notebook():
         return show(source, recipe, options=options)
     with _installed():
-        from rendercanvas.anywidget import RenderCanvas, loop
-    canvas = RenderCanvas(size=(960, 600), max_fps=30, update_mode="ondemand")
+        from rendercanvas.anywidget import JS, RenderCanvas, loop
+
+        from supple.viewer.window.page import KEYS
+
+        widget = type("Widget", (RenderCanvas,), {"_esm": JS + KEYS})
+    canvas = widget(size=(960, 600), max_fps=30, update_mode="ondemand")
     canvas.set_css_width("calc(100% - 4px)")  # of the cell, with its frame
     return opened(source, recipe, canvas, loop, options=options)
 

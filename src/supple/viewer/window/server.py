@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import hmac
 import signal
 import socket
 import threading
 from collections.abc import Awaitable, Callable, MutableMapping
-from html import escape
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from supple.errors import SuppleError
+from supple.viewer.window.page import TAKEN, page_of
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -20,58 +22,16 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 HOST = "127.0.0.1"
 PATIENCE = 3  # seconds for browsers to disconnect
-_PAGE = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<title>{title}</title>
-<link rel="stylesheet" href="renderview.css">
-<style>
-html, body {{ margin: 0; height: 100%; overflow: hidden; background: #1f1f21 }}
-div#canvas {{ border: 0; display: block }}
-#status {{ display: none; position: fixed; top: 0; left: 0; padding: .5rem 1rem; background: #ddd; color: #222 }}
-#status:has(button), #status.passive {{ display: block }}
-#status.passive {{ font-size: 0 }}
-#status.passive::after {{
-  content: "Another page has this window, and this one looks on: close that one.";
-  font-size: 1rem;
-}}
-p {{ color: #aaa; font: 16px system-ui, sans-serif; margin: 2rem }}
-</style>
-<script type="module" src="renderview.js"></script>
-<script type="module" src="renderview-client.js"></script>
-<script type="module">
-// Of several pages, one has the window.
-const status = document.querySelector("#status");
-new MutationObserver(() => {{
-  status.classList.toggle("passive", status.textContent.includes("(passive)"));
-}}).observe(status, {{ childList: true, subtree: true, characterData: true }});
-// Keys are for the picture from the start, and not only once it was clicked on.
-new MutationObserver((changes, watch) => {{
-  const keys = document.querySelector("#rendercanvas-focus-element-container input");
-  if (keys) {{
-    watch.disconnect();
-    keys.focus({{ preventScroll: true }});
-  }}
-}}).observe(document.documentElement, {{ childList: true, subtree: true }});
-</script>
-</head>
-<body>
-<div id="canvas" class="renderview-wrapper" style="width: 100vw; height: 100vh"><p>Loading {title} …</p></div>
-<div id="status"></div>
-</body>
-</html>
-"""
 _REFUSED = b"This window is open to those who have its whole address, with the token that supple view printed.\n"
 
 
 def guarded(app: App, token: str, title: str) -> App:
     """Return an ASGI application, `rendercanvas.http.asgi`, that requires a token; the title is that of its page.
 
-    The token comes once in the address, and then as a cookie.
+    The token comes once in the address, and then as a cookie. Of several pages, the last one has the window.
     """
     name = "supple-" + token[:6]
-    page = _PAGE.format(title=escape(title)).encode()
+    page, turns = page_of(title), _Turns(app)
 
     async def serve(scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "lifespan":
@@ -81,6 +41,8 @@ def guarded(app: App, token: str, title: str) -> App:
         if brought and (scope["type"] != "websocket" or _from_here(scope)):
             if scope["type"] == "http" and scope["path"] in ("/", "/index.html"):
                 await _answer(send, 200, page, [(b"content-type", b"text/html; charset=utf-8"), *_PRIVATE])
+            elif scope["type"] == "websocket":
+                await turns.serve(scope, receive, send)
             else:
                 await app(scope, receive, send)
             return
@@ -97,6 +59,39 @@ def guarded(app: App, token: str, title: str) -> App:
             await _answer(send, 403, _REFUSED, [(b"content-type", b"text/plain"), *_PRIVATE])
 
     return serve
+
+
+class _Turns:
+    """Connections of pages, of which one at a time is served: each takes over from the one before."""
+
+    def __init__(self, app: App) -> None:
+        self._app = app
+        self._last = asyncio.Event(), asyncio.Event()  # of the last page: it is taken over; it has left
+        self._last[1].set()
+
+    async def serve(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve a page until it leaves, or another one takes over."""
+        taken, left = mine = asyncio.Event(), asyncio.Event()
+        (end, ended), self._last = self._last, mine
+
+        async def hear() -> MutableMapping[str, Any]:
+            heard, over = asyncio.ensure_future(receive()), asyncio.ensure_future(taken.wait())
+            try:
+                await asyncio.wait((heard, over), return_when=asyncio.FIRST_COMPLETED)
+                return {"type": "websocket.disconnect", "code": TAKEN} if taken.is_set() else heard.result()
+            finally:
+                heard.cancel()
+                over.cancel()
+
+        try:
+            end.set()
+            await ended.wait()
+            await self._app(scope, hear, send)
+        finally:
+            left.set()
+        if taken.is_set():
+            with contextlib.suppress(Exception):  # it may have left by itself
+                await send({"type": "websocket.close", "code": TAKEN})
 
 
 _PRIVATE = [(b"cache-control", b"no-store"), (b"referrer-policy", b"no-referrer"), (b"x-frame-options", b"DENY")]

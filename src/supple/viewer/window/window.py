@@ -115,6 +115,9 @@ class Window(View):
         if kind == "close":
             self.close()
             return
+        if kind == "resize":  # the next frame tells the tools, whose area is smaller than the canvas
+            self.canvas.request_draw()
+            return
         if self.commands.asked is not None and kind not in ("pointer_up", "key_up"):  # these end a gesture
             self.canvas.request_draw()
             return
@@ -162,7 +165,7 @@ class Window(View):
         self._gui.lay()
         if self._gui.trouble:
             self.commands.message = self._gui.trouble
-        encoder, begun = self.gpu.device.create_command_encoder(), time.perf_counter()
+        encoder = self.gpu.device.create_command_encoder()
         anew = key != self._drawn_key or not self.painter.ready
         if anew:
             with contextlib.suppress(SuppleError):
@@ -170,7 +173,7 @@ class Window(View):
             self._drawn_key = key
         self._present(shot, encoder)
         if anew and moving:
-            self.painter.learn(begun)
+            self.painter.learn()
         self._go_on(shot)
 
     def _title(self) -> None:

@@ -20,6 +20,8 @@ struct Settings {
     solved: u32, // true if each pixel is solved
     overlay: u32,
     every: f32, // pixels from line to line of a grid
+    corner: vec2f, // of an image that is warped already: the position of the first pixel held, at its size
+    step: f32, // and pixels of the image for each of them
     back: vec4f, // behind the image; and the width of the checkerboard squares behind transparent pixels
 }
 
@@ -29,6 +31,9 @@ struct Settings {
 @group(0) @binding(3) var<storage, read_write> nodes: array<vec4f>; // three for each: w, and two columns of ∂p/∂q
 @group(0) @binding(4) var<storage, read> pixels: array<u32>; // sRGB and opacity, of 8 bits each
 @group(0) @binding(5) var target_: texture_storage_2d<rgba8unorm, write>;
+@group(0) @binding(6) var laid: texture_2d<f32>;
+
+override BENT: bool = true; // true if there are strokes; constant, as software GPUs compile shaders slowly
 
 const CELL = 16u;
 const GRID = 1u;
@@ -81,7 +86,7 @@ fn interpolated(at: vec2f) -> Seen {
 }
 
 fn source_of(at: vec2f) -> Seen {
-    if (settings.strokes == 0u) {
+    if (!BENT) {
         return Seen(vec3f(0.0), vec3f(1.0, 0.0, 0.0), vec3f(0.0, 1.0, 0.0), 0.0, 0.0);
     }
     let guess = interpolated(at);
@@ -128,6 +133,39 @@ fn at_time(p: vec2f, level: u32, time: f32) -> vec4f {
     return mix(linear_at(p, level, before), linear_at(p, level, before + 1), part);
 }
 
+// How much of a pixel's footprint, which is centred at a point, lies on the image.
+fn cover_of(q: vec2f) -> f32 {
+    let inside = clamp(
+        (min(q + 0.5, vec2f(settings.source) - 0.5 - q)) / settings.scale + 0.5, vec2f(0.0), vec2f(1.0)
+    );
+    return inside.x * inside.y;
+}
+
+// The samples along each side whose mean is that of a footprint.
+fn taps_of(covers: f32) -> u32 {
+    return u32(clamp(ceil(covers - 0.1), 1.0, 4.0));
+}
+
+// Store a pixel, with the overlay, on the background.
+fn show(id: vec2u, total: vec4f, cover: f32, seen: Seen, p: vec2f, covers: f32) {
+    // Transparent pixels are drawn over a checkerboard.
+    let square = vec2u((vec2f(id) + 0.5) / settings.back.w);
+    let ground = select(0.42, 0.58, ((square.x + square.y) & 1u) == 0u);
+    var shown = total.xyz + (1.0 - total.w) * ground;
+    if (settings.overlay == GRID) {
+        let lines = abs(p / settings.every - round(p / settings.every)) * settings.every / max(covers, 1e-6);
+        shown = mix(vec3f(1.0), shown, clamp(min(lines.x, lines.y) - 0.2, 0.25, 1.0));
+    } else if (settings.overlay == STRETCH) {
+        let area = abs(seen.right.x * seen.below.y - seen.right.y * seen.below.x);
+        shown = mix(shown, warm(0.5 - 0.5 * log2(max(area, 1e-6))), 0.6);
+    } else if (settings.overlay == RESIDUAL) {
+        shown = mix(shown, warm(1.0 + log2(max(seen.residual / finest(), 1e-9)) / 16.0), 0.6);
+    } else if (settings.overlay == INVERSIONS) {
+        shown = mix(shown, warm(seen.steps / 8.0), 0.6);
+    }
+    textureStore(target_, id, vec4f(mix(settings.back.xyz, shown, cover), 1.0));
+}
+
 @compute @workgroup_size(8, 8)
 fn paint(@builtin(global_invocation_id) id: vec3u) {
     if (id.x >= settings.size.x || id.y >= settings.size.y) {
@@ -135,11 +173,7 @@ fn paint(@builtin(global_invocation_id) id: vec3u) {
     }
     let at = vec2f(id.xy);
     let q = settings.origin + settings.scale * at;
-    // A pixel is drawn as far as it covers the image.
-    let inside = clamp(
-        (min(q + 0.5, vec2f(settings.source) - 0.5 - q)) / settings.scale + 0.5, vec2f(0.0), vec2f(1.0)
-    );
-    let cover = inside.x * inside.y;
+    let cover = cover_of(q);
     if (cover == 0.0) {
         textureStore(target_, id.xy, vec4f(settings.back.xyz, 1.0));
         return;
@@ -154,7 +188,7 @@ fn paint(@builtin(global_invocation_id) id: vec3u) {
     // During a drag, one sample will do.
     let levels = log2(max(covers, 1e-6)) - select(0.5, 1.0, settings.solved == 1u);
     let level = u32(clamp(ceil(levels - 0.5), 0.0, f32(settings.levels - 1u)));
-    let taps = select(1u, u32(clamp(ceil(covers / f32(1u << level) - 0.1), 1.0, 4.0)), settings.solved == 1u);
+    let taps = select(1u, taps_of(covers / f32(1u << level)), settings.solved == 1u);
     var total = vec4f(0.0);
     for (var j = 0u; j < taps; j++) {
         for (var i = 0u; i < taps; i++) {
@@ -162,21 +196,48 @@ fn paint(@builtin(global_invocation_id) id: vec3u) {
             total += at_time(p + s.x * right + s.y * below, level, time);
         }
     }
-    total /= f32(taps * taps);
-    // Transparent pixels are drawn over a checkerboard.
-    let square = vec2u((vec2f(id.xy) + 0.5) / settings.back.w);
-    let ground = select(0.42, 0.58, ((square.x + square.y) & 1u) == 0u);
-    var shown = total.xyz + (1.0 - total.w) * ground;
-    if (settings.overlay == GRID) {
-        let lines = abs(p / settings.every - round(p / settings.every)) * settings.every / max(covers, 1e-6);
-        shown = mix(vec3f(1.0), shown, clamp(min(lines.x, lines.y) - 0.2, 0.25, 1.0));
-    } else if (settings.overlay == STRETCH) {
-        let area = abs(seen.right.x * seen.below.y - seen.right.y * seen.below.x);
-        shown = mix(shown, warm(0.5 - 0.5 * log2(max(area, 1e-6))), 0.6);
-    } else if (settings.overlay == RESIDUAL) {
-        shown = mix(shown, warm(1.0 + log2(max(seen.residual / finest(), 1e-9)) / 16.0), 0.6);
-    } else if (settings.overlay == INVERSIONS) {
-        shown = mix(shown, warm(seen.steps / 8.0), 0.6);
+    show(id.xy, total / f32(taps * taps), cover, seen, p, covers);
+}
+
+fn laid_texel(at: vec2i) -> vec4f {
+    let v = textureLoad(laid, clamp(at, vec2i(0), vec2i(textureDimensions(laid)) - 1), 0);
+    return vec4f(v.xyz * v.w, v.w);
+}
+
+fn laid_at(q: vec2f) -> vec4f {
+    let p = (q + 0.5) / settings.step - 0.5 - settings.corner;
+    let part = fract(p);
+    let i = vec2i(floor(p));
+    let upper = mix(laid_texel(i), laid_texel(i + vec2i(1, 0)), part.x);
+    let lower = mix(laid_texel(i + vec2i(0, 1)), laid_texel(i + vec2i(1, 1)), part.x);
+    return mix(upper, lower, part.y);
+}
+
+// An image that is warped already.
+@compute @workgroup_size(8, 8)
+fn lay(@builtin(global_invocation_id) id: vec3u) {
+    if (id.x >= settings.size.x || id.y >= settings.size.y) {
+        return;
     }
-    textureStore(target_, id.xy, vec4f(mix(settings.back.xyz, shown, cover), 1.0));
+    let at = vec2f(id.xy);
+    let q = settings.origin + settings.scale * at;
+    let cover = cover_of(q);
+    if (cover == 0.0) {
+        textureStore(target_, id.xy, vec4f(settings.back.xyz, 1.0));
+        return;
+    }
+    // During a drag, one sample will do, too: it is the mean of four pixels, each at least half a pixel of the window.
+    let taps = select(1u, taps_of(settings.scale / settings.step), settings.solved == 1u);
+    var total = vec4f(0.0);
+    for (var j = 0u; j < taps; j++) {
+        for (var i = 0u; i < taps; i++) {
+            let s = (vec2f(vec2u(i, j)) + 0.5) / f32(taps) - 0.5;
+            total += laid_at(q + settings.scale * s);
+        }
+    }
+    let seen = source_of(at);
+    let p = q + seen.w.xy / domain.spacing.xy;
+    let right = settings.scale * seen.right.xy * domain.spacing.x / domain.spacing.xy;
+    let below = settings.scale * seen.below.xy * domain.spacing.y / domain.spacing.xy;
+    show(id.xy, total / f32(taps * taps), cover, seen, p, max(length(right), length(below)));
 }

@@ -1,0 +1,216 @@
+"""Images that the CPU warps for a window: they are what `Deformation.warp` gives, whatever was shown before."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from supple.deformation import Deformation
+from supple.engines.wgpu.device import Gpu, _know_types
+from supple.engines.wgpu.plate import OVERLAYS, Plate, Sight
+from supple.engines.wgpu.screen import canvas_texture, pixels_of
+from supple.strokes import Recipe, Stroke
+from supple.viewer.panels.warped import Levels, Warped, changed
+from tests.viewer.windows import Hand, opened
+
+pytest.importorskip("rendercanvas")
+pytest.importorskip("imgui_bundle")
+
+ROWS, COLUMNS = 300, 410
+
+
+@pytest.fixture
+def noise() -> np.ndarray:
+    rng = np.random.default_rng(5)
+    made = np.full((ROWS, COLUMNS, 4), 255, np.uint8)
+    made[..., :3] = rng.integers(0, 256, (ROWS, COLUMNS, 3))
+    return made
+
+
+def smooth(shape: tuple[int, int]) -> np.ndarray:
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    waves = [127 + 100 * np.sin(x / a) * np.cos(y / b) for a, b in ((9, 14), (15, 8), (20, 20))]
+    return np.dstack([*waves, np.full(shape, 255.0)]).astype(np.uint8)
+
+
+def drawn(gpu: Gpu, warped: Warped, d: Deformation, sight: Sight) -> np.ndarray:
+    warped.bring(d, sight)
+    texture = canvas_texture(gpu, sight.size)
+    warped.draw(sight, texture)
+    return pixels_of(gpu, texture).astype(int)
+
+
+def bent(*strokes: Stroke, border: Any = None) -> Deformation:
+    return Deformation.from_recipe(Recipe(border=border, strokes=strokes), (ROWS, COLUMNS))
+
+
+def some_stroke(rng: np.random.Generator) -> Stroke:
+    reach = None if rng.random() < 0.1 else 4.0
+    by = rng.uniform(-20, 20, 2).tolist()
+    return Stroke.grab(rng.uniform(0, 300, 2).tolist(), by=by, radius=rng.uniform(6, 30), reach=reach)
+
+
+def test_after_any_edit_pixels_are_those_of_the_warp(gpu: Gpu, noise: np.ndarray) -> None:
+    rng, warped, strokes, places = np.random.default_rng(6), Warped(gpu, Levels(noise)), [], []
+    x0, y0, size = 3, 5, (COLUMNS, ROWS)
+    for k in range(60):
+        kind = rng.integers(4)
+        if kind == 0 and strokes:  # a drag, of any stroke
+            i = rng.integers(len(strokes))
+            strokes[i] = Stroke.grab(strokes[i].at, by=rng.uniform(-20, 20, 2).tolist(), radius=strokes[i].radius)
+        elif kind == 1 and strokes:
+            del strokes[rng.integers(len(strokes))]
+        elif kind == 2 and len(strokes) > 1:
+            strokes.reverse()
+        else:
+            strokes.append(some_stroke(rng))
+        if k % 9 == 8:  # a pan, or a zoom
+            x0, y0, size = int(rng.integers(200)), int(rng.integers(150)), (150, 120 + k)
+        d = bent(*strokes[-7:])
+        seen = drawn(gpu, warped, d, Sight((float(x0), float(y0)), 1.0, size))
+        wanted = d.warp(noise, alpha=False)[y0 : y0 + size[1], x0 : x0 + size[0]].astype(int)
+        apart = np.abs(seen[: wanted.shape[0], : wanted.shape[1]] - wanted)
+        assert apart.max() <= 1
+        places.append(np.count_nonzero(apart))
+    assert np.median(places) == 0
+
+
+def test_only_what_a_drag_changes_is_warped(gpu: Gpu, noise: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    warped, sight = Warped(gpu, Levels(noise)), Sight((0.0, 0.0), 1.0, (COLUMNS, ROWS))
+    first = Stroke.grab((200, 150), by=(20, 10), radius=30)
+    warped.bring(bent(first), sight)
+    sizes = []
+    put = warped._laid.put
+    monkeypatch.setattr(warped._laid, "put", lambda at, pixels: (sizes.append(pixels.shape[:2]), put(at, pixels)))
+    d = bent(first, Stroke.grab((40, 40), by=(2, 1), radius=5))
+    warped.bring(d, sight)
+    warped.bring(d, sight)  # nothing is new
+    assert len(sizes) == 1
+    assert max(sizes[0]) <= 128
+    warped.bring(bent(first), sight)
+    assert sizes[1] == sizes[0]
+
+
+def test_a_box_holds_all_that_changes() -> None:
+    rng, y, x = np.random.default_rng(7), *np.mgrid[:ROWS:3, :COLUMNS:3]
+    points = np.stack([x, y], -1).reshape(-1, 2).astype(float)
+    for _ in range(40):
+        strokes = [some_stroke(rng) for _ in range(5)]
+        one = bent(*strokes)
+        strokes[rng.integers(5)] = some_stroke(rng)
+        other = bent(*strokes[: rng.integers(4, 6)])
+        low, high = changed(one.space, other.space)
+        moved = np.abs(one.inverse(points).points - other.inverse(points).points).max(axis=-1) > 1e-7
+        assert moved.any()
+        assert ((points[moved] >= low) & (points[moved] <= high)).all()
+    assert np.isinf(changed(bent(border=None).space, bent(border=20.0).space)[0]).all()
+
+
+def test_rows_that_act_at_once_change_together() -> None:
+    first, second = Stroke.grab((60, 60), by=(9, 3), radius=10), Stroke.grab((90, 90), by=(5, 5), radius=10)
+    moved = Stroke.grab((95, 90), by=(5, 5), radius=10)
+    one, other = bent(first, second, first).space, bent(first, moved, first).space
+    assert changed(one, other)[0].min() == 20.0  # the last one reaches what has changed, and carries it on
+    one, other = bent(first, second).space, bent(first, moved).space
+    assert changed(one, other)[0].min() == 50.0
+    for space in (one, other):
+        space.table["joined"][1] = 1
+    assert changed(one, other)[0].min() == 20.0
+
+
+@pytest.mark.parametrize("scale", [2.0, 3.0, 5.0, 11.0])
+def test_reduced_it_is_the_mean_of_the_warp(gpu: Gpu, scale: float) -> None:
+    pixels = np.kron(smooth((300, 400)), np.ones((4, 4, 1), np.uint8))
+    d = Deformation(pixels.shape[:2], border=60.0).grab((600, 500), by=(150, -90), radius=180)
+    size = (int(1600 / scale), int(1200 / scale))
+    origin = (scale - 1) / 2
+    warped = Warped(gpu, Levels(pixels))
+    seen = drawn(gpu, warped, d, Sight((origin, origin), scale, size))[..., :3]
+    whole, n = d.warp(pixels, alpha=False)[..., :3].astype(float), int(scale)
+    wanted = whole[: size[1] * n, : size[0] * n].reshape(size[1], n, size[0], n, 3).mean(axis=(1, 3))
+    assert np.quantile(np.abs(seen - wanted), 0.98) < 8
+    # The level has at least as many pixels as the window.
+    level, (first, _, last, _) = warped._place
+    assert 2**level < scale or level == 0
+    assert last - first >= size[0]
+
+
+def test_what_is_transparent_lies_on_a_ground(gpu: Gpu) -> None:
+    pixels = smooth((ROWS, COLUMNS))
+    pixels[:, 200:, 3] = 0
+    pixels[:, 200:, :3] = 255  # which is not seen
+    d = bent(Stroke.grab((200, 150), by=(30, 0), radius=40))
+    seen = drawn(gpu, Warped(gpu, Levels(pixels)), d, Sight((0.0, 0.0), 1.0, (COLUMNS, ROWS)))[..., :3]
+    assert {107, 148} == set(np.unique(seen[:, 300:]).tolist())
+    wanted = d.warp(pixels, alpha=True)
+    solid = wanted[..., 3] == 255
+    np.testing.assert_array_equal(seen[solid], wanted[solid][:, :3])
+    assert solid[150, 220]
+    assert not solid[20, 220]
+
+
+@pytest.mark.parametrize("overlay", [name for name in OVERLAYS if name])
+def test_overlays_are_those_of_a_gpu(gpu: Gpu, overlay: str) -> None:
+    pixels, d = smooth((ROWS, COLUMNS)), bent(Stroke.grab((200, 150), by=(30, 10), radius=40), border="auto")
+    sight = Sight((10.0, 20.0), 0.7, (400, 300), overlay=overlay, every=16.0)
+    seen = drawn(gpu, Warped(gpu, Levels(pixels)), d, sight)
+    plate, texture = Plate(gpu, (COLUMNS, ROWS)), canvas_texture(gpu, sight.size)
+    plate.put(0, pixels)
+    plate.draw(sight, d.space.table, d.space.axes, texture)
+    wanted = pixels_of(gpu, texture).astype(int)
+    assert np.quantile(np.abs(seen - wanted), 0.98) <= 6
+    plain = drawn(gpu, Warped(gpu, Levels(pixels)), d, Sight((10.0, 20.0), 0.7, (400, 300)))
+    assert np.abs(seen - plain).max() > 60
+
+
+def at_actual_size(view: Any, hand: Hand, pixels: np.ndarray) -> np.ndarray:
+    """Show the middle of a photograph at 100 %; return the position of the first pixel on the canvas."""
+    hand.key("1")
+    hand.canvas.draw()
+    return np.array(view.tools.view.to_image(0.5, 0.5)).round().astype(int)
+
+
+@pytest.mark.parametrize("software", [True, False])
+def test_during_a_drag_pixels_are_those_of_the_export(
+    gpu: Gpu, monkeypatch: pytest.MonkeyPatch, tmp_path: Any, software: bool
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    if not gpu.software and software:
+        pytest.skip("there is a hardware GPU")
+    monkeypatch.setattr(gpu, "software", software)
+    pixels = smooth((900, 1200))
+    stroke = Stroke.grab((500, 400), by=(40, 20), radius=60)
+    view, hand = opened(pixels[..., :3], Recipe(border=None, strokes=(stroke,)))
+    x0, y0 = at_actual_size(view, hand, pixels)
+    hand.move(300, 300)
+    hand.press(300, 300)
+    for k in range(1, 6):
+        hand.move(300 + 9 * k, 300 - 5 * k, 1)
+        hand.canvas.draw()
+        width, height = (int(n) for n in view.area)
+        wanted = view.document.deformation.warp(pixels, alpha=False)[y0 : y0 + height, x0 : x0 + width].astype(int)
+        if software:  # however slow the device is
+            np.testing.assert_array_equal(pixels_of(view.gpu, view._textures[0]), wanted)
+    hand.release(345, 275)
+    assert len(view.document.items) == 2
+    seen = view.pixels()
+    assert np.quantile(np.abs(seen - wanted[..., :3]), 0.98) <= (0 if software else 5)
+    assert not hasattr(view.stage, "_plate") or not software
+    view.document.mark_saved()
+
+
+def test_types_of_c_are_those_that_cffi_would_parse(gpu: Gpu) -> None:
+    from wgpu.backends.wgpu_native._ffi import ffi
+
+    for text in ("WGPULimits *", "WGPUVertexAttribute[]", "uint8_t []", "WGPUAdapter[]"):
+        known = ffi._parsed_types.pop(text)
+        try:
+            parsed = ffi.typeof(text)
+            assert parsed is known[0] or str(parsed) == str(known[0])
+        finally:
+            ffi._parsed_types[text] = known
+    before = dict(ffi._parsed_types)
+    _know_types()
+    assert ffi._parsed_types == before
