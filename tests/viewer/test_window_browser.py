@@ -119,6 +119,7 @@ def test_a_clip_in_a_browser(gpu: Gpu, clip: Path, state: Path) -> None:
 def test_a_volume_in_a_browser(gpu: Gpu, volume: Path, state: Path) -> None:
     saved, made = state / "head.recipe.json", state / "head-bent.nii.gz"
     with browsing(volume) as browser:
+        browser.key("4", 52)  # the rendering, on the whole canvas
         edited_there(browser, saved, made)
         found, wanted = (
             sitk.GetArrayFromImage(sitk.ReadImage(str(path))) for path in (made, warped(volume, "wanted.nii.gz", saved))

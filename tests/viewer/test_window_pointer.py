@@ -93,8 +93,14 @@ def test_a_clip_by_a_real_pointer(gpu: Gpu, clip: Path, state: Path) -> None:
     assert on_canvas(decoded(clip)[8].to_ndarray(format="rgb24"), seen, area, recipe.strokes) > 10
 
 
+def rendering(mouse: Mouse) -> None:
+    """Give it the whole canvas."""
+    mouse.do("key", "4")
+    time.sleep(1.0)
+
+
 def test_a_volume_by_a_real_pointer(gpu: Gpu, volume: Path, state: Path) -> None:
-    seen, recipe = edited(volume, "head", "head-bent.nii.gz", lambda mouse: None, 1.5)
+    seen, recipe = edited(volume, "head", "head-bent.nii.gz", rendering, 1.5)
     assert all(np.linalg.norm(stroke.by) > 2 for stroke in recipe.strokes)
     saved = state / "head.recipe.json"
     made, wanted = (

@@ -26,11 +26,13 @@ from supple.media.volume import Volume
 from supple.strokes import Fit, Recipe, fit_recipe
 from supple.viewer.document.editing import Document
 from supple.viewer.panels.frame_cache import FrameCache
+from supple.viewer.panels.slices import first_window
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage, on_screen
 from supple.viewer.panels.stages import shown as as_pixels
-from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
+from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.gestures import Pair
 from supple.viewer.tools.playback import Playback
+from supple.viewer.tools.slices import SliceTools
 from supple.viewer.window import qt
 
 if TYPE_CHECKING:
@@ -127,18 +129,19 @@ def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool
         raise SuppleError(f"time_scale is for clips, and {name} is none: leave it out")
 
 
-def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) -> ImageTools | VolumeTools:
+def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) -> ImageTools | SliceTools:
     """Return the tools for a stage."""
     if isinstance(stage, VideoStage):
         return VideoTools(document, Playback(stage.film.count, stage.rate, stage.film.starts), size)
     if isinstance(stage, ImageStage):
         return ImageTools(document, size)
-    tools: VolumeTools = VolumeTools(
+    tools: SliceTools = SliceTools(
         document,
         stage.volume.geometry,
         size,
         lambda x, y: stage.deform(document.deformation).pick(tools.camera, tools.stage.size, (x, y)),
         lambda pick, to: stage.deform(document.deformation).drag(tools.camera, tools.stage.size, pick, to),
+        first_window(stage.volume, stage.unit),
     )
     return tools
 
