@@ -42,7 +42,7 @@ KEYS: Mapping[str, Rows] = {
     },
     "volume": {
         "drag in a plane": "pull the point under the pointer, within the plane",
-        "click, Shift+drag": "move the crosshair, through which the planes go",
+        "click, Shift+drag": "move the crosshair, through which the planes go, without pulling",
         "wheel in a plane": "the next slice; also with the arrows Up and Down",
         "right drag in a plane": "contrast (left, right) and brightness (up, down)",
         "Ctrl+wheel": "zoom the planes about the pointer",

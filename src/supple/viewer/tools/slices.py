@@ -11,7 +11,7 @@ from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.viewer.document.editing import Document
 from supple.viewer.tools.brushes import ZOOM, VolumeTools, pans
-from supple.viewer.tools.gestures import CLICK, Event, Held, Lead, Pair, commanded, nearest, shifted
+from supple.viewer.tools.gestures import Event, Held, Lead, Pair, commanded, shifted
 from supple.viewer.tools.planes import (
     RENDERED,
     Pane,
@@ -51,7 +51,7 @@ class SliceTools(VolumeTools):
         self.geometry, self.planes = geometry, planes_of(geometry)
         self.sizes = tuple(reversed(document.shape))
         x, y, z = ((n - 1) / 2 for n in self.sizes)
-        self.sight = Sight((x, y, z), window, (x, y, z))
+        self.sight = self._first = Sight((x, y, z), window, (x, y, z))
         self.active = RENDERED
         """The view under the pointer; during a gesture, that in which it began."""
         self.places: dict[int, Place] = {}
@@ -132,7 +132,7 @@ class SliceTools(VolumeTools):
 
     def abandon(self) -> bool:
         """Undo the current drag; return whether there was any."""
-        if isinstance(self._gesture, Lead) and self._gesture.how in (_CROSS, _SLIDE, _LEVEL):
+        if self._gesture is not None:
             self.sight = self._base
         return super().abandon()
 
@@ -185,19 +185,12 @@ class SliceTools(VolumeTools):
         pane = self.pane(self.active)
         self.sight = self.sight.at(pane.to_point(*place), self.sizes)
 
-    def _released(self) -> bool:
-        """End a gesture; a click that selects nothing moves the crosshair."""
-        gesture = self._gesture
-        done = super()._released()
-        clicked = isinstance(gesture, Held) and math.dist(gesture.start, gesture.now) < CLICK and not gesture.grown
-        if not clicked or nearest(self.handles(), gesture.start) is not None:  # type: ignore[union-attr]
-            return done
-        assert isinstance(gesture, Held)
-        if self.active != RENDERED:
-            self._cross(gesture.start)
-        elif gesture.item is None:
-            self.sight = self.sight.at(gesture.point, self.sizes)
-        return done
+    def _taken(self, x: float, y: float) -> Held | None:
+        """Return what is grabbed; the crosshair goes to a new point, so that all planes show what becomes of it."""
+        held = super()._taken(x, y)
+        if held is not None and held.item is None:
+            self.sight = self.sight.at(held.point, self.sizes)
+        return held
 
     def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
         pane = self.pane_under
@@ -246,8 +239,7 @@ class SliceTools(VolumeTools):
             self.step(0 if self.active == RENDERED else self.active, 1 if key == "ArrowUp" else -1)
         else:
             if key == "0":
-                x, y, z = ((n - 1) / 2 for n in self.sizes)
-                self.sight = replace(self.sight, middle=(x, y, z), zoom=1.0)
+                self.sight = replace(self._first, cross=self.sight.cross, large=self.sight.large)
             return super()._key(key)
         return True
 
