@@ -195,3 +195,62 @@ def test_the_first_window_holds_most_values(gpu: Gpu) -> None:
     assert 0.98 < (head.samples <= high).mean() <= 1
     flat = volumes.Volume(np.full((3, 3, 3), np.nan, np.float32), head.geometry)
     assert first_window(flat, "") == (0.0, 1.0)
+
+
+NOSE = (45.0, 96.0, 40.0)
+
+
+def marked(pixels: np.ndarray[Any, Any], place: tuple[float, float]) -> bool:
+    """Whether a landmark is drawn at a place of the canvas."""
+    x, y = round(place[0]), round(place[1])
+    near = pixels[y - 2 : y + 3, x - 2 : x + 3, :3].astype(int)
+    return bool((np.abs(near - (0x60, 0xD0, 0xF0)).max(axis=-1) < 12).mean() > 0.5)
+
+
+def test_landmarks_are_shown_before_and_after(gpu: Gpu, tmp_path: Path) -> None:
+    head = volumes.read(DATA / "head.nii.gz")
+    x, y, z = head.geometry.to_world(NOSE)
+    (tmp_path / "marks.csv").write_text(f"name,r,a,s\nnasion,{x},{y},{z}\n")
+    recipe = Recipe(border=None, strokes=(Stroke.grab(NOSE, by=(0, -6, 6), radius=20),))
+    view, hand = opened(DATA / "head.nii.gz", recipe, points=tmp_path / "marks.csv")
+    assert view.landmarks.names == ("nasion",)
+    after = view.landmarks.moved(view.document.deformation)[0]
+    np.testing.assert_allclose(after, (45, 90, 46), atol=0.01)
+    tools = view.tools
+    tools.sight = tools.sight.at(tuple(after), tools.sizes)
+    hand.move(1, 1)
+    view.refresh()
+    seen = hand.canvas.draw()
+    places = [tools.pane(k).to_canvas(tuple(after)) for k in range(3)] + [tools.projected(tuple(after))]
+    assert all(marked(seen, place) for place in places)
+    hand.send("key_down", key="\\")
+    tools.sight = tools.sight.at(NOSE, tools.sizes)
+    view.refresh()
+    seen = hand.canvas.draw()
+    assert all(marked(seen, tools.pane(k).to_canvas(NOSE)) for k in range(3))
+    assert not marked(seen, tools.pane(0).to_canvas(tuple(after)))
+    hand.send("key_up", key="\\")
+    tools.sight = tools.sight.at((45, 60, 40), tools.sizes)  # far from the coronal plane
+    seen = hand.canvas.draw()
+    assert not marked(seen, tools.pane(1).to_canvas(tuple(after)))
+    view.document.mark_saved()
+
+
+def test_landmarks_are_for_volumes(gpu: Gpu, tmp_path: Path) -> None:
+    (tmp_path / "marks.csv").write_text("i,j,k\n1,2,3\n")
+    with pytest.raises(supple.SuppleError, match=r"--points are shown in volumes, and .*coffee.jpg is none"):
+        opened(DATA / "coffee.jpg", points=tmp_path / "marks.csv")
+    with pytest.raises(supple.SuppleError, match="--convention is for --points"):
+        opened(DATA / "head.nii.gz", convention="RAS")
+
+
+def test_the_curve_is_the_opacity_of_the_transfer_function(gpu: Gpu) -> None:
+    from supple.viewer.panels.curve import opacities
+
+    view, hand = opened(DATA / "head.nii.gz", size=(1000, 1400))
+    hand.canvas.draw()
+    assert view._gui.trouble == ""
+    known = opacities(view.stage, 246)  # a point for each value
+    assert view.stage.scene.range == (0, 245)
+    places, parts = zip(*[(245 * p[0], p[4]) for p in view.stage.scene.transfer.points], strict=True)
+    np.testing.assert_allclose(known, np.interp(np.arange(246), places, parts), atol=2e-3)

@@ -134,7 +134,8 @@ def test_a_volume_in_a_browser(gpu: Gpu, volume: Path, state: Path) -> None:
             pictures.append(image.read(state / name).pixels[..., :3])
 
         def away(picture: Pixels) -> float:
-            return near(browser.shown()[: area[1], : area[0]], picture)
+            free = np.s_[30 : area[1] - 110]  # of the button, the axes and the scale bar
+            return near(browser.shown()[: area[1], : area[0]], picture, free)
 
         undone_and_opened(browser, lambda: away(pictures[0]) < 6, lambda: away(pictures[1]) < 6)
         assert away(pictures[1]) > 6

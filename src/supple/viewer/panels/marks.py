@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from imgui_bundle import imgui
@@ -19,6 +21,8 @@ _PLANES = (0xFF6478F0, 0xFF78C86C, 0xFF50C8E8)  # red, green and yellow, as else
 _INSET = 8.0  # logical pixels from a view's edge to its text
 _ARM = 30.0  # logical pixels of the axes in the rendering
 _BAR = (0.28, 30.0)  # the largest part of a view's width, and the least logical pixels, of a scale bar
+_NEARBY = 5.0  # millimetres of a landmark from a plane in which it is seen, faint
+_MARK = 0xFFF0D060  # ABGR: of landmarks
 _AXES = (("L", "R"), ("P", "A"), ("S", "I"))
 
 
@@ -83,6 +87,7 @@ def _plane(view: View, tools: SliceTools, lines: imgui.ImDrawList, k: int) -> No
     left, top, width, height = pane.place
     _crosshair(tools, lines, pane)
     _strokes(view, tools, lines, pane)
+    _landmarks(view, lines, pane.to_canvas, pane)
     x, y, (west, east, north, south) = left + width / 2, top + height / 2, pane.plane.sides
     _text(lines, (left + _INSET, y), west, align=(0.0, 0.5))
     _text(lines, (left + width - _INSET, y), east, align=(1.0, 0.5))
@@ -103,10 +108,12 @@ def _plane(view: View, tools: SliceTools, lines: imgui.ImDrawList, k: int) -> No
 
 
 def _lies(tools: SliceTools, pane: Pane) -> str:
-    """Return where a plane lies on the axis of a patient that it crosses, if it is not oblique: such as S 12 mm."""
+    """Return where a plane lies on the axis of a patient that it crosses, such as S 12 mm, or how oblique it is."""
     geometry = tools.geometry
-    if geometry.convention == "array" or geometry.oblique:
+    if geometry.convention == "array":
         return ""
+    if geometry.oblique:
+        return f"oblique by {geometry.oblique:.2g} degrees"
     row = int(np.abs(geometry.direction[:, pane.plane.axis]).argmax())
     place = float(geometry.to_lps(pane.index)[row])
     return f"{_AXES[row][place < 0]} {abs(place):.1f} mm"
@@ -182,8 +189,40 @@ def _rendering(view: View, tools: SliceTools, lines: imgui.ImDrawList, place: Pl
                 near, far = ((at[0] + way * r * a, at[1] + way * r * b) for r in (3.0, 9.0))
                 lines.add_line(near, far, DARK, 3.0)
                 lines.add_line(near, far, WHITE, 1.0)
+    _landmarks(view, lines, tools.projected)
     _axes(tools, lines, (left + width - _ARM - 3 * _INSET, top + height - _ARM - 3 * _INSET))
     _bar(lines, place, tools.stage.scale(tools.view, tools.stage.target(tools.view)))
+
+
+def _landmarks(
+    view: View, lines: imgui.ImDrawList, seen: Callable[[tuple[float, ...]], Pair | None], pane: Pane | None = None
+) -> None:
+    """Draw the landmarks, with lines from where they were; of a plane those in it, and faint ones that are near."""
+    marks = view.landmarks
+    if marks is None:
+        return
+    before = marks.points
+    after = before if view.tools.original else marks.moved(view.document.deformation)
+    for name, old, new in zip(marks.names, before.tolist(), after.tolist(), strict=True):
+        away = 0.0
+        if pane is not None:
+            axis = pane.plane.axis
+            away = abs(new[axis] - pane.index[axis])
+            if away > 0.5 and away * pane.spacing[axis] > _NEARBY:
+                continue
+        start, end = seen(tuple(old)), seen(tuple(new))
+        if start is None or end is None:
+            continue
+        if math.dist(start, end) > 1.0:
+            lines.add_line(start, end, DARK, 3.0)
+            lines.add_line(start, end, _MARK & 0x90FFFFFF, 1.0)
+            lines.add_circle(start, 2.5, _MARK & 0x90FFFFFF, 0, 1.0)
+        x, y = end
+        corners: list[Any] = [imgui.ImVec2(x + a, y + b) for a, b in ((0, -5), (5, 0), (0, 5), (-5, 0))]
+        if away <= 0.5:
+            lines.add_convex_poly_filled(corners, _MARK)
+            _text(lines, (x + 8, y), name, _MARK, (0.0, 0.5))
+        lines.add_polyline([*corners, corners[0]], DARK if away <= 0.5 else _MARK & 0x90FFFFFF, 1.5, 0)
 
 
 def _axes(tools: SliceTools, lines: imgui.ImDrawList, at: Pair) -> None:

@@ -20,6 +20,7 @@ from supple.strokes import Recipe
 from supple.viewer.document.background import Certifier
 from supple.viewer.document.editing import Document
 from supple.viewer.document.files import FileCommands
+from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.panels.painter import Painter, Shot
 from supple.viewer.panels.slices import Slices, physical
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage
@@ -45,6 +46,7 @@ class View:
     source: Path | None  # the source file, for autosave and export
     export: Mapping[str, Any]  # other options of `supple.warp_file`, for the same image
     call_later: Callable[[float, Callable[[], None]], Any]  # calls a function in the canvas's loop, after seconds
+    landmarks: Landmarks | None = None  # of a volume
 
     def __post_init__(self) -> None:
         self.overlay = ""
