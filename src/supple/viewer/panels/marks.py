@@ -21,6 +21,7 @@ _PLANES = (0xFF6478F0, 0xFF78C86C, 0xFF50C8E8)  # red, green and yellow, as else
 _INSET = 8.0  # logical pixels from a view's edge to its text
 _ARM = 30.0  # logical pixels of the axes in the rendering
 _BAR = (0.28, 30.0)  # the largest part of a view's width, and the least logical pixels, of a scale bar
+_ROOMY = 240.0  # logical pixels: a narrower view has no room for all of its text
 _NEARBY = 5.0  # millimetres of a landmark from a plane in which it is seen, faint
 _MARK = 0xFFF0D060  # ABGR: of landmarks
 _AXES = (("L", "R"), ("P", "A"), ("S", "I"))
@@ -96,12 +97,11 @@ def _plane(view: View, tools: SliceTools, lines: imgui.ImDrawList, k: int) -> No
     axis = pane.plane.axis
     _text(lines, (left + _INSET, top + _INSET), pane.plane.name, _PLANES[k])
     wide = imgui.calc_text_size(pane.plane.name).x
-    said = f"{'xyz'[axis]} {pane.index[axis]}"
-    if lies := _lies(tools, pane):
-        said += f"   {lies}"
-    _text(lines, (left + 2 * _INSET + wide, top + _INSET), said, _GREY)
+    if width > _ROOMY:
+        said = f"{'xyz'[axis]} {pane.index[axis]}   {_lies(tools, pane)}"
+        _text(lines, (left + 2 * _INSET + wide, top + _INSET), said, _GREY)
     _bar(lines, pane.place, pane.scale)
-    if view.slices is not None and not view.slices.labels:
+    if view.slices is not None and not view.slices.labels and width > _ROOMY:
         low, high = tools.sight.window
         said = f"W {high - low:.4g}  L {0.5 * (low + high):.4g} {view.slices.unit}".rstrip()
         _text(lines, (left + width - _INSET, top + height - _INSET), said, _GREY, (1.0, 1.0))
@@ -190,7 +190,8 @@ def _rendering(view: View, tools: SliceTools, lines: imgui.ImDrawList, place: Pl
                 lines.add_line(near, far, DARK, 3.0)
                 lines.add_line(near, far, WHITE, 1.0)
     _landmarks(view, lines, tools.projected)
-    _axes(tools, lines, (left + width - _ARM - 3 * _INSET, top + height - _ARM - 3 * _INSET))
+    if width > _ROOMY:
+        _axes(tools, lines, (left + width - _ARM - 3 * _INSET, top + height - _ARM - 3 * _INSET))
     _bar(lines, place, tools.stage.scale(tools.view, tools.stage.target(tools.view)))
 
 

@@ -220,7 +220,7 @@ class VolumeStage:
     def place(self, point: Point) -> str:
         """Return the position of a voxel on screen, in millimetres."""
         geometry = self.volume.geometry
-        place = ", ".join(f"{v:.1f}" for v in geometry.to_world(point))
+        place = ", ".join(f"{round(v, 1) + 0.0:.1f}" for v in geometry.to_world(point).tolist())
         return f"({place}) mm {geometry.convention}"
 
 
