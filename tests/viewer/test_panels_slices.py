@@ -197,6 +197,33 @@ def test_the_first_window_holds_most_values(gpu: Gpu) -> None:
     assert first_window(flat, "") == (0.0, 1.0)
 
 
+def test_slow_planes_wait_until_the_pointer_rests(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
+    view, hand = opened(DATA / "head.nii.gz")
+    monkeypatch.setattr("supple.viewer.panels.slices.AT_ONCE", 0.0)
+    tools, asked = view.tools, []
+    sampled = view.slices.sampled
+    monkeypatch.setattr(view.slices, "sampled", lambda d, axis, index: asked.append(axis) or sampled(d, axis, index))
+    left, top, width, height = tools.places[0]
+    x, y = left + width / 2, top + height / 2
+    hand.move(x, y)
+    hand.press(x, y)
+    hand.canvas.draw()  # the crosshair has moved
+    asked.clear()
+    hand.move(x + 20, y, 1)
+    hand.canvas.draw()
+    assert tools.dragging
+    assert set(asked) == {2}  # the axial plane
+    monkeypatch.setattr("supple.viewer.panels.view.SETTLED", 0.0)  # it rests
+    hand.canvas.draw()
+    assert set(asked) == {0, 1, 2}
+    asked.clear()
+    hand.move(x + 40, y, 1)
+    hand.release(x + 40, y)
+    hand.canvas.draw()
+    assert set(asked) == {0, 1, 2}
+    view.document.mark_saved()
+
+
 NOSE = (45.0, 96.0, 40.0)
 
 

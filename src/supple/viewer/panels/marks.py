@@ -30,7 +30,7 @@ _AXES = (("L", "R"), ("P", "A"), ("S", "I"))
 def draw(view: View, tools: SliceTools, lines: imgui.ImDrawList) -> None:
     """Draw what lies over all views; their planes are sampled first."""
     if view.slices is not None:
-        view.slices.update(tools)
+        view.slices.update(tools, not view._lately)
     for k, place in tools.places.items():
         left, top, width, height = place
         lines.push_clip_rect((left, top), (left + width, top + height), True)

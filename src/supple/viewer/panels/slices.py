@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -25,6 +26,7 @@ Pixels = npt.NDArray[np.uint8]
 Rows = tuple[int, int, int, int]
 """A rectangle in physical pixels: left, top, columns and rows."""
 
+AT_ONCE = 0.05  # seconds: slower planes wait, in a drag, until the pointer rests
 SOFT_TISSUE = (-160.0, 240.0)  # Hounsfield units
 _PLAIN = "rgba8unorm"
 _BRIGHTEST = 99.5  # a percentile of the values that are no background
@@ -54,6 +56,7 @@ class Slices:
         self._planes: dict[tuple[int, bool], tuple[Deformation | None, int, Array]] = {}
         self._textures: dict[tuple[int, bool], tuple[Any, Array, tuple[float, float]]] = {}
         self._screens: dict[tuple[int, str], Screen] = {}
+        self._seconds: dict[int, float] = {}  # what each view took the last time
 
     def sampled(self, deformation: Deformation | None, axis: int, index: int) -> Array:
         """Return a plane of the volume, bent or not, by its two axes, the slower one first; the last ones are kept."""
@@ -90,22 +93,30 @@ class Slices:
             return f"label {value:g}" + (f" ({name})" if name else "")
         return f"{value:.6g} {self.unit}".rstrip()
 
-    def update(self, tools: SliceTools) -> None:
-        """Sample and shade what is to be seen of the visible planes."""
+    def update(self, tools: SliceTools, resting: bool = True) -> None:
+        """Sample and shade what is to be seen of the visible planes.
+
+        In a drag, planes other than its own that take long are left until the pointer is ``resting``.
+        """
         bent = None if tools.original else tools.document.deformation
         seen = (bent,) if tools.split is None else (bent, None)
         for k in tools.places:
             if k == RENDERED:
                 continue
-            plane = tools.planes[k]
+            slow = self._seconds.get(k, 0.0) > AT_ONCE
+            if slow and tools.dragging and not resting and k != tools.active and (k, False) in self._textures:
+                continue
+            plane, begun = tools.planes[k], time.perf_counter()
             for second, each in enumerate(seen):
                 made = self.sampled(each, plane.axis, tools.index[plane.axis])
-                self._upload((k, bool(second)), plane, made, tools.sight.window)
+                if self._upload((k, bool(second)), plane, made, tools.sight.window) and each is bent:
+                    self._seconds[k] = time.perf_counter() - begun
 
-    def _upload(self, key: tuple[int, bool], plane: Plane, values: Array, window: tuple[float, float]) -> None:
+    def _upload(self, key: tuple[int, bool], plane: Plane, values: Array, window: tuple[float, float]) -> bool:
+        """Upload a plane to the device, if it is not there; return whether it was not."""
         known = self._textures.get(key)
         if known is not None and known[1] is values and known[2] == window:
-            return
+            return False
         pixels = turned(self.shaded(values, window), plane)
         rows, columns = pixels.shape[:2]
         texture = known[0] if known is not None else None
@@ -116,6 +127,7 @@ class Slices:
             {"texture": texture}, pixels, {"bytes_per_row": 4 * columns, "rows_per_image": rows}, (columns, rows, 1)
         )
         self._textures[key] = texture, values, window
+        return True
 
     def shaded(self, values: Array, window: tuple[float, float]) -> Pixels:
         """Return values as greys within a window, or labels as colours: (rows, columns, 4)."""
