@@ -95,8 +95,10 @@ def test_a_clip_by_a_real_pointer(gpu: Gpu, clip: Path, state: Path) -> None:
 
 def rendering(mouse: Mouse) -> None:
     """Give it the whole canvas."""
+    four = mouse.shown()
     mouse.do("key", "4")
-    time.sleep(1.0)
+    wait_for(lambda: near(mouse.shown(), four, np.s_[: AREA[1], : AREA[0]]) > 10)
+    mouse.settled()
 
 
 def test_a_volume_by_a_real_pointer(gpu: Gpu, volume: Path, state: Path) -> None:

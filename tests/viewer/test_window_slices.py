@@ -59,7 +59,7 @@ def test_drags_in_all_planes_by_a_real_pointer(gpu: Gpu, volume: Path, state: Pa
             start = round(left + 0.5 * width) + 12, round(top + 0.5 * height) - 10
             end = start[0] + 26, start[1] - 17
             mouse.drag(start, end)
-            time.sleep(1.0)
+            mouse.settled()
             pane = tools.pane(k)
             tools.sight = tools.sight.at(pane.to_point(*start), tools.sizes)
             wanted.append((pane.to_point(*start), np.subtract(pane.to_point(*end), pane.to_point(*start))))
