@@ -16,6 +16,7 @@ from supple.folding import NEAR
 from supple.render.transfer import PRESETS
 from supple.strokes import POISSON, REACH, FoldPolicy, Stroke
 from supple.viewer.document.state import Item
+from supple.viewer.panels import curve
 from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.panels.view import WIDE, View
 
@@ -253,7 +254,8 @@ def _volume(view: View) -> None:
     low, high = stage.scene.range
     window = stage.density or (low, high)
     imgui.plot_histogram("##histogram", stage.histogram, graph_size=(WIDE - 20, 50))
-    hint("How many voxels have which value (logarithms)")
+    hint("How many voxels have which value (logarithms), and the opacity of each")
+    curve.draw(stage)
     for k, label in enumerate(("from", "to")):
         changed, value = imgui.slider_float(f"{label}##density", window[k], low, high, "%.4g")
         both = (value, max(window[1], value)) if k == 0 else (min(window[0], value), value)

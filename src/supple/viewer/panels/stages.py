@@ -172,6 +172,7 @@ class VolumeStage:
 
     def __init__(self, gpu: Gpu, volume: Volume, preset: str, samples: Any = None) -> None:
         self.name, self.volume, self.preset = volume.name, volume, preset
+        self.unit = "HU" if preset.startswith("ct-") else ""  # of values
         self.density: tuple[float, float] | None = None
         self.mode = "hybrid"
         self._gpu = gpu
@@ -228,12 +229,17 @@ class VolumeStage:
             return 1.0
         return self.deform(deformation).fill(camera, (size[1], size[0]), seconds=seconds)
 
-    def value(self, pick: Pick) -> str:
-        """Return the value of a picked voxel, and its position on screen, in millimetres."""
-        last, geometry = [n - 1 for n in reversed(self.shape)], self.volume.geometry
+    def value(self, pick: Pick) -> Any:
+        """Return the value of a picked voxel."""
+        last = [n - 1 for n in reversed(self.shape)]
         x, y, z = np.clip(np.floor(np.array(pick.source) + 0.5), 0, last).astype(int)
-        place = ", ".join(f"{v:.1f}" for v in geometry.to_world(pick.index))
-        return f"{self._samples[z, y, x]:.6g}   |   ({place}) mm {geometry.convention}"
+        return self._samples[z, y, x]
+
+    def place(self, point: Point) -> str:
+        """Return the position of a voxel on screen, in millimetres."""
+        geometry = self.volume.geometry
+        place = ", ".join(f"{round(v, 1) + 0.0:.1f}" for v in geometry.to_world(point).tolist())
+        return f"({place}) mm {geometry.convention}"
 
 
 def on_screen(picture: Picture) -> Pixels:
