@@ -477,6 +477,13 @@ class Stroke:
         """The points of a grab and their drags, in samples: one pair, and those that it has besides."""
         return ((self.at, self.by), *self.also)
 
+    @property
+    def direction(self) -> tuple[float, ...] | None:
+        """The axis of a twist or a pinch, in samples, also where it is the default; None without one, as of a plane."""
+        if self.axis is not None or self.brush not in ("twist", "pinch") or (self.brush == "twist" and self.ndim == 2):
+            return self.axis
+        return (0.0, 0.0, 1.0) if self.brush == "twist" else (1.0, 0.0, 0.0)[: self.ndim]
+
     def matrix(self, spacing: Sequence[float], *, time: bool = False) -> npt.NDArray[np.float64]:
         """Return ∂K/∂p at the pivot, in physical units, shape (3, 3): R - I of a rotation R, for instance.
 
@@ -488,11 +495,10 @@ class Stroke:
             Whether the third axis is time.
         """
         made, plane = np.zeros((3, 3)), time or self.ndim == 2
-        axis = np.zeros(3)
-        if self.axis is None:
-            axis[2 if self.brush == "twist" else 0] = 1.0
-        else:
-            axis[: self.ndim] = np.multiply(self.axis, spacing)
+        axis = np.array((0.0, 0.0, 1.0))
+        if (direction := self.direction) is not None:
+            axis[: self.ndim] = np.multiply(direction, spacing)
+            axis[self.ndim :] = 0.0
             axis /= np.abs(axis).max()  # so that no square overflows
             axis /= np.linalg.norm(axis)
         if self.angle is not None:
