@@ -28,7 +28,7 @@ DPI = 150
 _PANEL = 5.0  # inches
 _LETTERS = 13  # of a label, an inch
 _MOST_STROKES = 12  # the most that are drawn as arrows, which hide the image
-_AROUND, _NEAR, _STEPS = 6, 0.75, 17  # points around a pivot, their distance in radii, and those of a path
+_AROUND, _NEAR, _STEPS = 6, 0.75, 16  # points around a pivot, their distance in radii, and those of a path
 
 Floats = npt.NDArray[np.float64]
 Background = npt.NDArray[np.float32] | None
@@ -122,8 +122,8 @@ def bar(made: Figure, drawn: AxesImage, parts: Axes | list[Axes], label: str, ex
 def arrows(axes: Axes, deformation: Deformation, colour: str = "black") -> None:
     """Draw what strokes do: a grab's drag, and of another brush the paths of some points around its pivot."""
     from matplotlib.patches import FancyArrowPatch
-    from matplotlib.patheffects import withStroke
     from matplotlib.path import Path as Line
+    from matplotlib.patheffects import withStroke
 
     halo: list[AbstractPathEffect] = [withStroke(linewidth=2.6, foreground="white")]
     for stroke in deformation.strokes[:_MOST_STROKES]:
@@ -131,8 +131,8 @@ def arrows(axes: Axes, deformation: Deformation, colour: str = "black") -> None:
         for path in paths(deformation, stroke):
             axes.add_patch(
                 FancyArrowPatch(
-                    path=Line(path), arrowstyle="->", mutation_scale=8, linewidth=1.3, color=colour,
-                    clip_on=True, path_effects=halo,
+                    path=Line(path), arrowstyle="->", mutation_scale=8, shrinkA=0, shrinkB=0, linewidth=1.3,
+                    color=colour, clip_on=True, path_effects=halo,
                 )
             )  # fmt: skip
         axes.plot([x], [y], "o", markersize=4.5, color=colour, markeredgecolor="white")
@@ -160,8 +160,14 @@ def paths(deformation: Deformation, stroke: Stroke) -> list[Floats]:
     points[:, :2] += ring / deformation.domain.spacing[:2]
     # Without the border: it is about what the brush does.
     alone = Deformation(deformation.grid, border=None, time=deformation.domain.time)
-    parts = [alone.add(stroke.weakened(part)).forward(points) for part in np.linspace(0, 1, _STEPS)[1:]]
-    return list(np.stack([points, *parts], axis=1)[..., :2])
+    pieces = len(alone.add(stroke).space.table)  # of a stroke that flows
+    piece, parts = stroke.weakened(1 / pieces), max(_STEPS // pieces, 1)
+    growing = [alone.add(piece.weakened(k / parts)) for k in range(1, parts + 1)]
+    found = [points]
+    for _ in range(pieces):
+        start = found[-1]
+        found += [part.forward(start) for part in growing]
+    return list(np.stack(found, axis=1)[..., :2])
 
 
 def title(made: Figure, text: str) -> None:
