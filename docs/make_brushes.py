@@ -64,7 +64,7 @@ def on_photo(path: Path) -> None:
         d = supple.Deformation.from_recipe(supple.Recipe(strokes=strokes), photo.shape[:2])
         pictures.append(titled(d.warp(photo), text))
     joined = pyvips.Image.arrayjoin(pictures, across=3, shim=8, background=[255] * 3)
-    joined.webpsave(path, Q=82, effort=6, keep="none")
+    joined.resize(0.8).webpsave(path, Q=72, effort=6, keep="none")
 
 
 def on_grids(path: Path, brush: str, cases: Sequence[tuple[str, dict[str, object]]]) -> None:
@@ -80,7 +80,7 @@ def on_grids(path: Path, brush: str, cases: Sequence[tuple[str, dict[str, object
         axes.set(xlim=(0, SIDE), ylim=(SIDE, 0), aspect="equal", xticks=[], yticks=[])
         axes.set_title(text, fontsize=12)
     save(made, path.with_suffix(".png"), force=True)
-    pyvips.Image.new_from_file(str(path.with_suffix(".png"))).flatten(background=255).webpsave(path, lossless=True)
+    pyvips.Image.new_from_file(str(path.with_suffix(".png"))).flatten(background=255).resize(0.55).webpsave(path, Q=70)
     path.with_suffix(".png").unlink()
 
 
