@@ -2,8 +2,8 @@
 
 python benchmarks/brushes.py [--runs N]
 
-Strokes have the same points, radii and reach, move pixels about as far, and take one step each; twelve of them are spread
-over the picture. The bar: at most 1.5 times as long as a grab.
+Strokes have the same points, radii and reach, move pixels about as far, and take one step each; twelve are spread over
+the picture. The bar: at most 1.5 times as long as a grab.
 """
 
 from __future__ import annotations
