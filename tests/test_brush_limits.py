@@ -10,7 +10,7 @@ import pytest
 
 from supple import Deformation, FoldError, FoldWarning, Stroke
 from supple.domain import Domain
-from supple.folding import MARGIN, weakest
+from supple.strain import MARGIN, weakest
 from supple.strokes import pack
 from tests.children import ROOT
 
@@ -24,7 +24,7 @@ def folds(brush: str, amount: float, reach: float | None) -> bool:
     known = {"grab": {"by": (amount, 0)}, "twist": {"angle": amount}}.get(name, {"factor": amount})
     scales = int(which.split()[0]) if name == "grab" else 1
     stroke = Stroke(brush=name.split()[0], at=(0,) * n, radius=1, reach=reach, scales=scales, **known)  # type: ignore[arg-type]
-    row = pack([stroke], (1.0,) * n)[0]
+    row = pack([stroke], (1.0,) * n)
     return weakest(row, Domain((50,) * n, 1.0, None).packed(), MARGIN - 1, 0.0005)[0] < MARGIN - 1
 
 

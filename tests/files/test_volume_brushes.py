@@ -66,13 +66,14 @@ def test_strokes_go_to_millimetres_and_back(geometry: Geometry) -> None:
         Stroke(brush="pinch", at=PIVOT, factor=0.8, radius=9),
         Stroke(brush="scale", at=PIVOT, factor=1.3, radius=9),
         Stroke.grab(PIVOT, by=(1, 2, 0), radius=9),
+        Stroke(at=PIVOT, by=(1, 2, 0), also=(((25, 30, 10), (0, -2, 1)), ((9, 9, 9), (0, 0, 0))), radius=9),
     )
     recipe = Recipe(strokes=strokes, border=None, space="pixels")
     for space in ("LPS", "RAS"):
         back = indexed(placed(recipe, geometry, space), geometry, "it")  # type: ignore[arg-type]
         for before, after in zip(strokes, back.strokes, strict=True):
-            assert replace(after, at=before.at, by=before.by, axis=before.axis) == before
-            np.testing.assert_allclose([*after.at, *after.by], [*before.at, *before.by], atol=1e-9)
+            assert replace(after, at=before.at, by=before.by, also=before.also, axis=before.axis) == before
+            np.testing.assert_allclose(after.handles, before.handles, atol=1e-9)
             np.testing.assert_allclose(after.matrix(geometry.spacing), before.matrix(geometry.spacing), atol=1e-12)
 
 

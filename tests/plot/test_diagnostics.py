@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from supple import Deformation, SuppleError
+from supple import Deformation, Stroke, SuppleError
 from supple.engines import paper
 from supple.plot import WHATS, figure, footprints, grid, iterations, plot, residual, sources, stretch
 from supple.plot.background import background
@@ -349,6 +349,8 @@ def test_a_plot_shows_what_each_brush_does() -> None:
     for path in scale:
         assert (np.diff(np.hypot(*(path - (40, 30)).T)) < 0).all()
     assert len(figure(d, "grid").axes[0].patches) == 3 * 6 + 1
+    pull = paths(d, Stroke(at=(5, 5), by=(3, 4), also=(((9, 9), (0, 0)), ((8, 7), (-1, 0))), radius=9))
+    np.testing.assert_array_equal(pull, [[(5, 5), (8, 9)], [(8, 7), (7, 7)]])
 
 
 def test_a_clip_shows_where_a_brush_is_in_time() -> None:

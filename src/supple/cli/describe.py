@@ -291,9 +291,9 @@ def _action(stroke: Stroke) -> str:
     def told(point: Sequence[float]) -> str:
         return "(" + ", ".join(f"{x:g}" for x in point) + ")"
 
-    at = told(stroke.at)
     if stroke.brush == "grab":
-        return f"grab {at} to {told([a + b for a, b in zip(stroke.at, stroke.by, strict=True)])}"
+        ends = [(told(p), told([a + b for a, b in zip(p, by, strict=True)]), any(by)) for p, by in stroke.handles]
+        return "grab " + ", ".join(f"{start} to {end}" if moved else f"{start} pinned" for start, end, moved in ends)
     amount = f"{stroke.angle:g}°" if stroke.brush == "twist" else f"{stroke.factor:g}"
     along = {"twist": "about", "pinch": "along"}.get(stroke.brush, "")
-    return f"{stroke.brush} {at} by {amount}" + (f" {along} {told(stroke.axis)}" if stroke.axis else "")
+    return f"{stroke.brush} {told(stroke.at)} by {amount}" + (f" {along} {told(stroke.axis)}" if stroke.axis else "")

@@ -254,9 +254,11 @@ def placed(recipe: Recipe, geometry: Geometry, space: CoordinateSpace) -> Recipe
 
 def _mapped(stroke: Stroke, there: Callable[[Floats], Floats], geometry: Geometry) -> Stroke:
     """Return a stroke between indices and positions of a volume, in either direction."""
-    at, axis = np.array(stroke.at), stroke.direction
-    start, end = there(at), there(at + stroke.by)
-    made = replace(stroke, at=tuple(start.tolist()), by=tuple((end - start).tolist()))
+    axis, pairs = stroke.direction, []
+    for at, by in stroke.handles:
+        start, end = there(np.array(at)), there(np.add(at, by))
+        pairs.append((tuple(start.tolist()), tuple((end - start).tolist())))
+    made = replace(stroke, at=pairs[0][0], by=pairs[0][1], also=tuple(pairs[1:]))
     if axis is None:
         return made
     along = there(np.divide(axis, np.abs(axis).max())) - there(np.zeros(3))

@@ -135,7 +135,7 @@ def arrows(axes: Axes, deformation: Deformation, colour: str = "black") -> None:
                     color=colour, clip_on=True, path_effects=halo,
                 )
             )  # fmt: skip
-        axes.plot([x], [y], "o", markersize=4.5, color=colour, markeredgecolor="white")
+        axes.plot(*np.array([at[:2] for at, _ in stroke.handles]).T, "o", markersize=4.5, color=colour, mec="white")
         if deformation.ndim == 3:
             # On the side opposite the arrow.
             across, down = (-1 if dx > 0 and x > 0.15 * deformation.shape[2] else 1), (-1 if dy < 0 else 1)
@@ -149,9 +149,9 @@ def arrows(axes: Axes, deformation: Deformation, colour: str = "black") -> None:
 
 def paths(deformation: Deformation, stroke: Stroke) -> list[Floats]:
     """Return the lines (n, 2) that a plot of a stroke shows: where its points go while it grows from 0 to all of it."""
-    (x, y), (dx, dy) = stroke.at[:2], stroke.by[:2]
     if stroke.brush == "grab":
-        return [np.array([(x, y), (x + dx, y + dy)])] if dx or dy else []
+        ends = [(np.array(at[:2]), np.array(by[:2])) for at, by in stroke.handles]
+        return [np.array([at, at + by]) for at, by in ends if by.any()]
     if stroke.is_still:
         return []
     turns = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False) + np.pi / _AROUND
