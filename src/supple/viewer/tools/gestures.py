@@ -272,6 +272,8 @@ class Tools(ABC, Generic[V]):
         for i in range(len(items)) if among is None else among:
             pivot, end = self.document.handles(i)
             parts: tuple[tuple[Part, tuple[float, ...]], ...] = (("pivot", pivot), ("end", end))
+            if items[i].stroke.brush != "grab":
+                parts = parts[:1]  # its point stays where it is
             for part, point in parts if not items[i].hidden else ():
                 place = self._seen(point)
                 if place is not None:
