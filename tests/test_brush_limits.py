@@ -66,3 +66,17 @@ def test_too_large_a_twist_is_damped_or_refused() -> None:
     assert 360 * d.report().damping[0] == pytest.approx(89.4, abs=0.3)
     with pytest.raises(FoldError, match=r"folds: at most a twist by 89\.\d+° does not"):
         Deformation((201, 201), border=None, on_fold="error").twist((100, 100), angle=-360 + 720, radius=24)
+
+
+@pytest.mark.parametrize("normal", [(1, 0, 0), (0, 0, 1), (1, 2, -0.5)])
+@pytest.mark.parametrize("stroke", [{"brush": "twist", "angle": 50}, {"brush": "pinch", "factor": 0.6}])
+def test_a_mirror_image_of_a_brush_without_an_axis(stroke: dict[str, Any], normal: tuple[float, ...]) -> None:
+    """The image of the map is the map of the image, about the default axis, too."""
+    made = Stroke(at=(20, 18, 15), radius=6, **stroke)
+    n = np.array(normal) / np.linalg.norm(normal)
+    mirror = np.eye(3) - 2 * np.outer(n, n)
+    centre = np.array((20, 20, 20))
+    points = made.at + np.random.default_rng(2).normal(0, 5, (50, 3))
+    d = Deformation((41, 41, 41), border=None)
+    image = d.add(made.mirrored(tuple(centre), normal)).forward((points - centre) @ mirror + centre)
+    np.testing.assert_allclose(image, (d.add(made).forward(points) - centre) @ mirror + centre, atol=1e-9)

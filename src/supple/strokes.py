@@ -416,6 +416,7 @@ class Stroke:
         def placed(p: Sequence[float]) -> tuple[float, ...]:
             return tuple((np.array(p) - 2 * np.dot(np.array(p) - origin, n) * n).tolist())
 
+        axis = None if self.direction is None else turned(self.direction)
         return replace(
             self,
             at=placed(self.at),
@@ -423,7 +424,7 @@ class Stroke:
             also=tuple((placed(p), turned(v)) for p, v in self.also),
             path=tuple(map(placed, self.path)),
             angle=None if self.angle is None else -self.angle,
-            axis=None if self.axis is None else turned(self.axis),
+            axis=self.axis if axis == self.direction else axis,
         )
 
     def symmetric(self, at: Point, normal: Point) -> tuple[Self, ...]:

@@ -87,11 +87,12 @@ def test_every_command_takes_them(run: Run) -> None:
 def test_what_a_recipe_does_in_words(run: Run) -> None:
     Path("r.json").write_text(Recipe(strokes=_strokes()).to_json())
     text = run("info", "r.json")[1]
-    assert [line.split(maxsplit=2)[2] for line in text.splitlines()[-5:]] == [
+    assert [line.split(maxsplit=2)[2] for line in text.splitlines()[-6:]] == [
         "grab (1, 2, 3) to (4, 5, 6), radius 9, reach 4, scales 2",
         "twist (1, 2, 3) by 30° about (0, 1, 0), radius 9, reach 4",
         "scale (1, 2, 3) by 1.5, radius 9, reach none",
         "pinch (1, 2, 3) by 0.5, radius 9, reach 4, poisson 0.3, hidden",
+        "grab (1, 2, 3) through 2 points to (1, 2, 3), radius 9, reach 4, scales 1",
         "grab (1, 2, 3) to (1, 2, 4), (7, 7, 7) pinned, radius 9, reach 4, scales 1",
     ]
     assert json.loads(run("info", "r.json", "--json")[1])["strokes"][1]["axis"] == [0, 1, 0]
@@ -104,6 +105,7 @@ def _strokes() -> tuple[Stroke, ...]:
         Stroke(brush="twist", at=at, angle=30, axis=(0, 1, 0), radius=9),
         Stroke(brush="scale", at=at, factor=1.5, radius=9, reach=None),
         Stroke(brush="pinch", at=at, factor=0.5, radius=9, poisson=0.3, hidden=True),
+        Stroke(at=at, by=(0, 0, 0), path=((5, 2, 3), (5, 5, 3)), radius=9),
         Stroke(at=at, by=(0, 0, 1), also=(((7, 7, 7), (0, 0, 0)),), radius=9),
     )
 

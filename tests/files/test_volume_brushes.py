@@ -67,13 +67,18 @@ def test_strokes_go_to_millimetres_and_back(geometry: Geometry) -> None:
         Stroke(brush="scale", at=PIVOT, factor=1.3, radius=9),
         Stroke.grab(PIVOT, by=(1, 2, 0), radius=9),
         Stroke(at=PIVOT, by=(1, 2, 0), also=(((25, 30, 10), (0, -2, 1)), ((9, 9, 9), (0, 0, 0))), radius=9),
+        Stroke(at=PIVOT, by=(1, 2, 0), path=((22, 31, 12), (24, 30, 13)), radius=9),
     )
     recipe = Recipe(strokes=strokes, border=None, space="pixels")
     for space in ("LPS", "RAS"):
         back = indexed(placed(recipe, geometry, space), geometry, "it")  # type: ignore[arg-type]
         for before, after in zip(strokes, back.strokes, strict=True):
-            assert replace(after, at=before.at, by=before.by, also=before.also, axis=before.axis) == before
+            assert (
+                replace(after, at=before.at, by=before.by, also=before.also, path=before.path, axis=before.axis)
+                == before
+            )
             np.testing.assert_allclose(after.handles, before.handles, atol=1e-9)
+            np.testing.assert_allclose(after.path, before.path, atol=1e-9)
             np.testing.assert_allclose(after.matrix(geometry.spacing), before.matrix(geometry.spacing), atol=1e-12)
 
 

@@ -351,6 +351,8 @@ def test_a_plot_shows_what_each_brush_does() -> None:
     assert len(figure(d, "grid").axes[0].patches) == 3 * 6 + 1
     pull = paths(d, Stroke(at=(5, 5), by=(3, 4), also=(((9, 9), (0, 0)), ((8, 7), (-1, 0))), radius=9))
     np.testing.assert_array_equal(pull, [[(5, 5), (8, 9)], [(8, 7), (7, 7)]])
+    along = paths(d, Stroke(at=(5, 5), by=(0, 0), path=((9, 9), (8, 3)), radius=9))
+    np.testing.assert_array_equal(along, [[(5, 5), (9, 9), (8, 3), (5, 5)]])
 
 
 def test_a_clip_shows_where_a_brush_is_in_time() -> None:

@@ -293,7 +293,10 @@ def _action(stroke: Stroke) -> str:
 
     if stroke.brush == "grab":
         ends = [(told(p), told([a + b for a, b in zip(p, by, strict=True)]), any(by)) for p, by in stroke.handles]
-        return "grab " + ", ".join(f"{start} to {end}" if moved else f"{start} pinned" for start, end, moved in ends)
+        way = f" through {len(stroke.path)} points" if stroke.path else ""
+        return "grab " + ", ".join(
+            f"{start}{way} to {end}" if moved or way else f"{start} pinned" for start, end, moved in ends
+        )
     amount = f"{stroke.angle:g}°" if stroke.brush == "twist" else f"{stroke.factor:g}"
     along = {"twist": "about", "pinch": "along"}.get(stroke.brush, "")
     return f"{stroke.brush} {told(stroke.at)} by {amount}" + (f" {along} {told(stroke.axis)}" if stroke.axis else "")

@@ -258,7 +258,8 @@ def _mapped(stroke: Stroke, there: Callable[[Floats], Floats], geometry: Geometr
     for at, by in stroke.handles:
         start, end = there(np.array(at)), there(np.add(at, by))
         pairs.append((tuple(start.tolist()), tuple((end - start).tolist())))
-    made = replace(stroke, at=pairs[0][0], by=pairs[0][1], also=tuple(pairs[1:]))
+    path = tuple(tuple(there(np.array(p)).tolist()) for p in stroke.path)
+    made = replace(stroke, at=pairs[0][0], by=pairs[0][1], also=tuple(pairs[1:]), path=path)
     if axis is None:
         return made
     along = there(np.divide(axis, np.abs(axis).max())) - there(np.zeros(3))

@@ -150,8 +150,8 @@ def arrows(axes: Axes, deformation: Deformation, colour: str = "black") -> None:
 def paths(deformation: Deformation, stroke: Stroke) -> list[Floats]:
     """Return the lines (n, 2) that a plot of a stroke shows: where its points go while it grows from 0 to all of it."""
     if stroke.brush == "grab":
-        ends = [(np.array(at[:2]), np.array(by[:2])) for at, by in stroke.handles]
-        return [np.array([at, at + by]) for at, by in ends if by.any()]
+        lines = [np.array([at, *stroke.path, np.add(at, by)])[:, :2] for at, by in stroke.handles]
+        return [line for line in lines if (line != line[0]).any()]
     if stroke.is_still:
         return []
     turns = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False) + np.pi / _AROUND
