@@ -5,9 +5,11 @@ python docs/make_brushes.py
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pyvips
 
 import supple
@@ -46,6 +48,14 @@ ON_GRIDS = {
         ("0.1", {"factor": 0.1}),
     ),
 }
+PINS = [(120.0, 160.0), (160.0, 120.0), (200.0, 160.0), (160.0, 200.0)]
+WAY = [(150 + 70 * math.cos(t), 160 + 70 * math.sin(t)) for t in np.linspace(math.pi, 0, 60)]
+BY_HAND = (
+    ("two points pulled", (Stroke.pull([(110, 130), (210, 190)], by=[(35, 20), (-35, -20)], radius=RADIUS),)),
+    ("one, with four pins", (Stroke.pull([AT], by=[(24, -24)], pins=PINS, radius=RADIUS),)),
+    ("along a path", (Stroke.grab(WAY[0], path=WAY[1:], radius=RADIUS),)),
+    ("with its mirror image", Stroke.grab((110, 150), by=(-30, 35), radius=RADIUS).symmetric((160, 0), (1, 0))),
+)
 
 
 def titled(pixels: image.Array, text: str) -> pyvips.Image:
@@ -67,20 +77,19 @@ def on_photo(path: Path) -> None:
     joined.resize(0.8).webpsave(path, Q=72, effort=6, keep="none")
 
 
-def on_grids(path: Path, brush: str, cases: Sequence[tuple[str, dict[str, object]]]) -> None:
-    """Write what strokes of a brush make of a grid, side by side."""
+def on_grids(path: Path, cases: Sequence[tuple[str, Sequence[Stroke]]]) -> None:
+    """Write what strokes make of a grid, side by side."""
     from matplotlib.collections import LineCollection
 
     made, panels = sheet(3.1 * len(cases), 3.35, 1, len(cases))
-    for axes, (text, numbers) in zip(panels, cases, strict=True):
-        d = supple.Deformation((SIDE, SIDE), border=None)
-        d = d.add(Stroke(brush=brush, at=AT, radius=RADIUS, **numbers))  # type: ignore[arg-type]
+    for axes, (text, strokes) in zip(panels, cases, strict=True):
+        d = supple.Deformation.from_recipe(supple.Recipe(strokes=strokes, border=None), (SIDE, SIDE))
         axes.add_collection(LineCollection(grid(d, lines=32), colors="#2a6099", linewidths=0.8))
         arrows(axes, d)
         axes.set(xlim=(0, SIDE), ylim=(SIDE, 0), aspect="equal", xticks=[], yticks=[])
         axes.set_title(text, fontsize=12)
     save(made, path.with_suffix(".png"), force=True)
-    pyvips.Image.new_from_file(str(path.with_suffix(".png"))).flatten(background=255).resize(0.55).webpsave(path, Q=70)
+    pyvips.Image.new_from_file(str(path.with_suffix(".png"))).flatten(background=255).resize(0.55).webpsave(path, Q=45, effort=6)
     path.with_suffix(".png").unlink()
 
 
@@ -88,7 +97,9 @@ def main(folder: Path = IMAGES) -> None:
     """Make all of them."""
     on_photo(folder / "brushes.webp")
     for brush, cases in ON_GRIDS.items():
-        on_grids(folder / f"brush-{brush}.webp", brush, cases)
+        made = [(text, (Stroke(brush=brush, at=AT, radius=RADIUS, **numbers),)) for text, numbers in cases]  # type: ignore[arg-type]
+        on_grids(folder / f"brush-{brush}.webp", made)
+    on_grids(folder / "brush-hand.webp", BY_HAND)
 
 
 if __name__ == "__main__":

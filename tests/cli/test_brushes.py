@@ -157,11 +157,11 @@ def test_refusals(run: Run, options: list[str], wanted: str) -> None:
     ("options", "wanted"),
     [
         (["--scale", "1,2:1.5"], "--scale needs a --radius: how far it is felt"),
-        (["--radius", "5"], "--radius is for strokes given beside it: give --grab, --twist, --scale or --pinch, or"),
+        (["--radius", "5"], "--radius is for strokes given beside it: give --grab, --twist, --scale, --pinch or --pull, or"),
         (["--recipe", "x.json", "--reach", "5"], "--reach is for strokes given beside it"),
         (
             ["--crop", "0,0,9,9", "--amount", "50%"],
-            "--amount is for strokes, and there are none: give --grab, --twist, --scale or --pinch",
+            "--amount is for strokes, and there are none: give --grab, --twist, --scale, --pinch or --pull",
         ),
         (["--scalee", "1,2:1.5"], "Unknown option: --scalee"),
     ],
@@ -179,3 +179,52 @@ def test_the_order_is_never_guessed() -> None:
     for arguments in (["--grab", "1,2:3,4"], ["--grab", "1,2:3,4", "--", "--twist", "1,2:30"]):
         with pytest.raises(SuppleError, match="the place of --twist among the options is in doubt"):
             in_order(arguments, given)
+
+
+def points_of(name: str, *rows: str) -> str:
+    Path(name).write_text("\n".join(("label,x,y", *rows, "")))
+    return name
+
+
+def test_a_pull_of_two_files(run: Run) -> None:
+    points_of("a.csv", "p,12,20", "q,30,20", "r,20,30")
+    points_of("b.csv", "r,20,30", "q,28,21", "p,14,21")
+    found = saved(run, "--pull", "a.csv:b.csv", "--radius", "8", "--grab", "20,10:21,11", "--radius", "5")
+    pull = Stroke.pull([(12, 20), (30, 20)], to=[(14, 21), (28, 21)], pins=[(20, 30)], radius=8)
+    assert found.strokes == (pull, Stroke.grab((20, 10), to=(21, 11), radius=5))
+    d = Deformation.from_recipe(found, (40, 48))
+    np.testing.assert_array_equal(image.read("out.png").pixels, d.warp(image.read("in.png").pixels))
+    Path("c.csv").write_text("x,y\n14,21\n28,21\n20,30\n")
+    Path("d.csv").write_text("x,y\n12,20\n30,20\n20,30\n")
+    assert saved(run, "--pull", "d.csv:c.csv", "--radius", "8").strokes == (pull,)
+
+
+def test_a_grab_through_points_is_a_path(run: Run) -> None:
+    found = saved(run, "--grab", "12,20:20,24:28,20:30,16", "--radius", "8")
+    assert found.strokes == (Stroke.grab((12, 20), path=[(20, 24), (28, 20)], to=(30, 16), radius=8),)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("a.csv", "--pull must be FROM:TO, two files of points (before.csv:after.csv, say), found 'a.csv'"),
+        ("a.csv:", "--pull must be FROM:TO"),
+        ("a.csv:none.csv", "--pull a.csv:none.csv: cannot read none.csv"),
+        ("a.csv:other.csv", "a.csv and other.csv do not both have the point q"),
+        ("d.csv:few.csv", "d.csv has 2 points, and few.csv has 1: give as many in both"),
+        ("a.csv:flat.fcsv", "a.csv is in index, and flat.fcsv in RAS"),
+        ("same.csv:same2.csv", "two handles at (12, 20)"),
+    ],
+)
+def test_refused_pulls(run: Run, value: str, message: str) -> None:
+    points_of("a.csv", "p,12,20", "q,30,20")
+    points_of("other.csv", "p,12,20", "z,30,20")
+    Path("d.csv").write_text("x,y\n14,21\n28,21\n")
+    Path("few.csv").write_text("x,y\n14,21\n")
+    Path("flat.fcsv").write_text("# Markups fiducial file version = 4.11\n# CoordinateSystem = RAS\n1,10,20,30\n")
+    Path("same.csv").write_text("x,y\n12,20\n12,20\n")
+    Path("same2.csv").write_text("x,y\n13,20\n12,21\n")
+    status, _, err = run("warp", "in.png", "out.png", "--pull", value, "--radius", "8")
+    assert status == 2
+    assert message in one_line(err)
+    assert not Path("out.png").exists()

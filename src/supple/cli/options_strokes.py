@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -15,19 +16,19 @@ from supple.errors import SuppleError
 
 if TYPE_CHECKING:
     from supple.domain import Border
-    from supple.strokes import Fit, Recipe, Stroke
+    from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke
 
 STROKES = Group("Strokes", sort_key=1)
 
-BRUSHES = ("--grab", "--twist", "--scale", "--pinch")
+BRUSHES = ("--grab", "--twist", "--scale", "--pinch", "--pull")
 """The options that are strokes."""
 
-_ONE_OF = "give --grab, --twist, --scale or --pinch"
+_ONE_OF = "give --grab, --twist, --scale, --pinch or --pull"
 _TWIST = "X,Y[,T|Z]:ANGLE[:AXIS]"
 _SCALE = "X,Y[,T|Z]:FACTOR"
 _PINCH = "X,Y[,T|Z]:FACTOR[:AXIS]"
 _WANTED = {
-    "--grab": "X,Y:X,Y, or X,Y,T:X,Y,T, two points in pixels, frames or voxels (256,256:256,346, say)",
+    "--grab": "X,Y:X,Y, or X,Y,T:X,Y,T, two points or more in pixels, frames or voxels (256,256:256,346, say)",
     "--twist": f"{_TWIST}, a point, degrees, and of 3 numbers an axis (256,256:30 or 40,50,60:30:0,0,1, say)",
     "--scale": f"{_SCALE}, a point and a factor (256,256:1.4, say)",
     "--pinch": f"{_PINCH}, a point, a factor, and an axis of as many numbers (256,256:0.7:1,0, say)",
@@ -70,9 +71,10 @@ class StrokeOptions:
     Parameters
     ----------
     grab
-        Drag the first point to the second. Pixels are counted from the top left one, which is 0,0. In a video,
-        a third number is the frame, counted from 0; in a volume, points are voxels x,y,z. Give it and the next
-        three several times, mixed as you like, for several strokes, which are applied in order.
+        Drag the first point to the second, or through more of them to the last. Pixels are counted from the top
+        left one, which is 0,0. In a video, a third number is the frame, counted from 0; in a volume, points are
+        voxels x,y,z. Give it and the next four several times, mixed as you like, for several strokes, which are
+        applied in order.
     twist
         Turn what is around a point by an angle in degrees, clockwise; in a volume, right-handed about an axis: its
         direction DX,DY,DZ (default z).
@@ -81,6 +83,10 @@ class StrokeOptions:
     pinch
         Squeeze what is around a point, by a factor below 1, along an axis (a direction, default x), and stretch it
         across the axis by as much; above 1, the other way round.
+    pull
+        Drag many points at once: those of a file to those of another, CSV, .fcsv or .mrk.json. Points with labels are
+        matched by these, others in order; a point that is the same in both is a pin. Points in millimetres go by
+        their own coordinate system.
     radius
         Radius of the brush: in pixels, in volumes in millimetres. Give --radius, --poisson and --reach once for all
         strokes, or once for each; --scales once for all grabs, or once for each.
@@ -119,6 +125,7 @@ class StrokeOptions:
     twist: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar=_TWIST, show_default=False)] = ()  # type: ignore[assignment]
     scale: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar=_SCALE, show_default=False)] = ()  # type: ignore[assignment]
     pinch: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar=_PINCH, show_default=False)] = ()  # type: ignore[assignment]
+    pull: Annotated[list[str], Parameter(metavar="FROM:TO", show_default=False)] = ()  # type: ignore[assignment]
     radius: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="R", show_default=False)] = ()  # type: ignore[assignment]
     poisson: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="N", show_default=False)] = ()  # type: ignore[assignment]
     scales: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="1|2|3", show_default=False)] = ()  # type: ignore[assignment]
@@ -167,7 +174,7 @@ class StrokeOptions:
         """
         from supple.strokes import Recipe
 
-        strokes = self._strokes()
+        strokes, space = self._strokes()
         if not strokes and self.recipe is None and not empty:
             raise SuppleError(f"nothing to do: give --grab X,Y:X,Y --radius R, {others or 'or '}--recipe FILE")
         if self.recipe is None:
@@ -176,7 +183,7 @@ class StrokeOptions:
             from supple.files import read_recipe
 
             made = read_recipe(self.recipe)
-            if strokes and made.is_world and not world:
+            if strokes and made.is_world and not world and space != made.space:
                 option = next(option for option, values in self.given.items() if values)
                 raise SuppleError(
                     f"{self.recipe} is in {made.space} millimetres, and {option} in voxels: give --world if it is in "
@@ -184,7 +191,9 @@ class StrokeOptions:
                 )
             if world and made.space == "pixels":
                 raise SuppleError(f"--world is for points in millimetres, and {self.recipe} is in pixels: leave it out")
-        made = replace(made, strokes=(*made.strokes, *strokes))
+        if space is not None and made.strokes and made.space != space:
+            raise SuppleError(f"--pull is in {space} millimetres, and {self.recipe} is in {made.space or 'pixels'}")
+        made = replace(made, strokes=(*made.strokes, *strokes), space=space or made.space)
         if self.border is not None:
             made = replace(made, border=_border(self.border))
         if self.amount is not None:
@@ -193,14 +202,15 @@ class StrokeOptions:
             made = replace(made, border_profile=self.border_profile)
         return made if self.on_fold is None else replace(made, on_fold=self.on_fold)
 
-    def _strokes(self) -> list[Stroke]:
+    def _strokes(self) -> tuple[list[Stroke], CoordinateSpace | None]:
+        """Return the strokes, and the space of a pull's points if they are in millimetres."""
         from supple.strokes import REACH
 
         if not self.count:
             loose = [name for name in ("radius", "poisson", "scales", "reach") if getattr(self, name)]
             if loose:
                 raise SuppleError(f"--{loose[0]} is for strokes given beside it: {_ONE_OF}, or leave it out")
-            return []
+            return [], None
         found = [one for one in in_order(current().arguments, self.given) if one[0] in BRUSHES]
         if not self.radius:
             raise SuppleError(f"{found[0][0]} needs a --radius: how far it is felt, in pixels or millimetres")
@@ -215,11 +225,37 @@ class StrokeOptions:
             texts = ["inf" if x.strip().lower() == "none" else x for x in self.reach]
             read = _spread("--reach", texts, count, "a number of radii from 1, or none")
             reaches = [None if x == math.inf else x for x in read]
-        strokes = []
+        strokes: list[Stroke] = []
+        spaces: set[CoordinateSpace | None] = set()
         for (option, text), radius, ratio, reach in zip(found, radii, ratios, reaches, strict=True):
-            scale = next(scales) if option == "--grab" else 1
-            strokes.append(_stroke(option, text, radius=radius, poisson=ratio, reach=reach, scales=scale))
-        return strokes
+            if option == "--pull":
+                stroke, space = _pull(text, radius=radius, poisson=ratio, reach=reach)
+            else:
+                scale = next(scales) if option == "--grab" else 1
+                stroke, space = _stroke(option, text, radius=radius, poisson=ratio, reach=reach, scales=scale), None
+            strokes.append(stroke)
+            spaces.add(space)
+        if len(spaces) > 1:
+            raise SuppleError(
+                "the points of --pull are in millimetres, and others are not, or differently: give one --pull by "
+                "itself, and the others in a recipe in millimetres"
+            )
+        return strokes, spaces.pop()
+
+
+def _pull(text: str, **brush: float | None) -> tuple[Stroke, CoordinateSpace | None]:
+    """Read a pull from two files, named with a colon between them."""
+    from supple.files.landmarks import read_pull
+
+    ends = [i for i, c in enumerate(text) if c == ":"]
+    names = [(text[:i], text[i + 1 :]) for i in ends]
+    both = [pair for pair in names if all(map(os.path.exists, pair))] or names
+    if not both or not all(both[-1]):
+        raise SuppleError(f"--pull must be FROM:TO, two files of points (before.csv:after.csv, say), found {text!r}")
+    try:
+        return read_pull(*both[-1], **brush)  # type: ignore[arg-type]
+    except SuppleError as error:
+        raise SuppleError(f"--pull {text}: {error}") from None
 
 
 def _stroke(option: str, text: str, *, scales: float, **brush: float | None) -> Stroke:
@@ -233,13 +269,18 @@ def _stroke(option: str, text: str, *, scales: float, **brush: float | None) -> 
         raise wrong from None
     parts = [len(part) for part in (at, *rest)]
     n = len(at)
-    shapes = {"--grab": [[n, n]], "--twist": [[n, 1], [3, 1, 3]], "--scale": [[n, 1]], "--pinch": [[n, 1], [n, 1, n]]}
+    shapes = {
+        "--grab": [[n] * max(2, len(parts))],
+        "--twist": [[n, 1], [3, 1, 3]],
+        "--scale": [[n, 1]],
+        "--pinch": [[n, 1], [n, 1, n]],
+    }
     if n not in (2, 3) or parts not in shapes[option]:
         raise wrong
     known = {**brush, "scales": int(scales) if float(scales).is_integer() else scales}
     try:
         if option == "--grab":
-            return Stroke.grab(at, to=rest[0], **known)  # type: ignore[arg-type]
+            return Stroke.grab(at, path=rest, **known)  # type: ignore[arg-type]
         amount = {"angle" if option == "--twist" else "factor": rest[0][0]}
         axis = tuple(rest[1]) if len(rest) > 1 else None
         return Stroke(brush=option[2:], at=tuple(at), axis=axis, **amount, **known)  # type: ignore[arg-type]
