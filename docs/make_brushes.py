@@ -89,7 +89,8 @@ def on_grids(path: Path, cases: Sequence[tuple[str, Sequence[Stroke]]]) -> None:
         axes.set(xlim=(0, SIDE), ylim=(SIDE, 0), aspect="equal", xticks=[], yticks=[])
         axes.set_title(text, fontsize=12)
     save(made, path.with_suffix(".png"), force=True)
-    pyvips.Image.new_from_file(str(path.with_suffix(".png"))).flatten(background=255).resize(0.55).webpsave(path, Q=45, effort=6)
+    picture = pyvips.Image.new_from_file(str(path.with_suffix(".png"))).flatten(background=255)
+    picture.resize(0.55).webpsave(path, Q=45, effort=6)
     path.with_suffix(".png").unlink()
 
 
