@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from supple.files.grids import GridOptions
     from supple.files.maps import grid_of
     from supple.geometry import Grid
+    from supple.keys import Key
     from supple.strokes import Recipe, Stroke
     from supple.viewer.window.launch import view
 
@@ -42,6 +43,7 @@ __all__ = [
     "GridOptions",
     "Inverse",
     "Inverted",
+    "Key",
     "MissWarning",
     "OutsideWarning",
     "Placed",
@@ -73,6 +75,7 @@ _HOMES = {
     "GridOptions": "files.grids",
     "Inverse": "deformation",
     "Inverted": "fields",
+    "Key": "keys",
     "MissWarning": "errors",
     "OutsideWarning": "errors",
     "Placed": "fields",

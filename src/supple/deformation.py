@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, Self
 
@@ -217,10 +217,14 @@ class Deformation:
         time: bool = False,
         maps: Sequence[Placed] = (),
         warn: bool = True,
+        roaming: Collection[int] = (),
+        say: Callable[[str, type[Warning]], None] | None = None,
     ) -> Self:
         """Return a recipe's strokes on a domain, without hidden ones; errors and warnings name the stroke.
 
-        ``maps`` are fields and affine maps between the strokes; ``warn``, whether to warn of those that fold.
+        ``maps`` are fields and affine maps between the strokes; ``warn``, whether to warn of those that fold;
+        ``roaming`` are the indices of strokes that may start outside the domain, without a word; ``say`` is called in
+        place of ``warnings.warn``.
 
         If the recipe has an amount, or a stroke a strength, below 1, that fraction of the stroke's drag is applied. The
         point at which a later stroke begins is carried along with the material, which has then moved less: it is mapped
@@ -231,8 +235,8 @@ class Deformation:
         ------
         SuppleError
             As `grab` does; if a stroke starts outside the domain, and nothing of it reaches a sample; or if the recipe
-            was made for another size (`Recipe.fitted` makes it fit), or is in millimetres (`supple.warp_file` takes
-            it).
+            was made for another size (`Recipe.fitted` makes it fit), is in millimetres (`supple.warp_file` takes it),
+            or has strokes with keys (`Recipe.at_frame` gives it without).
 
         Warns
         -----
@@ -245,6 +249,11 @@ class Deformation:
             refuse("a recipe", "a Recipe (Recipe.from_json reads one)", recipe)
         if recipe.is_world:
             raise SuppleError(f"the recipe is in {recipe.space} millimetres, which only files of volumes have")
+        if recipe.moves:
+            raise SuppleError(
+                "the recipe's strokes move from frame to frame (keys), and this takes one map: supple.warp_file warps a "
+                "whole clip, and Recipe.at_frame gives the strokes of a frame"
+            )
         made = cls(
             shape,
             border=recipe.border,
@@ -270,12 +279,14 @@ class Deformation:
                 before, made = made, made.add(reduced(stroke, recipe.amount, whole, made), warn=False)
                 if k < len(visible) - 1:
                     whole = after(stroke, recipe.amount, whole, before, made)
-                outside = last_outside(made)
+                outside = None if i in roaming else last_outside(made)
             except SuppleError as error:
                 raise type(error)(f"{which}{error}") from None
-            if outside:
+            if outside and say is None:
                 warnings.warn(f"{which}{outside}", OutsideWarning, stacklevel=3)
-            _warn(made._resolved[-1], which)
+            elif outside and say is not None:
+                say(f"{which}{outside}", OutsideWarning)
+            _warn(made._resolved[-1], which, say)
             last = visible[k + 1][0] if k + 1 < len(visible) else len(recipe.strokes)
             for placed in maps:
                 if i < placed.after <= last:
@@ -682,6 +693,8 @@ class Deformation:
             refuse("a stroke's point", wanted, stroke.at)
         if stroke.hidden:
             return self
+        if stroke.keys:
+            raise SuppleError("the stroke has keys, and this is one map: Stroke.at_frame gives what it is in one frame")
         stroke = reduced(stroke, 1.0, self, self)
         resolved = resolve(stroke, self.domain, self.on_fold)
         if warn:
@@ -1073,7 +1086,10 @@ def last_outside(made: Deformation) -> str | None:
     return text
 
 
-def _warn(resolved: Resolved, which: str = "") -> None:
+def _warn(resolved: Resolved, which: str = "", say: Callable[[str, type[Warning]], None] | None = None) -> None:
     if resolved.warning:
         category = FoldWarning if resolved.alpha < 1 else MissWarning
-        warnings.warn(f"{which}{resolved.warning}", category, stacklevel=4)
+        if say is None:
+            warnings.warn(f"{which}{resolved.warning}", category, stacklevel=4)
+        else:
+            say(f"{which}{resolved.warning}", category)

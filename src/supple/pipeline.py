@@ -251,7 +251,7 @@ def make_plan(
     space, sampling = work.space, work.sampling
     n, count = len(planes), space.count
     first, last = np.array(planes, np.int64), np.array(planes, np.int64)
-    still = np.full(n, space.is_identity)
+    still = np.array([space.is_identity if work.items is None else work.items[z].is_identity for z in planes], bool)
     if space.ndim == 3 and not space.is_identity:
         support, slack = SUPPORT[sampling.between], engine.slack(sampling.tolerance)
         earliest, latest = times_seen(sampling.outside, count, sampling.time_filter)
@@ -373,7 +373,7 @@ class _WithFallback:
         self._spare: Planes | None = None
         self._warned = False
         with self._failing():
-            self._planes = stack.enter_context(engine.stream(work, window))
+            self._planes = stack.enter_context(_opened(engine, work, window))
 
     def begin(self, z: int, first: int, last: int) -> object:
         if self._planes is not None:
@@ -389,7 +389,7 @@ class _WithFallback:
                 return known
         # No engine is left, or it failed just now.
         if self._spare is None:
-            self._spare = self._stack.enter_context(NATIVE.stream(self._work, self._window))
+            self._spare = self._stack.enter_context(_opened(NATIVE, self._work, self._window))
         note(NATIVE.name)
         return self._spare.finish(None, z, first, last, outs)
 
@@ -404,6 +404,30 @@ class _WithFallback:
             if not self._warned:
                 warn_of_failure(self._engine, error, 5)
             self._warned = True
+
+
+def _opened(engine: Engine, work: Work, window: Sequence[Array]) -> contextlib.AbstractContextManager[Planes]:
+    """Return a maker of the planes of a stream."""
+    if work.items is None:
+        return engine.stream(work, window)
+    return contextlib.nullcontext(_Alone(engine, work, window))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Alone:
+    """A maker of planes that are each an image with a map of its own (`supple.engines.base.Planes`)."""
+
+    engine: Engine
+    work: Work
+    window: Sequence[Array]
+
+    def begin(self, z: int, first: int, last: int) -> object:
+        return None
+
+    def finish(self, begun: Any, z: int, first: int, last: int, outs: Sequence[Array]) -> Certificate:
+        assert self.work.items is not None
+        work, slot = replace(self.work, space=self.work.items[z], items=None), z % len(self.window[0])
+        return sampled(self.engine, work, [held[slot : slot + 1] for held in self.window], [out[None] for out in outs])
 
 
 @contextlib.contextmanager

@@ -32,6 +32,8 @@ from supple.domain import (
     value_shown,
 )
 from supple.errors import ScaleWarning, SuppleError
+from supple.keys import Key, checked_keys, position
+from supple.keys import strength as strength_of
 
 Brush = Literal["grab", "twist", "scale", "pinch"]
 FoldPolicy = Literal["damp", "flow", "error"]
@@ -65,7 +67,7 @@ STROKE_DTYPE = np.dtype(
 # Keys added after version 1.
 _NEW = (
     "border_profile", "reach", "size", "space", "amount", "time_scale", "name", "strength", "to", "angle", "factor",
-    "axis", "also", "path",
+    "axis", "also", "path", "keys",
 )  # fmt: skip
 _PART = "a number from 0 to 1"
 _TURNS = 3600.0
@@ -213,6 +215,9 @@ class Stroke:
         A name for users.
     strength : float
         The applied fraction of the drag, from 0 to 1; see `Deformation.from_recipe`.
+    keys : sequence of Key
+        In a clip, of a stroke of two coordinates: where its point ``at`` is, and how strong it is, in some frames, in
+        ascending order. The whole stroke moves along with ``at``; see `Recipe.at_frame`.
     """
 
     at: tuple[float, ...]
@@ -230,6 +235,7 @@ class Stroke:
     hidden: bool = False
     name: str | None = None
     strength: float = 1.0
+    keys: tuple[Key, ...] = ()
 
     def __post_init__(self) -> None:
         choice("brush", self.brush, get_args(Brush))
@@ -251,6 +257,7 @@ class Stroke:
             **self._checked_shape(len(at)),
             "also": self._checked_pairs(len(at)),
             "path": self._checked_path(len(at)),
+            "keys": checked_keys(self.keys, len(at)),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
@@ -425,14 +432,15 @@ class Stroke:
             path=tuple(map(placed, self.path)),
             angle=None if self.angle is None else -self.angle,
             axis=self.axis if axis == self.direction else axis,
+            keys=tuple(key if key.at is None else replace(key, at=placed(key.at)) for key in self.keys),
         )
 
     def symmetric(self, at: Point, normal: Point) -> tuple[Self, ...]:
         """Return the strokes that make this one symmetric about a line or a plane.
 
-        Those are one that drags the points and their mirror images at once, as a pull; or, of other brushes and of
-        grabs along a path, the stroke and its mirror image after it. Points within a hundredth of the radius of the
-        line are their own images, and only dragged along it.
+        Those are one that drags the points and their mirror images at once, as a pull; or, of other brushes, of grabs
+        along a path and of strokes with keys, the stroke and its mirror image after it. Points within a hundredth of
+        the radius of the line are their own images, and only dragged along it.
 
         Parameters
         ----------
@@ -441,7 +449,7 @@ class Stroke:
         """
         image = self.mirrored(at, normal)
         apart = math.dist(self.at, image.at) > 0.02 * self.radius
-        if self.brush != "grab" or self.path:
+        if self.brush != "grab" or self.path or (self.keys and apart):
             if apart:
                 return self, image
             if self.path:
@@ -466,6 +474,59 @@ class Stroke:
             factor=None if self.factor is None else self.factor**part,
             strength=1.0,
         )
+
+    def at_frame(self, frame: float) -> Self:
+        """Return what the stroke is in a frame of a clip, by its keys: moved as a whole, and of another strength.
+
+        Between two keys, each coordinate and the strength follow a smooth curve that never leaves their range; before
+        the first and after the last, they are constant.
+        """
+        if not self.keys:
+            return self
+        held = replace(self, keys=(), strength=self.strength * strength_of(self.keys, frame))
+        at = position(self.keys, frame)
+        if at is None or at == self.at:
+            return held
+        shift = [b - a for a, b in zip(self.at, at, strict=True)]
+
+        def moved(p: Sequence[float]) -> tuple[float, ...]:
+            return tuple(a + d for a, d in zip(p, shift, strict=True))
+
+        also = tuple((moved(p), by) for p, by in self.also)
+        return replace(held, at=at, also=also, path=tuple(map(moved, self.path)))
+
+    def following(self, track: Sequence[tuple[int, Point]], frame: float | None = None) -> Self:
+        """Return the stroke with keys that move it along with a tracked point.
+
+        Parameters
+        ----------
+        track : sequence of (int, point)
+            The position of a tracked point in some frames, in ascending order (`supple.media.tracks.read_tracks`).
+        frame : float, optional
+            The frame in which the stroke is where it is now: there, it keeps its distance from the tracked point, as
+            it does in all frames. By default, the first of the track.
+
+        Raises
+        ------
+        SuppleError
+            If the track is none, or the stroke has positions in its keys already.
+        """
+        keys = checked_keys([Key(k, tuple(at)) for k, at in track], self.ndim)
+        if not keys:
+            refuse("a track", "the positions of a point in one frame or more", track)
+        if any(key.at is not None for key in self.keys):
+            raise SuppleError("the stroke has keys with positions, and cannot follow a track too: leave one out")
+        origin = position(
+            keys, keys[0].frame if frame is None else number("frame", frame, "a frame", -LARGEST, LARGEST)
+        )
+        assert origin is not None
+        shift = [a - b for a, b in zip(self.at, origin, strict=True)]
+        made = {key.frame: key for key in self.keys}
+        for key in keys:
+            assert key.at is not None
+            at = tuple(a + d for a, d in zip(key.at, shift, strict=True))
+            made[key.frame] = replace(made.get(key.frame, key), at=at)
+        return replace(self, keys=tuple(made[k] for k in sorted(made)))
 
     @property
     def is_still(self) -> bool:
@@ -624,6 +685,23 @@ class Recipe:
         """True if points are in space, in millimetres."""
         return self.space in ("LPS", "RAS")
 
+    @property
+    def moves(self) -> bool:
+        """True if a stroke that is not hidden has keys: it is another one in each frame of a clip."""
+        return any(stroke.keys and not stroke.hidden for stroke in self.strokes)
+
+    def at_frame(self, frame: float) -> Self:
+        """Return the recipe of a frame of a clip, by the keys of its strokes: without keys, and for a picture.
+
+        Parameters
+        ----------
+        frame : float
+            The frame, counted from 0.
+        """
+        if not any(stroke.keys for stroke in self.strokes):
+            return self
+        return replace(self, strokes=tuple(stroke.at_frame(frame) for stroke in self.strokes))
+
     def fitted(self, size: Sequence[int], how: Fit | None = None, *, time: bool = False, name: str = "this") -> Self:
         """Return the recipe scaled to a medium of another size.
 
@@ -671,6 +749,7 @@ class Recipe:
                 path=tuple(map(scaling.point, s.path)),
                 axis=None if s.axis is None else scaling.drag(s.axis),
                 radius=s.radius * scaling.length,
+                keys=tuple(k if k.at is None else replace(k, at=scaling.point(k.at)) for k in s.keys),
             )
             for s in self.strokes
         ]
@@ -791,6 +870,17 @@ def _stroke_entry(stroke: Stroke) -> dict[str, object]:
         entry["hidden"] = True
     if stroke.name is not None:
         entry["name"] = stroke.name
+    if stroke.keys:
+        entry["keys"] = [_key_entry(key) for key in stroke.keys]
+    return entry
+
+
+def _key_entry(key: Key) -> dict[str, object]:
+    entry: dict[str, object] = {"frame": key.frame}
+    if key.at is not None:
+        entry["at"] = [_plain(x) for x in key.at]
+    if key.strength is not None:
+        entry["strength"] = _plain(key.strength)
     return entry
 
 
@@ -814,10 +904,28 @@ def _stroke(where: str, entry: object, version: int) -> Stroke:
         entry = {"poisson": POISSON, **entry, "reach": None}
     if entry.get("poisson") == "-inf":
         entry["poisson"] = -math.inf
+    if "keys" in entry:
+        entry = {**entry, "keys": _keys(where, entry["keys"])}
     try:
         return Stroke(**entry)
     except SuppleError as error:
         raise SuppleError(f"{where}: {error}") from None
+
+
+def _keys(where: str, entries: object) -> list[Key]:
+    if not isinstance(entries, list):
+        refuse(f"{where}: keys", "a list of objects with frame, at and strength", entries)
+    made = []
+    for i, entry in enumerate(entries):
+        name = f"{where}: keys[{i}]"
+        if not isinstance(entry, dict):
+            refuse(name, "an object with frame, at and strength", entry)
+        _check_keys(name, entry, [field.name for field in fields(Key)], ["frame"])
+        try:
+            made.append(Key(**entry))
+        except SuppleError as error:
+            raise SuppleError(f"{name}: {error}") from None
+    return made
 
 
 def _drag(where: str, at: object, to: object) -> tuple[float, ...]:

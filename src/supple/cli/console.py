@@ -241,10 +241,17 @@ def say_convention(console: Console, world: bool, geometry: Geometry | None, nam
         console.say(f"points are {geometry.convention} millimetres, as {name} has them")
 
 
-def told(deformation: Deformation) -> dict[str, Any]:
-    """Return what became of the strokes, as JSON holds it."""
-    made = deformation.resolution()
-    return {**made, "arrivals": [asdict(arrival) for arrival in made["arrivals"]]}
+def told(*deformations: Deformation) -> dict[str, Any]:
+    """Return what became of the strokes, as JSON holds it: of those that move, the worst of all frames."""
+    each = [deformation.resolution() for deformation in dict.fromkeys(deformations)]
+    arrivals = zip(*(made["arrivals"] for made in each), strict=True)
+    return {
+        "strokes": each[0]["strokes"],
+        "applied": max(made["applied"] for made in each),
+        "damping": tuple(map(min, zip(*(made["damping"] for made in each), strict=True))),
+        "arrivals": [asdict(max(some, key=lambda arrival: arrival.miss)) for some in arrivals],
+        "margin": min(made["margin"] for made in each),
+    }
 
 
 def run(command: Callable[[Console], object]) -> int:

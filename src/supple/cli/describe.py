@@ -280,9 +280,24 @@ def _recipe(name: str, recipe: Recipe) -> str:
         kind += f", scales {s.scales}" if s.brush == "grab" else ""
         kind += ("" if s.poisson is None else f", poisson {s.poisson:g}") + (", hidden" if s.hidden else "")
         kind += "" if s.strength == 1 else f", strength {100 * s.strength:g}%"
+        kind += f", {_motion(s)}" if s.keys else ""
         kind += "" if s.name is None else f", named {shown(s.name)}"
         lines.append(f"  stroke {i + 1:<5}{_action(s)}, {kind}")
     return "\n".join(lines)
+
+
+def _motion(stroke: Stroke) -> str:
+    """Return over which frames a stroke moves, or changes its strength."""
+
+    def spanned(frames: list[int]) -> str:
+        return (
+            f"in frames {frames[0]} to {frames[-1]}, {len(frames)} keys" if len(frames) > 1 else f"from {frames[0]} on"
+        )
+
+    moved = [key.frame for key in stroke.keys if key.at is not None]
+    changed = [key.frame for key in stroke.keys if key.strength is not None]
+    told = [f"moving {spanned(moved)}"] if moved else []
+    return ", ".join(told + ([f"changing its strength {spanned(changed)}"] if changed else []))
 
 
 def _action(stroke: Stroke) -> str:

@@ -354,7 +354,8 @@ def _clip_facts(made: WarpedClip) -> dict[str, Any]:
         "held": made.held,
         "tolerance": made.tolerance,
         "error": made.error,
-        **told(deformation),
+        "moves": len(made.deformations) > 1,
+        **told(*made.deformations),
     }
 
 

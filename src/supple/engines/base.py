@@ -364,13 +364,24 @@ class Work:
     layout : Layout
     sampling : Sampling
     items : tuple of Space, optional
-        Of a batch along the first axis: one deformation for all items, or one for each.
+        Of a batch along the first axis: one deformation for all items, or one for each. Of a clip whose frames are each
+        bent by a map of their own: one for each.
     """
 
     space: Space
     layout: Layout
     sampling: Sampling
     items: tuple[Space, ...] | None = None
+
+    @property
+    def spaces(self) -> tuple[Space, ...]:
+        """The maps: that of all frames, or that of each."""
+        return self.items or (self.space,)
+
+    @property
+    def is_identity(self) -> bool:
+        """Return whether all maps are the identity."""
+        return all(space.is_identity for space in self.spaces)
 
     @property
     def fills(self) -> list[npt.NDArray[np.float64]]:

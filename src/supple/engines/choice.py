@@ -88,7 +88,7 @@ def engine_for(device: str, work: Work) -> Engine:
         if device == "gpu":
             raise
         return NATIVE
-    return NATIVE if work.space.is_identity else engine
+    return NATIVE if work.is_identity else engine
 
 
 def lies_on_device(value: object) -> bool:

@@ -114,8 +114,8 @@ def warp_file(
         WebM, AVI or GIF, or a pattern or a folder for images; for volumes, NIfTI, NRRD, MetaImage or TIFF.
     recipe : Recipe
         The strokes, the border and the fold policy. Strokes with a time, x, y and t in frames, warp the clip; strokes
-        without one warp each frame alike, and each page of a TIFF. In volumes, points are voxels, x, y and z, and
-        lengths millimetres.
+        without one warp each frame alike, and each page of a TIFF; those with keys move from frame to frame. In
+        volumes, points are voxels, x, y and z, and lengths millimetres.
     filter, tolerance, outside, fill, linear_light
         As in `Deformation.warp`.
     clamp : bool, optional
@@ -131,7 +131,7 @@ def warp_file(
     progress : bool or function
         Whether to show progress on a terminal. Or a function, which is called before each stage with its name,
         ``"read"``, ``"warp"`` and ``"write"``: an exception in it ends the work without a file. For a clip, ``"write"``
-        comes first, and then ``"plan"`` and ``"warp"`` for every frame.
+        comes first, and then ``"plan"`` and ``"warp"`` for every frame; with strokes that move, ``"plan"`` comes first.
     tell : function of (str, int, int), optional
         Called like ``progress``, also with the finished and the total number of frames or slices; for an image, of
         stages.
@@ -323,6 +323,11 @@ def check_job(
         _spare(source, target, "clip", force)
         check_clip_target(source, target, clip or ClipOptions(), quality=quality, force=force)
         return "clip"
+    if recipe.moves:
+        raise SuppleError(
+            f"{shown(source)} is taken for a picture, and strokes with keys move from frame to frame: give a clip, or "
+            "the recipe of one frame"
+        )
     if clip not in (None, ClipOptions()):
         raise SuppleError(
             f"{shown(source)} is taken for a picture, and {_asked(clip, ClipOptions())} for clips: leave that out"

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from supple.deformation import Deformation, Report
-from supple.domain import length, number, refuse
+from supple.domain import integer, length, number, refuse
 from supple.engines.base import Array, Certificate, Layout, Sampling, Work, warn_of
 from supple.engines.choice import check_device, engine_for
 from supple.errors import SuppleError, shown
+from supple.files.motion import motion_of
 from supple.media import codecs
 from supple.media.base import Clip, ClipWarning, CountError
 from supple.media.codecs import SUFFIXES
@@ -79,8 +80,9 @@ class WarpedClip:
     ----------
     source, target : pathlib.Path
         The input and the output file.
-    deformation : Deformation
-        The strokes, on the clip's shape; or on a frame's, if they have no time and warp every frame.
+    deformations : tuple of Deformation
+        One: the strokes, on the clip's shape; or on a frame's, if they have no time and warp every frame. Of strokes
+        that move with the frames, one for each frame.
     tolerance : float
         The largest distance of a source point from T⁻¹(q), in pixels and frames.
     frames : int
@@ -97,7 +99,7 @@ class WarpedClip:
 
     source: Path
     target: Path
-    deformation: Deformation
+    deformations: tuple[Deformation, ...]
     tolerance: float
     frames: int
     still: int
@@ -105,15 +107,25 @@ class WarpedClip:
     error: float
     copied: int = 0
 
-    def report(self) -> Report:
-        """Return the report on the strokes and the certified error, measured at every pixel; this is slow."""
-        return self.deformation.report(tolerance=self.tolerance)
+    @property
+    def deformation(self) -> Deformation:
+        """The first of `deformations`."""
+        return self.deformations[0]
+
+    def report(self, frame: int = 0) -> Report:
+        """Return the report on the strokes and the certified error, measured at every pixel; this is slow.
+
+        Of strokes that move with the frames, ``frame`` is the one that is measured.
+        """
+        many = len(self.deformations)
+        k = integer("frame", frame, f"from 0 to {self.frames - 1}", 0, self.frames - 1) if many > 1 else 0
+        return self.deformations[k].report(tolerance=self.tolerance)
 
 
 def is_clip(source: PathLike, target: PathLike, recipe: Recipe) -> bool:
     """Return whether a file, a pattern or a folder is warped as a clip."""
     suffix, goal = (Path(path).suffix.lower() for path in (source, target))
-    timed = bool(recipe.strokes) and recipe.strokes[0].ndim == 3
+    timed = recipe.moves or (bool(recipe.strokes) and recipe.strokes[0].ndim == 3)
     if suffix in SUFFIXES or goal in SUFFIXES_OUT or (has_number(source) and not os.path.isfile(source)):
         return True
     if os.path.isdir(source):
@@ -174,8 +186,8 @@ def refuse_picture(path: PathLike) -> None:
         kind = container.format.name
     if kind.endswith("_pipe") or kind == "image2":
         raise SuppleError(
-            f"{shown(path)} is a picture, and has no time: its strokes have 2 numbers, x and y, and it is written as "
-            "a picture (videos are made of numbered ones, frames/%05d.png, or of a folder)"
+            f"{shown(path)} is a picture, and has no time: its strokes have 2 numbers, x and y, and no keys, and it is "
+            "written as a picture (videos are made of numbered ones, frames/%05d.png, or of a folder)"
         )
 
 
@@ -184,10 +196,10 @@ def turned(rotation: float) -> str:
     return "clockwise" if rotation < 0 else "counterclockwise"
 
 
-def warn_of_rotation(clip: Clip, deformation: Deformation) -> None:
+def warn_of_rotation(clip: Clip, deformations: Sequence[Deformation]) -> None:
     """Warn that points are those of stored frames, if players rotate them."""
     rotation = clip.rotation
-    if rotation and not deformation.is_identity:
+    if rotation and not all(each.is_identity for each in deformations):
         height, width = clip.layout.shape
         warnings.warn(
             f"{clip.name} is turned by {abs(rotation):g}° {turned(rotation)} when it is played: points are in the "
@@ -225,6 +237,20 @@ def deformation_of(
         worth *= scaling.frame  # so that the brush covers the same part of the clip
     recipe = fit_recipe(recipe, size, fit, name, time=True)
     return Deformation.from_recipe(recipe, (count, *shape), spacing=(1.0, 1.0, worth), time=True)
+
+
+def deformations_of(
+    recipe: Recipe,
+    clip: Clip,
+    time_scale: float | None,
+    fit: Fit | None = None,
+    tell: Tell = lambda step, done, total: None,
+) -> tuple[Deformation, ...]:
+    """Return a recipe on a clip: one deformation, or, if its strokes move, one for each frame."""
+    count, shape, name = clip.count, clip.layout.shape, clip.name
+    if not recipe.moves:
+        return (deformation_of(recipe, count, shape, time_scale, name, fit),)
+    return motion_of(fit_recipe(recipe, shape[::-1], fit, name), count, shape, tell)
 
 
 def sampling_of(
@@ -297,7 +323,7 @@ def warp_clip(
     """Warp a video or an image sequence, frame by frame, as in `supple.warp_file`.
 
     ``tell`` is called with ``"write"`` when the target is opened, and then with ``"plan"`` or ``"warp"``, the number of
-    finished frames, and their total.
+    finished frames, and their total. Strokes that move are planned before the target is opened.
     """
     known = options or ClipOptions()
     check_device(device, "clips")
@@ -307,9 +333,9 @@ def warp_clip(
     while True:  # twice at most: what a container says of the number of frames may be wrong
         try:
             with open_clip(source, rate=known.rate, count=count) as clip:
-                deformation = deformation_of(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name, fit)
+                deformations = deformations_of(recipe, clip, known.time_scale, fit, tell)
                 if count is None:
-                    warn_of_rotation(clip, deformation)
+                    warn_of_rotation(clip, deformations)
                 sampling = sampling_of(
                     clip,
                     filter=filter,
@@ -319,7 +345,8 @@ def warp_clip(
                     light=linear_light,
                     options=known,
                 )
-                untouched = deformation.is_identity and known == replace(ClipOptions(), memory=known.memory)
+                work = work_on(clip, deformations, sampling)
+                untouched = work.is_identity and known == replace(ClipOptions(), memory=known.memory)
                 if untouched and not lossless and os.path.isfile(source) and _suffix(source) == _suffix(target):
                     # Encoding a clip again would change it.
                     check_output(target, force=force)
@@ -327,7 +354,6 @@ def warp_clip(
                         shutil.copyfile(source, place)
                     done, copied = Done(Certificate(0.0, 0.0), still=clip.count), clip.count
                 else:
-                    work = work_on(clip, deformation, sampling)
                     engine = engine_for(device, work)
                     tell("write", 0, clip.count)
                     # The writer first: its errors come before any work.
@@ -336,7 +362,7 @@ def warp_clip(
                         warn_of(done.certificate, tolerance, 3)  # before the target is renamed
                     copied = getattr(sink, "copied", 0)
                 return WarpedClip(
-                    Path(source), Path(target), deformation, tolerance, clip.count, done.still, done.held,
+                    Path(source), Path(target), deformations, tolerance, clip.count, done.still, done.held,
                     done.certificate.error, copied,
                 )  # fmt: skip
         except CountError as miscounted:
@@ -419,14 +445,18 @@ def _suffix(path: PathLike) -> str:
 
 
 def frames_of(
-    clip: Clip, deformation: Deformation, sampling: Sampling, planes: Sequence[int], memory: float = 2 * GB
+    clip: Clip, deformations: Sequence[Deformation], sampling: Sampling, planes: Sequence[int], memory: float = 2 * GB
 ) -> Iterator[tuple[int, list[Array]]]:
     """Yield some frames of a warped clip, in order, as arrays that are reused for the next one."""
-    work = work_on(clip, deformation, sampling)
+    work = work_on(clip, deformations, sampling)
     for z, arrays, _ in stream(work, make_plan(work, planes), clip.frames(), memory=memory):
         yield z, arrays
 
 
-def work_on(clip: Clip, deformation: Deformation, sampling: Sampling) -> Work:
-    """Return the work on the frames of a clip."""
-    return Work(replace(deformation.space, count=clip.count), clip.layout, sampling)
+def work_on(clip: Clip, deformations: Sequence[Deformation], sampling: Sampling) -> Work:
+    """Return the work on the frames of a clip: of one deformation, or of one for each."""
+    space = replace(deformations[0].space, count=clip.count)
+    if len(deformations) == 1:
+        return Work(space, clip.layout, sampling)
+    each = {id(deformation): deformation.space for deformation in deformations}
+    return Work(space, clip.layout, sampling, tuple(each[id(deformation)] for deformation in deformations))

@@ -16,7 +16,7 @@ from supple.errors import SuppleError, shown
 from supple.files.clips import (
     ClipOptions,
     PathLike,
-    deformation_of,
+    deformations_of,
     fickle,
     frames_of,
     is_clip,
@@ -144,9 +144,10 @@ def _plot_clip(
 ) -> Deformation:
     with open_clip(source, rate=options.rate, count=count) as clip:
         height, width = clip.layout.shape
-        deformation = deformation_of(recipe, clip.count, clip.layout.shape, options.time_scale, clip.name, fit)
+        deformations = deformations_of(recipe, clip, options.time_scale, fit, tell)
+        deformation = deformations[0]
         if count is None:
-            warn_of_rotation(clip, deformation)
+            warn_of_rotation(clip, deformations)
         if what == "slice":
             if (x is None) == (y is None):
                 raise SuppleError("a slice shows one column or one row over time: give --x or --y")
@@ -156,18 +157,19 @@ def _plot_clip(
             planes: Sequence[int] = range(clip.count)
         else:
             line = ()
-            planes = _seen_best(clip, deformation, options) if what == "sheet" else ()
+            planes = _seen_best(clip, deformations, options) if what == "sheet" else ()
         if what in WHATS:
             if frame is None:
                 raise SuppleError(f"{clip.name} is a video: say which frame, from 0 to {clip.count - 1} (--frame)")
             planes = [integer("frame", frame, f"from 0 to {clip.count - 1}", 0, clip.count - 1)]
+            deformation = deformations[planes[0]] if len(deformations) > 1 else deformation
         elif frame is not None:
             raise SuppleError(f"--frame is for the pictures of one frame, and {what} shows many: leave it out")
         before = [] if what in WHATS else [rgb[line].copy() for rgb in _shown(clip, planes)]
     with open_clip(source, rate=options.rate, count=clip.count) as clip:
         sampling = _sampling(clip, options)
         after = []
-        for z, arrays in frames_of(clip, deformation, sampling, planes, options.memory):
+        for z, arrays in frames_of(clip, deformations, sampling, planes, options.memory):
             after.append(clip.to_rgb(arrays)[line].copy())
             tell("warp", len(after), len(planes))
             del z
@@ -187,9 +189,9 @@ def _sampling(clip: Any, options: ClipOptions) -> Sampling:
     return sampling_of(clip, filter="auto", outside="edge", fill=0.0, tolerance=0.01, light=False, options=options)
 
 
-def _seen_best(clip: Any, deformation: Deformation, options: ClipOptions) -> list[int]:
+def _seen_best(clip: Any, deformations: Sequence[Deformation], options: ClipOptions) -> list[int]:
     """Return the frames of a sheet: evenly spaced over those with visible displacements."""
-    work = work_on(clip, deformation, replace(_sampling(clip, options), tolerance=_SEEN))
+    work = work_on(clip, deformations, replace(_sampling(clip, options), tolerance=_SEEN))
     moving = np.flatnonzero(~make_plan(work, range(clip.count)).still)
     first, last = (int(moving[0]), int(moving[-1])) if moving.size else (0, clip.count - 1)
     return [first + k for k in evenly(last - first + 1, _COLUMNS)]

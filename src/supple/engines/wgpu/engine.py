@@ -78,7 +78,7 @@ class Wgpu:
 
     def check(self, work: Work) -> None:
         """Raise SuppleError for strokes and samples that do not fit float32 or the words of a shader."""
-        reason = "" if fits(work.space.table) else "strokes of such sizes"
+        reason = "" if all(fits(space.table) for space in work.spaces) else "strokes of such sizes"
         dtype = work.layout.dtype
         for group in work.layout.groups:
             if format_of(dtype, group.channels) is None:

@@ -166,6 +166,11 @@ class Document:
             refuse("a recipe", "a Recipe, as Recipe.from_json reads one", recipe)
         count = len(self.shape)
         for k, stroke in enumerate(recipe.strokes, 1):
+            if stroke.keys:
+                raise SuppleError(
+                    f"stroke {k} of the recipe moves from frame to frame, which the window does not show: supple warp "
+                    "carries it out"
+                )
             if len(stroke.at) != count:
                 what = {"image": "a picture, with points x, y", "video": "a clip, with points x, y, t"}.get(
                     self.kind or ("image" if count == 2 else ""), "a volume, with points x, y, z"
