@@ -251,7 +251,7 @@ class Deformation:
             raise SuppleError(f"the recipe is in {recipe.space} millimetres, which only files of volumes have")
         if recipe.moves:
             raise SuppleError(
-                "the recipe's strokes move from frame to frame (keys), and this takes one map: supple.warp_file warps a "
+                "the recipe's strokes move from frame to frame (keys), and this is one map: supple.warp_file warps a "
                 "whole clip, and Recipe.at_frame gives the strokes of a frame"
             )
         made = cls(

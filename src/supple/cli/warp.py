@@ -29,6 +29,7 @@ from supple.cli.options import RUNNING, RunOptions, VideoOptions, parse_fill, pa
 from supple.cli.options_maps import OTHERS, MapOptions, describe_grid, describe_map, grid_facts
 from supple.cli.options_stores import WorkerOptions
 from supple.cli.options_strokes import StrokeOptions
+from supple.cli.options_tracks import TrackOptions
 from supple.cli.options_volume import VOLUME, VolumeArguments
 from supple.engines.workers import workers
 from supple.errors import SuppleError
@@ -54,6 +55,7 @@ WRITING = Group("Writing", sort_key=3)
 _RUN = RunOptions()
 _STROKES = StrokeOptions()
 _VIDEO = VideoOptions()
+_TRACKS = TrackOptions()
 _VOLUME = VolumeArguments()
 _MAPS = MapOptions()
 _WORKERS = WorkerOptions()
@@ -73,6 +75,7 @@ def warp(
     lossless: Annotated[bool, Parameter(group=WRITING)] = False,
     save_recipe: Annotated[str | None, Parameter(group=WRITING, metavar="FILE")] = None,
     video: VideoOptions = _VIDEO,
+    tracks: TrackOptions = _TRACKS,
     labels: Annotated[bool, Parameter(group=VOLUME)] = False,
     save_field: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
     volume: VolumeArguments = _VOLUME,
@@ -137,6 +140,7 @@ def warp(
     console.started(**options.asked(), file=paths[0] if len(paths) == 2 else "")
     check_filter(filter)
     recipe = strokes.to_recipe(world=volume.world, empty=maps.any or maps.dangling, others=OTHERS)
+    recipe = tracks.followed(recipe, strokes.count, paths[0])
     elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given)
     if maps.any:
         check_host(device)

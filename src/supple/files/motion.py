@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Iterable, Sequence
 
 from supple.deformation import Deformation
 from supple.errors import OutsideWarning, SuppleError
 from supple.pipeline import Tell
-from supple.strokes import Recipe
+from supple.strokes import Recipe, Stroke
 
 _STROKE = re.compile(r"stroke \d+ of \d+: ")
 
@@ -45,36 +46,50 @@ def motion_of(
         As `Deformation.from_recipe` does.
     """
     roaming = {i for i, stroke in enumerate(recipe.strokes) if any(key.at is not None for key in stroke.keys)}
+    frames = [recipe.at_frame(k) for k in range(count)]
     known: dict[Recipe, Deformation] = {}
-    made: list[Deformation] = []
-    told: dict[tuple[type[Warning], str], tuple[str, list[int]]] = {}
+    told: dict[tuple[type[Warning], str], tuple[str, set[Recipe]]] = {}
+    for k, now in enumerate(frames):
 
-    def say(text: str, kind: type[Warning]) -> None:
-        about = _STROKE.match(text)
-        told.setdefault((kind, about[0] if about else ""), (text, []))[1].append(len(made))
+        def say(text: str, kind: type[Warning], now: Recipe = now) -> None:
+            about = _STROKE.match(text)
+            told.setdefault((kind, about[0] if about else ""), (text, set()))[1].add(now)
 
-    for k in range(count):
-        now = recipe.at_frame(k)
         if now not in known:
             try:
                 known[now] = Deformation.from_recipe(now, shape, roaming=roaming, say=say)
             except SuppleError as error:
                 raise type(error)(f"frame {k}: {error}") from None
-        made.append(known[now])
         tell("plan", k + 1, count)
-    height, width = shape
-    for i in sorted(roaming):
-        places = {now.strokes[i].at for now in known}
-        if not recipe.strokes[i].hidden and not any(
-            -0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5 for x, y in places
-        ):
-            which = f"stroke {i + 1} of {len(recipe.strokes)}" if len(recipe.strokes) > 1 else "the stroke"
+    _check_places(recipe, roaming, {now.strokes for now in known}, count, shape)
+    for (kind, _), (text, some) in told.items():
+        at = [k for k, now in enumerate(frames) if now in some]
+        more = f" (and in {len(at) - 1} more)" if len(at) > 1 else ""
+        warnings.warn(f"frame {at[0]}{more}: {text}", kind, stacklevel=4)
+    return tuple(known[now] for now in frames)
+
+
+def _check_places(
+    recipe: Recipe, moving: Iterable[int], seen: Iterable[Sequence[Stroke]], count: int, shape: tuple[int, int]
+) -> None:
+    """Warn of strokes that do not move in this clip, or are never in the picture."""
+    (height, width), seen = shape, list(seen)
+    for i in sorted(moving):
+        stroke, which = recipe.strokes[i], f"stroke {i + 1}"
+        if stroke.hidden:
+            continue
+        frames = [key.frame for key in stroke.keys if key.at is not None]
+        if len(frames) > 1 and (frames[-1] < 0 or frames[0] >= count):
+            warnings.warn(
+                f"{which} has positions in frames {frames[0]} to {frames[-1]}, and the clip has {count}, from 0: it "
+                "stands still (--track-first says which number a track gives to the first)",
+                OutsideWarning,
+                stacklevel=5,
+            )
+        places = [strokes[i].at for strokes in seen]
+        if not any(-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5 for x, y in places):
             warnings.warn(
                 f"{which} starts outside the picture, which has {width} x {height} pixels, in every frame",
                 OutsideWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
-    for (kind, _), (text, frames) in told.items():
-        more = f" (and in {len(frames) - 1} more)" if len(frames) > 1 else ""
-        warnings.warn(f"frame {frames[0]}{more}: {text}", kind, stacklevel=4)
-    return tuple(made)

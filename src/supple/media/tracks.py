@@ -1,0 +1,268 @@
+"""Tracks: where a tracker saw points in the frames of a clip; tables, Nuke's curves, After Effects' keyframes."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from supple.domain import LARGEST, LONGEST_AXIS, choice, value_shown
+from supple.errors import SuppleError, shown
+from supple.media.files import PathLike, head_of, unreadable
+
+Convention = Literal["pixels", "nuke", "ae"]
+CONVENTIONS: tuple[str, ...] = get_args(Convention)
+
+_GIVE = "give a table frame,x,y, curves of Nuke, or keyframes copied from After Effects"
+_FIRST = {"pixels": 0, "nuke": 1, "ae": 0}  # what each calls the first frame of a clip
+_AE = "Adobe After Effects"
+_COLUMNS = ("frame", "x", "y", "name")
+_CURVE = re.compile(r"\{\s*curve\b([^{}]*)\}")
+_PAIR = re.compile(r"\{\s*\{\s*curve\b([^{}]*)\}\s*\{\s*curve\b([^{}]*)\}\s*\}")
+_POINTS = re.compile(r"(?:track|to)\d*")
+# A row of the node Tracker4: enabled or not, its name, x and y.
+_ROW = re.compile(r"\{\s*(?:\{[^{}]*\}|\d+)\s+\"([^\"]*)\"\s+\{\s*curve\b([^{}]*)\}\s+\{\s*curve\b([^{}]*)\}")
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_KEYED = re.compile(rf"x({_NUMBER.pattern})")
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """Where a point is in some frames of a clip.
+
+    Parameters
+    ----------
+    name : str
+        Its name in the file; may be empty.
+    keys : tuple of (int, (float, float))
+        Frames, counted from 0 in ascending order, and positions, x and y: pixel centres are at whole numbers, from the
+        top left one, which is (0, 0).
+    """
+
+    name: str
+    keys: tuple[tuple[int, tuple[float, float]], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """A point of a row: the place in the file, for messages, and what it says."""
+
+    where: str
+    frame: float
+    x: float
+    y: float
+
+
+def read_tracks(
+    path: PathLike,
+    *,
+    convention: Convention | None = None,
+    height: int | Callable[[], int] | None = None,
+    first: int | None = None,
+) -> tuple[Track, ...]:
+    """Read the tracks of a file.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        A table whose rows are frame, x, y and, if there are several tracks, their name, with or without a header,
+        separated by commas, semicolons, tabs or spaces. Or a script of Nuke with curves of points: of a tracker, of a
+        corner pin, or copied. Or keyframes that were copied from After Effects: positions, corner pins, trackers.
+    convention : str, optional
+        How it counts: ``"pixels"``: from the top left pixel, whose centre is (0, 0), and frames from 0; ``"nuke"``:
+        from the lower left corner, y upwards, with pixel centres at halves, and frames from 1; ``"ae"``: from the top
+        left corner, with pixel centres at halves, and frames from 0. Scripts and keyframes have their own. A table with
+        a header is in pixels by default; one without must be told.
+    height : int or function, optional
+        The height of the frames in pixels, for ``"nuke"``.
+    first : int, optional
+        The number that the file gives to the first frame of the clip, if it is another one: 1001, for instance.
+
+    Raises
+    ------
+    SuppleError
+        If the file cannot be read or holds no tracks, or its convention is not known; the message names the line or the
+        track at fault.
+    """
+    name = shown(path)
+    if convention is not None:
+        choice("convention", convention, CONVENTIONS)
+    data = head_of(path, -1, _GIVE, _GIVE)
+    if b"\0" in data:
+        raise unreadable(path, "it is no text in UTF-8", _GIVE)
+    text = data.decode("utf-8", "replace").removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+    if text.lstrip().startswith(_AE):
+        own, found = "ae", _after_effects(name, text)
+    elif _CURVE.search(text):
+        own, found = "nuke", _nuke(name, text)
+    else:
+        known, found = _table(name, text)
+        own = convention or ("pixels" if known else "")
+        if not own:
+            raise unreadable(
+                path,
+                "it is a table without a header, and does not say from where its pixels count",
+                "say whether it is from nuke, ae or in pixels (--track-from), or begin it with a line frame,x,y",
+            )
+    if convention not in (None, own):
+        raise unreadable(path, f"its positions are those of {own}, and {convention} was asked for", "leave that out")
+    up = own == "nuke"
+    if up and height is None:
+        raise unreadable(path, "y points up in Nuke, from the lower edge", "give the height of the frames")
+    rows = (height() if callable(height) else height or 0) if up else 0
+    start, half = _FIRST[own] if first is None else first, 0.0 if own == "pixels" else 0.5
+    return tuple(
+        Track(label, tuple((k - start, (x - half, rows - y - half if up else y - half)) for k, x, y in points))
+        for label, points in ((label, _ordered(name, points)) for label, points in found.items())
+    )
+
+
+def _ordered(name: str, points: Sequence[_Found]) -> list[tuple[int, float, float]]:
+    made: dict[int, tuple[int, float, float]] = {}
+    for each in points:
+        for what, value in (("x", each.x), ("y", each.y)):
+            if not abs(value) <= LARGEST:
+                raise SuppleError(f"cannot read {name}: {each.where}: {what} is {value:g}: give a finite number")
+        if not (abs(each.frame) <= LONGEST_AXIS and float(each.frame).is_integer()):
+            raise SuppleError(f"cannot read {name}: {each.where}: the frame is {each.frame:g}: give a whole number")
+        k = int(each.frame)
+        if k in made:
+            raise SuppleError(
+                f"cannot read {name}: {each.where}: frame {k} is there twice in one track: give each track a name"
+            )
+        made[k] = (k, each.x, each.y)
+    return [made[k] for k in sorted(made)]
+
+
+def _table(name: str, text: str) -> tuple[bool, dict[str, list[_Found]]]:
+    """Return whether a table has a header, and its tracks."""
+    lines = [(n, line.strip()) for n, line in enumerate(text.split("\n"), 1)]
+    rows = [(n, _cells(line)) for n, line in lines if line and not line.startswith("#")]
+    if not rows:
+        raise SuppleError(f"cannot read {name}: it holds no tracks: {_GIVE}")
+    number, head = rows[0]
+    known = not any(_is_number(cell) for cell in head)
+    columns = {column: k for k, column in enumerate(_COLUMNS)}
+    if known:
+        names = [cell.lower() for cell in head]
+        missing = [column for column in _COLUMNS[:3] if names.count(column) != 1]
+        if missing:
+            raise SuppleError(
+                f"cannot read {name}: line {number}: its columns are {value_shown(', '.join(head))}, without one named "
+                f"{missing[0]}: {_GIVE}"
+            )
+        columns = {column: names.index(column) for column in _COLUMNS if column in names}
+    found: dict[str, list[_Found]] = {}
+    width = len(head)
+    for number, cells in rows[known:]:
+        if len(cells) != width or (not known and width not in (3, 4)):
+            wanted = f"{width}, as the first line has" if known or width in (3, 4) else "frame, x, y, or a name besides"
+            raise SuppleError(f"cannot read {name}: line {number}: it has {len(cells)} columns: give {wanted}")
+        values = []
+        for column in _COLUMNS[:3]:
+            cell = cells[columns[column]]
+            if not _is_number(cell):
+                raise SuppleError(f"cannot read {name}: line {number}: {column} is {value_shown(cell)}: give a number")
+            values.append(float(cell))
+        label = cells[columns["name"]] if "name" in columns and columns["name"] < width else ""
+        found.setdefault(label, []).append(_Found(f"line {number}", *values))
+    if not found:
+        raise SuppleError(f"cannot read {name}: it has a header alone: give the frames and positions below it")
+    return known, found
+
+
+def _cells(line: str) -> list[str]:
+    separator = next((mark for mark in ("\t", ";", ",") if mark in line), None)
+    return [cell.strip().strip("\"'") for cell in line.split(separator)]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return not math.isnan(float(text))
+    except ValueError:
+        return False
+
+
+def _after_effects(name: str, text: str) -> dict[str, list[_Found]]:
+    """Return the positions of keyframes: sections that begin with a name, and have columns in pixels."""
+    found: dict[str, list[_Found]] = {}
+    label = ""
+    columns: list[str] = []
+    ended = False
+    for number, line in enumerate(text.split("\n"), 1):
+        if line.startswith("End of Keyframe Data"):
+            ended = True
+            break
+        if line and not line[0].isspace():
+            parts = [part.strip() for part in line.split("\t") if part.strip()]
+            label, columns = " ".join(parts[1:] if len(parts) > 1 else parts), []
+            continue
+        cells = [cell.strip() for cell in line.split("\t")][1:]
+        if "Frame" in cells[:1]:
+            columns = cells
+            continue
+        if columns[1:3] != ["X pixels", "Y pixels"] or label == "Anchor Point" or not any(cells):
+            continue
+        if not cells[0]:
+            continue  # a value that does not change has no frame
+        if len([*filter(None, cells)]) != len([*filter(None, columns)]) or not all(map(_is_number, cells[:3])):
+            raise SuppleError(
+                f"cannot read {name}: line {number}: it is {value_shown(line.strip())}: give a frame, x and y"
+            )
+        found.setdefault(label, []).append(_Found(f"line {number}", *map(float, cells[:3])))
+    if not found:
+        raise SuppleError(
+            f"cannot read {name}: none of its keyframes are positions: copy those of a position or a tracker"
+        )
+    if not ended:
+        raise SuppleError(f"cannot read {name}: it breaks off before End of Keyframe Data: give a whole copy of it")
+    return found
+
+
+def _nuke(name: str, text: str) -> dict[str, list[_Found]]:
+    """Return the points of a script: rows of trackers, and pairs of curves in knobs of points."""
+    found: dict[str, list[_Found]] = {}
+
+    def add(label: str, x: str, y: str) -> None:
+        label, wanted, k = label or "track", label or "track", 2
+        while label in found:
+            label, k = f"{wanted} {k}", k + 1
+        found[label] = list(_points(name, label, x, y))
+
+    for row in _ROW.finditer(text):
+        add(*row.groups())
+    for pair in _PAIR.finditer(text):
+        knob = re.search(r"([A-Za-z_]\w*)?\s*\Z", text[max(0, pair.start() - 80) : pair.start()])
+        label = (knob and knob[1]) or ""
+        if not label or _POINTS.fullmatch(label):
+            add(label, *pair.groups())
+    if not found:
+        raise SuppleError(f"cannot read {name}: none of its curves are of points: give a tracker or a corner pin")
+    return found
+
+
+def _points(name: str, label: str, x: str, y: str) -> Iterator[_Found]:
+    where = f"track {value_shown(label)}"
+    along, down = (dict(_values(name, where, curve)) for curve in (x, y))
+    if not along or along.keys() != down.keys():
+        raise SuppleError(
+            f"cannot read {name}: {where}: x has {len(along)} keys, and y {len(down)}, of other frames: give both alike"
+        )
+    return (_Found(where, frame, along[frame], down[frame]) for frame in along)
+
+
+def _values(name: str, where: str, curve: str) -> Iterable[tuple[float, float]]:
+    """Yield the keys of a curve: ``x1 100 101 x5 90``, values of frame 1, 2 and 5, among letters for its shape."""
+    frame: float | None = None
+    given = False
+    for word in curve.split():
+        if keyed := _KEYED.fullmatch(word):
+            frame, given = float(keyed[1]), True
+        elif _NUMBER.fullmatch(word):
+            if frame is None:
+                raise SuppleError(f"cannot read {name}: {where}: its curve has a value without a frame: copy it again")
+            frame = frame if given else frame + 1
+            given = False
+            yield frame, float(word)
