@@ -140,7 +140,7 @@ def test_scripts_of_nuke() -> None:
         ("frame,x,y\n1,2,3\n1,2,4\n", "line 3: frame 1 is there twice in one track"),
         (AE.split("\n\nTransform\tPosition")[0] + "\n\nEnd of Keyframe Data\n", "none of its keyframes are positions"),
         (AE.replace("End of Keyframe Data\n", ""), "it breaks off before End of Keyframe Data"),
-        (AE.replace("34.5\t22", "34.5"), "line 15: it is "),
+        (AE.replace("34.5\t22", "34.5"), "line 16: it is "),
         ("{{curve x1 1 2} {curve x1 1}}", "track 'track': x has 2 keys, and y 1, of other frames"),
         ("{{curve 1 2} {curve x1 1}}", "track 'track': its curve has a value without a frame"),
         ("rotate {{curve x1 1}}", "none of its curves are of points"),
