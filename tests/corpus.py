@@ -102,6 +102,7 @@ PICTURES: dict[str, tuple[str, ...]] = {
 CLIPS: dict[str, tuple[str, ...]] = {
     "space.mkv": DRAG,
     "time.mkv": ("--grab", "320,180,20:320,180,26", "--radius", "90", "--time-scale", "4"),
+    "moving.mkv": (*DRAG, "--track", "track.csv"),
     "frames%03d.png": ("--grab", "320,180,20:330,180,26", "--radius", "60"),
     "small.gif": DRAG,
 }
@@ -210,6 +211,7 @@ def found(only: str = "") -> dict[str, str]:
         head = sitk.ReadImage("head.nii.gz")
         sitk.WriteImage(sitk.Cast(sitk.Cast(head, sitk.sitkInt32) / 60, sitk.sitkUInt8), "few.nii.gz")
         Path("points.csv").write_text("x,y\n200,120\n20.5,300\n")
+        Path("track.csv").write_text("frame,x,y\n0,200,120\n20,230,120\n63,330,160\n")
         Path("empty.json").write_text("{}")
         for name, make in (*arrays(), *commands()):
             if only in name:
