@@ -251,8 +251,8 @@ class Deformation:
             raise SuppleError(f"the recipe is in {recipe.space} millimetres, which only files of volumes have")
         if recipe.moves:
             raise SuppleError(
-                "the recipe's strokes move from frame to frame (keys), and this is one map: supple.warp_file warps a "
-                "whole clip, and Recipe.at_frame gives the strokes of a frame"
+                "the recipe's strokes move from frame to frame (keys), and this is one map: warp a whole clip, or give "
+                "the recipe of one frame"
             )
         made = cls(
             shape,
@@ -694,7 +694,9 @@ class Deformation:
         if stroke.hidden:
             return self
         if stroke.keys:
-            raise SuppleError("the stroke has keys, and this is one map: Stroke.at_frame gives what it is in one frame")
+            raise SuppleError(
+                "the stroke moves from frame to frame (keys), and this is one map: give the stroke of a frame"
+            )
         stroke = reduced(stroke, 1.0, self, self)
         resolved = resolve(stroke, self.domain, self.on_fold)
         if warn:

@@ -19,6 +19,7 @@ from supple.errors import FoldError, FoldWarning, SuppleError
 from supple.files import read_recipe, warp_file, write_recipe
 from supple.files.clips import deformation_of as on_clip
 from supple.geometry import Geometry
+from supple.keys import Key
 from supple.media.image import read, write
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.editing import Document
@@ -216,6 +217,7 @@ class TestRefusals:
             lambda: d.load({"strokes": []}),  # type: ignore[arg-type]
             lambda: Document(SHAPE, recipe="strokes.json"),  # type: ignore[arg-type]
             lambda: d.load(Recipe(strokes=(solid,))),
+            lambda: d.load(Recipe(strokes=(replace(stroke(), keys=(Key(3, strength=0),)),))),
         ]
         if dragging:
             d.begin_drag()
