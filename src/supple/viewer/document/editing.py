@@ -209,6 +209,30 @@ class Document:
         """Return whether there is a step to redo."""
         return not self.dragging and self._history.can_redo
 
+    @property
+    def steps(self) -> tuple[State, ...]:
+        """The states that undo and redo go through, from the first to the last."""
+        return self._history.states
+
+    @property
+    def step(self) -> int:
+        """The index of the present one of `steps`."""
+        return self._history.index
+
+    def go(self, step: int) -> None:
+        """Undo or redo as many steps as lead to one of `steps`."""
+        self._rest()
+        count = len(self.steps)
+        step = integer("a step", step, f"one of {count}, from 0 to {count - 1}", 0, count - 1)
+        if step == self.step:
+            return
+        state = self.state
+        while self.step > step:
+            state = self._history.undo()
+        while self.step < step:
+            state = self._history.redo()
+        self._show(self._solved(state, self._now))
+
     def undo(self) -> None:
         """Undo the last step, or the current drag."""
         if self.dragging:

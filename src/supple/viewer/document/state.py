@@ -128,6 +128,16 @@ class History(Generic[S]):
         """Return whether a state was undone, and nothing was pushed since."""
         return bool(self._future)
 
+    @property
+    def states(self) -> tuple[S, ...]:
+        """All states, from the first to the one that was undone first."""
+        return (*self._past, self.present, *reversed(self._future))
+
+    @property
+    def index(self) -> int:
+        """The index of the present state among all."""
+        return len(self._past)
+
     def push(self, state: S) -> None:
         """Add a state; undone states are dropped."""
         self._past.append(self.present)
