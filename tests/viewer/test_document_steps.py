@@ -122,8 +122,8 @@ def test_a_recipe_in_words() -> None:
     recipe = Recipe(strokes=(A, replace(B, hidden=True, scales=3, poisson=0.3, strength=0.5)), border=None)
     d = Document(SHAPE, recipe=recipe)
     assert [sentence(i, item) for i, item in enumerate(d.items)] == [
-        "1. Grab at (20, 20) by (4, 2), radius 9.",
-        "2. Grab at (50, 40) by (-3, 5), radius 7, fall-off near, Poisson ratio 0.3, 50 % of it (hidden).",
+        "1. Grab at (20, 20) by (4, 2),\n    radius 9.",
+        "2. Grab at (50, 40) by (-3, 5),\n    radius 7, fall-off near, Poisson ratio 0.3, 50 % of it (hidden).",
     ]
     assert settings(recipe) == "Where a stroke would fold: go in small steps. The border is free."
     assert settings(replace(recipe, border=8, on_fold="error")) == (

@@ -47,9 +47,10 @@ def described(stroke: Stroke, arrival: Arrival | None) -> str:
 
 
 def sentence(i: int, item: Item) -> str:
-    """Return a stroke of a list as one sentence."""
+    """Return a stroke of a list as a sentence, in two lines."""
     stroke = item.stroke
-    said = f"{i + 1}. {stroke.brush.capitalize()} at {place(stroke.at)} by {place(stroke.by)}, radius {stroke.radius:.4g}"
+    said = f"{i + 1}. {stroke.brush.capitalize()} at {place(stroke.at)} by {place(stroke.by)},\n"
+    said += f"    radius {stroke.radius:.4g}"
     if stroke.scales != 1:
         said += f", fall-off {FALLOFFS[stroke.scales - 1]}"
     if stroke.poisson is not None:

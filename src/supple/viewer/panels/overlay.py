@@ -7,13 +7,15 @@ import math
 from imgui_bundle import imgui
 
 from supple.folding import NEAR
-from supple.viewer.panels.panel import hint
+from supple.viewer.panels import icons, theme
 from supple.viewer.panels.stages import VideoStage, VolumeStage
 from supple.viewer.panels.view import BAR, LINE, View
+from supple.viewer.panels.widgets import hint, icon_button
 from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
 from supple.viewer.tools.gestures import Pair
 from supple.viewer.tools.playback import Playback
 
+_PALE, _SHADE = 0x90FFFFFF, 0x50000000
 _WHITE, _DARK, _BLUE, _RED = 0xFFFFFFFF, 0xA0000000, 0xFFFFA040, 0xFF5060FF  # ABGR
 _BARE = (
     imgui.WindowFlags_.no_title_bar
@@ -35,13 +37,23 @@ def draw(view: View) -> None:
         _handles(view, lines)
     tools = view.tools
     if tools.pointer is not None and not tools.original and (ring := tools.ring):
-        lines.add_circle(tools.pointer, ring, _DARK, 0, 3.0)
-        lines.add_circle(tools.pointer, ring, _WHITE, 0, 1.0)
+        _rings(tools, lines, tools.pointer, ring)
     _knob(view, lines)
+    _names(view, lines)
     lines.pop_clip_rect()
     if isinstance(view.stage, VideoStage):
         _timeline(view, view.stage)
     _status(view)
+
+
+def _rings(tools: ImageTools | VolumeTools, lines: imgui.ImDrawList, middle: Pair, radius: float) -> None:
+    """Draw the brush's radius and, around it, its reach, beyond which nothing moves."""
+    reach = tools.reach if tools.held is None else tools.held.stroke.reach
+    if reach is not None and reach > 1.0:
+        lines.add_circle(middle, reach * radius, _SHADE, 0, 3.0)
+        lines.add_circle(middle, reach * radius, _PALE, 0, 1.0)
+    lines.add_circle(middle, radius, _DARK, 0, 3.0)
+    lines.add_circle(middle, radius, _WHITE, 0, 1.0)
 
 
 def _knob(view: View, lines: imgui.ImDrawList) -> None:
@@ -54,6 +66,20 @@ def _knob(view: View, lines: imgui.ImDrawList) -> None:
     lines.add_circle(knob, 9.0, _DARK, 0, 1.0)
     for way in (-1, 1):
         lines.add_triangle_filled((x + 6 * way, y), (x + 2 * way, y - 4), (x + 2 * way, y + 4), 0xFF202020)
+
+
+def _names(view: View, lines: imgui.ImDrawList) -> None:
+    """Say which picture is the original."""
+    tools, named = view.tools, []
+    if tools.split is not None and 0.05 < tools.split < 0.95:
+        middle = tools.split * view.area[0]
+        named = [("Before", middle - 10 - imgui.calc_text_size("Before").x - 20), ("After", middle + 10)]
+    elif tools.original:
+        named = [("Original", 10.0)]
+    for text, x in named:
+        size = imgui.calc_text_size(text)
+        lines.add_rect_filled((x, 10.0), (x + size.x + 20, 18.0 + size.y), 0xB0181818, 6.0)
+        lines.add_text((x + 10, 14.0), _WHITE, text)
 
 
 def _handles(view: View, lines: imgui.ImDrawList) -> None:
@@ -115,25 +141,47 @@ def _timeline(view: View, stage: VideoStage) -> None:
     assert isinstance(tools, VideoTools)
     playback = tools.playback
     width, height = view.area[0], view.logical[1]
-    imgui.set_next_window_pos((0, height - LINE - BAR))
-    imgui.set_next_window_size((width, BAR))
-    imgui.begin("timeline", None, _BARE)
-    if imgui.button("pause" if playback.playing else "play", (54, 0)):
+    _bar("timeline", height - LINE - BAR, width, BAR, (8, 8))
+    if icon_button("play", icons.pause if playback.playing else icons.play, imgui.get_frame_height()):
         tools.press(" ")
+    hint("Pause (Space)" if playback.playing else "Play (Space)")
     imgui.same_line()
-    imgui.set_next_item_width(max(80.0, width - 330))
-    changed, frame = imgui.slider_int("##frame", playback.frame, 0, stage.film.count - 1, "")
+    last = stage.film.count - 1
+    said = f"{playback.frame} / {last}   {playback.seconds:.2f} s"
+    most = f"{last} / {last}   {last / stage.rate:.2f} s"
+    beside = imgui.calc_text_size(most).x + imgui.calc_text_size("loop").x + imgui.get_frame_height() + 44
+    imgui.set_next_item_width(max(80.0, imgui.get_content_region_avail().x - beside))
+    imgui.push_style_color(imgui.Col_.slider_grab, theme.TEXT)
+    changed, frame = imgui.slider_int("##frame", playback.frame, 0, last, "")
+    imgui.pop_style_color()
     if changed:
         playback.seek(frame)
-    hint("i and o mark what is played, u plays all")
     _marked(playback)
-    imgui.same_line()
-    imgui.text(f"{playback.frame} / {stage.film.count - 1}  {playback.seconds:.2f} s")
-    imgui.same_line()
+    hint("The frame; I and O mark the part that is played, U removes the marks")
+    imgui.same_line(0, 12)
+    imgui.text(said)
+    imgui.same_line(width - imgui.get_frame_height() - imgui.calc_text_size("loop").x - 16)
     changed, loop = imgui.checkbox("loop", playback.loop)
     if changed:
         playback.set_loop(loop)
+    hint("Play again and again (L)")
+    _end_bar()
+
+
+def _bar(name: str, top: float, wide: float, high: float, padding: Pair) -> None:
+    """Begin a bar below the picture."""
+    imgui.set_next_window_pos((0, top))
+    imgui.set_next_window_size((wide, high))
+    imgui.push_style_var(imgui.StyleVar_.window_padding, padding)
+    imgui.push_style_var(imgui.StyleVar_.window_rounding, 0.0)
+    imgui.push_style_color(imgui.Col_.window_bg, theme.RAIL)
+    imgui.begin(name, None, _BARE)
+
+
+def _end_bar() -> None:
     imgui.end()
+    imgui.pop_style_color()
+    imgui.pop_style_var(2)
 
 
 def _marked(playback: Playback) -> None:
@@ -143,20 +191,16 @@ def _marked(playback: Playback) -> None:
     low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
     inset = 0.5 * imgui.get_style().grab_min_size + 2.0  # a slider's knob stays within it
     wide = (high.x - low.x - 2 * inset) / max(playback.count - 1, 1)
-    first, last = (low.x + inset + wide * frame for frame in (playback.first, playback.last))
+    first, last = (round(low.x + inset + wide * frame) for frame in (playback.first, playback.last))
     imgui.get_window_draw_list().add_rect((first - 2, low.y), (last + 2, high.y), _BLUE, 2.0)
 
 
 def _status(view: View) -> None:
-    imgui.set_next_window_pos((0, view.logical[1] - LINE))
-    imgui.set_next_window_size((view.area[0], LINE))
-    imgui.push_style_var(imgui.StyleVar_.window_padding, (8, 3))
-    imgui.begin("status", None, _BARE)
+    _bar("status", view.logical[1] - LINE, view.area[0], LINE, (8, 3))
     said = status(view)
     imgui.text(said)
     hint(said.replace("   |   ", "\n"))  # the full text, if the window is narrow
-    imgui.end()
-    imgui.pop_style_var()
+    _end_bar()
 
 
 def status(view: View) -> str:

@@ -13,6 +13,7 @@ from supple.deformation import Deformation
 from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.plate import BACK, Plate, Sight
 from supple.errors import SuppleError
+from supple.files.volumes import is_of_labels
 from supple.media.image import Picture
 from supple.media.volume import Volume
 from supple.render.camera import Camera
@@ -172,6 +173,9 @@ class VolumeStage:
 
     def __init__(self, gpu: Gpu, volume: Volume, preset: str, samples: Any = None) -> None:
         self.name, self.volume, self.preset = volume.name, volume, preset
+        # Computed tomography is recognized by its values, as its preset is.
+        self.says = "{:.6g} HU" if preset == "ct-skin" else "label {:.6g}" if is_of_labels(volume) else "{:.6g}"
+        """How a value is said in the line of status."""
         self.density: tuple[float, float] | None = None
         self.mode = "hybrid"
         self._gpu = gpu
@@ -233,7 +237,7 @@ class VolumeStage:
         last, geometry = [n - 1 for n in reversed(self.shape)], self.volume.geometry
         x, y, z = np.clip(np.floor(np.array(pick.source) + 0.5), 0, last).astype(int)
         place = ", ".join(f"{v:.1f}" for v in geometry.to_world(pick.index))
-        return f"{self._samples[z, y, x]:.6g}   |   ({place}) mm {geometry.convention}"
+        return f"{self.says.format(self._samples[z, y, x])}   |   ({place}) mm {geometry.convention}"
 
 
 def on_screen(picture: Picture) -> Pixels:

@@ -10,8 +10,9 @@ from typing import Any, Generic, Literal, TypeVar
 
 from supple.domain import Domain
 from supple.errors import SuppleError
-from supple.strokes import REACH, Stroke
+from supple.strokes import REACH, Brush, Stroke
 from supple.viewer.document.editing import Document
+from supple.viewer.tools.keys import BRUSHES
 
 Pair = tuple[float, float]
 V = TypeVar("V")
@@ -28,6 +29,7 @@ _CUT = "cut"
 _MOST = 1e4  # the largest turn of the wheel at once: larger powers overflow
 _REQUESTS = {"s": "save", "o": "open", "e": "export"}
 COMMANDS = frozenset((*_REQUESTS, "z", "y"))  # letters that do something together with Control
+_BRUSHES = {key.lower(): name for name, (key, _) in BRUSHES.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,13 +127,14 @@ class Tools(ABC, Generic[V]):
         smallest = min(domain.spacing[:n])
         self.radius_limits = (smallest, 4 * max(sides))
         self._radius = max(min(sides) / 8, smallest)
+        self.brush: Brush = "grab"
         self.poisson: float | None = None
         self.scales = 1
         self.reach: float | None = REACH
         self.original = False  # whether to display the original, without strokes
         self.split: float | None = None
-        self.listing = False  # whether to list keys and gestures
         """The split between original and result, as a fraction of the width; None without a split."""
+        self.listing = False  # whether to list keys and gestures
         self.requests: list[str] = []
         """Requests to the window: ``"save"``, ``"save as"``, ``"open"``, ``"export"``."""
         self.pointer: Pair | None = None  # the pointer on the canvas
@@ -263,7 +266,7 @@ class Tools(ABC, Generic[V]):
         if point is None:
             return None
         brush: dict[str, Any] = {"poisson": self.poisson, "scales": self.scales, "reach": self.reach}
-        stroke = Stroke(at=point, by=(0.0,) * len(point), radius=self.radius, **brush)
+        stroke = Stroke(at=point, by=(0.0,) * len(point), radius=self.radius, brush=self.brush, **brush)
         return Held(stroke, stroke.at, (x, y), (x, y))
 
     def handles(self, among: Iterable[int] | None = None) -> list[Handle]:
@@ -393,6 +396,8 @@ class Tools(ABC, Generic[V]):
             self.grow(1 if key == "]" else -1)
         elif key == "\\":
             self.original = True
+        elif key.lower() in _BRUSHES:
+            self.brush = _BRUSHES[key.lower()]
         elif key in ("b", "B"):
             self.split = 0.5 if self.split is None else None
         elif key in ("Delete", "Backspace", "h", "H"):

@@ -4,8 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from supple.strokes import Brush
+
 Rows = Mapping[str, str]
 
+BRUSHES: Mapping[Brush, tuple[str, str]] = {
+    "grab": ("G", "pull what is under the pointer"),
+}
+"""For each brush, in the order of the tools' strip, its key, and what a drag with it does."""
 _ALWAYS: Rows = {
     "click": "select the stroke whose handle is there, or none",
     "[  ]": "smaller and larger brush, or selected stroke",
@@ -20,10 +26,11 @@ _ALWAYS: Rows = {
     "Ctrl+O": "open a recipe, or drop its file on the window",
     "Ctrl+E": "export",
     "?  F1": "show or hide this list",
+    **{key: f"brush: {name}" for name, (key, _) in BRUSHES.items()},
 }
 _PICTURE: Rows = {
     "drag": "pull what is under the pointer, or a handle of the selected stroke",
-    "wheel": "radius of the brush, which the ring shows",
+    "wheel": "radius of the brush, which the inner ring shows",
     "Ctrl+wheel": "zoom about the pointer",
     "middle drag, Alt+drag": "move the view",
     "0  1": "fit the picture, or show it at 100 %",
@@ -45,7 +52,7 @@ KEYS: Mapping[str, Rows] = {
         "drag beside it, right drag": "turn the view",
         "middle drag": "move the view",
         "wheel": "nearer and farther",
-        "Shift+wheel": "radius of the brush, which the ring shows",
+        "Shift+wheel": "radius of the brush, which the inner ring shows",
         "0": "the view of the beginning",
         **_ALWAYS,
     },
