@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import supple
 from supple.engines.wgpu import plate
 from supple.engines.wgpu.device import Gpu
 from supple.geometry import Geometry
@@ -43,11 +42,8 @@ def places(monkeypatch: pytest.MonkeyPatch) -> Places:
         def drawn(label: str, *rest: Any, **options: Any) -> Any:
             made = draw(label, *rest, **options)
             low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-            known = label.rpartition("###")[2]
-            found[f"menu {known}" if name == "menu_item" else known] = (
-                low.x + min(high.x - low.x, 24) / 2,
-                (low.y + high.y) / 2,
-            )
+            known = ("menu " if name == "menu_item" else "") + label.rpartition("###")[2]
+            found[known] = (low.x + min(high.x - low.x, 24) / 2, (low.y + high.y) / 2)
             return made
 
         monkeypatch.setattr(imgui, name, drawn)
@@ -87,7 +83,7 @@ def test_each_tool_and_action_has_an_icon_and_a_key_that_is_listed() -> None:
 def test_icons_are_seen_and_differ(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
     from supple.viewer.panels.icons import ICONS, Pen
 
-    view, hand = grey()
+    _, hand = grey()
     seen: dict[str, np.ndarray] = {}
     for name, icon in ICONS.items():
 
