@@ -269,3 +269,22 @@ def test_a_value_is_said_in_its_unit(gpu: Gpu, low: float, high: float, said: st
     view, _ = opened(samples.astype(np.float32))
     assert re.fullmatch(said, view.stage.value(Pick((14, 12, 10), (14, 12, 10), 1.0)).split("   |   ")[0])
     assert volumes.Volume(samples, Geometry()).components == 1
+
+
+def test_a_long_path_is_shortened_in_the_middle(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
+    from supple.viewer.panels.widgets import elided
+
+    said: list[tuple[str, float]] = []
+
+    def draw(view: Any) -> None:
+        for wide in (400.0, 150.0, 3.0):
+            text = elided("Saved to /home/someone/pictures/of/cups/coffee-bent.png", wide)
+            said.append((text, imgui.calc_text_size(text).x))
+
+    _, hand = grey()
+    monkeypatch.setattr("supple.viewer.panels.overlay.draw", draw)
+    hand.canvas.draw()
+    (whole, _), (short, wide), _ = said
+    assert whole == "Saved to /home/someone/pictures/of/cups/coffee-bent.png"
+    assert re.fullmatch(r"Saved to /\w*\u2026.*bent.png", short)
+    assert 120 < wide <= 150

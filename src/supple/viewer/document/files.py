@@ -316,13 +316,13 @@ _WRITTEN: dict[Kind | None, tuple[Collection[str], str]] = {
     "volume": (VOLUMES_OUT, ".nii.gz"),
 }
 _OVER = "There are strokes that were not saved. Undo brings them back, but only as long as the window is open."
-_OPEN = "In the place of the strokes that there are; undo brings these back."
+_OPEN = "It takes the place of the strokes that there are; undo brings them back."
 _WAYS_OUT = ("Save and close", "Replace and close", "Close without saving", "Cancel")
 _KEEP = ("Save", "Replace", "Cancel")
 _ASKED = {
-    "save": ("Save the recipe", "What supple warp --recipe takes.", _KEEP),
+    "save": ("Save the recipe", "The strokes, which supple warp --recipe applies to files.", _KEEP),
     "open": ("Open a recipe", _OPEN, ("Open", "Cancel")),
-    "export": ("Export", "At full quality, to any format of supple warp.", ("Export", "Replace", "Cancel")),
+    "export": ("Export", "At full quality. The suffix of the name says the format.", ("Export", "Replace", "Cancel")),
     "copy": ("Save what is seen", "The picture as it is on the canvas.", _KEEP),
     "close": ("Close?", "There are strokes that were not saved.", _WAYS_OUT),
 }

@@ -10,7 +10,7 @@ from supple.viewer.document.words import sentence, settings, step
 from supple.viewer.panels import theme
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.view import View
-from supple.viewer.panels.widgets import hint, listing, section, wrapped
+from supple.viewer.panels.widgets import REST, hint, listing, section, wrapped
 
 
 def draw(view: View) -> None:
@@ -56,7 +56,7 @@ def _recipe(view: View) -> None:
         imgui.end_child()
     action = ACTIONS["copy recipe"]
     imgui.begin_disabled(not action.able(view))
-    if imgui.button("Copy JSON", (-1, 0)):
+    if imgui.button("Copy JSON", (REST, 0)):
         action.do(view)
     imgui.end_disabled()
     hint("What supple warp --recipe takes" if action.able(view) else "A page has no clipboard: save the recipe instead")

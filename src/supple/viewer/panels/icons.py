@@ -213,6 +213,12 @@ def pause(pen: Pen) -> None:
         pen.shape((x, -0.8), (x + 0.5, -0.8), (x + 0.5, 0.8), (x, 0.8))
 
 
+def cross(pen: Pen) -> None:
+    """A cross."""
+    pen.line((-0.6, -0.6), (0.6, 0.6))
+    pen.line((-0.6, 0.6), (0.6, -0.6))
+
+
 ICONS: dict[str, Icon] = {
     "grab": grab,
     "twist": twist,

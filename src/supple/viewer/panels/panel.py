@@ -6,14 +6,16 @@ from imgui_bundle import imgui
 
 from supple.engines.wgpu.plate import OVERLAYS
 from supple.errors import shown
+from supple.viewer.document.background import Export
 from supple.viewer.panels import history, legend, menu, question, strokes, theme, volume
 from supple.viewer.panels.actions import ACTIONS
+from supple.viewer.panels.icons import cross
 from supple.viewer.panels.overlay import certified
 from supple.viewer.panels.view import STRIP, WIDE, View
-from supple.viewer.panels.widgets import hint, label, primary, section, slider, wrapped
+from supple.viewer.panels.widgets import REST, elided, hint, icon_button, label, primary, section, slider, wrapped
 
 _FOOT = 94.0  # logical pixels of the file commands
-_EXPORTING = 62.0  # and of an export's progress
+_EXPORTING, _DONE = 60.0, 30.0  # and of an export's progress, and of its end
 _FLAGS = (
     imgui.WindowFlags_.no_move
     | imgui.WindowFlags_.no_resize
@@ -32,7 +34,8 @@ def panel(view: View) -> None:
     imgui.begin("panel", None, _FLAGS | imgui.WindowFlags_.menu_bar | imgui.WindowFlags_.no_scrollbar)
     imgui.pop_style_var()
     menu.draw(view)
-    foot = _FOOT + (_EXPORTING if view.commands.export is not None else 0.0)
+    job = view.commands.export
+    foot = _FOOT + (0.0 if job is None else _DONE if job.done else _EXPORTING)
     wide = imgui.get_content_region_avail().x
     # The scroll bar lies beside what it scrolls, in the panel's margin.
     imgui.set_next_window_content_size((wide, 0))
@@ -88,20 +91,8 @@ def _accuracy(view: View) -> None:
 def _files(view: View) -> None:
     """Draw the file commands, and the progress of an export."""
     imgui.separator()
-    job = view.commands.export
-    if job is not None:
-        if job.done:
-            wrong = job.error is not None or job.cancelled
-            text = job.text if wrong else f"Saved to {shown(job.target)}"
-            imgui.text_colored(theme.WARNING if wrong else theme.TEXT, text)
-            hint(text)
-        else:
-            imgui.text(f"Exporting: {job.text}")
-            hint("At full quality, in the background: the file appears when it is complete")
-        imgui.progress_bar(job.progress, (-72, 22), f"{100 * job.progress:.0f} %")
-        imgui.same_line()
-        if imgui.button("Close" if job.done else "Cancel", (-1, 22)):
-            view.commands.end_export()
+    if view.commands.export is not None:
+        _exporting(view, view.commands.export)
     action = ACTIONS["export"]
     imgui.begin_disabled(not action.able(view))
     if primary("Export \u2026"):
@@ -115,3 +106,27 @@ def _files(view: View) -> None:
         hint(f"{ACTIONS[name].text} ({ACTIONS[name].keys})")
         imgui.same_line()
     imgui.new_line()
+
+
+def _exporting(view: View, job: Export) -> None:
+    """Draw the progress of an export, or its end."""
+    text, colour, size = f"Exporting: {job.text}", theme.TEXT, imgui.get_frame_height()
+    if job.done and (job.error is not None or job.cancelled):
+        text, colour = job.error or job.text, theme.WARNING
+    elif job.done:
+        text = f"Saved to {shown(job.target)}"
+    imgui.align_text_to_frame_padding()
+    imgui.text_colored(colour, elided(text, imgui.get_content_region_avail().x - (size + 8 if job.done else 0)))
+    hint(text if job.done else "At full quality, in the background: the file appears when it is complete")
+    if job.done:
+        imgui.same_line(imgui.get_window_width() - imgui.get_style().window_padding.x - size)
+        if icon_button("dismiss", cross, size):
+            view.commands.end_export()
+        hint("Close")
+        return
+    imgui.push_style_color(imgui.Col_.plot_histogram, theme.FULL)
+    imgui.progress_bar(job.progress, (-80, imgui.get_frame_height()), f"{100 * job.progress:.0f} %")
+    imgui.pop_style_color()
+    imgui.same_line()
+    if imgui.button("Cancel", (REST, 0)):
+        view.commands.end_export()

@@ -16,7 +16,7 @@ from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, pla
 from supple.viewer.panels import theme
 from supple.viewer.panels.icons import hidden, seen
 from supple.viewer.panels.view import View
-from supple.viewer.panels.widgets import hint, icon_button, label, listing, section, slider, typed, wrapped
+from supple.viewer.panels.widgets import REST, hint, icon_button, label, listing, section, slider, typed, wrapped
 
 _POLICIES = get_args(FoldPolicy)
 _FALLOFF = "How fast the pull fades with the distance: far as 1/r, medium as 1/r\u00b3, near as 1/r\u2075"
@@ -58,7 +58,7 @@ def _reach(reach: float | None, of: str) -> tuple[bool, float | None]:
     if changed or reach is None:
         imgui.text_disabled("no limit")
         return changed, REACH if changed and limited else None
-    imgui.set_next_item_width(-1)
+    imgui.set_next_item_width(REST)
     changed, value = slider(f"##reach{of}", reach, 1.0, 10.0, "%.1f radii")
     return changed, max(float(value), 1.0) if changed else reach
 
@@ -174,7 +174,7 @@ def _arrival(view: View, i: int) -> None:
     arrival = document.arrivals[i] if i < len(document.arrivals) else None
     if arrival is not None and arrival.miss > NEAR:
         wrapped(f"It ends {arrival.miss:.3g} short: {CAUSES[arrival.cause or 'border']}.", colour=theme.WARNING)
-        if document.state.on_fold != "flow" and imgui.button("Go all the way, in small steps", (-1, 0)):
+        if document.state.on_fold != "flow" and imgui.button("Go all the way, in small steps", (REST, 0)):
             view.attempt(lambda: document.set_on_fold("flow"))
         hint("No step folds; for all strokes")
     if arrival is not None and arrival.moved > NEAR:

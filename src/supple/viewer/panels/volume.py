@@ -13,7 +13,7 @@ from supple.render.transfer import PRESETS
 from supple.viewer.panels import theme
 from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.panels.view import View
-from supple.viewer.panels.widgets import hint, label, section, slider, typed, wrapped
+from supple.viewer.panels.widgets import REST, hint, label, section, slider, typed, wrapped
 
 _MODES = {
     "hybrid": "Exact near what moves, and from a bent copy elsewhere: fast once the copy is complete",
@@ -55,7 +55,7 @@ def draw(view: View) -> None:
     if changed:
         _show(view, lambda: stage.set_mode(modes[index]))
     if stage.mode == "hybrid" and view.filled < 1.0 and not view.document.deformation.is_identity:
-        imgui.progress_bar(view.filled, (-1, 6), "")
+        imgui.progress_bar(view.filled, (REST, 6), "")
         wrapped("Bending a copy of the volume: pictures are faster once it is complete.")
 
 

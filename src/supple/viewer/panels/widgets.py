@@ -12,6 +12,7 @@ from supple.viewer.panels.icons import Icon, Pen
 from supple.viewer.panels.view import View
 
 LABEL = 104.0  # logical pixels of the labels before fields
+REST = -1e-3  # the width of what takes the rest of a line
 FOLDED = ("Folds and border", "History", "Recipe")
 """The sections that are folded in the first window."""
 
@@ -37,7 +38,7 @@ def label(text: str, tip: str = "") -> None:
     if tip:
         hint(tip)
     imgui.same_line(LABEL)
-    imgui.set_next_item_width(-1)
+    imgui.set_next_item_width(REST)
 
 
 def wrapped(text: str, wide: float = 0.0, colour: theme.Colour = theme.FAINT) -> None:
@@ -47,7 +48,18 @@ def wrapped(text: str, wide: float = 0.0, colour: theme.Colour = theme.FAINT) ->
     imgui.pop_text_wrap_pos()
 
 
-def primary(text: str, wide: float = -1.0) -> bool:
+def elided(text: str, wide: float) -> str:
+    """Return a text whose middle is left out as far as it does not fit a width: ends of paths are what counts."""
+    kept = text
+    for left in range(len(text) - 1, 0, -1):
+        if imgui.calc_text_size(kept).x <= wide:
+            break
+        head = min(12, left // 2)
+        kept = f"{text[:head]}\u2026{text[len(text) - left + head :]}"
+    return kept
+
+
+def primary(text: str, wide: float = REST) -> bool:
     """Draw the button of what one mostly wants; return whether it was pressed."""
     shades = (theme.PRIMARY, theme.lighter(theme.PRIMARY), theme.lighter(theme.PRIMARY, 0.14))
     names = (imgui.Col_.button, imgui.Col_.button_hovered, imgui.Col_.button_active)

@@ -13,6 +13,7 @@ BRUSHES: Mapping[Brush, tuple[str, str]] = {
 }
 """For each brush, in the order of the tools' strip, its key, and what a drag with it does."""
 _ALWAYS: Rows = {
+    **{key: f"brush: {name}" for name, (key, _) in BRUSHES.items()},
     "click": "select the stroke whose handle is there, or none",
     "[  ]": "smaller and larger brush, or selected stroke",
     "Delete, Backspace": "remove the selected stroke",
@@ -26,7 +27,6 @@ _ALWAYS: Rows = {
     "Ctrl+O": "open a recipe, or drop its file on the window",
     "Ctrl+E": "export",
     "?  F1": "show or hide this list",
-    **{key: f"brush: {name}" for name, (key, _) in BRUSHES.items()},
 }
 _PICTURE: Rows = {
     "drag": "pull what is under the pointer, or a handle of the selected stroke",
