@@ -48,7 +48,8 @@ class Pen:
 
     def arc(self, middle: Pair, radius: float, begin: float, end: float) -> None:
         """Draw an arc between angles in degrees, clockwise from the right."""
-        self.line(*(_round(middle, radius, begin + (end - begin) * k / 20) for k in range(21)))
+        self.lines.path_arc_to(self.at(middle), radius * self.size, math.radians(begin), math.radians(end), 20)
+        self.lines.path_stroke(col=self.colour, thickness=WIDTH)
 
     def head(self, tip: Pair, angle: float, size: float = 0.5) -> None:
         """Fill an arrowhead which points along an angle in degrees."""
@@ -143,7 +144,8 @@ def redo(pen: Pen) -> None:
 def original(pen: Pen) -> None:
     """A circle, half of it full."""
     pen.ring((0, 0), 0.9)
-    pen.shape(*(_round((0, 0), 0.9, 90 + 9 * k) for k in range(21)))
+    pen.lines.path_arc_to(pen.at((0, 0)), 0.9 * pen.size, 0.5 * math.pi, 1.5 * math.pi, 20)
+    pen.lines.path_fill_convex(pen.colour)
 
 
 def split(pen: Pen) -> None:

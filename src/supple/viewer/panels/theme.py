@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import resources
 
 from imgui_bundle import imgui
@@ -29,6 +30,7 @@ def lighter(colour: Colour, by: float = 0.07) -> Colour:
     return min(r + by, 1.0), min(g + by, 1.0), min(b + by, 1.0), a
 
 
+@cache
 def packed(colour: Colour, opacity: float = 1.0) -> int:
     """Return a colour for a draw list."""
     r, g, b, a = colour

@@ -12,6 +12,7 @@ from supple.viewer.panels.icons import Icon, Pen
 from supple.viewer.panels.view import View
 
 LABEL = 104.0  # logical pixels of the labels before fields
+_RESTING = int(imgui.HoveredFlags_.delay_short | imgui.HoveredFlags_.allow_when_disabled)
 REST = -1e-3  # the width of what takes the rest of a line
 FOLDED = ("Folds and border", "History", "Recipe")
 """The sections that are folded in the first window."""
@@ -130,7 +131,7 @@ def typed(view: View, name: str, value: float, form: str) -> tuple[bool, float]:
 
 def hint(text: str | Callable[[], str]) -> None:
     """Show a hint on the last item, if the pointer rests on it; a function is called only then."""
-    if imgui.is_item_hovered(imgui.HoveredFlags_.delay_short | imgui.HoveredFlags_.allow_when_disabled):
+    if imgui.is_item_hovered(_RESTING):
         imgui.begin_tooltip()
         imgui.push_text_wrap_pos(320.0)
         imgui.text(text if isinstance(text, str) else text())
