@@ -15,7 +15,7 @@ from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
 from supple.viewer.tools.gestures import Pair
 from supple.viewer.tools.playback import Playback
 
-_PALE, _SHADE = 0x90FFFFFF, 0x50000000
+_PALE, _SHADE = 0x68FFFFFF, 0x40000000
 _WHITE, _DARK, _BLUE, _RED = 0xFFFFFFFF, 0xA0000000, 0xFFFFA040, 0xFF5060FF  # ABGR
 _BARE = (
     imgui.WindowFlags_.no_title_bar
