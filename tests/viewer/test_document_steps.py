@@ -13,7 +13,8 @@ import pytest
 from supple.errors import SuppleError
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.editing import Document
-from supple.viewer.document.words import sentence, settings, step
+from supple.viewer.document.state import Item, State
+from supple.viewer.document.words import described, sentence, settings, step
 
 SHAPE = (60, 80)
 A = Stroke(at=(20, 20), by=(4, 2), radius=9)
@@ -125,6 +126,25 @@ def test_a_recipe_in_words() -> None:
         "1. Grab at (20, 20) by (4, 2),\n    radius 9.",
         "2. Grab at (50, 40) by (-3, 5),\n    radius 7, fall-off near, Poisson ratio 0.3, 50 % of it (hidden).",
     ]
+
+
+def test_other_brushes_in_words() -> None:
+    for brush, name, does in (
+        (Stroke(at=(5, 6), radius=9, brush="twist", angle=40), "Twist at (5, 6)", "by 40\u00b0"),
+        (Stroke(at=(5, 6), radius=9, brush="scale", factor=1.5), "Scale at (5, 6)", "by a factor of 1.5"),
+        (
+            Stroke(at=(5, 6), radius=9, brush="pinch", factor=0.5, axis=(1, 1)),
+            "Pinch at (5, 6)",
+            "by a factor of 0.5, axis (1, 1)",
+        ),
+    ):
+        assert sentence(0, Item.of(brush)) == f"1. {name} {does},\n    radius 9."
+        assert step(State(), State((Item.of(brush),))) == name
+        assert described(brush, None).splitlines()[1:] == [does, "radius 9", "reach: 4 radii"]
+
+
+def test_settings_in_words() -> None:
+    recipe = Recipe(border=None)
     assert settings(recipe) == "Where a stroke would fold: go in small steps. The border is free."
     assert settings(replace(recipe, border=8, on_fold="error")) == (
         "Where a stroke would fold: refuse the stroke. The border is fixed, over 8."

@@ -29,12 +29,24 @@ def place(values: Iterable[float], digits: int = 0) -> str:
     return f"({', '.join(f'{v:.{digits}f}' for v in values)})"
 
 
+def done(stroke: Stroke, digits: int = 0) -> str:
+    """Return what a stroke does at its pivot."""
+    if stroke.angle is not None:
+        said = f"by {stroke.angle:.4g}\u00b0"
+    elif stroke.factor is not None:
+        said = f"by a factor of {stroke.factor:.4g}"
+    else:
+        return f"by {place(stroke.by, digits)}"
+    return said if stroke.axis is None else f"{said}, axis ({', '.join(f'{v:.3g}' for v in stroke.axis)})"
+
+
 def described(stroke: Stroke, arrival: Arrival | None) -> str:
     """Return a description of a stroke, and of its point's position, in a few lines."""
-    said = f"{stroke.brush} at {place(stroke.at, 1)}\nby {place(stroke.by, 1)}\nradius {stroke.radius:.4g}"
+    said = f"{stroke.brush} at {place(stroke.at, 1)}\n{done(stroke, 1)}\nradius {stroke.radius:.4g}"
     if stroke.poisson is not None:
         said += f", Poisson ratio {stroke.poisson:.3g}"
-    said += f"\nfall-off: {FALLOFFS[stroke.scales - 1]}"
+    if stroke.brush == "grab":  # the others fade in one way
+        said += f"\nfall-off: {FALLOFFS[stroke.scales - 1]}"
     said += "\nreach: no limit" if stroke.reach is None else f"\nreach: {stroke.reach:.3g} radii"
     if arrival is None:
         return said
@@ -49,7 +61,7 @@ def described(stroke: Stroke, arrival: Arrival | None) -> str:
 def sentence(i: int, item: Item) -> str:
     """Return a stroke of a list as a sentence, in two lines."""
     stroke = item.stroke
-    said = f"{i + 1}. {stroke.brush.capitalize()} at {place(stroke.at)} by {place(stroke.by)},\n"
+    said = f"{i + 1}. {stroke.brush.capitalize()} at {place(stroke.at)} {done(stroke)},\n"
     said += f"    radius {stroke.radius:.4g}"
     if stroke.scales != 1:
         said += f", fall-off {FALLOFFS[stroke.scales - 1]}"

@@ -225,6 +225,7 @@ ICONS: dict[str, Icon] = {
     "grab": grab,
     "twist": twist,
     "bloat": bloat,
+    "scale": bloat,
     "pucker": pucker,
     "pinch": pinch,
     "restore": restore,

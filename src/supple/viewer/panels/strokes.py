@@ -37,10 +37,11 @@ def brush(view: View) -> None:
     changed, value = slider("##radius", tools.radius, *tools.radius_limits, form, logarithmic=True)
     if changed:
         tools.radius = value
-    label("Fall-off", _FALLOFF)
-    changed, index = imgui.combo("##falloff", tools.scales - 1, list(FALLOFFS))
-    if changed:
-        tools.scales = index + 1
+    if tools.brush == "grab":  # the others fade in one way
+        label("Fall-off", _FALLOFF)
+        changed, index = imgui.combo("##falloff", tools.scales - 1, list(FALLOFFS))
+        if changed:
+            tools.scales = index + 1
     label("Poisson ratio", _POISSON)
     material = POISSON if tools.poisson is None else max(tools.poisson, -1.0)
     changed, value = slider("##poisson", material, -1.0, 0.5, "%.2f")
@@ -122,7 +123,8 @@ def selected(view: View) -> None:
     axes = "xyt" if view.stage.kind == "video" else "xyz"
     made: dict[str, Any] = {}
     gap = imgui.get_style().item_inner_spacing.x
-    for name, said in (("at", "From"), ("by", "By")):
+    grabs = stroke.brush == "grab"
+    for name, said in (("at", "From"), ("by", "By"))[: 1 + grabs]:
         values = list(getattr(stroke, name))
         label(said)
         wide = (imgui.get_content_region_avail().x - gap * (len(values) - 1)) / len(values)
@@ -136,18 +138,24 @@ def selected(view: View) -> None:
                 values[axis] = value
                 made[name] = tuple(values)
     material = POISSON if stroke.poisson is None else stroke.poisson
-    for name, said, value, form in (
+    numbers: tuple[tuple[str, str, float | None, str], ...] = (
+        ("angle", "Angle", stroke.angle, "%.1f\u00b0"),
+        ("factor", "Factor", stroke.factor, "%.3f"),
         ("radius", "Radius", stroke.radius, "%.2f"),
         ("poisson", "Poisson ratio", material, "%.3f"),
-    ):
+    )
+    for name, said, number, form in numbers:
+        if number is None:  # another brush's
+            continue
         label(said, _POISSON if name == "poisson" else "")
-        entered, now = typed(view, f"##{name} own", value, form)
+        entered, now = typed(view, f"##{name} own", number, form)
         if entered:
             made[name] = now
-    label("Fall-off", _FALLOFF)
-    changed, index = imgui.combo("##falloff own", stroke.scales - 1, list(FALLOFFS))
-    if changed:
-        made["scales"] = index + 1
+    if grabs:  # the others fade in one way
+        label("Fall-off", _FALLOFF)
+        changed, index = imgui.combo("##falloff own", stroke.scales - 1, list(FALLOFFS))
+        if changed:
+            made["scales"] = index + 1
     changed, reach = _reach(stroke.reach, " own")
     if changed:
         made["reach"] = reach
