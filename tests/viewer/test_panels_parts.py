@@ -15,6 +15,7 @@ from supple.engines.wgpu.device import Gpu
 from supple.geometry import Geometry
 from supple.media import volume as volumes
 from supple.strokes import Recipe, Stroke
+from supple.viewer.panels.view import WIDE
 from supple.viewer.tools.keys import BRUSHES, KEYS
 from tests.viewer.windows import SIZE, Hand, opened
 
@@ -289,3 +290,17 @@ def test_a_long_path_is_shortened_in_the_middle(gpu: Gpu, monkeypatch: pytest.Mo
     assert whole == "Saved to /home/someone/pictures/of/cups/coffee-bent.png"
     assert re.fullmatch(r"Saved to /\w*\u2026.*bent.png", short)
     assert 120 < wide <= 150
+
+
+def test_a_pointer_on_the_strip_is_not_on_the_picture(gpu: Gpu) -> None:
+    view, hand = grey()
+    hand.move(300, 300)
+    hand.canvas.draw()
+    hand.move(SIZE[0] - WIDE + 5, 60)  # in one leap
+    assert view.tools.pointer is None
+    hand.move(300, 300)
+    hand.press(300, 300)
+    hand.move(SIZE[0] - WIDE + 5, 300, 1)  # but a stroke is drawn on
+    assert view.tools.pointer is not None
+    hand.key("Escape")
+    hand.release(SIZE[0] - WIDE + 5, 300)

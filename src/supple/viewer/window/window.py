@@ -131,6 +131,8 @@ class Window(View):
             return  # browsers delay moves, and may deliver them after a later press
         before = self.tools.view
         self.tools.handle(event)
+        if kind == "pointer_move" and self.tools.held is None and not self._inside(event):
+            self.tools.handle({"event_type": "pointer_leave"})  # in one move onto the panel
         if self.tools.view is not before:
             self._changed_at = time.perf_counter()
         if kind == "pointer_up" and self.commands.message.startswith(_HOLDING):
