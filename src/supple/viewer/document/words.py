@@ -20,7 +20,7 @@ FOLDS: dict[FoldPolicy, str] = {
     "error": "refuse the stroke",
 }
 """For each policy, what happens with a stroke that would fold the medium."""
-_FIELDS = {"at": "Position", "by": "Drag", "poisson": "Poisson ratio", "scales": "Fall-off"}
+_FIELDS = {"at": "Position", "by": "Drag", "poisson": "Poisson ratio", "scales": "Fall-off", "also": "Points"}
 _OTHER = "Open a recipe"
 
 
@@ -36,8 +36,16 @@ def done(stroke: Stroke, digits: int = 0) -> str:
     elif stroke.factor is not None:
         said = f"by a factor of {stroke.factor:.4g}"
     else:
-        return f"by {place(stroke.by, digits)}"
+        pins = sum(not any(by) for _, by in stroke.also)
+        more = len(stroke.also) - pins
+        said = f"by {place(stroke.by, digits)}" + (" along a path" if stroke.path else "")
+        said += f" with {_counted(more, 'other')}" if more else ""
+        return said + (f" and {_counted(pins, 'pin')}" if pins else "")
     return said if stroke.axis is None else f"{said}, axis ({', '.join(f'{v:.3g}' for v in stroke.axis)})"
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'s' * (count != 1)}"
 
 
 def described(stroke: Stroke, arrival: Arrival | None) -> str:
