@@ -13,8 +13,8 @@ import pytest
 
 import supple
 from supple import Deformation
-from supple.errors import VolumeWarning
-from supple.files.landmarks import move_points
+from supple.errors import SuppleError, VolumeWarning
+from supple.files.landmarks import move_points, read_landmarks
 from supple.geometry import Geometry
 from supple.media.points import check_target, read_points, write_points
 from tests.media.landmarks import Floats, fcsv, markup, markups, read, refused
@@ -187,6 +187,30 @@ class TestPointsTravel:
         assert not moved.displaced.any()
 
 
+class TestVoxels:
+    def test_points_are_read_as_voxels_whatever_their_convention(self, tmp_path: Path) -> None:
+        geometry, points = tilted(), np.array([[3.0, 4.5, 6.0], [10.0, 2.0, 1.25]])
+        for kind, system in (("fcsv", "LPS"), ("mrk.json", "RAS"), ("csv", "RAS")):
+            source = tmp_path / f"in.{kind}"
+            source.write_text(written(kind, geometry.to_world(points, system), system))
+            names, found = read_landmarks(source, geometry)
+            assert len(names) == 2
+            assert all(names)
+            np.testing.assert_allclose(found, points, atol=1e-4)
+        (tmp_path / "plain.csv").write_text("i,j,k\n1,2,3\n4,5,6\n")
+        names, found = read_landmarks(tmp_path / "plain.csv", geometry)
+        assert names == ("1", "2")
+        np.testing.assert_array_equal(found, [[1, 2, 3], [4, 5, 6]])
+
+    def test_what_does_not_fit_is_refused(self, tmp_path: Path) -> None:
+        (tmp_path / "flat.csv").write_text("x,y\n1,2\n")
+        with pytest.raises(SuppleError, match=r"flat.csv are of two numbers, and those of a volume have three"):
+            read_landmarks(tmp_path / "flat.csv", tilted(), convention="index")
+        (tmp_path / "in.fcsv").write_text(fcsv(np.ones((1, 3))))
+        with pytest.raises(SuppleError, match=r"cannot place .*in.fcsv: .* the volume does not know where it lies"):
+            read_landmarks(tmp_path / "in.fcsv", Geometry())
+
+
 class TestWhatCannotBeDone:
     def test_other_kinds_and_other_points(self, tmp_path: Path) -> None:
         file = read(tmp_path, "x,y\n1,2\n")
@@ -225,12 +249,12 @@ class TestWhatCannotBeDone:
         )
         space = "and only volumes have a place in space: give pixels in a table with x and y"
         assert refused(move_points, source, out, flat, convention="RAS") == (
-            f"cannot move {source}: it is in RAS, {space}"
+            f"cannot place {source}: it is in RAS, {space}"
         )
         source, out = tmp_path / "in.fcsv", tmp_path / "out.fcsv"
-        assert refused(move_points, source, out, flat) == f"cannot move {source}: it is in LPS, {space}"
+        assert refused(move_points, source, out, flat) == f"cannot place {source}: it is in LPS, {space}"
         assert refused(move_points, source, out, bent(), tilted(), convention="RAS") == (
-            f"cannot move {source}: it says that it is in LPS, and RAS was asked for: leave that out"
+            f"cannot place {source}: it says that it is in LPS, and RAS was asked for: leave that out"
         )
         refused(move_points, source, tmp_path / "out.csv", bent(), tilted())
         assert sorted(os.listdir(tmp_path)) == ["in.csv", "in.fcsv"]

@@ -37,6 +37,7 @@ def test_a_volume_tells_millimetres_and_values_and_shows_the_brush(gpu: Gpu) -> 
     from supple.viewer.panels.overlay import status
 
     view, hand = opened(DATA / "head.nii.gz", Recipe(border=None))
+    hand.key("4")  # the rendering, on the whole canvas
     hand.move(350, 300)
     before = hand.canvas.draw()
     said = status(view)
@@ -72,6 +73,7 @@ def test_a_damped_stroke_of_a_volume_shows_how_far_it_was_to_go(gpu: Gpu) -> Non
 
     stroke = Stroke.grab((36, 54, 60), by=(0, 0, -30), radius=12)
     view, hand = opened(DATA / "head.nii.gz", Recipe(border=None, on_fold="damp", strokes=(stroke,)))
+    hand.key("4")  # the rendering, on the whole canvas
     assert missed(view) > 3
     # And nobody is warned elsewhere.
     assert "the lattice is off by more than a voxel: mode exact is not" in status(view)
@@ -152,6 +154,7 @@ def test_an_array_of_a_volume(gpu: Gpu) -> None:
     z, y, x = np.mgrid[:20, :24, :28]
     ball = (((x - 14) ** 2 + (y - 12) ** 2 + 4 * (z - 10) ** 2) < 90).astype(np.float32)
     view, hand = opened(ball, spacing=(1, 1, 2))
+    hand.key("4")  # the rendering, on the whole canvas
     assert view.stage.kind == "volume"
     assert view.stage.spacing == (1, 1, 2)
     before = hand.canvas.draw()

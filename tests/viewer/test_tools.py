@@ -140,8 +140,9 @@ NAMED = (
     "Tab",
     "Enter",
     "ArrowUp",
+    "ArrowDown",
 )
-SPOKEN = {" ": "Space", "ArrowLeft": "Left", "ArrowRight": "Right"}
+SPOKEN = {" ": "Space", "ArrowLeft": "Left", "ArrowRight": "Right", "ArrowUp": "Up", "ArrowDown": "Down"}
 
 
 @pytest.mark.parametrize(("make", "kind"), [(image, "image"), (clip, "video"), (solid, "volume")])

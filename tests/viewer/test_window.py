@@ -263,6 +263,7 @@ def test_a_clip_that_is_restored_by_another_time_scale_says_so(gpu: Gpu, state: 
 
 def test_a_volume_is_pulled_and_turned(gpu: Gpu, state: Path) -> None:
     view, hand = opened(DATA / "head.nii.gz")
+    hand.key("4")  # the rendering, on the whole canvas
     view.stage._plain.step  # noqa: B018, it is a scene
     camera = view.tools.camera
     hand.drag((350, 300), (390, 280))

@@ -121,6 +121,7 @@ def test_a_clip_in_a_browser(gpu: Gpu, clip: Path, state: Path) -> None:
 def test_a_volume_in_a_browser(gpu: Gpu, volume: Path, state: Path) -> None:
     saved, made = state / "head.recipe.json", state / "head-bent.nii.gz"
     with browsing(volume) as browser:
+        browser.key("4", 52)  # the rendering, on the whole canvas
         edited_there(browser, saved, made)
         found, wanted = (
             sitk.GetArrayFromImage(sitk.ReadImage(str(path))) for path in (made, warped(volume, "wanted.nii.gz", saved))
@@ -135,7 +136,8 @@ def test_a_volume_in_a_browser(gpu: Gpu, volume: Path, state: Path) -> None:
             pictures.append(image.read(state / name).pixels[..., :3])
 
         def away(picture: Pixels) -> float:
-            return near(browser.shown()[: area[1], : area[0]], picture)
+            free = np.s_[30 : area[1] - 110]  # of the button, the axes and the scale bar
+            return near(browser.shown()[: area[1], : area[0]], picture, free)
 
         undone_and_opened(browser, lambda: away(pictures[0]) < 6, lambda: away(pictures[1]) < 6)
         assert away(pictures[1]) > 6

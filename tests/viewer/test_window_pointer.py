@@ -68,8 +68,10 @@ def test_a_photograph_by_a_real_pointer(gpu: Gpu, photo: Path, state: Path) -> N
     wanted = warped(photo, "wanted.png", state / "photo.recipe.json")
     made = image.read(state / "photo-bent.png").pixels
     np.testing.assert_array_equal(made, image.read(wanted).pixels)
-    linear = warped(photo, "linear.png", state / "photo.recipe.json", "--filter", "linear")  # as the device does it
-    assert on_canvas(image.read(linear).pixels, seen, AREA, recipe.strokes) < 1.0
+    # Without a hardware GPU, exports' own pixels are seen; a device has its own filter.
+    linear = warped(photo, "linear.png", state / "photo.recipe.json", "--filter", "linear")
+    drawn = made if gpu.software else image.read(linear).pixels
+    assert on_canvas(drawn, seen, AREA, recipe.strokes) < 1.0
     assert on_canvas(image.read(photo).pixels, seen, AREA, recipe.strokes) > 8
 
 
@@ -93,8 +95,16 @@ def test_a_clip_by_a_real_pointer(gpu: Gpu, clip: Path, state: Path) -> None:
     assert on_canvas(decoded(clip)[8].to_ndarray(format="rgb24"), seen, area, recipe.strokes) > 10
 
 
+def rendering(mouse: Mouse) -> None:
+    """Give it the whole canvas."""
+    four = mouse.shown()
+    mouse.do("key", "4")
+    wait_for(lambda: near(mouse.shown(), four, np.s_[: AREA[1], : AREA[0]]) > 10)
+    mouse.settled()
+
+
 def test_a_volume_by_a_real_pointer(gpu: Gpu, volume: Path, state: Path) -> None:
-    seen, recipe = edited(volume, "head", "head-bent.nii.gz", lambda mouse: None, 1.5)
+    seen, recipe = edited(volume, "head", "head-bent.nii.gz", rendering, 1.5)
     assert all(np.linalg.norm(stroke.by) > 2 for stroke in recipe.strokes)
     saved = state / "head.recipe.json"
     made, wanted = (
@@ -112,7 +122,7 @@ def test_a_volume_by_a_real_pointer(gpu: Gpu, volume: Path, state: Path) -> None
     }.items():
         assert command(["render", what[0], str(state / f"{name}.png"), *what[1:], *look]) == 0
         pictures[name] = image.read(state / f"{name}.png").pixels[..., :3]
-    canvas = seen[: AREA[1], : AREA[0]]
-    assert near(canvas, pictures["seen"]) < 4
-    assert near(canvas, pictures["bent"]) < 4
-    assert near(canvas, pictures["plain"]) > 3
+    canvas, free = seen[: AREA[1], : AREA[0]], np.s_[30 : AREA[1] - 110]  # of the button, the axes and the scale bar
+    assert near(canvas, pictures["seen"], free) < 4
+    assert near(canvas, pictures["bent"], free) < 4
+    assert near(canvas, pictures["plain"], free) > 3

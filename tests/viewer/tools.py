@@ -10,9 +10,11 @@ from supple.geometry import Geometry
 from supple.render.picture import Pick
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.editing import Document
-from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
+from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.gestures import Tools
+from supple.viewer.tools.planes import RENDERED
 from supple.viewer.tools.playback import Playback
+from supple.viewer.tools.slices import SliceTools
 
 LEFT, RIGHT, MIDDLE = 1, 2, 3
 
@@ -71,8 +73,8 @@ def clip(*strokes: Stroke, count: int = 20) -> VideoTools:
     return VideoTools(document, Playback(count, 10), (600, 400))
 
 
-def solid(*strokes: Stroke) -> VolumeTools:
-    """A volume whose object is a disc in the middle of the canvas."""
+def solid(*strokes: Stroke, large: int | None = RENDERED) -> SliceTools:
+    """A volume whose object is a disc in the middle of the rendering, which has the whole canvas."""
     document = Document((40, 50, 60), (1, 1, 1), Recipe(border=None, strokes=strokes), kind="volume")
 
     def pick(x: float, y: float) -> Pick | None:
@@ -86,5 +88,6 @@ def solid(*strokes: Stroke) -> VolumeTools:
         ray = view.direction(to[0] - 0.5, to[1] - 0.5)
         return tuple(ray * (start @ view.ahead) / (ray @ view.ahead) - start)
 
-    tools = VolumeTools(document, Geometry(), (400, 300), pick, pull)
+    tools = SliceTools(document, Geometry(), (400, 300), pick, pull, (0.0, 1.0))
+    tools.enlarge(large)
     return tools

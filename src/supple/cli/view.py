@@ -24,6 +24,8 @@ def view(
     strokes: StrokeOptions = _STROKES,
     time: TimeOptions = _TIME,
     labels: Annotated[bool, Parameter(group=VOLUME)] = False,
+    points: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
+    convention: Annotated[Literal["LPS", "RAS", "index"] | None, Parameter(group=VOLUME)] = None,
     volume: VolumeArguments = _VOLUME,
 ) -> None:
     """Open a window to bend a picture, video or volume by hand.
@@ -40,6 +42,10 @@ def view(
         Window toolkit: glfw, or qt (needs PySide6 or PyQt6).
     labels
         The volume is a label map: exports take the label of the nearest voxel, and labels are not mixed.
+    points
+        Landmarks to show: CSV, or 3D Slicer's .fcsv and .mrk.json.
+    convention
+        Coordinates of a table of landmarks that does not name them: LPS or RAS in millimetres, or index.
     """
     from supple.viewer.window.launch import ViewOptions, show
     from supple.viewer.window.launch import serve as serve_it
@@ -52,7 +58,13 @@ def view(
     if volume.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
     scale = time.to_scale() or (recipe and recipe.time_scale) or 1.0
-    options = ViewOptions(time_scale=scale, volume=volume.to_reading(labels=labels), fit=strokes.to_fit())
+    options = ViewOptions(
+        time_scale=scale,
+        volume=volume.to_reading(labels=labels),
+        fit=strokes.to_fit(),
+        points=points,
+        convention=convention,
+    )
     if port and not serve:
         raise SuppleError("--port is for --serve: leave it out, or serve")
     if not 0 <= port <= 65535:

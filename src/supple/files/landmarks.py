@@ -140,6 +140,35 @@ def move_points(
     return Moved(Path(source), Path(target), len(made), moved_by, np.asarray(residual), len(beyond), first, lost)
 
 
+def read_landmarks(
+    path: PathLike, geometry: Geometry, *, convention: str | None = None
+) -> tuple[tuple[str, ...], Floats]:
+    """Return the names of the points of a file, or their numbers from 1, and their voxels in a volume, (N, 3).
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        As `move_points` reads it.
+    geometry : Geometry
+        The geometry of the volume.
+    convention : str, optional
+        As in `move_points`.
+
+    Raises
+    ------
+    SuppleError
+        If the file cannot be read, or its coordinates do not fit the volume.
+    """
+    if convention is not None:
+        choice("convention", convention, ("LPS", "RAS", "index"))
+    read = read_points(path)
+    known = _convention(read, convention, geometry)
+    if read.points.shape[1] != 3:
+        raise SuppleError(f"the points of {read.name} are of two numbers, and those of a volume have three")
+    names = tuple(label or str(k) for k, label in enumerate(read.labels, 1))
+    return names, read.points if known == "index" else geometry.from_world(read.points, known)
+
+
 def _spoken(read: PointFile, k: int) -> str:
     name = shown(read.labels[k]) if read.labels[k] else f"point {k + 1}"
     return f"{name} at ({', '.join(f'{x:g}' for x in read.points[k])})"
@@ -162,13 +191,15 @@ def _check_told(read: PointFile) -> None:
         )
         choices = "LPS or RAS" if read.told else "index (voxels from 0), LPS or RAS (millimetres)"
         names = "l,p,s or r,a,s" if read.told else "i,j,k, l,p,s or r,a,s"
-        raise SuppleError(f"cannot move {read.name}: {found}: give --convention {choices}, or name its columns {names}")
+        raise SuppleError(
+            f"cannot place {read.name}: {found}: give --convention {choices}, or name its columns {names}"
+        )
 
 
 def _convention(read: PointFile, asked: str | None, geometry: Geometry | None) -> str:
     if asked not in (None, read.convention) and read.convention != "index":
         raise SuppleError(
-            f"cannot move {read.name}: it says that it is in {read.convention}, and {asked} was asked for: "
+            f"cannot place {read.name}: it says that it is in {read.convention}, and {asked} was asked for: "
             "leave that out"
         )
     known = asked or read.convention
@@ -176,12 +207,12 @@ def _convention(read: PointFile, asked: str | None, geometry: Geometry | None) -
         _check_told(read)
     if known != "index" and geometry is None:
         raise SuppleError(
-            f"cannot move {read.name}: it is in {known}, and only volumes have a place in space: "
+            f"cannot place {read.name}: it is in {known}, and only volumes have a place in space: "
             "give pixels in a table with x and y"
         )
     if known != "index" and geometry is not None and geometry.convention == "array":
         raise SuppleError(
-            f"cannot move {read.name}: it is in {known}, and the volume does not know where it lies in space: "
+            f"cannot place {read.name}: it is in {known}, and the volume does not know where it lies in space: "
             "give indices in a table with x, y and z"
         )
     return known

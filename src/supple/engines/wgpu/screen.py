@@ -52,11 +52,13 @@ class Screen:
     gpu : Gpu
     format : str
         The format of the window's surface.
+    filter : str
+        What is between the samples of a texture: ``"linear"``, or the ``"nearest"``.
     """
 
-    def __init__(self, gpu: Gpu, format: str) -> None:
+    def __init__(self, gpu: Gpu, format: str, filter: str = "linear") -> None:
         self._gpu, self._linear = gpu, format.endswith("srgb")
-        self._smooth = gpu.device.create_sampler(mag_filter="linear", min_filter="linear")
+        self._smooth = gpu.device.create_sampler(mag_filter=filter, min_filter=filter)
         module = gpu.device.create_shader_module(code=source("screen"))
         self._pipeline = gpu.device.create_render_pipeline(
             layout="auto",

@@ -7,16 +7,15 @@ import math
 from imgui_bundle import imgui
 
 from supple.folding import NEAR
-from supple.viewer.panels import icons, theme
+from supple.viewer.panels import icons, marks, theme
 from supple.viewer.panels.stages import VideoStage, VolumeStage
 from supple.viewer.panels.view import BAR, LINE, View
 from supple.viewer.panels.widgets import hint, icon_button
-from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
+from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.gestures import Pair
 from supple.viewer.tools.playback import Playback
+from supple.viewer.tools.slices import SliceTools
 
-_PALE, _SHADE = 0x68FFFFFF, 0x40000000
-_WHITE, _DARK, _BLUE, _RED = 0xFFFFFFFF, 0xA0000000, 0xFFFFA040, 0xFF5060FF  # ABGR
 _BARE = (
     imgui.WindowFlags_.no_title_bar
     | imgui.WindowFlags_.no_resize
@@ -31,55 +30,19 @@ def draw(view: View) -> None:
     lines = imgui.get_background_draw_list()
     width, height = view.area
     lines.push_clip_rect((0, 0), (width, height))
-    if view.stage.kind == "volume":
-        _marks(view, lines)
+    tools = view.tools
+    if isinstance(tools, SliceTools):
+        marks.draw(view, tools, lines)
     else:
         _handles(view, lines)
-    tools = view.tools
-    if tools.pointer is not None and not tools.original and (ring := tools.ring):
-        _rings(tools, lines, tools.pointer, ring)
-    _knob(view, lines)
-    _names(view, lines)
+        marks.rings(tools, lines)
+        if tools.knob is not None:
+            marks.knob(lines, tools.knob)
+        marks.names(tools, lines, (0.0, 0.0, width, height), 10.0)
     lines.pop_clip_rect()
     if isinstance(view.stage, VideoStage):
         _timeline(view, view.stage)
     _status(view)
-
-
-def _rings(tools: ImageTools | VolumeTools, lines: imgui.ImDrawList, middle: Pair, radius: float) -> None:
-    """Draw the brush's radius and, around it, its reach, beyond which nothing moves."""
-    reach = tools.reach if tools.held is None else tools.held.stroke.reach
-    if reach is not None and reach > 1.0:
-        lines.add_circle(middle, reach * radius, _SHADE, 0, 3.0)
-        lines.add_circle(middle, reach * radius, _PALE, 0, 1.0)
-    lines.add_circle(middle, radius, _DARK, 0, 3.0)
-    lines.add_circle(middle, radius, _WHITE, 0, 1.0)
-
-
-def _knob(view: View, lines: imgui.ImDrawList) -> None:
-    """Draw the knob of the split between before and after."""
-    knob = view.tools.knob
-    if knob is None:
-        return
-    x, y = knob
-    lines.add_circle_filled(knob, 9.0, _WHITE)
-    lines.add_circle(knob, 9.0, _DARK, 0, 1.0)
-    for way in (-1, 1):
-        lines.add_triangle_filled((x + 6 * way, y), (x + 2 * way, y - 4), (x + 2 * way, y + 4), 0xFF202020)
-
-
-def _names(view: View, lines: imgui.ImDrawList) -> None:
-    """Say which picture is the original."""
-    tools, named = view.tools, []
-    if tools.split is not None and 0.05 < tools.split < 0.95:
-        middle = tools.split * view.area[0]
-        named = [("Before", middle - 10 - imgui.calc_text_size("Before").x - 20), ("After", middle + 10)]
-    elif tools.original:
-        named = [("Original", 10.0)]
-    for text, x in named:
-        size = imgui.calc_text_size(text)
-        lines.add_rect_filled((x, 10.0), (x + size.x + 20, 18.0 + size.y), 0xB0181818, 6.0)
-        lines.add_text((x + 10, 14.0), _WHITE, text)
 
 
 def _handles(view: View, lines: imgui.ImDrawList) -> None:
@@ -92,48 +55,21 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
             continue
         stroke = document.seen(i)
         start, end = viewport.to_canvas(*stroke.at[:2]), viewport.to_canvas(*arrival.arrived[:2])
-        colour = _BLUE if selected else 0x90FFFFFF
+        colour = theme.BLUE if selected else theme.SOFT
         if isinstance(view.stage, VideoStage):
             # Handles of other frames are faint, and cannot be dragged.
             there = [abs(t - view.frame) <= 0.5 for t in (stroke.at[2], arrival.arrived[2])]
             if not all(there):
                 for place, seen in zip((start, end), there, strict=True):
                     if seen or selected:
-                        lines.add_circle(place, 5.0 if seen else 3.0, colour if seen else 0x50FFFFFF, 0, 1.5)
+                        lines.add_circle(place, 5.0 if seen else 3.0, colour if seen else theme.DIM, 0, 1.5)
                 continue
-        lines.add_line(start, end, _DARK, 3.0)
+        lines.add_line(start, end, theme.DARK, 3.0)
         lines.add_line(start, end, colour, 1.5)
         lines.add_circle_filled(start, 3.0, colour)
-        _end(lines, end, colour, viewport.to_canvas(*arrival.target[:2]) if arrival.miss > NEAR else None)
+        marks.end_of(lines, end, colour, viewport.to_canvas(*arrival.target[:2]) if arrival.miss > NEAR else None)
         if selected:
-            lines.add_circle(start, stroke.radius * viewport.zoom, 0x80FFA040, 0, 1.0)
-
-
-def _marks(view: View, lines: imgui.ImDrawList) -> None:
-    """Draw the strokes of a volume as seen by the camera."""
-    tools, document = view.tools, view.document
-    assert isinstance(tools, VolumeTools)
-    handles = tools.handles()
-    starts = {handle.item: handle.seen for handle in handles if handle.part != "end"}
-    for handle in handles:
-        if handle.part == "end" and handle.item in starts:
-            lines.add_line(starts[handle.item], handle.seen, _DARK, 3.0)
-            lines.add_line(starts[handle.item], handle.seen, 0x90FFFFFF, 1.0)
-        colour = _BLUE if view.document.selected == handle.item else 0x90FFFFFF
-        if handle.part == "end":
-            arrival = document.arrival(handle.item)
-            wanted = tools.stage.project(tools.view, arrival.target) if arrival and arrival.miss > NEAR else None
-            _end(lines, handle.seen, colour, wanted and wanted[:2])
-        else:
-            lines.add_circle_filled(handle.seen, 3.0, colour)
-
-
-def _end(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None) -> None:
-    """Draw the end of a stroke, and its target, if they differ."""
-    lines.add_circle(end, 5.0, colour, 0, 2.0)
-    if wanted is not None:
-        lines.add_line(end, wanted, _RED, 1.5)
-        lines.add_circle(wanted, 4.0, _RED, 0, 1.5)
+            lines.add_circle(start, stroke.radius * viewport.zoom, theme.BALL, 0, 1.0)
 
 
 def _timeline(view: View, stage: VideoStage) -> None:
@@ -192,7 +128,7 @@ def _marked(playback: Playback) -> None:
     inset = 0.5 * imgui.get_style().grab_min_size + 2.0  # a slider's knob stays within it
     wide = (high.x - low.x - 2 * inset) / max(playback.count - 1, 1)
     first, last = (round(low.x + inset + wide * frame) for frame in (playback.first, playback.last))
-    imgui.get_window_draw_list().add_rect((first - 2, low.y), (last + 2, high.y), _BLUE, 2.0)
+    imgui.get_window_draw_list().add_rect((first - 2, low.y), (last + 2, high.y), theme.BLUE, 2.0)
 
 
 def _status(view: View) -> None:
@@ -216,12 +152,11 @@ def status(view: View) -> str:
         if document.dragging and document.selected is not None:  # the held point stays under the pointer
             by = document.seen(document.selected).by
             parts.append("by " + " ".join(f"{v:+.1f}" for v in by))
+        elif isinstance(tools, SliceTools):
+            parts += _of_a_volume(view, tools, hover)
         elif not isinstance(view.stage, VolumeStage):
-            left = tools.pointer is not None and tools.pointer[0] < (tools.split or 0.0) * view.area[0]
-            plain = tools.original or (tools.split is not None and left)
+            plain = _is_before(view)
             parts.append(view.stage.value((hover[0], hover[1]), view.frame, None if plain else document.deformation))
-        elif isinstance(tools, VolumeTools) and tools.under is not None:
-            parts.append(view.stage.value(tools.under))
     parts.append(certified(view))
     if isinstance(tools, ImageTools):
         parts.append(f"{tools.viewport.percent:.0f} %")
@@ -231,6 +166,30 @@ def status(view: View) -> str:
         why = "no hardware GPU" if view.gpu.software else "the GPU is slow"
         parts.append(f"drawn at 1/{view.painter.coarse} while you drag: {why}")
     return "   |   ".join(p for p in parts if p)
+
+
+def _is_before(view: View) -> bool:
+    """Return whether the original is under the pointer."""
+    tools = view.tools
+    if tools.split is None or tools.pointer is None or tools.original:
+        return tools.original
+    return tools.knob is not None and tools.pointer[0] < tools.knob[0]
+
+
+def _of_a_volume(view: View, tools: SliceTools, hover: tuple[float, ...]) -> list[str]:
+    """Return the value of a voxel on screen, and its position."""
+    stage, slices, document = view.stage, view.slices, view.document
+    assert isinstance(stage, VolumeStage)
+    assert slices is not None
+    pane = tools.pane_under
+    if pane is not None:
+        seen = None if _is_before(view) else document.deformation
+        value = slices.value(seen, pane.plane, hover, pane.index[pane.plane.axis])
+    elif tools.under is not None:
+        value = slices.told(stage.value(tools.under))
+    else:
+        value = ""
+    return [value, stage.place(hover)]
 
 
 def certified(view: View) -> str:

@@ -32,6 +32,7 @@ class Shot:
 
     deformation: Deformation
     size: tuple[int, int]  # columns and rows of the image's area of the canvas, in physical pixels
+    place: tuple[int, int] = (0, 0)  # the upper left corner of that area
     moving: bool = False  # during a drag, a smaller image will do
     origin: tuple[float, float] = (0.0, 0.0)  # the position of the first physical pixel in the image
     scale: float = 1.0  # the step to the next, in pixels of the image

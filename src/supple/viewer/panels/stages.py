@@ -174,8 +174,7 @@ class VolumeStage:
     def __init__(self, gpu: Gpu, volume: Volume, preset: str, samples: Any = None) -> None:
         self.name, self.volume, self.preset = volume.name, volume, preset
         # Computed tomography is recognized by its values, as its preset is.
-        self.says = "{:.6g} HU" if preset == "ct-skin" else "label {:.6g}" if is_of_labels(volume) else "{:.6g}"
-        """How a value is said in the line of status."""
+        self.unit = "HU" if preset.startswith("ct-") else "label" if is_of_labels(volume) else ""  # of values
         self.density: tuple[float, float] | None = None
         self.mode = "hybrid"
         self._gpu = gpu
@@ -232,12 +231,17 @@ class VolumeStage:
             return 1.0
         return self.deform(deformation).fill(camera, (size[1], size[0]), seconds=seconds)
 
-    def value(self, pick: Pick) -> str:
-        """Return the value of a picked voxel, and its position on screen, in millimetres."""
-        last, geometry = [n - 1 for n in reversed(self.shape)], self.volume.geometry
+    def value(self, pick: Pick) -> Any:
+        """Return the value of a picked voxel."""
+        last = [n - 1 for n in reversed(self.shape)]
         x, y, z = np.clip(np.floor(np.array(pick.source) + 0.5), 0, last).astype(int)
-        place = ", ".join(f"{v:.1f}" for v in geometry.to_world(pick.index))
-        return f"{self.says.format(self._samples[z, y, x])}   |   ({place}) mm {geometry.convention}"
+        return self._samples[z, y, x]
+
+    def place(self, point: Point) -> str:
+        """Return the position of a voxel on screen, in millimetres."""
+        geometry = self.volume.geometry
+        place = ", ".join(f"{round(v, 1) + 0.0:.1f}" for v in geometry.to_world(point).tolist())
+        return f"({place}) mm {geometry.convention}"
 
 
 def on_screen(picture: Picture) -> Pixels:

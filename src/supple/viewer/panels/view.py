@@ -20,10 +20,14 @@ from supple.strokes import Recipe
 from supple.viewer.document.background import Certifier
 from supple.viewer.document.editing import Document
 from supple.viewer.document.files import FileCommands
+from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.panels import settings
 from supple.viewer.panels.painter import Painter, Shot
+from supple.viewer.panels.slices import Slices, physical
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage
-from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
+from supple.viewer.tools.brushes import ImageTools, VideoTools
+from supple.viewer.tools.planes import RENDERED
+from supple.viewer.tools.slices import SliceTools
 
 WIDE, STRIP = 348, 44  # logical pixels of the tools and the panel, and of the tools alone
 BAR, LINE = 44, 24  # and of the timeline and the status line
@@ -37,12 +41,13 @@ class View:
 
     stage: ImageStage | VolumeStage
     document: Document
-    tools: ImageTools | VolumeTools
+    tools: ImageTools | SliceTools
     canvas: Any  # of rendercanvas
     gpu: Gpu
     source: Path | None  # the source file, for autosave and export
     export: Mapping[str, Any]  # other options of `supple.warp_file`, for the same image
     call_later: Callable[[float, Callable[[], None]], Any]  # calls a function in the canvas's loop, after seconds
+    landmarks: Landmarks | None = None  # of a volume
 
     def __post_init__(self) -> None:
         self.overlay = ""
@@ -53,6 +58,10 @@ class View:
         self.typed: dict[str, float] = {}  # numbers being typed in the panel
         self.filled = 0.0
         self.painter = Painter(self.gpu, self.stage)
+        self.slices: Slices | None = None
+        if isinstance(self.stage, VolumeStage):
+            labels = bool(getattr(self.export.get("volume"), "labels", False))
+            self.slices = Slices(self.gpu, self.stage.volume, labels, self.stage.unit)
         leave = partial(self.call_later, 0, self.canvas.close)
         self.commands = FileCommands(self.document, self.source, self.write, leave, "auto", self.export)
         self.certifier = Certifier(self.canvas.request_draw)
@@ -91,7 +100,7 @@ class View:
     def refresh(self) -> None:
         """Draw again, at full size."""
         self._drawn_key = None
-        if isinstance(self.tools, VolumeTools):
+        if isinstance(self.tools, SliceTools):
             self.tools.forget()
         self.canvas.request_draw()
 
@@ -118,7 +127,10 @@ class View:
         size = tuple(round(n * ratio) for n in self.area)
         common: dict[str, Any] = {"size": size, "moving": moving, "ratio": ratio, "overlay": self.overlay}
         common |= {"original": tools.original, "split": tools.split is not None}
-        if isinstance(tools, VolumeTools):
+        if isinstance(tools, SliceTools):
+            hidden = (0.0, 0.0, 1.0, 1.0)  # a pixel of it is drawn
+            left, top, *extent = physical(tools.places.get(RENDERED, hidden), ratio, (size[0], size[1]))
+            common |= {"size": tuple(extent), "place": (left, top)}
             return Shot(self.document.deformation, camera=tools.camera, **common)
         first, scale = tools.view.to_image(0.5 / ratio, 0.5 / ratio), 1.0 / (tools.view.zoom * ratio)
         return Shot(self.document.deformation, origin=first, scale=scale, time=self.frame, **common)
@@ -178,6 +190,12 @@ class View:
                 first, second = self.painter.paint(shot)
             if stage.trouble:
                 raise SuppleError(stage.trouble)
+        if self.slices is not None and isinstance(self.tools, SliceTools):
+            ratio = self.canvas.get_pixel_ratio()
+            size = round(self.area[0] * ratio), round(self.area[1] * ratio)
+            self.slices.update(self.tools)
+            seen = self.slices.composed(self.tools, ratio, size, (first, second), self.painter.part)
+            return np.ascontiguousarray(seen[..., :3])
         seen = pixels_of(self.gpu, first)
         if second is not None:
             seen = composed(self.gpu, first, second, self.tools.split or 0.0)

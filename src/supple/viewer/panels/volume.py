@@ -10,7 +10,7 @@ from typing import Any
 from imgui_bundle import imgui
 
 from supple.render.transfer import PRESETS
-from supple.viewer.panels import theme
+from supple.viewer.panels import curve, theme
 from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import REST, hint, label, section, slider, typed, wrapped
@@ -40,7 +40,8 @@ def draw(view: View) -> None:
     imgui.push_style_color(imgui.Col_.plot_histogram, theme.FAINT)
     imgui.plot_histogram("##histogram", stage.histogram, graph_size=(wide, 50))
     imgui.pop_style_color()
-    hint("How many voxels have which value, on a logarithmic scale")
+    hint("How many voxels have which value, on a logarithmic scale, and the opacity of each")
+    curve.draw(stage)
     for k, said in enumerate(("Values from", "to")):
         label(said, "The range of values that the colours are spread over")
         changed, value = slider(f"##density {said}", window[k], low, high, "%.4g")

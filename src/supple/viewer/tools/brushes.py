@@ -22,7 +22,8 @@ ZOOM = 1.2  # the zoom factor of a notch of the wheel, which is 100
 _LEFT, _RIGHT, _MIDDLE = 1, 2, 3
 
 
-def _pans(event: Event) -> bool:
+def pans(event: Event) -> bool:
+    """Return whether a button moves the view."""
     button = event.get("button")
     return button == _MIDDLE or (button == _LEFT and "Alt" in event.get("modifiers", ()))
 
@@ -78,7 +79,7 @@ class ImageTools(Tools[Viewport]):
         return view.pan(dx, dy) if how == "pan" else view
 
     def _leads(self, event: Event) -> str | None:
-        return "pan" if _pans(event) else None
+        return "pan" if pans(event) else None
 
     def _turn(self, event: Event, amount: float) -> None:
         if commanded(event):
@@ -190,6 +191,7 @@ class VolumeTools(Tools[Camera]):
         self.home = self.view
         self.pick, self.drag = pick, drag
         self._picked: Pick | None = None
+        self.corner: Pair = (0.0, 0.0)  # the upper left corner of the rendering, on the canvas
         self.stage = orbit.Stage(document.shape, geometry, _rows(canvas_size))
         self._under: tuple[tuple[object, ...], Pick | None] | None = None
 
@@ -200,7 +202,7 @@ class VolumeTools(Tools[Camera]):
 
     @property
     def canvas_size(self) -> Pair:
-        """The width and height of the canvas, in logical pixels."""
+        """The width and height of the rendering, in logical pixels."""
         height, width = self.stage.size
         return float(width), float(height)
 
@@ -209,8 +211,17 @@ class VolumeTools(Tools[Camera]):
         """Return the point under the pointer; a ray is cast after a change of pointer, camera or strokes."""
         key = (self.pointer, self.view, self.stage.size, self.document.revision)
         if self._under is None or self._under[0] != key:
-            self._under = key, None if self.pointer is None else self.pick(*self.pointer)
+            self._under = key, None if self.pointer is None else self.pick(*self._within(*self.pointer))
         return self._under[1]
+
+    def _within(self, x: float, y: float) -> Pair:
+        """Return a position of the canvas in the rendering."""
+        return x - self.corner[0], y - self.corner[1]
+
+    def projected(self, point: tuple[float, ...]) -> Pair | None:
+        """Return the position on the canvas of a voxel in the rendering; None behind the camera."""
+        seen = self.stage.project(self.view, point)
+        return None if seen is None else (seen[0] + self.corner[0], seen[1] + self.corner[1])
 
     def forget(self) -> None:
         """Cast the ray again, after a change of the image."""
@@ -233,7 +244,7 @@ class VolumeTools(Tools[Camera]):
         return radius * self.stage.scale(self.view, point)
 
     def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
-        found = self._picked = self.pick(x, y)
+        found = self._picked = self.pick(*self._within(x, y))
         if found is None:
             return None
         # A picked point lies in the volume, but for rounding.
@@ -241,13 +252,13 @@ class VolumeTools(Tools[Camera]):
         return tuple(np.clip(found.index, -0.5, last).tolist())
 
     def _seen(self, point: tuple[float, ...]) -> Pair | None:
-        seen = self.stage.project(self.view, point)
-        return None if seen is None else seen[:2]
+        return self.projected(point)
 
     def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
         # A handle has no fixed depth; only its position on screen counts.
         picked = self._picked if held.item is None else None
-        return self.drag(picked or Pick(held.point, held.point, 0.0), (x, y))  # type: ignore[arg-type]
+        held_at: Pick = picked or Pick(held.point, held.point, 0.0)  # type: ignore[arg-type]
+        return self.drag(held_at, self._within(x, y))
 
     def _led(self, how: str, view: Camera, dx: float, dy: float) -> Camera:
         if not (dx or dy):
@@ -255,7 +266,7 @@ class VolumeTools(Tools[Camera]):
         return {"orbit": orbit.orbit, "pan": orbit.pan}[how](view, dx, dy, self.stage)
 
     def _leads(self, event: Event) -> str | None:
-        if _pans(event):
+        if pans(event):
             return "pan"
         return "orbit" if event.get("button") == _RIGHT else None
 

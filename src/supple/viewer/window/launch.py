@@ -18,6 +18,7 @@ from supple.domain import choice, length, point
 from supple.engines.wgpu.device import Gpu, open_gpu
 from supple.errors import SuppleError, shown
 from supple.files.clips import is_clip, open_clip
+from supple.files.landmarks import read_landmarks
 from supple.files.renders import default_transfer
 from supple.files.volumes import VolumeOptions, in_space, is_volume_job, open_volume
 from supple.geometry import Geometry
@@ -25,12 +26,15 @@ from supple.media.image import read
 from supple.media.volume import Volume
 from supple.strokes import Fit, Recipe, fit_recipe
 from supple.viewer.document.editing import Document
+from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.panels.frame_cache import FrameCache
+from supple.viewer.panels.slices import first_window
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage, on_screen
 from supple.viewer.panels.stages import shown as as_pixels
-from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
+from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.gestures import Pair
 from supple.viewer.tools.playback import Playback
+from supple.viewer.tools.slices import SliceTools
 from supple.viewer.window import dialogs, qt
 
 if TYPE_CHECKING:
@@ -52,6 +56,8 @@ class ViewOptions:
     time_scale: float = 1.0  # the length of a clip's frame in pixels, for the brush
     volume: VolumeOptions = _PLAIN  # of its file; and whether the first strokes are in millimetres
     fit: Fit | None = None  # the scaling of the first strokes, if made for another size, as in `supple.warp_file`
+    points: str | os.PathLike[str] | None = None  # a file of landmarks, shown in a volume
+    convention: str | None = None  # of a table of them that does not name its own, as in `supple points`
 
     def __post_init__(self) -> None:
         length("time_scale", self.time_scale)
@@ -127,18 +133,19 @@ def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool
         raise SuppleError(f"time_scale is for clips, and {name} is none: leave it out")
 
 
-def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) -> ImageTools | VolumeTools:
+def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) -> ImageTools | SliceTools:
     """Return the tools for a stage."""
     if isinstance(stage, VideoStage):
         return VideoTools(document, Playback(stage.film.count, stage.rate, stage.film.starts), size)
     if isinstance(stage, ImageStage):
         return ImageTools(document, size)
-    tools: VolumeTools = VolumeTools(
+    tools: SliceTools = SliceTools(
         document,
         stage.volume.geometry,
         size,
         lambda x, y: stage.deform(document.deformation).pick(tools.camera, tools.stage.size, (x, y)),
         lambda pick, to: stage.deform(document.deformation).drag(tools.camera, tools.stage.size, pick, to),
+        first_window(stage.volume, stage.unit),
     )
     return tools
 
@@ -163,10 +170,22 @@ def opened(
         recipe = in_space(recipe, geometry, stage.name, options.volume.world)
     if stage.kind != "video" or options.fit == "pixels":  # the length of a frame would have to be scaled
         recipe = fit_recipe(recipe, stage.shape[::-1], options.fit, stage.name)
+    landmarks = _landmarks(stage, options)
     document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind, geometry=geometry)
     tools = tools_of(stage, document, canvas.get_logical_size())
     path = Path(source) if isinstance(source, str | os.PathLike) else None
-    return Window(stage, document, tools, canvas, gpu, path, options.export, loop.call_later)
+    return Window(stage, document, tools, canvas, gpu, path, options.export, loop.call_later, landmarks)
+
+
+def _landmarks(stage: ImageStage | VolumeStage, options: ViewOptions) -> Landmarks | None:
+    """Return the landmarks to show, if a file is given."""
+    if options.points is None:
+        if options.convention is not None:
+            raise SuppleError("--convention is for --points: give a file of points, or leave it out")
+        return None
+    if not isinstance(stage, VolumeStage):
+        raise SuppleError(f"--points are shown in volumes, and {stage.name} is none: leave it out")
+    return Landmarks(*read_landmarks(options.points, stage.volume.geometry, convention=options.convention))
 
 
 def _gpu() -> Gpu:

@@ -18,6 +18,8 @@ from supple.viewer.panels.painter import Shot
 from supple.viewer.panels.stages import VideoStage, VolumeStage
 from supple.viewer.panels.view import SETTLED, View
 from supple.viewer.tools.brushes import VideoTools
+from supple.viewer.tools.planes import RENDERED
+from supple.viewer.tools.slices import SliceTools
 from supple.viewer.window.gui import Gui
 
 FILLING = 0.004  # seconds of each frame for filling a volume's buffer
@@ -191,9 +193,13 @@ class Window(View):
         onto = self._context.get_current_texture()
         colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 1)}
         drawing = encoder.begin_render_pass(color_attachments=[colours])
-        if self._textures is not None:
-            place = (0, 0, *(min(a, b) for a, b in zip(shot.size, onto.size, strict=False)))
-            self._screen.draw(drawing, *self._textures, self.tools.split or 0.0, place, self.painter.part)
+        if self._textures is not None and (not isinstance(self.tools, SliceTools) or RENDERED in self.tools.places):
+            left, top = shot.place
+            place = (left, top, min(shot.size[0], onto.size[0] - left), min(shot.size[1], onto.size[1] - top))
+            if min(place[2:]) > 0:  # a canvas may have shrunk since
+                self._screen.draw(drawing, *self._textures, self.tools.split or 0.0, place, self.painter.part)
+        if self.slices is not None and isinstance(self.tools, SliceTools):
+            self.slices.draw(drawing, onto.format, self.tools, shot.ratio, onto.size[:2])
         self._gui.draw(drawing)
         drawing.end()
         self.gpu.device.queue.submit([encoder.finish()])

@@ -1,0 +1,290 @@
+"""What lies over the views of a volume: crosshair, letters, scale bars, axes, strokes, and the brush's ring."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from imgui_bundle import imgui
+
+from supple.folding import NEAR
+from supple.viewer.panels import theme
+from supple.viewer.panels.view import View
+from supple.viewer.tools.brushes import ImageTools
+from supple.viewer.tools.gestures import Pair
+from supple.viewer.tools.planes import RENDERED, Pane, Place
+from supple.viewer.tools.slices import SliceTools
+
+_LETTERS = 0xF0FFFFFF  # ABGR
+_PLANES = (0xFF6478F0, 0xFF78C86C, 0xFF50C8E8)  # red, green and yellow, as elsewhere for these three
+_INSET = 8.0  # logical pixels from a view's edge to its text
+_NAMED = 30.0  # and to the names of before and after, below that of the plane
+_ARM = 30.0  # logical pixels of the axes in the rendering
+_BAR = (0.28, 30.0)  # the largest part of a view's width, and the least logical pixels, of a scale bar
+_ROOMY = 240.0  # logical pixels: a narrower view has no room for all of its text
+_NEARBY = 5.0  # millimetres of a landmark from a plane in which it is seen, faint
+_MARK = 0xFFF0D060  # of landmarks
+_AXES = (("L", "R"), ("P", "A"), ("S", "I"))
+
+
+def draw(view: View, tools: SliceTools, lines: imgui.ImDrawList) -> None:
+    """Draw what lies over all views; their planes are sampled first."""
+    if view.slices is not None:
+        view.slices.update(tools, not view._lately)
+    for k, place in tools.places.items():
+        left, top, width, height = place
+        lines.push_clip_rect((left, top), (left + width, top + height), True)
+        if k == RENDERED:
+            _rendering(view, tools, lines, place)
+        else:
+            _plane(view, tools, lines, k)
+        if tools.active == k:
+            rings(tools, lines)
+        if (at := tools.knob_of(k)) is not None:
+            knob(lines, at)
+        names(tools, lines, place, _NAMED)
+        _button(tools, lines, k)
+        lines.pop_clip_rect()
+
+
+def rings(tools: ImageTools | SliceTools, lines: imgui.ImDrawList) -> None:
+    """Draw the brush's radius under the pointer and, around it, its reach, beyond which nothing moves."""
+    middle, radius = tools.pointer, tools.ring
+    if middle is None or tools.original or not radius:
+        return
+    reach = tools.reach if tools.held is None else tools.held.stroke.reach
+    if reach is not None and reach > 1.0:
+        lines.add_circle(middle, reach * radius, theme.SHADE, 0, 3.0)
+        lines.add_circle(middle, reach * radius, theme.PALE, 0, 1.0)
+    lines.add_circle(middle, radius, theme.DARK, 0, 3.0)
+    lines.add_circle(middle, radius, theme.WHITE, 0, 1.0)
+
+
+def names(tools: ImageTools | SliceTools, lines: imgui.ImDrawList, place: Place, down: float) -> None:
+    """Say which picture of a view is the original, some pixels below its upper edge."""
+    (left, top, width, _), named = place, []
+    if tools.original:
+        named = [("Original", left + 10.0)]
+    elif tools.split is not None and 0.05 < tools.split < 0.95:
+        middle = left + tools.split * width
+        named = [("Before", middle - 10 - imgui.calc_text_size("Before").x - 20), ("After", middle + 10)]
+    for text, x in named:
+        size, y = imgui.calc_text_size(text), top + down
+        lines.add_rect_filled((x, y), (x + size.x + 20, y + size.y + 8), 0xB0181818, 6.0)
+        lines.add_text((x + 10, y + 4), theme.WHITE, text)
+
+
+def knob(lines: imgui.ImDrawList, at: Pair) -> None:
+    """Draw the knob of the split between before and after."""
+    x, y = at
+    lines.add_circle_filled(at, 9.0, theme.WHITE)
+    lines.add_circle(at, 9.0, theme.DARK, 0, 1.0)
+    for way in (-1, 1):
+        lines.add_triangle_filled((x + 6 * way, y), (x + 2 * way, y - 4), (x + 2 * way, y + 4), 0xFF202020)
+
+
+def _text(lines: imgui.ImDrawList, at: Pair, said: str, colour: int = _LETTERS, align: Pair = (0.0, 0.0)) -> None:
+    """Write a line with a shadow; its position is that of a point of it, in fractions of its size."""
+    size = imgui.calc_text_size(said)
+    x, y = round(at[0] - align[0] * size.x), round(at[1] - align[1] * size.y)
+    lines.add_text((x + 1, y + 1), 0xD0000000, said)
+    lines.add_text((x, y), colour, said)
+
+
+def _button(tools: SliceTools, lines: imgui.ImDrawList, k: int) -> None:
+    """Draw the button that enlarges a view: the corners of a frame, which point outwards or inwards."""
+    left, top, width, height = tools.button(k)
+    x, y, large = left + width / 2, top + height / 2, tools.sight.large is not None
+    over = tools.pointer is not None and left <= tools.pointer[0] and top <= tools.pointer[1] < top + height
+    colour = theme.WHITE if over and tools.active == k else theme.GREY
+    for shade, thick in ((theme.DARK, 3.5), (colour, 1.5)):
+        for a, b in ((-1, -1), (1, -1), (-1, 1), (1, 1)):
+            near, far = (2.0, 6.0) if large else (6.0, 2.0)
+            corner = x + a * near, y + b * near
+            lines.add_line(corner, (x + a * far, y + b * near), shade, thick)
+            lines.add_line(corner, (x + a * near, y + b * far), shade, thick)
+
+
+def _plane(view: View, tools: SliceTools, lines: imgui.ImDrawList, k: int) -> None:
+    pane = tools.pane(k)
+    left, top, width, height = pane.place
+    _crosshair(tools, lines, pane)
+    _strokes(view, tools, lines, pane)
+    _landmarks(view, lines, pane.to_canvas, pane)
+    x, y, (west, east, north, south) = left + width / 2, top + height / 2, pane.plane.sides
+    _text(lines, (left + _INSET, y), west, align=(0.0, 0.5))
+    _text(lines, (left + width - _INSET, y), east, align=(1.0, 0.5))
+    _text(lines, (x, top + _INSET), north, align=(0.5, 0.0))
+    _text(lines, (x, top + height - _INSET), south, align=(0.5, 1.0))
+    axis = pane.plane.axis
+    _text(lines, (left + _INSET, top + _INSET), pane.plane.name, _PLANES[k])
+    wide = imgui.calc_text_size(pane.plane.name).x
+    if width > _ROOMY:
+        said = f"{'xyz'[axis]} {pane.index[axis]}   {_lies(tools, pane)}"
+        _text(lines, (left + 2 * _INSET + wide, top + _INSET), said, theme.GREY)
+    _bar(lines, pane.place, pane.scale)
+    if view.slices is not None and not view.slices.labels and width > _ROOMY:
+        low, high = tools.sight.window
+        unit = view.slices.unit if view.slices.unit != "label" else ""
+        said = f"W {high - low:.4g}  L {0.5 * (low + high):.4g} {unit}".rstrip()
+        _text(lines, (left + width - _INSET, top + height - _INSET), said, theme.GREY, (1.0, 1.0))
+
+
+def _lies(tools: SliceTools, pane: Pane) -> str:
+    """Return where a plane lies on the axis of a patient that it crosses, such as S 12 mm, or how oblique it is."""
+    geometry = tools.geometry
+    if geometry.convention == "array":
+        return ""
+    if geometry.oblique:
+        return f"oblique by {geometry.oblique:.2g} degrees"
+    row = int(np.abs(geometry.direction[:, pane.plane.axis]).argmax())
+    place = float(geometry.to_lps(pane.index)[row])
+    return f"{_AXES[row][place < 0]} {abs(place):.1f} mm"
+
+
+def _crosshair(tools: SliceTools, lines: imgui.ImDrawList, pane: Pane) -> None:
+    """Draw the other two planes as lines, with a gap about the voxel where they cross."""
+    (left, top, width, height), (x, y) = pane.place, pane.to_canvas(pane.index)
+    normal = {plane.axis: _PLANES[k] & 0xB0FFFFFF for k, plane in enumerate(tools.planes)}
+    upright, level, gap = normal[pane.plane.across], normal[pane.plane.down], 7.0
+    for a, b in ((left, x - gap), (x + gap, left + width)):
+        if a < b:
+            lines.add_line((a, y), (b, y), level, 1.0)
+    for a, b in ((top, y - gap), (y + gap, top + height)):
+        if a < b:
+            lines.add_line((x, a), (x, b), upright, 1.0)
+
+
+def _strokes(view: View, tools: SliceTools, lines: imgui.ImDrawList, pane: Pane) -> None:
+    """Draw the strokes whose point starts or ends in a plane, and the selected one, faint where it is elsewhere."""
+    document = view.document
+    for i, arrival in enumerate(document.arrivals):
+        selected = document.selected == i
+        if arrival is None or (not selected and len(document.items) > 60):
+            continue
+        stroke = document.seen(i)
+        there = [pane.crosses(point) for point in (stroke.at, arrival.arrived)]
+        if not any(there) and not selected:
+            continue
+        start, end = pane.to_canvas(stroke.at), pane.to_canvas(arrival.arrived)
+        colour = theme.BLUE if selected else theme.SOFT
+        if all(there):
+            lines.add_line(start, end, theme.DARK, 3.0)
+            lines.add_line(start, end, colour, 1.5)
+        if there[0]:
+            lines.add_circle_filled(start, 3.0, colour)
+        else:
+            lines.add_circle(start, 2.0, theme.DIM, 0, 1.0)
+        if there[1]:
+            end_of(lines, end, colour, pane.to_canvas(arrival.target) if arrival.miss > NEAR else None)
+        else:
+            lines.add_circle(end, 3.0, theme.DIM, 0, 1.5)
+        away = (stroke.at[pane.plane.axis] - pane.index[pane.plane.axis]) * pane.spacing[pane.plane.axis]
+        if selected and abs(away) < stroke.radius:  # the ball of the brush, where the plane cuts it
+            lines.add_circle(start, math.sqrt(stroke.radius**2 - away**2) * pane.scale, theme.BALL, 0, 1.0)
+
+
+def end_of(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None) -> None:
+    """Draw the end of a stroke, and its target, if they differ."""
+    lines.add_circle(end, 5.0, colour, 0, 2.0)
+    if wanted is not None:
+        lines.add_line(end, wanted, theme.RED, 1.5)
+        lines.add_circle(wanted, 4.0, theme.RED, 0, 1.5)
+
+
+def _rendering(view: View, tools: SliceTools, lines: imgui.ImDrawList, place: Place) -> None:
+    document = view.document
+    for i, arrival in enumerate(document.arrivals):
+        if arrival is None:
+            continue
+        start, end, wanted = (tools.projected(p) for p in (document.seen(i).at, arrival.arrived, arrival.target))
+        if start is None or end is None:
+            continue
+        colour = theme.BLUE if document.selected == i else theme.SOFT
+        lines.add_line(start, end, theme.DARK, 3.0)
+        lines.add_line(start, end, theme.SOFT, 1.0)
+        lines.add_circle_filled(start, 3.0, colour)
+        end_of(lines, end, colour, wanted if arrival.miss > NEAR else None)
+    left, top, width, height = place
+    if tools.sight.large is None and (at := tools.projected(tuple(map(float, tools.index)))) is not None:
+        for a, b in ((1, 0), (0, 1)):
+            for way in (-1, 1):
+                near, far = ((at[0] + way * r * a, at[1] + way * r * b) for r in (3.0, 9.0))
+                lines.add_line(near, far, theme.DARK, 3.0)
+                lines.add_line(near, far, theme.WHITE, 1.0)
+    _landmarks(view, lines, tools.projected)
+    if width > _ROOMY:
+        _axes(tools, lines, (left + width - _ARM - 3 * _INSET, top + height - _ARM - 3 * _INSET))
+    _bar(lines, place, tools.stage.scale(tools.view, tools.stage.target(tools.view)))
+
+
+def _landmarks(
+    view: View, lines: imgui.ImDrawList, seen: Callable[[tuple[float, ...]], Pair | None], pane: Pane | None = None
+) -> None:
+    """Draw the landmarks, with lines from where they were; of a plane those in it, and faint ones that are near."""
+    marks = view.landmarks
+    if marks is None:
+        return
+    before = marks.points
+    after = before if view.tools.original else marks.moved(view.document.deformation)
+    for name, old, new in zip(marks.names, before.tolist(), after.tolist(), strict=True):
+        away = 0.0
+        if pane is not None:
+            axis = pane.plane.axis
+            away = abs(new[axis] - pane.index[axis])
+            if away > 0.5 and away * pane.spacing[axis] > _NEARBY:
+                continue
+        start, end = seen(tuple(old)), seen(tuple(new))
+        if start is None or end is None:
+            continue
+        if math.dist(start, end) > 1.0:
+            lines.add_line(start, end, theme.DARK, 3.0)
+            lines.add_line(start, end, _MARK & 0x90FFFFFF, 1.0)
+            lines.add_circle(start, 2.5, _MARK & 0x90FFFFFF, 0, 1.0)
+        x, y = end
+        corners: list[Any] = [imgui.ImVec2(x + a, y + b) for a, b in ((0, -5), (5, 0), (0, 5), (-5, 0))]
+        if away <= 0.5:
+            lines.add_convex_poly_filled(corners, _MARK)
+            _text(lines, (x + 8, y), name, _MARK, (0.0, 0.5))
+        lines.add_polyline([*corners, corners[0]], theme.DARK if away <= 0.5 else _MARK & 0x90FFFFFF, 1.5, 0)
+
+
+def _axes(tools: SliceTools, lines: imgui.ImDrawList, at: Pair) -> None:
+    """Draw the axes of the patient, or of the voxels, as the camera sees them, with letters at the near ends."""
+    seen, geometry = tools.stage.view(tools.view), tools.geometry
+    right, down = (axis / np.linalg.norm(axis) for axis in seen.packed[3:])
+    ends = []
+    for k in range(3):
+        for which, sign in enumerate((1, -1)):
+            way = sign * geometry.direction.T[:, k]
+            letter = _AXES[k][which] if geometry.convention != "array" else f"{'+-'[which]}{'xyz'[k]}"
+            ends.append((float(way @ seen.ahead), float(way @ right), float(way @ down), letter))
+    for away, x, y, letter in sorted(ends, reverse=True):
+        end = at[0] + _ARM * x, at[1] + _ARM * y
+        lines.add_line(at, end, theme.DARK, 3.0)
+        lines.add_line(at, end, theme.SOFT if away <= 0.2 else theme.DIM, 1.5)
+        if away <= 0.2:
+            _text(lines, (at[0] + (_ARM + 9) * x, at[1] + (_ARM + 9) * y), letter, align=(0.5, 0.5))
+
+
+def _bar(lines: imgui.ImDrawList, place: Place, scale: float) -> None:
+    """Draw a bar whose length is a round number of millimetres."""
+    left, top, width, height = place
+    most = max(_BAR[0] * width, _BAR[1])
+    if scale <= 0:
+        return
+    length = rounded(most / scale)
+    x, y = left + _INSET, top + height - _INSET
+    for colour, thick in ((theme.DARK, 4.0), (theme.WHITE, 2.0)):
+        lines.add_line((x, y - 2), (x + length * scale, y - 2), colour, thick)
+        for end in (x, x + length * scale):
+            lines.add_line((end, y - 6), (end, y), colour, thick)
+    _text(lines, (x, y - 8), f"{length:g} mm", align=(0.0, 1.0))
+
+
+def rounded(most: float) -> float:
+    """Return the largest 1, 2 or 5 times a power of ten that is not more."""
+    power = 10.0 ** math.floor(math.log10(most))
+    return max(k * power for k in (1.0, 2.0, 5.0) if k * power <= most * (1 + 1e-9))

@@ -1,0 +1,225 @@
+"""The planes of a volume on a canvas: which axes they show, which way round, and where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import permutations
+from typing import Self
+
+from supple.geometry import Geometry
+from supple.viewer.tools.gestures import Pair
+
+Point = tuple[float, float, float]
+Place = tuple[float, float, float, float]
+"""A rectangle of the canvas: left, top, width and height, in logical pixels."""
+
+RENDERED = 3
+"""The number of the rendering among the views; 0, 1 and 2 are the axial, the coronal and the sagittal plane."""
+GAP = 2.0  # logical pixels between two views
+_MARGIN = 0.9  # of a view: a plane that fits leaves room for letters
+_NEAREST, _FARTHEST = 40.0, 0.5  # zoom, relative to planes that fit
+_SIDES = (("R", "L"), ("A", "P"), ("I", "S"))  # along -x and +x, -y and +y, -z and +z in LPS
+# Each plane as radiologists see it, by the axes of LPS: its normal, the one to the right, and the one down. Of -1 - k,
+# the negative of axis k.
+_SEEN = (("axial", 2, 0, 1), ("coronal", 1, 0, ~2), ("sagittal", 0, 1, ~2))
+_FORWARD = (1, -1, 1)  # the wheel, turned forward, leads to the left, to the front and to the head
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """A plane along two axes of a volume's voxels, the way round that is usual for a patient.
+
+    Parameters
+    ----------
+    name : str
+        ``"axial"``, ``"coronal"`` or ``"sagittal"``, if it is within a few degrees: otherwise, of these the nearest; or
+        the names of its axes, for voxels without a position in space.
+    axis, across, down : int
+        The axes of the voxels, x is 0: the plane's normal, the axis seen from left to right, and from top to bottom.
+    signs : (int, int)
+        For each of the latter, 1 if indices rise that way, or -1.
+    forward : int
+        1 if the wheel, turned forward, leads to higher indices, or -1.
+    sides : (str, str, str, str)
+        What is at the left, the right, the top and the bottom: letters of a patient, or an axis with its sign.
+    """
+
+    name: str
+    axis: int
+    across: int
+    down: int
+    signs: tuple[int, int]
+    forward: int
+    sides: tuple[str, str, str, str]
+
+
+def planes_of(geometry: Geometry) -> tuple[Plane, ...]:
+    """Return the axial, the coronal and the sagittal plane of a volume: along its voxels, whichever are nearest."""
+    turned, placed = geometry.direction, geometry.convention != "array"
+    order = max(permutations(range(3)), key=lambda axes: sum(abs(turned[k, axis]) for k, axis in enumerate(axes)))
+
+    def along(way: int) -> tuple[int, int, str, str]:
+        """Return the voxels' axis of an axis of LPS, or of its negative; its sign; and what is at both its ends."""
+        k, wanted = (way, 1) if way >= 0 else (~way, -1)
+        axis, sides = order[k], _SIDES[k]
+        sign = wanted if turned[k, axis] >= 0 else -wanted
+        if placed:
+            first, last = sides[::wanted]
+        else:
+            first, last = (f"-{'xyz'[axis]}", f"+{'xyz'[axis]}")[::sign]
+        return axis, sign, first, last
+
+    made = []
+    for name, normal, right, below in _SEEN:
+        (across, one, left, beyond), (down, other, top, bottom) = along(right), along(below)
+        axis, sign, _, _ = along(normal)
+        told = name if placed else "".join("xyz"[k] for k in sorted((across, down)))
+        made.append(Plane(told, axis, across, down, (one, other), sign * _FORWARD[normal], (left, beyond, top, bottom)))
+    return tuple(made)
+
+
+@dataclass(frozen=True, slots=True)
+class Pane:
+    """A plane in its place on the canvas.
+
+    Parameters
+    ----------
+    plane : Plane
+    place : (float, float, float, float)
+        The rectangle of its view.
+    index : (int, int, int)
+        The voxel under the crosshair, x first: the plane goes through it.
+    middle : (float, float, float)
+        The voxel in the middle of the view.
+    scale : float
+        Logical pixels of a millimetre.
+    spacing : (float, float, float)
+    sizes : (int, int, int)
+        The number of voxels along each axis.
+    """
+
+    plane: Plane
+    place: Place
+    index: tuple[int, ...]
+    middle: Point
+    scale: float
+    spacing: Point
+    sizes: tuple[int, ...]
+
+    def to_canvas(self, point: tuple[float, ...]) -> Pair:
+        """Return the position of a point, in voxels, on the canvas; it may lie before the plane or behind it."""
+        (left, top, width, height), plane, (one, other) = self.place, self.plane, self.plane.signs
+        a, b = ((point[k] - self.middle[k]) * self.spacing[k] * self.scale for k in (plane.across, plane.down))
+        return left + width / 2 + one * a, top + height / 2 + other * b
+
+    def to_point(self, x: float, y: float) -> Point:
+        """Return the point of the plane, in voxels, under a position of the canvas; it may lie outside the volume."""
+        (left, top, width, height), plane = self.place, self.plane
+        made = [float(k) for k in self.index]
+        ways = (plane.across, plane.signs[0], x - left - width / 2), (plane.down, plane.signs[1], y - top - height / 2)
+        for axis, sign, away in ways:
+            made[axis] = self.middle[axis] + sign * away / (self.spacing[axis] * self.scale)
+        return made[0], made[1], made[2]
+
+    def holds(self, point: tuple[float, ...]) -> bool:
+        """Return whether a point lies within the volume."""
+        return all(-0.5 <= p <= n - 0.5 for p, n in zip(point, self.sizes, strict=True))
+
+    def crosses(self, point: tuple[float, ...]) -> bool:
+        """Return whether a point lies within half a voxel of the plane."""
+        return abs(point[self.plane.axis] - self.index[self.plane.axis]) <= 0.5
+
+    @property
+    def box(self) -> Place:
+        """The rectangle of the whole plane on the canvas; a part of it may lie beyond the view."""
+        (a, b), (c, d) = self.to_canvas((-0.5,) * 3), self.to_canvas(tuple(n - 0.5 for n in self.sizes))
+        return min(a, c), min(b, d), abs(c - a), abs(d - b)
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What is seen of a volume's planes.
+
+    Parameters
+    ----------
+    cross : (float, float, float)
+        The crosshair, in voxels, x first: planes go through the voxel that is nearest.
+    window : (float, float)
+        The values that are black and white.
+    middle : (float, float, float)
+        The voxel in the middle of the views.
+    zoom : float
+        Relative to the size at which all planes fit.
+    large : int, optional
+        The number of the view that has the whole canvas.
+    """
+
+    cross: Point
+    window: Pair
+    middle: Point
+    zoom: float = 1.0
+    large: int | None = None
+
+    def at(self, point: tuple[float, ...], sizes: tuple[int, ...]) -> Self:
+        """Return the sight with the crosshair at a point, or at the voxel of the volume that is nearest."""
+        return replace(self, cross=_within(point, sizes))
+
+    def slid(self, pane: Pane, dx: float, dy: float) -> Self:
+        """Return the sight moved by logical pixels of a pane."""
+        (left, top, width, height), middle = pane.place, pane.to_point
+        moved = middle(left + width / 2 - dx, top + height / 2 - dy)
+        return self._about(pane, moved)
+
+    def zoomed(self, pane: Pane, x: float, y: float, factor: float) -> Self:
+        """Return the sight zoomed about a position of a pane."""
+        zoom = min(max(self.zoom * factor, _FARTHEST), _NEAREST)
+        point, kept = pane.to_point(x, y), self.zoom / zoom
+        moved = tuple(p + (m - p) * kept for p, m in zip(point, self.middle, strict=True))
+        return replace(self._about(pane, moved), zoom=zoom)
+
+    def _about(self, pane: Pane, middle: tuple[float, ...]) -> Self:
+        """Return the sight with another middle, along the axes of a pane."""
+        axis = pane.plane.axis
+        kept = tuple(self.middle[k] if k == axis else middle[k] for k in range(3))
+        return replace(self, middle=_within(kept, pane.sizes))
+
+    def levelled(self, wider: float, brighter: float) -> Self:
+        """Return the sight with a window wider by a factor, and brighter by a fraction of its width."""
+        low, high = self.window
+        level, width = 0.5 * (low + high) - brighter * (high - low), (high - low) * wider
+        return replace(self, window=(level - 0.5 * width, level + 0.5 * width))
+
+
+def _within(point: tuple[float, ...], sizes: tuple[int, ...]) -> Point:
+    x, y, z = (min(max(float(p), 0.0), n - 1.0) for p, n in zip(point, sizes, strict=True))
+    return x, y, z
+
+
+def places_of(canvas: Pair, large: int | None) -> dict[int, Place]:
+    """Return the places of the visible views: the rendering is at the upper right."""
+    width, height = canvas
+    if large is not None:
+        return {large: (0.0, 0.0, width, height)}
+    across, down = max((width - GAP) / 2, 1.0), max((height - GAP) / 2, 1.0)
+    right, below = across + GAP, down + GAP
+    corners = ((0.0, 0.0), (0.0, below), (right, below), (right, 0.0))
+    return {k: (x, y, across, down) for k, (x, y) in enumerate(corners)}
+
+
+def fitting(places: dict[int, Place], planes: tuple[Plane, ...], sizes: tuple[int, ...], spacing: Point) -> float:
+    """Return the logical pixels of a millimetre at which all visible planes fit."""
+    extent = [n * s for n, s in zip(sizes, spacing, strict=True)]
+    fits = [
+        _MARGIN * min(place[2] / extent[planes[k].across], place[3] / extent[planes[k].down])
+        for k, place in places.items()
+        if k != RENDERED
+    ]
+    return min(fits, default=1.0)
+
+
+def holding(places: dict[int, Place], x: float, y: float) -> int | None:
+    """Return the view at a position of the canvas."""
+    for k, (left, top, width, height) in places.items():
+        if left <= x < left + width and top <= y < top + height:
+            return k
+    return None
