@@ -136,7 +136,7 @@ def test_other_brushes_in_words() -> None:
             "by (9, 0) with 1 other and 1 pin",
         ),
         (Stroke(at=(5, 6), radius=9, brush="twist", angle=40), "Twist at (5, 6)", "by 40\u00b0"),
-        (Stroke(at=(5, 6), radius=9, brush="scale", factor=1.5), "Scale at (5, 6)", "by a factor of 1.5"),
+        (Stroke(at=(5, 6), radius=9, brush="scale", factor=1.5), "Bloat at (5, 6)", "by a factor of 1.5"),
         (
             Stroke(at=(5, 6), radius=9, brush="pinch", factor=0.5, axis=(1, 1)),
             "Pinch at (5, 6)",

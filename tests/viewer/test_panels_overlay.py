@@ -177,7 +177,7 @@ def test_all_of_a_stroke_is_said() -> None:
     (arrival,) = supple.Deformation((80, 90), on_fold="damp", border=None).add(stroke, warn=False).arrivals
     said = described(stroke, arrival)
     short = f"{arrival.miss:.3g} short: all of it would fold"
-    for word in ("grab", "(31.0, 22.0)", "(30.0, 40.0)", "radius 5", "Poisson ratio 0.3", "medium", "4 radii", short):
+    for word in ("Grab", "(31.0, 22.0)", "(30.0, 40.0)", "radius 5", "Poisson ratio 0.3", "medium", "4 radii", short):
         assert word in said
 
 

@@ -93,10 +93,14 @@ class Document:
         known = self._nth(i)
         return None if known is None else self.deformation.warnings[known]
 
-    def handles(self, i: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return the pivot of a stroke, and the position of its point; for a hidden one, the target."""
+    def handles(self, i: int) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...]:
+        """Return the points of a stroke and their positions after it; for a hidden one, and all but the first, targets.
+
+        The point of a twist, a scale or a pinch stays where it is.
+        """
         found, stroke = self.arrival(i), self.seen(i)
-        return stroke.at, found.arrived if found else tuple(a + b for a, b in zip(stroke.at, stroke.by, strict=True))
+        made = [(at, tuple(a + b for a, b in zip(at, by, strict=True))) for at, by in stroke.handles]
+        return ((made[0][0], found.arrived), *made[1:]) if found else tuple(made)
 
     def seen(self, i: int) -> Stroke:
         """Return a stroke at its full drag on screen, if its recipe applies a fraction of it."""
@@ -106,7 +110,7 @@ class Document:
         applied = self.deformation.strokes[known]
         if applied is stroke:
             return stroke
-        return replace(stroke, at=applied.at, by=applied.by, angle=applied.angle, factor=applied.factor)
+        return replace(applied, strength=stroke.strength)
 
     def add(self, stroke: Stroke) -> int:
         """Append a stroke, and select it; return its index."""

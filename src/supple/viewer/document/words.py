@@ -29,6 +29,13 @@ def place(values: Iterable[float], digits: int = 0) -> str:
     return f"({', '.join(f'{v:.{digits}f}' for v in values)})"
 
 
+def named(stroke: Stroke) -> str:
+    """Return what made a stroke."""
+    if stroke.factor is not None and stroke.brush == "scale":
+        return "Pucker" if stroke.factor < 1 else "Bloat"
+    return stroke.brush.capitalize()
+
+
 def done(stroke: Stroke, digits: int = 0) -> str:
     """Return what a stroke does at its pivot."""
     if stroke.angle is not None:
@@ -50,7 +57,7 @@ def _counted(count: int, what: str) -> str:
 
 def described(stroke: Stroke, arrival: Arrival | None) -> str:
     """Return a description of a stroke, and of its point's position, in a few lines."""
-    said = f"{stroke.brush} at {place(stroke.at, 1)}\n{done(stroke, 1)}\nradius {stroke.radius:.4g}"
+    said = f"{named(stroke)} at {place(stroke.at, 1)}\n{done(stroke, 1)}\nradius {stroke.radius:.4g}"
     if stroke.poisson is not None:
         said += f", Poisson ratio {stroke.poisson:.3g}"
     if stroke.brush == "grab":  # the others fade in one way
@@ -69,7 +76,7 @@ def described(stroke: Stroke, arrival: Arrival | None) -> str:
 def sentence(i: int, item: Item) -> str:
     """Return a stroke of a list as a sentence, in two lines."""
     stroke = item.stroke
-    said = f"{i + 1}. {stroke.brush.capitalize()} at {place(stroke.at)} {done(stroke)},\n"
+    said = f"{i + 1}. {named(stroke)} at {place(stroke.at)} {done(stroke)},\n"
     said += f"    radius {stroke.radius:.4g}"
     if stroke.scales != 1:
         said += f", fall-off {FALLOFFS[stroke.scales - 1]}"
@@ -101,7 +108,7 @@ def step(before: State, after: State) -> str:
     first = next((k for k, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), min(len(old), len(new)))
     if len(new) == len(old) + 1 and new[first + 1 :] == old[first:]:
         made = new[first].stroke
-        return f"{made.brush.capitalize()} at {place(made.at)}"
+        return f"{named(made)} at {place(made.at)}"
     if len(new) == len(old) - 1 and new[first:] == old[first + 1 :]:
         return f"Remove stroke {first + 1}"
     if len(new) != len(old) or first == len(old):

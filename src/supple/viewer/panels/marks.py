@@ -13,7 +13,7 @@ from supple.folding import NEAR
 from supple.viewer.panels import theme
 from supple.viewer.panels.view import View
 from supple.viewer.tools.brushes import ImageTools
-from supple.viewer.tools.gestures import Pair
+from supple.viewer.tools.drags import SHAPES, Pair
 from supple.viewer.tools.planes import RENDERED, Pane, Place
 from supple.viewer.tools.slices import SliceTools
 
@@ -51,10 +51,12 @@ def draw(view: View, tools: SliceTools, lines: imgui.ImDrawList) -> None:
 
 def rings(tools: ImageTools | SliceTools, lines: imgui.ImDrawList) -> None:
     """Draw the brush's radius under the pointer and, around it, its reach, beyond which nothing moves."""
-    middle, radius = tools.pointer, tools.ring
+    middle, radius, held = tools.pointer, tools.ring, tools.held
     if middle is None or tools.original or not radius:
         return
-    reach = tools.reach if tools.held is None else tools.held.stroke.reach
+    if held is not None and held.tool in SHAPES:  # the point stays, and the pointer says how much
+        middle = held.start
+    reach = tools.reach if held is None else held.stroke.reach
     if reach is not None and reach > 1.0:
         lines.add_circle(middle, reach * radius, theme.SHADE, 0, 3.0)
         lines.add_circle(middle, reach * radius, theme.PALE, 0, 1.0)
@@ -164,26 +166,28 @@ def _strokes(view: View, tools: SliceTools, lines: imgui.ImDrawList, pane: Pane)
         selected = document.selected == i
         if arrival is None or (not selected and len(document.items) > 60):
             continue
-        stroke = document.seen(i)
-        there = [pane.crosses(point) for point in (stroke.at, arrival.arrived)]
-        if not any(there) and not selected:
-            continue
-        start, end = pane.to_canvas(stroke.at), pane.to_canvas(arrival.arrived)
+        stroke, wanted = document.seen(i), arrival.target if arrival.miss > NEAR else None
         colour = theme.BLUE if selected else theme.SOFT
-        if all(there):
-            lines.add_line(start, end, theme.DARK, 3.0)
-            lines.add_line(start, end, colour, 1.5)
-        if there[0]:
-            lines.add_circle_filled(start, 3.0, colour)
-        else:
-            lines.add_circle(start, 2.0, theme.DIM, 0, 1.0)
-        if there[1]:
-            end_of(lines, end, colour, pane.to_canvas(arrival.target) if arrival.miss > NEAR else None)
-        else:
-            lines.add_circle(end, 3.0, theme.DIM, 0, 1.5)
-        away = (stroke.at[pane.plane.axis] - pane.index[pane.plane.axis]) * pane.spacing[pane.plane.axis]
-        if selected and abs(away) < stroke.radius:  # the ball of the brush, where the plane cuts it
-            lines.add_circle(start, math.sqrt(stroke.radius**2 - away**2) * pane.scale, theme.BALL, 0, 1.0)
+        for point, where in document.handles(i):
+            there = [pane.crosses(p) for p in (point, where)]
+            if not any(there) and not selected:
+                continue
+            start, end = pane.to_canvas(point), pane.to_canvas(where)
+            if all(there):
+                lines.add_line(start, end, theme.DARK, 3.0)
+                lines.add_line(start, end, colour, 1.5)
+            if there[0]:
+                lines.add_circle_filled(start, 3.0, colour)
+            else:
+                lines.add_circle(start, 2.0, theme.DIM, 0, 1.0)
+            if there[1] and stroke.brush == "grab":
+                end_of(lines, end, colour, None if wanted is None else pane.to_canvas(wanted))
+            elif not there[1]:
+                lines.add_circle(end, 3.0, theme.DIM, 0, 1.5)
+            away = (point[pane.plane.axis] - pane.index[pane.plane.axis]) * pane.spacing[pane.plane.axis]
+            if selected and abs(away) < stroke.radius:  # the ball of the brush, where the plane cuts it
+                lines.add_circle(start, math.sqrt(stroke.radius**2 - away**2) * pane.scale, theme.BALL, 0, 1.0)
+            wanted = None  # only the first one's is known
 
 
 def end_of(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None) -> None:
@@ -199,14 +203,17 @@ def _rendering(view: View, tools: SliceTools, lines: imgui.ImDrawList, place: Pl
     for i, arrival in enumerate(document.arrivals):
         if arrival is None:
             continue
-        start, end, wanted = (tools.projected(p) for p in (document.seen(i).at, arrival.arrived, arrival.target))
-        if start is None or end is None:
-            continue
+        wanted = tools.projected(arrival.target) if arrival.miss > NEAR else None
         colour = theme.BLUE if document.selected == i else theme.SOFT
-        lines.add_line(start, end, theme.DARK, 3.0)
-        lines.add_line(start, end, theme.SOFT, 1.0)
-        lines.add_circle_filled(start, 3.0, colour)
-        end_of(lines, end, colour, wanted if arrival.miss > NEAR else None)
+        for point, where in document.handles(i):
+            start, end = tools.projected(point), tools.projected(where)
+            if start is not None and end is not None:
+                lines.add_line(start, end, theme.DARK, 3.0)
+                lines.add_line(start, end, theme.SOFT, 1.0)
+                lines.add_circle_filled(start, 3.0, colour)
+                if document.items[i].stroke.brush == "grab":
+                    end_of(lines, end, colour, wanted)
+            wanted = None  # only the first one's is known
     left, top, width, height = place
     if tools.sight.large is None and (at := tools.projected(tuple(map(float, tools.index)))) is not None:
         for a, b in ((1, 0), (0, 1)):

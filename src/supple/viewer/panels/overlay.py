@@ -7,12 +7,13 @@ import math
 from imgui_bundle import imgui
 
 from supple.folding import NEAR
+from supple.viewer.document.words import done, named
 from supple.viewer.panels import icons, marks, theme
 from supple.viewer.panels.stages import VideoStage, VolumeStage
 from supple.viewer.panels.view import BAR, LINE, View
 from supple.viewer.panels.widgets import hint, icon_button
 from supple.viewer.tools.brushes import ImageTools, VideoTools
-from supple.viewer.tools.gestures import Pair
+from supple.viewer.tools.drags import Pair
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.slices import SliceTools
 
@@ -53,23 +54,26 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
         selected = document.selected == i
         if arrival is None or (not selected and len(document.items) > 60):
             continue
-        stroke = document.seen(i)
-        start, end = viewport.to_canvas(*stroke.at[:2]), viewport.to_canvas(*arrival.arrived[:2])
+        stroke, wanted = document.seen(i), arrival.target if arrival.miss > NEAR else None
         colour = theme.BLUE if selected else theme.SOFT
-        if isinstance(view.stage, VideoStage):
-            # Handles of other frames are faint, and cannot be dragged.
-            there = [abs(t - view.frame) <= 0.5 for t in (stroke.at[2], arrival.arrived[2])]
-            if not all(there):
-                for place, seen in zip((start, end), there, strict=True):
-                    if seen or selected:
-                        lines.add_circle(place, 5.0 if seen else 3.0, colour if seen else theme.DIM, 0, 1.5)
-                continue
-        lines.add_line(start, end, theme.DARK, 3.0)
-        lines.add_line(start, end, colour, 1.5)
-        lines.add_circle_filled(start, 3.0, colour)
-        marks.end_of(lines, end, colour, viewport.to_canvas(*arrival.target[:2]) if arrival.miss > NEAR else None)
-        if selected:
-            lines.add_circle(start, stroke.radius * viewport.zoom, theme.BALL, 0, 1.0)
+        for point, where in document.handles(i):
+            start, end = viewport.to_canvas(*point[:2]), viewport.to_canvas(*where[:2])
+            if isinstance(view.stage, VideoStage):
+                # Handles of other frames are faint, and cannot be dragged.
+                there = [abs(t - view.frame) <= 0.5 for t in (point[2], where[2])]
+                if not all(there):
+                    for place, seen in zip((start, end), there, strict=True):
+                        if seen or selected:
+                            lines.add_circle(place, 5.0 if seen else 3.0, colour if seen else theme.DIM, 0, 1.5)
+                    continue
+            lines.add_line(start, end, theme.DARK, 3.0)
+            lines.add_line(start, end, colour, 1.5)
+            lines.add_circle_filled(start, 3.0, colour)
+            if stroke.brush == "grab":
+                marks.end_of(lines, end, colour, None if wanted is None else viewport.to_canvas(*wanted[:2]))
+            if selected:
+                lines.add_circle(start, stroke.radius * viewport.zoom, theme.BALL, 0, 1.0)
+            wanted = None  # only the first one's is known
 
 
 def _timeline(view: View, stage: VideoStage) -> None:
@@ -150,8 +154,9 @@ def status(view: View) -> str:
         names = {"image": "xy", "video": "xyt", "volume": "xyz"}[view.stage.kind]
         parts.append("  ".join(f"{name} {v:.1f}" for name, v in zip(names, hover, strict=False)))
         if document.dragging and document.selected is not None:  # the held point stays under the pointer
-            by = document.seen(document.selected).by
-            parts.append("by " + " ".join(f"{v:+.1f}" for v in by))
+            stroke = document.seen(document.selected)
+            by = "by " + " ".join(f"{v:+.1f}" for v in stroke.by)
+            parts.append(by if stroke.brush == "grab" else f"{named(stroke)} {done(stroke)}")
         elif isinstance(tools, SliceTools):
             parts += _of_a_volume(view, tools, hover)
         elif not isinstance(view.stage, VolumeStage):

@@ -81,7 +81,8 @@ def _accuracy(view: View) -> None:
     if not section(view, "Accuracy"):
         return
     said = certified(view)
-    imgui.text(f"{said[:1].upper()}{said[1:]}" if said else "No error: nothing is bent")
+    none = "No error: nothing is bent" if view.document.deformation.is_identity else "Measured once nothing moves"
+    imgui.text(f"{said[:1].upper()}{said[1:]}" if said else none)
     if view.stage.kind == "volume":
         wrapped("How far the place that a sample of a ray is read from may be off. Mode exact has no such error.")
     else:

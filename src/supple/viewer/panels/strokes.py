@@ -12,11 +12,12 @@ from imgui_bundle import imgui
 from supple.folding import NEAR
 from supple.strokes import POISSON, REACH, FoldPolicy
 from supple.viewer.document.state import Item
-from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, place
+from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, named, place
 from supple.viewer.panels import theme
 from supple.viewer.panels.icons import hidden, seen
 from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import REST, hint, icon_button, label, listing, section, slider, typed, wrapped
+from supple.viewer.tools.drags import IMMATERIAL, SHAPES
 
 _POLICIES = get_args(FoldPolicy)
 _FALLOFF = "How fast the pull fades with the distance: far as 1/r, medium as 1/r\u00b3, near as 1/r\u2075"
@@ -37,16 +38,17 @@ def brush(view: View) -> None:
     changed, value = slider("##radius", tools.radius, *tools.radius_limits, form, logarithmic=True)
     if changed:
         tools.radius = value
-    if tools.brush == "grab":  # the others fade in one way
+    if tools.brush not in SHAPES:  # those fade in one way
         label("Fall-off", _FALLOFF)
         changed, index = imgui.combo("##falloff", tools.scales - 1, list(FALLOFFS))
         if changed:
             tools.scales = index + 1
-    label("Poisson ratio", _POISSON)
-    material = POISSON if tools.poisson is None else max(tools.poisson, -1.0)
-    changed, value = slider("##poisson", material, -1.0, 0.5, "%.2f")
-    if changed:
-        tools.poisson = value
+    if tools.brush not in IMMATERIAL:
+        label("Poisson ratio", _POISSON)
+        material = POISSON if tools.poisson is None else max(tools.poisson, -1.0)
+        changed, value = slider("##poisson", material, -1.0, 0.5, "%.2f")
+        if changed:
+            tools.poisson = value
     changed, tools.reach = _reach(tools.reach, "")
 
 
@@ -98,7 +100,7 @@ def _row(view: View, i: int, item: Item, selected: bool) -> None:
     imgui.same_line()
     arrival = document.arrivals[i]
     short = bool(arrival and arrival.miss > NEAR)
-    text = f"{item.stroke.brush.capitalize()} {place(item.stroke.at)}, radius {item.stroke.radius:.3g}"
+    text = f"{named(item.stroke)} {place(item.stroke.at)}, radius {item.stroke.radius:.3g}"
     if item.hidden or short:
         imgui.push_style_color(imgui.Col_.text, theme.FAINT if item.hidden else theme.WARNING)
     imgui.push_style_var(imgui.StyleVar_.selectable_text_align, (0.0, 0.5))
@@ -137,7 +139,7 @@ def selected(view: View) -> None:
             if entered and math.isfinite(value):
                 values[axis] = value
                 made[name] = tuple(values)
-    material = POISSON if stroke.poisson is None else stroke.poisson
+    material = None if stroke.brush in IMMATERIAL else POISSON if stroke.poisson is None else stroke.poisson
     numbers: tuple[tuple[str, str, float | None, str], ...] = (
         ("angle", "Angle", stroke.angle, "%.1f\u00b0"),
         ("factor", "Factor", stroke.factor, "%.3f"),

@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Generic, TypeVar
 
 from supple.domain import Domain
 from supple.errors import SuppleError
-from supple.strokes import REACH, Brush, Stroke
+from supple.strokes import REACH, Stroke
 from supple.viewer.document.editing import Document
-from supple.viewer.tools.keys import BRUSHES
+from supple.viewer.tools.drags import CLICK, IMMATERIAL, SHAPES, Handle, Held, Pair, Part, nearest
+from supple.viewer.tools.keys import BRUSHES, Tool
 
-Pair = tuple[float, float]
 V = TypeVar("V")
 
 Event = Mapping[str, Any]
-Part = Literal["pivot", "end"]
 
-CLICK = 3.0  # logical pixels that a click may move
-HANDLE = 8.0  # the largest distance of the pointer from a handle, in logical pixels
 KNOB = 10.0  # the largest distance from the knob of the split between before and after
 GROWTH = 1.1  # the factor of the brush for a notch of the wheel, which is 100
 _LEFT = 1
@@ -30,65 +27,6 @@ _MOST = 1e4  # the largest turn of the wheel at once: larger powers overflow
 _REQUESTS = {"s": "save", "o": "open", "e": "export"}
 COMMANDS = frozenset((*_REQUESTS, "z", "y"))  # letters that do something together with Control
 _BRUSHES = {key.lower(): name for name, (key, _) in BRUSHES.items()}
-
-
-@dataclass(frozen=True, slots=True)
-class Handle:
-    """A handle of a stroke: its pivot, or its end."""
-
-    item: int  # the index of its stroke
-    part: Part
-    point: tuple[float, ...]
-    seen: Pair  # the position on the canvas
-
-
-def nearest(among: Iterable[Handle], place: Pair) -> Handle | None:
-    """Return the handle under the pointer; of several, the last."""
-    best, reach = None, HANDLE
-    for handle in among:
-        away = math.dist(handle.seen, place)
-        if away <= reach:
-            best, reach = handle, away
-    return best
-
-
-@dataclass(slots=True)
-class Held:
-    """A stroke held by the pointer, while the button is down; positions are in logical pixels of the canvas."""
-
-    stroke: Stroke  # at the start of the drag; the wheel changes its radius
-    point: tuple[float, ...]  # the held point
-    start: Pair  # the start of the drag
-    now: Pair
-    offset: Pair = (0.0, 0.0)  # from the point to the start
-    item: int | None = None  # the index of the stroke; None for a new one
-    part: Part = "end"
-    turned: float = 0.0  # frames of the drag through time, including fractions from the wheel
-    time: float = 0.0  # the whole frames of it, within the clip
-    grown: bool = False  # whether the radius of an existing stroke was changed
-    button: int = 1
-
-    @property
-    def moved(self) -> bool:
-        """True if it is a drag; otherwise it is a click."""
-        return math.dist(self.start, self.now) >= CLICK or self.time != 0
-
-    def draw(self, document: Document, carried: Callable[[Held, float, float], tuple[float, ...]]) -> None:
-        """Show the drag in a document, if the pointer has moved; ``carried`` returns its displacement."""
-        if not document.dragging:
-            if not (self.moved or self.grown):
-                return
-            document.begin_drag(self.item)
-        stroke = self.stroke
-        if self.moved:
-            (x, y), (a, b) = self.now, self.offset
-            gone = carried(self, x - a, y - b)
-            if self.item is not None and self.part == "pivot":
-                stroke = replace(stroke, at=tuple(p + d for p, d in zip(stroke.at, gone, strict=True)))
-            else:
-                by = tuple((p - at) + d for p, at, d in zip(self.point, stroke.at, gone, strict=True))
-                stroke = replace(stroke, by=by)
-        document.preview(stroke)
 
 
 @dataclass(slots=True)
@@ -127,7 +65,7 @@ class Tools(ABC, Generic[V]):
         smallest = min(domain.spacing[:n])
         self.radius_limits = (smallest, 4 * max(sides))
         self._radius = max(min(sides) / 8, smallest)
-        self.brush: Brush = "grab"
+        self.brush: Tool = "grab"
         self.poisson: float | None = None
         self.scales = 1
         self.reach: float | None = REACH
@@ -221,6 +159,14 @@ class Tools(ABC, Generic[V]):
         """Return the displacement of the held point to a position of the canvas."""
 
     @abstractmethod
+    def _scale(self, point: tuple[float, ...]) -> float:
+        """Return the logical pixels of a physical unit at a point; above 0 where it is seen."""
+
+    def _normal(self, point: tuple[float, ...]) -> tuple[float, ...] | None:
+        """Return the axis about which a right-handed turn is to the right on screen; None in a picture."""
+        return None
+
+    @abstractmethod
     def _led(self, how: str, view: V, dx: float, dy: float) -> V:
         """Return a view moved by the pointer."""
 
@@ -261,24 +207,47 @@ class Tools(ABC, Generic[V]):
         found = None if chosen is None else nearest(self.handles([chosen]), (x, y))
         if found is not None:
             (hx, hy), stroke = found.seen, self.document.seen(found.item)
-            return Held(stroke, found.point, (x, y), (x, y), (x - hx, y - hy), found.item, found.part)
+            return Held(stroke, found.point, (x, y), (x, y), (x - hx, y - hy), found.item, found.part, found.nth)
         point = self._grab(x, y)
         if point is None:
             return None
-        brush: dict[str, Any] = {"poisson": self.poisson, "scales": self.scales, "reach": self.reach}
-        stroke = Stroke(at=point, by=(0.0,) * len(point), radius=self.radius, brush=self.brush, **brush)
-        return Held(stroke, stroke.at, (x, y), (x, y))
+        return Held(self._begun(point), point, (x, y), (x, y), tool=self.brush)
+
+    def _begun(self, point: tuple[float, ...]) -> Stroke:
+        """Return a stroke of the brush that does nothing yet."""
+        shape = SHAPES.get(self.brush, {"by": (0.0,) * len(point), "scales": self.scales})
+        poisson = None if self.brush in IMMATERIAL else self.poisson
+        return Stroke(at=point, radius=self.radius, poisson=poisson, reach=self.reach, **shape)
+
+    def _draw(self, held: Held) -> None:
+        """Show a drag in the document, if the pointer has moved."""
+        if not self.document.dragging:
+            if not (held.moved or held.grown):
+                return
+            self.document.begin_drag(held.item)
+        self.document.preview(self._drawn(held))
+
+    def _drawn(self, held: Held) -> Stroke:
+        """Return the stroke of a drag."""
+        if not held.moved:
+            return held.stroke
+        (x, y), (a, b), (u, v) = held.now, held.offset, held.start
+        gone = self._carried(held, x - a, y - b)
+        ring = held.stroke.radius * self._scale(held.point)
+        return held.dragged(gone, ((x - u) / ring, (y - v) / ring), self._normal(held.point))
 
     def handles(self, among: Iterable[int] | None = None) -> list[Handle]:
         """Return the visible handles of some strokes, or of all."""
         found, items = [], self.document.items
         for i in range(len(items)) if among is None else among:
-            pivot, end = self.document.handles(i)
-            parts: tuple[tuple[Part, tuple[float, ...]], ...] = (("pivot", pivot), ("end", end))
-            for part, point in parts if not items[i].hidden else ():
-                place = self._seen(point)
-                if place is not None:
-                    found.append(Handle(i, part, point, place))
+            for nth, (pivot, end) in enumerate(self.document.handles(i) if not items[i].hidden else ()):
+                parts: dict[Part, tuple[float, ...]] = {"pivot": pivot, "end": end}
+                if items[i].stroke.brush != "grab":  # its point stays where it is
+                    del parts["end"]
+                for part, point in parts.items():
+                    place = self._seen(point)
+                    if place is not None:
+                        found.append(Handle(i, part, nth, point, place))
         return found
 
     def _on_pointer_move(self, event: Event) -> bool:
@@ -286,6 +255,8 @@ class Tools(ABC, Generic[V]):
         gesture = self._gesture
         if gesture is None:
             return False
+        if isinstance(gesture, Held):
+            gesture.shift = shifted(event)
         if gesture.button not in event.get("buttons", (gesture.button,)):
             return self._released()  # the button was released outside of the window
         self._follow(gesture, self.pointer)
@@ -307,7 +278,7 @@ class Tools(ABC, Generic[V]):
         """Move the held stroke, or the view, to the pointer."""
         gesture.now = place
         if isinstance(gesture, Held):
-            gesture.draw(self.document, self._carried)
+            self._draw(gesture)
         elif gesture.how == _CUT:
             self.split = min(max(place[0] / self.canvas_size[0], 0.0), 1.0)
         else:
@@ -356,7 +327,7 @@ class Tools(ABC, Generic[V]):
             radius = self.radius if held.item is None else self._limited(held.stroke.radius * factor)
             held.grown |= held.item is not None and radius != held.stroke.radius
             held.stroke = replace(held.stroke, radius=radius)
-            held.draw(self.document, self._carried)
+            self._draw(held)
 
     def _on_key_down(self, event: Event) -> bool:
         self._refused = None

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Literal
 
-from supple.strokes import Brush
-
+Tool = Literal["grab", "twist", "bloat", "pucker", "pinch"]
 Rows = Mapping[str, str]
 
-BRUSHES: Mapping[Brush, tuple[str, str]] = {
+BRUSHES: Mapping[Tool, tuple[str, str]] = {
     "grab": ("G", "pull what is under the pointer"),
+    "twist": ("T", "turn what is under the pointer: clockwise to the right, a quarter for the brush's radius"),
+    "bloat": ("W", "widen what is under the pointer, the more the farther you drag"),
+    "pucker": ("P", "draw together what is under the pointer, the more the farther you drag"),
+    "pinch": ("N", "squeeze what is under the pointer along the drag, and stretch it across; with Shift, the reverse"),
 }
 """For each brush, in the order of the tools' strip, its key, and what a drag with it does."""
 _ALWAYS: Rows = {
-    **{key: f"brush: {name}" for name, (key, _) in BRUSHES.items()},
+    **{key: f"{name}: {what}" for name, (key, what) in BRUSHES.items()},
     "click": "select the stroke whose handle is there, or none",
     "[  ]": "smaller and larger brush, or selected stroke",
     "Delete, Backspace": "remove the selected stroke",

@@ -11,7 +11,8 @@ from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.viewer.document.editing import Document
 from supple.viewer.tools.brushes import ZOOM, VolumeTools, pans
-from supple.viewer.tools.gestures import Event, Held, Lead, Pair, commanded, shifted
+from supple.viewer.tools.drags import Held, Pair
+from supple.viewer.tools.gestures import Event, Lead, commanded, shifted
 from supple.viewer.tools.planes import (
     RENDERED,
     Pane,
@@ -111,7 +112,7 @@ class SliceTools(VolumeTools):
             return super().ring
         if held is None and self.hover is None:
             return None
-        return (self.radius if held is None else held.stroke.radius) * pane.scale
+        return (self.radius if held is None else held.stroke.radius) * self._scale(())
 
     @property
     def knob(self) -> Pair | None:
@@ -212,6 +213,14 @@ class SliceTools(VolumeTools):
         gone = [a - b for a, b in zip(pane.to_point(x, y), held.point, strict=True)]
         gone[pane.plane.axis] = 0.0
         return tuple(gone)
+
+    def _scale(self, point: tuple[float, ...]) -> float:
+        pane = self.pane_under
+        return super()._scale(point) if pane is None else pane.scale
+
+    def _normal(self, point: tuple[float, ...]) -> tuple[float, ...] | None:
+        pane = self.pane_under
+        return super()._normal(point) if pane is None else pane.plane.normal
 
     def _turn(self, event: Event, amount: float) -> None:
         pane = self.pane_under

@@ -32,7 +32,7 @@ from supple.viewer.panels.slices import first_window
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage, on_screen
 from supple.viewer.panels.stages import shown as as_pixels
 from supple.viewer.tools.brushes import ImageTools, VideoTools
-from supple.viewer.tools.gestures import Pair
+from supple.viewer.tools.drags import Pair
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.slices import SliceTools
 from supple.viewer.window import dialogs, qt

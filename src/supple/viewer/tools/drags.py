@@ -1,0 +1,113 @@
+"""What the pointer holds, and the stroke that a drag of it makes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from supple.strokes import LARGEST_ANGLE, LARGEST_FACTOR, Stroke
+from supple.viewer.tools.keys import Tool
+
+Pair = tuple[float, float]
+Point = tuple[float, ...]
+Part = Literal["pivot", "end"]
+
+CLICK = 3.0  # logical pixels that a click may move
+HANDLE = 8.0  # the largest distance of the pointer from a handle, in logical pixels
+TURN = 90.0  # degrees of a twist for a drag to the right by the brush's radius
+STRONGEST = 2.0  # radii of a drag that scales by a factor of e
+SHAPES: dict[Tool, dict[str, Any]] = {
+    "twist": {"brush": "twist", "angle": 0.0},
+    "bloat": {"brush": "scale", "factor": 1.0},
+    "pucker": {"brush": "scale", "factor": 1.0},
+    "pinch": {"brush": "pinch", "factor": 1.0},
+}
+"""The tools whose strokes keep their pivot, and what these are before the drag."""
+
+IMMATERIAL = frozenset(("twist", "bloat", "pucker", "scale"))
+"""Tools and brushes that do not depend on the Poisson ratio."""
+
+
+@dataclass(frozen=True, slots=True)
+class Handle:
+    """A handle of a stroke: a point of it, or where that ends."""
+
+    item: int  # the index of its stroke
+    part: Part
+    nth: int  # of the stroke's points
+    point: Point
+    seen: Pair  # the position on the canvas
+
+
+def nearest(among: Iterable[Handle], place: Pair) -> Handle | None:
+    """Return the handle under the pointer; of several, the last."""
+    best, reach = None, HANDLE
+    for handle in among:
+        away = math.dist(handle.seen, place)
+        if away <= reach:
+            best, reach = handle, away
+    return best
+
+
+@dataclass(slots=True)
+class Held:
+    """A stroke held by the pointer, while the button is down; positions are in logical pixels of the canvas."""
+
+    stroke: Stroke  # at the start of the drag; the wheel changes its radius
+    point: Point  # the held point
+    start: Pair  # the start of the drag
+    now: Pair
+    offset: Pair = (0.0, 0.0)  # from the point to the start
+    item: int | None = None  # the index of the stroke; None for a new one
+    part: Part = "end"
+    nth: int = 0  # which of the stroke's points
+    tool: Tool = "grab"  # what draws a new stroke
+    shift: bool = False
+    turned: float = 0.0  # frames of the drag through time, including fractions from the wheel
+    time: float = 0.0  # the whole frames of it, within the clip
+    grown: bool = False  # whether the radius of an existing stroke was changed
+    button: int = 1
+
+    @property
+    def moved(self) -> bool:
+        """True if it is a drag; otherwise it is a click."""
+        return math.dist(self.start, self.now) >= CLICK or self.time != 0
+
+    def dragged(self, gone: Point, radii: Pair, normal: Point | None) -> Stroke:
+        """Return the stroke after a drag.
+
+        Parameters
+        ----------
+        gone : tuple of float
+            The displacement of the held point, in samples.
+        radii : (float, float)
+            The pointer's way to the right and down, in radii of the brush.
+        normal : tuple of float, optional
+            The axis about which a twist turns to the right on screen; None in a picture.
+        """
+        if self.item is not None or self.tool not in SHAPES:
+            return self._moved(gone)
+        if self.tool == "twist":
+            angle = TURN * radii[0]
+            return replace(self.stroke, angle=min(max(angle, -LARGEST_ANGLE), LARGEST_ANGLE), axis=normal)
+        power = min(math.hypot(*radii) / STRONGEST, math.log(LARGEST_FACTOR))
+        factor = math.exp(power if self.tool == "bloat" or (self.tool == "pinch" and self.shift) else -power)
+        made = replace(self.stroke, factor=min(max(factor, 1 / LARGEST_FACTOR), LARGEST_FACTOR))
+        return replace(made, axis=gone) if self.tool == "pinch" and any(gone) else made
+
+    def _moved(self, gone: Point) -> Stroke:
+        """Return the stroke with one of its points, or the end of that, moved."""
+        pairs = list(self.stroke.handles)
+        at, by = pairs[self.nth]
+        if self.item is not None and self.part == "pivot":
+            at = _sum(at, gone)
+        else:
+            by = tuple((p - a) + d for p, a, d in zip(self.point, at, gone, strict=True))
+        pairs[self.nth] = at, by
+        return replace(self.stroke, at=pairs[0][0], by=pairs[0][1], also=tuple(pairs[1:]))
+
+
+def _sum(a: Point, b: Point) -> Point:
+    return tuple(x + y for x, y in zip(a, b, strict=True))

@@ -1,0 +1,183 @@
+"""The brushes that do not pull: what drags of them make of pictures, clips and volumes, and how it is edited."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from supple.strokes import Stroke
+from supple.viewer.tools.gestures import Tools
+from supple.viewer.tools.planes import RENDERED
+from tests.viewer.test_tools_slices import bench, middle
+from tests.viewer.tools import clip, down, drag, image, move, press, solid, up, wheel
+
+E = math.e
+
+
+def state(tools: Tools[Any]) -> tuple[object, bytes]:
+    return tools.document.state.content, tools.document.deformation.space.table.tobytes()
+
+
+def drawn(tools: Tools[Any], key: str, *way: tuple[float, float], radius: float = 20) -> Stroke:
+    """The stroke of one drag, which is one step, and comes back bit for bit."""
+    tools.radius = radius
+    press(tools, key)
+    before, count = state(tools), len(tools.document.items)
+    drag(tools, *way)
+    after, selected = state(tools), tools.document.selected
+    assert len(tools.document.items) == count + 1
+    assert selected == count
+    press(tools, "z", "Control")
+    assert state(tools) == before
+    press(tools, "y", "Control")
+    assert state(tools) == after
+    return tools.document.items[-1].stroke
+
+
+class TestPictures:
+    def test_a_twist_follows_the_pointer_sideways(self) -> None:
+        # A radius of 20 is 40 logical pixels.
+        stroke = drawn(image(), "t", (201, 101), (221, 110), (241, 90))
+        assert stroke == Stroke(brush="twist", at=(100, 50), angle=90, radius=20)
+        assert drawn(image(), "t", (201, 101), (191, 101)).angle == pytest.approx(-22.5)
+
+    def test_to_the_right_is_clockwise(self) -> None:
+        tools = image()
+        drawn(tools, "t", (201, 101), (241, 101))
+        right = tools.document.deformation.forward([(101, 50)])[0] - (100, 50)
+        assert right[1] > 0.5  # down
+
+    @pytest.mark.parametrize(("key", "power"), [("w", 1), ("p", -1)])
+    def test_bloat_and_pucker_grow_with_the_distance(self, key: str, power: int) -> None:
+        for end in ((281, 101), (201, 181), (121, 101)):
+            stroke = drawn(image(), key, (201, 101), end)
+            assert (stroke.brush, stroke.at) == ("scale", (100, 50))
+            assert stroke.factor == pytest.approx(E**power)
+        # Not beyond what a stroke may be.
+        tools = image()
+        stroke = drawn(tools, key, (201, 101), (9000, 101))
+        assert stroke.factor == pytest.approx(100.0**power)
+
+    def test_a_pinch_squeezes_along_the_drag_and_stretches_with_shift(self) -> None:
+        stroke = drawn(image(), "n", (201, 101), (233, 77))
+        assert (stroke.brush, stroke.at, stroke.axis) == ("pinch", (100, 50), (16, -12))
+        assert stroke.factor == pytest.approx(E**-0.5)
+        tools = image()
+        tools.radius = 20
+        press(tools, "n")
+        drag(tools, (201, 101), (233, 77), modifiers=("Shift",))
+        assert tools.document.items[0].stroke.factor == pytest.approx(E**0.5)
+
+    def test_the_wheel_is_the_radius_of_the_running_drag(self) -> None:
+        tools = image()
+        tools.radius = 20
+        press(tools, "t")
+        down(tools, 201, 101)
+        move(tools, 241, 101)
+        wheel(tools, -100)
+        (item,) = tools.document.items
+        assert item.stroke.radius == pytest.approx(22)
+        assert item.stroke.angle == pytest.approx(90 / 1.1)
+        press(tools, "Escape")
+        up(tools, 241, 101)
+        assert tools.document.items == ()
+
+    def test_a_click_makes_nothing_and_settings_of_pulls_are_not_theirs(self) -> None:
+        tools = image()
+        tools.scales, tools.poisson, tools.reach = 3, 0.2, 6.0
+        for key in "twpn":
+            press(tools, key)
+            drag(tools, (201, 101), (202, 101))
+            assert tools.document.items == ()
+        for key, poisson in (("t", None), ("w", None), ("p", None), ("n", 0.2), ("g", 0.2)):
+            stroke = drawn(tools, key, (301, 201), (321, 201))
+            assert (stroke.poisson, stroke.reach, stroke.scales) == (poisson, 6.0, 3 if key == "g" else 1)
+            tools.document.undo()
+
+    @pytest.mark.parametrize(
+        ("brush", "more"), [("twist", {"angle": 40}), ("scale", {"factor": 2}), ("pinch", {"factor": 2})]
+    )
+    def test_one_that_is_selected_is_moved_by_its_point(self, brush: Any, more: dict[str, Any]) -> None:
+        tools = image(Stroke(brush=brush, at=(100, 50), radius=20, **more))
+        tools.document.select(0)
+        assert [handle.part for handle in tools.handles()] == ["pivot"]
+        drag(tools, (201, 101), (221, 111), (261, 121))
+        (item,) = tools.document.items
+        assert item.stroke == Stroke(brush=brush, at=(130, 60), radius=20, **more)
+        wheel(tools, -100)
+        down(tools, 261, 121)
+        wheel(tools, -100)
+        up(tools, 261, 121)
+        assert tools.document.items[0].stroke.radius == pytest.approx(22)
+
+
+class TestClips:
+    @pytest.mark.parametrize("key", list("twpn"))
+    def test_they_stay_in_their_frame(self, key: str) -> None:
+        tools = clip()
+        tools.playback.seek(7)
+        tools.radius = 20
+        press(tools, key)
+        down(tools, 201, 101)
+        move(tools, 241, 101)
+        wheel(tools, -100)  # is the radius
+        press(tools, "ArrowRight")
+        assert tools.playback.frame == 7
+        up(tools, 241, 101)
+        (item,) = tools.document.items
+        assert item.stroke.at == (100, 50, 7)
+        assert item.stroke.axis == ((20, 0, 0) if key == "n" else None)
+        assert item.stroke.radius == pytest.approx(22)
+
+
+class TestVolumes:
+    @pytest.mark.parametrize("k", [0, 1, 2])
+    @pytest.mark.parametrize("flips", [(1, 1, 1), (-1, -1, 1), (-1, 1, -1)])
+    def test_a_twist_turns_in_its_plane_to_the_right(self, k: int, flips: tuple[int, ...]) -> None:
+        tools = bench(np.diag(flips).astype(float), "LPS")
+        x, y = middle(tools, k)
+        pane = tools.pane(k)
+        stroke = drawn(tools, "t", (x, y), (x + 20, y + 5), radius=12)
+        assert stroke.axis is not None
+        assert np.flatnonzero(stroke.axis).tolist() == [pane.plane.axis]
+        assert stroke.angle == pytest.approx(90 * 20 / (12 * pane.scale))
+        beside = pane.to_point(x + 4, y)
+        moved = tuple(tools.document.deformation.forward([beside])[0])
+        assert moved[pane.plane.axis] == pytest.approx(beside[pane.plane.axis])
+        assert pane.to_canvas(moved)[1] > y + 0.5  # clockwise
+
+    @pytest.mark.parametrize("k", [0, 1, 2])
+    def test_a_pinch_is_along_the_drag(self, k: int) -> None:
+        tools = bench()
+        x, y = middle(tools, k)
+        pane = tools.pane(k)
+        stroke = drawn(tools, "n", (x, y), (x + 12, y - 16), radius=12)
+        assert stroke.axis == pytest.approx(np.subtract(pane.to_point(x + 12, y - 16), pane.to_point(x, y)))
+        assert stroke.factor == pytest.approx(math.exp(-20 / (24 * pane.scale)))
+
+    def test_a_twist_of_the_rendering_is_about_the_line_of_sight(self) -> None:
+        tools = solid()
+        assert tools.active == RENDERED
+        stroke = drawn(tools, "t", (200, 150), (220, 150), radius=5)
+        assert stroke.axis is not None
+        view = tools.stage.view(tools.camera)
+        along = np.array(stroke.axis) * view.spacing
+        assert abs(along @ view.ahead) / np.linalg.norm(along) == pytest.approx(1)
+        near = np.array(stroke.at) + view.packed[3] / np.linalg.norm(view.packed[3])  # to the right
+        _, y = tools.projected(tuple(tools.document.deformation.forward([near])[0])) or (0, 0)
+        assert y > (tools.projected(tuple(near)) or (0, 0))[1] + 0.5
+        for key in "wpn":
+            assert drawn(solid(), key, (200, 150), (220, 150), radius=5).at == pytest.approx((20, 20, 15))
+
+
+def test_a_brush_is_chosen_by_its_key() -> None:
+    from supple.viewer.tools.keys import BRUSHES
+
+    tools = image()
+    for name, (key, _) in BRUSHES.items():
+        press(tools, key.lower())
+        assert str(tools.brush) == name
+    assert len({key for key, _ in BRUSHES.values()}) == len(BRUSHES)
