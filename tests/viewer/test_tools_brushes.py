@@ -114,6 +114,54 @@ class TestPictures:
         assert tools.document.items[0].stroke.radius == pytest.approx(22)
 
 
+class TestPaths:
+    WAY = ((201, 101), (221, 101), (222, 102), (241, 121), (241, 141), (221, 161), (221, 162))
+
+    def test_a_drag_is_one_stroke_along_it(self) -> None:
+        stroke = drawn(image(on_fold="flow"), "f", *self.WAY)
+        assert stroke.brush == "grab"
+        assert stroke.at == (100, 50)
+        assert stroke.by == (10, 30.5)
+        assert stroke.path == (
+            (110, 50),
+            (120, 60),
+            (120, 70),
+            (110, 80),
+        )  # points closer than a few pixels are left out
+
+    def test_it_arrives_by_its_way_and_may_come_back(self) -> None:
+        tools = image(on_fold="flow")
+        tools.radius = 15
+        press(tools, "f")
+        drag(tools, (201, 101), (241, 101), (241, 141), (201, 141), (201, 102))
+        (item,) = tools.document.items
+        assert item.stroke.by == (0, 0.5)
+        assert len(item.stroke.path) == 3
+        forward = tools.document.deformation.forward([(100, 50), (112, 62)])
+        assert forward[0] == pytest.approx((100, 50.5), abs=1e-6)
+        assert math.dist(forward[1], (112, 62)) > 0.5
+
+    def test_a_selected_one_is_moved_whole_and_its_end_alone(self) -> None:
+        tools = image(on_fold="flow")
+        drawn(tools, "f", *self.WAY)
+        drag(tools, (201, 101), (211, 101), (221, 111))
+        stroke = tools.document.items[0].stroke
+        assert (stroke.at, stroke.by) == ((110, 55), (10, 30.5))
+        assert stroke.path == ((120, 55), (130, 65), (130, 75), (120, 85))
+        end = tools.viewport.to_canvas(*tools.document.handles(0)[0][1])
+        drag(tools, end, (end[0] + 20, end[1]))
+        assert tools.document.items[0].stroke.path == stroke.path
+        assert tools.document.items[0].stroke.by == pytest.approx((20, 30.5))
+
+    def test_in_a_plane_it_stays_there(self) -> None:
+        tools = bench()
+        x, y = middle(tools, 1)
+        stroke = drawn(tools, "f", (x, y), (x + 20, y), (x + 30, y + 10), (x + 30, y + 25), radius=9)
+        assert len(stroke.path) == 2
+        assert {p[1] for p in (stroke.at, *stroke.path)} == {tools.pane(1).index[1]}
+        assert stroke.by[1] == 0
+
+
 class TestClips:
     @pytest.mark.parametrize("key", list("twpn"))
     def test_they_stay_in_their_frame(self, key: str) -> None:

@@ -52,7 +52,14 @@ def test_a_picture_bent_by_all_brushes(gpu: Gpu, photo: Path) -> None:
         view.tools.radius = 40
         hand.key(key)
         said[key] = while_dragging(view, hand, ((x, 250), (x + 30, 260)))
-    assert [stroke.brush for stroke in view.recipe.strokes] == ["twist", "scale", "scale", "pinch"]
+    hand.key("f")
+    for place in ((200, 400), (230, 400), (250, 380), (250, 350)):
+        (hand.press if place == (200, 400) else hand.move)(*place, 1)
+        hand.canvas.draw()
+    hand.release(250, 350)
+    strokes = view.recipe.strokes
+    assert [stroke.brush for stroke in strokes] == ["twist", "scale", "scale", "pinch", "grab"]
+    assert len(strokes[-1].path) == 2
     assert "Twist by 67.5\u00b0" in said["t"]
     assert "Bloat by a factor of 1.4" in said["w"]
     assert "Pucker by a factor of 0.6" in said["p"]

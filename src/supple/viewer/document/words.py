@@ -33,7 +33,7 @@ def named(stroke: Stroke) -> str:
     """Return what made a stroke."""
     if stroke.factor is not None and stroke.brush == "scale":
         return "Pucker" if stroke.factor < 1 else "Bloat"
-    return stroke.brush.capitalize()
+    return "Path" if stroke.path else stroke.brush.capitalize()
 
 
 def done(stroke: Stroke, digits: int = 0) -> str:
@@ -45,7 +45,7 @@ def done(stroke: Stroke, digits: int = 0) -> str:
     else:
         pins = sum(not any(by) for _, by in stroke.also)
         more = len(stroke.also) - pins
-        said = f"by {place(stroke.by, digits)}" + (" along a path" if stroke.path else "")
+        said = f"by {place(stroke.by, digits)}"
         said += f" with {_counted(more, 'other')}" if more else ""
         return said + (f" and {_counted(pins, 'pin')}" if pins else "")
     return said if stroke.axis is None else f"{said}, axis ({', '.join(f'{v:.3g}' for v in stroke.axis)})"

@@ -102,6 +102,14 @@ def pinch(pen: Pen) -> None:
         pen.head((0.28 * way, 0), 180 if way > 0 else 0, 0.6)
 
 
+def path(pen: Pen) -> None:
+    """A point that is led along a curve."""
+    pen.dot((-0.9, 0.8), 0.26)
+    pen.arc((-0.45, 0.35), 0.62, -5, 135)
+    pen.arc((0.6, 0.25), 0.45, 175, 275)
+    pen.head((1.1, -0.35), -25, 0.7)
+
+
 def restore(pen: Pen) -> None:
     """An eraser."""
     pen.line((-0.95, 0.3), (0.25, -0.9), (0.95, -0.2), (-0.1, 0.85), (-0.4, 0.85), closed=True)
@@ -228,6 +236,7 @@ ICONS: dict[str, Icon] = {
     "scale": bloat,
     "pucker": pucker,
     "pinch": pinch,
+    "path": path,
     "restore": restore,
     "pin": pin,
     "freeze": freeze,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -174,8 +174,7 @@ def _strokes(view: View, tools: SliceTools, lines: imgui.ImDrawList, pane: Pane)
                 continue
             start, end = pane.to_canvas(point), pane.to_canvas(where)
             if all(there):
-                lines.add_line(start, end, theme.DARK, 3.0)
-                lines.add_line(start, end, colour, 1.5)
+                track(lines, (start, *map(pane.to_canvas, stroke.path), end), colour)
             if there[0]:
                 lines.add_circle_filled(start, 3.0, colour)
             else:
@@ -188,6 +187,13 @@ def _strokes(view: View, tools: SliceTools, lines: imgui.ImDrawList, pane: Pane)
             if selected and abs(away) < stroke.radius:  # the ball of the brush, where the plane cuts it
                 lines.add_circle(start, math.sqrt(stroke.radius**2 - away**2) * pane.scale, theme.BALL, 0, 1.0)
             wanted = None  # only the first one's is known
+
+
+def track(lines: imgui.ImDrawList, places: Iterable[Pair | None], colour: int) -> None:
+    """Draw the way of a point, where it is seen."""
+    points: list[Any] = [imgui.ImVec2(*place) for place in places if place is not None]
+    for shade, thick in ((theme.DARK, 3.0), (colour, 1.5)):
+        lines.add_polyline(points, col=shade, thickness=thick, flags=imgui.ImDrawFlags_.none)
 
 
 def end_of(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None) -> None:
@@ -208,8 +214,7 @@ def _rendering(view: View, tools: SliceTools, lines: imgui.ImDrawList, place: Pl
         for point, where in document.handles(i):
             start, end = tools.projected(point), tools.projected(where)
             if start is not None and end is not None:
-                lines.add_line(start, end, theme.DARK, 3.0)
-                lines.add_line(start, end, theme.SOFT, 1.0)
+                track(lines, (start, *map(tools.projected, document.seen(i).path), end), theme.SOFT)
                 lines.add_circle_filled(start, 3.0, colour)
                 if document.items[i].stroke.brush == "grab":
                     end_of(lines, end, colour, wanted)

@@ -66,8 +66,7 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
                         if seen or selected:
                             lines.add_circle(place, 5.0 if seen else 3.0, colour if seen else theme.DIM, 0, 1.5)
                     continue
-            lines.add_line(start, end, theme.DARK, 3.0)
-            lines.add_line(start, end, colour, 1.5)
+            marks.track(lines, (start, *(viewport.to_canvas(*p[:2]) for p in stroke.path), end), colour)
             lines.add_circle_filled(start, 3.0, colour)
             if stroke.brush == "grab":
                 marks.end_of(lines, end, colour, None if wanted is None else viewport.to_canvas(*wanted[:2]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from supple.strokes import LARGEST_ANGLE, LARGEST_FACTOR, Stroke
@@ -17,6 +17,7 @@ Part = Literal["pivot", "end"]
 CLICK = 3.0  # logical pixels that a click may move
 HANDLE = 8.0  # the largest distance of the pointer from a handle, in logical pixels
 TURN = 90.0  # degrees of a twist for a drag to the right by the brush's radius
+NEXT = 4.0  # logical pixels between two points of a path
 STRONGEST = 2.0  # radii of a drag that scales by a factor of e
 SHAPES: dict[Tool, dict[str, Any]] = {
     "twist": {"brush": "twist", "angle": 0.0},
@@ -69,11 +70,12 @@ class Held:
     time: float = 0.0  # the whole frames of it, within the clip
     grown: bool = False  # whether the radius of an existing stroke was changed
     button: int = 1
+    way: list[tuple[Pair, Point]] = field(default_factory=list)  # of a path: the places of the pointer, and its points
 
     @property
     def moved(self) -> bool:
         """True if it is a drag; otherwise it is a click."""
-        return math.dist(self.start, self.now) >= CLICK or self.time != 0
+        return math.dist(self.start, self.now) >= CLICK or self.time != 0 or len(self.way) > 1
 
     def dragged(self, gone: Point, radii: Pair, normal: Point | None) -> Stroke:
         """Return the stroke after a drag.
@@ -88,7 +90,7 @@ class Held:
             The axis about which a twist turns to the right on screen; None in a picture.
         """
         if self.item is not None or self.tool not in SHAPES:
-            return self._moved(gone)
+            return self._led(gone) if self.item is None and self.tool == "path" else self._moved(gone)
         if self.tool == "twist":
             angle = TURN * radii[0]
             return replace(self.stroke, angle=min(max(angle, -LARGEST_ANGLE), LARGEST_ANGLE), axis=normal)
@@ -97,16 +99,24 @@ class Held:
         made = replace(self.stroke, factor=min(max(factor, 1 / LARGEST_FACTOR), LARGEST_FACTOR))
         return replace(made, axis=gone) if self.tool == "pinch" and any(gone) else made
 
+    def _led(self, gone: Point) -> Stroke:
+        """Return a grab along the way so far."""
+        end = _sum(self.point, gone)
+        if math.dist(self.now, self.way[-1][0] if self.way else self.start) >= NEXT:
+            self.way.append((self.now, end))
+        path = [point for _, point in self.way if point != end]
+        return replace(self.stroke, by=tuple(b - a for a, b in zip(self.stroke.at, end, strict=True)), path=tuple(path))
+
     def _moved(self, gone: Point) -> Stroke:
         """Return the stroke with one of its points, or the end of that, moved."""
-        pairs = list(self.stroke.handles)
+        pairs, path = list(self.stroke.handles), self.stroke.path
         at, by = pairs[self.nth]
         if self.item is not None and self.part == "pivot":
-            at = _sum(at, gone)
+            at, path = _sum(at, gone), tuple(_sum(p, gone) for p in path)
         else:
             by = tuple((p - a) + d for p, a, d in zip(self.point, at, gone, strict=True))
         pairs[self.nth] = at, by
-        return replace(self.stroke, at=pairs[0][0], by=pairs[0][1], also=tuple(pairs[1:]))
+        return replace(self.stroke, at=pairs[0][0], by=pairs[0][1], also=tuple(pairs[1:]), path=path)
 
 
 def _sum(a: Point, b: Point) -> Point:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-Tool = Literal["grab", "twist", "bloat", "pucker", "pinch"]
+Tool = Literal["grab", "twist", "bloat", "pucker", "pinch", "path"]
 Rows = Mapping[str, str]
 
 BRUSHES: Mapping[Tool, tuple[str, str]] = {
@@ -14,6 +14,7 @@ BRUSHES: Mapping[Tool, tuple[str, str]] = {
     "bloat": ("W", "widen what is under the pointer, the more the farther you drag"),
     "pucker": ("P", "draw together what is under the pointer, the more the farther you drag"),
     "pinch": ("N", "squeeze what is under the pointer along the drag, and stretch it across; with Shift, the reverse"),
+    "path": ("F", "pull what is under the pointer along the way that you draw"),
 }
 """For each brush, in the order of the tools' strip, its key, and what a drag with it does."""
 _ALWAYS: Rows = {
