@@ -162,6 +162,84 @@ class TestPaths:
         assert stroke.by[1] == 0
 
 
+BENT = Stroke(at=(150, 100), by=(20, 0), radius=30)
+
+
+def displaced(tools: Tools[Any], *points: tuple[float, ...]) -> float:
+    """How far points on screen have come, on average."""
+    found = tools.document.deformation.inverse(points).points
+    return float(np.linalg.norm(np.array(points) - found, axis=1).mean())
+
+
+class TestPaintings:
+    AROUND = tuple((x, y) for x in (160.0, 170.0, 180.0) for y in (90.0, 100.0, 110.0))
+
+    @pytest.mark.parametrize(("key", "name", "rest"), [("r", "restore", 0.2), ("s", "smooth", 0.8)])
+    def test_a_drag_is_one_step_of_a_stroke_each_half_radius(self, key: str, name: str, rest: float) -> None:
+        tools = image(BENT)
+        tools.radius = 30
+        tools.document.select(0)
+        press(tools, key)
+        before, was = state(tools), displaced(tools, *self.AROUND)
+        # From the handle on, which is not dragged by these; 30 logical pixels are half of the radius.
+        drag(tools, (341, 201), (380, 201), (341, 161), (341, 241))
+        strokes = [item.stroke for item in tools.document.items]
+        assert strokes[0] == BENT
+        assert [stroke.name for stroke in strokes[1:]] == [name] * 5
+        assert displaced(tools, *self.AROUND) < rest * was
+        assert tools.document.selected == 0
+        after = state(tools)
+        press(tools, "z", "Control")
+        assert state(tools) == before
+        press(tools, "y", "Control")
+        assert state(tools) == after
+
+    def test_a_click_is_a_dab_and_nothing_is_done_where_nothing_is_bent(self) -> None:
+        tools = image(BENT, on_fold="flow")
+        tools.radius = 20
+        press(tools, "r")
+        drag(tools, (341, 201), (341, 201))
+        assert len(tools.document.items) == 2
+        assert tools.document.deformation.forward([BENT.at])[0] == pytest.approx(BENT.at, abs=0.01)
+        drag(tools, (21, 21), (61, 21))
+        assert len(tools.document.items) == 2
+
+    def test_escape_takes_all_of_it_back(self) -> None:
+        tools = image(BENT)
+        before = state(tools)
+        press(tools, "r")
+        down(tools, 341, 201)
+        move(tools, 441, 201)
+        assert len(tools.document.items) > 2
+        press(tools, "Escape")
+        up(tools, 441, 201)
+        assert state(tools) == before
+        assert not tools.document.can_undo
+
+    def test_their_many_points_are_no_handles_unless_selected(self) -> None:
+        tools = image(BENT)
+        press(tools, "r")
+        drag(tools, (341, 201), (381, 201))
+        assert {handle.item for handle in tools.handles()} == {0}
+        tools.document.select(1)
+        assert {handle.item for handle in tools.handles()} == {0, 1}
+
+    def test_a_dab_of_a_clip_and_of_a_plane_is_where_it_is_seen(self) -> None:
+        film = clip(Stroke(at=(150, 100, 5), by=(20, 0, 0), radius=30))
+        film.playback.seek(5)
+        press(film, "r")
+        drag(film, (341, 201), (341, 201))
+        assert film.document.items[1].stroke.at == (170, 100, 5)
+        solid = bench(np.eye(3), "LPS", Stroke(at=(30, 25, 20), by=(6, 0, 0), radius=12))
+        x, y = solid.pane(0).to_canvas((36, 25, 20))
+        move(solid, x, y, buttons=())
+        press(solid, "r")
+        was = displaced(solid, (36, 25, 20))
+        drag(solid, (x, y), (x, y))
+        assert solid.document.items[1].stroke.at == pytest.approx((36, 25, 20))
+        assert displaced(solid, (36, 25, 20)) < 0.2 * was
+
+
 class TestClips:
     @pytest.mark.parametrize("key", list("twpn"))
     def test_they_stay_in_their_frame(self, key: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from pathlib import Path
 from typing import Any
@@ -60,6 +61,13 @@ def test_a_picture_bent_by_all_brushes(gpu: Gpu, photo: Path) -> None:
     strokes = view.recipe.strokes
     assert [stroke.brush for stroke in strokes] == ["twist", "scale", "scale", "pinch", "grab"]
     assert len(strokes[-1].path) == 2
+    for key in "rs":
+        hand.key(key)
+        said[key] = while_dragging(view, hand, ((130, 250), (180, 260)))
+    assert re.search(r"restore: \d strokes", said["r"])
+    names = [stroke.name for stroke in view.recipe.strokes]
+    assert names.count("restore") > 1
+    assert names.count("smooth") > 1
     assert "Twist by 67.5\u00b0" in said["t"]
     assert "Bloat by a factor of 1.4" in said["w"]
     assert "Pucker by a factor of 0.6" in said["p"]

@@ -102,6 +102,10 @@ class Document:
         made = [(at, tuple(a + b for a, b in zip(at, by, strict=True))) for at, by in stroke.handles]
         return ((made[0][0], found.arrived), *made[1:]) if found else tuple(made)
 
+    def has_handles(self, i: int) -> bool:
+        """Return whether a stroke has handles: those of a painting, which are many, only if they are selected."""
+        return i == self.selected or self.items[i].stroke.name not in ("restore", "smooth")
+
     def seen(self, i: int) -> Stroke:
         """Return a stroke at its full drag on screen, if its recipe applies a fraction of it."""
         known, stroke = self._nth(i), self.items[i].stroke
@@ -260,8 +264,15 @@ class Document:
         self._drag = (self._now, None if i is None else self._checked(i))
         self.trouble = None
 
-    def preview(self, stroke: Stroke) -> bool:
-        """Show the current drag; the stroke is in coordinates of the screen.
+    def preview(self, *strokes: Stroke, select: bool = True) -> bool:
+        """Show the current drag; the strokes are in coordinates of the screen.
+
+        Parameters
+        ----------
+        *strokes : Stroke
+            Of a new stroke's drag, one or several.
+        select : bool
+            Whether the first one is selected.
 
         Returns
         -------
@@ -270,11 +281,12 @@ class Document:
         """
         before, i = self._dragged()
         state, had, self.trouble = before.state, self.trouble, None
-        stroke = before.kept(stroke, sum(not item.hidden for item in state.items[:i]))
+        kept = [before.kept(stroke, sum(not item.hidden for item in state.items[:i])) for stroke in strokes]
         if i is None:
-            state = replace(state, items=(*state.items, Item.of(stroke)), selected=len(state.items))
+            chosen = len(state.items) if select else state.selected
+            state = replace(state, items=(*state.items, *map(Item.of, kept)), selected=chosen)
         else:
-            state = replace(self._replaced(state, i, stroke), selected=i)
+            state = replace(self._replaced(state, i, kept[0]), selected=i)
         try:
             made = self._solved(state, self._now)
         except SuppleError as error:

@@ -33,6 +33,8 @@ def named(stroke: Stroke) -> str:
     """Return what made a stroke."""
     if stroke.factor is not None and stroke.brush == "scale":
         return "Pucker" if stroke.factor < 1 else "Bloat"
+    if stroke.name in ("restore", "smooth"):
+        return stroke.name.capitalize()
     return "Path" if stroke.path else stroke.brush.capitalize()
 
 
@@ -106,9 +108,14 @@ def step(before: State, after: State) -> str:
     old, new = before.items, after.items
     # The first and the last place where they differ.
     first = next((k for k, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), min(len(old), len(new)))
-    if len(new) == len(old) + 1 and new[first + 1 :] == old[first:]:
+    more = len(new) - len(old)
+    if (
+        more > 0
+        and new[first + more :] == old[first:]
+        and len({named(item.stroke) for item in new[first : first + more]}) == 1
+    ):
         made = new[first].stroke
-        return f"{named(made)} at {place(made.at)}"
+        return f"{named(made)} at {place(made.at)}" + (f", {more} strokes" if more > 1 else "")
     if len(new) == len(old) - 1 and new[first:] == old[first + 1 :]:
         return f"Remove stroke {first + 1}"
     if len(new) != len(old) or first == len(old):

@@ -117,6 +117,13 @@ def restore(pen: Pen) -> None:
     pen.line((-0.4, 0.85), (0.95, 0.85))
 
 
+def smooth(pen: Pen) -> None:
+    """A rough line above an even one."""
+    pen.line((-1, -0.45), (-0.65, -0.9), (-0.3, -0.1), (0.1, -0.85), (0.45, -0.2), (0.75, -0.65), (1, -0.4))
+    pen.arc((-0.5, 1.0), 0.6, 210, 330)
+    pen.arc((0.5, 0.4), 0.6, 30, 150)
+
+
 def pin(pen: Pen) -> None:
     """A pin in a place."""
     pen.arc((0, -0.3), 0.65, 150, 390)
@@ -238,6 +245,7 @@ ICONS: dict[str, Icon] = {
     "pinch": pinch,
     "path": path,
     "restore": restore,
+    "smooth": smooth,
     "pin": pin,
     "freeze": freeze,
     "undo": undo,

@@ -13,7 +13,7 @@ from supple.folding import NEAR
 from supple.viewer.panels import theme
 from supple.viewer.panels.view import View
 from supple.viewer.tools.brushes import ImageTools
-from supple.viewer.tools.drags import SHAPES, Pair
+from supple.viewer.tools.drags import PAINTED, PAINTS, SHAPES, Pair
 from supple.viewer.tools.planes import RENDERED, Pane, Place
 from supple.viewer.tools.slices import SliceTools
 
@@ -56,7 +56,7 @@ def rings(tools: ImageTools | SliceTools, lines: imgui.ImDrawList) -> None:
         return
     if held is not None and held.tool in SHAPES:  # the point stays, and the pointer says how much
         middle = held.start
-    reach = tools.reach if held is None else held.stroke.reach
+    reach = PAINTED if tools.brush in PAINTS else tools.reach if held is None else held.stroke.reach
     if reach is not None and reach > 1.0:
         lines.add_circle(middle, reach * radius, theme.SHADE, 0, 3.0)
         lines.add_circle(middle, reach * radius, theme.PALE, 0, 1.0)
@@ -164,7 +164,7 @@ def _strokes(view: View, tools: SliceTools, lines: imgui.ImDrawList, pane: Pane)
     document = view.document
     for i, arrival in enumerate(document.arrivals):
         selected = document.selected == i
-        if arrival is None or (not selected and len(document.items) > 60):
+        if arrival is None or not document.has_handles(i) or (not selected and len(document.items) > 60):
             continue
         stroke, wanted = document.seen(i), arrival.target if arrival.miss > NEAR else None
         colour = theme.BLUE if selected else theme.SOFT
@@ -207,7 +207,7 @@ def end_of(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None)
 def _rendering(view: View, tools: SliceTools, lines: imgui.ImDrawList, place: Place) -> None:
     document = view.document
     for i, arrival in enumerate(document.arrivals):
-        if arrival is None:
+        if arrival is None or not document.has_handles(i):
             continue
         wanted = tools.projected(arrival.target) if arrival.miss > NEAR else None
         colour = theme.BLUE if document.selected == i else theme.SOFT

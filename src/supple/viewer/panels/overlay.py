@@ -52,7 +52,7 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
     document, viewport = view.document, tools.viewport
     for i, arrival in enumerate(document.arrivals):
         selected = document.selected == i
-        if arrival is None or (not selected and len(document.items) > 60):
+        if arrival is None or not document.has_handles(i) or (not selected and len(document.items) > 60):
             continue
         stroke, wanted = document.seen(i), arrival.target if arrival.miss > NEAR else None
         colour = theme.BLUE if selected else theme.SOFT
@@ -152,10 +152,8 @@ def status(view: View) -> str:
     elif (hover := tools.hover) is not None:  # for a volume, it casts a ray
         names = {"image": "xy", "video": "xyt", "volume": "xyz"}[view.stage.kind]
         parts.append("  ".join(f"{name} {v:.1f}" for name, v in zip(names, hover, strict=False)))
-        if document.dragging and document.selected is not None:  # the held point stays under the pointer
-            stroke = document.seen(document.selected)
-            by = "by " + " ".join(f"{v:+.1f}" for v in stroke.by)
-            parts.append(by if stroke.brush == "grab" else f"{named(stroke)} {done(stroke)}")
+        if document.dragging:
+            parts.append(_held(view))
         elif isinstance(tools, SliceTools):
             parts += _of_a_volume(view, tools, hover)
         elif not isinstance(view.stage, VolumeStage):
@@ -170,6 +168,19 @@ def status(view: View) -> str:
         why = "no hardware GPU" if view.gpu.software else "the GPU is slow"
         parts.append(f"drawn at 1/{view.painter.coarse} while you drag: {why}")
     return "   |   ".join(p for p in parts if p)
+
+
+def _held(view: View) -> str:
+    """Return what the drag does so far."""
+    held, document = view.tools.held, view.document
+    if held is not None and held.paints:
+        return f"{held.tool}: {len(held.made)} {'stroke' if len(held.made) == 1 else 'strokes'}"
+    if document.selected is None:
+        return ""
+    stroke = document.seen(document.selected)
+    if stroke.brush != "grab":
+        return f"{named(stroke)} {done(stroke)}"
+    return "by " + " ".join(f"{v:+.1f}" for v in stroke.by)  # the held point stays under the pointer
 
 
 def _is_before(view: View) -> bool:

@@ -17,7 +17,7 @@ from supple.viewer.panels import theme
 from supple.viewer.panels.icons import hidden, seen
 from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import REST, hint, icon_button, label, listing, section, slider, typed, wrapped
-from supple.viewer.tools.drags import IMMATERIAL, SHAPES
+from supple.viewer.tools.drags import IMMATERIAL, PAINTS, SHAPES
 
 _POLICIES = get_args(FoldPolicy)
 _FALLOFF = "How fast the pull fades with the distance: far as 1/r, medium as 1/r\u00b3, near as 1/r\u2075"
@@ -38,6 +38,8 @@ def brush(view: View) -> None:
     changed, value = slider("##radius", tools.radius, *tools.radius_limits, form, logarithmic=True)
     if changed:
         tools.radius = value
+    if tools.brush in PAINTS:
+        return
     if tools.brush not in SHAPES:  # those fade in one way
         label("Fall-off", _FALLOFF)
         changed, index = imgui.combo("##falloff", tools.scales - 1, list(FALLOFFS))

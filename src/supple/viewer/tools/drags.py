@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -27,6 +27,9 @@ SHAPES: dict[Tool, dict[str, Any]] = {
 }
 """The tools whose strokes keep their pivot, and what these are before the drag."""
 
+PAINTS = frozenset(("restore", "smooth"))
+"""The tools that draw a stroke for each part of the way, which have their names."""
+PAINTED = 2.0  # radii that they reach
 IMMATERIAL = frozenset(("twist", "bloat", "pucker", "scale"))
 """Tools and brushes that do not depend on the Poisson ratio."""
 
@@ -71,11 +74,29 @@ class Held:
     grown: bool = False  # whether the radius of an existing stroke was changed
     button: int = 1
     way: list[tuple[Pair, Point]] = field(default_factory=list)  # of a path: the places of the pointer, and its points
+    dabbed: Pair | None = None  # of a painting: the place of the last dab
+    made: list[Stroke] = field(default_factory=list)  # and its strokes
+
+    @property
+    def paints(self) -> bool:
+        """True if it makes a stroke for each part of its way."""
+        return self.item is None and self.tool in PAINTS
 
     @property
     def moved(self) -> bool:
         """True if it is a drag; otherwise it is a click."""
         return math.dist(self.start, self.now) >= CLICK or self.time != 0 or len(self.way) > 1
+
+    def dabs(self, apart: float) -> Iterator[Pair]:
+        """Return the places of the next dabs, as far apart as that, on the way to the pointer."""
+        if self.dabbed is None:
+            self.dabbed = self.start
+            yield self.start
+        while (away := math.dist(self.dabbed, self.now)) >= max(apart, 1.0):
+            part = max(apart, 1.0) / away
+            (a, b), (x, y) = self.dabbed, self.now
+            self.dabbed = a + part * (x - a), b + part * (y - b)
+            yield self.dabbed
 
     def dragged(self, gone: Point, radii: Pair, normal: Point | None) -> Stroke:
         """Return the stroke after a drag.

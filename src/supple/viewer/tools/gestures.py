@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from supple.domain import Domain
 from supple.errors import SuppleError
-from supple.strokes import REACH, Stroke
 from supple.viewer.document.editing import Document
-from supple.viewer.tools.drags import CLICK, IMMATERIAL, SHAPES, Handle, Held, Pair, Part, nearest
-from supple.viewer.tools.keys import BRUSHES, Tool
+from supple.viewer.tools.drags import CLICK, Held, Pair, nearest
+from supple.viewer.tools.drawing import Drawing
+from supple.viewer.tools.keys import BRUSHES
 
 V = TypeVar("V")
 
 Event = Mapping[str, Any]
 
 KNOB = 10.0  # the largest distance from the knob of the split between before and after
-GROWTH = 1.1  # the factor of the brush for a notch of the wheel, which is 100
 _LEFT = 1
 _CUT = "cut"
 _MOST = 1e4  # the largest turn of the wheel at once: larger powers overflow
@@ -47,7 +45,7 @@ class Lead(Generic[V]):
         return self.travelled or math.dist(self.start, self.now) >= CLICK
 
 
-class Tools(ABC, Generic[V]):
+class Tools(Drawing, Generic[V]):
     """Edits of a document and moves of the view, from events.
 
     Events are those of rendercanvas. They may be merged, so that amounts count, and not their number. Errors are shown
@@ -57,18 +55,8 @@ class Tools(ABC, Generic[V]):
     _beside = "click"  # the left button's effect on the view where there is nothing to grab
 
     def __init__(self, document: Document, view: V) -> None:
-        self.document = document
+        super().__init__(document)
         self.view = view
-        domain = Domain(document.shape, document.spacing)
-        n = 3 if document.kind == "volume" else 2  # without time
-        sides = [max(e, s) for e, s in zip(domain.extent[:n], domain.spacing[:n], strict=True)]
-        smallest = min(domain.spacing[:n])
-        self.radius_limits = (smallest, 4 * max(sides))
-        self._radius = max(min(sides) / 8, smallest)
-        self.brush: Tool = "grab"
-        self.poisson: float | None = None
-        self.scales = 1
-        self.reach: float | None = REACH
         self.original = False  # whether to display the original, without strokes
         self.split: float | None = None
         """The split between original and result, as a fraction of the width; None without a split."""
@@ -77,20 +65,6 @@ class Tools(ABC, Generic[V]):
         """Requests to the window: ``"save"``, ``"save as"``, ``"open"``, ``"export"``."""
         self.pointer: Pair | None = None  # the pointer on the canvas
         self._gesture: Held | Lead[V] | None = None
-        self._refused: str | None = None
-
-    @property
-    def radius(self) -> float:
-        """The brush's radius, in physical units, within `radius_limits`."""
-        return self._radius
-
-    @radius.setter
-    def radius(self, radius: float) -> None:
-        self._radius = self._limited(radius)
-
-    def _limited(self, radius: float) -> float:
-        low, high = self.radius_limits
-        return min(max(float(radius), low), high)
 
     @property
     def held(self) -> Held | None:
@@ -147,26 +121,6 @@ class Tools(ABC, Generic[V]):
         """The width and height of the canvas, in logical pixels."""
 
     @abstractmethod
-    def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
-        """Return the point under a position of the canvas, for a new stroke; None if there is none."""
-
-    @abstractmethod
-    def _seen(self, point: tuple[float, ...]) -> Pair | None:
-        """Return the position of a point on the canvas, if it is visible."""
-
-    @abstractmethod
-    def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
-        """Return the displacement of the held point to a position of the canvas."""
-
-    @abstractmethod
-    def _scale(self, point: tuple[float, ...]) -> float:
-        """Return the logical pixels of a physical unit at a point; above 0 where it is seen."""
-
-    def _normal(self, point: tuple[float, ...]) -> tuple[float, ...] | None:
-        """Return the axis about which a right-handed turn is to the right on screen; None in a picture."""
-        return None
-
-    @abstractmethod
     def _led(self, how: str, view: V, dx: float, dy: float) -> V:
         """Return a view moved by the pointer."""
 
@@ -196,59 +150,12 @@ class Tools(ABC, Generic[V]):
             how = _CUT
         elif how is None and button == _LEFT:
             self._gesture = self._taken(x, y)
+            if isinstance(self._gesture, Held) and self._gesture.paints:
+                self._draw(self._gesture)  # a click is a dab
             how = self._beside
         if self._gesture is None and how is not None:
             self._gesture = Lead(how, button, self.view, self.view, (x, y), (x, y))
         return self._gesture is not None
-
-    def _taken(self, x: float, y: float) -> Held | None:
-        """Return a handle of the selected stroke; or a new stroke at the point under the pointer."""
-        chosen = self.document.selected
-        found = None if chosen is None else nearest(self.handles([chosen]), (x, y))
-        if found is not None:
-            (hx, hy), stroke = found.seen, self.document.seen(found.item)
-            return Held(stroke, found.point, (x, y), (x, y), (x - hx, y - hy), found.item, found.part, found.nth)
-        point = self._grab(x, y)
-        if point is None:
-            return None
-        return Held(self._begun(point), point, (x, y), (x, y), tool=self.brush)
-
-    def _begun(self, point: tuple[float, ...]) -> Stroke:
-        """Return a stroke of the brush that does nothing yet."""
-        shape = SHAPES.get(self.brush, {"by": (0.0,) * len(point), "scales": self.scales})
-        poisson = None if self.brush in IMMATERIAL else self.poisson
-        return Stroke(at=point, radius=self.radius, poisson=poisson, reach=self.reach, **shape)
-
-    def _draw(self, held: Held) -> None:
-        """Show a drag in the document, if the pointer has moved."""
-        if not self.document.dragging:
-            if not (held.moved or held.grown):
-                return
-            self.document.begin_drag(held.item)
-        self.document.preview(self._drawn(held))
-
-    def _drawn(self, held: Held) -> Stroke:
-        """Return the stroke of a drag."""
-        if not held.moved:
-            return held.stroke
-        (x, y), (a, b), (u, v) = held.now, held.offset, held.start
-        gone = self._carried(held, x - a, y - b)
-        ring = held.stroke.radius * self._scale(held.point)
-        return held.dragged(gone, ((x - u) / ring, (y - v) / ring), self._normal(held.point))
-
-    def handles(self, among: Iterable[int] | None = None) -> list[Handle]:
-        """Return the visible handles of some strokes, or of all."""
-        found, items = [], self.document.items
-        for i in range(len(items)) if among is None else among:
-            for nth, (pivot, end) in enumerate(self.document.handles(i) if not items[i].hidden else ()):
-                parts: dict[Part, tuple[float, ...]] = {"pivot": pivot, "end": end}
-                if items[i].stroke.brush != "grab":  # its point stays where it is
-                    del parts["end"]
-                for part, point in parts.items():
-                    place = self._seen(point)
-                    if place is not None:
-                        found.append(Handle(i, part, nth, point, place))
-        return found
 
     def _on_pointer_move(self, event: Event) -> bool:
         self.pointer = _place(event)
@@ -298,7 +205,7 @@ class Tools(ABC, Generic[V]):
         if gesture is None:
             return False
         if isinstance(gesture, Held):
-            if (gesture.moved or gesture.grown) and self.document.dragging:
+            if (gesture.moved or gesture.grown or gesture.paints) and self.document.dragging:
                 trouble = self.document.trouble
                 self._refused = None if self.document.commit() else trouble
                 return True
@@ -317,17 +224,6 @@ class Tools(ABC, Generic[V]):
             amount += float(event.get("dx", 0.0))  # some systems turn the wheel sideways then
         self._turn(event, min(max(amount, -_MOST), _MOST))
         return True
-
-    def grow(self, notches: float) -> None:
-        """Enlarge the brush, or shrink it (below 0), with the held stroke."""
-        held, factor = self.held, GROWTH**notches
-        if held is None or held.item is None:
-            self.radius *= factor
-        if held is not None:
-            radius = self.radius if held.item is None else self._limited(held.stroke.radius * factor)
-            held.grown |= held.item is not None and radius != held.stroke.radius
-            held.stroke = replace(held.stroke, radius=radius)
-            self._draw(held)
 
     def _on_key_down(self, event: Event) -> bool:
         self._refused = None

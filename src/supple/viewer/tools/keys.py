@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-Tool = Literal["grab", "twist", "bloat", "pucker", "pinch", "path"]
+Tool = Literal["grab", "twist", "bloat", "pucker", "pinch", "path", "restore", "smooth"]
 Rows = Mapping[str, str]
 
 BRUSHES: Mapping[Tool, tuple[str, str]] = {
@@ -15,6 +15,8 @@ BRUSHES: Mapping[Tool, tuple[str, str]] = {
     "pucker": ("P", "draw together what is under the pointer, the more the farther you drag"),
     "pinch": ("N", "squeeze what is under the pointer along the drag, and stretch it across; with Shift, the reverse"),
     "path": ("F", "pull what is under the pointer along the way that you draw"),
+    "restore": ("R", "bring back what is under the pointer to where it came from; a click does so once"),
+    "smooth": ("S", "even out how far the surroundings have moved; a click does so once"),
 }
 """For each brush, in the order of the tools' strip, its key, and what a drag with it does."""
 _ALWAYS: Rows = {
