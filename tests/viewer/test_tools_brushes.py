@@ -240,6 +240,96 @@ class TestPaintings:
         assert displaced(solid, (36, 25, 20)) < 0.2 * was
 
 
+class TestSymmetry:
+    """The middle of 300 pixels is at 149.5."""
+
+    def test_a_grab_is_one_stroke_of_two_points(self) -> None:
+        tools = image()
+        press(tools, "m")
+        assert tools.symmetric
+        stroke = drawn(tools, "g", (201, 101), (221, 111))
+        assert (stroke.at, stroke.by) == ((100, 50), (10, 5))
+        assert stroke.also == (((199, 50), (-10, 5)),)
+        points = [(120.0, 70.0), (179.0, 70.0)]
+        left, right = tools.document.deformation.forward(points)
+        assert (left[0] + right[0], left[1]) == pytest.approx((299, right[1]))
+        press(tools, "m")
+        assert drawn(tools, "g", (301, 301), (321, 301)).also == ()
+
+    def test_on_the_line_it_stays_there(self) -> None:
+        tools = image()
+        press(tools, "m")
+        x, y = tools.viewport.to_canvas(149.5, 50)
+        stroke = drawn(tools, "g", (x, y), (x + 20, y + 20))
+        assert stroke.by == pytest.approx((0, 10))
+        assert stroke.also == ()
+
+    @pytest.mark.parametrize("key", list("twpnf"))
+    def test_others_are_two_strokes_and_one_step(self, key: str) -> None:
+        tools = image(on_fold="flow")
+        press(tools, "m")
+        press(tools, key)
+        before = state(tools)
+        drag(tools, (201, 101), (211, 111), (241, 121))
+        one, other = (item.stroke for item in tools.document.items)
+        assert other.at == (199, 50)
+        assert other == one.mirrored((149.5, 0), (1, 0))
+        assert tools.document.selected == 0
+        press(tools, "z", "Control")
+        assert state(tools) == before
+
+    def test_a_path_cannot_begin_on_the_line_which_is_said(self) -> None:
+        tools = image(on_fold="flow")
+        for key in "mf":
+            press(tools, key)
+        x, y = tools.viewport.to_canvas(149.5, 50)
+        drag(tools, (x, y), (x + 20, y), (x + 40, y + 40))
+        assert tools.document.items == ()
+        assert "line of symmetry" in (tools.status or "")
+        assert tools.held is None
+
+    def test_dabs_have_images(self) -> None:
+        tools = image(BENT, Stroke(at=(60, 50), by=(8, 0), radius=20), Stroke(at=(239, 50), by=(-8, 0), radius=20))
+        tools.radius = 20
+        for key in "mr":
+            press(tools, key)
+        drag(tools, (137, 101), (137, 101))
+        one, other = (item.stroke for item in tools.document.items[3:])
+        assert (one.at, other.at) == ((68, 50), (231, 50))
+
+    def test_an_edit_of_one_is_not_mirrored(self) -> None:
+        tools = image(Stroke(at=(100, 50), by=(10, 5), radius=20))
+        press(tools, "m")
+        tools.document.select(0)
+        drag(tools, (221, 111), (241, 111))
+        (item,) = tools.document.items
+        assert item.stroke == Stroke(at=(100, 50), by=(20, 5), radius=20)
+
+    def test_both_points_of_a_symmetric_grab_are_handles(self) -> None:
+        tools = image()
+        press(tools, "m")
+        drawn(tools, "g", (201, 101), (221, 111))
+        assert [(handle.nth, handle.part) for handle in tools.handles()] == [
+            (0, "pivot"), (0, "end"), (1, "pivot"), (1, "end")
+        ]  # fmt: skip
+        drag(tools, tools.viewport.to_canvas(189, 55), tools.viewport.to_canvas(189, 65))
+        drag(tools, tools.viewport.to_canvas(199, 50), tools.viewport.to_canvas(204, 50))
+        (item,) = tools.document.items
+        assert (item.stroke.at, item.stroke.by) == ((100, 50), (10, 5))
+        ((at, by),) = item.stroke.also
+        assert at == pytest.approx((204, 50))
+        assert by == pytest.approx((-10, 15))
+
+    def test_a_volume_has_a_plane_between_left_and_right(self) -> None:
+        tools = bench()  # 60 voxels from left to right
+        press(tools, "m")
+        x, y = middle(tools, 0)
+        stroke = drawn(tools, "g", (x + 60, y), (x + 70, y - 20), radius=6)
+        ((at, by),) = stroke.also
+        assert (stroke.at[0] + at[0], *stroke.at[1:]) == pytest.approx((59, *at[1:]))
+        assert (-stroke.by[0], *stroke.by[1:]) == pytest.approx(by)
+
+
 class TestClips:
     @pytest.mark.parametrize("key", list("twpn"))
     def test_they_stay_in_their_frame(self, key: str) -> None:

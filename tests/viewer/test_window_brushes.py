@@ -72,6 +72,11 @@ def test_a_picture_bent_by_all_brushes(gpu: Gpu, photo: Path) -> None:
     assert "Bloat by a factor of 1.4" in said["w"]
     assert "Pucker by a factor of 0.6" in said["p"]
     assert "Pinch by a factor of 0.6" in said["n"]
+    hand.key("m")
+    hand.key("g")
+    hand.drag((200, 480), (220, 470))
+    hand.key("m")
+    assert len(view.recipe.strokes[-1].also) == 1
     for i in range(len(view.document.items)):
         view.document.select(i)
         hand.canvas.draw()  # the panel shows each by its numbers

@@ -116,6 +116,7 @@ ACTIONS: dict[str, Action] = {
         on=lambda view: view.tools.original,
     ),
     "split": Action("Before and after", "B", _split, on=lambda view: view.tools.split is not None),
+    "symmetry": Action("Symmetric strokes", "M", partial(_key, "m"), on=lambda view: view.tools.symmetric),
     "fit": Action("Fit the view", "0", partial(_key, "0")),
     "actual": Action("100 %", "1", partial(_key, "1"), lambda view: view.stage.kind != "volume"),
     "keys": Action("Keys and gestures", "F1", _list_keys, on=lambda view: view.tools.listing),

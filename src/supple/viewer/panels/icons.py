@@ -140,6 +140,14 @@ def freeze(pen: Pen) -> None:
             pen.line(start, _round(start, 0.36, angle + side))
 
 
+def symmetry(pen: Pen) -> None:
+    """A shape and its mirror image, about a dashed line."""
+    for y in (-1.0, -0.3, 0.4):
+        pen.line((0, y), (0, y + 0.4))
+    pen.line((-0.35, -0.7), (-0.35, 0.7), (-1.05, 0.7), closed=True)
+    pen.shape((0.35, -0.7), (1.05, 0.7), (0.35, 0.7))
+
+
 def undo(pen: Pen) -> None:
     """An arrow back."""
     pen.line((-0.7, -0.35), (0.25, -0.35))
@@ -248,6 +256,7 @@ ICONS: dict[str, Icon] = {
     "smooth": smooth,
     "pin": pin,
     "freeze": freeze,
+    "symmetry": symmetry,
     "undo": undo,
     "redo": redo,
     "original": original,

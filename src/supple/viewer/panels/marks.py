@@ -23,6 +23,7 @@ _INSET = 8.0  # logical pixels from a view's edge to its text
 _NAMED = 30.0  # and to the names of before and after, below that of the plane
 _ARM = 30.0  # logical pixels of the axes in the rendering
 _BAR = (0.28, 30.0)  # the largest part of a view's width, and the least logical pixels, of a scale bar
+_DASH = 14.0  # logical pixels from one dash to the next
 _ROOMY = 240.0  # logical pixels: a narrower view has no room for all of its text
 _NEARBY = 5.0  # millimetres of a landmark from a plane in which it is seen, faint
 _MARK = 0xFFF0D060  # of landmarks
@@ -113,6 +114,10 @@ def _plane(view: View, tools: SliceTools, lines: imgui.ImDrawList, k: int) -> No
     pane = tools.pane(k)
     left, top, width, height = pane.place
     _crosshair(tools, lines, pane)
+    if tools.symmetric and pane.plane.across == tools.across:
+        here = [0.0, 0.0, 0.0]
+        here[tools.across] = tools.middle
+        mirror(lines, pane.to_canvas(tuple(here))[0], top, height)
     _strokes(view, tools, lines, pane)
     _landmarks(view, lines, pane.to_canvas, pane)
     x, y, (west, east, north, south) = left + width / 2, top + height / 2, pane.plane.sides
@@ -194,6 +199,13 @@ def track(lines: imgui.ImDrawList, places: Iterable[Pair | None], colour: int) -
     points: list[Any] = [imgui.ImVec2(*place) for place in places if place is not None]
     for shade, thick in ((theme.DARK, 3.0), (colour, 1.5)):
         lines.add_polyline(points, col=shade, thickness=thick, flags=imgui.ImDrawFlags_.none)
+
+
+def mirror(lines: imgui.ImDrawList, x: float, top: float, height: float) -> None:
+    """Draw the line of symmetry, dashed."""
+    for k in range(math.ceil(height / _DASH)):
+        for shade, thick in ((theme.DARK, 3.0), (theme.BLUE, 1.0)):
+            lines.add_line((x, top + k * _DASH), (x, top + min(k * _DASH + 0.55 * _DASH, height)), shade, thick)
 
 
 def end_of(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None) -> None:

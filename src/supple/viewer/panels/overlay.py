@@ -35,6 +35,8 @@ def draw(view: View) -> None:
     if isinstance(tools, SliceTools):
         marks.draw(view, tools, lines)
     else:
+        if tools.symmetric:
+            marks.mirror(lines, tools.viewport.to_canvas(tools.middle, 0.0)[0], 0.0, height)
         _handles(view, lines)
         marks.rings(tools, lines)
         if tools.knob is not None:

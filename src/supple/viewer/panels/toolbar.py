@@ -11,7 +11,7 @@ from supple.viewer.panels.view import STRIP, WIDE, View
 from supple.viewer.panels.widgets import hint, icon_button
 from supple.viewer.tools.keys import BRUSHES
 
-GROUPS = (("undo", "redo"), ("original", "split", "fit"), ("open", "save", "export"), ("keys",))
+GROUPS = (("symmetry",), ("undo", "redo"), ("original", "split", "fit"), ("open", "save", "export"), ("keys",))
 """The actions below the brushes."""
 _GAP = 13.0  # between groups
 

@@ -125,7 +125,7 @@ class Held:
         end = _sum(self.point, gone)
         if math.dist(self.now, self.way[-1][0] if self.way else self.start) >= NEXT:
             self.way.append((self.now, end))
-        path = [point for _, point in self.way if point != end]
+        path = [point for _, point in self.way if point != end] or [self.point]
         return replace(self.stroke, by=tuple(b - a for a, b in zip(self.stroke.at, end, strict=True)), path=tuple(path))
 
     def _moved(self, gone: Point) -> Stroke:

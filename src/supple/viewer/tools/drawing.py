@@ -33,7 +33,9 @@ class Drawing(ABC):
         self.poisson: float | None = None
         self.scales = 1
         self.reach: float | None = REACH
-        self._refused: str | None = None
+        self.symmetric = False  # whether new strokes have a mirror image
+        self.across, self.middle = 0, 0.5 * (document.shape[-1] - 1)
+        """The axis across which they have it, x is 0; and where its line or plane lies on it, in samples."""
 
     @property
     def radius(self) -> float:
@@ -91,6 +93,10 @@ class Drawing(ABC):
         poisson = None if self.brush in IMMATERIAL else self.poisson
         return Stroke(at=point, radius=self.radius, poisson=poisson, reach=self.reach, **shape)
 
+    def mirrored(self, point: tuple[float, ...]) -> tuple[float, ...]:
+        """Return the mirror image of a point."""
+        return tuple(2 * self.middle - p if k == self.across else p for k, p in enumerate(point))
+
     def _draw(self, held: Held) -> None:
         """Show a drag in the document, if the pointer has moved."""
         try:
@@ -99,9 +105,9 @@ class Drawing(ABC):
             elif self.document.dragging or held.moved or held.grown:
                 if not self.document.dragging:
                     self.document.begin_drag(held.item)
-                self.document.preview(self._drawn(held))
+                self.document.preview(*self._drawn(held))
         except SuppleError as error:  # the drag goes on
-            self._refused = str(error)
+            self.document.trouble = str(error)
 
     def _paint(self, held: Held) -> None:
         """Restore or smooth what is under the pointer, by a stroke for each half radius of its way."""
@@ -112,21 +118,34 @@ class Drawing(ABC):
             point = self._grab(*place)
             if point is None:
                 continue
-            led = document.deformation.restore if held.tool == "restore" else document.deformation.smooth
-            made = led(point, radius=held.stroke.radius, warn=False).strokes[-1]
-            if max(math.hypot(*by) for _, by in made.handles) > STILL:
-                held.made.append(made)
-                if not document.preview(*held.made, select=False):
-                    held.made.pop()
+            self._dab(held, point)
+            size, image = document.shape[-1 - self.across], self.mirrored(point)
+            if self.symmetric and -0.5 <= image[self.across] <= size - 0.5:
+                self._dab(held, image)
 
-    def _drawn(self, held: Held) -> Stroke:
-        """Return the stroke of a drag."""
-        if not held.moved:
-            return held.stroke
-        (x, y), (a, b), (u, v) = held.now, held.offset, held.start
-        gone = self._carried(held, x - a, y - b)
-        ring = held.stroke.radius * self._scale(held.point)
-        return held.dragged(gone, ((x - u) / ring, (y - v) / ring), self._normal(held.point))
+    def _dab(self, held: Held, point: tuple[float, ...]) -> None:
+        """Add a stroke of a painting, if it moves anything."""
+        document = self.document
+        led = document.deformation.restore if held.tool == "restore" else document.deformation.smooth
+        made = led(point, radius=held.stroke.radius, warn=False).strokes[-1]
+        if max(math.hypot(*by) for _, by in made.handles) > STILL:
+            held.made.append(made)
+            if not document.preview(*held.made, select=False):
+                held.made.pop()
+
+    def _drawn(self, held: Held) -> tuple[Stroke, ...]:
+        """Return the stroke of a drag, or those that make it symmetric."""
+        stroke = held.stroke
+        if held.moved:
+            (x, y), (a, b), (u, v) = held.now, held.offset, held.start
+            gone = self._carried(held, x - a, y - b)
+            ring = stroke.radius * self._scale(held.point)
+            stroke = held.dragged(gone, ((x - u) / ring, (y - v) / ring), self._normal(held.point))
+        if held.item is not None or not self.symmetric:
+            return (stroke,)
+        here, normal = [0.0] * stroke.ndim, [0.0] * stroke.ndim
+        here[self.across], normal[self.across] = self.middle, 1.0
+        return stroke.symmetric(here, normal)
 
     def grow(self, notches: float) -> None:
         """Enlarge the brush, or shrink it (below 0), with the held stroke."""

@@ -65,6 +65,7 @@ class Tools(Drawing, Generic[V]):
         """Requests to the window: ``"save"``, ``"save as"``, ``"open"``, ``"export"``."""
         self.pointer: Pair | None = None  # the pointer on the canvas
         self._gesture: Held | Lead[V] | None = None
+        self._refused: str | None = None
 
     @property
     def held(self) -> Held | None:
@@ -267,6 +268,8 @@ class Tools(Drawing, Generic[V]):
             self.brush = _BRUSHES[key.lower()]
         elif key in ("b", "B"):
             self.split = 0.5 if self.split is None else None
+        elif key in ("m", "M"):
+            self.symmetric = not self.symmetric
         elif key in ("Delete", "Backspace", "h", "H"):
             if chosen is not None and self._gesture is None:
                 if key.lower() == "h":

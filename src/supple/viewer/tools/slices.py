@@ -51,6 +51,8 @@ class SliceTools(VolumeTools):
         super().__init__(document, geometry, canvas_size, pick, drag, camera)
         self.geometry, self.planes = geometry, planes_of(geometry)
         self.sizes = tuple(reversed(document.shape))
+        self.across = self.planes[2].axis  # to the left and right of the patient
+        self.middle = 0.5 * (self.sizes[self.across] - 1)
         x, y, z = ((n - 1) / 2 for n in self.sizes)
         self.sight = self._first = Sight((x, y, z), window, (x, y, z))
         self.active = RENDERED
