@@ -135,6 +135,10 @@ def test_other_brushes_in_words() -> None:
             "Grab at (5, 6)",
             "by (9, 0) with 1 other and 1 pin",
         ),
+        (Stroke(at=(5, 6), by=(9, 0), radius=9, also=(((1, 2), (0, 0)),)), "Grab at (5, 6)", "by (9, 0) with 1 pin"),
+        (Stroke(at=(5, 6), by=(9, 0), radius=9, path=((7, 9),)), "Path at (5, 6)", "by (9, 0)"),
+        (Stroke(at=(5, 6), by=(9, 0), radius=9, name="restore"), "Restore at (5, 6)", "by (9, 0)"),
+        (Stroke(at=(5, 6), radius=9, brush="scale", factor=0.5), "Pucker at (5, 6)", "by a factor of 0.5"),
         (Stroke(at=(5, 6), radius=9, brush="twist", angle=40), "Twist at (5, 6)", "by 40\u00b0"),
         (Stroke(at=(5, 6), radius=9, brush="scale", factor=1.5), "Bloat at (5, 6)", "by a factor of 1.5"),
         (
@@ -147,6 +151,13 @@ def test_other_brushes_in_words() -> None:
         assert step(State(), State((Item.of(brush),))) == name
         if brush.brush != "grab":
             assert described(brush, None).splitlines()[1:] == [does, "radius 9", "reach: 4 radii"]
+
+
+def test_strokes_that_were_drawn_at_once_are_one_step_in_words() -> None:
+    some = [Stroke(at=(k, 6), by=(1, 0), radius=9, name="smooth") for k in range(3)]
+    old, new = State((Item.of(A),)), State((Item.of(A), *map(Item.of, some)))
+    assert step(old, new) == "Smooth at (0, 6), 3 strokes"
+    assert step(old, State((Item.of(A), Item.of(some[0]), Item.of(A)))) == "Open a recipe"
 
 
 def test_settings_in_words() -> None:

@@ -240,6 +240,94 @@ class TestPaintings:
         assert displaced(solid, (36, 25, 20)) < 0.2 * was
 
 
+class TestPins:
+    def test_a_click_holds_a_point_of_the_selected_grab(self) -> None:
+        tools = image(on_fold="flow")
+        tools.radius = 20
+        drag(tools, (201, 101), (231, 101))
+        press(tools, "d")
+        before = state(tools)
+        drag(tools, (281, 101), (281, 101))
+        (item,) = tools.document.items
+        assert item.stroke.handles == (((100, 50), (15, 0)), ((140, 50), (0, 0)))
+        ends = tools.document.deformation.forward([(100, 50), (140, 50)])
+        np.testing.assert_allclose(ends, [(115, 50), (140, 50)], atol=1e-6)
+        press(tools, "z", "Control")
+        assert state(tools) == before
+        press(tools, "y", "Control")
+        # Another, and all are handles; a click on one removes it.
+        drag(tools, (201, 181), (202, 181))
+        assert [handle.nth for handle in tools.handles()] == [0, 0, 1, 1, 2, 2]
+        drag(tools, (281, 101), (281, 101))
+        (item,) = tools.document.items
+        assert item.stroke.handles == (((100, 50), (15, 0)), ((100, 90), (0, 0)))
+        drag(tools, (201, 101), (201, 101))
+        assert tools.document.items[0].stroke.handles == (((100, 90), (0, 0)),)
+        drag(tools, (201, 181), (201, 181))
+        assert tools.document.items == ()
+
+    def test_a_drag_pulls_what_is_seen_there_and_the_others_stay_where_they_are(self) -> None:
+        tools = image(on_fold="flow")
+        tools.radius = 20
+        drag(tools, (201, 101), (221, 101))
+        press(tools, "d")
+        was = tools.document.deformation
+        below = was.inverse([(130.0, 60.0)]).points[0]
+        before = state(tools)
+        drag(tools, (261, 121), (271, 125), (281, 131))
+        (item,) = tools.document.items
+        assert len(item.stroke.handles) == 2
+        (at, by) = item.stroke.handles[1]
+        assert at == pytest.approx(tuple(below), abs=1e-6)
+        assert np.add(at, by) == pytest.approx((140, 65))
+        ends = tools.document.deformation.forward([(100, 50), at])
+        np.testing.assert_allclose(ends, [(110, 50), (140, 65)], atol=1e-6)
+        drag(tools, (281, 131), (291, 131))  # its end is edited
+        (item,) = tools.document.items
+        assert np.add(*item.stroke.handles[1]) == pytest.approx((145, 65))
+        for _ in range(2):
+            press(tools, "z", "Control")
+        assert state(tools) == before
+
+    def test_without_a_grab_it_begins_one(self) -> None:
+        for tools in (image(), image(Stroke(brush="twist", at=(50, 50), angle=30, radius=20)), image(BENT)):
+            tools.document.select(0 if tools.document.items else None)
+            if tools.document.items and tools.document.items[0].stroke is BENT:
+                tools.document.hide(0)
+            press(tools, "d")
+            drag(tools, (201, 101), (201, 101))
+            stroke = tools.document.items[-1].stroke
+            assert (stroke.at, stroke.by, stroke.also) == ((100, 50), (0, 0), ())
+            drag(tools, (281, 101), (291, 101))
+            assert len(tools.document.items[-1].stroke.also) == 1
+
+    def test_one_that_cannot_be_is_refused_and_said(self) -> None:
+        tools = image(on_fold="flow")
+        tools.radius = 40
+        drag(tools, (201, 101), (261, 101))
+        press(tools, "d")
+        before = state(tools)
+        drag(tools, (221, 101), (221, 101))
+        assert state(tools) == before
+        assert "pull against each other" in (tools.status or "")
+        assert not tools.document.dragging
+
+    def test_in_a_plane_and_symmetric(self) -> None:
+        tools = bench()
+        tools.radius = 6
+        x, y = middle(tools, 0)
+        press(tools, "m")
+        drag(tools, (x + 60, y), (x + 70, y))
+        press(tools, "d")
+        drag(tools, (x + 60, y + 60), (x + 60, y + 60))
+        (item,) = tools.document.items
+        points = [at for at, _ in item.stroke.handles]
+        assert len(points) == 4
+        assert points[2][0] + points[3][0] == pytest.approx(59)
+        assert item.stroke.handles[2][1] == (0, 0, 0)
+        assert points[2] == pytest.approx(tools.sight.cross)
+
+
 class TestSymmetry:
     """The middle of 300 pixels is at 149.5."""
 

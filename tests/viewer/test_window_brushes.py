@@ -76,7 +76,13 @@ def test_a_picture_bent_by_all_brushes(gpu: Gpu, photo: Path) -> None:
     hand.key("g")
     hand.drag((200, 480), (220, 470))
     hand.key("m")
-    assert len(view.recipe.strokes[-1].also) == 1
+    hand.key("d")
+    hand.drag((300, 440), (310, 450))
+    hand.move(260, 470)
+    hand.press(260, 470)
+    hand.release(260, 470)
+    assert len(view.recipe.strokes[-1].also) == 3
+    assert sum(not any(by) for _, by in view.recipe.strokes[-1].handles) == 1
     for i in range(len(view.document.items)):
         view.document.select(i)
         hand.canvas.draw()  # the panel shows each by its numbers

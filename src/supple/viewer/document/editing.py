@@ -11,7 +11,7 @@ from supple.errors import SuppleError
 from supple.files.volumes import indexed, placed
 from supple.geometry import Geometry
 from supple.strokes import FoldPolicy, Recipe, Stroke, spoken
-from supple.viewer.document.state import History, Item, Kind, Solved, State
+from supple.viewer.document.state import PAINTINGS, History, Item, Kind, Solved, State
 
 
 class Document:
@@ -104,7 +104,13 @@ class Document:
 
     def has_handles(self, i: int) -> bool:
         """Return whether a stroke has handles: those of a painting, which are many, only if they are selected."""
-        return i == self.selected or self.items[i].stroke.name not in ("restore", "smooth")
+        return i == self.selected or self.items[i].stroke.name not in PAINTINGS
+
+    def beneath(self, i: int, point: tuple[float, ...]) -> tuple[float, ...]:
+        """Return where the material that is seen at a point was before a stroke, which is not hidden."""
+        known = self._nth(i)
+        before = self._now.chain[known or 0]
+        return tuple(before.forward(self.deformation.inverse(point).points).tolist())
 
     def seen(self, i: int) -> Stroke:
         """Return a stroke at its full drag on screen, if its recipe applies a fraction of it."""

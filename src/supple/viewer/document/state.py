@@ -11,6 +11,8 @@ from supple.strokes import CoordinateSpace, FoldPolicy, Recipe, Stroke
 
 Kind = Literal["image", "video", "volume"]
 S = TypeVar("S")
+PAINTINGS = frozenset(("restore", "smooth"))
+"""The names of strokes that were painted, many at a time."""
 _EMPTY = Recipe()
 
 

@@ -8,7 +8,7 @@ from dataclasses import fields
 from supple.deformation import Arrival
 from supple.folding import NEAR
 from supple.strokes import FoldPolicy, Recipe, Stroke
-from supple.viewer.document.state import Item, State
+from supple.viewer.document.state import PAINTINGS, Item, State
 
 CAUSES = {"fold": "all of it would fold", "border": "the fixed border holds it back", "outside": "it starts outside"}
 CAUSES["fold and border"] = f"{CAUSES['fold']}, and {CAUSES['border']}"
@@ -33,7 +33,7 @@ def named(stroke: Stroke) -> str:
     """Return what made a stroke."""
     if stroke.factor is not None and stroke.brush == "scale":
         return "Pucker" if stroke.factor < 1 else "Bloat"
-    if stroke.name in ("restore", "smooth"):
+    if stroke.name in PAINTINGS:
         return stroke.name.capitalize()
     return "Path" if stroke.path else stroke.brush.capitalize()
 
@@ -45,12 +45,16 @@ def done(stroke: Stroke, digits: int = 0) -> str:
     elif stroke.factor is not None:
         said = f"by a factor of {stroke.factor:.4g}"
     else:
-        pins = sum(not any(by) for _, by in stroke.also)
-        more = len(stroke.also) - pins
         said = f"by {place(stroke.by, digits)}"
-        said += f" with {_counted(more, 'other')}" if more else ""
-        return said + (f" and {_counted(pins, 'pin')}" if pins else "")
+        return said + (f" with {others(stroke)}" if stroke.also else "")
     return said if stroke.axis is None else f"{said}, axis ({', '.join(f'{v:.3g}' for v in stroke.axis)})"
+
+
+def others(stroke: Stroke) -> str:
+    """Return how many other points a stroke has."""
+    pins = sum(not any(by) for _, by in stroke.also)
+    more = len(stroke.also) - pins
+    return " and ".join(_counted(n, what) for n, what in ((more, "other"), (pins, "pin")) if n)
 
 
 def _counted(count: int, what: str) -> str:

@@ -10,10 +10,11 @@ import numpy as np
 from imgui_bundle import imgui
 
 from supple.folding import NEAR
+from supple.viewer.document.state import PAINTINGS
 from supple.viewer.panels import theme
 from supple.viewer.panels.view import View
 from supple.viewer.tools.brushes import ImageTools
-from supple.viewer.tools.drags import PAINTED, PAINTS, SHAPES, Pair
+from supple.viewer.tools.drags import PAINTED, Pair
 from supple.viewer.tools.planes import RENDERED, Pane, Place
 from supple.viewer.tools.slices import SliceTools
 
@@ -55,9 +56,9 @@ def rings(tools: ImageTools | SliceTools, lines: imgui.ImDrawList) -> None:
     middle, radius, held = tools.pointer, tools.ring, tools.held
     if middle is None or tools.original or not radius:
         return
-    if held is not None and held.tool in SHAPES:  # the point stays, and the pointer says how much
+    if held is not None and held.shapes:  # the point stays, and the pointer says how much
         middle = held.start
-    reach = PAINTED if tools.brush in PAINTS else tools.reach if held is None else held.stroke.reach
+    reach = PAINTED if tools.brush in PAINTINGS else tools.reach if held is None else held.stroke.reach
     if reach is not None and reach > 1.0:
         lines.add_circle(middle, reach * radius, theme.SHADE, 0, 3.0)
         lines.add_circle(middle, reach * radius, theme.PALE, 0, 1.0)

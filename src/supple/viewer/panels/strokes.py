@@ -11,13 +11,13 @@ from imgui_bundle import imgui
 
 from supple.folding import NEAR
 from supple.strokes import POISSON, REACH, FoldPolicy
-from supple.viewer.document.state import Item
-from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, named, place
+from supple.viewer.document.state import PAINTINGS, Item
+from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, named, others, place
 from supple.viewer.panels import theme
 from supple.viewer.panels.icons import hidden, seen
 from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import REST, hint, icon_button, label, listing, section, slider, typed, wrapped
-from supple.viewer.tools.drags import IMMATERIAL, PAINTS, SHAPES
+from supple.viewer.tools.drags import IMMATERIAL, SHAPES
 
 _POLICIES = get_args(FoldPolicy)
 _FALLOFF = "How fast the pull fades with the distance: far as 1/r, medium as 1/r\u00b3, near as 1/r\u2075"
@@ -38,7 +38,7 @@ def brush(view: View) -> None:
     changed, value = slider("##radius", tools.radius, *tools.radius_limits, form, logarithmic=True)
     if changed:
         tools.radius = value
-    if tools.brush in PAINTS:
+    if tools.brush in PAINTINGS:
         return
     if tools.brush not in SHAPES:  # those fade in one way
         label("Fall-off", _FALLOFF)
@@ -163,6 +163,8 @@ def selected(view: View) -> None:
     changed, reach = _reach(stroke.reach, " own")
     if changed:
         made["reach"] = reach
+    if stroke.also:
+        wrapped(f"With {others(stroke)}: drag their points in the picture.")
     if made:
         view.attempt(lambda: document.replace(i, replace(stroke, **made)))
     _arrival(view, i)

@@ -13,7 +13,7 @@ from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.viewer.document.editing import Document
 from supple.viewer.tools import orbit
-from supple.viewer.tools.drags import SHAPES, Held, Pair
+from supple.viewer.tools.drags import Held, Pair
 from supple.viewer.tools.gestures import Event, Tools, commanded, shifted
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.viewport import Viewport
@@ -134,10 +134,6 @@ class VideoTools(ImageTools):
     def _put_back(self, held: Held) -> None:
         self.playback.seek(self._frame)
 
-    def _stays(self, held: Held) -> bool:
-        """Return whether it is a new stroke that stays in its frame."""
-        return held.item is None and held.tool in SHAPES
-
     def _carry(self, held: Held, frames: float) -> None:
         """Move the held point through time, by whole frames; the displayed frame follows."""
         start = held.point[2]
@@ -149,7 +145,7 @@ class VideoTools(ImageTools):
 
     def _turn(self, event: Event, amount: float) -> None:
         held = self.held
-        if held is None or self._stays(held) or commanded(event) or shifted(event):
+        if held is None or held.shapes or commanded(event) or shifted(event):
             super()._turn(event, amount)
         else:
             self._carry(held, -amount / 100)
@@ -167,7 +163,7 @@ class VideoTools(ImageTools):
             "l": lambda: playback.set_loop(not playback.loop),
         }
         if held is not None and step is not None:
-            if not self._stays(held):
+            if not held.shapes:  # those stay in their frame
                 self._carry(held, step)
         elif step is not None:
             playback.step(step)
@@ -264,7 +260,7 @@ class VolumeTools(Tools[Camera]):
 
     def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
         # A handle has no fixed depth; only its position on screen counts.
-        picked = self._picked if held.item is None else None
+        picked = self._picked if held.new else None
         held_at: Pick = picked or Pick(held.point, held.point, 0.0)  # type: ignore[arg-type]
         return self.drag(held_at, self._within(x, y))
 

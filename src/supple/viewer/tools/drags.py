@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from supple.strokes import LARGEST_ANGLE, LARGEST_FACTOR, Stroke
+from supple.viewer.document.state import PAINTINGS
 from supple.viewer.tools.keys import Tool
 
 Pair = tuple[float, float]
@@ -27,9 +28,7 @@ SHAPES: dict[Tool, dict[str, Any]] = {
 }
 """The tools whose strokes keep their pivot, and what these are before the drag."""
 
-PAINTS = frozenset(("restore", "smooth"))
-"""The tools that draw a stroke for each part of the way, which have their names."""
-PAINTED = 2.0  # radii that they reach
+PAINTED = 2.0  # radii that a stroke of a painting reaches
 IMMATERIAL = frozenset(("twist", "bloat", "pucker", "scale"))
 """Tools and brushes that do not depend on the Poisson ratio."""
 
@@ -74,13 +73,29 @@ class Held:
     grown: bool = False  # whether the radius of an existing stroke was changed
     button: int = 1
     way: list[tuple[Pair, Point]] = field(default_factory=list)  # of a path: the places of the pointer, and its points
+    beneath: Point | None = None  # of a point that is added to a stroke: where its material was before the stroke
     dabbed: Pair | None = None  # of a painting: the place of the last dab
     made: list[Stroke] = field(default_factory=list)  # and its strokes
 
     @property
+    def new(self) -> bool:
+        """True if its point is a new one."""
+        return self.item is None or self.beneath is not None
+
+    @property
     def paints(self) -> bool:
         """True if it makes a stroke for each part of its way."""
-        return self.item is None and self.tool in PAINTS
+        return self.item is None and self.tool in PAINTINGS
+
+    @property
+    def shapes(self) -> bool:
+        """True if it makes a stroke whose point stays where it is."""
+        return self.item is None and self.tool in SHAPES
+
+    @property
+    def clicks(self) -> bool:
+        """True if a click is enough."""
+        return self.paints or (self.new and self.tool == "pin")
 
     @property
     def moved(self) -> bool:
@@ -110,7 +125,7 @@ class Held:
         normal : tuple of float, optional
             The axis about which a twist turns to the right on screen; None in a picture.
         """
-        if self.item is not None or self.tool not in SHAPES:
+        if not self.shapes:
             return self._led(gone) if self.item is None and self.tool == "path" else self._moved(gone)
         if self.tool == "twist":
             angle = TURN * radii[0]
@@ -135,6 +150,7 @@ class Held:
         if self.item is not None and self.part == "pivot":
             at, path = _sum(at, gone), tuple(_sum(p, gone) for p in path)
         else:
+            at = self.beneath or at
             by = tuple((p - a) + d for p, a, d in zip(self.point, at, gone, strict=True))
         pairs[self.nth] = at, by
         return replace(self.stroke, at=pairs[0][0], by=pairs[0][1], also=tuple(pairs[1:]), path=path)

@@ -11,7 +11,8 @@ from supple.domain import Domain
 from supple.errors import SuppleError
 from supple.strokes import REACH, Stroke
 from supple.viewer.document.editing import Document
-from supple.viewer.tools.drags import IMMATERIAL, PAINTS, SHAPES, Handle, Held, Pair, Part, nearest
+from supple.viewer.document.state import PAINTINGS
+from supple.viewer.tools.drags import IMMATERIAL, SHAPES, Handle, Held, Pair, Part, nearest
 from supple.viewer.tools.keys import Tool
 
 STILL = 0.01  # samples: a painting leaves alone what moves less
@@ -77,15 +78,42 @@ class Drawing(ABC):
 
     def _taken(self, x: float, y: float) -> Held | None:
         """Return a handle of the selected stroke; or a new stroke at the point under the pointer."""
-        chosen = None if self.brush in PAINTS else self.document.selected
+        chosen = None if self.brush in PAINTINGS else self.document.selected
         found = None if chosen is None else nearest(self.handles([chosen]), (x, y))
         if found is not None:
             (hx, hy), stroke = found.seen, self.document.seen(found.item)
-            return Held(stroke, found.point, (x, y), (x, y), (x - hx, y - hy), found.item, found.part, found.nth)
+            offset = x - hx, y - hy
+            return Held(stroke, found.point, (x, y), (x, y), offset, found.item, found.part, found.nth, self.brush)
         point = self._grab(x, y)
         if point is None:
             return None
+        if self.brush == "pin" and chosen is not None and self._takes(chosen):
+            stroke, beneath = self.document.seen(chosen), self.document.beneath(chosen, point)
+            more = replace(stroke, also=(*stroke.also, (point, (0.0,) * len(point))))
+            nth = len(stroke.handles)
+            return Held(more, point, (x, y), (x, y), item=chosen, nth=nth, tool=self.brush, beneath=beneath)
         return Held(self._begun(point), point, (x, y), (x, y), tool=self.brush)
+
+    def _takes(self, i: int) -> bool:
+        """Return whether a stroke may have one more point."""
+        item = self.document.items[i]
+        return (
+            item.stroke.brush == "grab"
+            and not item.stroke.path
+            and item.stroke.name not in PAINTINGS
+            and not item.hidden
+        )
+
+    def _unpin(self, held: Held) -> None:
+        """Remove a point of a stroke; with its last one, the stroke."""
+        assert held.item is not None
+        stroke = self.document.items[held.item].stroke
+        pairs = [pair for nth, pair in enumerate(stroke.handles) if nth != held.nth]
+        if pairs:
+            (at, by), *also = pairs
+            self.document.replace(held.item, replace(stroke, at=at, by=by, also=tuple(also)))
+        else:
+            self.document.remove(held.item)
 
     def _begun(self, point: tuple[float, ...]) -> Stroke:
         """Return a stroke of the brush that does nothing yet."""
@@ -102,7 +130,7 @@ class Drawing(ABC):
         try:
             if held.paints:
                 self._paint(held)
-            elif self.document.dragging or held.moved or held.grown:
+            elif self.document.dragging or held.moved or held.grown or held.clicks:
                 if not self.document.dragging:
                     self.document.begin_drag(held.item)
                 self.document.preview(*self._drawn(held))
@@ -141,11 +169,15 @@ class Drawing(ABC):
             gone = self._carried(held, x - a, y - b)
             ring = stroke.radius * self._scale(held.point)
             stroke = held.dragged(gone, ((x - u) / ring, (y - v) / ring), self._normal(held.point))
-        if held.item is not None or not self.symmetric:
+        if not (held.new and self.symmetric):
             return (stroke,)
         here, normal = [0.0] * stroke.ndim, [0.0] * stroke.ndim
         here[self.across], normal[self.across] = self.middle, 1.0
-        return stroke.symmetric(here, normal)
+        if held.item is None:
+            return stroke.symmetric(here, normal)
+        *pairs, (at, by) = stroke.handles  # of which the last is new
+        (more,) = replace(stroke, at=at, by=by, also=()).symmetric(here, normal)
+        return (replace(stroke, also=(*pairs[1:], *more.handles)),)
 
     def grow(self, notches: float) -> None:
         """Enlarge the brush, or shrink it (below 0), with the held stroke."""

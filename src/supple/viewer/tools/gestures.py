@@ -151,8 +151,8 @@ class Tools(Drawing, Generic[V]):
             how = _CUT
         elif how is None and button == _LEFT:
             self._gesture = self._taken(x, y)
-            if isinstance(self._gesture, Held) and self._gesture.paints:
-                self._draw(self._gesture)  # a click is a dab
+            if self._gesture is not None and self._gesture.clicks:
+                self._draw(self._gesture)
             how = self._beside
         if self._gesture is None and how is not None:
             self._gesture = Lead(how, button, self.view, self.view, (x, y), (x, y))
@@ -206,13 +206,16 @@ class Tools(Drawing, Generic[V]):
         if gesture is None:
             return False
         if isinstance(gesture, Held):
-            if (gesture.moved or gesture.grown or gesture.paints) and self.document.dragging:
+            if (gesture.moved or gesture.grown or gesture.clicks) and self.document.dragging:
                 trouble = self.document.trouble
                 self._refused = None if self.document.commit() else trouble
                 return True
             if self.document.dragging:
                 self.document.abandon()
             self._put_back(gesture)
+            if gesture.tool == "pin" and gesture.item is not None and self._takes(gesture.item):
+                self._unpin(gesture)
+                return True
         elif gesture.button != _LEFT or gesture.how == _CUT or gesture.moved:
             return True
         found = nearest(self.handles(), gesture.start)

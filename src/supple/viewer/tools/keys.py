@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-Tool = Literal["grab", "twist", "bloat", "pucker", "pinch", "path", "restore", "smooth"]
+Tool = Literal["grab", "twist", "bloat", "pucker", "pinch", "path", "restore", "smooth", "pin"]
 Rows = Mapping[str, str]
 
 BRUSHES: Mapping[Tool, tuple[str, str]] = {
@@ -17,6 +17,10 @@ BRUSHES: Mapping[Tool, tuple[str, str]] = {
     "path": ("F", "pull what is under the pointer along the way that you draw"),
     "restore": ("R", "bring back what is under the pointer to where it came from; a click does so once"),
     "smooth": ("S", "even out how far the surroundings have moved; a click does so once"),
+    "pin": (
+        "D",
+        "hold a point of the selected grab where it is, by a click, or drag one more; a click on a point removes it",
+    ),
 }
 """For each brush, in the order of the tools' strip, its key, and what a drag with it does."""
 _ALWAYS: Rows = {

@@ -191,7 +191,7 @@ class SliceTools(VolumeTools):
     def _taken(self, x: float, y: float) -> Held | None:
         """Return what is grabbed; the crosshair goes to a new point, so that all planes show what becomes of it."""
         held = super()._taken(x, y)
-        if held is not None and held.item is None:
+        if held is not None and held.new:
             self.sight = self.sight.at(held.point, self.sizes)
         return held
 
