@@ -184,8 +184,11 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     def lowest(part: float, target: float, gap: float) -> float:
         return weakest(rows(part), axes, target, gap)[0]
 
+    # At the pivot, λ_min is the angle's cosine: 0 at a quarter turn, and the same again after a whole one.
+    quarters = abs(stroke.angle or 0.0) / 90
     if on_fold == "flow":
-        pieces, lower = 1, lowest(1.0, _FLOW_MARGIN - 1, _FLOW_GAP)
+        pieces = max(math.ceil(quarters), 1)
+        lower = lowest(1 / pieces, _FLOW_MARGIN - 1, _FLOW_GAP)
         while lower < (_FLOW_MARGIN - 1) * (1 + 1e-9):
             pieces = max(pieces + 1, math.ceil(pieces * min(-lower / (1 - _FLOW_MARGIN), 1e4) * (1 - _FLOW_GAP)))
             if pieces > MOST_SUBSTROKES:
@@ -197,9 +200,9 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         return Resolved(
             np.repeat(rows(1 / pieces), pieces), stroke.at, margin=1 + lower, cause=None if held else "outside"
         )
-    alpha, lower = 1.0, lowest(1.0, CLEARLY_SAFE, GAP)
+    alpha, lower = 1.0, lowest(1.0, CLEARLY_SAFE, GAP) if quarters < 1 else -1.0
     if lower < MARGIN - 1:
-        safe, folds = 0.0, 1.0
+        safe, folds = 0.0, 1 / max(quarters, 1.0)
         while folds - safe > 0.5 * GAP * folds:
             middle = (safe + folds) / 2
             bound = lowest(middle, MARGIN - 1, GAP)

@@ -416,6 +416,7 @@ class Stroke:
         def placed(p: Sequence[float]) -> tuple[float, ...]:
             return tuple((np.array(p) - 2 * np.dot(np.array(p) - origin, n) * n).tolist())
 
+        axis = None if self.direction is None else turned(self.direction)
         return replace(
             self,
             at=placed(self.at),
@@ -423,7 +424,7 @@ class Stroke:
             also=tuple((placed(p), turned(v)) for p, v in self.also),
             path=tuple(map(placed, self.path)),
             angle=None if self.angle is None else -self.angle,
-            axis=None if self.axis is None else turned(self.axis),
+            axis=self.axis if axis == self.direction else axis,
         )
 
     def symmetric(self, at: Point, normal: Point) -> tuple[Self, ...]:
@@ -477,6 +478,13 @@ class Stroke:
         """The points of a grab and their drags, in samples: one pair, and those that it has besides."""
         return ((self.at, self.by), *self.also)
 
+    @property
+    def direction(self) -> tuple[float, ...] | None:
+        """The axis of a twist or a pinch, in samples, also where it is the default; None without one, as of a plane."""
+        if self.axis is not None or self.brush not in ("twist", "pinch") or (self.brush == "twist" and self.ndim == 2):
+            return self.axis
+        return (0.0, 0.0, 1.0) if self.brush == "twist" else (1.0, 0.0, 0.0)[: self.ndim]
+
     def matrix(self, spacing: Sequence[float], *, time: bool = False) -> npt.NDArray[np.float64]:
         """Return ∂K/∂p at the pivot, in physical units, shape (3, 3): R - I of a rotation R, for instance.
 
@@ -488,11 +496,10 @@ class Stroke:
             Whether the third axis is time.
         """
         made, plane = np.zeros((3, 3)), time or self.ndim == 2
-        axis = np.zeros(3)
-        if self.axis is None:
-            axis[2 if self.brush == "twist" else 0] = 1.0
-        else:
-            axis[: self.ndim] = np.multiply(self.axis, spacing)
+        axis = np.array((0.0, 0.0, 1.0))
+        if (direction := self.direction) is not None:
+            axis[: self.ndim] = np.multiply(direction, spacing)
+            axis[self.ndim :] = 0.0
             axis /= np.abs(axis).max()  # so that no square overflows
             axis /= np.linalg.norm(axis)
         if self.angle is not None:

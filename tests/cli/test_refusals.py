@@ -44,7 +44,7 @@ def test_options_of_devices_are_not_taken_for_others(run: Run, arguments: list[s
         (["--radius", "5"], "--grab"),
         (["--grab", "1,2", "--radius", "5"], "X,Y:X,Y"),
         (["--grab", "1,2:3", "--radius", "5"], "X,Y:X,Y"),
-        (["--grab", "1,2:3,4:5,6", "--radius", "5"], "X,Y:X,Y"),
+        (["--grab", "1,2:3,4:5,6,7", "--radius", "5"], "X,Y:X,Y"),
         (["--grab", "a,b:c,d", "--radius", "5"], "X,Y:X,Y"),
         (["--grab", "", "--radius", "5"], "X,Y:X,Y"),
         (["--grab", "1,2:3,4\n5", "--radius", "5"], "X,Y:X,Y"),

@@ -14,6 +14,7 @@ import pytest
 
 from supple import Affine, Deformation, Field, Grid, SuppleError
 from supple.cli.options_maps import MapOptions
+from supple.cli.options_strokes import StrokeOptions
 from supple.fields import Map
 from supple.files.maps import MapFile
 from supple.geometry import Geometry
@@ -279,10 +280,11 @@ def test_refusals(run: Run, asked: Asked, head: npt.NDArray[Any], arguments: tup
 def test_the_order_is_never_guessed() -> None:
     """An option that the parser takes, and the search for the order does not, or the other way round, is refused."""
     maps: Callable[..., Any] = MapOptions(field=["a.nii"]).to_maps
-    assert maps(["warp", "in", "out", "--field", "a.nii"], 0, 0)
+    none = StrokeOptions().given
+    assert maps(["warp", "in", "out", "--field", "a.nii"], 0, none)
     for arguments in ([], ["--field", "b.nii"], ["--", "--field", "a.nii"], ["--grab", "--field", "a.nii"]):
         with pytest.raises(SuppleError, match="the place of --field among the options is in doubt"):
-            maps(arguments, 0, 0)
+            maps(arguments, 0, none)
 
 
 def test_a_stack_of_pages(run: Run, asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -57,6 +57,10 @@ MATCHES = {
         r"512\*512\*15 = 3,932,160 +\d{1,2},\d{3}$",
         r"1000\*1000\*150\*15 = 2,250,000,000 *$",
     ],
+    "retouch": [
+        r"^an eye is 1\.34 times as large, and turned by -4\.1°$",
+        r"^5 steps, none folds; every pixel is within 0\.00\d of its place$",
+    ],
     "stmap": [
         r"^OpenCV's map and the STMap agree within 0\.000\d\d px$",
         r"^inverse: {'ok': 203340, 'folded': 0, 'outside': 36660, 'unconverged': 0}$",
@@ -67,7 +71,7 @@ MATCHES = {
 
 
 def test_there_are_examples() -> None:
-    stills = {"augment", "fractal", "heart", "key_points", "portrait", "remap", "stmap"}
+    stills = {"augment", "fractal", "heart", "key_points", "portrait", "remap", "retouch", "stmap"}
     clips = {"delay", "smile", "spacetime", "transition"}
     volumes = {"asymmetry", "head", "invert_field", "landmarks", "modes", "warp_large"}
     assert {path.stem for path in EXAMPLES} >= stills | clips | volumes

@@ -12,10 +12,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from supple import Deformation, SuppleError
+from supple import Deformation, Stroke, SuppleError
 from supple.engines import paper
 from supple.plot import WHATS, figure, footprints, grid, iterations, plot, residual, sources, stretch
 from supple.plot.background import background
+from supple.plot.frame import paths
 from supple.plot.measure import spacing_of
 from tests.children import SOURCE
 
@@ -328,3 +329,33 @@ def test_pyplot_stays_out_of_it() -> None:
     )
     subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, "PYTHONPATH": SOURCE})
     assert figure(SMALL, "grid").axes[0].get_ylim() == (59.5, -0.5)
+
+
+def test_a_plot_shows_what_each_brush_does() -> None:
+    """Where the points around a pivot go; a twist turns them about it, and a scale moves them away from it."""
+    d = Deformation((60, 80), spacing=2).twist((40, 30), angle=50, radius=20).scale((40, 30), factor=0.6, radius=20)
+    d = d.pinch((40, 30), factor=2, radius=20).twist((40, 30), angle=0, radius=20).grab((5, 5), by=(3, 4), radius=9)
+    twist, scale, pinch, still, grab = (paths(d, stroke) for stroke in d.strokes)
+    for path, stroke in ((p, s) for found, s in zip((twist, scale, pinch), d.strokes, strict=False) for p in found):
+        free = Deformation((60, 80), spacing=2, border=None).add(stroke)
+        np.testing.assert_allclose(path[-1], free.forward(path[0]), atol=1e-9)
+        assert np.hypot(*(path[0] - (40, 30))) == pytest.approx(7.5)
+    assert (still, len(twist), len(grab)) == ([], 6, 1)
+    np.testing.assert_array_equal(grab[0], [(5, 5), (8, 9)])
+    for path in twist:
+        (x, y), (u, v) = path[[0, 1]] - (40, 30)
+        assert x * v - y * u > 0  # from x towards y
+        np.testing.assert_allclose(np.hypot(*(path - (40, 30)).T), 7.5, rtol=0.2)
+    for path in scale:
+        assert (np.diff(np.hypot(*(path - (40, 30)).T)) < 0).all()
+    assert len(figure(d, "grid").axes[0].patches) == 3 * 6 + 1
+    pull = paths(d, Stroke(at=(5, 5), by=(3, 4), also=(((9, 9), (0, 0)), ((8, 7), (-1, 0))), radius=9))
+    np.testing.assert_array_equal(pull, [[(5, 5), (8, 9)], [(8, 7), (7, 7)]])
+    along = paths(d, Stroke(at=(5, 5), by=(0, 0), path=((9, 9), (8, 3)), radius=9))
+    np.testing.assert_array_equal(along, [[(5, 5), (9, 9), (8, 3), (5, 5)]])
+
+
+def test_a_clip_shows_where_a_brush_is_in_time() -> None:
+    d = VIDEO.twist((30, 20, 14), angle=30, radius=9).scale((30, 20, 20), factor=1.5, radius=9)
+    texts = [text.get_text() for text in figure(d, "grid", frame=14).axes[0].texts]
+    assert texts == ["t 14 → 18.5", "t 14", "t 20"]

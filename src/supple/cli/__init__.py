@@ -26,6 +26,7 @@ Examples:
 
   supple warp photo.jpg out.jpg --grab 256,256:256,346 --radius 100
   supple warp photo.jpg out.png --grab 90,80:60,70 --grab 300,80:330,70 --radius 40
+  supple warp photo.jpg out.png --scale 90,80:1.3 --scale 300,80:1.3 --twist 195,160:20 --radius 40
   supple warp photos/ bent/ --recipe strokes.json
   supple warp clip.mp4 late.mp4 --grab 350,120,38:350,120,52 --radius 60
   supple warp frames/%05d.png bent/%05d.png --recipe strokes.json

@@ -44,7 +44,7 @@ _WORDS = (
     "clamp|crop|density|distance|elevation|error|map|resample|roll|shape|size|status|step|supersampling|target|to|transfer|"
     "turntable|up"
 )
-_FIRST = re.compile(rf"^((?:--grab \S+: )?)({_NAMES}|{_WORDS})(?= is for | must be | needs )")
+_FIRST = re.compile(rf"^((?:--(?:grab|twist|scale|pinch) \S+: )?)({_NAMES}|{_WORDS})(?= is for | must be | needs )")
 _WORD = re.compile(rf"(?<![\w/.-])({_UNDERSCORED})(?![\w/.-])")
 _GRID = re.compile(r"(?<![\w-])(source|reference)=(?![\w'\"])")  # give its grid as source=
 _SPELT = {"supersampling": "smooth"}

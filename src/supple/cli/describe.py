@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from supple.files.clips import turned
 from supple.media.codecs import SUFFIXES
 from supple.media.numbering import is_sequence
 from supple.media.volume import RawLayout
-from supple.strokes import Recipe, spoken
+from supple.strokes import Recipe, Stroke, spoken
 
 # The names of colour codes in ITU-T H.273.
 _PRIMARIES = {1: "BT.709", 4: "BT.470 M", 5: "BT.601 (625)", 6: "BT.601 (525)", 7: "SMPTE 240M", 8: "film"}
@@ -276,11 +276,27 @@ def _recipe(name: str, recipe: Recipe) -> str:
     if recipe.time_scale is not None:
         lines.append(f"  a frame     is worth {recipe.time_scale:g} pixels")
     for i, s in enumerate(recipe.strokes):
-        to = tuple(a + b for a, b in zip(s.at, s.by, strict=True))
-        path = " to ".join("(" + ", ".join(f"{x:g}" for x in point) + ")" for point in (s.at, to))
-        kind = f"radius {s.radius:g}, scales {s.scales}, reach {'none' if s.reach is None else format(s.reach, 'g')}"
+        kind = f"radius {s.radius:g}, reach {'none' if s.reach is None else format(s.reach, 'g')}"
+        kind += f", scales {s.scales}" if s.brush == "grab" else ""
         kind += ("" if s.poisson is None else f", poisson {s.poisson:g}") + (", hidden" if s.hidden else "")
         kind += "" if s.strength == 1 else f", strength {100 * s.strength:g}%"
         kind += "" if s.name is None else f", named {shown(s.name)}"
-        lines.append(f"  stroke {i + 1:<5}{s.brush} {path}, {kind}")
+        lines.append(f"  stroke {i + 1:<5}{_action(s)}, {kind}")
     return "\n".join(lines)
+
+
+def _action(stroke: Stroke) -> str:
+    """Return what a stroke does, and where."""
+
+    def told(point: Sequence[float]) -> str:
+        return "(" + ", ".join(f"{x:g}" for x in point) + ")"
+
+    if stroke.brush == "grab":
+        ends = [(told(p), told([a + b for a, b in zip(p, by, strict=True)]), any(by)) for p, by in stroke.handles]
+        way = f" through {len(stroke.path)} points" if stroke.path else ""
+        return "grab " + ", ".join(
+            f"{start}{way} to {end}" if moved or way else f"{start} pinned" for start, end, moved in ends
+        )
+    amount = f"{stroke.angle:g}°" if stroke.brush == "twist" else f"{stroke.factor:g}"
+    along = {"twist": "about", "pinch": "along"}.get(stroke.brush, "")
+    return f"{stroke.brush} {told(stroke.at)} by {amount}" + (f" {along} {told(stroke.axis)}" if stroke.axis else "")

@@ -7,7 +7,7 @@ import os
 import re
 import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -28,7 +28,6 @@ OTHERS = "--field FILE, --affine FILE, --crop BOX, --resample S, --reference FIL
 """What `supple warp` does without strokes."""
 
 _ON_PIXELS = ("opencv", "stmap")
-_ORDERED = ("--grab", "--field", "--affine", "--convention", "--recipe")
 _AFFINE = "6 numbers (pictures) or 12 (volumes), the rows of its matrix, or a file"
 _NUMBERS = re.compile(r"[-+\d.eE,\s]*\d[-+\d.eE,\s]*")
 
@@ -41,7 +40,7 @@ class MapOptions:
     Parameters
     ----------
     field
-        Apply a displacement field, or all maps of a file, after the --grab, --field and --affine before it. As
+        Apply a displacement field, or all maps of a file, after the strokes, --field and --affine before it. As
         resampling programs take it: from a point of the output to the point of the input that is seen there.
     affine
         Apply an affine map, in the same order and direction: a file, or the rows of its matrix: 6 numbers in pixels
@@ -98,27 +97,28 @@ class MapOptions:
             steps = [parse_number("--resample", part, wanted) for part in self.resample.split(",")]
         return GridOptions(self.reference, box, steps if steps is None or len(steps) > 1 else steps[0])
 
-    def to_maps(self, arguments: Sequence[str], recipe: int, grabs: int) -> Maps:
+    def to_maps(self, arguments: Sequence[str], recipe: int, strokes: Mapping[str, Sequence[str]]) -> Maps:
         """Return the maps among the strokes.
 
         Parameters
         ----------
         arguments : sequence of str
             The command line.
-        recipe, grabs : int
-            The numbers of strokes of the recipe, which come first, and of the grabs.
+        recipe : int
+            The number of strokes of the recipe, which come first.
+        strokes : mapping from str to sequence of str
+            The values of the options that are strokes.
         """
-        found = _ordered(arguments)
-        counts = {"--field": list(self.field), "--affine": list(self.affine), "--convention": list(self.convention)}
-        for name, values in counts.items():
-            if [value for option, value in found if option == name] != values:
-                raise SuppleError(f"the place of {name} among the options is in doubt: write {name} VALUE by itself")
+        from supple.cli.options_strokes import in_order
+
+        given = {"--field": self.field, "--affine": self.affine, "--convention": self.convention}
+        found = in_order(arguments, {**given, **strokes})
         entries: list[_Entry] = []
         before, seen = 0, False
         for option, value in found:
-            if option == "--recipe" or (option == "--grab" and not seen):
+            if option == "--recipe" or (option in strokes and not seen):
                 before, seen = before + recipe * (not seen), True
-            if option == "--grab":
+            if option in strokes:
                 before += 1
             elif option in ("--field", "--affine"):
                 entries.append(_Entry(option, value, before))
@@ -132,26 +132,10 @@ class MapOptions:
                 if entries[-1].convention is not None:
                     raise SuppleError(f"{entries[-1].told} has two --convention: leave out one")
                 entries[-1].convention = value
-        if grabs and before not in (0, recipe + grabs):
-            raise SuppleError("the place of --grab among the options is in doubt: write --grab VALUE by itself")
         for entry in entries:
             if entry.convention is not None and entry.is_numbers:
                 raise SuppleError(f"--convention is for files, and {entry.told} is none: leave it out")
         return Maps(entries, self.reference)
-
-
-def _ordered(arguments: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the options whose order matters, with their values."""
-    found, rest = [], iter(arguments)
-    for argument in rest:
-        if argument == "--":
-            break
-        name, given, value = argument.partition("=")
-        if name in _ORDERED:
-            found.append((name, value if given else next(rest, "")))
-        elif name == "--inverse":
-            found.append((name, ""))
-    return found
 
 
 @dataclass(slots=True)

@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 from cyclopts import Group, Parameter
 
 from supple.cli.console import current, told, warn_of_software
-from supple.cli.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_integer
+from supple.cli.options import RUNNING, RunOptions, VideoOptions, parse_integer
+from supple.cli.options_strokes import StrokeOptions
 
 What = Literal["grid", "stretch", "axes", "residual", "iterations", "slice", "sheet"]
 Device = Literal["auto", "cpu", "gpu"]

@@ -13,9 +13,10 @@ from cyclopts import Group, Parameter
 
 from supple.cli.console import STREAM, Console, File, Terminated, about, as_options, current, one_line, say_convention
 from supple.cli.console import told as told_of
-from supple.cli.options import RUNNING, StrokeOptions, parse_fill, parse_number
+from supple.cli.options import RUNNING, parse_fill, parse_number
 from supple.cli.options_maps import OTHERS, MapOptions, Maps, describe_grid, describe_map, grid_facts
 from supple.cli.options_stores import WorkerOptions
+from supple.cli.options_strokes import StrokeOptions
 from supple.cli.options_volume import VOLUME, VolumeArguments
 from supple.errors import SuppleError, shown
 
@@ -227,7 +228,7 @@ def plan(
     console = current()
     console.started(quiet=quiet, threads=threads, file=source)
     recipe = strokes.to_recipe(world=volume.world, empty=maps.any or maps.dangling, others=OTHERS)
-    elements = maps.to_maps(console.arguments, len(recipe.strokes) - len(strokes.grab), len(strokes.grab))
+    elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given)
     if fill is not None and outside != "constant":
         raise SuppleError(f"--fill is the constant of --outside constant, and --outside is {outside}: give both")
     known: dict[str, Any] = {"volume": volume.to_reading(labels=labels), "grid": maps.to_grid()}

@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from supple.cli.console import current
-from supple.cli.options import StrokeOptions, TimeOptions
+from supple.cli.options import TimeOptions
+from supple.cli.options_strokes import StrokeOptions
 from supple.cli.options_volume import VOLUME, VolumeArguments
 from supple.errors import SuppleError
 
@@ -51,9 +52,9 @@ def view(
     from supple.viewer.window.launch import serve as serve_it
 
     current().started(quiet=False, threads=None)
-    loose = [n for n in ("radius", "poisson", "scales") if getattr(strokes, n) and not strokes.any]
+    loose = [n for n in ("radius", "poisson", "scales", "reach") if getattr(strokes, n) and not strokes.any]
     if loose:
-        raise SuppleError(f"--{loose[0]} is for a --grab: give one, or set the brush in the window")
+        raise SuppleError(f"--{loose[0]} is for a stroke, such as --grab: give one, or set the brush in the window")
     recipe = strokes.to_recipe(world=volume.world) if strokes.any else None
     if volume.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")

@@ -11,8 +11,9 @@ import numpy as np
 from cyclopts import Parameter
 
 from supple.cli.console import STREAM, current, say_convention, told, warn_of_software
-from supple.cli.options import RunOptions, StrokeOptions, VideoOptions
+from supple.cli.options import RunOptions, VideoOptions
 from supple.cli.options_render import CameraOptions, LookOptions
+from supple.cli.options_strokes import StrokeOptions
 from supple.cli.options_volume import VolumeArguments
 from supple.engines.workers import workers
 from supple.errors import SuppleError

@@ -25,9 +25,10 @@ from supple.cli.console import (
     told,
     warn_of_software,
 )
-from supple.cli.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_number
+from supple.cli.options import RUNNING, RunOptions, VideoOptions, parse_fill, parse_number
 from supple.cli.options_maps import OTHERS, MapOptions, describe_grid, describe_map, grid_facts
 from supple.cli.options_stores import WorkerOptions
+from supple.cli.options_strokes import StrokeOptions
 from supple.cli.options_volume import VOLUME, VolumeArguments
 from supple.engines.workers import workers
 from supple.errors import SuppleError
@@ -136,8 +137,7 @@ def warp(
     console.started(**options.asked(), file=paths[0] if len(paths) == 2 else "")
     check_filter(filter)
     recipe = strokes.to_recipe(world=volume.world, empty=maps.any or maps.dangling, others=OTHERS)
-    grabs = len(strokes.grab)
-    elements = maps.to_maps(console.arguments, len(recipe.strokes) - grabs, grabs)
+    elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given)
     if maps.any:
         check_host(device)
     if elements and save_recipe is not None:

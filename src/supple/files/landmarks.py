@@ -16,6 +16,7 @@ from supple.errors import OutsideWarning, SuppleError, ToleranceWarning, VolumeW
 from supple.geometry import Geometry
 from supple.media.files import check_output
 from supple.media.points import PointFile, check_target, read_points, write_points
+from supple.strokes import REACH, CoordinateSpace, Stroke
 
 Floats = npt.NDArray[np.float64]
 PathLike = str | os.PathLike[str]
@@ -167,6 +168,45 @@ def read_landmarks(
         raise SuppleError(f"the points of {read.name} are of two numbers, and those of a volume have three")
     names = tuple(label or str(k) for k, label in enumerate(read.labels, 1))
     return names, read.points if known == "index" else geometry.from_world(read.points, known)
+
+
+def read_pull(
+    source: PathLike, target: PathLike, *, radius: float, poisson: float | None = None, reach: float | None = REACH
+) -> tuple[Stroke, CoordinateSpace | None]:
+    """Return the stroke that pulls the points of a file to those of another, and their space if it is of millimetres.
+
+    Parameters
+    ----------
+    source, target : str or os.PathLike
+        As `move_points` reads them. If all points of both have different labels, they are matched by these; otherwise
+        in order.
+    radius, poisson, reach
+        As in `supple.Deformation.pull`. A point that is the same in both files is a pin.
+
+    Raises
+    ------
+    SuppleError
+        If a file cannot be read, or the two do not fit each other.
+    """
+    start, end = read_points(source), read_points(target)
+    if start.convention != end.convention:
+        raise SuppleError(f"{start.name} is in {start.convention}, and {end.name} in {end.convention}")
+    if start.points.shape[1] != end.points.shape[1]:
+        found = " and ".join(str(x.points.shape[1]) for x in (start, end))
+        raise SuppleError(f"points of {start.name} and {end.name} must have as many numbers, found {found}")
+    order = list(range(len(end.points)))
+    if all(all(x.labels) and len(set(x.labels)) == len(x.labels) for x in (start, end)) and start.labels:
+        missing = [label for label in start.labels if label not in end.labels]
+        missing += [label for label in end.labels if label not in start.labels]
+        if missing:
+            raise SuppleError(f"{start.name} and {end.name} do not both have the point {shown(missing[0])}")
+        order = [end.labels.index(label) for label in start.labels]
+    if len(start.points) != len(end.points):
+        raise SuppleError(
+            f"{start.name} has {len(start.points)} points, and {end.name} has {len(end.points)}: give as many in both"
+        )
+    stroke = Stroke.pull(start.points, to=end.points[order], radius=radius, poisson=poisson, reach=reach)
+    return stroke, None if start.convention == "index" else start.convention  # type: ignore[return-value]
 
 
 def _spoken(read: PointFile, k: int) -> str:

@@ -6,7 +6,7 @@ import contextlib
 import os
 import shutil
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from supple.errors import GapWarning, SuppleError, VolumeWarning, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.grids import GridOptions, grid_on, warn_of_place
 from supple.files.transforms import write_transform
-from supple.geometry import Geometry, Grid
+from supple.geometry import Floats, Geometry, Grid
 from supple.media import transforms
 from supple.media.files import check_output, replacing
 from supple.media.volume import (
@@ -236,21 +236,36 @@ def indexed(recipe: Recipe, geometry: Geometry, name: str) -> Recipe:
             "give a recipe in pixels"
         )
 
-    def moved(stroke: Stroke) -> Stroke:
-        start, end = (geometry.from_world(p, recipe.space) for p in (stroke.at, np.add(stroke.at, stroke.by)))
-        return replace(stroke, at=tuple(start.tolist()), by=tuple((end - start).tolist()))
+    def there(places: Floats) -> Floats:
+        return geometry.from_world(places, recipe.space)
 
-    return replace(recipe, strokes=tuple(map(moved, recipe.strokes)), space="pixels")
+    strokes = tuple(_mapped(stroke, there, geometry) for stroke in recipe.strokes)
+    return replace(recipe, strokes=strokes, space="pixels")
 
 
 def placed(recipe: Recipe, geometry: Geometry, space: CoordinateSpace) -> Recipe:
     """Return a recipe of indices as one in millimetres: the inverse of `indexed`."""
 
-    def moved(stroke: Stroke) -> Stroke:
-        start, end = (geometry.to_world(p, space) for p in (stroke.at, np.add(stroke.at, stroke.by)))
-        return replace(stroke, at=tuple(start.tolist()), by=tuple((end - start).tolist()))
+    def there(indices: Floats) -> Floats:
+        return geometry.to_world(indices, space)
 
-    return replace(recipe, strokes=tuple(map(moved, recipe.strokes)), space=space)
+    return replace(recipe, strokes=tuple(_mapped(stroke, there, geometry) for stroke in recipe.strokes), space=space)
+
+
+def _mapped(stroke: Stroke, there: Callable[[Floats], Floats], geometry: Geometry) -> Stroke:
+    """Return a stroke between indices and positions of a volume, in either direction."""
+    axis, pairs = stroke.direction, []
+    for at, by in stroke.handles:
+        start, end = there(np.array(at)), there(np.add(at, by))
+        pairs.append((tuple(start.tolist()), tuple((end - start).tolist())))
+    path = tuple(tuple(there(np.array(p)).tolist()) for p in stroke.path)
+    made = replace(stroke, at=pairs[0][0], by=pairs[0][1], also=tuple(pairs[1:]), path=path)
+    if axis is None:
+        return made
+    along = there(np.divide(axis, np.abs(axis).max())) - there(np.zeros(3))
+    if stroke.brush == "twist" and np.linalg.det(geometry.direction) < 0:
+        along = -along  # what is right-handed about an axis in one of the two spaces is left-handed in the other
+    return replace(made, axis=tuple((along + 0.0).tolist()))
 
 
 def sampling_of(

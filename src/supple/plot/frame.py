@@ -13,6 +13,7 @@ import numpy.typing as npt
 from supple.deformation import Deformation
 from supple.errors import SuppleError, shown
 from supple.media.files import check_output, replacing
+from supple.strokes import Stroke
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,6 +28,7 @@ DPI = 150
 _PANEL = 5.0  # inches
 _LETTERS = 13  # of a label, an inch
 _MOST_STROKES = 12  # the most that are drawn as arrows, which hide the image
+_AROUND, _NEAR, _STEPS = 6, 0.75, 16  # points around a pivot, their distance in radii, and those of a path
 
 Floats = npt.NDArray[np.float64]
 Background = npt.NDArray[np.float32] | None
@@ -118,28 +120,54 @@ def bar(made: Figure, drawn: AxesImage, parts: Axes | list[Axes], label: str, ex
 
 
 def arrows(axes: Axes, deformation: Deformation, colour: str = "black") -> None:
-    """Draw the strokes as arrows along their drags."""
+    """Draw what strokes do: a grab's drag, and of another brush the paths of some points around its pivot."""
+    from matplotlib.patches import FancyArrowPatch
+    from matplotlib.path import Path as Line
     from matplotlib.patheffects import withStroke
 
     halo: list[AbstractPathEffect] = [withStroke(linewidth=2.6, foreground="white")]
     for stroke in deformation.strokes[:_MOST_STROKES]:
         (x, y), (dx, dy) = stroke.at[:2], stroke.by[:2]
-        if dx or dy:
-            arrow = axes.annotate(
-                "", (x + dx, y + dy), (x, y), annotation_clip=True,
-                arrowprops={"arrowstyle": "->", "linewidth": 1.3, "color": colour, "shrinkA": 0, "shrinkB": 0},
+        for path in paths(deformation, stroke):
+            axes.add_patch(
+                FancyArrowPatch(
+                    path=Line(path), arrowstyle="->", mutation_scale=8, shrinkA=0, shrinkB=0, linewidth=1.3,
+                    color=colour, clip_on=True, path_effects=halo,
+                )
             )  # fmt: skip
-            if arrow.arrow_patch is not None:
-                arrow.arrow_patch.set_path_effects(halo)
-        axes.plot([x], [y], "o", markersize=4.5, color=colour, markeredgecolor="white")
+        axes.plot(*np.array([at[:2] for at, _ in stroke.handles]).T, "o", markersize=4.5, color=colour, mec="white")
         if deformation.ndim == 3:
             # On the side opposite the arrow.
             across, down = (-1 if dx > 0 and x > 0.15 * deformation.shape[2] else 1), (-1 if dy < 0 else 1)
+            end = f" → {stroke.at[2] + stroke.by[2]:g}" if stroke.brush == "grab" else ""
             axes.annotate(
-                f"t {stroke.at[2]:g} → {stroke.at[2] + stroke.by[2]:g}", (x, y), (6 * across, 5 * down),
+                f"t {stroke.at[2]:g}{end}", (x, y), (6 * across, 5 * down),
                 textcoords="offset points", ha="left" if across > 0 else "right", va="bottom" if down > 0 else "top",
                 fontsize=8, color=colour, path_effects=halo, annotation_clip=True,
             )  # fmt: skip
+
+
+def paths(deformation: Deformation, stroke: Stroke) -> list[Floats]:
+    """Return the lines (n, 2) that a plot of a stroke shows: where its points go while it grows from 0 to all of it."""
+    if stroke.brush == "grab":
+        lines = [np.array([at, *stroke.path, np.add(at, by)])[:, :2] for at, by in stroke.handles]
+        return [line for line in lines if (line != line[0]).any()]
+    if stroke.is_still:
+        return []
+    turns = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False) + np.pi / _AROUND
+    points = np.tile(stroke.at, (_AROUND, 1))
+    ring = np.column_stack([np.cos(turns), np.sin(turns)]) * (_NEAR * stroke.radius)
+    points[:, :2] += ring / deformation.domain.spacing[:2]
+    # Without the border: it is about what the brush does.
+    alone = Deformation(deformation.grid, border=None, time=deformation.domain.time)
+    pieces = len(alone.add(stroke).space.table)  # of a stroke that flows
+    piece, parts = stroke.weakened(1 / pieces), max(_STEPS // pieces, 1)
+    growing = [alone.add(piece.weakened(k / parts)) for k in range(1, parts + 1)]
+    found = [points]
+    for _ in range(pieces):
+        start = found[-1]
+        found += [part.forward(start) for part in growing]
+    return list(np.stack(found, axis=1)[..., :2])
 
 
 def title(made: Figure, text: str) -> None:

@@ -1,0 +1,107 @@
+"""Make the pictures of brushes.md: each brush on a photograph, and what it makes of a grid.
+
+python docs/make_brushes.py
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pyvips
+
+import supple
+from supple.media import image
+from supple.plot.frame import arrows, save, sheet
+from supple.plot.measure import grid
+from supple.strokes import Stroke
+
+IMAGES = Path(__file__).resolve().parent / "images"
+PHOTO = Path(supple.__file__).parent / "examples" / "data" / "chelsea.jpg"
+
+EYE, NOSE = (171.0, 115.0), (265.0, 243.0)
+ON_PHOTO = (
+    ("as it was", ()),
+    ("grab", (Stroke.grab(NOSE, to=(225, 205), radius=45),)),
+    ("twist", (Stroke(brush="twist", at=(240, 150), angle=-50, radius=90),)),
+    ("scale by 2", (Stroke(brush="scale", at=EYE, factor=2, radius=42),)),
+    ("scale by 0.5", (Stroke(brush="scale", at=NOSE, factor=0.5, radius=50),)),
+    ("pinch by 0.5", (Stroke(brush="pinch", at=(240, 150), factor=0.5, radius=100),)),
+)
+
+SIDE, AT, RADIUS = 321, (160.0, 160.0), 36.0
+ON_GRIDS = {
+    "grab": (
+        ("1 scale", {"by": (45, 0)}),
+        ("2 scales", {"by": (30, 0), "scales": 2}),
+        ("3 scales", {"by": (22, 0), "scales": 3}),
+        ("no reach", {"by": (45, 0), "reach": None}),
+    ),
+    "twist": (("30°", {"angle": 30}), ("90°", {"angle": 90}), ("360°", {"angle": 360}), ("−60°", {"angle": -60})),
+    "scale": (("2", {"factor": 2}), ("4", {"factor": 4}), ("0.5", {"factor": 0.5}), ("0.1", {"factor": 0.1})),
+    "pinch": (
+        ("0.5", {"factor": 0.5}),
+        ("2", {"factor": 2}),
+        ("0.5, axis (1, 1)", {"factor": 0.5, "axis": (1, 1)}),
+        ("0.1", {"factor": 0.1}),
+    ),
+}
+PINS = [(120.0, 160.0), (160.0, 120.0), (200.0, 160.0), (160.0, 200.0)]
+WAY = [(150 + 70 * math.cos(t), 160 + 70 * math.sin(t)) for t in np.linspace(math.pi, 0, 60)]
+BY_HAND = (
+    ("two points pulled", (Stroke.pull([(110, 130), (210, 190)], by=[(35, 20), (-35, -20)], radius=RADIUS),)),
+    ("one, with four pins", (Stroke.pull([AT], by=[(24, -24)], pins=PINS, radius=RADIUS),)),
+    ("along a path", (Stroke.grab(WAY[0], path=WAY[1:], radius=RADIUS),)),
+    ("with its mirror image", Stroke.grab((110, 150), by=(-30, 35), radius=RADIUS).symmetric((160, 0), (1, 0))),
+)
+
+
+def titled(pixels: image.Array, text: str) -> pyvips.Image:
+    """Return a picture with a line of text over its corner."""
+    made = pyvips.Image.new_from_array(pixels)
+    style = 'font-family="sans-serif" font-size="22" fill="white" stroke="black" stroke-width="3" paint-order="stroke"'
+    svg = f'<svg width="{made.width}" height="{made.height}"><text x="10" y="26" {style}>{text}</text></svg>'
+    return made.composite2(pyvips.Image.svgload_buffer(svg.encode()), "over").flatten()
+
+
+def on_photo(path: Path) -> None:
+    """Write the photograph with a stroke of each brush."""
+    photo = image.read(PHOTO).pixels
+    pictures = []
+    for text, strokes in ON_PHOTO:
+        d = supple.Deformation.from_recipe(supple.Recipe(strokes=strokes), photo.shape[:2])
+        pictures.append(titled(d.warp(photo), text))
+    joined = pyvips.Image.arrayjoin(pictures, across=3, shim=8, background=[255] * 3)
+    joined.resize(0.8).webpsave(path, Q=72, effort=6, keep="none")
+
+
+def on_grids(path: Path, cases: Sequence[tuple[str, Sequence[Stroke]]]) -> None:
+    """Write what strokes make of a grid, side by side."""
+    from matplotlib.collections import LineCollection
+
+    made, panels = sheet(3.1 * len(cases), 3.35, 1, len(cases))
+    for axes, (text, strokes) in zip(panels, cases, strict=True):
+        d = supple.Deformation.from_recipe(supple.Recipe(strokes=strokes, border=None), (SIDE, SIDE))
+        axes.add_collection(LineCollection(grid(d, lines=32), colors="#2a6099", linewidths=0.8))
+        arrows(axes, d)
+        axes.set(xlim=(0, SIDE), ylim=(SIDE, 0), aspect="equal", xticks=[], yticks=[])
+        axes.set_title(text, fontsize=12)
+    save(made, path.with_suffix(".png"), force=True)
+    picture = pyvips.Image.new_from_file(str(path.with_suffix(".png"))).flatten(background=255)
+    picture.resize(0.55).webpsave(path, Q=45, effort=6)
+    path.with_suffix(".png").unlink()
+
+
+def main(folder: Path = IMAGES) -> None:
+    """Make all of them."""
+    on_photo(folder / "brushes.webp")
+    for brush, cases in ON_GRIDS.items():
+        made = [(text, (Stroke(brush=brush, at=AT, radius=RADIUS, **numbers),)) for text, numbers in cases]  # type: ignore[arg-type]
+        on_grids(folder / f"brush-{brush}.webp", made)
+    on_grids(folder / "brush-hand.webp", BY_HAND)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,319 @@
+"""Options of strokes, in the order in which they are given, and the recipe that they make."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Group, Parameter
+
+from supple.cli.console import current
+from supple.cli.options import parse_number
+from supple.errors import SuppleError
+
+if TYPE_CHECKING:
+    from supple.domain import Border
+    from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke
+
+STROKES = Group("Strokes", sort_key=1)
+
+BRUSHES = ("--grab", "--twist", "--scale", "--pinch", "--pull")
+"""The options that are strokes."""
+
+_ONE_OF = "give --grab, --twist, --scale, --pinch or --pull"
+_TWIST = "X,Y[,T|Z]:ANGLE[:AXIS]"
+_SCALE = "X,Y[,T|Z]:FACTOR"
+_PINCH = "X,Y[,T|Z]:FACTOR[:AXIS]"
+_WANTED = {
+    "--grab": "X,Y:X,Y, or X,Y,T:X,Y,T, two points or more in pixels, frames or voxels (256,256:256,346, say)",
+    "--twist": f"{_TWIST}, a point, degrees, and of 3 numbers an axis (256,256:30 or 40,50,60:30:0,0,1, say)",
+    "--scale": f"{_SCALE}, a point and a factor (256,256:1.4, say)",
+    "--pinch": f"{_PINCH}, a point, a factor, and an axis of as many numbers (256,256:0.7:1,0, say)",
+}
+
+
+def in_order(arguments: Sequence[str], given: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
+    """Return the options of a command line that have an order, with their values.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        The command line.
+    given : mapping from str to sequence of str
+        The values of each of these options, as the parser found them.
+
+    Raises
+    ------
+    SuppleError
+        If what is found in the arguments is something else.
+    """
+    found, rest = [], iter(arguments)
+    for argument in rest:
+        if argument == "--":
+            break
+        name, joined, value = argument.partition("=")
+        if name in given or name in ("--recipe", "--inverse"):
+            found.append((name, value if joined or name == "--inverse" else next(rest, "")))
+    for name, values in given.items():
+        if [value for option, value in found if option == name] != list(values):
+            raise SuppleError(f"the place of {name} among the options is in doubt: write {name} VALUE by itself")
+    return found
+
+
+@Parameter(name="*", group=STROKES)
+@dataclass(frozen=True, kw_only=True)
+class StrokeOptions:
+    """Options for strokes: points, drags and materials.
+
+    Parameters
+    ----------
+    grab
+        Drag the first point to the second, or through more of them to the last. Pixels are counted from the top
+        left one, which is 0,0. In a video, a third number is the frame, counted from 0; in a volume, points are
+        voxels x,y,z. Give it and the next four several times, mixed as you like, for several strokes, which are
+        applied in order.
+    twist
+        Turn what is around a point by an angle in degrees, clockwise; in a volume, right-handed about an axis: its
+        direction DX,DY,DZ (default z).
+    scale
+        Magnify what is around a point by a factor: above 1 it bloats, below 1 it puckers.
+    pinch
+        Squeeze what is around a point, by a factor below 1, along an axis (a direction, default x), and stretch it
+        across the axis by as much; above 1, the other way round.
+    pull
+        Drag many points at once: those of a file to those of another, CSV, .fcsv or .mrk.json. Points with labels are
+        matched by these, others in order; a point that is the same in both is a pin. Points in millimetres go by
+        their own coordinate system.
+    radius
+        Radius of the brush: in pixels, in volumes in millimetres. Give --radius, --poisson and --reach once for all
+        strokes, or once for each; --scales once for all grabs, or once for each.
+    poisson
+        Poisson's ratio of the material, at most 0.5 (default 0.4). The higher it is, the more the material gives
+        way sideways, which keeps volume in 3-D, but not area in a picture. -inf moves nothing sideways, and is
+        the default for a drag in time only.
+    scales
+        How fast the movement of a grab fades with distance r: 1 as 1/r (default), 2 as 1/r³, 3 as 1/r⁵.
+    reach
+        Distance from the stroke, in radii, beyond which nothing moves and values stay as they are: at least 1
+        (default 4), or none for no limit.
+    recipe
+        Read strokes from a recipe (JSON). They are applied before those of the command line, which are in pixels of
+        the size that the recipe names, if it names one.
+    border
+        Width of the band along the edges in which movement fades to 0, so that the edges stay in place. auto
+        (default): a tenth of each side. N or N,N: in pixels; N,N,N: in a video with frames, in a volume in
+        millimetres. none: the edges move too.
+    border_profile
+        How movement fades towards the border: quartic (default), or sine as in the paper.
+    on_fold
+        What to do with a stroke that would fold the picture or that the border holds back. flow (default): carry
+        all of it out, in smaller steps. damp: weaken it. error: stop.
+    amount
+        How much of each stroke is carried out: 30%, or 0.3. Each holds the same part of the picture as at 100%.
+    fit
+        How a recipe that was made for another size fits: pixels takes its numbers as they are; stretch scales width
+        and height by factors of their own; inside keeps proportions, centred. One of the same proportions is scaled
+        without asking.
+    """
+
+    grab: Annotated[
+        list[str], Parameter(allow_leading_hyphen=True, metavar="X,Y[,T|Z]:X,Y[,T|Z]", show_default=False)
+    ] = ()  # type: ignore[assignment]
+    twist: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar=_TWIST, show_default=False)] = ()  # type: ignore[assignment]
+    scale: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar=_SCALE, show_default=False)] = ()  # type: ignore[assignment]
+    pinch: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar=_PINCH, show_default=False)] = ()  # type: ignore[assignment]
+    pull: Annotated[list[str], Parameter(metavar="FROM:TO", show_default=False)] = ()  # type: ignore[assignment]
+    radius: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="R", show_default=False)] = ()  # type: ignore[assignment]
+    poisson: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="N", show_default=False)] = ()  # type: ignore[assignment]
+    scales: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="1|2|3", show_default=False)] = ()  # type: ignore[assignment]
+    reach: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="R|none", show_default=False)] = ()  # type: ignore[assignment]
+    recipe: Annotated[str | None, Parameter(metavar="FILE")] = None
+    border: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="auto|none|N|N,N")] = None
+    border_profile: Annotated[
+        Literal["quartic", "sine"] | None, Parameter(metavar="quartic|sine", show_choices=False)
+    ] = None
+    on_fold: Annotated[
+        Literal["damp", "flow", "error"] | None, Parameter(metavar="flow|damp|error", show_choices=False)
+    ] = None
+    amount: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="PART")] = None
+    fit: Annotated[
+        Literal["pixels", "stretch", "inside"] | None, Parameter(metavar="pixels|stretch|inside", show_choices=False)
+    ] = None
+
+    @property
+    def given(self) -> dict[str, list[str]]:
+        """The values of the options that are strokes."""
+        return {option: list(getattr(self, option[2:])) for option in BRUSHES}
+
+    @property
+    def count(self) -> int:
+        """The number of strokes given, without those of the recipe."""
+        return sum(map(len, self.given.values()))
+
+    @property
+    def any(self) -> bool:
+        """Return whether there is anything to do."""
+        return self.count > 0 or self.recipe is not None
+
+    def to_fit(self) -> Fit | None:
+        """How a recipe fits another size; refuse what is said of a recipe where there is none."""
+        if self.fit is not None and self.recipe is None:
+            raise SuppleError("--fit is for a recipe that was made for another size: give a --recipe, or leave it out")
+        if self.amount is not None and not self.any:
+            raise SuppleError(f"--amount is for strokes, and there are none: {_ONE_OF}, a --recipe, or leave it out")
+        return self.fit
+
+    def to_recipe(self, *, world: bool = False, empty: bool = False, others: str = "") -> Recipe:
+        """Read the recipe file, if one is given, and add the strokes.
+
+        ``world`` says that these are in millimetres; ``empty``, that there is something to do without strokes;
+        ``others`` are the options that would do, too.
+        """
+        from supple.strokes import Recipe
+
+        strokes, space = self._strokes()
+        if not strokes and self.recipe is None and not empty:
+            raise SuppleError(f"nothing to do: give --grab X,Y:X,Y --radius R, {others or 'or '}--recipe FILE")
+        if self.recipe is None:
+            made = Recipe()
+        else:
+            from supple.files import read_recipe
+
+            made = read_recipe(self.recipe)
+            if strokes and made.is_world and not world and space != made.space:
+                option = next(option for option, values in self.given.items() if values)
+                raise SuppleError(
+                    f"{self.recipe} is in {made.space} millimetres, and {option} in voxels: give --world if it is in "
+                    "millimetres too"
+                )
+            if world and made.space == "pixels":
+                raise SuppleError(f"--world is for points in millimetres, and {self.recipe} is in pixels: leave it out")
+        if space is not None and made.strokes and made.space != space:
+            raise SuppleError(f"--pull is in {space} millimetres, and {self.recipe} is in {made.space or 'pixels'}")
+        made = replace(made, strokes=(*made.strokes, *strokes), space=space or made.space)
+        if self.border is not None:
+            made = replace(made, border=_border(self.border))
+        if self.amount is not None:
+            made = replace(made, amount=_amount(self.amount))
+        if self.border_profile is not None:
+            made = replace(made, border_profile=self.border_profile)
+        return made if self.on_fold is None else replace(made, on_fold=self.on_fold)
+
+    def _strokes(self) -> tuple[list[Stroke], CoordinateSpace | None]:
+        """Return the strokes, and the space of a pull's points if they are in millimetres."""
+        from supple.strokes import REACH
+
+        if not self.count:
+            loose = [name for name in ("radius", "poisson", "scales", "reach") if getattr(self, name)]
+            if loose:
+                raise SuppleError(f"--{loose[0]} is for strokes given beside it: {_ONE_OF}, or leave it out")
+            return [], None
+        found = [one for one in in_order(current().arguments, self.given) if one[0] in BRUSHES]
+        if not self.radius:
+            raise SuppleError(f"{found[0][0]} needs a --radius: how far it is felt, in pixels or millimetres")
+        count = len(found)
+        radii = _spread("--radius", self.radius, count, "a number of pixels or millimetres above 0")
+        ratios: list[float | None] = [None] * count
+        if self.poisson:
+            ratios = [*_spread("--poisson", self.poisson, count, "a number up to 0.5, or -inf")]
+        scales = iter(_spread("--scales", self.scales, len(self.grab), "1, 2 or 3", "grab") or [1] * len(self.grab))
+        reaches: list[float | None] = [REACH] * count
+        if self.reach:
+            texts = ["inf" if x.strip().lower() == "none" else x for x in self.reach]
+            read = _spread("--reach", texts, count, "a number of radii from 1, or none")
+            reaches = [None if x == math.inf else x for x in read]
+        strokes: list[Stroke] = []
+        spaces: set[CoordinateSpace | None] = set()
+        for (option, text), radius, ratio, reach in zip(found, radii, ratios, reaches, strict=True):
+            if option == "--pull":
+                stroke, space = _pull(text, radius=radius, poisson=ratio, reach=reach)
+            else:
+                scale = next(scales) if option == "--grab" else 1
+                stroke, space = _stroke(option, text, radius=radius, poisson=ratio, reach=reach, scales=scale), None
+            strokes.append(stroke)
+            spaces.add(space)
+        if len(spaces) > 1:
+            raise SuppleError(
+                "the points of --pull are in millimetres, and others are not, or differently: give one --pull by "
+                "itself, and the others in a recipe in millimetres"
+            )
+        return strokes, spaces.pop()
+
+
+def _pull(text: str, **brush: float | None) -> tuple[Stroke, CoordinateSpace | None]:
+    """Read a pull from two files, named with a colon between them."""
+    from supple.files.landmarks import read_pull
+
+    ends = [i for i, c in enumerate(text) if c == ":"]
+    names = [(text[:i], text[i + 1 :]) for i in ends]
+    both = [pair for pair in names if all(map(os.path.exists, pair))] or names
+    if not both or not all(both[-1]):
+        raise SuppleError(f"--pull must be FROM:TO, two files of points (before.csv:after.csv, say), found {text!r}")
+    try:
+        return read_pull(*both[-1], **brush)  # type: ignore[arg-type]
+    except SuppleError as error:
+        raise SuppleError(f"--pull {text}: {error}") from None
+
+
+def _stroke(option: str, text: str, *, scales: float, **brush: float | None) -> Stroke:
+    """Read a stroke from the command line."""
+    from supple.strokes import Stroke
+
+    wrong = SuppleError(f"{option} must be {_WANTED[option]}, found {text!r}")
+    try:
+        at, *rest = [[float(x) for x in part.split(",")] for part in text.split(":")]
+    except ValueError:
+        raise wrong from None
+    parts = [len(part) for part in (at, *rest)]
+    n = len(at)
+    shapes = {
+        "--grab": [[n] * max(2, len(parts))],
+        "--twist": [[n, 1], [3, 1, 3]],
+        "--scale": [[n, 1]],
+        "--pinch": [[n, 1], [n, 1, n]],
+    }
+    if n not in (2, 3) or parts not in shapes[option]:
+        raise wrong
+    known = {**brush, "scales": int(scales) if float(scales).is_integer() else scales}
+    try:
+        if option == "--grab":
+            return Stroke.grab(at, path=rest, **known)  # type: ignore[arg-type]
+        amount = {"angle" if option == "--twist" else "factor": rest[0][0]}
+        axis = tuple(rest[1]) if len(rest) > 1 else None
+        return Stroke(brush=option[2:], at=tuple(at), axis=axis, **amount, **known)  # type: ignore[arg-type]
+    except SuppleError as error:
+        raise SuppleError(f"{option} {text}: {error}") from None
+
+
+def _border(text: str) -> Border:
+    """Read the border's width from the command line."""
+    word = text.strip().lower()
+    if word in ("auto", "none"):
+        return "auto" if word == "auto" else None
+    widths = tuple(
+        parse_number("--border", part, "auto, none, a width, or one for each axis") for part in text.split(",")
+    )
+    return widths[0] if len(widths) == 1 else widths
+
+
+def _amount(text: str) -> float:
+    """Read a part from the command line, in percent or as a number."""
+    wanted = "a part of the strokes, from 0% to 100%, or from 0 to 1"
+    percent = text.strip().endswith("%")
+    part = parse_number("--amount", text.strip().removesuffix("%"), wanted) / (100 if percent else 1)
+    if not 0 <= part <= 1:
+        raise SuppleError(f"--amount must be {wanted}, found {text!r}")
+    return part
+
+
+def _spread(name: str, given: Sequence[str], count: int, wanted: str, what: str = "stroke") -> list[float]:
+    if given and not count:
+        raise SuppleError(f"{name} is for a --{what}, and there is none: leave it out")
+    if len(given) not in (0, 1, count):
+        many = f"{count} {what}s" if count > 1 else f"one {what}"
+        raise SuppleError(f"{name} is given {len(given)} times for {many}: give it once, or once for each")
+    values = [parse_number(name, text, wanted) for text in given]
+    return values * count if len(values) == 1 else values

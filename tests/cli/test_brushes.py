@@ -1,0 +1,233 @@
+"""Strokes of all brushes on the command line, in the order in which they are given."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from supple import Deformation, Recipe, Stroke
+from supple.cli.options_strokes import in_order
+from supple.errors import SuppleError
+from supple.media import image
+from tests.cli.commands import Run, one_line
+
+
+def saved(run: Run, *options: str) -> Recipe:
+    """Return the recipe that a command line makes."""
+    status, _, err = run("warp", "in.png", "out.png", *options, "--save-recipe", "r.json", "--force", "--quiet")
+    assert status == 0, err
+    return Recipe.from_json(Path("r.json").read_text())
+
+
+MIXED = (
+    *("--pinch", "20,12:0.8", "--grab", "20,16:23,18", "--twist=18,20:-25", "--scale", "30,22:1.2"),
+    *("--pinch", "26,20:1.1:1,-2", "--grab", "12,30:13,28"),
+)
+
+
+def test_strokes_keep_the_order_of_the_command_line(run: Run) -> None:
+    found = saved(run, "--radius", "9", *MIXED, "--reach", "3")
+    assert found.strokes == (
+        Stroke(brush="pinch", at=(20, 12), factor=0.8, radius=9, reach=3),
+        Stroke.grab((20, 16), to=(23, 18), radius=9, reach=3),
+        Stroke(brush="twist", at=(18, 20), angle=-25, radius=9, reach=3),
+        Stroke(brush="scale", at=(30, 22), factor=1.2, radius=9, reach=3),
+        Stroke(brush="pinch", at=(26, 20), factor=1.1, axis=(1, -2), radius=9, reach=3),
+        Stroke.grab((12, 30), to=(13, 28), radius=9, reach=3),
+    )
+    d = Deformation.from_recipe(found, (40, 48))
+    np.testing.assert_array_equal(image.read("out.png").pixels, d.warp(image.read("in.png").pixels))
+
+
+def test_settings_are_given_once_or_for_each(run: Run) -> None:
+    radii = [str(r) for r in (5, 6, 7, 8, 9, 10)]
+    options = [x for r in radii for x in ("--radius", r)]
+    found = saved(run, *MIXED, *options, "--scales", "2", "--scales", "3", "--poisson", "0.3")
+    assert [s.radius for s in found.strokes] == [5, 6, 7, 8, 9, 10]
+    assert [s.scales for s in found.strokes] == [1, 2, 1, 1, 1, 3]
+    assert {s.poisson for s in found.strokes} == {0.3}
+    once = saved(run, *MIXED, "--radius", "9", "--scales", "2")
+    assert [s.scales for s in once.strokes] == [1, 2, 1, 1, 1, 2]
+
+
+def test_strokes_follow_those_of_a_recipe_and_stand_among_maps(run: Run) -> None:
+    Path("first.json").write_text(Recipe(strokes=(Stroke.grab((9, 9), to=(10, 11), radius=5),)).to_json())
+    twist = ("--twist", "20,20:20", "--radius", "8")
+    found = saved(run, *twist, "--recipe", "first.json")
+    assert [s.brush for s in found.strokes] == ["grab", "twist"]
+    shift = ("--affine", "1,0,4,0,1,-3")
+    assert run("warp", "in.png", "a.png", *twist, *shift, "--filter", "linear", "--border", "none")[0] == 0
+    assert run("warp", "in.png", "b.png", *shift, *twist, "--filter", "linear", "--border", "none")[0] == 0
+    before = Deformation((40, 48), border=None)
+    matrix = [[1, 0, 4], [0, 1, -3]]
+    for name, d in (
+        ("a.png", before.twist((20, 20), angle=20, radius=8).affine(matrix)),
+        ("b.png", before.affine(matrix).twist((20, 20), angle=20, radius=8)),
+    ):
+        pixels = d.warp(image.read("in.png").pixels, filter="linear")
+        np.testing.assert_array_equal(image.read(name).pixels, pixels)
+
+
+def test_every_command_takes_them(run: Run) -> None:
+    strokes = ("--scale", "20,20:1.4", "--twist", "20,20:90", "--radius", "8")
+    Path("points.csv").write_text("x,y\n20,20\n22,20\n")
+    assert run("points", "points.csv", "moved.csv", "--on", "in.png", *strokes)[0] == 0
+    d = Deformation((40, 48)).scale((20, 20), factor=1.4, radius=8).twist((20, 20), angle=90, radius=8)
+    moved = np.loadtxt("moved.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(moved[:, :2], d.forward([(20, 20), (22, 20)]), atol=1e-4)
+    assert run("plot", "in.png", "grid.png", *strokes)[0] == 0
+    status, out, err = run("plan", "in.png", *strokes, "--json")
+    assert status == 0, err
+    assert json.loads(out)["blocks"] >= 1
+
+
+def test_what_a_recipe_does_in_words(run: Run) -> None:
+    Path("r.json").write_text(Recipe(strokes=_strokes()).to_json())
+    text = run("info", "r.json")[1]
+    assert [line.split(maxsplit=2)[2] for line in text.splitlines()[-6:]] == [
+        "grab (1, 2, 3) to (4, 5, 6), radius 9, reach 4, scales 2",
+        "twist (1, 2, 3) by 30° about (0, 1, 0), radius 9, reach 4",
+        "scale (1, 2, 3) by 1.5, radius 9, reach none",
+        "pinch (1, 2, 3) by 0.5, radius 9, reach 4, poisson 0.3, hidden",
+        "grab (1, 2, 3) through 2 points to (1, 2, 3), radius 9, reach 4, scales 1",
+        "grab (1, 2, 3) to (1, 2, 4), (7, 7, 7) pinned, radius 9, reach 4, scales 1",
+    ]
+    assert json.loads(run("info", "r.json", "--json")[1])["strokes"][1]["axis"] == [0, 1, 0]
+
+
+def _strokes() -> tuple[Stroke, ...]:
+    at = (1.0, 2.0, 3.0)
+    return (
+        Stroke.grab(at, to=(4, 5, 6), radius=9, scales=2),
+        Stroke(brush="twist", at=at, angle=30, axis=(0, 1, 0), radius=9),
+        Stroke(brush="scale", at=at, factor=1.5, radius=9, reach=None),
+        Stroke(brush="pinch", at=at, factor=0.5, radius=9, poisson=0.3, hidden=True),
+        Stroke(at=at, by=(0, 0, 0), path=((5, 2, 3), (5, 5, 3)), radius=9),
+        Stroke(at=at, by=(0, 0, 1), also=(((7, 7, 7), (0, 0, 0)),), radius=9),
+    )
+
+
+def test_a_turn_that_folds_is_named(run: Run) -> None:
+    strokes = ("--twist", "24,20:200", "--radius", "4", "--border", "none")
+    status, _, err = run("warp", "in.png", "out.png", *strokes, "--on-fold", "error")
+    assert status == 2
+    said = one_line(err)
+    assert said.startswith("supple: a twist by 200° at (24, 20) with radius 4 folds: at most a twist by ")
+    most = float(said.split("at most a twist by ")[1].split("°")[0])
+    assert 30 < most < 200
+    for angle, status in ((most, 0), (1.01 * most, 2)):
+        strokes = ("--twist", f"24,20:{angle}", "--radius", "4", "--border", "none", "--on-fold", "error")
+        assert run("warp", "in.png", "out.png", *strokes, "--force")[0] == status
+
+
+@pytest.mark.parametrize(
+    ("options", "wanted"),
+    [
+        (["--twist", "1,2"], "--twist must be X,Y[,T|Z]:ANGLE[:AXIS], a point, degrees, and of 3 numbers an axis"),
+        (["--twist", "1,2:30:0,0"], "--twist must be X,Y[,T|Z]:ANGLE[:AXIS]"),
+        (["--twist", "1,2:30:0,0,1"], "--twist must be"),
+        (["--twist", "1,2:30,40"], "found '1,2:30,40'"),
+        (["--twist", "1,2:half"], "found '1,2:half'"),
+        (["--twist", "1,2:nan"], "--twist 1,2:nan: angle must be a number of degrees from -3600 to 3600, found nan"),
+        (["--scale", "1,2:0"], "--scale 1,2:0: factor must be a number from 0.01 to 100, found 0"),
+        (["--scale", "1,2:1.4:1,0"], "--scale must be X,Y[,T|Z]:FACTOR, a point and a factor (256,256:1.4, say)"),
+        (["--scale", "1:1.4"], "found '1:1.4'"),
+        (["--scale", ""], "found ''"),
+        (["--pinch", "1,2:-1"], "--pinch 1,2:-1: factor must be"),
+        (["--pinch", "1,2:0.5:0,0"], "--pinch 1,2:0.5:0,0: axis must be a direction, with a number other than 0"),
+        (["--pinch", "1,2:0.5:0,0,1"], "--pinch must be X,Y[,T|Z]:FACTOR[:AXIS], a point, a factor, and an axis"),
+        (["--pinch", "1,2,3:0.5"], "2 numbers"),
+        (["--twist", "1,2:30", "--scales", "2"], "--scales is for a --grab, and there is none: leave it out"),
+        (["--twist", "1,2:30", "--scale", "1,2:1.1", "--reach", "4", "--reach", "4", "--reach", "4"], "for 2 strokes"),
+        (["--grab", "1,2:3,4", "--twist", "1,2:9", "--scales", "2", "--scales", "2"], "2 times for one grab"),
+        (["--twist", "1,2:9", "--radius", "0"], "--twist 1,2:9: --radius must be a number above 0"),
+    ],
+)
+def test_refusals(run: Run, options: list[str], wanted: str) -> None:
+    status, out, err = run("warp", "in.png", "out.png", *options, *([] if "--radius" in options else ["--radius", "5"]))
+    assert (status, out) == (2, "")
+    assert wanted in one_line(err)
+    assert not Path("out.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "wanted"),
+    [
+        (["--scale", "1,2:1.5"], "--scale needs a --radius: how far it is felt"),
+        (
+            ["--radius", "5"],
+            "--radius is for strokes given beside it: give --grab, --twist, --scale, --pinch or --pull, or",
+        ),
+        (["--recipe", "x.json", "--reach", "5"], "--reach is for strokes given beside it"),
+        (
+            ["--crop", "0,0,9,9", "--amount", "50%"],
+            "--amount is for strokes, and there are none: give --grab, --twist, --scale, --pinch or --pull",
+        ),
+        (["--scalee", "1,2:1.5"], "Unknown option: --scalee"),
+    ],
+)
+def test_what_is_missing(run: Run, options: list[str], wanted: str) -> None:
+    status, out, err = run("warp", "in.png", "out.png", *options)
+    assert (status, out) == (2, "")
+    assert wanted in one_line(err)
+
+
+def test_the_order_is_never_guessed() -> None:
+    given = {"--grab": ["1,2:3,4"], "--twist": ["1,2:30"]}
+    arguments = ["--twist", "1,2:30", "in", "--grab=1,2:3,4"]
+    assert in_order(arguments, given) == [("--twist", "1,2:30"), ("--grab", "1,2:3,4")]
+    for arguments in (["--grab", "1,2:3,4"], ["--grab", "1,2:3,4", "--", "--twist", "1,2:30"]):
+        with pytest.raises(SuppleError, match="the place of --twist among the options is in doubt"):
+            in_order(arguments, given)
+
+
+def points_of(name: str, *rows: str) -> str:
+    Path(name).write_text("\n".join(("label,x,y", *rows, "")))
+    return name
+
+
+def test_a_pull_of_two_files(run: Run) -> None:
+    points_of("a.csv", "p,12,20", "q,30,20", "r,20,30")
+    points_of("b.csv", "r,20,30", "q,28,21", "p,14,21")
+    found = saved(run, "--pull", "a.csv:b.csv", "--radius", "8", "--grab", "20,10:21,11", "--radius", "5")
+    pull = Stroke.pull([(12, 20), (30, 20)], to=[(14, 21), (28, 21)], pins=[(20, 30)], radius=8)
+    assert found.strokes == (pull, Stroke.grab((20, 10), to=(21, 11), radius=5))
+    d = Deformation.from_recipe(found, (40, 48))
+    np.testing.assert_array_equal(image.read("out.png").pixels, d.warp(image.read("in.png").pixels))
+    Path("c.csv").write_text("x,y\n14,21\n28,21\n20,30\n")
+    Path("d.csv").write_text("x,y\n12,20\n30,20\n20,30\n")
+    assert saved(run, "--pull", "d.csv:c.csv", "--radius", "8").strokes == (pull,)
+
+
+def test_a_grab_through_points_is_a_path(run: Run) -> None:
+    found = saved(run, "--grab", "12,20:20,24:28,20:30,16", "--radius", "8")
+    assert found.strokes == (Stroke.grab((12, 20), path=[(20, 24), (28, 20)], to=(30, 16), radius=8),)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("a.csv", "--pull must be FROM:TO, two files of points (before.csv:after.csv, say), found 'a.csv'"),
+        ("a.csv:", "--pull must be FROM:TO"),
+        ("a.csv:none.csv", "--pull a.csv:none.csv: cannot read none.csv"),
+        ("a.csv:other.csv", "a.csv and other.csv do not both have the point q"),
+        ("d.csv:few.csv", "d.csv has 2 points, and few.csv has 1: give as many in both"),
+        ("a.csv:flat.fcsv", "a.csv is in index, and flat.fcsv in RAS"),
+        ("same.csv:same2.csv", "two handles at (12, 20)"),
+    ],
+)
+def test_refused_pulls(run: Run, value: str, message: str) -> None:
+    points_of("a.csv", "p,12,20", "q,30,20")
+    points_of("other.csv", "p,12,20", "z,30,20")
+    Path("d.csv").write_text("x,y\n14,21\n28,21\n")
+    Path("few.csv").write_text("x,y\n14,21\n")
+    Path("flat.fcsv").write_text("# Markups fiducial file version = 4.11\n# CoordinateSystem = RAS\n1,10,20,30\n")
+    Path("same.csv").write_text("x,y\n12,20\n12,20\n")
+    Path("same2.csv").write_text("x,y\n13,20\n12,21\n")
+    status, _, err = run("warp", "in.png", "out.png", "--pull", value, "--radius", "8")
+    assert status == 2
+    assert message in one_line(err)
+    assert not Path("out.png").exists()
