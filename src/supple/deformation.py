@@ -482,7 +482,7 @@ class Deformation:
         """
         return self.add(Stroke.pull(points, to=to, by=by, pins=pins, radius=radius, poisson=poisson, reach=reach))
 
-    def restore(self, at: Point, *, radius: float, strength: float = 1.0) -> Self:
+    def restore(self, at: Point, *, radius: float, strength: float = 1.0, warn: bool = True) -> Self:
         """Return the deformation with one more stroke, which brings the material around a point back to its origin.
 
         The stroke is a pull of the point and some around it, from where they are to where they came from; it moves
@@ -496,15 +496,17 @@ class Deformation:
             The radius of the brush, in physical units.
         strength : float
             The part of the way back, from 0 to 1.
+        warn : bool
+            Whether to warn of a fold, as in `add`.
 
         Raises
         ------
         SuppleError
             If an argument is invalid, or the points cannot arrive.
         """
-        return self._led(at, radius, strength, "restore", self._displaced)
+        return self._led(at, radius, strength, "restore", self._displaced, warn)
 
-    def smooth(self, at: Point, *, radius: float, strength: float = 1.0) -> Self:
+    def smooth(self, at: Point, *, radius: float, strength: float = 1.0, warn: bool = True) -> Self:
         """Return the deformation with one more stroke, which relaxes the displacement around a point.
 
         The stroke is a pull of the point and some around it, each to the mean displacement of its surroundings, at one
@@ -512,7 +514,7 @@ class Deformation:
 
         Parameters
         ----------
-        at, radius, strength
+        at, radius, strength, warn
             As in `restore`.
 
         Raises
@@ -526,7 +528,7 @@ class Deformation:
             mean: Floats = self._displaced(around).mean(axis=1)
             return self._displaced(points) - mean
 
-        return self._led(at, radius, strength, "smooth", rough)
+        return self._led(at, radius, strength, "smooth", rough, warn)
 
     def _displaced(self, points: Floats) -> Floats:
         """Return q - T⁻¹(q)."""
@@ -545,7 +547,9 @@ class Deformation:
         made[:, 0], made[:, 1] = np.cos(angles), np.sin(angles)
         return made
 
-    def _led(self, at: Point, radius: float, strength: float, name: str, errors: Callable[[Floats], Floats]) -> Self:
+    def _led(
+        self, at: Point, radius: float, strength: float, name: str, errors: Callable[[Floats], Floats], warn: bool
+    ) -> Self:
         """Return the deformation with a pull of some points around one, by a part of their errors."""
         centre = np.array(point("at", at, (self.ndim,)))
         radius, part = length("radius", radius), number("strength", strength, "a number from 0 to 1", 0.0, 1.0)
@@ -560,7 +564,7 @@ class Deformation:
         if held:
             targets = np.clip(targets, first + held, last - held)
         stroke = Stroke.pull(points, to=targets, radius=0.5 * radius, reach=3.0)
-        return self.add(replace(stroke, name=name))
+        return self.add(replace(stroke, name=name), warn=warn)
 
     def twist(
         self, at: Point, *, angle: float, radius: float, axis: Point | None = None, reach: float | None = REACH

@@ -70,9 +70,9 @@ _NEW = (
     "axis", "also", "path", "keys",
 )  # fmt: skip
 _PART = "a number from 0 to 1"
-_TURNS = 3600.0
+LARGEST_ANGLE = 3600.0  # degrees
 MOST_HANDLES = 1000
-_LARGEST_FACTOR = 100.0
+LARGEST_FACTOR = 100.0
 
 # The radii are ε, 1.1ε and 1.21ε. The weights that cancel the far field, divided by their sum at the pivot, are
 # exactly these fractions; computed in floats they would lose digits.
@@ -306,11 +306,11 @@ class Stroke:
             refuse("scales", f"1 for a {self.brush}, which fades as 1/r² of itself", self.scales)
         checked: dict[str, object] = {}
         if "angle" in takes:
-            wanted = f"a number of degrees from {-_TURNS:g} to {_TURNS:g}"
-            checked["angle"] = number("angle", self.angle, wanted, -_TURNS, _TURNS)
+            wanted = f"a number of degrees from {-LARGEST_ANGLE:g} to {LARGEST_ANGLE:g}"
+            checked["angle"] = number("angle", self.angle, wanted, -LARGEST_ANGLE, LARGEST_ANGLE)
         if "factor" in takes:
-            wanted = f"a number from {1 / _LARGEST_FACTOR:g} to {_LARGEST_FACTOR:g}"
-            checked["factor"] = number("factor", self.factor, wanted, 1 / _LARGEST_FACTOR, _LARGEST_FACTOR)
+            wanted = f"a number from {1 / LARGEST_FACTOR:g} to {LARGEST_FACTOR:g}"
+            checked["factor"] = number("factor", self.factor, wanted, 1 / LARGEST_FACTOR, LARGEST_FACTOR)
         if self.axis is not None:
             if self.brush == "twist" and ndim == 2:
                 refuse("axis", "left out for a twist of points of 2 numbers", self.axis)

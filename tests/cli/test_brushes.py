@@ -157,7 +157,10 @@ def test_refusals(run: Run, options: list[str], wanted: str) -> None:
     ("options", "wanted"),
     [
         (["--scale", "1,2:1.5"], "--scale needs a --radius: how far it is felt"),
-        (["--radius", "5"], "--radius is for strokes given beside it: give --grab, --twist, --scale, --pinch or --pull, or"),
+        (
+            ["--radius", "5"],
+            "--radius is for strokes given beside it: give --grab, --twist, --scale, --pinch or --pull, or",
+        ),
         (["--recipe", "x.json", "--reach", "5"], "--reach is for strokes given beside it"),
         (
             ["--crop", "0,0,9,9", "--amount", "50%"],

@@ -15,8 +15,9 @@ DATA = Path(supple.__file__).parent / "examples" / "data"
 
 
 @pytest.fixture(autouse=True)
-def _windows_end() -> Iterator[None]:
-    """No window of one test certifies on during the next, and listens to its warnings."""
+def _windows_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """No window of one test certifies on during the next, and listens to its warnings; none remembers another's."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     yield
     close_all()
 

@@ -280,8 +280,8 @@ class TestFolds:
         assert 60 < third.arrived[0] < 240
         assert [d.warning(i) for i in range(2)] == [None, None]
         assert "damped to" in (d.warning(2) or "")
-        assert d.handles(2) == ((60, 50), third.arrived)
-        assert d.handles(1) == ((60, 50), (260, 46))
+        assert d.handles(2) == (((60, 50), third.arrived),)
+        assert d.handles(1) == (((60, 50), (260, 46)),)
         assert not recwarn.list
         d.hide(1, False)
         assert d.arrivals[1] is not None
@@ -493,7 +493,7 @@ class TestRecipes:
         d = Document(SHAPE, recipe=recipe)
         same(d)
         assert d.deformation.strokes[0].by == (5, 0)
-        assert d.handles(1)[0] == d.deformation.strokes[1].at != (82, 50)
+        assert d.handles(1)[0][0] == d.deformation.strokes[1].at != (82, 50)
         drawn = stroke(70, 66, 6, 3)
         d.begin_drag()
         assert d.preview(drawn)

@@ -72,7 +72,7 @@ def test_a_drag_is_a_stroke_and_the_canvas_shows_what_is_exported(
     view.commands.begin_export(state / "bent.png")
     wait_for(lambda: view.commands.export.done)
     view.commands.tick()
-    assert view.commands.message == view.commands.export.text
+    assert view.commands.message == f"saved to {state / 'bent.png'}"
     recipe = Recipe.from_json((state / "strokes.json").read_text(encoding="utf-8"))
     assert recipe == view.recipe
     supple.warp_file(photo, state / "wanted.png", recipe)
@@ -471,7 +471,7 @@ def test_an_interrupt_waits_for_what_is_being_done(
 
 
 def test_the_panel_says_where_a_stroke_arrives() -> None:
-    from supple.viewer.panels.panel import described
+    from supple.viewer.document.words import described
 
     held = Stroke.grab((15, 20, 4), by=(5, 0, 0), radius=9)
     d = supple.Deformation((9, 60, 90), border=30.0, on_fold="damp").add(held, warn=False)

@@ -13,6 +13,7 @@ import supple
 from supple.engines.wgpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
+from supple.viewer.panels.view import WIDE
 from tests.viewer.windows import SIZE, Hand, Pixels, opened
 
 pytest.importorskip("rendercanvas")
@@ -63,18 +64,18 @@ def test_a_screen_of_small_pixels_shows_the_same_twice_as_sharp(gpu: Gpu, photo:
     assert large.shape == (2 * SIZE[1], 2 * SIZE[0], 3)
     halved = large.reshape(SIZE[1], 2, SIZE[0], 2, 3).mean((1, 3))
     # Ring, handles and letters have the same size and place, so that they fall on one another: sharper, but no farther.
-    for name, box in {"picture": np.s_[:600, :690], "panel": np.s_[:, 710:]}.items():
+    for name, box in {"picture": np.s_[:600, :640], "panel": np.s_[:, 660:]}.items():
         a, b = small[box].astype(float).mean(-1), halved[box].mean(-1)
         assert np.corrcoef(a.ravel(), b.ravel())[0, 1] > 0.75, name
     # The ring is as large as the brush, about the pointer: white, at its radius.
     bright = large.min(-1) > 200
-    y, x = np.nonzero(bright[:1200, :1380])
+    y, x = np.nonzero(bright[:1200, :1280])
     away = np.hypot(x / 2 - 350, y / 2 - 400)
-    radius = one.radius * min((SIZE[0] - 300) / 400, (SIZE[1] - 24) / 300)
+    radius = one.radius * min((SIZE[0] - WIDE) / 400, (SIZE[1] - 24) / 300)
     ring = np.abs(away - radius) < 2
     assert ring.sum() > 2 * np.pi * radius
     # Letters are drawn anew for such a screen, not enlarged: their edges are as steep.
-    line = [np.abs(np.diff(p[-48 // (3 - k) :, : 690 * k].mean(-1), axis=1)).max() for k, p in enumerate(pictures, 1)]
+    line = [np.abs(np.diff(p[-48 // (3 - k) :, : 640 * k].mean(-1), axis=1)).max() for k, p in enumerate(pictures, 1)]
     assert line[1] > 0.8 * line[0]
 
 

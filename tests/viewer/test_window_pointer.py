@@ -68,8 +68,10 @@ def test_a_photograph_by_a_real_pointer(gpu: Gpu, photo: Path, state: Path) -> N
     wanted = warped(photo, "wanted.png", state / "photo.recipe.json")
     made = image.read(state / "photo-bent.png").pixels
     np.testing.assert_array_equal(made, image.read(wanted).pixels)
-    linear = warped(photo, "linear.png", state / "photo.recipe.json", "--filter", "linear")  # as the device does it
-    assert on_canvas(image.read(linear).pixels, seen, AREA, recipe.strokes) < 1.0
+    # Without a hardware GPU, exports' own pixels are seen; a device has its own filter.
+    linear = warped(photo, "linear.png", state / "photo.recipe.json", "--filter", "linear")
+    drawn = made if gpu.software else image.read(linear).pixels
+    assert on_canvas(drawn, seen, AREA, recipe.strokes) < 1.0
     assert on_canvas(image.read(photo).pixels, seen, AREA, recipe.strokes) > 8
 
 

@@ -131,7 +131,8 @@ def small_photo(folder: Path) -> Path:
 @contextmanager
 def viewing(*arguments: str, folder: Path, display: str = "") -> Iterator[subprocess.Popen[str]]:
     """A process of ``supple view``."""
-    env = os.environ | {"XDG_STATE_HOME": str(folder / "state"), "PYTHONUNBUFFERED": "1"}
+    # Without programs for dialogs, files are typed.
+    env = os.environ | {"XDG_STATE_HOME": str(folder / "state"), "PYTHONUNBUFFERED": "1", "PATH": str(folder / "none")}
     if display:
         env["DISPLAY"] = display
     process = subprocess.Popen(

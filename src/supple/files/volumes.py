@@ -396,9 +396,22 @@ def _first_fraction(samples: Array) -> float | None:
 
 def _warn_of_labels(volume: Volume) -> None:
     """Warn of interpolated labels, if a volume looks like a label map."""
+    if (some := _looked_at(volume)) is not None:
+        warn_of_labels(some, volume.name)
+
+
+def is_of_labels(volume: Volume) -> bool:
+    """Return whether a volume looks like a label map: few integers in large areas."""
+    some = _looked_at(volume)
+    return some is not None and _is_of_labels(some)
+
+
+def _looked_at(volume: Volume) -> Array | None:
+    """Return some slices of a volume of single values."""
+    if volume.components != 1:
+        return None
     samples = volume.samples[0] if volume.series else volume.samples
-    if volume.components == 1:
-        warn_of_labels(np.asarray(samples[:: -(-len(samples) // _LOOKED_AT)]), volume.name)
+    return np.asarray(samples[:: -(-len(samples) // _LOOKED_AT)])
 
 
 def warn_of_labels(some: Array, name: str, *, known: bool = False) -> None:

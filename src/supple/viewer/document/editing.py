@@ -11,7 +11,7 @@ from supple.errors import SuppleError
 from supple.files.volumes import indexed, placed
 from supple.geometry import Geometry
 from supple.strokes import FoldPolicy, Recipe, Stroke, spoken
-from supple.viewer.document.state import History, Item, Kind, Solved, State
+from supple.viewer.document.state import PAINTINGS, History, Item, Kind, Solved, State
 
 
 class Document:
@@ -93,10 +93,24 @@ class Document:
         known = self._nth(i)
         return None if known is None else self.deformation.warnings[known]
 
-    def handles(self, i: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return the pivot of a stroke, and the position of its point; for a hidden one, the target."""
+    def handles(self, i: int) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...]:
+        """Return the points of a stroke and their positions after it; for a hidden one, and all but the first, targets.
+
+        The point of a twist, a scale or a pinch stays where it is.
+        """
         found, stroke = self.arrival(i), self.seen(i)
-        return stroke.at, found.arrived if found else tuple(a + b for a, b in zip(stroke.at, stroke.by, strict=True))
+        made = [(at, tuple(a + b for a, b in zip(at, by, strict=True))) for at, by in stroke.handles]
+        return ((made[0][0], found.arrived), *made[1:]) if found else tuple(made)
+
+    def has_handles(self, i: int) -> bool:
+        """Return whether a stroke has handles: those of a painting, which are many, only if they are selected."""
+        return i == self.selected or self.items[i].stroke.name not in PAINTINGS
+
+    def beneath(self, i: int, point: tuple[float, ...]) -> tuple[float, ...]:
+        """Return where the material that is seen at a point was before a stroke, which is not hidden."""
+        known = self._nth(i)
+        before = self._now.chain[known or 0]
+        return tuple(before.forward(self.deformation.inverse(point).points).tolist())
 
     def seen(self, i: int) -> Stroke:
         """Return a stroke at its full drag on screen, if its recipe applies a fraction of it."""
@@ -106,7 +120,7 @@ class Document:
         applied = self.deformation.strokes[known]
         if applied is stroke:
             return stroke
-        return replace(stroke, at=applied.at, by=applied.by, angle=applied.angle, factor=applied.factor)
+        return replace(applied, strength=stroke.strength)
 
     def add(self, stroke: Stroke) -> int:
         """Append a stroke, and select it; return its index."""
@@ -214,6 +228,30 @@ class Document:
         """Return whether there is a step to redo."""
         return not self.dragging and self._history.can_redo
 
+    @property
+    def steps(self) -> tuple[State, ...]:
+        """The states that undo and redo go through, from the first to the last."""
+        return self._history.states
+
+    @property
+    def step(self) -> int:
+        """The index of the present one of `steps`."""
+        return self._history.index
+
+    def go(self, step: int) -> None:
+        """Undo or redo as many steps as lead to one of `steps`."""
+        self._rest()
+        count = len(self.steps)
+        step = integer("a step", step, f"one of {count}, from 0 to {count - 1}", 0, count - 1)
+        if step == self.step:
+            return
+        state = self.state
+        while self.step > step:
+            state = self._history.undo()
+        while self.step < step:
+            state = self._history.redo()
+        self._show(self._solved(state, self._now))
+
     def undo(self) -> None:
         """Undo the last step, or the current drag."""
         if self.dragging:
@@ -237,8 +275,15 @@ class Document:
         self._drag = (self._now, None if i is None else self._checked(i))
         self.trouble = None
 
-    def preview(self, stroke: Stroke) -> bool:
-        """Show the current drag; the stroke is in coordinates of the screen.
+    def preview(self, *strokes: Stroke, select: bool = True) -> bool:
+        """Show the current drag; the strokes are in coordinates of the screen.
+
+        Parameters
+        ----------
+        *strokes : Stroke
+            Of a new stroke's drag, one or several.
+        select : bool
+            Whether the first one is selected.
 
         Returns
         -------
@@ -247,11 +292,12 @@ class Document:
         """
         before, i = self._dragged()
         state, had, self.trouble = before.state, self.trouble, None
-        stroke = before.kept(stroke, sum(not item.hidden for item in state.items[:i]))
+        kept = [before.kept(stroke, sum(not item.hidden for item in state.items[:i])) for stroke in strokes]
         if i is None:
-            state = replace(state, items=(*state.items, Item.of(stroke)), selected=len(state.items))
+            chosen = len(state.items) if select else state.selected
+            state = replace(state, items=(*state.items, *map(Item.of, kept)), selected=chosen)
         else:
-            state = replace(self._replaced(state, i, stroke), selected=i)
+            state = replace(self._replaced(state, i, kept[0]), selected=i)
         try:
             made = self._solved(state, self._now)
         except SuppleError as error:

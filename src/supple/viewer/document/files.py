@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from supple.errors import SuppleError, shown
 from supple.files import PathLike, check_job, write_recipe
@@ -26,6 +27,8 @@ from supple.viewer.document.background import Export
 from supple.viewer.document.editing import Document
 from supple.viewer.document.state import Kind
 
+FAILED = 0.5  # seconds, in which nobody answers a dialog: one that ends so early cannot be shown
+
 
 @dataclass(slots=True)
 class Question:
@@ -39,6 +42,16 @@ class Question:
     opens: PathLike = ""  # a file name that cannot
     problem: str = ""
     fresh: bool = True  # not drawn yet
+
+
+class Dialog(Protocol):
+    """A dialog of the system for a file, which is open beside the window."""
+
+    def answer(self) -> str | None:
+        """Return the file, "" for none, or None while the dialog is open."""
+
+    def close(self) -> None:
+        """Close it."""
 
 
 @dataclass(eq=False)
@@ -55,6 +68,8 @@ class FileCommands:
     def __post_init__(self) -> None:
         self.message = ""  # the text of the status line
         self.asked: Question | None = None
+        self.choose: Callable[[Question], Dialog] | None = None  # opens a dialog of the system, where there is one
+        self.choosing: tuple[Question, Dialog, float] | None = None  # that is open, and since when
         self.export: Export | None = None
         self.recipe_path: Path | None = None  # the last saved or opened recipe
         self._told: Export | None = None
@@ -71,13 +86,30 @@ class FileCommands:
             self.asked = Question("restore", "Restore?", text, ("Restore", "Leave"))
 
     def tick(self) -> None:
-        """Save the autosave if it is time to; and report the end of an export."""
+        """Save the autosave if it is time to; and report the end of an export, or of a dialog."""
+        self._chosen()
         if self.autosave is not None:
             self.autosave.tick()
         export = self.export
         if export is not None and export.done and self._told is not export:
             self._told = export
-            self.message = "; ".join(filter(None, [export.error or export.text, *export.warnings]))
+            said = export.text if export.error or export.cancelled else f"saved to {shown(export.target)}"
+            self.message = "; ".join([said, *export.warnings])
+
+    def _chosen(self) -> None:
+        """Go on with what was answered in a dialog of the system."""
+        if self.choosing is None or self.asked is not None:
+            return
+        question, dialog, begun = self.choosing
+        path = dialog.answer()
+        if path is None:
+            return
+        self.choosing = None
+        if path:
+            self.asked, question.path = question, path
+            self.answer("Replace" if "Replace" in question.choices else question.choices[0])  # it has asked that
+        elif time.monotonic() - begun < FAILED:
+            self.asked, self.choose = question, None
 
     def attempt(self, work: Callable[[], object]) -> None:
         """Call a function, and show its error in the status line."""
@@ -102,7 +134,13 @@ class FileCommands:
             return
         name = "save" if name == "save as" else name
         path = {"export": bent, "copy": f"{stem}-view.png"}.get(name, recipe)
-        self.asked = Question(name, *_ASKED[name], path)
+        question = Question(name, *_ASKED[name], path)
+        if self.choose is None or name == "close":
+            self.asked = question
+        elif self.choosing is None:
+            self.choosing = question, self.choose(question), time.monotonic()
+        else:
+            self.message = "a dialog for a file is open"
 
     def may_close(self) -> bool:
         """Return whether nothing would be lost; otherwise, ask."""
@@ -151,7 +189,7 @@ class FileCommands:
             check_target(path)
             check_output(path, force=force)  # before rendering, which may take seconds
             self.write_view(path, force)
-            self.message = f"saved {path}"
+            self.message = f"saved to {shown(path)}"
         elif asked.name == "export":
             self.begin_export(path, force=force)
         elif asked.name == "close":
@@ -180,7 +218,7 @@ class FileCommands:
         write_recipe(path, self.document.recipe, force=force)
         self.recipe_path = Path(path)
         self.document.mark_saved()
-        self.message = f"saved {shown(path)}"
+        self.message = f"saved to {shown(path)}"
 
     def _spare(self, path: PathLike) -> None:
         """Raise SuppleError for the source as a target."""
@@ -256,6 +294,8 @@ class FileCommands:
 
     def end(self) -> None:
         """End properly: the autosave of discarded strokes is deleted."""
+        if self.choosing is not None:
+            self.choosing[1].close()
         if self.export is not None:
             self.export.cancel()
             self.export.join(10.0)
@@ -276,13 +316,13 @@ _WRITTEN: dict[Kind | None, tuple[Collection[str], str]] = {
     "volume": (VOLUMES_OUT, ".nii.gz"),
 }
 _OVER = "There are strokes that were not saved. Undo brings them back, but only as long as the window is open."
-_OPEN = "In the place of the strokes that there are; undo brings these back."
+_OPEN = "It takes the place of the strokes that there are; undo brings them back."
 _WAYS_OUT = ("Save and close", "Replace and close", "Close without saving", "Cancel")
 _KEEP = ("Save", "Replace", "Cancel")
 _ASKED = {
-    "save": ("Save the recipe", "What supple warp --recipe takes.", _KEEP),
+    "save": ("Save the recipe", "The strokes, which supple warp --recipe applies to files.", _KEEP),
     "open": ("Open a recipe", _OPEN, ("Open", "Cancel")),
-    "export": ("Export", "At full quality, to any format of supple warp.", ("Export", "Replace", "Cancel")),
+    "export": ("Export", "At full quality. The suffix of the name says the format.", ("Export", "Replace", "Cancel")),
     "copy": ("Save what is seen", "The picture as it is on the canvas.", _KEEP),
     "close": ("Close?", "There are strokes that were not saved.", _WAYS_OUT),
 }

@@ -11,6 +11,8 @@ from supple.strokes import CoordinateSpace, FoldPolicy, Recipe, Stroke
 
 Kind = Literal["image", "video", "volume"]
 S = TypeVar("S")
+PAINTINGS = frozenset(("restore", "smooth"))
+"""The names of strokes that were painted, many at a time."""
 _EMPTY = Recipe()
 
 
@@ -127,6 +129,16 @@ class History(Generic[S]):
     def can_redo(self) -> bool:
         """Return whether a state was undone, and nothing was pushed since."""
         return bool(self._future)
+
+    @property
+    def states(self) -> tuple[S, ...]:
+        """All states, from the first to the one that was undone first."""
+        return (*self._past, self.present, *reversed(self._future))
+
+    @property
+    def index(self) -> int:
+        """The index of the present state among all."""
+        return len(self._past)
 
     def push(self, state: S) -> None:
         """Add a state; undone states are dropped."""

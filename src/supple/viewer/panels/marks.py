@@ -3,27 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 from imgui_bundle import imgui
 
 from supple.folding import NEAR
+from supple.viewer.document.state import PAINTINGS
+from supple.viewer.panels import theme
 from supple.viewer.panels.view import View
-from supple.viewer.tools.gestures import Pair
+from supple.viewer.tools.brushes import ImageTools
+from supple.viewer.tools.drags import PAINTED, Pair
 from supple.viewer.tools.planes import RENDERED, Pane, Place
 from supple.viewer.tools.slices import SliceTools
 
-WHITE, DARK, BLUE, RED = 0xFFFFFFFF, 0xA0000000, 0xFFFFA040, 0xFF5060FF  # ABGR
-_SOFT, _FAINT, _LETTERS, _GREY = 0x90FFFFFF, 0x50FFFFFF, 0xF0FFFFFF, 0xFFC0C0C0
+_LETTERS = 0xF0FFFFFF  # ABGR
 _PLANES = (0xFF6478F0, 0xFF78C86C, 0xFF50C8E8)  # red, green and yellow, as elsewhere for these three
 _INSET = 8.0  # logical pixels from a view's edge to its text
+_NAMED = 30.0  # and to the names of before and after, below that of the plane
 _ARM = 30.0  # logical pixels of the axes in the rendering
 _BAR = (0.28, 30.0)  # the largest part of a view's width, and the least logical pixels, of a scale bar
+_DASH = 14.0  # logical pixels from one dash to the next
 _ROOMY = 240.0  # logical pixels: a narrower view has no room for all of its text
 _NEARBY = 5.0  # millimetres of a landmark from a plane in which it is seen, faint
-_MARK = 0xFFF0D060  # ABGR: of landmarks
+_MARK = 0xFFF0D060  # of landmarks
 _AXES = (("L", "R"), ("P", "A"), ("S", "I"))
 
 
@@ -39,24 +43,48 @@ def draw(view: View, tools: SliceTools, lines: imgui.ImDrawList) -> None:
         else:
             _plane(view, tools, lines, k)
         if tools.active == k:
-            _ring(tools, lines)
+            rings(tools, lines)
         if (at := tools.knob_of(k)) is not None:
             knob(lines, at)
+        names(tools, lines, place, _NAMED)
         _button(tools, lines, k)
         lines.pop_clip_rect()
 
 
-def _ring(tools: SliceTools, lines: imgui.ImDrawList) -> None:
-    if tools.pointer is not None and not tools.original and (ring := tools.ring):
-        lines.add_circle(tools.pointer, ring, DARK, 0, 3.0)
-        lines.add_circle(tools.pointer, ring, WHITE, 0, 1.0)
+def rings(tools: ImageTools | SliceTools, lines: imgui.ImDrawList) -> None:
+    """Draw the brush's radius under the pointer and, around it, its reach, beyond which nothing moves."""
+    middle, radius, held = tools.pointer, tools.ring, tools.held
+    if middle is None or tools.original or not radius:
+        return
+    if held is not None and held.shapes:  # the point stays, and the pointer says how much
+        middle = held.start
+    reach = PAINTED if tools.brush in PAINTINGS else tools.reach if held is None else held.stroke.reach
+    if reach is not None and reach > 1.0:
+        lines.add_circle(middle, reach * radius, theme.SHADE, 0, 3.0)
+        lines.add_circle(middle, reach * radius, theme.PALE, 0, 1.0)
+    lines.add_circle(middle, radius, theme.DARK, 0, 3.0)
+    lines.add_circle(middle, radius, theme.WHITE, 0, 1.0)
+
+
+def names(tools: ImageTools | SliceTools, lines: imgui.ImDrawList, place: Place, down: float) -> None:
+    """Say which picture of a view is the original, some pixels below its upper edge."""
+    (left, top, width, _), named = place, []
+    if tools.original:
+        named = [("Original", left + 10.0)]
+    elif tools.split is not None and 0.05 < tools.split < 0.95:
+        middle = left + tools.split * width
+        named = [("Before", middle - 10 - imgui.calc_text_size("Before").x - 20), ("After", middle + 10)]
+    for text, x in named:
+        size, y = imgui.calc_text_size(text), top + down
+        lines.add_rect_filled((x, y), (x + size.x + 20, y + size.y + 8), 0xB0181818, 6.0)
+        lines.add_text((x + 10, y + 4), theme.WHITE, text)
 
 
 def knob(lines: imgui.ImDrawList, at: Pair) -> None:
     """Draw the knob of the split between before and after."""
     x, y = at
-    lines.add_circle_filled(at, 9.0, WHITE)
-    lines.add_circle(at, 9.0, DARK, 0, 1.0)
+    lines.add_circle_filled(at, 9.0, theme.WHITE)
+    lines.add_circle(at, 9.0, theme.DARK, 0, 1.0)
     for way in (-1, 1):
         lines.add_triangle_filled((x + 6 * way, y), (x + 2 * way, y - 4), (x + 2 * way, y + 4), 0xFF202020)
 
@@ -74,8 +102,8 @@ def _button(tools: SliceTools, lines: imgui.ImDrawList, k: int) -> None:
     left, top, width, height = tools.button(k)
     x, y, large = left + width / 2, top + height / 2, tools.sight.large is not None
     over = tools.pointer is not None and left <= tools.pointer[0] and top <= tools.pointer[1] < top + height
-    colour = WHITE if over and tools.active == k else _GREY
-    for shade, thick in ((DARK, 3.5), (colour, 1.5)):
+    colour = theme.WHITE if over and tools.active == k else theme.GREY
+    for shade, thick in ((theme.DARK, 3.5), (colour, 1.5)):
         for a, b in ((-1, -1), (1, -1), (-1, 1), (1, 1)):
             near, far = (2.0, 6.0) if large else (6.0, 2.0)
             corner = x + a * near, y + b * near
@@ -87,6 +115,10 @@ def _plane(view: View, tools: SliceTools, lines: imgui.ImDrawList, k: int) -> No
     pane = tools.pane(k)
     left, top, width, height = pane.place
     _crosshair(tools, lines, pane)
+    if tools.symmetric and pane.plane.across == tools.across:
+        here = [0.0, 0.0, 0.0]
+        here[tools.across] = tools.middle
+        mirror(lines, pane.to_canvas(tuple(here))[0], top, height)
     _strokes(view, tools, lines, pane)
     _landmarks(view, lines, pane.to_canvas, pane)
     x, y, (west, east, north, south) = left + width / 2, top + height / 2, pane.plane.sides
@@ -99,12 +131,13 @@ def _plane(view: View, tools: SliceTools, lines: imgui.ImDrawList, k: int) -> No
     wide = imgui.calc_text_size(pane.plane.name).x
     if width > _ROOMY:
         said = f"{'xyz'[axis]} {pane.index[axis]}   {_lies(tools, pane)}"
-        _text(lines, (left + 2 * _INSET + wide, top + _INSET), said, _GREY)
+        _text(lines, (left + 2 * _INSET + wide, top + _INSET), said, theme.GREY)
     _bar(lines, pane.place, pane.scale)
     if view.slices is not None and not view.slices.labels and width > _ROOMY:
         low, high = tools.sight.window
-        said = f"W {high - low:.4g}  L {0.5 * (low + high):.4g} {view.slices.unit}".rstrip()
-        _text(lines, (left + width - _INSET, top + height - _INSET), said, _GREY, (1.0, 1.0))
+        unit = view.slices.unit if view.slices.unit != "label" else ""
+        said = f"W {high - low:.4g}  L {0.5 * (low + high):.4g} {unit}".rstrip()
+        _text(lines, (left + width - _INSET, top + height - _INSET), said, theme.GREY, (1.0, 1.0))
 
 
 def _lies(tools: SliceTools, pane: Pane) -> str:
@@ -137,58 +170,75 @@ def _strokes(view: View, tools: SliceTools, lines: imgui.ImDrawList, pane: Pane)
     document = view.document
     for i, arrival in enumerate(document.arrivals):
         selected = document.selected == i
-        if arrival is None or (not selected and len(document.items) > 60):
+        if arrival is None or not document.has_handles(i) or (not selected and len(document.items) > 60):
             continue
-        stroke = document.seen(i)
-        there = [pane.crosses(point) for point in (stroke.at, arrival.arrived)]
-        if not any(there) and not selected:
-            continue
-        start, end = pane.to_canvas(stroke.at), pane.to_canvas(arrival.arrived)
-        colour = BLUE if selected else _SOFT
-        if all(there):
-            lines.add_line(start, end, DARK, 3.0)
-            lines.add_line(start, end, colour, 1.5)
-        if there[0]:
-            lines.add_circle_filled(start, 3.0, colour)
-        else:
-            lines.add_circle(start, 2.0, _FAINT, 0, 1.0)
-        if there[1]:
-            end_of(lines, end, colour, pane.to_canvas(arrival.target) if arrival.miss > NEAR else None)
-        else:
-            lines.add_circle(end, 3.0, _FAINT, 0, 1.5)
-        away = (stroke.at[pane.plane.axis] - pane.index[pane.plane.axis]) * pane.spacing[pane.plane.axis]
-        if selected and abs(away) < stroke.radius:  # the ball of the brush, where the plane cuts it
-            lines.add_circle(start, math.sqrt(stroke.radius**2 - away**2) * pane.scale, 0x80FFA040, 0, 1.0)
+        stroke, wanted = document.seen(i), arrival.target if arrival.miss > NEAR else None
+        colour = theme.BLUE if selected else theme.SOFT
+        for point, where in document.handles(i):
+            there = [pane.crosses(p) for p in (point, where)]
+            if not any(there) and not selected:
+                continue
+            start, end = pane.to_canvas(point), pane.to_canvas(where)
+            if all(there):
+                track(lines, (start, *map(pane.to_canvas, stroke.path), end), colour)
+            if there[0]:
+                lines.add_circle_filled(start, 3.0, colour)
+            else:
+                lines.add_circle(start, 2.0, theme.DIM, 0, 1.0)
+            if there[1] and stroke.brush == "grab":
+                end_of(lines, end, colour, None if wanted is None else pane.to_canvas(wanted))
+            elif not there[1]:
+                lines.add_circle(end, 3.0, theme.DIM, 0, 1.5)
+            away = (point[pane.plane.axis] - pane.index[pane.plane.axis]) * pane.spacing[pane.plane.axis]
+            if selected and abs(away) < stroke.radius:  # the ball of the brush, where the plane cuts it
+                lines.add_circle(start, math.sqrt(stroke.radius**2 - away**2) * pane.scale, theme.BALL, 0, 1.0)
+            wanted = None  # only the first one's is known
+
+
+def track(lines: imgui.ImDrawList, places: Iterable[Pair | None], colour: int) -> None:
+    """Draw the way of a point, where it is seen."""
+    points: list[Any] = [imgui.ImVec2(*place) for place in places if place is not None]
+    for shade, thick in ((theme.DARK, 3.0), (colour, 1.5)):
+        lines.add_polyline(points, col=shade, thickness=thick, flags=imgui.ImDrawFlags_.none)
+
+
+def mirror(lines: imgui.ImDrawList, x: float, top: float, height: float) -> None:
+    """Draw the line of symmetry, dashed."""
+    for k in range(math.ceil(height / _DASH)):
+        for shade, thick in ((theme.DARK, 3.0), (theme.BLUE, 1.0)):
+            lines.add_line((x, top + k * _DASH), (x, top + min(k * _DASH + 0.55 * _DASH, height)), shade, thick)
 
 
 def end_of(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None) -> None:
     """Draw the end of a stroke, and its target, if they differ."""
     lines.add_circle(end, 5.0, colour, 0, 2.0)
     if wanted is not None:
-        lines.add_line(end, wanted, RED, 1.5)
-        lines.add_circle(wanted, 4.0, RED, 0, 1.5)
+        lines.add_line(end, wanted, theme.RED, 1.5)
+        lines.add_circle(wanted, 4.0, theme.RED, 0, 1.5)
 
 
 def _rendering(view: View, tools: SliceTools, lines: imgui.ImDrawList, place: Place) -> None:
     document = view.document
     for i, arrival in enumerate(document.arrivals):
-        if arrival is None:
+        if arrival is None or not document.has_handles(i):
             continue
-        start, end, wanted = (tools.projected(p) for p in (document.seen(i).at, arrival.arrived, arrival.target))
-        if start is None or end is None:
-            continue
-        colour = BLUE if document.selected == i else _SOFT
-        lines.add_line(start, end, DARK, 3.0)
-        lines.add_line(start, end, _SOFT, 1.0)
-        lines.add_circle_filled(start, 3.0, colour)
-        end_of(lines, end, colour, wanted if arrival.miss > NEAR else None)
+        wanted = tools.projected(arrival.target) if arrival.miss > NEAR else None
+        colour = theme.BLUE if document.selected == i else theme.SOFT
+        for point, where in document.handles(i):
+            start, end = tools.projected(point), tools.projected(where)
+            if start is not None and end is not None:
+                track(lines, (start, *map(tools.projected, document.seen(i).path), end), theme.SOFT)
+                lines.add_circle_filled(start, 3.0, colour)
+                if document.items[i].stroke.brush == "grab":
+                    end_of(lines, end, colour, wanted)
+            wanted = None  # only the first one's is known
     left, top, width, height = place
     if tools.sight.large is None and (at := tools.projected(tuple(map(float, tools.index)))) is not None:
         for a, b in ((1, 0), (0, 1)):
             for way in (-1, 1):
                 near, far = ((at[0] + way * r * a, at[1] + way * r * b) for r in (3.0, 9.0))
-                lines.add_line(near, far, DARK, 3.0)
-                lines.add_line(near, far, WHITE, 1.0)
+                lines.add_line(near, far, theme.DARK, 3.0)
+                lines.add_line(near, far, theme.WHITE, 1.0)
     _landmarks(view, lines, tools.projected)
     if width > _ROOMY:
         _axes(tools, lines, (left + width - _ARM - 3 * _INSET, top + height - _ARM - 3 * _INSET))
@@ -215,7 +265,7 @@ def _landmarks(
         if start is None or end is None:
             continue
         if math.dist(start, end) > 1.0:
-            lines.add_line(start, end, DARK, 3.0)
+            lines.add_line(start, end, theme.DARK, 3.0)
             lines.add_line(start, end, _MARK & 0x90FFFFFF, 1.0)
             lines.add_circle(start, 2.5, _MARK & 0x90FFFFFF, 0, 1.0)
         x, y = end
@@ -223,7 +273,7 @@ def _landmarks(
         if away <= 0.5:
             lines.add_convex_poly_filled(corners, _MARK)
             _text(lines, (x + 8, y), name, _MARK, (0.0, 0.5))
-        lines.add_polyline([*corners, corners[0]], DARK if away <= 0.5 else _MARK & 0x90FFFFFF, 1.5, 0)
+        lines.add_polyline([*corners, corners[0]], theme.DARK if away <= 0.5 else _MARK & 0x90FFFFFF, 1.5, 0)
 
 
 def _axes(tools: SliceTools, lines: imgui.ImDrawList, at: Pair) -> None:
@@ -238,8 +288,8 @@ def _axes(tools: SliceTools, lines: imgui.ImDrawList, at: Pair) -> None:
             ends.append((float(way @ seen.ahead), float(way @ right), float(way @ down), letter))
     for away, x, y, letter in sorted(ends, reverse=True):
         end = at[0] + _ARM * x, at[1] + _ARM * y
-        lines.add_line(at, end, DARK, 3.0)
-        lines.add_line(at, end, _SOFT if away <= 0.2 else _FAINT, 1.5)
+        lines.add_line(at, end, theme.DARK, 3.0)
+        lines.add_line(at, end, theme.SOFT if away <= 0.2 else theme.DIM, 1.5)
         if away <= 0.2:
             _text(lines, (at[0] + (_ARM + 9) * x, at[1] + (_ARM + 9) * y), letter, align=(0.5, 0.5))
 
@@ -252,7 +302,7 @@ def _bar(lines: imgui.ImDrawList, place: Place, scale: float) -> None:
         return
     length = rounded(most / scale)
     x, y = left + _INSET, top + height - _INSET
-    for colour, thick in ((DARK, 4.0), (WHITE, 2.0)):
+    for colour, thick in ((theme.DARK, 4.0), (theme.WHITE, 2.0)):
         lines.add_line((x, y - 2), (x + length * scale, y - 2), colour, thick)
         for end in (x, x + length * scale):
             lines.add_line((end, y - 6), (end, y), colour, thick)

@@ -7,12 +7,13 @@ import math
 from imgui_bundle import imgui
 
 from supple.folding import NEAR
-from supple.viewer.panels import marks
-from supple.viewer.panels.marks import BLUE, DARK, WHITE
-from supple.viewer.panels.panel import hint
+from supple.viewer.document.words import done, named
+from supple.viewer.panels import icons, marks, theme
 from supple.viewer.panels.stages import VideoStage, VolumeStage
 from supple.viewer.panels.view import BAR, LINE, View
+from supple.viewer.panels.widgets import hint, icon_button
 from supple.viewer.tools.brushes import ImageTools, VideoTools
+from supple.viewer.tools.drags import Pair
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.slices import SliceTools
 
@@ -34,12 +35,13 @@ def draw(view: View) -> None:
     if isinstance(tools, SliceTools):
         marks.draw(view, tools, lines)
     else:
+        if tools.symmetric:
+            marks.mirror(lines, tools.viewport.to_canvas(tools.middle, 0.0)[0], 0.0, height)
         _handles(view, lines)
-        if tools.pointer is not None and not tools.original and (ring := tools.ring):
-            lines.add_circle(tools.pointer, ring, DARK, 0, 3.0)
-            lines.add_circle(tools.pointer, ring, WHITE, 0, 1.0)
+        marks.rings(tools, lines)
         if tools.knob is not None:
             marks.knob(lines, tools.knob)
+        marks.names(tools, lines, (0.0, 0.0, width, height), 10.0)
     lines.pop_clip_rect()
     if isinstance(view.stage, VideoStage):
         _timeline(view, view.stage)
@@ -52,25 +54,27 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
     document, viewport = view.document, tools.viewport
     for i, arrival in enumerate(document.arrivals):
         selected = document.selected == i
-        if arrival is None or (not selected and len(document.items) > 60):
+        if arrival is None or not document.has_handles(i) or (not selected and len(document.items) > 60):
             continue
-        stroke = document.seen(i)
-        start, end = viewport.to_canvas(*stroke.at[:2]), viewport.to_canvas(*arrival.arrived[:2])
-        colour = BLUE if selected else 0x90FFFFFF
-        if isinstance(view.stage, VideoStage):
-            # Handles of other frames are faint, and cannot be dragged.
-            there = [abs(t - view.frame) <= 0.5 for t in (stroke.at[2], arrival.arrived[2])]
-            if not all(there):
-                for place, seen in zip((start, end), there, strict=True):
-                    if seen or selected:
-                        lines.add_circle(place, 5.0 if seen else 3.0, colour if seen else 0x50FFFFFF, 0, 1.5)
-                continue
-        lines.add_line(start, end, DARK, 3.0)
-        lines.add_line(start, end, colour, 1.5)
-        lines.add_circle_filled(start, 3.0, colour)
-        marks.end_of(lines, end, colour, viewport.to_canvas(*arrival.target[:2]) if arrival.miss > NEAR else None)
-        if selected:
-            lines.add_circle(start, stroke.radius * viewport.zoom, 0x80FFA040, 0, 1.0)
+        stroke, wanted = document.seen(i), arrival.target if arrival.miss > NEAR else None
+        colour = theme.BLUE if selected else theme.SOFT
+        for point, where in document.handles(i):
+            start, end = viewport.to_canvas(*point[:2]), viewport.to_canvas(*where[:2])
+            if isinstance(view.stage, VideoStage):
+                # Handles of other frames are faint, and cannot be dragged.
+                there = [abs(t - view.frame) <= 0.5 for t in (point[2], where[2])]
+                if not all(there):
+                    for place, seen in zip((start, end), there, strict=True):
+                        if seen or selected:
+                            lines.add_circle(place, 5.0 if seen else 3.0, colour if seen else theme.DIM, 0, 1.5)
+                    continue
+            marks.track(lines, (start, *(viewport.to_canvas(*p[:2]) for p in stroke.path), end), colour)
+            lines.add_circle_filled(start, 3.0, colour)
+            if stroke.brush == "grab":
+                marks.end_of(lines, end, colour, None if wanted is None else viewport.to_canvas(*wanted[:2]))
+            if selected:
+                lines.add_circle(start, stroke.radius * viewport.zoom, theme.BALL, 0, 1.0)
+            wanted = None  # only the first one's is known
 
 
 def _timeline(view: View, stage: VideoStage) -> None:
@@ -78,25 +82,47 @@ def _timeline(view: View, stage: VideoStage) -> None:
     assert isinstance(tools, VideoTools)
     playback = tools.playback
     width, height = view.area[0], view.logical[1]
-    imgui.set_next_window_pos((0, height - LINE - BAR))
-    imgui.set_next_window_size((width, BAR))
-    imgui.begin("timeline", None, _BARE)
-    if imgui.button("pause" if playback.playing else "play", (54, 0)):
+    _bar("timeline", height - LINE - BAR, width, BAR, (8, 8))
+    if icon_button("play", icons.pause if playback.playing else icons.play, imgui.get_frame_height()):
         tools.press(" ")
+    hint("Pause (Space)" if playback.playing else "Play (Space)")
     imgui.same_line()
-    imgui.set_next_item_width(max(80.0, width - 330))
-    changed, frame = imgui.slider_int("##frame", playback.frame, 0, stage.film.count - 1, "")
+    last = stage.film.count - 1
+    said = f"{playback.frame} / {last}   {playback.seconds:.2f} s"
+    most = f"{last} / {last}   {last / stage.rate:.2f} s"
+    beside = imgui.calc_text_size(most).x + imgui.calc_text_size("loop").x + imgui.get_frame_height() + 44
+    imgui.set_next_item_width(max(80.0, imgui.get_content_region_avail().x - beside))
+    imgui.push_style_color(imgui.Col_.slider_grab, theme.TEXT)
+    changed, frame = imgui.slider_int("##frame", playback.frame, 0, last, "")
+    imgui.pop_style_color()
     if changed:
         playback.seek(frame)
-    hint("i and o mark what is played, u plays all")
     _marked(playback)
-    imgui.same_line()
-    imgui.text(f"{playback.frame} / {stage.film.count - 1}  {playback.seconds:.2f} s")
-    imgui.same_line()
+    hint("The frame; I and O mark the part that is played, U removes the marks")
+    imgui.same_line(0, 12)
+    imgui.text(said)
+    imgui.same_line(width - imgui.get_frame_height() - imgui.calc_text_size("loop").x - 16)
     changed, loop = imgui.checkbox("loop", playback.loop)
     if changed:
         playback.set_loop(loop)
+    hint("Play again and again (L)")
+    _end_bar()
+
+
+def _bar(name: str, top: float, wide: float, high: float, padding: Pair) -> None:
+    """Begin a bar below the picture."""
+    imgui.set_next_window_pos((0, top))
+    imgui.set_next_window_size((wide, high))
+    imgui.push_style_var(imgui.StyleVar_.window_padding, padding)
+    imgui.push_style_var(imgui.StyleVar_.window_rounding, 0.0)
+    imgui.push_style_color(imgui.Col_.window_bg, theme.RAIL)
+    imgui.begin(name, None, _BARE)
+
+
+def _end_bar() -> None:
     imgui.end()
+    imgui.pop_style_color()
+    imgui.pop_style_var(2)
 
 
 def _marked(playback: Playback) -> None:
@@ -106,20 +132,16 @@ def _marked(playback: Playback) -> None:
     low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
     inset = 0.5 * imgui.get_style().grab_min_size + 2.0  # a slider's knob stays within it
     wide = (high.x - low.x - 2 * inset) / max(playback.count - 1, 1)
-    first, last = (low.x + inset + wide * frame for frame in (playback.first, playback.last))
-    imgui.get_window_draw_list().add_rect((first - 2, low.y), (last + 2, high.y), BLUE, 2.0)
+    first, last = (round(low.x + inset + wide * frame) for frame in (playback.first, playback.last))
+    imgui.get_window_draw_list().add_rect((first - 2, low.y), (last + 2, high.y), theme.BLUE, 2.0)
 
 
 def _status(view: View) -> None:
-    imgui.set_next_window_pos((0, view.logical[1] - LINE))
-    imgui.set_next_window_size((view.area[0], LINE))
-    imgui.push_style_var(imgui.StyleVar_.window_padding, (8, 3))
-    imgui.begin("status", None, _BARE)
+    _bar("status", view.logical[1] - LINE, view.area[0], LINE, (8, 3))
     said = status(view)
     imgui.text(said)
     hint(said.replace("   |   ", "\n"))  # the full text, if the window is narrow
-    imgui.end()
-    imgui.pop_style_var()
+    _end_bar()
 
 
 def status(view: View) -> str:
@@ -132,9 +154,8 @@ def status(view: View) -> str:
     elif (hover := tools.hover) is not None:  # for a volume, it casts a ray
         names = {"image": "xy", "video": "xyt", "volume": "xyz"}[view.stage.kind]
         parts.append("  ".join(f"{name} {v:.1f}" for name, v in zip(names, hover, strict=False)))
-        if document.dragging and document.selected is not None:  # the held point stays under the pointer
-            by = document.seen(document.selected).by
-            parts.append("by " + " ".join(f"{v:+.1f}" for v in by))
+        if document.dragging:
+            parts.append(_held(view))
         elif isinstance(tools, SliceTools):
             parts += _of_a_volume(view, tools, hover)
         elif not isinstance(view.stage, VolumeStage):
@@ -149,6 +170,19 @@ def status(view: View) -> str:
         why = "no hardware GPU" if view.gpu.software else "the GPU is slow"
         parts.append(f"drawn at 1/{view.painter.coarse} while you drag: {why}")
     return "   |   ".join(p for p in parts if p)
+
+
+def _held(view: View) -> str:
+    """Return what the drag does so far."""
+    held, document = view.tools.held, view.document
+    if held is not None and held.paints:
+        return f"{held.tool}: {len(held.made)} {'stroke' if len(held.made) == 1 else 'strokes'}"
+    if document.selected is None:
+        return ""
+    stroke = document.seen(document.selected)
+    if stroke.brush != "grab":
+        return f"{named(stroke)} {done(stroke)}"
+    return "by " + " ".join(f"{v:+.1f}" for v in stroke.by)  # the held point stays under the pointer
 
 
 def _is_before(view: View) -> bool:

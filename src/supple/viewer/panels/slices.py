@@ -45,7 +45,7 @@ class Slices:
     labels : bool
         Whether values are labels, which are not mixed.
     unit : str
-        The unit of its values, for the status line.
+        The unit of its values, for the status line; ``"label"`` of what looks like labels.
     """
 
     def __init__(self, gpu: Gpu, volume: Volume, labels: bool = False, unit: str = "") -> None:
@@ -91,6 +91,8 @@ class Slices:
         if self.labels:
             name = self._names.get(int(value)) if np.isfinite(value) else None
             return f"label {value:g}" + (f" ({name})" if name else "")
+        if self.unit == "label":  # mixed where labels meet
+            return f"label {value:.6g}"
         return f"{value:.6g} {self.unit}".rstrip()
 
     def update(self, tools: SliceTools, resting: bool = True) -> None:

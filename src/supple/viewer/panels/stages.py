@@ -13,6 +13,7 @@ from supple.deformation import Deformation
 from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.plate import BACK, Plate, Sight
 from supple.errors import SuppleError
+from supple.files.volumes import is_of_labels
 from supple.media.image import Picture
 from supple.media.volume import Volume
 from supple.render.camera import Camera
@@ -172,7 +173,8 @@ class VolumeStage:
 
     def __init__(self, gpu: Gpu, volume: Volume, preset: str, samples: Any = None) -> None:
         self.name, self.volume, self.preset = volume.name, volume, preset
-        self.unit = "HU" if preset.startswith("ct-") else ""  # of values
+        # Computed tomography is recognized by its values, as its preset is.
+        self.unit = "HU" if preset.startswith("ct-") else "label" if is_of_labels(volume) else ""  # of values
         self.density: tuple[float, float] | None = None
         self.mode = "hybrid"
         self._gpu = gpu

@@ -21,6 +21,7 @@ from supple.viewer.document.background import Certifier
 from supple.viewer.document.editing import Document
 from supple.viewer.document.files import FileCommands
 from supple.viewer.document.landmarks import Landmarks
+from supple.viewer.panels import settings
 from supple.viewer.panels.painter import Painter, Shot
 from supple.viewer.panels.slices import Slices, physical
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage
@@ -28,7 +29,7 @@ from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.planes import RENDERED
 from supple.viewer.tools.slices import SliceTools
 
-WIDE = 300  # logical pixels of the panel
+WIDE, STRIP = 348, 44  # logical pixels of the tools and the panel, and of the tools alone
 BAR, LINE = 44, 24  # and of the timeline and the status line
 SETTLED = 0.15  # seconds without a change, after which an image is drawn at full size
 PATIENCE = 5.0  # seconds that saving an image waits for its frames
@@ -50,7 +51,10 @@ class View:
 
     def __post_init__(self) -> None:
         self.overlay = ""
-        self.listed: int | None = None
+        self.listed: int | None = None  # the stroke that the list has scrolled to
+        self.reached: int | None = None  # and the step of the history
+        self.sections = settings.read()  # those that were folded or opened
+        self.copy_text: Callable[[str], None] | None = None  # to the clipboard, if there is one
         self.typed: dict[str, float] = {}  # numbers being typed in the panel
         self.filled = 0.0
         self.painter = Painter(self.gpu, self.stage)

@@ -13,7 +13,8 @@ from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.viewer.document.editing import Document
 from supple.viewer.tools import orbit
-from supple.viewer.tools.gestures import Event, Held, Pair, Tools, commanded, shifted
+from supple.viewer.tools.drags import Held, Pair
+from supple.viewer.tools.gestures import Event, Tools, commanded, shifted
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.viewport import Viewport
 
@@ -63,7 +64,7 @@ class ImageTools(Tools[Viewport]):
         held, pointer = self.held, self.pointer
         if pointer is None or not all(p < n for p, n in zip(pointer, self.canvas_size, strict=True)):
             return None
-        return (self.radius if held is None else held.stroke.radius) * self.view.zoom
+        return (self.radius if held is None else held.stroke.radius) * self._scale(())
 
     def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
         point = self.view.to_image(x, y)
@@ -74,6 +75,9 @@ class ImageTools(Tools[Viewport]):
 
     def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
         return tuple(a - b for a, b in zip(self.view.to_image(x, y), held.point, strict=False))
+
+    def _scale(self, point: tuple[float, ...]) -> float:
+        return self.view.zoom
 
     def _led(self, how: str, view: Viewport, dx: float, dy: float) -> Viewport:
         return view.pan(dx, dy) if how == "pan" else view
@@ -137,11 +141,11 @@ class VideoTools(ImageTools):
         held.turned = min(max(held.turned + frames, first), last)
         held.time = min(max(math.floor(held.turned + 0.5), first), last)
         self.playback.seek(start + held.time)
-        held.draw(self.document, self._carried)
+        self._draw(held)
 
     def _turn(self, event: Event, amount: float) -> None:
         held = self.held
-        if held is None or commanded(event) or shifted(event):
+        if held is None or held.shapes or commanded(event) or shifted(event):
             super()._turn(event, amount)
         else:
             self._carry(held, -amount / 100)
@@ -159,7 +163,8 @@ class VideoTools(ImageTools):
             "l": lambda: playback.set_loop(not playback.loop),
         }
         if held is not None and step is not None:
-            self._carry(held, step)
+            if not held.shapes:  # those stay in their frame
+                self._carry(held, step)
         elif step is not None:
             playback.step(step)
         elif key.lower() not in acts:
@@ -240,8 +245,7 @@ class VolumeTools(Tools[Camera]):
         point = self.hover if held is None else held.point
         if point is None:
             return None
-        radius = self.radius if held is None else held.stroke.radius
-        return radius * self.stage.scale(self.view, point)
+        return (self.radius if held is None else held.stroke.radius) * self._scale(point)
 
     def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
         found = self._picked = self.pick(*self._within(x, y))
@@ -256,9 +260,17 @@ class VolumeTools(Tools[Camera]):
 
     def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
         # A handle has no fixed depth; only its position on screen counts.
-        picked = self._picked if held.item is None else None
+        picked = self._picked if held.new else None
         held_at: Pick = picked or Pick(held.point, held.point, 0.0)  # type: ignore[arg-type]
         return self.drag(held_at, self._within(x, y))
+
+    def _scale(self, point: tuple[float, ...]) -> float:
+        return self.stage.scale(self.view, point)
+
+    def _normal(self, point: tuple[float, ...]) -> tuple[float, ...] | None:
+        seen = self.stage.view(self.view)
+        normal = np.cross(*seen.packed[3:]) / seen.spacing  # the axes of the screen, in millimetres
+        return tuple((normal / np.linalg.norm(normal)).tolist())
 
     def _led(self, how: str, view: Camera, dx: float, dy: float) -> Camera:
         if not (dx or dy):

@@ -3,90 +3,28 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, Generic, Literal, TypeVar
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
-from supple.domain import Domain
 from supple.errors import SuppleError
-from supple.strokes import REACH, Stroke
 from supple.viewer.document.editing import Document
+from supple.viewer.tools.drags import CLICK, Held, Pair, nearest
+from supple.viewer.tools.drawing import Drawing
+from supple.viewer.tools.keys import BRUSHES
 
-Pair = tuple[float, float]
 V = TypeVar("V")
 
 Event = Mapping[str, Any]
-Part = Literal["pivot", "end"]
 
-CLICK = 3.0  # logical pixels that a click may move
-HANDLE = 8.0  # the largest distance of the pointer from a handle, in logical pixels
 KNOB = 10.0  # the largest distance from the knob of the split between before and after
-GROWTH = 1.1  # the factor of the brush for a notch of the wheel, which is 100
 _LEFT = 1
 _CUT = "cut"
 _MOST = 1e4  # the largest turn of the wheel at once: larger powers overflow
 _REQUESTS = {"s": "save", "o": "open", "e": "export"}
 COMMANDS = frozenset((*_REQUESTS, "z", "y"))  # letters that do something together with Control
-
-
-@dataclass(frozen=True, slots=True)
-class Handle:
-    """A handle of a stroke: its pivot, or its end."""
-
-    item: int  # the index of its stroke
-    part: Part
-    point: tuple[float, ...]
-    seen: Pair  # the position on the canvas
-
-
-def nearest(among: Iterable[Handle], place: Pair) -> Handle | None:
-    """Return the handle under the pointer; of several, the last."""
-    best, reach = None, HANDLE
-    for handle in among:
-        away = math.dist(handle.seen, place)
-        if away <= reach:
-            best, reach = handle, away
-    return best
-
-
-@dataclass(slots=True)
-class Held:
-    """A stroke held by the pointer, while the button is down; positions are in logical pixels of the canvas."""
-
-    stroke: Stroke  # at the start of the drag; the wheel changes its radius
-    point: tuple[float, ...]  # the held point
-    start: Pair  # the start of the drag
-    now: Pair
-    offset: Pair = (0.0, 0.0)  # from the point to the start
-    item: int | None = None  # the index of the stroke; None for a new one
-    part: Part = "end"
-    turned: float = 0.0  # frames of the drag through time, including fractions from the wheel
-    time: float = 0.0  # the whole frames of it, within the clip
-    grown: bool = False  # whether the radius of an existing stroke was changed
-    button: int = 1
-
-    @property
-    def moved(self) -> bool:
-        """True if it is a drag; otherwise it is a click."""
-        return math.dist(self.start, self.now) >= CLICK or self.time != 0
-
-    def draw(self, document: Document, carried: Callable[[Held, float, float], tuple[float, ...]]) -> None:
-        """Show the drag in a document, if the pointer has moved; ``carried`` returns its displacement."""
-        if not document.dragging:
-            if not (self.moved or self.grown):
-                return
-            document.begin_drag(self.item)
-        stroke = self.stroke
-        if self.moved:
-            (x, y), (a, b) = self.now, self.offset
-            gone = carried(self, x - a, y - b)
-            if self.item is not None and self.part == "pivot":
-                stroke = replace(stroke, at=tuple(p + d for p, d in zip(stroke.at, gone, strict=True)))
-            else:
-                by = tuple((p - at) + d for p, at, d in zip(self.point, stroke.at, gone, strict=True))
-                stroke = replace(stroke, by=by)
-        document.preview(stroke)
+_BRUSHES = {key.lower(): name for name, (key, _) in BRUSHES.items()}
 
 
 @dataclass(slots=True)
@@ -107,7 +45,7 @@ class Lead(Generic[V]):
         return self.travelled or math.dist(self.start, self.now) >= CLICK
 
 
-class Tools(ABC, Generic[V]):
+class Tools(Drawing, Generic[V]):
     """Edits of a document and moves of the view, from events.
 
     Events are those of rendercanvas. They may be merged, so that amounts count, and not their number. Errors are shown
@@ -117,39 +55,17 @@ class Tools(ABC, Generic[V]):
     _beside = "click"  # the left button's effect on the view where there is nothing to grab
 
     def __init__(self, document: Document, view: V) -> None:
-        self.document = document
+        super().__init__(document)
         self.view = view
-        domain = Domain(document.shape, document.spacing)
-        n = 3 if document.kind == "volume" else 2  # without time
-        sides = [max(e, s) for e, s in zip(domain.extent[:n], domain.spacing[:n], strict=True)]
-        smallest = min(domain.spacing[:n])
-        self.radius_limits = (smallest, 4 * max(sides))
-        self._radius = max(min(sides) / 8, smallest)
-        self.poisson: float | None = None
-        self.scales = 1
-        self.reach: float | None = REACH
         self.original = False  # whether to display the original, without strokes
         self.split: float | None = None
-        self.listing = False  # whether to list keys and gestures
         """The split between original and result, as a fraction of the width; None without a split."""
+        self.listing = False  # whether to list keys and gestures
         self.requests: list[str] = []
         """Requests to the window: ``"save"``, ``"save as"``, ``"open"``, ``"export"``."""
         self.pointer: Pair | None = None  # the pointer on the canvas
         self._gesture: Held | Lead[V] | None = None
         self._refused: str | None = None
-
-    @property
-    def radius(self) -> float:
-        """The brush's radius, in physical units, within `radius_limits`."""
-        return self._radius
-
-    @radius.setter
-    def radius(self, radius: float) -> None:
-        self._radius = self._limited(radius)
-
-    def _limited(self, radius: float) -> float:
-        low, high = self.radius_limits
-        return min(max(float(radius), low), high)
 
     @property
     def held(self) -> Held | None:
@@ -206,18 +122,6 @@ class Tools(ABC, Generic[V]):
         """The width and height of the canvas, in logical pixels."""
 
     @abstractmethod
-    def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
-        """Return the point under a position of the canvas, for a new stroke; None if there is none."""
-
-    @abstractmethod
-    def _seen(self, point: tuple[float, ...]) -> Pair | None:
-        """Return the position of a point on the canvas, if it is visible."""
-
-    @abstractmethod
-    def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
-        """Return the displacement of the held point to a position of the canvas."""
-
-    @abstractmethod
     def _led(self, how: str, view: V, dx: float, dy: float) -> V:
         """Return a view moved by the pointer."""
 
@@ -247,44 +151,20 @@ class Tools(ABC, Generic[V]):
             how = _CUT
         elif how is None and button == _LEFT:
             self._gesture = self._taken(x, y)
+            if self._gesture is not None and self._gesture.clicks:
+                self._draw(self._gesture)
             how = self._beside
         if self._gesture is None and how is not None:
             self._gesture = Lead(how, button, self.view, self.view, (x, y), (x, y))
         return self._gesture is not None
-
-    def _taken(self, x: float, y: float) -> Held | None:
-        """Return a handle of the selected stroke; or a new stroke at the point under the pointer."""
-        chosen = self.document.selected
-        found = None if chosen is None else nearest(self.handles([chosen]), (x, y))
-        if found is not None:
-            (hx, hy), stroke = found.seen, self.document.seen(found.item)
-            return Held(stroke, found.point, (x, y), (x, y), (x - hx, y - hy), found.item, found.part)
-        point = self._grab(x, y)
-        if point is None:
-            return None
-        brush: dict[str, Any] = {"poisson": self.poisson, "scales": self.scales, "reach": self.reach}
-        stroke = Stroke(at=point, by=(0.0,) * len(point), radius=self.radius, **brush)
-        return Held(stroke, stroke.at, (x, y), (x, y))
-
-    def handles(self, among: Iterable[int] | None = None) -> list[Handle]:
-        """Return the visible handles of some strokes, or of all."""
-        found, items = [], self.document.items
-        for i in range(len(items)) if among is None else among:
-            pivot, end = self.document.handles(i)
-            parts: tuple[tuple[Part, tuple[float, ...]], ...] = (("pivot", pivot), ("end", end))
-            if items[i].stroke.brush != "grab":
-                parts = parts[:1]  # its point stays where it is
-            for part, point in parts if not items[i].hidden else ():
-                place = self._seen(point)
-                if place is not None:
-                    found.append(Handle(i, part, point, place))
-        return found
 
     def _on_pointer_move(self, event: Event) -> bool:
         self.pointer = _place(event)
         gesture = self._gesture
         if gesture is None:
             return False
+        if isinstance(gesture, Held):
+            gesture.shift = shifted(event)
         if gesture.button not in event.get("buttons", (gesture.button,)):
             return self._released()  # the button was released outside of the window
         self._follow(gesture, self.pointer)
@@ -306,7 +186,7 @@ class Tools(ABC, Generic[V]):
         """Move the held stroke, or the view, to the pointer."""
         gesture.now = place
         if isinstance(gesture, Held):
-            gesture.draw(self.document, self._carried)
+            self._draw(gesture)
         elif gesture.how == _CUT:
             self.split = min(max(place[0] / self.canvas_size[0], 0.0), 1.0)
         else:
@@ -326,13 +206,16 @@ class Tools(ABC, Generic[V]):
         if gesture is None:
             return False
         if isinstance(gesture, Held):
-            if (gesture.moved or gesture.grown) and self.document.dragging:
+            if (gesture.moved or gesture.grown or gesture.clicks) and self.document.dragging:
                 trouble = self.document.trouble
                 self._refused = None if self.document.commit() else trouble
                 return True
             if self.document.dragging:
                 self.document.abandon()
             self._put_back(gesture)
+            if gesture.tool == "pin" and gesture.item is not None and self._takes(gesture.item):
+                self._unpin(gesture)
+                return True
         elif gesture.button != _LEFT or gesture.how == _CUT or gesture.moved:
             return True
         found = nearest(self.handles(), gesture.start)
@@ -345,17 +228,6 @@ class Tools(ABC, Generic[V]):
             amount += float(event.get("dx", 0.0))  # some systems turn the wheel sideways then
         self._turn(event, min(max(amount, -_MOST), _MOST))
         return True
-
-    def grow(self, notches: float) -> None:
-        """Enlarge the brush, or shrink it (below 0), with the held stroke."""
-        held, factor = self.held, GROWTH**notches
-        if held is None or held.item is None:
-            self.radius *= factor
-        if held is not None:
-            radius = self.radius if held.item is None else self._limited(held.stroke.radius * factor)
-            held.grown |= held.item is not None and radius != held.stroke.radius
-            held.stroke = replace(held.stroke, radius=radius)
-            held.draw(self.document, self._carried)
 
     def _on_key_down(self, event: Event) -> bool:
         self._refused = None
@@ -395,8 +267,12 @@ class Tools(ABC, Generic[V]):
             self.grow(1 if key == "]" else -1)
         elif key == "\\":
             self.original = True
+        elif key.lower() in _BRUSHES:
+            self.brush = _BRUSHES[key.lower()]
         elif key in ("b", "B"):
             self.split = 0.5 if self.split is None else None
+        elif key in ("m", "M"):
+            self.symmetric = not self.symmetric
         elif key in ("Delete", "Backspace", "h", "H"):
             if chosen is not None and self._gesture is None:
                 if key.lower() == "h":

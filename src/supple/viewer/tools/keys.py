@@ -3,10 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Literal
 
+Tool = Literal["grab", "twist", "bloat", "pucker", "pinch", "path", "restore", "smooth", "pin"]
 Rows = Mapping[str, str]
 
+BRUSHES: Mapping[Tool, tuple[str, str]] = {
+    "grab": ("G", "pull what is under the pointer"),
+    "twist": ("T", "turn what is under the pointer: clockwise to the right, a quarter for the brush's radius"),
+    "bloat": ("W", "widen what is under the pointer, the more the farther you drag"),
+    "pucker": ("P", "draw together what is under the pointer, the more the farther you drag"),
+    "pinch": ("N", "squeeze what is under the pointer along the drag, and stretch it across; with Shift, the reverse"),
+    "path": ("F", "pull what is under the pointer along the way that you draw"),
+    "restore": ("R", "bring back what is under the pointer to where it came from; a click does so once"),
+    "smooth": ("S", "even out how far the surroundings have moved; a click does so once"),
+    "pin": (
+        "D",
+        "hold a point of the selected grab where it is, by a click, or drag one more; a click on a point removes it",
+    ),
+}
+"""For each brush, in the order of the tools' strip, its key, and what a drag with it does."""
 _ALWAYS: Rows = {
+    **{key: f"{name}: {what}" for name, (key, what) in BRUSHES.items()},
+    "M": "strokes are symmetric about the dashed line, or no longer",
     "click": "select the stroke whose handle is there, or none",
     "[  ]": "smaller and larger brush, or selected stroke",
     "Delete, Backspace": "remove the selected stroke",
@@ -23,7 +42,7 @@ _ALWAYS: Rows = {
 }
 _PICTURE: Rows = {
     "drag": "pull what is under the pointer, or a handle of the selected stroke",
-    "wheel": "radius of the brush, which the ring shows",
+    "wheel": "radius of the brush, which the inner ring shows",
     "Ctrl+wheel": "zoom about the pointer",
     "middle drag, Alt+drag": "move the view",
     "0  1": "fit the picture, or show it at 100 %",
@@ -50,7 +69,7 @@ KEYS: Mapping[str, Rows] = {
         "drag beside it, right drag": "turn the view",
         "middle drag, Alt+drag": "move the view",
         "wheel on the object": "nearer and farther",
-        "Shift+wheel": "radius of the brush, which the ring shows",
+        "Shift+wheel": "radius of the brush, which the inner ring shows",
         "1  2  3  4": "give the whole canvas to the axial, coronal, sagittal plane or the rendering; again: all four",
         "Up, Down": "the next slice, and the one before",
         "0": "the view of the beginning",

@@ -7,7 +7,7 @@ from itertools import permutations
 from typing import Self
 
 from supple.geometry import Geometry
-from supple.viewer.tools.gestures import Pair
+from supple.viewer.tools.drags import Pair
 
 Point = tuple[float, float, float]
 Place = tuple[float, float, float, float]
@@ -51,6 +51,13 @@ class Plane:
     signs: tuple[int, int]
     forward: int
     sides: tuple[str, str, str, str]
+
+    @property
+    def normal(self) -> Point:
+        """The axis about which a right-handed turn is clockwise as it is seen."""
+        turns = self.signs[0] * self.signs[1] * (1 if (self.down - self.across) % 3 == 1 else -1)
+        x, y, z = (float(turns * (k == self.axis)) for k in range(3))
+        return x, y, z
 
 
 def planes_of(geometry: Geometry) -> tuple[Plane, ...]:

@@ -11,7 +11,8 @@ from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.viewer.document.editing import Document
 from supple.viewer.tools.brushes import ZOOM, VolumeTools, pans
-from supple.viewer.tools.gestures import Event, Held, Lead, Pair, commanded, shifted
+from supple.viewer.tools.drags import Held, Pair
+from supple.viewer.tools.gestures import Event, Lead, commanded, shifted
 from supple.viewer.tools.planes import (
     RENDERED,
     Pane,
@@ -50,6 +51,8 @@ class SliceTools(VolumeTools):
         super().__init__(document, geometry, canvas_size, pick, drag, camera)
         self.geometry, self.planes = geometry, planes_of(geometry)
         self.sizes = tuple(reversed(document.shape))
+        self.across = self.planes[2].axis  # to the left and right of the patient
+        self.middle = 0.5 * (self.sizes[self.across] - 1)
         x, y, z = ((n - 1) / 2 for n in self.sizes)
         self.sight = self._first = Sight((x, y, z), window, (x, y, z))
         self.active = RENDERED
@@ -111,7 +114,7 @@ class SliceTools(VolumeTools):
             return super().ring
         if held is None and self.hover is None:
             return None
-        return (self.radius if held is None else held.stroke.radius) * pane.scale
+        return (self.radius if held is None else held.stroke.radius) * self._scale(())
 
     @property
     def knob(self) -> Pair | None:
@@ -188,7 +191,7 @@ class SliceTools(VolumeTools):
     def _taken(self, x: float, y: float) -> Held | None:
         """Return what is grabbed; the crosshair goes to a new point, so that all planes show what becomes of it."""
         held = super()._taken(x, y)
-        if held is not None and held.item is None:
+        if held is not None and held.new:
             self.sight = self.sight.at(held.point, self.sizes)
         return held
 
@@ -212,6 +215,14 @@ class SliceTools(VolumeTools):
         gone = [a - b for a, b in zip(pane.to_point(x, y), held.point, strict=True)]
         gone[pane.plane.axis] = 0.0
         return tuple(gone)
+
+    def _scale(self, point: tuple[float, ...]) -> float:
+        pane = self.pane_under
+        return super()._scale(point) if pane is None else pane.scale
+
+    def _normal(self, point: tuple[float, ...]) -> tuple[float, ...] | None:
+        pane = self.pane_under
+        return super()._normal(point) if pane is None else pane.plane.normal
 
     def _turn(self, event: Event, amount: float) -> None:
         pane = self.pane_under

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Self
 
-from supple.viewer.tools.gestures import Pair
+from supple.viewer.tools.drags import Pair
 
 CLOSEST = 64.0  # the largest size of an image pixel, in physical pixels of the screen
 FARTHEST = 0.25  # the smallest zoom, relative to the one that fits, or to 100 % if that is less

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from wgpu.utils.imgui import ImguiRenderer
 from supple.engines.wgpu.buffers import Kept
 from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.kernel import UNIFORM
+from supple.viewer.panels import theme
 
 _SETTINGS = np.dtype([("origin", "f4", 2), ("size", "f4", 2), ("gamma", "f4"), ("unused", "f4", 3)])
 _SHADER = """
@@ -52,15 +52,7 @@ class Gui:
         # ImGui closes open scopes after an error, and the window survives.
         io.config_error_recovery_enable_assert = False
         io.config_error_recovery_enable_tooltip = False
-        # Readable letters, and muted colours.
-        style, font = imgui.get_style(), resources.files("imgui_bundle") / "assets" / "fonts" / "DroidSans.ttf"
-        with resources.as_file(font) as path:
-            if path.is_file():
-                io.fonts.add_font_from_file_ttf(str(path), 15.0)
-        style.set_color_(imgui.Col_.modal_window_dim_bg, (0.0, 0.0, 0.0, 0.45))
-        style.set_color_(imgui.Col_.popup_bg, (0.12, 0.12, 0.13, 1.0))
-        style.frame_rounding = style.grab_rounding = style.popup_rounding = 3.0
-        style.item_spacing = imgui.ImVec2(7, 5)
+        theme.apply(io)
         self._device, self._gamma = gpu.device, 2.2 if format.endswith("srgb") else 1.0
         self._told, self._bytes, self._buffer = Kept(gpu, UNIFORM), bytearray(), None
         self._letters: dict[int, tuple[Any, Any]] = {}  # textures, and their bind groups

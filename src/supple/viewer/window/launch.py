@@ -32,10 +32,10 @@ from supple.viewer.panels.slices import first_window
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage, on_screen
 from supple.viewer.panels.stages import shown as as_pixels
 from supple.viewer.tools.brushes import ImageTools, VideoTools
-from supple.viewer.tools.gestures import Pair
+from supple.viewer.tools.drags import Pair
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.slices import SliceTools
-from supple.viewer.window import qt
+from supple.viewer.window import dialogs, qt
 
 if TYPE_CHECKING:
     from supple.viewer.window.window import Window
@@ -263,6 +263,7 @@ def show(
     except SuppleError:
         canvas.close()
         raise
+    made.commands.choose = dialogs.chooser()
     if toolkit == "glfw":
         _ask_before_closing(canvas, made)
     else:
@@ -285,6 +286,10 @@ def _ask_before_closing(canvas: Any, view: Window) -> None:
     def dropped(window: Any, paths: Any) -> None:
         view.drop([str(path) for path in paths])
 
+    def copy(text: str) -> None:
+        glfw.set_clipboard_string(canvas._window, text)
+
+    view.copy_text = copy
     glfw.set_window_close_callback(canvas._window, closing)
     glfw.set_drop_callback(canvas._window, dropped)  # type: ignore[arg-type]
 

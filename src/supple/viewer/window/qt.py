@@ -46,7 +46,7 @@ def toolkit() -> tuple[Any, Any]:
 
 def attend(canvas: Any, view: Window) -> None:
     """Ask before strokes are lost, and open files dropped on the window."""
-    from rendercanvas.qt import QtCore
+    from rendercanvas.qt import QtCore, QtGui
 
     kinds = QtCore.QEvent.Type
 
@@ -73,6 +73,7 @@ def attend(canvas: Any, view: Window) -> None:
     def counted(event: dict[str, Any]) -> None:
         event["dx"], event["dy"] = _NOTCH * event["dx"], _NOTCH * event["dy"]
 
+    view.copy_text = QtGui.QGuiApplication.clipboard().setText
     canvas.setAcceptDrops(True)
     canvas.installEventFilter(Watch(canvas))
     canvas.add_event_handler(counted, "wheel", order=-100)

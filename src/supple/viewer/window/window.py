@@ -13,7 +13,7 @@ from typing import Any
 
 from supple.engines.wgpu.screen import Screen
 from supple.errors import SuppleError
-from supple.viewer.panels import keys, overlay, panel
+from supple.viewer.panels import keys, overlay, panel, toolbar
 from supple.viewer.panels.painter import Shot
 from supple.viewer.panels.stages import VideoStage, VolumeStage
 from supple.viewer.panels.view import SETTLED, View
@@ -133,6 +133,8 @@ class Window(View):
             return  # browsers delay moves, and may deliver them after a later press
         before = self.tools.view
         self.tools.handle(event)
+        if kind == "pointer_move" and self.tools.held is None and not self._inside(event):
+            self.tools.handle({"event_type": "pointer_leave"})  # in one move onto the panel
         if self.tools.view is not before:
             self._changed_at = time.perf_counter()
         if kind == "pointer_up" and self.commands.message.startswith(_HOLDING):
@@ -213,8 +215,8 @@ class Window(View):
         if (self.commands.export is not None and not self.commands.export.done) or self.document.dirty:
             self._waking.later(0.25)  # to show progress, and to autosave
         self._waking.answer()
-        if self.commands.asked is not None:
-            self._waking.later(0.25)  # a text cursor blinks
+        if self.commands.asked is not None or self.commands.choosing is not None:
+            self._waking.later(0.25)  # a text cursor blinks, and a dialog of the system may be answered
 
     def _fill(self, shot: Shot) -> None:
         waiting, before = self._filling, self.filled
@@ -231,6 +233,7 @@ class Window(View):
 
     def _controls(self) -> None:
         panel.panel(self)
+        toolbar.draw(self)
         overlay.draw(self)
         keys.draw(self)
 

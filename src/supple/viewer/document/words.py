@@ -1,0 +1,142 @@
+"""Strokes, recipes and undo steps in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import fields
+
+from supple.deformation import Arrival
+from supple.folding import NEAR
+from supple.strokes import FoldPolicy, Recipe, Stroke
+from supple.viewer.document.state import PAINTINGS, Item, State
+
+CAUSES = {"fold": "all of it would fold", "border": "the fixed border holds it back", "outside": "it starts outside"}
+CAUSES["fold and border"] = f"{CAUSES['fold']}, and {CAUSES['border']}"
+FALLOFFS = ("far", "medium", "near")
+"""For 1, 2 and 3 scales, which fade as 1/r, 1/r³ and 1/r⁵."""
+FOLDS: dict[FoldPolicy, str] = {
+    "damp": "weaken the stroke",
+    "flow": "go in small steps",
+    "error": "refuse the stroke",
+}
+"""For each policy, what happens with a stroke that would fold the medium."""
+_FIELDS = {"at": "Position", "by": "Drag", "poisson": "Poisson ratio", "scales": "Fall-off", "also": "Points"}
+_OTHER = "Open a recipe"
+
+
+def place(values: Iterable[float], digits: int = 0) -> str:
+    """Return a point in words."""
+    return f"({', '.join(f'{v:.{digits}f}' for v in values)})"
+
+
+def named(stroke: Stroke) -> str:
+    """Return what made a stroke."""
+    if stroke.factor is not None and stroke.brush == "scale":
+        return "Pucker" if stroke.factor < 1 else "Bloat"
+    if stroke.name in PAINTINGS:
+        return stroke.name.capitalize()
+    return "Path" if stroke.path else stroke.brush.capitalize()
+
+
+def done(stroke: Stroke, digits: int = 0) -> str:
+    """Return what a stroke does at its pivot."""
+    if stroke.angle is not None:
+        said = f"by {stroke.angle:.4g}\u00b0"
+    elif stroke.factor is not None:
+        said = f"by a factor of {stroke.factor:.4g}"
+    else:
+        said = f"by {place(stroke.by, digits)}"
+        return said + (f" with {others(stroke)}" if stroke.also else "")
+    return said if stroke.axis is None else f"{said}, axis ({', '.join(f'{v:.3g}' for v in stroke.axis)})"
+
+
+def others(stroke: Stroke) -> str:
+    """Return how many other points a stroke has."""
+    pins = sum(not any(by) for _, by in stroke.also)
+    more = len(stroke.also) - pins
+    return " and ".join(_counted(n, what) for n, what in ((more, "other"), (pins, "pin")) if n)
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'s' * (count != 1)}"
+
+
+def described(stroke: Stroke, arrival: Arrival | None) -> str:
+    """Return a description of a stroke, and of its point's position, in a few lines."""
+    said = f"{named(stroke)} at {place(stroke.at, 1)}\n{done(stroke, 1)}\nradius {stroke.radius:.4g}"
+    if stroke.poisson is not None:
+        said += f", Poisson ratio {stroke.poisson:.3g}"
+    if stroke.brush == "grab":  # the others fade in one way
+        said += f"\nfall-off: {FALLOFFS[stroke.scales - 1]}"
+    said += "\nreach: no limit" if stroke.reach is None else f"\nreach: {stroke.reach:.3g} radii"
+    if arrival is None:
+        return said
+    said += f"\narrives at {place(arrival.arrived, 1)}"
+    if arrival.miss > NEAR:
+        said += f", {arrival.miss:.3g} short: {CAUSES[arrival.cause or 'border']}"
+    if arrival.moved > NEAR:
+        said += f"\nlater strokes move it by {arrival.moved:.3g}, to {place(arrival.final, 1)}"
+    return said
+
+
+def sentence(i: int, item: Item) -> str:
+    """Return a stroke of a list as a sentence, in two lines."""
+    stroke = item.stroke
+    said = f"{i + 1}. {named(stroke)} at {place(stroke.at)} {done(stroke)},\n"
+    said += f"    radius {stroke.radius:.4g}"
+    if stroke.scales != 1:
+        said += f", fall-off {FALLOFFS[stroke.scales - 1]}"
+    if stroke.poisson is not None:
+        said += f", Poisson ratio {stroke.poisson:.3g}"
+    if stroke.strength != 1.0:
+        said += f", {100 * stroke.strength:.3g} % of it"
+    return said + (" (hidden)." if item.hidden else ".")
+
+
+def settings(recipe: Recipe) -> str:
+    """Return what a recipe says of folds and of the border, in two sentences."""
+    border = "The border is free" if recipe.border is None else "The border is fixed"
+    width = "" if not isinstance(recipe.border, int | float) else f", over {recipe.border:g}"
+    return f"Where a stroke would fold: {FOLDS[recipe.on_fold]}. {border}{width}."
+
+
+def step(before: State, after: State) -> str:
+    """Return the name of the undo step between two states."""
+    if before.rest != after.rest:
+        changed = [f.name for f in fields(Recipe) if getattr(before.rest, f.name) != getattr(after.rest, f.name)]
+        if before.items != after.items or len(changed) > 1:
+            return _OTHER
+        if changed == ["border"]:
+            return "Free the border" if after.rest.border is None else "Fix the border"
+        return "Folds" if changed == ["on_fold"] else _OTHER
+    old, new = before.items, after.items
+    # The first and the last place where they differ.
+    first = next((k for k, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), min(len(old), len(new)))
+    more = len(new) - len(old)
+    if (
+        more > 0
+        and new[first + more :] == old[first:]
+        and len({named(item.stroke) for item in new[first : first + more]}) == 1
+    ):
+        made = new[first].stroke
+        return f"{named(made)} at {place(made.at)}" + (f", {more} strokes" if more > 1 else "")
+    if len(new) == len(old) - 1 and new[first:] == old[first + 1 :]:
+        return f"Remove stroke {first + 1}"
+    if len(new) != len(old) or first == len(old):
+        return _OTHER
+    last = max(k for k in range(first, len(old)) if old[k] != new[k])
+    if first == last:
+        return _edit(first, old[first], new[first])
+    part, moved = old[first : last + 1], new[first : last + 1]
+    if moved == (*part[1:], part[0]):
+        return f"Move stroke {first + 1} later"
+    return f"Move stroke {last + 1} earlier" if moved == (part[-1], *part[:-1]) else _OTHER
+
+
+def _edit(i: int, old: Item, new: Item) -> str:
+    if old.hidden != new.hidden:
+        return f"{'Hide' if new.hidden else 'Show'} stroke {i + 1}"
+    changed = [f.name for f in fields(Stroke) if getattr(old.stroke, f.name) != getattr(new.stroke, f.name)]
+    if len(changed) != 1:
+        return f"Edit stroke {i + 1}"
+    return f"{_FIELDS.get(changed[0], changed[0].capitalize())} of stroke {i + 1}"

@@ -1,0 +1,123 @@
+"""Actions of the menu, of the tools' strip and of the panel, by their names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+from supple.viewer.document.words import step
+from supple.viewer.panels.view import View
+
+
+def _always(view: View) -> bool:
+    return True
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """Something that a press on a button, or an item of the menu, does."""
+
+    text: str
+    keys: str  # that do the same; as `supple.viewer.tools.keys.KEYS` writes them
+    do: Callable[[View], object]
+    able: Callable[[View], bool] = _always
+    on: Callable[[View], bool] | None = None  # whether it is on, of a switch
+    more: Callable[[View], str] | None = None  # what it would be done to
+
+    def says(self, view: View) -> str:
+        """Return the text, and what it would be done to."""
+        more = "" if self.more is None else self.more(view)
+        return f"{self.text}: {more}" if more else self.text
+
+
+def _undone(view: View) -> str:
+    document = view.document
+    if document.dragging or not document.can_undo:
+        return ""
+    return step(document.steps[document.step - 1], document.state)
+
+
+def _redone(view: View) -> str:
+    document = view.document
+    return step(document.state, document.steps[document.step + 1]) if document.can_redo else ""
+
+
+def _files(name: str, view: View) -> None:
+    view.commands.ask(name)
+
+
+def show_original(view: View, on: bool) -> None:
+    """Show the original, or the result again."""
+    view.tools.original = on
+    view.refresh()
+
+
+def _split(view: View) -> None:
+    view.tools.split = 0.5 if view.tools.split is None else None
+    view.refresh()
+
+
+def _undo(view: View) -> None:
+    view.attempt(view.document.undo)
+
+
+def _redo(view: View) -> None:
+    view.attempt(view.document.redo)
+
+
+def _delete(view: View) -> None:
+    chosen = view.document.selected
+    if chosen is not None:
+        view.attempt(lambda: view.document.remove(chosen))
+
+
+def _hide(view: View) -> None:
+    chosen = view.document.selected
+    if chosen is not None:
+        view.attempt(lambda: view.document.hide(chosen, not view.document.items[chosen].hidden))
+
+
+def _key(key: str, view: View) -> None:
+    view.tools.press(key)
+    view.canvas.request_draw()
+
+
+def _list_keys(view: View) -> None:
+    view.tools.listing = not view.tools.listing
+
+
+def copy_recipe(view: View) -> None:
+    """Copy the recipe's JSON."""
+    if view.copy_text is not None:
+        view.copy_text(view.document.recipe.to_json())
+        view.commands.message = "the recipe is copied, as JSON"
+
+
+def _chosen(view: View) -> bool:
+    return view.document.selected is not None
+
+
+ACTIONS: dict[str, Action] = {
+    "open": Action("Open a recipe \u2026", "Ctrl+O", partial(_files, "open")),
+    "save": Action("Save the recipe", "Ctrl+S", partial(_files, "save")),
+    "save as": Action("Save the recipe as \u2026", "Ctrl+Shift+S", partial(_files, "save as")),
+    "export": Action("Export \u2026", "Ctrl+E", partial(_files, "export"), lambda view: view.source is not None),
+    "copy": Action("Save this view \u2026", "", partial(_files, "copy")),
+    "undo": Action("Undo", "Ctrl+Z", _undo, lambda view: view.document.can_undo, more=_undone),
+    "redo": Action("Redo", "Ctrl+Y", _redo, lambda view: view.document.can_redo, more=_redone),
+    "delete": Action("Delete the stroke", "Delete", _delete, _chosen),
+    "hide": Action("Hide or show the stroke", "H", _hide, _chosen),
+    "copy recipe": Action("Copy the recipe as JSON", "", copy_recipe, lambda view: view.copy_text is not None),
+    "original": Action(
+        "Show the original",
+        "\\",
+        lambda view: show_original(view, not view.tools.original),
+        on=lambda view: view.tools.original,
+    ),
+    "split": Action("Before and after", "B", _split, on=lambda view: view.tools.split is not None),
+    "symmetry": Action("Symmetric strokes", "M", partial(_key, "m"), on=lambda view: view.tools.symmetric),
+    "fit": Action("Fit the view", "0", partial(_key, "0")),
+    "actual": Action("100 %", "1", partial(_key, "1"), lambda view: view.stage.kind != "volume"),
+    "keys": Action("Keys and gestures", "F1", _list_keys, on=lambda view: view.tools.listing),
+}

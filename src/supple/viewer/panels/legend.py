@@ -1,0 +1,49 @@
+"""What the colours of an overlay mean."""
+
+from __future__ import annotations
+
+from imgui_bundle import imgui
+
+from supple.viewer.panels import theme
+from supple.viewer.panels.view import View
+from supple.viewer.panels.widgets import wrapped
+
+NAMES = {
+    "": "None",
+    "grid": "Grid",
+    "stretch": "Stretch",
+    "residual": "Residual",
+    "inversions": "Work",
+}
+"""Overlays, as they are called in the panel."""
+COLD, HOT = (0.10, 0.25, 0.75, 1.0), (0.95, 0.35, 0.10, 1.0)
+"""The ends of the colours, as in warm.wgsl."""
+_HIGH = 10.0  # of the scale, in logical pixels
+_SCALES: dict[str, tuple[str, tuple[str, ...]]] = {
+    "stretch": ("How much larger or smaller an area is than in the original.", ("half", "same", "twice")),
+    "residual": ("How far each source point misses its pixel when it is bent.", ("1/65536 px", "1/256 px", "1 px")),
+    "inversions": ("Steps of Newton's method for each pixel.", ("0", "4", "8")),
+    "rays": ("Inversions along each ray or, without strokes, samples.", ("0", "64", "4096")),
+}
+
+
+def draw(view: View) -> None:
+    """Draw the legend of the overlay that is shown."""
+    name = "rays" if view.overlay and view.stage.kind == "volume" else view.overlay
+    if name == "grid":
+        wrapped("Lines of the original, every 32 pixels, as they are bent.")
+    if name not in _SCALES:
+        return
+    text, marks = _SCALES[name]
+    wrapped(text)
+    wide, at = imgui.get_content_region_avail().x, imgui.get_cursor_screen_pos()
+    lines, cold, hot = imgui.get_window_draw_list(), theme.packed(COLD), theme.packed(HOT)
+    lines.add_rect_filled_multi_color((at.x, at.y), (at.x + wide, at.y + _HIGH), cold, hot, hot, cold)
+    imgui.dummy((wide, _HIGH))
+    left = imgui.get_cursor_pos_x()
+    for k, mark in enumerate(marks):
+        part = k / (len(marks) - 1)
+        imgui.set_cursor_pos_x(left + part * (wide - imgui.calc_text_size(mark).x))
+        imgui.text_disabled(mark)
+        if part < 1.0:
+            imgui.same_line()

@@ -1,0 +1,225 @@
+"""The brush, the list of strokes, and the selected one by its numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+from typing import Any, get_args
+
+from imgui_bundle import imgui
+
+from supple.folding import NEAR
+from supple.strokes import POISSON, REACH, FoldPolicy
+from supple.viewer.document.state import PAINTINGS, Item
+from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, named, others, place
+from supple.viewer.panels import theme
+from supple.viewer.panels.icons import hidden, seen
+from supple.viewer.panels.view import View
+from supple.viewer.panels.widgets import REST, hint, icon_button, label, listing, section, slider, typed, wrapped
+from supple.viewer.tools.drags import IMMATERIAL, SHAPES
+
+_POLICIES = get_args(FoldPolicy)
+_FALLOFF = "How fast the pull fades with the distance: far as 1/r, medium as 1/r\u00b3, near as 1/r\u2075"
+_POISSON = (
+    "How much the material keeps its volume while it is pulled: at 0.5 it keeps all of it, as rubber does; at lower "
+    "values it may be squeezed"
+)
+_REACH = "Beyond it, nothing moves at all: the outer ring. Without a limit, the pull fades, but never ends"
+
+
+def brush(view: View) -> None:
+    """Draw the section of the brush."""
+    if not section(view, "Brush"):
+        return
+    tools = view.tools
+    form = "%.1f mm" if view.stage.kind == "volume" else "%.1f px"
+    label("Radius", "How far a drag is felt: the inner ring. Also the wheel, or [ and ]")
+    changed, value = slider("##radius", tools.radius, *tools.radius_limits, form, logarithmic=True)
+    if changed:
+        tools.radius = value
+    if tools.brush in PAINTINGS:
+        return
+    if tools.brush not in SHAPES:  # those fade in one way
+        label("Fall-off", _FALLOFF)
+        changed, index = imgui.combo("##falloff", tools.scales - 1, list(FALLOFFS))
+        if changed:
+            tools.scales = index + 1
+    if tools.brush not in IMMATERIAL:
+        label("Poisson ratio", _POISSON)
+        material = POISSON if tools.poisson is None else max(tools.poisson, -1.0)
+        changed, value = slider("##poisson", material, -1.0, 0.5, "%.2f")
+        if changed:
+            tools.poisson = value
+    changed, tools.reach = _reach(tools.reach, "")
+
+
+def _reach(reach: float | None, of: str) -> tuple[bool, float | None]:
+    """Draw the controls of a reach; return whether it was changed, and its value."""
+    label("Reach", _REACH)
+    changed, limited = imgui.checkbox(f"##limited{of}", reach is not None)
+    hint(_REACH)
+    imgui.same_line()
+    if changed or reach is None:
+        imgui.text_disabled("no limit")
+        return changed, REACH if changed and limited else None
+    imgui.set_next_item_width(REST)
+    changed, value = slider(f"##reach{of}", reach, 1.0, 10.0, "%.1f radii")
+    return changed, max(float(value), 1.0) if changed else reach
+
+
+def listed(view: View) -> None:
+    """Draw the section of the list."""
+    state = view.document.state
+    count = len(state.items)
+    if not section(view, "Strokes", f"Strokes ({count})" if count else "Strokes"):
+        return
+    if not count:
+        wrapped(
+            "Drag on the picture to make one." if view.stage.kind != "volume" else "Drag on the object to make one."
+        )
+        return
+    row = imgui.get_frame_height_with_spacing()
+    listing("strokes", count, 6, row)
+    if view.listed != state.selected:  # follow selections made elsewhere
+        view.listed = state.selected
+        if state.selected is not None:
+            imgui.set_scroll_y(row * (state.selected + 0.5) - 0.5 * imgui.get_window_height())
+    clipper = imgui.ListClipper()
+    clipper.begin(count, row)
+    while clipper.step():
+        for i in range(clipper.display_start, clipper.display_end):
+            _row(view, i, state.items[i], state.selected == i)
+    imgui.end_child()
+
+
+def _row(view: View, i: int, item: Item, selected: bool) -> None:
+    document = view.document
+    imgui.push_id(i)
+    if icon_button("seen", hidden if item.hidden else seen, imgui.get_frame_height()):
+        view.attempt(lambda: document.hide(i, not item.hidden))
+    hint("Hidden: click to show it" if item.hidden else "Seen: click to hide it")
+    imgui.same_line()
+    arrival = document.arrivals[i]
+    short = bool(arrival and arrival.miss > NEAR)
+    text = f"{named(item.stroke)} {place(item.stroke.at)}, radius {item.stroke.radius:.3g}"
+    if item.hidden or short:
+        imgui.push_style_color(imgui.Col_.text, theme.FAINT if item.hidden else theme.WARNING)
+    imgui.push_style_var(imgui.StyleVar_.selectable_text_align, (0.0, 0.5))
+    if imgui.selectable(f"{text}##row", selected, size=(0, imgui.get_frame_height()))[0]:
+        view.attempt(lambda: document.select(None if selected else i))
+    imgui.pop_style_var()
+    if item.hidden or short:
+        imgui.pop_style_color()
+    hint(lambda: described(item.stroke, arrival))
+    imgui.pop_id()
+
+
+def selected(view: View) -> None:
+    """Draw the section of the selected stroke."""
+    document = view.document
+    i = document.state.selected
+    if i is None or i >= len(document.state.items):
+        return
+    if not section(view, "Selected stroke", f"Stroke {i + 1}"):
+        return
+    stroke = document.state.items[i].stroke
+    axes = "xyt" if view.stage.kind == "video" else "xyz"
+    made: dict[str, Any] = {}
+    gap = imgui.get_style().item_inner_spacing.x
+    grabs = stroke.brush == "grab"
+    for name, said in (("at", "From"), ("by", "By"))[: 1 + grabs]:
+        values = list(getattr(stroke, name))
+        label(said)
+        wide = (imgui.get_content_region_avail().x - gap * (len(values) - 1)) / len(values)
+        for axis in range(len(values)):
+            if axis:
+                imgui.same_line(0, gap)
+            imgui.set_next_item_width(wide)
+            entered, value = typed(view, f"##{name}{axis}", values[axis], "%.1f")
+            hint(f"{said} {axes[axis]}")
+            if entered and math.isfinite(value):
+                values[axis] = value
+                made[name] = tuple(values)
+    material = None if stroke.brush in IMMATERIAL else POISSON if stroke.poisson is None else stroke.poisson
+    numbers: tuple[tuple[str, str, float | None, str], ...] = (
+        ("angle", "Angle", stroke.angle, "%.1f\u00b0"),
+        ("factor", "Factor", stroke.factor, "%.3f"),
+        ("radius", "Radius", stroke.radius, "%.2f"),
+        ("poisson", "Poisson ratio", material, "%.3f"),
+    )
+    for name, said, number, form in numbers:
+        if number is None:  # another brush's
+            continue
+        label(said, _POISSON if name == "poisson" else "")
+        entered, now = typed(view, f"##{name} own", number, form)
+        if entered:
+            made[name] = now
+    if grabs:  # the others fade in one way
+        label("Fall-off", _FALLOFF)
+        changed, index = imgui.combo("##falloff own", stroke.scales - 1, list(FALLOFFS))
+        if changed:
+            made["scales"] = index + 1
+    changed, reach = _reach(stroke.reach, " own")
+    if changed:
+        made["reach"] = reach
+    if stroke.also:
+        wrapped(f"With {others(stroke)}: drag their points in the picture.")
+    if made:
+        view.attempt(lambda: document.replace(i, replace(stroke, **made)))
+    _arrival(view, i)
+    count = len(document.state.items)
+    wide = (imgui.get_content_region_avail().x - 2 * imgui.get_style().item_spacing.x) / 3
+    for text, step, tip in (("Earlier", -1, "Apply it before"), ("Later", 1, "Apply it after")):
+        imgui.begin_disabled(not 0 <= i + step < count)
+        if imgui.button(text, (wide, 0)):
+            view.attempt(partial(document.move, i, i + step))
+        imgui.end_disabled()
+        hint(f"{tip} the stroke that is next to it")
+        imgui.same_line()
+    if imgui.button("Delete", (wide, 0)):
+        view.attempt(lambda: document.remove(i))
+    hint("Delete the stroke (Delete)")
+
+
+def _arrival(view: View, i: int) -> None:
+    """Say where a stroke's point ends, if it is not where it was asked to."""
+    document = view.document
+    arrival = document.arrivals[i] if i < len(document.arrivals) else None
+    if arrival is not None and arrival.miss > NEAR:
+        wrapped(f"It ends {arrival.miss:.3g} short: {CAUSES[arrival.cause or 'border']}.", colour=theme.WARNING)
+        if document.state.on_fold != "flow" and imgui.button("Go all the way, in small steps", (REST, 0)):
+            view.attempt(lambda: document.set_on_fold("flow"))
+        hint("No step folds; for all strokes")
+    if arrival is not None and arrival.moved > NEAR:
+        wrapped(f"Later strokes move it by {arrival.moved:.3g}.")
+
+
+def folds(view: View) -> None:
+    """Draw the section of folds and of the border."""
+    if not section(view, "Folds and border"):
+        return
+    document = view.document
+    policy = document.state.on_fold
+    label("If it folds", "What happens where a stroke is so strong that the picture would fold over itself")
+    changed, index = imgui.combo("##folds", _POLICIES.index(policy), [FOLDS[p] for p in _POLICIES])
+    if changed:
+        view.attempt(lambda: document.set_on_fold(_POLICIES[index]))
+    border = document.state.rest.border
+    label("Border", "A fixed border stays where it is; what is on a free one moves, and leaves a gap")
+    changed, fixed = imgui.checkbox("fixed##border", border is not None)
+    if changed:
+        view.attempt(lambda: document.set_border("auto" if fixed else None))
+    if border is None:
+        return
+    imgui.same_line()
+    changed, tenth = imgui.checkbox("over a tenth", border == "auto")
+    hint("Strokes fade over a tenth of each side; or over a width of your own")
+    if changed:
+        widths = document.deformation.domain.border_widths or (1.0,)
+        view.attempt(lambda: document.set_border("auto" if tenth else max(min(widths), 1.0)))
+    if isinstance(border, float):
+        label("Its width")
+        entered, value = typed(view, "##border width", border, "%.1f")
+        if entered:
+            view.attempt(lambda: document.set_border(value))

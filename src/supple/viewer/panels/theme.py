@@ -1,0 +1,79 @@
+"""Colours, spaces and letters of the panel."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import resources
+
+from imgui_bundle import imgui
+
+Colour = tuple[float, float, float, float]
+
+ACCENT: Colour = (0.25, 0.63, 1.0, 1.0)  # of handles, too
+PRIMARY: Colour = (0.12, 0.43, 0.80, 1.0)
+FULL: Colour = (0.17, 0.35, 0.58, 1.0)  # the part of a field up to its value
+TEXT: Colour = (0.90, 0.91, 0.93, 1.0)
+FAINT: Colour = (0.62, 0.65, 0.69, 1.0)  # 6 : 1 on the ground
+WARNING: Colour = (1.0, 0.72, 0.38, 1.0)
+GROUND: Colour = (0.125, 0.13, 0.14, 1.0)
+RAIL: Colour = (0.095, 0.10, 0.11, 1.0)  # behind the tools, and the line of status
+FIELD: Colour = (0.19, 0.20, 0.215, 1.0)
+RAISED: Colour = (0.245, 0.255, 0.275, 1.0)
+PRESSED: Colour = (0.30, 0.315, 0.34, 1.0)
+LINE: Colour = (0.21, 0.22, 0.235, 1.0)
+LETTERS = 15.0  # logical pixels
+# Of what lies over the picture, for draw lists: ABGR.
+WHITE, DARK, BLUE, RED, GREY = 0xFFFFFFFF, 0xA0000000, 0xFFFFA040, 0xFF5060FF, 0xFFC0C0C0
+SOFT, PALE, DIM, SHADE, BALL = 0x90FFFFFF, 0x68FFFFFF, 0x50FFFFFF, 0x40000000, 0x80FFA040
+
+
+def lighter(colour: Colour, by: float = 0.07) -> Colour:
+    """Return a colour under the pointer."""
+    r, g, b, a = colour
+    return min(r + by, 1.0), min(g + by, 1.0), min(b + by, 1.0), a
+
+
+@cache
+def packed(colour: Colour, opacity: float = 1.0) -> int:
+    """Return a colour for a draw list."""
+    r, g, b, a = colour
+    return imgui.color_convert_float4_to_u32((r, g, b, a * opacity))
+
+
+def apply(io: imgui.IO) -> None:
+    """Set the letters, and the style of the current context."""
+    font = resources.files("imgui_bundle") / "assets" / "fonts" / "Roboto" / "Roboto-Regular.ttf"
+    with resources.as_file(font) as path:
+        if path.is_file():
+            io.fonts.add_font_from_file_ttf(str(path), LETTERS)
+    style, names = imgui.get_style(), imgui.Col_
+    clear: Colour = (0.0, 0.0, 0.0, 0.0)
+    colours: dict[Colour, tuple[imgui.Col_, ...]] = {
+        TEXT: (names.text,),
+        FAINT: (names.text_disabled,),
+        GROUND: (names.window_bg,),
+        clear: (names.child_bg, names.scrollbar_bg, names.menu_bar_bg, names.table_row_bg),
+        (0.16, 0.168, 0.18, 1.0): (names.popup_bg, names.title_bg, names.title_bg_active),
+        LINE: (names.border, names.separator, names.table_row_bg_alt),
+        (*PRIMARY[:3], 0.55): (names.header,),
+        FIELD: (names.frame_bg,),
+        RAISED: (names.button, names.frame_bg_hovered, names.header_hovered, names.scrollbar_grab),
+        PRESSED: (names.button_hovered, names.frame_bg_active, names.header_active, names.scrollbar_grab_hovered),
+        lighter(PRESSED): (names.button_active, names.scrollbar_grab_active),
+        ACCENT: (names.slider_grab, names.check_mark, names.plot_histogram),
+        lighter(ACCENT): (names.slider_grab_active,),
+        (0.0, 0.0, 0.0, 0.5): (names.modal_window_dim_bg,),
+        (*PRIMARY[:3], 0.7): (names.text_selected_bg,),
+    }
+    for colour, uses in colours.items():
+        for name in uses:
+            style.set_color_(name, colour)
+    style.window_padding = imgui.ImVec2(12, 8)
+    style.frame_padding = imgui.ImVec2(8, 4)
+    style.item_spacing = imgui.ImVec2(8, 6)
+    style.item_inner_spacing = imgui.ImVec2(6, 4)
+    style.window_border_size = style.child_border_size = 0.0
+    style.popup_border_size = 1.0
+    style.window_rounding = style.popup_rounding = 6.0
+    style.frame_rounding = style.child_rounding = style.grab_rounding = 4.0
+    style.scrollbar_size, style.scrollbar_rounding, style.grab_min_size = 10.0, 5.0, 10.0

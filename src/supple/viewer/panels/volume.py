@@ -1,0 +1,103 @@
+"""How a volume is rendered: its colours, the window of its values, and the mode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from imgui_bundle import imgui
+
+from supple.render.transfer import PRESETS
+from supple.viewer.panels import curve, theme
+from supple.viewer.panels.stages import VolumeStage
+from supple.viewer.panels.view import View
+from supple.viewer.panels.widgets import REST, hint, label, section, slider, typed, wrapped
+
+_MODES = {
+    "hybrid": "Exact near what moves, and from a bent copy elsewhere: fast once the copy is complete",
+    "lattice": "From a lattice of source points: fast, and within the error that is certified",
+    "exact": "Each sample of each ray is inverted: exact, and slow",
+    "buffered": "From a bent copy of the whole volume: the fastest, and interpolated twice",
+}
+
+
+def draw(view: View) -> None:
+    """Draw the section of a volume."""
+    stage = view.stage
+    if not isinstance(stage, VolumeStage) or not section(view, "Volume"):
+        return
+    names = list(PRESETS)
+    label("Colours", "Which colours and opacities the values have")
+    now = names.index(stage.preset) if stage.preset in names else -1
+    changed, index = imgui.combo("##colours", now, names)
+    if changed:
+        _show(view, lambda: stage.look(names[index], stage.density))
+    low, high = stage.scene.range
+    window = stage.density or (low, high)
+    wide = imgui.get_content_region_avail().x
+    imgui.push_style_color(imgui.Col_.plot_histogram, theme.FAINT)
+    imgui.plot_histogram("##histogram", stage.histogram, graph_size=(wide, 50))
+    imgui.pop_style_color()
+    hint("How many voxels have which value, on a logarithmic scale, and the opacity of each")
+    curve.draw(stage)
+    for k, said in enumerate(("Values from", "to")):
+        label(said, "The range of values that the colours are spread over")
+        changed, value = slider(f"##density {said}", window[k], low, high, "%.4g")
+        both = (value, max(window[1], value)) if k == 0 else (min(window[0], value), value)
+        if changed and both[0] < both[1]:
+            _show(view, partial(stage.look, stage.scene.transfer, None if both == (low, high) else both))
+    _transfer(view, stage)
+    label("Rendering", _MODES[stage.mode])
+    modes = list(_MODES)
+    changed, index = imgui.combo("##mode", modes.index(stage.mode), modes)
+    hint(_MODES[stage.mode])
+    if changed:
+        _show(view, lambda: stage.set_mode(modes[index]))
+    if stage.mode == "hybrid" and view.filled < 1.0 and not view.document.deformation.is_identity:
+        imgui.progress_bar(view.filled, (REST, 6), "")
+        wrapped("Bending a copy of the volume: pictures are faster once it is complete.")
+
+
+def _show(view: View, work: Callable[[], object]) -> None:
+    """Change the display of a volume, and show an error if it is refused."""
+    view.attempt(work)
+    view.refresh()
+
+
+def _transfer(view: View, stage: VolumeStage) -> None:
+    """Draw the points of the transfer function: values, colours and opacities."""
+    if not imgui.tree_node("Transfer function"):
+        return
+    transfer = stage.scene.transfer
+    points = [list(p) for p in transfer.points]
+    wide = imgui.get_content_region_avail().x
+    for k, (value, red, green, blue, opacity) in enumerate(points):
+        imgui.push_id(k)
+        imgui.set_next_item_width(0.28 * wide)
+        entered, moved = typed(view, f"##value{k}", value, "%.3g")
+        hint("The value, as a part of the range")
+        imgui.same_line()
+        painted, colour = imgui.color_edit3("##colour", [red, green, blue], imgui.ColorEditFlags_.no_inputs)
+        hint("Its colour")
+        imgui.same_line()
+        imgui.set_next_item_width(0.34 * wide)
+        thinned, seen = slider("##opacity", opacity, 0.0, 1.0, "%.2f")
+        hint("Its opacity")
+        if entered or painted or thinned:
+            points[k] = [moved, *colour, seen]
+        imgui.same_line()
+        removed = imgui.button("x") and len(points) > 2
+        hint("Remove the point")
+        imgui.pop_id()
+        if removed:
+            del points[k]
+            break
+    if imgui.button("Add a point") and len(points) >= 2:
+        middle = [0.5 * (a + b) for a, b in zip(points[-2], points[-1], strict=True)]
+        points.insert(len(points) - 1, middle)
+    if points != [list(p) for p in transfer.points]:
+        made: Any = tuple(sorted((tuple(p) for p in points), key=lambda p: p[0]))
+        _show(view, lambda: stage.look(replace(transfer, points=made), stage.density))
+    imgui.tree_pop()

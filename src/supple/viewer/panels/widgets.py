@@ -1,0 +1,139 @@
+"""Parts that the panel is made of: sections that fold, fields with a label before them, buttons, hints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from imgui_bundle import imgui
+
+from supple.viewer.panels import settings, theme
+from supple.viewer.panels.icons import Icon, Pen
+from supple.viewer.panels.view import View
+
+LABEL = 104.0  # logical pixels of the labels before fields
+_RESTING = int(imgui.HoveredFlags_.delay_short | imgui.HoveredFlags_.allow_when_disabled)
+REST = -1e-3  # the width of what takes the rest of a line
+FOLDED = ("Folds and border", "History", "Recipe")
+"""The sections that are folded in the first window."""
+
+
+def section(view: View, name: str, text: str = "") -> bool:
+    """Draw the head of a section, with another text than its name if there is one; return whether it is open."""
+    opened = view.sections.get(name, name not in FOLDED)
+    imgui.spacing()
+    imgui.set_next_item_open(opened)
+    imgui.push_style_color(imgui.Col_.header, theme.LINE)
+    now = imgui.collapsing_header(f"{text or name}###{name}")
+    imgui.pop_style_color()
+    if now != opened:
+        view.sections[name] = now
+        settings.write(view.sections)
+    return now
+
+
+def label(text: str, tip: str = "") -> None:
+    """Draw a label before a field, which takes the rest of the line."""
+    imgui.align_text_to_frame_padding()
+    imgui.text(text)
+    if tip:
+        hint(tip)
+    imgui.same_line(LABEL)
+    imgui.set_next_item_width(REST)
+
+
+def wrapped(text: str, wide: float = 0.0, colour: theme.Colour = theme.FAINT) -> None:
+    """Draw a text in lines of a width, or of that of the panel."""
+    imgui.push_text_wrap_pos(wide)
+    imgui.text_colored(colour, text)
+    imgui.pop_text_wrap_pos()
+
+
+def elided(text: str, wide: float) -> str:
+    """Return a text whose middle is left out as far as it does not fit a width: ends of paths are what counts."""
+    kept = text
+    for left in range(len(text) - 1, 0, -1):
+        if imgui.calc_text_size(kept).x <= wide:
+            break
+        head = min(12, left // 2)
+        kept = f"{text[:head]}\u2026{text[len(text) - left + head :]}"
+    return kept
+
+
+def primary(text: str, wide: float = REST) -> bool:
+    """Draw the button of what one mostly wants; return whether it was pressed."""
+    shades = (theme.PRIMARY, theme.lighter(theme.PRIMARY), theme.lighter(theme.PRIMARY, 0.14))
+    names = (imgui.Col_.button, imgui.Col_.button_hovered, imgui.Col_.button_active)
+    for name, shade in zip(names, shades, strict=True):
+        imgui.push_style_color(name, shade)
+    imgui.push_style_color(imgui.Col_.text, (1.0, 1.0, 1.0, 1.0))
+    pressed = imgui.button(text, (wide, 32.0))
+    imgui.pop_style_color(4)
+    return pressed
+
+
+def icon_button(name: str, icon: Icon, size: float, on: bool = False, enabled: bool = True) -> bool:
+    """Draw a button with an icon; return whether it was pressed."""
+    imgui.begin_disabled(not enabled)
+    pressed = imgui.invisible_button(name, (size, size))
+    imgui.end_disabled()
+    low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+    lines = imgui.get_window_draw_list()
+    over, held = enabled and imgui.is_item_hovered(), imgui.is_item_active()
+    if on or over or held:
+        ground = theme.PRIMARY if on else theme.PRESSED if held else theme.RAISED
+        lines.add_rect_filled((low.x, low.y), (high.x, high.y), theme.packed(ground), 6.0)
+    colour = theme.packed((1.0, 1.0, 1.0, 1.0) if on else theme.TEXT, 1.0 if enabled else 0.3)
+    # The middle of a pixel: lines of a whole width are sharp.
+    middle = (round(0.5 * (low.x + high.x)), round(0.5 * (low.y + high.y)))
+    icon(Pen(lines, *middle, round(0.25 * size), colour))
+    return bool(pressed)
+
+
+def slider(
+    name: str, value: float, low: float, high: float, form: str, *, logarithmic: bool = False
+) -> tuple[bool, float]:
+    """Draw a field that is full up to its value; return whether it was changed, and the value."""
+    at, wide = imgui.get_cursor_screen_pos(), imgui.calc_item_width()
+    place = math.log if logarithmic else float
+    part = (place(min(max(value, low), high)) - place(low)) / max(place(high) - place(low), 1e-30)
+    lines, bottom = imgui.get_window_draw_list(), at.y + imgui.get_frame_height()
+    lines.add_rect_filled((at.x, at.y), (at.x + wide, bottom), theme.packed(theme.FIELD), 4.0)
+    lines.push_clip_rect((at.x, at.y), (at.x + part * wide, bottom), True)
+    lines.add_rect_filled((at.x, at.y), (at.x + wide, bottom), theme.packed(theme.FULL), 4.0)
+    lines.pop_clip_rect()
+    shades = (imgui.Col_.frame_bg, imgui.Col_.slider_grab, imgui.Col_.slider_grab_active)
+    for shade in shades:
+        imgui.push_style_color(shade, (0.0, 0.0, 0.0, 0.0))
+    for shade in (imgui.Col_.frame_bg_hovered, imgui.Col_.frame_bg_active):
+        imgui.push_style_color(shade, (1.0, 1.0, 1.0, 0.06))
+    flags = imgui.SliderFlags_.logarithmic if logarithmic else imgui.SliderFlags_.none
+    changed, value = imgui.slider_float(name, value, low, high, form, flags)
+    imgui.pop_style_color(5)
+    return changed, value
+
+
+def listing(name: str, count: int, most: int, row: float) -> None:
+    """Begin a list of rows, as high as they are or as some of them."""
+    style = imgui.get_style()
+    height = row * max(min(count, most), 1) - style.item_spacing.y + 2 * style.frame_padding.y
+    imgui.begin_child(name, (0, height), imgui.ChildFlags_.frame_style)
+
+
+def typed(view: View, name: str, value: float, form: str) -> tuple[bool, float]:
+    """Draw a field for a number; return whether it is entered, by Enter or by leaving it, and the number."""
+    changed, now = imgui.input_float(name, value, 0.0, 0.0, form)
+    if changed:
+        view.typed[name] = now
+    over = imgui.is_item_deactivated_after_edit() and name in view.typed
+    return over, view.typed.pop(name) if over else value
+
+
+def hint(text: str | Callable[[], str]) -> None:
+    """Show a hint on the last item, if the pointer rests on it; a function is called only then."""
+    if imgui.is_item_hovered(_RESTING):
+        imgui.begin_tooltip()
+        imgui.push_text_wrap_pos(320.0)
+        imgui.text(text if isinstance(text, str) else text())
+        imgui.pop_text_wrap_pos()
+        imgui.end_tooltip()

@@ -1,0 +1,207 @@
+"""A brush on a document: what a drag of the pointer draws."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import replace
+
+from supple.domain import Domain
+from supple.errors import SuppleError
+from supple.strokes import REACH, Stroke
+from supple.viewer.document.editing import Document
+from supple.viewer.document.state import PAINTINGS
+from supple.viewer.tools.drags import IMMATERIAL, SHAPES, Handle, Held, Pair, Part, nearest
+from supple.viewer.tools.keys import Tool
+
+STILL = 0.01  # samples: a painting leaves alone what moves less
+GROWTH = 1.1  # the factor of the brush for a notch of the wheel, which is 100
+
+
+class Drawing(ABC):
+    """A brush on a document, for each kind of media."""
+
+    def __init__(self, document: Document) -> None:
+        self.document = document
+        domain = Domain(document.shape, document.spacing)
+        n = 3 if document.kind == "volume" else 2  # without time
+        sides = [max(e, s) for e, s in zip(domain.extent[:n], domain.spacing[:n], strict=True)]
+        smallest = min(domain.spacing[:n])
+        self.radius_limits = (smallest, 4 * max(sides))
+        self._radius = max(min(sides) / 8, smallest)
+        self.brush: Tool = "grab"
+        self.poisson: float | None = None
+        self.scales = 1
+        self.reach: float | None = REACH
+        self.symmetric = False  # whether new strokes have a mirror image
+        self.across, self.middle = 0, 0.5 * (document.shape[-1] - 1)
+        """The axis across which they have it, x is 0; and where its line or plane lies on it, in samples."""
+
+    @property
+    def radius(self) -> float:
+        """The brush's radius, in physical units, within `radius_limits`."""
+        return self._radius
+
+    @radius.setter
+    def radius(self, radius: float) -> None:
+        self._radius = self._limited(radius)
+
+    def _limited(self, radius: float) -> float:
+        low, high = self.radius_limits
+        return min(max(float(radius), low), high)
+
+    @property
+    @abstractmethod
+    def held(self) -> Held | None:
+        """The stroke held by the pointer."""
+
+    @abstractmethod
+    def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
+        """Return the point under a position of the canvas, for a new stroke; None if there is none."""
+
+    @abstractmethod
+    def _seen(self, point: tuple[float, ...]) -> Pair | None:
+        """Return the position of a point on the canvas, if it is visible."""
+
+    @abstractmethod
+    def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
+        """Return the displacement of the held point to a position of the canvas."""
+
+    @abstractmethod
+    def _scale(self, point: tuple[float, ...]) -> float:
+        """Return the logical pixels of a physical unit at a point; above 0 where it is seen."""
+
+    def _normal(self, point: tuple[float, ...]) -> tuple[float, ...] | None:
+        """Return the axis about which a right-handed turn is to the right on screen; None in a picture."""
+        return None
+
+    def _taken(self, x: float, y: float) -> Held | None:
+        """Return a handle of the selected stroke; or a new stroke at the point under the pointer."""
+        chosen = None if self.brush in PAINTINGS else self.document.selected
+        found = None if chosen is None else nearest(self.handles([chosen]), (x, y))
+        if found is not None:
+            (hx, hy), stroke = found.seen, self.document.seen(found.item)
+            offset = x - hx, y - hy
+            return Held(stroke, found.point, (x, y), (x, y), offset, found.item, found.part, found.nth, self.brush)
+        point = self._grab(x, y)
+        if point is None:
+            return None
+        if self.brush == "pin" and chosen is not None and self._takes(chosen):
+            stroke, beneath = self.document.seen(chosen), self.document.beneath(chosen, point)
+            more = replace(stroke, also=(*stroke.also, (point, (0.0,) * len(point))))
+            nth = len(stroke.handles)
+            return Held(more, point, (x, y), (x, y), item=chosen, nth=nth, tool=self.brush, beneath=beneath)
+        return Held(self._begun(point), point, (x, y), (x, y), tool=self.brush)
+
+    def _takes(self, i: int) -> bool:
+        """Return whether a stroke may have one more point."""
+        item = self.document.items[i]
+        return (
+            item.stroke.brush == "grab"
+            and not item.stroke.path
+            and item.stroke.name not in PAINTINGS
+            and not item.hidden
+        )
+
+    def _unpin(self, held: Held) -> None:
+        """Remove a point of a stroke; with its last one, the stroke."""
+        assert held.item is not None
+        stroke = self.document.items[held.item].stroke
+        pairs = [pair for nth, pair in enumerate(stroke.handles) if nth != held.nth]
+        if pairs:
+            (at, by), *also = pairs
+            self.document.replace(held.item, replace(stroke, at=at, by=by, also=tuple(also)))
+        else:
+            self.document.remove(held.item)
+
+    def _begun(self, point: tuple[float, ...]) -> Stroke:
+        """Return a stroke of the brush that does nothing yet."""
+        shape = SHAPES.get(self.brush, {"by": (0.0,) * len(point), "scales": self.scales})
+        poisson = None if self.brush in IMMATERIAL else self.poisson
+        return Stroke(at=point, radius=self.radius, poisson=poisson, reach=self.reach, **shape)
+
+    def mirrored(self, point: tuple[float, ...]) -> tuple[float, ...]:
+        """Return the mirror image of a point."""
+        return tuple(2 * self.middle - p if k == self.across else p for k, p in enumerate(point))
+
+    def _draw(self, held: Held) -> None:
+        """Show a drag in the document, if the pointer has moved."""
+        try:
+            if held.paints:
+                self._paint(held)
+            elif self.document.dragging or held.moved or held.grown or held.clicks:
+                if not self.document.dragging:
+                    self.document.begin_drag(held.item)
+                self.document.preview(*self._drawn(held))
+        except SuppleError as error:  # the drag goes on
+            self.document.trouble = str(error)
+
+    def _paint(self, held: Held) -> None:
+        """Restore or smooth what is under the pointer, by a stroke for each half radius of its way."""
+        document = self.document
+        if not document.dragging:
+            document.begin_drag()
+        for place in held.dabs(0.5 * held.stroke.radius * self._scale(held.point)):
+            point = self._grab(*place)
+            if point is None:
+                continue
+            self._dab(held, point)
+            size, image = document.shape[-1 - self.across], self.mirrored(point)
+            if self.symmetric and -0.5 <= image[self.across] <= size - 0.5:
+                self._dab(held, image)
+
+    def _dab(self, held: Held, point: tuple[float, ...]) -> None:
+        """Add a stroke of a painting, if it moves anything."""
+        document = self.document
+        led = document.deformation.restore if held.tool == "restore" else document.deformation.smooth
+        made = led(point, radius=held.stroke.radius, warn=False).strokes[-1]
+        if max(math.hypot(*by) for _, by in made.handles) > STILL:
+            held.made.append(made)
+            if not document.preview(*held.made, select=False):
+                held.made.pop()
+
+    def _drawn(self, held: Held) -> tuple[Stroke, ...]:
+        """Return the stroke of a drag, or those that make it symmetric."""
+        stroke = held.stroke
+        if held.moved:
+            (x, y), (a, b), (u, v) = held.now, held.offset, held.start
+            gone = self._carried(held, x - a, y - b)
+            ring = stroke.radius * self._scale(held.point)
+            stroke = held.dragged(gone, ((x - u) / ring, (y - v) / ring), self._normal(held.point))
+        if not (held.new and self.symmetric):
+            return (stroke,)
+        here, normal = [0.0] * stroke.ndim, [0.0] * stroke.ndim
+        here[self.across], normal[self.across] = self.middle, 1.0
+        if held.item is None:
+            return stroke.symmetric(here, normal)
+        *pairs, (at, by) = stroke.handles  # of which the last is new
+        (more,) = replace(stroke, at=at, by=by, also=()).symmetric(here, normal)
+        return (replace(stroke, also=(*pairs[1:], *more.handles)),)
+
+    def grow(self, notches: float) -> None:
+        """Enlarge the brush, or shrink it (below 0), with the held stroke."""
+        held, factor = self.held, GROWTH**notches
+        if held is None or held.item is None:
+            self.radius *= factor
+        if held is not None:
+            radius = self.radius if held.item is None else self._limited(held.stroke.radius * factor)
+            held.grown |= held.item is not None and radius != held.stroke.radius
+            held.stroke = replace(held.stroke, radius=radius)
+            self._draw(held)
+
+    def handles(self, among: Iterable[int] | None = None) -> list[Handle]:
+        """Return the visible handles of some strokes, or of all."""
+        found, items = [], self.document.items
+        for i in range(len(items)) if among is None else among:
+            if items[i].hidden or not self.document.has_handles(i):
+                continue
+            for nth, (pivot, end) in enumerate(self.document.handles(i)):
+                parts: dict[Part, tuple[float, ...]] = {"pivot": pivot, "end": end}
+                if items[i].stroke.brush != "grab":  # its point stays where it is
+                    del parts["end"]
+                for part, point in parts.items():
+                    place = self._seen(point)
+                    if place is not None:
+                        found.append(Handle(i, part, nth, point, place))
+        return found

@@ -1,0 +1,55 @@
+"""Dialogs of the system for files, where a desktop has them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from supple.viewer.document.files import Question
+
+_PROGRAMS = ("zenity", "kdialog", "matedialog", "qarma")  # that are used where there is an X server or Wayland
+
+
+@dataclass(frozen=True, slots=True)
+class FileDialog:
+    """A dialog that is open in a process or a thread of its own."""
+
+    dialog: Any  # of portable_file_dialogs
+
+    def answer(self) -> str | None:
+        """Return the file, "" for none, or None while the dialog is open."""
+        if not self.dialog.ready(0):
+            return None
+        found = self.dialog.result()
+        return str(found if isinstance(found, str) else next(iter(found), ""))
+
+    def close(self) -> None:
+        """Close it."""
+        self.dialog.kill()
+
+
+def chooser() -> Callable[[Question], FileDialog] | None:
+    """Return a function that opens a dialog for a question; None on a desktop without such dialogs."""
+    if sys.platform.startswith("linux"):
+        screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+        if not screen or not any(map(shutil.which, _PROGRAMS)):
+            return None
+    try:
+        from imgui_bundle import portable_file_dialogs as dialogs
+    except ImportError:
+        return None
+
+    def choose(question: Question) -> FileDialog:
+        path = question.path or ""
+        recipes = ["Recipes", "*.json", "All files", "*"]
+        if question.name == "open":
+            folder = os.path.join(os.path.dirname(path), "")
+            return FileDialog(dialogs.open_file(question.title, folder, recipes))
+        kinds = recipes if question.name == "save" else ["All files", "*"]
+        return FileDialog(dialogs.save_file(question.title, path, kinds))
+
+    return choose

@@ -1,0 +1,168 @@
+"""Undo steps by name, and the way through all of them."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from supple.errors import SuppleError
+from supple.strokes import Recipe, Stroke
+from supple.viewer.document.editing import Document
+from supple.viewer.document.state import Item, State
+from supple.viewer.document.words import described, sentence, settings, step
+
+SHAPE = (60, 80)
+A = Stroke(at=(20, 20), by=(4, 2), radius=9)
+B = Stroke(at=(50, 40), by=(-3, 5), radius=7)
+C = Stroke(at=(30, 45), by=(1, -5), radius=5)
+
+
+def test_each_step_has_a_name() -> None:
+    d = Document(SHAPE, recipe=Recipe(strokes=(A, B, C)))
+    steps: list[tuple[Callable[[], object], str]] = [
+        (lambda: d.add(A), "Grab at (20, 20)"),
+        (lambda: d.remove(3), "Remove stroke 4"),
+        (lambda: d.remove(0), "Remove stroke 1"),
+        (d.undo, ""),
+        (lambda: d.replace(1, replace(B, radius=8)), "Radius of stroke 2"),
+        (lambda: d.replace(0, replace(A, by=(3, 3))), "Drag of stroke 1"),
+        (lambda: d.replace(0, replace(A, at=(21, 20))), "Edit stroke 1"),
+        (lambda: d.replace(0, replace(A, at=(22, 20))), "Position of stroke 1"),
+        (lambda: d.replace(2, replace(C, scales=2)), "Fall-off of stroke 3"),
+        (lambda: d.hide(1), "Hide stroke 2"),
+        (lambda: d.hide(1, False), "Show stroke 2"),
+        (lambda: d.move(2, 0), "Move stroke 3 earlier"),
+        (lambda: d.move(0, 2), "Move stroke 1 later"),
+        (lambda: d.set_border(None), "Free the border"),
+        (lambda: d.set_border(5), "Fix the border"),
+        (lambda: d.set_on_fold("error"), "Folds"),
+        (lambda: d.load(Recipe(strokes=(C,))), "Open a recipe"),
+    ]
+    for act, name in steps:
+        before = d.state
+        act()
+        if name:
+            assert step(before, d.state) == name
+            assert step(d.steps[d.step - 1], d.steps[d.step]) == name
+
+
+def test_any_step_is_one_way_from_any_other() -> None:
+    d = Document(SHAPE)
+    for stroke in (A, B, C):
+        d.add(stroke)
+    assert [len(state.items) for state in d.steps] == [0, 1, 2, 3]
+    heard: list[int] = []
+    d.on_change.append(lambda: heard.append(len(d.items)))
+    for to in (1, 3, 0, 2):
+        d.go(to)
+        assert d.step == to
+    d.go(2)
+    assert heard == [1, 3, 0, 2]  # those between are not shown
+    assert (d.can_undo, d.can_redo) == (True, True)
+    for wrong in (-1, 4, "a"):
+        with pytest.raises(SuppleError, match="one of 4, from 0 to 3"):
+            d.go(wrong)  # type: ignore[arg-type]
+    d.begin_drag()
+    with pytest.raises(SuppleError, match="a drag is under way"):
+        d.go(0)
+    d.abandon()
+    d.add(A)
+    assert len(d.steps) == 4
+
+
+def edit(d: Document, rng: random.Random) -> None:
+    n = len(d.items)
+    at, by = (rng.uniform(0, 79), rng.uniform(0, 59)), (rng.gauss(0, 6), rng.gauss(0, 6))
+    some = Stroke(at=at, by=by, radius=rng.uniform(3, 15), scales=rng.randint(1, 3))
+    acts: list[Callable[[], object]] = [lambda: d.add(some), lambda: d.set_border(rng.choice([None, 3, 8]))]
+    if n:
+        i = rng.randrange(n)
+        acts += [lambda: d.replace(i, some), lambda: d.hide(i, not d.items[i].hidden)]
+        acts += [lambda: d.move(i, rng.randrange(n))]
+        acts += [lambda: d.remove(i)] * (1 + 3 * (n > 6))
+    rng.choice(acts)()
+
+
+@pytest.mark.filterwarnings("ignore::supple.errors.OutsideWarning")
+def test_a_thousand_edits_come_back_bit_for_bit() -> None:
+    rng, d = random.Random(0), Document(SHAPE)
+    points = np.random.default_rng(0).uniform(0, 59, (5, 2))
+
+    def bits() -> tuple[object, ...]:
+        return d.state.content, d.deformation.space.table.tobytes(), d.deformation.forward(points).tobytes()
+
+    known = [bits()]
+    while len(known) <= 1000:
+        before = d.step
+        with contextlib.suppress(SuppleError):  # some are refused, whole
+            edit(d, rng)
+        if d.step > before:
+            known.append(bits())
+    for k in range(1000, 0, -1):
+        assert (d.step, d.can_undo) == (k, True)
+        assert bits() == known[k]
+        d.undo()
+    assert bits() == known[0]
+    assert not d.can_undo
+    for k in range(1, 1001):
+        d.redo()
+        assert bits() == known[k]
+    assert not d.can_redo
+    for k in rng.sample(range(1001), 50):
+        d.go(k)
+        assert bits() == known[k]
+    assert all(step(a, b) for a, b in zip(d.steps, d.steps[1:], strict=False))
+
+
+def test_a_recipe_in_words() -> None:
+    recipe = Recipe(strokes=(A, replace(B, hidden=True, scales=3, poisson=0.3, strength=0.5)), border=None)
+    d = Document(SHAPE, recipe=recipe)
+    assert [sentence(i, item) for i, item in enumerate(d.items)] == [
+        "1. Grab at (20, 20) by (4, 2),\n    radius 9.",
+        "2. Grab at (50, 40) by (-3, 5),\n    radius 7, fall-off near, Poisson ratio 0.3, 50 % of it (hidden).",
+    ]
+
+
+def test_other_brushes_in_words() -> None:
+    for brush, name, does in (
+        (
+            Stroke(at=(5, 6), by=(9, 0), radius=9, also=(((1, 2), (0, 0)), ((3, 4), (1, 0)))),
+            "Grab at (5, 6)",
+            "by (9, 0) with 1 other and 1 pin",
+        ),
+        (Stroke(at=(5, 6), by=(9, 0), radius=9, also=(((1, 2), (0, 0)),)), "Grab at (5, 6)", "by (9, 0) with 1 pin"),
+        (Stroke(at=(5, 6), by=(9, 0), radius=9, path=((7, 9),)), "Path at (5, 6)", "by (9, 0)"),
+        (Stroke(at=(5, 6), by=(9, 0), radius=9, name="restore"), "Restore at (5, 6)", "by (9, 0)"),
+        (Stroke(at=(5, 6), radius=9, brush="scale", factor=0.5), "Pucker at (5, 6)", "by a factor of 0.5"),
+        (Stroke(at=(5, 6), radius=9, brush="twist", angle=40), "Twist at (5, 6)", "by 40\u00b0"),
+        (Stroke(at=(5, 6), radius=9, brush="scale", factor=1.5), "Bloat at (5, 6)", "by a factor of 1.5"),
+        (
+            Stroke(at=(5, 6), radius=9, brush="pinch", factor=0.5, axis=(1, 1)),
+            "Pinch at (5, 6)",
+            "by a factor of 0.5, axis (1, 1)",
+        ),
+    ):
+        assert sentence(0, Item.of(brush)) == f"1. {name} {does},\n    radius 9."
+        assert step(State(), State((Item.of(brush),))) == name
+        if brush.brush != "grab":
+            assert described(brush, None).splitlines()[1:] == [does, "radius 9", "reach: 4 radii"]
+
+
+def test_strokes_that_were_drawn_at_once_are_one_step_in_words() -> None:
+    some = [Stroke(at=(k, 6), by=(1, 0), radius=9, name="smooth") for k in range(3)]
+    old, new = State((Item.of(A),)), State((Item.of(A), *map(Item.of, some)))
+    assert step(old, new) == "Smooth at (0, 6), 3 strokes"
+    assert step(old, State((Item.of(A), Item.of(some[0]), Item.of(A)))) == "Open a recipe"
+
+
+def test_settings_in_words() -> None:
+    recipe = Recipe(border=None)
+    assert settings(recipe) == "Where a stroke would fold: go in small steps. The border is free."
+    assert settings(replace(recipe, border=8, on_fold="error")) == (
+        "Where a stroke would fold: refuse the stroke. The border is fixed, over 8."
+    )

@@ -1,0 +1,307 @@
+"""The parts of the panel: tools, menu, history, sections that stay folded, legends, and what is remembered."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from supple.engines.wgpu import plate
+from supple.engines.wgpu.device import Gpu
+from supple.geometry import Geometry
+from supple.media import volume as volumes
+from supple.strokes import Recipe, Stroke
+from supple.viewer.panels.view import WIDE
+from supple.viewer.tools.keys import BRUSHES, KEYS
+from tests.viewer.windows import SIZE, Hand, opened
+
+imgui = pytest.importorskip("imgui_bundle").imgui
+pytest.importorskip("rendercanvas")
+
+FLAT = (Stroke(at=(200, 120), by=(20, 10), radius=40), Stroke(at=(100, 90), by=(-10, 10), radius=30))
+GREY = np.full((300, 400, 3), 128, np.uint8)
+Places = dict[str, tuple[float, float]]
+
+
+@pytest.fixture(autouse=True)
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+@pytest.fixture
+def places(monkeypatch: pytest.MonkeyPatch) -> Places:
+    """Where the controls of the last frame are, by their names."""
+    found: Places = {}
+
+    def watch(name: str) -> None:
+        draw = getattr(imgui, name)
+
+        def drawn(label: str, *rest: Any, **options: Any) -> Any:
+            made = draw(label, *rest, **options)
+            low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+            known = ("menu " if name == "menu_item" else "") + label.rpartition("###")[2]
+            found[known] = (low.x + min(high.x - low.x, 24) / 2, (low.y + high.y) / 2)
+            return made
+
+        monkeypatch.setattr(imgui, name, drawn)
+
+    for name in ("button", "selectable", "invisible_button", "collapsing_header", "begin_menu", "menu_item"):
+        watch(name)
+    return found
+
+
+def click(hand: Hand, place: tuple[float, float]) -> None:
+    hand.move(*place)
+    hand.canvas.draw()
+    hand.press(*place)
+    hand.canvas.draw()
+    hand.release(*place)
+    for _ in range(2):
+        hand.canvas.draw()
+
+
+def grey(*strokes: Stroke, size: tuple[int, int] = SIZE) -> tuple[Any, Hand]:
+    return opened(GREY, Recipe(border=None, strokes=strokes), size=size)
+
+
+def test_each_tool_and_action_has_an_icon_and_a_key_that_is_listed() -> None:
+    from supple.viewer.panels.actions import ACTIONS
+    from supple.viewer.panels.icons import ICONS
+    from supple.viewer.panels.menu import MENUS
+    from supple.viewer.panels.toolbar import GROUPS
+
+    assert {*BRUSHES, *(name for group in GROUPS for name in group)} <= set(ICONS)
+    assert {name for items in MENUS.values() for name in items} - {""} == set(ACTIONS)
+    listed = {word for rows in KEYS.values() for keys in rows for word in re.split("[ ,]+", keys)}
+    assert {action.keys for action in ACTIONS.values()} - {""} <= listed
+    assert {key for key, _ in BRUSHES.values()} <= listed
+
+
+def test_icons_are_seen_and_differ(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
+    from supple.viewer.panels.icons import ICONS, Pen
+
+    _, hand = grey()
+    seen: dict[str, np.ndarray] = {}
+    for name, icon in ICONS.items():
+
+        def draw(view: Any, icon: Any = icon) -> None:
+            icon(Pen(imgui.get_background_draw_list(), 30, 30, 9, 0xFFFFFFFF))
+
+        monkeypatch.setattr("supple.viewer.panels.overlay.draw", draw)
+        picture = hand.canvas.draw()[10:50, 10:50, :3].astype(int)
+        seen[name] = picture > 200
+        assert 25 < seen[name].sum() / 3 < 400, name
+        edge = seen[name].copy()
+        edge[4:-4, 4:-4] = False
+        assert not edge.any(), name
+    del seen["scale"]  # bloats
+    pairs = [(a, b) for a in seen for b in seen if a < b]
+    assert min((seen[a] != seen[b]).sum() / 3 for a, b in pairs) > 25
+
+
+def test_the_strip_does_what_its_keys_do(gpu: Gpu, places: Places) -> None:
+    view, hand = grey(*FLAT)
+    hand.canvas.draw()
+    view.document.remove(0)
+    click(hand, places["undo"])
+    assert len(view.document.items) == 2
+    click(hand, places["redo"])
+    assert len(view.document.items) == 1
+    click(hand, places["split"])
+    assert view.tools.split == 0.5
+    click(hand, places["split"])
+    assert view.tools.split is None
+    hand.key("1")
+    click(hand, places["fit"])
+    assert view.tools.viewport.held is None
+    for name in ("open", "save", "copy"):
+        view.commands.asked = None
+        hand.canvas.draw()
+        if name != "copy":
+            click(hand, places[name])
+            assert view.commands.asked.name == name
+    view.commands.asked = None
+    view.tools.brush = "other"
+    hand.canvas.draw()
+    click(hand, places["brush grab"])
+    assert view.tools.brush == "grab"
+    view.tools.brush = "other"
+    hand.key("g")
+    assert view.tools.brush == "grab"
+    # An array is no file: nothing is exported.
+    click(hand, places["export"])
+    assert view.commands.asked is None
+    assert not view.commands.message
+    view.document.mark_saved()
+
+
+def test_the_original_is_seen_while_its_button_is_held(gpu: Gpu, places: Places) -> None:
+    view, hand = grey(*FLAT)
+    hand.canvas.draw()
+    place = places["original"]
+    hand.move(*place)
+    hand.canvas.draw()
+    hand.press(*place)
+    hand.canvas.draw()
+    assert view.tools.original
+    hand.canvas.draw()
+    assert view.tools.original
+    hand.release(*place)
+    hand.canvas.draw()
+    assert not view.tools.original
+
+
+def test_all_of_the_strip_is_seen_in_a_low_window(gpu: Gpu, places: Places) -> None:
+    _, hand = opened(GREY, Recipe(border=None), size=(900, 330))
+    hand.canvas.draw()
+    assert places["keys"][1] < 320
+
+
+def test_the_menu_undoes_by_name(gpu: Gpu, places: Places, monkeypatch: pytest.MonkeyPatch) -> None:
+    view, hand = grey(*FLAT)
+    said: list[str] = []
+    item = imgui.menu_item
+    monkeypatch.setattr(imgui, "menu_item", lambda text, *rest: said.append(text) or item(text, *rest))
+    view.document.remove(0)
+    hand.canvas.draw()
+    click(hand, places["Edit"])
+    assert "Undo: Remove stroke 1###undo" in said
+    assert "Redo###redo" in said
+    click(hand, places["menu undo"])
+    assert len(view.document.items) == 2
+    said.clear()
+    click(hand, places["Edit"])
+    assert "Redo: Remove stroke 1###redo" in said
+    view.document.mark_saved()
+
+
+def test_a_click_in_the_history_goes_there(gpu: Gpu, places: Places) -> None:
+    view, hand = grey(size=(SIZE[0], 1200))
+    for stroke in FLAT:
+        view.document.add(stroke)
+    view.sections = {"History": True, "Recipe": True}
+    view.document.select(None)
+    for _ in range(2):
+        hand.canvas.draw()
+    assert {"step 0", "step 1", "step 2"} <= set(places)
+    click(hand, places["step 0"])
+    assert view.document.items == ()
+    click(hand, places["step 2"])
+    assert len(view.document.items) == 2
+    # The recipe is copied where there is a clipboard.
+    copied: list[str] = []
+    click(hand, places["Copy JSON"])
+    assert copied == []
+    view.copy_text = copied.append
+    click(hand, places["Copy JSON"])
+    assert Recipe.from_json(copied[0]).strokes == FLAT
+    view.document.mark_saved()
+
+
+def test_what_is_folded_stays_folded(gpu: Gpu, places: Places, tmp_path: Path) -> None:
+    view, hand = grey()
+    for _ in range(2):
+        hand.canvas.draw()
+    assert "step 0" not in places
+    click(hand, places["Brush"])
+    view.close()
+    place = tmp_path / "config" / "supple" / "window.json"
+    assert json.loads(place.read_text()) == {"sections": {"Brush": False}}
+    again, hand = grey()
+    assert again.sections == {"Brush": False}
+    click(hand, places["Brush"])
+    assert json.loads(place.read_text()) == {"sections": {"Brush": True}}
+    # What is broken, or cannot be written, is ignored.
+    for broken in ("{", "[1]", '{"sections": 3}', '{"sections": {"Brush": 7}}', "\x00", "[" * 100000):
+        place.write_text(broken)
+        other, _ = grey()
+        assert other.sections == {}
+    place.write_bytes(b"\xff\xfe")
+    other, _ = grey()
+    assert other.sections == {}
+    place.unlink()
+    place.parent.rmdir()
+    place.parent.write_text("a file, and no folder")
+    click(hand, places["Brush"])
+    assert again._gui.trouble == ""
+    assert again.sections == {"Brush": False}
+
+
+def test_each_overlay_has_a_legend_in_its_own_colours() -> None:
+    from supple.viewer.panels import legend
+
+    assert set(legend.NAMES) == set(plate.OVERLAYS)
+    shader = (Path(plate.__file__).parent / "shaders" / "warm.wgsl").read_text()
+    found = [tuple(map(float, v.split(","))) for v in re.findall(r"vec3f\(([\d., ]+)\)", shader)]
+    assert found == [legend.COLD[:3], legend.HOT[:3]]
+
+
+def test_the_inner_ring_is_the_radius_and_the_outer_one_the_reach(gpu: Gpu) -> None:
+    view, hand = grey()
+    view.tools.radius = 20
+    x, y = 320, 300
+
+    def rings() -> list[int]:
+        """The distances to the right at which there is something bright."""
+        hand.move(x, y)
+        row = hand.canvas.draw()[y, x : x + 300, :3].astype(int).min(axis=-1)
+        return [k for k in range(1, 299) if row[k] > 160 and row[k] >= row[k - 1] and row[k] > row[k + 1]]
+
+    zoom = view.tools.viewport.zoom
+    inner, outer = rings()
+    assert inner == pytest.approx(20 * zoom, abs=2)
+    assert outer == pytest.approx(80 * zoom, abs=2)
+    view.tools.reach = None
+    (inner,) = rings()
+    assert inner == pytest.approx(20 * zoom, abs=2)
+
+
+@pytest.mark.parametrize(("low", "high", "said"), [(-1000, 400, r"-?\d+ HU"), (0, 3, r"label \d"), (0, 7.5, r"[\d.]+")])
+def test_a_value_is_said_in_its_unit(gpu: Gpu, low: float, high: float, said: str) -> None:
+    from supple.render.picture import Pick
+
+    z, y, x = np.mgrid[:20, :24, :28]
+    ball = ((x - 14) ** 2 + (y - 12) ** 2 + 4 * (z - 10) ** 2) < 90
+    noise = np.random.default_rng(0).uniform(0, 1, ball.shape) if isinstance(high, float) else 0
+    samples = np.where(ball, high, low) + noise
+    view, _ = opened(samples.astype(np.float32))
+    value = view.stage.value(Pick((14, 12, 10), (14, 12, 10), 1.0))
+    assert re.fullmatch(said, view.slices.told(value))
+    assert volumes.Volume(samples, Geometry()).components == 1
+
+
+def test_a_long_path_is_shortened_in_the_middle(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
+    from supple.viewer.panels.widgets import elided
+
+    said: list[tuple[str, float]] = []
+
+    def draw(view: Any) -> None:
+        for wide in (400.0, 150.0, 3.0):
+            text = elided("Saved to /home/someone/pictures/of/cups/coffee-bent.png", wide)
+            said.append((text, imgui.calc_text_size(text).x))
+
+    _, hand = grey()
+    monkeypatch.setattr("supple.viewer.panels.overlay.draw", draw)
+    hand.canvas.draw()
+    (whole, _), (short, wide), _ = said
+    assert whole == "Saved to /home/someone/pictures/of/cups/coffee-bent.png"
+    assert re.fullmatch(r"Saved to /\w*\u2026.*bent.png", short)
+    assert 120 < wide <= 150
+
+
+def test_a_pointer_on_the_strip_is_not_on_the_picture(gpu: Gpu) -> None:
+    view, hand = grey()
+    hand.move(300, 300)
+    hand.canvas.draw()
+    hand.move(SIZE[0] - WIDE + 5, 60)  # in one leap
+    assert view.tools.pointer is None
+    hand.move(300, 300)
+    hand.press(300, 300)
+    hand.move(SIZE[0] - WIDE + 5, 300, 1)  # but a stroke is drawn on
+    assert view.tools.pointer is not None
+    hand.key("Escape")
+    hand.release(SIZE[0] - WIDE + 5, 300)
