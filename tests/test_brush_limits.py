@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from supple import Deformation, FoldError, FoldWarning, Stroke
+from supple import Deformation, FoldError, FoldWarning, Stroke, SuppleError
 from supple.domain import Domain
 from supple.strain import MARGIN, weakest
 from supple.strokes import pack
@@ -80,3 +80,17 @@ def test_a_mirror_image_of_a_brush_without_an_axis(stroke: dict[str, Any], norma
     d = Deformation((41, 41, 41), border=None)
     image = d.add(made.mirrored(tuple(centre), normal)).forward((points - centre) @ mirror + centre)
     np.testing.assert_allclose(image, (d.add(made).forward(points) - centre) @ mirror + centre, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("at", "brush"),
+    [
+        ((6, 1), {"brush": "twist", "angle": -600, "radius": 30}),
+        ((1, 20), {"brush": "pinch", "factor": 0.3, "radius": 100}),
+        ((30, 0.3), {"brush": "twist", "angle": -100, "radius": 10}),
+    ],
+)
+def test_what_would_be_squeezed_to_nothing_at_a_border_is_refused(at: Any, brush: Any) -> None:
+    """Each step keeps its margin, but so many of them leave a Jacobian of no digits."""
+    with pytest.raises(SuppleError, match="squeezes what lies around it"):
+        Deformation((64, 64), border=2).add(Stroke(at=at, **brush))

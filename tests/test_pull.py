@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import warnings
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -180,3 +181,27 @@ def test_the_image_follows() -> None:
     assert out[60, 52] == pytest.approx(40, abs=0.02)
     assert out[60, 108] == pytest.approx(120, abs=0.02)
     assert d.report().within
+
+
+@pytest.mark.parametrize("apart", [30, 40])
+def test_handles_that_move_material_across_each_others_reach_are_in_the_map(apart: float) -> None:
+    """A point outside one handle's ball in the output may come from inside it, moved there by the other."""
+    pair = [(40, 40), (40 + apart, 40)]
+    d = Deformation((128, 160), border=None).pull(pair, by=[(20, 10), (20, -10)], radius=20, reach=2)
+    pixels = np.stack(np.meshgrid(np.arange(160.0), np.arange(128.0)), axis=-1)
+    away = np.linalg.norm(d.inverse_map(tolerance=1e-3) - d.inverse(pixels).points, axis=-1)
+    assert away.max() < 1.1e-3
+    assert d.report(tolerance=1e-3).within
+    picture = np.random.default_rng(1).random((128, 160))
+    whole = d.warp(picture)
+    for x, y, width, height in ((33, 5, 70, 90), (63, 31, 40, 60), (1, 53, 111, 60)):
+        part = d.warp(picture, grid=d.grid.crop((x, y), (width, height)))
+        np.testing.assert_array_equal(part, whole[y : y + height, x : x + width])
+
+
+@pytest.mark.parametrize("on_fold", ["flow", "damp", "error"])
+@pytest.mark.parametrize("gap", [1e-12, 1e-9, 1e-6])
+def test_handles_too_close_to_tell_apart_are_refused(on_fold: Any, gap: float) -> None:
+    d = Deformation((100, 100), on_fold=on_fold)
+    with pytest.raises(SuppleError, match=r"cannot arrive.*\(50, 50\) and \(50, 50\)|folds"):
+        d.pull([(50, 50), (50 + gap, 50)], by=[(0.01, 0), (0, 0.01)], radius=20)

@@ -44,6 +44,10 @@ NEAR = 0.5
 
 _SQUEEZED = 1e-5  # a sequence that leaves less of a length has lost too many digits to be undone
 _ALONG = 1e-9  # of the radius: the rounding error of a drag along a face
+_TOO_NARROW = (
+    f"squeezes what lies around it more than {1 / _SQUEEZED:g} times, which could not be undone; use a larger radius, "
+    "a point farther from the fixed border if there is one, or on_fold='damp'"
+)
 _FLOW_GAP = 0.05
 _HIT = 1e-6  # samples: the accuracy of handles
 _FLOW_MARGIN = 0.3  # substrokes are well-conditioned: Newton takes few steps, and errors grow little
@@ -197,9 +201,10 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
                     "a point further from the border, or on_fold='damp'"
                 )
             lower = lowest(1 / pieces, _FLOW_MARGIN - 1, _FLOW_GAP)
-        return Resolved(
-            np.repeat(rows(1 / pieces), pieces), stroke.at, margin=1 + lower, cause=None if held else "outside"
-        )
+        table, start = np.repeat(rows(1 / pieces), pieces), _padded(stroke, domain)
+        if _narrowest(table, axes, np.tile(start, (3, 1)), stroke.radius * np.eye(3)) < _SQUEEZED:
+            raise SuppleError(f"{described(stroke)} {_TOO_NARROW}")
+        return Resolved(table, stroke.at, margin=1 + lower, cause=None if held else "outside")
     alpha, lower = 1.0, lowest(1.0, CLEARLY_SAFE, GAP) if quarters < 1 else -1.0
     if lower < MARGIN - 1:
         safe, folds = 0.0, 1 / max(quarters, 1.0)
@@ -234,22 +239,27 @@ def _pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     while pieces > 1:
         table["pivot"] = position
         table["force"] = _forces(table, goal - position, axes, ndim)
-        lower, _ = weakest(table, axes, _FLOW_MARGIN - 1 if on_fold == "flow" else CLEARLY_SAFE, _FLOW_GAP)
         if on_fold != "flow":
+            lower, _ = weakest(table, axes)
+            whole, _ = _core.forward(numbers(table), axes, start, False)
+            missed = float(np.linalg.norm(whole - goal, axis=1).max())
             break
-        pieces = max(math.ceil(-lower / (1 - _FLOW_MARGIN) * (1 - 1e-9)), 1)
+        lower, _ = weakest(table, axes, _FLOW_MARGIN - 1, _FLOW_GAP)
+        pieces = max(math.ceil(np.nan_to_num(-lower, nan=1e9, posinf=1e9) / (1 - _FLOW_MARGIN) * (1 - 1e-9)), 1)
         margin = min(margin, 1 + lower / pieces)
         table["force"] /= pieces
-        if groups or pieces > 1:
-            table["most"] = largest(table, axes)
+        table["most"] = largest(table, axes)
         groups.append(table.copy())
         position, _ = _core.forward(numbers(table), axes, position, False)
         if pieces > MOST_SUBSTROKES or len(groups) * len(table) > MOST_SUBSTROKES:
             raise SuppleError(f"{described(stroke)} cannot arrive without a fold: {_conflict(stroke, start, position)}")
     if on_fold == "flow":
         missed = float(np.linalg.norm(position - goal, axis=1).max())
-        if missed > _HIT * min(domain.spacing):
-            raise SuppleError(f"{described(stroke)} cannot arrive: {_conflict(stroke, start, position)}")
+    if not missed <= _HIT * min(domain.spacing):  # also for NaN
+        raise SuppleError(f"{described(stroke)} cannot arrive: {_conflict(stroke, start, goal)}")
+    if on_fold == "flow":
+        if _narrowest(np.concatenate(groups), axes, start, goal - start) < _SQUEEZED:
+            raise SuppleError(f"{described(stroke)} {_TOO_NARROW}")
         return Resolved(np.concatenate(groups), tuple((position[0, :ndim] / domain.spacing).tolist()), margin=margin)
     alpha = 1.0 if lower >= MARGIN - 1 else (1 - MARGIN) / -lower * (1 - 1e-14)
     warning = None
@@ -261,6 +271,7 @@ def _pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
             )
         warning = f"{described(stroke)} folds: damped to {_cut(alpha, 2):g} of it (on_fold='flow' goes all the way)"
     table["force"] *= alpha
+    table["most"] = largest(table, axes)
     arrived = tuple(a + alpha * b for a, b in zip(stroke.at, stroke.by, strict=True))
     return Resolved(table, arrived, alpha, 1 + alpha * lower, "fold" if alpha < 1 else None, warning)
 
@@ -376,7 +387,7 @@ def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
             "use a larger radius, or on_fold='damp'"
         )
     table = np.array(rows)
-    if _narrowest(table, axes, table[0]["pivot"], drag) < _SQUEEZED:
+    if _narrowest(table, axes, table[:1]["pivot"], drag[None]) < _SQUEEZED:
         if not held:
             raise SuppleError(
                 f"{described(stroke)} starts outside, where nothing is held, and squeezes what lies on its way against "
@@ -390,9 +401,11 @@ def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
     return Resolved(table, arrived, margin=margin, cause=None if held else "outside")
 
 
-def _narrowest(table: Table, axes: Floats, start: Floats, drag: Floats) -> float:
-    """Return the smallest singular value of the sequence's Jacobian found along its path and around it."""
-    ahead = start[:, None] + drag[:, None] * np.linspace(-1.0, 4.0, 401)
+def _narrowest(table: Table, axes: Floats, starts: Floats, drags: Floats) -> float:
+    """Return the smallest singular value of the sequence's Jacobian found along some ways (N, 3) and around them."""
+    along = np.linspace(-1.0, 4.0, max(401 // len(starts), 16))
+    ahead = (starts[:, None] + drags[:, None] * along[:, None]).reshape(-1, 3).T
+    start = starts[0]
     first, last, sigma = axes[:, :3].T
     extent = np.where(sigma >= 0, last - first, 0.0)
     parts = np.stack(np.meshgrid(*[np.linspace(0, 1, 17 if e > 0 else 1) for e in extent]), axis=0).reshape(3, -1)

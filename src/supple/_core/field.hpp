@@ -28,6 +28,7 @@ struct Stroke {
     double reach;      // R, or infinity
     double most;       // a bound of the displacement of the strokes that act at once, or infinity
     double per_reach;  // 1/R, or 0
+    bool shared;       // others act at once with it
     bool inner;        // the ball of its reach touches no fixed border: β is 1 in all of it
 };
 

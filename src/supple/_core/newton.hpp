@@ -29,34 +29,41 @@ struct Chain {
     }
 };
 
+// Add one stroke's part to a jet, as `add` does, but leave the length scales of the lanes that it does not concern:
+// `lanes` has a bit for each that it does.
+template <int D, int TANGENTS, bool MIXED, class V>
+INLINE void add_for(int lanes, const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V>& at,
+                    Jet<D, TANGENTS, MIXED, V>& jet) {
+    V before[2], own{};
+    if constexpr (MIXED)
+        for (int j = 0; j < 2; j++) before[j] = jet.smooth2[j];
+    add(k, axes, at, jet);
+    if constexpr (MIXED) {
+        for (int l = 0; l < Masked<V>::lanes; l++) set_lane(own, l, lanes >> l & 1);
+        for (int j = 0; j < 2; j++) jet.smooth2[j] = choose(own > 0.5, jet.smooth2[j], before[j]);
+    }
+}
+
 // Add the displacements of strokes that act at once, all at the same point, to a jet.
 template <int D, int TANGENTS, bool MIXED, class V>
-NOINLINE void add_group(const Chain& group, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& jet) {
+NOINLINE void add_group(const Chain& group, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& jet,
+                        const uint8_t* reached = nullptr) {
     const Jet<D, TANGENTS, MIXED, V> at = jet;
-    for (int k = 0; k < group.count; k++) add(group[k], axes, at, jet);
+    for (int k = 0; k < group.count; k++) add_for(reached ? reached[k] : -1, group[k], axes, at, jet);
 }
 
 // Send a jet through a chain: x ← T(x), t ← T'(x) t, mixed ← T'(x) mixed + T''(x)(t₀, t₁). `reached` has, for each
 // stroke, a bit for each lane whose length scales it concerns, so that neighbours do not split what belongs to others.
+// One stroke of a group is added as more of it are, so that the others, which a lane may not need, change no bit.
 template <int D, int TANGENTS, bool MIXED, class V>
 INLINE void carry(const Chain& chain, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& jet,
                   const uint8_t* reached = nullptr) {
     for (int k = 0, end; k < chain.count; k = end) {
         end = chain.end_of(k);
-        V before[2], own{};
-        if constexpr (MIXED)
-            for (int j = 0; j < 2; j++) before[j] = jet.smooth2[j];
-        if (end - k == 1)
-            add(chain[k], axes, jet, jet);
+        if (chain[k].shared)
+            add_group({chain.strokes, chain.list + k, end - k}, axes, jet, reached ? reached + k : nullptr);
         else
-            add_group({chain.strokes, chain.list + k, end - k}, axes, jet);
-        if constexpr (MIXED) {
-            if (!reached) continue;
-            uint8_t lanes = 0;
-            for (int i = k; i < end; i++) lanes |= reached[i];
-            for (int l = 0; l < Masked<V>::lanes; l++) set_lane(own, l, lanes >> l & 1);
-            for (int j = 0; j < 2; j++) jet.smooth2[j] = choose(own > 0.5, jet.smooth2[j], before[j]);
-        }
+            add_for(reached ? reached[k] : -1, chain[k], axes, jet, jet);
     }
 }
 

@@ -247,7 +247,7 @@ Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int heigh
     while (first_limited < count && !(strokes[first_limited].per_reach > 0)) first_limited++;
     while (first_limited + 1 < count && strokes[first_limited + 1].group == strokes[first_limited].group)
         first_limited++;
-    for (int i = 0; i < count; i++) bounds.push_back(i > first_limited ? bound_within(strokes[i], axes, D) : Bound{});
+    for (int i = 0; i < count; i++) bounds.push_back(bound_within(strokes[i], axes, D));
     for (int i = 0; i < count; i++) all.push_back(i);
     roots.resize((size_t)across * down);
     reaching.assign(roots.size() * words, 0);
@@ -312,21 +312,38 @@ void Plan<D>::find_reaching(int j, int left, int right) {
             const Chain group = whole.last_before(end);
             const int begin = end - group.count;
             end = begin;
+            // No displacement is longer than `size`. One stroke keeps points in its ball, or out of it; others of its
+            // group move them across, so that these are looked for that much farther.
+            double size = 0, bend = 0;
+            for (int n = begin; n < begin + group.count; n++) {
+                size += bounds[n].value;
+                bend += bounds[n].slope;
+            }
+            const double known = strokes[begin].most;
+            size = std::min(size, known);
             Mask touched = radius != radius;
+            const auto away = [&](const Stroke& k) {
+                Lanes distance2{};
+                for (int d = 0; d < D; d++) distance2 += (centre[d] - k.pivot[d]) * (centre[d] - k.pivot[d]);
+                return root(distance2);
+            };
             for (int n = begin; n < begin + group.count; n++) {
                 const Stroke& k = strokes[n];
-                Lanes distance2{}, far2{};
+                Lanes far2{};
                 for (int d = 0; d < D; d++) {
-                    Lanes off = centre[d] - k.pivot[d];
-                    distance2 += off * off;
                     Lanes corner = most(magnitude(Lanes(low[d] - k.pivot[d])), magnitude(Lanes(high[d] - k.pivot[d])));
                     far2 += corner * corner;
                 }
-                Mask by = without(Mask{} == 0, root(distance2) >= k.reach + radius);  // also for NaN
-                for (int l = 0; l < LANES && first + l < across; l++)
-                    if (by[l]) reaching[((size_t)j * across + first + l) * words + n / 64] |= 1ull << (n % 64);
+                Mask by = without(Mask{} == 0, away(k) >= k.reach + radius);  // also for NaN
                 rim = without(rim, both(by, far2 < k.reach * k.reach));
                 touched = either(touched, by);
+            }
+            for (int n = begin; n < begin + group.count; n++) {
+                const Stroke& k = strokes[n];
+                const double reach = k.reach + (group.count > 1 ? size : 0);
+                Mask by = without(touched, away(k) >= reach + radius);
+                for (int l = 0; l < LANES && first + l < across; l++)
+                    if (by[l]) reaching[((size_t)j * across + first + l) * words + n / 64] |= 1ull << (n % 64);
             }
             if (begin <= first_limited || !any(touched)) continue;
             Lanes x[D], off2{};
@@ -344,21 +361,12 @@ void Plan<D>::find_reaching(int j, int left, int right) {
             }
             // No displacement within the ball's preimage is longer than the sizes allow at its point nearest to a
             // pivot.
-            const double known = strokes[begin].most;
-            double size = 0, bend = 0;
-            for (int n = begin; n < begin + group.count; n++) {
-                size += bounds[n].value;
-                bend += bounds[n].slope;
-            }
-            size = std::min(size, known);
             Lanes zero{}, one = splat<Lanes>(1.0), off = root(off2), moved{};
             for (int n = begin; n < begin + group.count; n++) {
-                const Stroke& k = strokes[n];
-                Lanes distance2{};
-                for (int d = 0; d < D; d++) distance2 += (centre[d] - k.pivot[d]) * (centre[d] - k.pivot[d]);
-                Lanes near = (root(distance2) - radius - size) * k.per_reach;
+                Lanes near = (away(strokes[n]) - most(radius, off) - size) * strokes[n].per_reach;
                 Lanes t = least(most(near, zero), one), v = one - t;
-                moved += bounds[n].value * v * v * v * (1.0 + t * (3.0 + 6.0 * t));
+                Lanes faded = bounds[n].unlimited * v * v * v * (1.0 + t * (3.0 + 6.0 * t));
+                moved += least(faded, splat<Lanes>(bounds[n].value));
             }
             Lanes grown = radius + off + 2.0 * least(moved, splat<Lanes>(known));
             if (bend < 0.9) grown = least(grown, Lanes((radius + off) * (1 / (1 - bend))));

@@ -47,21 +47,27 @@ inline double strength_of(const Stroke& k) {
 // Bounds of |K| and |J| of a stroke, without a border, from samples along the distance r: with V = |v| = |f| or |M| r,
 //
 //     |K| ≤ (|A| + |B| r²) V,    |J| ≤ (|2A'| r + |2B'| r³ + 2 |B| r) V + (|A| + |B| r²) |M|.
+//
+// and of |K| without its reach: the product of bounds with the reach's factor at one distance bounds |K| beyond it.
 struct Bound {
-    double value, slope;
+    double value, slope, unlimited;
 };
 inline Bound bound_of(const Stroke& k) {
-    const double farthest = std::min(k.reach, 8 * sqrt(k.radius2[0])), strength = strength_of(k);
+    const double farthest = std::min(k.reach, 8 * sqrt(k.radius2[0])), strength = 1.05 * strength_of(k);
+    Stroke free = k;
+    free.per_reach = 0;
     Bound most{};
     for (int i = 0; i <= 64; i++) {
         const double r = farthest * i / 64, length = k.power == 3 ? r : 1.0;
         const Radial<double> g = radial<1>(k, r * r);
         const double both = fabs(g.A[0]) + fabs(g.B[0]) * r * r;
         const double bend = (fabs(g.A[1]) + fabs(g.B[1]) * r * r + 2 * fabs(g.B[0])) * r * length;
+        const Radial<double> u = radial<0>(free, r * r);
         most.value = std::max(most.value, both * length);
+        most.unlimited = std::max(most.unlimited, (fabs(u.A[0]) + fabs(u.B[0]) * r * r) * length);
         most.slope = std::max(most.slope, bend + (k.power == 3 ? both : 0));
     }
-    return {1.05 * strength * most.value, 1.05 * strength * most.slope};
+    return {strength * most.value, strength * most.slope, strength * most.unlimited};
 }
 
 // Read `count` rows of STROKE_NUMBERS, and derive the rest.
@@ -79,6 +85,8 @@ inline std::vector<Stroke> load_strokes(const double* rows, size_t count, const 
         k.most = *rows++;
         k.per_reach = std::isfinite(k.reach) ? 1.0 / k.reach : 0.0;
         k.inner = is_inner(k, axes);
+        k.shared = joined != 0;
+        if (joined && &k != strokes.data()) (&k - 1)->shared = true;
     }
     return strokes;
 }
