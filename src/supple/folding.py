@@ -414,9 +414,11 @@ def _around(row: np.void, axes: Floats) -> Floats:
         return axes
     # Without a limit, the strain is below 1e-8 of the matrix from there on.
     reach = min(float(row["reach"]), _FARTHEST * math.sqrt(row["radius2"][0]))
-    around, extended = axes.copy(), axes[:, 1] > axes[:, 0]
-    around[:, 0] = np.where(extended, row["pivot"] - reach, axes[:, 0])
-    around[:, 1] = np.where(extended, row["pivot"] + reach, axes[:, 1])
+    # Beside an image of one row, points move, too; not beside its plane.
+    around = axes.copy()
+    bends = np.array([True, True, axes[2, 1] > axes[2, 0] or row["matrix"][2].any() or row["matrix"][:, 2].any()])
+    around[:, 0] = np.where(bends, row["pivot"] - reach, axes[:, 0])
+    around[:, 1] = np.where(bends, row["pivot"] + reach, axes[:, 1])
     return around
 
 
