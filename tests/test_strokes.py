@@ -157,7 +157,9 @@ class TestStroke:
 
     @pytest.mark.parametrize("bad", ["bend", "", "Grab", None, 1, ["grab"]])
     def test_refuses_brushes(self, bad: Any) -> None:
-        assert refusal(lambda: grab(brush=bad)).startswith('brush must be "grab" or "twist" or "scale" or "pinch", found ')
+        assert refusal(lambda: grab(brush=bad)).startswith(
+            'brush must be "grab" or "twist" or "scale" or "pinch", found '
+        )
 
 
 class TestPack:

@@ -236,7 +236,7 @@ def test_what_the_core_is_given_is_checked() -> None:
         _core.inverse(rows, d.space.axes, np.zeros((4, 2)), 2, 1e-9)
     with pytest.raises(ValueError, match="axes must have the shape"):
         _core.forward(rows, d.space.axes[:2], points, False)
-    with pytest.raises(ValueError, match="strokes must have [0-9]+ columns"):
+    with pytest.raises(ValueError, match=r"strokes must have [0-9]+ columns"):
         _core.forward(np.ascontiguousarray(rows[:, 1:]), d.space.axes, points, False)
     np.testing.assert_array_equal(_core.forward(rows[:0], d.space.axes, points + 3, False)[0], points + 3)
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from supple.engines.wgpu.buffers import Bound, Kept
 from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.field import domain, packed
+from supple.engines.wgpu.field import constants, domain, packed
 from supple.engines.wgpu.kernel import READ, TEXTURE, UNIFORM, WRITE, bound, pipeline, room
 
 Floats = npt.NDArray[np.float64]
@@ -174,7 +174,9 @@ class Plate:
             self._pixels,
             sheet.view,
         )
-        (solve, layout), (paint, _) = (pipeline(gpu, _NAMES, entry, _KINDS) for entry in ("solve", "paint"))
+        (solve, layout), (paint, _) = (
+            pipeline(gpu, _NAMES, entry, _KINDS, constants(table)) for entry in ("solve", "paint")
+        )
         group = sheet.bound.group(resources, lambda: bound(gpu, layout, resources))
         commands = encoder or gpu.device.create_command_encoder()
         step = commands.begin_compute_pass()
