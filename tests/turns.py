@@ -26,21 +26,18 @@ AFFINE: dict[int, tuple[Stroke, ...]] = {
 
 def at_once(domain: Domain) -> tuple[npt.NDArray[np.void], list[Step]]:
     """Return a table of grabs and of brushes, some of which act at once, and what they do by the reference."""
-    n, size = domain.ndim, np.array(domain.shape[::-1]) - 1.0
-    radius = 0.25 * float(size.max()) * min(domain.spacing)
+    n, size, steps = domain.ndim, np.array(domain.shape[::-1]) - 1.0, np.array(domain.spacing)
+    radius = 0.25 * float(size.max()) * float(steps.min())
     strokes = []
     for k, place in enumerate((0.3, 0.45, 0.6)):
-        by = np.array([1.4, -0.9, 0.5])[:n] * (-1) ** k
+        by = radius / steps * np.array([0.14, -0.09, 0.05])[:n] * (-1) ** k
         strokes.append(Stroke.grab(place * size, by=by, radius=radius, scales=1 + k, reach=(None, 4, 2.5)[k]))
     turns = [
         Stroke(brush="twist", at=tuple(0.4 * size), angle=12, radius=radius),
         Stroke(brush="pinch", at=tuple(0.55 * size), factor=0.9, radius=radius, poisson=0.3),
         Stroke(brush="scale", at=tuple(0.7 * size), factor=1.1, radius=radius),
     ]
-    alone, last = (
-        Stroke.grab(0.5 * size, by=(1.0,) * n, radius=radius),
-        Stroke.grab(0.2 * size, by=(0.7,) * n, radius=radius),
-    )
+    alone, last = (Stroke.grab(p * size, by=0.1 * radius / steps, radius=radius) for p in (0.5, 0.2))
     table = pack([alone, *strokes, *turns[:2], last, turns[2]], domain.spacing, time=domain.time)
     table["joined"] = [0, 0, 1, 1, 1, 1, 0, 1]
     return table, [alone, (*strokes, *turns[:2]), (last, turns[2])]
