@@ -183,8 +183,10 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     def lowest(part: float, target: float, gap: float) -> float:
         return weakest(rows(part)[0], axes, target, gap)[0]
 
+    turns = abs(stroke.angle or 0.0) / 180  # half ones: beyond one, the matrix is that of a smaller angle
     if on_fold == "flow":
-        pieces, lower = 1, lowest(1.0, _FLOW_MARGIN - 1, _FLOW_GAP)
+        pieces = max(1, math.ceil(turns))
+        lower = lowest(1 / pieces, _FLOW_MARGIN - 1, _FLOW_GAP)
         while lower < (_FLOW_MARGIN - 1) * (1 + 1e-9):
             pieces = max(pieces + 1, math.ceil(pieces * min(-lower / (1 - _FLOW_MARGIN), 1e4) * (1 - _FLOW_GAP)))
             if pieces > MOST_SUBSTROKES:
@@ -194,9 +196,10 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
                 )
             lower = lowest(1 / pieces, _FLOW_MARGIN - 1, _FLOW_GAP)
         return Resolved(np.repeat(rows(1 / pieces), pieces), stroke.at, margin=1 + lower, cause=None if held else "outside")
-    alpha, lower = 1.0, lowest(1.0, CLEARLY_SAFE, _GAP)
+    alpha = min(1.0, 1 / turns) if turns else 1.0
+    lower = lowest(alpha, CLEARLY_SAFE, _GAP)
     if lower < MARGIN - 1:
-        safe, folds = 0.0, 1.0
+        safe, folds = 0.0, alpha
         while folds - safe > 0.5 * _GAP * folds:
             middle = (safe + folds) / 2
             bound = lowest(middle, MARGIN - 1, _GAP)
