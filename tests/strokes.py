@@ -34,17 +34,27 @@ ratios = st.floats(max_value=0.5, allow_nan=False, allow_infinity=True)
 def recipes(draw: st.DrawFn) -> Recipe:
     ndim = draw(st.sampled_from([2, 3]))
     points = st.tuples(*[coordinates] * ndim)
-    strokes = st.builds(
-        Stroke,
-        at=points,
-        by=points,
-        radius=st.floats(1e-30, 1e30),
-        poisson=st.none() | ratios,
-        scales=st.sampled_from([1, 2, 3]),
-        reach=st.none() | st.floats(1, 1e30),
-        hidden=st.booleans(),
-        name=st.none() | st.text(),
-        strength=st.floats(0, 1),
+    axes, factors = st.none() | points.filter(any), st.floats(0.01, 100)
+    shapes: dict[str, dict[str, st.SearchStrategy[Any]]] = {
+        "grab": {"by": points, "scales": st.sampled_from([1, 2, 3])},
+        "twist": {"angle": st.floats(-3600, 3600), "axis": axes if ndim == 3 else st.none()},
+        "scale": {"factor": factors},
+        "pinch": {"factor": factors, "axis": axes},
+    }
+    strokes = st.one_of(
+        st.builds(
+            Stroke,
+            brush=st.just(brush),
+            at=points,
+            radius=st.floats(1e-30, 1e30),
+            poisson=st.none() | ratios,
+            reach=st.none() | st.floats(1, 1e30),
+            hidden=st.booleans(),
+            name=st.none() | st.text(),
+            strength=st.floats(0, 1),
+            **shape,
+        )
+        for brush, shape in shapes.items()
     )
     space: Any = draw(st.sampled_from([None, "pixels", "LPS", "RAS"] if ndim == 3 else [None, "pixels"]))
     return Recipe(

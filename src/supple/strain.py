@@ -119,7 +119,9 @@ def _around(rows: Table, axes: Floats) -> tuple[Floats, float]:
         return axes, 0.0
     radius = np.sqrt(rows["radius2"][:, :1])
     reach = np.minimum(rows["reach"][:, None], _FARTHEST * radius)
-    around, extended = axes.copy(), axes[:, 1] > axes[:, 0]
+    # Beside an image of one row, points move, too; not beside its plane.
+    across = bool(rows["matrix"][:, 2].any() or rows["matrix"][:, :, 2].any() or rows["force"][:, 2].any())
+    around, extended = axes.copy(), np.array([True, True, axes[2, 1] > axes[2, 0] or across])
     around[:, 0] = np.where(extended, (rows["pivot"] - reach).min(axis=0), axes[:, 0])
     around[:, 1] = np.where(extended, (rows["pivot"] + reach).max(axis=0), axes[:, 1])
     strain = np.linalg.norm(rows["force"], axis=1) / radius[:, 0] + np.linalg.norm(rows["matrix"], axis=(1, 2))

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from supple import Deformation, FoldWarning, _core
 from supple.engines.base import Group, Layout, Sampling, Space, Work
 from supple.engines.native import plan_of, samplings_of
-from supple.strokes import STROKE_DTYPE, numbers
+from supple.strokes import STROKE_DTYPE, Stroke, numbers
 from tests.children import ROOT
 
 Floats = npt.NDArray[np.float64]
@@ -41,15 +41,24 @@ def deformation(rng: np.random.Generator, shape: tuple[int, ...], strokes: int, 
             radius = float(np.exp(rng.uniform(math.log(2), math.log(0.5 * max(shape) + 3)))) * min(d.domain.spacing)
             by = rng.normal(size=n)
             by *= radius * np.exp(rng.uniform(math.log(0.05), math.log(5))) / np.linalg.norm(by)
-            d = d.grab(
-                rng.uniform(-0.1, 1.1, n) * size,
-                by=by / d.domain.spacing,
-                radius=radius,
-                poisson=float(rng.choice(POISSONS)),
-                scales=int(rng.integers(1, 4)),
-                reach=REACHES[rng.integers(5)],
-            )
+            at, poisson, reach = rng.uniform(-0.1, 1.1, n) * size, float(rng.choice(POISSONS)), REACHES[rng.integers(5)]
+            brush = ("grab", "grab", "twist", "scale", "pinch")[rng.integers(5)]
+            if brush == "grab":
+                by, scales = by / d.domain.spacing, int(rng.integers(1, 4))
+                d = d.grab(at, by=by, radius=radius, poisson=poisson, scales=scales, reach=reach)
+            else:
+                d = d.add(turning(rng, brush, at=at, radius=radius, reach=reach, poisson=poisson))
     return d
+
+
+def turning(rng: np.random.Generator, brush: Any, **given: Any) -> Stroke:
+    """Return an affine brush of any strength and axis."""
+    shape: dict[str, Any] = {"factor": float(np.exp(rng.uniform(-2, 2)))}
+    if brush == "twist":
+        shape = {"angle": float(rng.uniform(-200, 200))}
+    if brush == "pinch" or (brush == "twist" and len(given["at"]) == 3):
+        shape["axis"] = rng.normal(size=len(given["at"]))
+    return Stroke(brush=brush, **shape, **given)
 
 
 @st.composite
@@ -119,4 +128,4 @@ def in_a_process(program: str, *, timeout: float = 120, **environment: str) -> s
     )
 
 
-__all__ = ["deformation", "deformations", "in_a_process", "lifted", "numbers", "places", "plan", "sampling"]
+__all__ = ["deformation", "deformations", "in_a_process", "lifted", "numbers", "places", "plan", "sampling", "turning"]

@@ -198,6 +198,13 @@ SCENES: dict[str, Callable[[], Deformation]] = {
     "image, local": lambda: Deformation(PLANE, border=10, on_fold="damp").grab(
         (34, 20), by=(4, 5), radius=7, reach=2.5
     ),
+    # Turned, magnified and squeezed, one after the other.
+    "image, turned": lambda: (
+        Deformation(PLANE, border=None, on_fold="damp")
+        .twist((26, 20), angle=60, radius=13, reach=None)
+        .scale((50, 25), factor=1.5, radius=9, reach=None)
+        .pinch((14, 33), factor=0.7, axis=(1, 1), radius=10, reach=None)
+    ),
     # Beyond the clip along every axis, and at both of its ends.
     "clip": lambda: (
         Deformation(CLIP, border=None, on_fold="damp")
@@ -215,9 +222,21 @@ SCENES: dict[str, Callable[[], Deformation]] = {
     "volume": lambda: Deformation(CLIP, spacing=(2.0, 0.8, 1.0), border=3.0, on_fold="damp").grab(
         (18, 11, 2.7), by=(5, 4, 1), radius=9, reach=None
     ),
+    "volume, turned": lambda: (
+        Deformation(CLIP, spacing=(2.0, 0.8, 1.0), border=3.0, on_fold="damp")
+        .twist((18, 11, 2.7), angle=50, axis=(1, 2, 4), radius=9, reach=None)
+        .scale((25, 15, 2.0), factor=0.8, radius=8, reach=None)
+        .pinch((12, 9, 3.0), factor=1.2, axis=(1, 1, 0), radius=8, reach=None)
+    ),
     # For what is slow.
     "small image": lambda: Deformation((13, 16), border=None, on_fold="damp").grab(
         (9, 6), by=(2.3, 1.6), radius=11, reach=None
+    ),
+    "small image, turned": lambda: (
+        Deformation((13, 16), border=None, on_fold="damp")
+        .twist((9, 6), angle=50, radius=15, reach=None)
+        .scale((6, 7), factor=1.2, radius=15, reach=None)
+        .pinch((8, 5), factor=0.8, radius=15, reach=None)
     ),
     "small clip": lambda: Deformation((5, 9, 10), border=None, on_fold="damp").grab(
         (5, 4, 2), by=(3.1, 2.2, 2.5), radius=20, reach=None

@@ -16,6 +16,8 @@ from tests.reference.arrays import (
     warp_frames,
 )
 from tests.reference.motion import (
+    Step,
+    Turned,
     carried_out,
     differences,
     displacement,
@@ -26,15 +28,19 @@ from tests.reference.motion import (
     grid,
     inverse,
     jacobian,
+    kelvinlet_matrix,
     matrices,
     moved,
     reached,
     support,
+    turn,
 )
 from tests.reference.samples import Residual, averaged, durations, faded, pyramid, sample, sample_frames
 
 __all__ = [
     "Residual",
+    "Step",
+    "Turned",
     "averaged",
     "carried_out",
     "curve_of",
@@ -49,6 +55,7 @@ __all__ = [
     "grid",
     "inverse",
     "jacobian",
+    "kelvinlet_matrix",
     "light_of",
     "loaded",
     "matrices",
@@ -63,6 +70,7 @@ __all__ = [
     "stored",
     "supersampled",
     "support",
+    "turn",
     "warp",
     "warp_frames",
 ]

@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from supple.deformation import Deformation
 from supple.domain import Domain
-from supple.strokes import Stroke
-from tests.reference.motion import grid, inverse, matrices, reached
+from tests.reference.motion import Step, grid, inverse, matrices, reached
 from tests.reference.samples import faded, sample, sample_frames
 
 Floats = npt.NDArray[np.float64]
@@ -81,7 +80,7 @@ def stored(values: Floats, dtype: npt.DTypeLike, alpha: bool, linear_light: bool
 
 def warp(
     source: Array,
-    strokes: Sequence[Stroke],
+    strokes: Sequence[Step],
     domain: Domain,
     filter: str = "auto",
     outside: str = "edge",
@@ -104,7 +103,7 @@ def warp(
 
 def warp_frames(
     source: Array,
-    strokes: Sequence[Stroke],
+    strokes: Sequence[Step],
     domain: Domain,
     filter: str = "auto",
     between: str | None = None,

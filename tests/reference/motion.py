@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,19 @@ Integers = npt.NDArray[np.int64]
 Array = npt.NDArray[Any]
 
 GRADES = (1.0, 1.1, 1.21)
+
+
+@dataclass(frozen=True, eq=False)
+class Turned:
+    """An affine brush as it is carried out: with the matrix that it has at its pivot, in physical units."""
+
+    stroke: Stroke
+    matrix: Floats
+
+
+Alone = Stroke | Turned
+Step = Alone | tuple[Alone, ...]
+"""What is applied at once: one stroke, or several whose displacements of the same point are added."""
 
 # ---------------------------------------------------------------- the map
 
@@ -61,6 +74,45 @@ def grab(f: Floats, radius: float, poisson: float, scales: int, r: Floats) -> tu
     held = np.linalg.norm(total(np.zeros(len(f)))[0])
     scale = np.linalg.norm(f) / held if held > 0 else 0.0
     k, j = total(r)
+    return k * scale, j * scale
+
+
+def kelvinlet_matrix(
+    f: Floats, radius: float, poisson: float, r: Floats, trace: float | None = None
+) -> tuple[Floats, Floats]:
+    """Return the locally affine regularized Kelvinlet at r and its Jacobian, as `kelvinlet` does.
+
+    K_F = -a (ρ⁻³ + 3ε²/2 ρ⁻⁵) F r + b [ρ⁻³ (F + Fᵀ + tr F I) - 3ρ⁻⁵ (rᵀFr) I] r; ``trace`` is put for tr F.
+    """
+    a = 1 / (4 * math.pi)
+    b = a / (4 * (1 - poisson))
+    near = f + f.T + (np.trace(f) if trace is None else trace) * np.eye(len(f))
+    rho = np.sqrt((r**2).sum(axis=-1) + radius**2)[..., None]
+    fr, nr, frf = r @ f.T, r @ near.T, np.einsum("...i,ij,...j->...", r, f, r)[..., None]
+    shared = 1 / rho**3 + 3 * radius**2 / (2 * rho**5)
+    k = -a * shared * fr + b * (nr / rho**3 - 3 / rho**5 * frf * r)
+    # The gradient of ρ⁻ⁿ is -n ρ⁻ⁿ⁻² r, that of rᵀFr is (F + Fᵀ) r.
+    slope = -3 / rho**5 - 15 * radius**2 / (2 * rho**7)
+    rho, frf, row = rho[..., None], frf[..., None], r[..., None, :]
+    j = -a * (shared[..., None] * f + (slope * fr)[..., None] * row)
+    j = j + b * (near / rho**3 - 3 / rho**5 * nr[..., None] * row)
+    bent = -3 / rho**5 * (row * frf * -5 / rho**2 + (r @ (f + f.T))[..., None, :])
+    return k, j + b * (bent * r[..., None] - 3 / rho**5 * frf * np.eye(len(f)))
+
+
+def turn(m: Floats, brush: str, radius: float, poisson: float, r: Floats) -> tuple[Floats, Floats]:
+    """Return K of an affine brush of unlimited reach whose Jacobian at the pivot is m; and its Jacobian.
+
+    The printed field of a skew F, a rotation too small to see, is without b; that of s I is the same but for a factor;
+    and that of a pinch is of an F whose trace is 0. A finite rotation and a pinch that keeps areas are not quite that:
+    they get the same profile for all of m, which is b = 0 and tr F = 0.
+    """
+    if not m.any():
+        return np.zeros_like(r), np.zeros((*r.shape, len(m)))
+    material = poisson if brush == "pinch" else -math.inf
+    held = kelvinlet_matrix(m, radius, material, np.zeros(len(m)), trace=0.0)[1]
+    scale = (m * held).sum() / (held * held).sum()  # held is m but for this factor
+    k, j = kelvinlet_matrix(m, radius, material, r, trace=0.0)
     return k * scale, j * scale
 
 
@@ -110,16 +162,23 @@ def radius_of_support(stroke: Stroke) -> float:
     return math.inf if stroke.reach is None else stroke.reach * stroke.radius
 
 
-def displacement(stroke: Stroke, domain: Domain, points: Floats) -> tuple[Floats, Floats]:
-    """Return diag(β) m K at points (..., D) in physical units, and its Jacobian.
+def displacement(step: Step, domain: Domain, points: Floats) -> tuple[Floats, Floats]:
+    """Return diag(β) m K at points (..., D) in physical units, and its Jacobian; of several strokes, the sums.
 
     Beyond a fixed face, the displacement is that of the nearest point of the face.
     """
+    if isinstance(step, tuple):
+        parts = [displacement(one, domain, points) for one in step]
+        return np.asarray(sum(k for k, _ in parts)), np.asarray(sum(j for _, j in parts))
+    stroke = step.stroke if isinstance(step, Turned) else step
     steps, (first, last) = np.array(domain.spacing), faces(domain)
     near = points if domain.border is None else np.clip(points, first, last)
-    pivot, force = np.array(stroke.at) * steps, np.array(stroke.by) * steps
-    r = near - pivot
-    k, j = grab(force, stroke.radius, stroke.material(), stroke.scales, r)
+    r, material = near - np.array(stroke.at) * steps, stroke.material(time=domain.time)
+    if stroke.brush == "grab":
+        k, j = grab(np.array(stroke.by) * steps, stroke.radius, material, stroke.scales, r)
+    else:
+        whole = step.matrix if isinstance(step, Turned) else stroke.matrix(domain.spacing, time=domain.time)
+        k, j = turn(whole[: domain.ndim, : domain.ndim], stroke.brush, stroke.radius, material, r)
     m, slope = support(r, radius_of_support(stroke))
     k, j = m[..., None] * k, m[..., None, None] * j + k[..., :, None] * slope[..., None, :]
     for i in range(domain.ndim):
@@ -131,7 +190,7 @@ def displacement(stroke: Stroke, domain: Domain, points: Floats) -> tuple[Floats
     return k, j
 
 
-def moved(strokes: Iterable[Stroke], domain: Domain, points: npt.ArrayLike) -> tuple[Floats, Floats]:
+def moved(strokes: Iterable[Step], domain: Domain, points: npt.ArrayLike) -> tuple[Floats, Floats]:
     """Return T and I + J of points in samples, one stroke after the other."""
     steps = np.array(domain.spacing)
     p = np.asarray(points, np.float64) * steps
@@ -142,17 +201,17 @@ def moved(strokes: Iterable[Stroke], domain: Domain, points: npt.ArrayLike) -> t
     return np.asarray(p / steps), np.asarray(whole * steps / steps[:, None])
 
 
-def forward(strokes: Iterable[Stroke], domain: Domain, points: npt.ArrayLike) -> Floats:
+def forward(strokes: Iterable[Step], domain: Domain, points: npt.ArrayLike) -> Floats:
     """Return T of points in samples."""
     return moved(strokes, domain, points)[0]
 
 
-def jacobian(strokes: Iterable[Stroke], domain: Domain, points: npt.ArrayLike) -> Floats:
+def jacobian(strokes: Iterable[Step], domain: Domain, points: npt.ArrayLike) -> Floats:
     """Return ∂T/∂p = I + J at points in samples, shape (..., D, D)."""
     return moved(strokes, domain, points)[1]
 
 
-def inverse(strokes: Sequence[Stroke], domain: Domain, points: npt.ArrayLike) -> Floats:
+def inverse(strokes: Sequence[Step], domain: Domain, points: npt.ArrayLike) -> Floats:
     """Return T⁻¹ in samples: each stroke is undone on its own, by damped Newton steps to rounding."""
     steps = np.array(domain.spacing)
     q = np.asarray(points, np.float64) * steps
@@ -162,7 +221,7 @@ def inverse(strokes: Sequence[Stroke], domain: Domain, points: npt.ArrayLike) ->
     return np.asarray(p.reshape(q.shape) / steps)
 
 
-def _undone(stroke: Stroke, domain: Domain, q: Floats) -> Floats:
+def _undone(stroke: Step, domain: Domain, q: Floats) -> Floats:
     def missed(p: Floats, q: Floats) -> tuple[Floats, Floats, Floats]:
         k, j = displacement(stroke, domain, p)
         gap = q - p - k
@@ -195,30 +254,35 @@ def _undone(stroke: Stroke, domain: Domain, q: Floats) -> Floats:
     return p
 
 
-def matrices(strokes: Sequence[Stroke], domain: Domain, sources: npt.ArrayLike) -> Floats:
+def matrices(strokes: Sequence[Step], domain: Domain, sources: npt.ArrayLike) -> Floats:
     """Return M = ∂p/∂q at source points p = T⁻¹(q)."""
     return np.asarray(np.linalg.inv(jacobian(strokes, domain, sources)))
 
 
-def reached(strokes: Iterable[Stroke], domain: Domain, points: Floats) -> npt.NDArray[np.bool_]:
+def reached(strokes: Iterable[Step], domain: Domain, points: Floats) -> npt.NDArray[np.bool_]:
     """Return which points lie in the ball of any stroke; all do where reach is unlimited."""
     steps = np.array(domain.spacing)
     near = points * steps
     if domain.border is not None:
         near = np.clip(near, *faces(domain))
     found = np.zeros(points.shape[:-1], np.bool_)
-    for stroke in strokes:
-        if any(stroke.by):
-            found |= np.linalg.norm(near - np.array(stroke.at) * steps, axis=-1) < radius_of_support(stroke)
+    for step in strokes:
+        for one in step if isinstance(step, tuple) else (step,):
+            stroke = one.stroke if isinstance(one, Turned) else one
+            if not stroke.is_still:
+                found |= np.linalg.norm(near - np.array(stroke.at) * steps, axis=-1) < radius_of_support(stroke)
     return found
 
 
-def carried_out(d: Deformation) -> list[Stroke]:
+def carried_out(d: Deformation) -> list[Step]:
     """Return the strokes of a deformation as they are applied: damped, or as many as one that flows is made of."""
-    made, n, steps = [], d.ndim, np.array(d.domain.spacing)
+    made: list[Step] = []
+    n, steps = d.ndim, np.array(d.domain.spacing)
     for stroke in d.strokes:
         resolved = resolve(stroke, d.domain, d.on_fold)
-        if d.on_fold == "flow":
+        if stroke.brush != "grab":
+            made += [Turned(stroke, row["matrix"]) for row in resolved.rows]
+        elif d.on_fold == "flow":
             ways = [(row["pivot"][:n] / steps, row["force"][:n] / steps) for row in resolved.rows]
             made += [replace(stroke, at=tuple(at.tolist()), by=tuple(by.tolist())) for at, by in ways]
         else:

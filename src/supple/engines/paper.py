@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple.errors import SuppleError
 from supple.strokes import numbers
 
 Floats = npt.NDArray[np.float64]
@@ -55,7 +56,14 @@ def inverse_map(
     residual : float64 array, shape (H, W)
         |T(p) - q| of all strokes together, in pixels. A value above the tolerance means that the method has not
         converged, or that the errors of the strokes have added up.
+
+    Raises
+    ------
+    SuppleError
+        If a stroke is not a grab, or acts at once with another one.
     """
+    if (table["power"] != 1).any() or table["joined"].any():
+        raise SuppleError("the published method is for grabs alone, one after the other, found another brush")
     ndim = 2 if z is None else 3
     height, width = -(-shape[0] // every), -(-shape[1] // every)
     points = np.empty((height, width, ndim), np.float32)

@@ -11,7 +11,7 @@ import torch
 
 from supple.deformation import Deformation
 from supple.domain import refuse
-from supple.engines.torch.field import Strokes, axes_of
+from supple.engines.torch.field import Kind, Strokes, axes_of
 from supple.errors import FoldWarning, MissWarning, SuppleError
 from supple.strokes import Stroke
 
@@ -51,26 +51,29 @@ class Item:
         if not self.differentiable:
             return Strokes.of(d.space, dtype, device)
         flows = d.on_fold == "flow"
-        if flows and len(d.space.table) > sum(any(stroke.by) for stroke in d.strokes):
+        if flows and len(d.space.table) > sum(not stroke.is_still for stroke in d.strokes):
             raise SuppleError(
                 "gradients of strokes need strokes that are carried out in one go, found one that flows in several; "
-                "use on_fold='damp', a larger radius or a shorter drag"
+                "use on_fold='damp', a larger radius or less of it"
             )
         numbers = [[s.at for s in d.strokes], [s.by for s in d.strokes], [s.radius for s in d.strokes]]
         at, by, radius = (
             torch.tensor(known, dtype=dtype, device=device) if given is None else given.to(device, dtype)
             for given, known in zip((self.at, self.by, self.radius), numbers, strict=True)
         )
-        kinds = [
-            (part, _ratio(stroke, d), stroke.scales, math.inf if stroke.reach is None else stroke.reach)
-            for part, stroke in zip(d.resolution()["damping"], d.strokes, strict=True)
-        ]
+        kinds = [_kind(stroke, part, d) for part, stroke in zip(d.resolution()["damping"], d.strokes, strict=True)]
         return Strokes(at, by, radius, kinds, axes_of(d.space), flows)
 
 
-def _ratio(stroke: Stroke, d: Deformation) -> float:
-    """Return b/a of a stroke's kelvinlet."""
-    return 1 / (4 * (1 - stroke.material(time=d.domain.time)))
+def _kind(stroke: Stroke, part: float, d: Deformation) -> Kind:
+    """Return what of a stroke has no gradients; part of it is applied."""
+    ratio = 1 / (4 * (1 - stroke.material(time=d.domain.time)))
+    matrix = None
+    if stroke.brush != "grab":
+        whole = stroke.weakened(part).matrix(d.domain.spacing, time=d.domain.time)
+        matrix = whole[: d.ndim, : d.ndim].tolist()
+        ratio = ratio if stroke.brush == "pinch" else 0.0
+    return Kind(ratio, stroke.scales, math.inf if stroke.reach is None else stroke.reach, part, matrix)
 
 
 def items(
@@ -145,6 +148,8 @@ def _rebuilt(
         return d
     given = {"at": at, "by": by, "radius": radius}
     columns = {name: x.detach().to("cpu", torch.float64).tolist() for name, x in given.items() if x is not None}
+    if "by" in columns:
+        columns["by"] = list(map(tuple, columns["by"]))
     made = d.without_strokes()
     for i, stroke in enumerate(d.strokes):
         try:

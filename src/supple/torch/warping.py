@@ -67,7 +67,8 @@ def warp(
         A deformation of the shape of the last axes; or one for each item of the batch. With fields or affine maps, the
         tensor must be in host memory.
     at, by : tensor of shape (n, D), or (N, n, D), optional
-        Replacements of the positions and the drags of the deformation's n strokes: in pixels, x first.
+        Replacements of the positions and the drags of the deformation's n strokes: in pixels, x first. The drags of
+        brushes other than grabs are 0, and have no gradients.
     radius : tensor of shape (n,), or (N, n), optional
         Replacements of their radii, in physical units.
     filter : str
@@ -296,6 +297,6 @@ def _places(offsets: torch.Tensor, start: int, stop: int, how: Filter) -> tuple[
 
 
 def _chunks(offsets: torch.Tensor, job: Job) -> list[tuple[int, int]]:
-    terms = sum(kind[2] for kind in job.strokes.kinds) if job.strokes is not None else 0
+    terms = sum(kind.scales for kind in job.strokes.kinds) if job.strokes is not None else 0
     size, total = max(1, _ROOM // (len(job.work.fills[0]) + 16 * (terms + 1))), len(offsets)
     return [(start, min(start + size, total)) for start in range(0, total, size)]

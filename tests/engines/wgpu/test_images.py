@@ -457,7 +457,7 @@ def test_the_command_line(gpu: Gpu, photo: np.ndarray, tmp_path: Path, capsys: p
 def test_shaders_see_what_the_cpu_packs() -> None:
     d = bent((40, 60, 80), 2, 3)
     table = field.packed(d.space.table)
-    assert table.dtype.itemsize == 7 * 16
+    assert table.dtype.itemsize == 11 * 16
     whole = table["pivot"].astype(np.float64) + table["rest"][:, :3]
     np.testing.assert_allclose(whole, d.space.table["pivot"], atol=1e-12 * 80)
     axes = Domain((40, 60, 80), (1, 2, 3), 20.0, "sine").packed()

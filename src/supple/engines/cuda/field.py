@@ -1,8 +1,9 @@
 """T and its Jacobian at a point, computed by one thread: the strokes of a table, one after the other.
 
 A stroke moves the point p by β(p) K(p'), where p' is p, clamped to the domain along axes with a fixed border. With
-r = p' - pivot, K = A f + B (r·f) r. A and B are functions of s = |r|², multiplied by m(√s / R) if the stroke has a
-reach R.
+r = p' - pivot, K = A v + B (r·v) r, where v is the force f of a grab, or M r. A and B are functions of s = |r|²,
+multiplied by m(√s / R) if the stroke has a reach R. Strokes that are joined to the one before them act at the same
+point as that.
 
 Deformations are one flat array of float64: for each, the DOMAIN numbers of its domain; then all strokes, STROKE numbers
 each.
@@ -23,8 +24,9 @@ from supple.engines.cuda.kernel import device, kernel, lean
 FIRST_FACE, LAST_FACE, SIGMA, SPACING, PROFILE, AXIS = 0, 1, 2, 3, 4, 5
 DOMAIN = 3 * AXIS
 Y_AXIS, Z_AXIS = AXIS, 2 * AXIS
-# For a stroke: pivot, force, number of terms, radius², p, q and r of each term, and reach: R² and 1 / R².
-PIVOT, FORCE, TERMS, TERM, REACH2, NEARNESS, STROKE = 0, 3, 6, 7, 19, 20, 21
+# For a stroke: pivot, force, number of terms, radius², p, q and r of each term, reach: R² and 1 / R², power, 1 if it is
+# joined, and the matrix, row by row.
+PIVOT, FORCE, TERMS, TERM, REACH2, NEARNESS, POWER, JOINED, MATRIX, STROKE = 0, 3, 6, 7, 19, 20, 21, 22, 23, 32
 UNLIMITED = 1e300  # R² of a stroke without a reach: larger than any square of a distance
 
 HALF_PI = math.pi / 2
@@ -52,6 +54,7 @@ def packed(tables: Sequence[npt.NDArray[np.void]], domains: Sequence[Floats]) ->
             out[:, TERM + k : REACH2 : 4] = table[name]
         reach2 = np.minimum(table["reach"] ** 2, UNLIMITED)
         out[:, REACH2], out[:, NEARNESS] = reach2, np.where(reach2 < UNLIMITED, 1.0 / reach2, 0.0)
+        out[:, POWER], out[:, JOINED], out[:, MATRIX:] = table["power"], table["joined"], table["matrix"].reshape(-1, 9)
         rows.append(out.ravel())
     known = np.concatenate([*(np.asarray(d, np.float64).ravel() for d in domains), *rows])
     return known, np.cumsum([0, *(t.size for t in tables)]).astype(np.int32)
@@ -91,12 +94,15 @@ def edge(x, first, last, sigma, profile):
 
 
 @lean
-def term(r2, e, p, q, r):
-    """Return A, B, 2A' and 2B' of a term of a stroke, for the squared distance to the pivot."""
+def term(r2, n, e, p, q, r):
+    """Return A, B, 2A' and 2B' of a term of a stroke of power n, for the squared distance to the pivot."""
     v2 = 1.0 / (r2 + e)
     v = math.sqrt(v2)
-    v3 = v * v2
-    return p * v + q * v3, r * v3, -v3 * (p + 3.0 * q * v2), -3.0 * r * v3 * v2
+    if n == 3.0:
+        v *= v2
+    next_ = v * v2
+    m = n + 2.0
+    return p * v + q * next_, r * next_, -next_ * (n * p + m * q * v2), -m * r * next_ * v2
 
 
 @lean
@@ -111,28 +117,28 @@ def limited(r2, nearness, a, b, da, db):
 
 @lean
 def displacement(dx, dy, dz, fx, fy, fz, a, b):
-    """Return K = A f + B (r·f) r."""
+    """Return K = A v + B (r·v) r."""
     g = b * (dx * fx + dy * fy + dz * fz)
     return a * fx + g * dx, a * fy + g * dy, a * fz + g * dz
 
 
 @lean
-def gradient(dx, dy, dz, fx, fy, fz, b, da, db):
-    """Return J, row by row: of row i, (2A' f_i + 2B' (r·f) r_i) rᵀ + B r_i fᵀ + B (r·f) e_iᵀ."""
+def gradient(dx, dy, dz, fx, fy, fz, wx, wy, wz, b, da, db):
+    """Return J - A M, row by row: of row i, (2A' v_i + 2B' (r·v) r_i) rᵀ + B r_i wᵀ + B (r·v) e_iᵀ, w = v + Mᵀr."""
     rf = dx * fx + dy * fy + dz * fz
     g, h = b * rf, db * rf
     cx, cy, cz = da * fx + h * dx, da * fy + h * dy, da * fz + h * dz
     ex, ey, ez = b * dx, b * dy, b * dz
     return (
-        cx * dx + ex * fx + g,
-        cx * dy + ex * fy,
-        cx * dz + ex * fz,
-        cy * dx + ey * fx,
-        cy * dy + ey * fy + g,
-        cy * dz + ey * fz,
-        cz * dx + ez * fx,
-        cz * dy + ez * fy,
-        cz * dz + ez * fz + g,
+        cx * dx + ex * wx + g,
+        cx * dy + ex * wy,
+        cx * dz + ex * wz,
+        cy * dx + ey * wx,
+        cy * dy + ey * wy + g,
+        cy * dz + ey * wz,
+        cz * dx + ez * wx,
+        cz * dy + ez * wy,
+        cz * dz + ez * wz + g,
     )
 
 
@@ -176,7 +182,9 @@ def profiles(known, s, r2):
     a, b, da, db = 0.0, 0.0, 0.0, 0.0
     for m in range(int(known[s + TERMS])):
         t = s + TERM + 4 * m
-        more_a, more_b, more_da, more_db = term(r2, known[t], known[t + 1], known[t + 2], known[t + 3])
+        more_a, more_b, more_da, more_db = term(
+            r2, known[s + POWER], known[t], known[t + 1], known[t + 2], known[t + 3]
+        )
         a += more_a
         b += more_b
         da += more_da
@@ -184,6 +192,19 @@ def profiles(known, s, r2):
     if known[s + NEARNESS] > 0.0:
         a, b, da, db = limited(r2, known[s + NEARNESS], a, b, da, db)
     return a, b, da, db
+
+
+@device
+def driving(known, s, dx, dy, dz):
+    """Return v of a stroke: its force, or M r."""
+    if known[s + POWER] == 1.0:
+        return known[s + FORCE], known[s + FORCE + 1], known[s + FORCE + 2]
+    m = s + MATRIX
+    return (
+        known[m] * dx + known[m + 1] * dy + known[m + 2] * dz,
+        known[m + 3] * dx + known[m + 4] * dy + known[m + 5] * dz,
+        known[m + 6] * dx + known[m + 7] * dy + known[m + 8] * dz,
+    )
 
 
 @device
@@ -197,15 +218,27 @@ def edges(known, at, x, y, z):
 
 
 @device
+def first_of(known, first, s):
+    """Return the first stroke of those that act at once with the one at ``s``, from ``first`` on."""
+    while s > first and known[s + JOINED] != 0.0:
+        s -= STROKE
+    return s
+
+
+@device
 def moved(known, at, first, last, x, y, z):
     """Return T of a point, by strokes ``first`` to ``last``, in the domain at ``at``."""
+    px, py, pz = x, y, z
     for s in range(first, last, STROKE):
-        bx, by, bz, _, _, _, nx, ny, nz, _, _, _ = edges(known, at, x, y, z)
+        if known[s + JOINED] == 0.0:
+            px, py, pz = x, y, z
+        bx, by, bz, _, _, _, nx, ny, nz, _, _, _ = edges(known, at, px, py, pz)
         dx, dy, dz = nx - known[s], ny - known[s + 1], nz - known[s + 2]
         r2 = dx * dx + dy * dy + dz * dz
         if r2 < known[s + REACH2]:
             a, b, _, _ = profiles(known, s, r2)
-            kx, ky, kz = displacement(dx, dy, dz, known[s + 3], known[s + 4], known[s + 5], a, b)
+            fx, fy, fz = driving(known, s, dx, dy, dz)
+            kx, ky, kz = displacement(dx, dy, dz, fx, fy, fz, a, b)
             x += bx * kx
             y += by * ky
             z += bz * kz
@@ -214,29 +247,35 @@ def moved(known, at, first, last, x, y, z):
 
 @device
 def carried(known, at, s, x, y, z):
-    """Return T of one stroke at a point, and its Jacobian, row by row."""
+    """Return a stroke's displacement of a point, and its Jacobian, row by row."""
     bx, by, bz, slope_x, slope_y, slope_z, nx, ny, nz, ox, oy, oz = edges(known, at, x, y, z)
     dx, dy, dz = nx - known[s], ny - known[s + 1], nz - known[s + 2]
     r2 = dx * dx + dy * dy + dz * dz
     if not r2 < known[s + REACH2]:
-        return x, y, z, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
-    fx, fy, fz = known[s + 3], known[s + 4], known[s + 5]
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    fx, fy, fz = driving(known, s, dx, dy, dz)
+    wx, wy, wz = fx, fy, fz
     a, b, da, db = profiles(known, s, r2)
     kx, ky, kz = displacement(dx, dy, dz, fx, fy, fz, a, b)
-    m00, m01, m02, m10, m11, m12, m20, m21, m22 = gradient(dx, dy, dz, fx, fy, fz, b, da, db)
+    m = s + MATRIX
+    if known[s + POWER] != 1.0:
+        wx += known[m] * dx + known[m + 3] * dy + known[m + 6] * dz
+        wy += known[m + 1] * dx + known[m + 4] * dy + known[m + 7] * dz
+        wz += known[m + 2] * dx + known[m + 5] * dy + known[m + 8] * dz
+    m00, m01, m02, m10, m11, m12, m20, m21, m22 = gradient(dx, dy, dz, fx, fy, fz, wx, wy, wz, b, da, db)
     return (
-        x + bx * kx,
-        y + by * ky,
-        z + bz * kz,
-        1.0 + ox * (bx * m00 + slope_x * kx),
-        oy * bx * m01,
-        oz * bx * m02,
-        ox * by * m10,
-        1.0 + oy * (by * m11 + slope_y * ky),
-        oz * by * m12,
-        ox * bz * m20,
-        oy * bz * m21,
-        1.0 + oz * (bz * m22 + slope_z * kz),
+        bx * kx,
+        by * ky,
+        bz * kz,
+        ox * (bx * (m00 + a * known[m]) + slope_x * kx),
+        oy * bx * (m01 + a * known[m + 1]),
+        oz * bx * (m02 + a * known[m + 2]),
+        ox * by * (m10 + a * known[m + 3]),
+        oy * (by * (m11 + a * known[m + 4]) + slope_y * ky),
+        oz * by * (m12 + a * known[m + 5]),
+        ox * bz * (m20 + a * known[m + 6]),
+        oy * bz * (m21 + a * known[m + 7]),
+        oz * (bz * (m22 + a * known[m + 8]) + slope_z * kz),
     )
 
 
@@ -244,9 +283,16 @@ def carried(known, at, s, x, y, z):
 def moved_with_matrix(known, at, first, last, x, y, z):
     """Return T of a point, and its Jacobian, row by row: twelve numbers."""
     a, b, c, d, e, f, g, h, k = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
+    px, py, pz = x, y, z
+    pa, pb, pc, pd, pe, pf, pg, ph, pk = a, b, c, d, e, f, g, h, k
     for s in range(first, last, STROKE):
-        x, y, z, p, q, r, t, u, v, w, m, n = carried(known, at, s, x, y, z)
-        a, b, c, d, e, f, g, h, k = product(p, q, r, t, u, v, w, m, n, a, b, c, d, e, f, g, h, k)
+        if known[s + JOINED] == 0.0:
+            px, py, pz = x, y, z
+            pa, pb, pc, pd, pe, pf, pg, ph, pk = a, b, c, d, e, f, g, h, k
+        ux, uy, uz, p, q, r, t, u, v, w, m, n = carried(known, at, s, px, py, pz)
+        p, q, r, t, u, v, w, m, n = product(p, q, r, t, u, v, w, m, n, pa, pb, pc, pd, pe, pf, pg, ph, pk)
+        x, y, z = x + ux, y + uy, z + uz
+        a, b, c, d, e, f, g, h, k = a + p, b + q, c + r, d + t, e + u, f + v, g + w, h + m, k + n
     return x, y, z, a, b, c, d, e, f, g, h, k
 
 

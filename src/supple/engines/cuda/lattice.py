@@ -24,6 +24,7 @@ from numba import cuda
 from supple.engines.cuda.field import (
     DOMAIN,
     FIRST_FACE,
+    JOINED,
     LAST_FACE,
     NEARNESS,
     PROFILE,
@@ -127,11 +128,16 @@ def smoothness(known, at, first, last, x, y, z, a, b, d, e, g, h):
     u0, u1, u2 = a * known[at + SPACING], d * known[j + SPACING], g * known[k + SPACING]
     v0, v1, v2 = b * known[at + SPACING], e * known[j + SPACING], h * known[k + SPACING]
     least = 1e300
+    px, py, pz = x, y, z
+    n00, n01, n02, n10, n11, n12, n20, n21, n22 = m00, m01, m02, m10, m11, m12, m20, m21, m22
     for s in range(first, last, STROKE):
-        ux, uy, uz = m00 * u0 + m01 * u1 + m02 * u2, m10 * u0 + m11 * u1 + m12 * u2, m20 * u0 + m21 * u1 + m22 * u2
-        vx, vy, vz = m00 * v0 + m01 * v1 + m02 * v2, m10 * v0 + m11 * v1 + m12 * v2, m20 * v0 + m21 * v1 + m22 * v2
+        if known[s + JOINED] == 0.0:
+            px, py, pz = x, y, z
+            n00, n01, n02, n10, n11, n12, n20, n21, n22 = m00, m01, m02, m10, m11, m12, m20, m21, m22
+        ux, uy, uz = n00 * u0 + n01 * u1 + n02 * u2, n10 * u0 + n11 * u1 + n12 * u2, n20 * u0 + n21 * u1 + n22 * u2
+        vx, vy, vz = n00 * v0 + n01 * v1 + n02 * v2, n10 * v0 + n11 * v1 + n12 * v2, n20 * v0 + n21 * v1 + n22 * v2
         size = math.sqrt(max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz))
-        rx, ry, rz = x - known[s], y - known[s + 1], z - known[s + 2]
+        rx, ry, rz = px - known[s], py - known[s + 1], pz - known[s + 2]
         r2 = rx * rx + ry * ry + rz * rz
         length = math.sqrt(r2 + known[s + TERM])
         if known[s + NEARNESS] > 0.0:
@@ -141,21 +147,23 @@ def smoothness(known, at, first, last, x, y, z, a, b, d, e, g, h):
         least = min(
             least,
             fade_length(
-                x, known[at + FIRST_FACE], known[at + LAST_FACE], known[at + SIGMA], known[at + PROFILE], ux, vx
+                px, known[at + FIRST_FACE], known[at + LAST_FACE], known[at + SIGMA], known[at + PROFILE], ux, vx
             ),
         )
         least = min(
             least,
-            fade_length(y, known[j + FIRST_FACE], known[j + LAST_FACE], known[j + SIGMA], known[j + PROFILE], uy, vy),
+            fade_length(py, known[j + FIRST_FACE], known[j + LAST_FACE], known[j + SIGMA], known[j + PROFILE], uy, vy),
         )
         least = min(
             least,
-            fade_length(z, known[k + FIRST_FACE], known[k + LAST_FACE], known[k + SIGMA], known[k + PROFILE], uz, vz),
+            fade_length(pz, known[k + FIRST_FACE], known[k + LAST_FACE], known[k + SIGMA], known[k + PROFILE], uz, vz),
         )
-        x, y, z, p, q, r, t, u, v, w, m, n = carried(known, at, s, x, y, z)
-        m00, m01, m02, m10, m11, m12, m20, m21, m22 = product(
-            p, q, r, t, u, v, w, m, n, m00, m01, m02, m10, m11, m12, m20, m21, m22
-        )
+        dx, dy, dz, p, q, r, t, u, v, w, m, n = carried(known, at, s, px, py, pz)
+        p, q, r, t, u, v, w, m, n = product(p, q, r, t, u, v, w, m, n, n00, n01, n02, n10, n11, n12, n20, n21, n22)
+        x, y, z = x + dx, y + dy, z + dz
+        m00, m01, m02 = m00 + p, m01 + q, m02 + r
+        m10, m11, m12 = m10 + t, m11 + u, m12 + v
+        m20, m21, m22 = m20 + w, m21 + m, m22 + n
     return least
 
 

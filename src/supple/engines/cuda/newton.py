@@ -18,6 +18,7 @@ from supple.engines.cuda.field import (
     STROKE,
     Y_AXIS,
     Z_AXIS,
+    first_of,
     moved,
     moved_with_matrix,
 )
@@ -101,7 +102,7 @@ def newton(known, at, first, last, qx, qy, qz, x, y, z, tolerance, limit):
 
 @device
 def followed(known, at, first, last, qx, qy, qz, tolerance):
-    """Return T⁻¹ of one stroke, by continuation along the line from T(p) to q."""
+    """Return T⁻¹ of strokes that act at once, by continuation along the line from T(p) to q."""
     sx, sy, sz = moved(known, at, first, last, qx, qy, qz)
     px, py, pz = qx, qy, qz
     way, stride, spent = 0.0, 0.5, 0
@@ -123,29 +124,30 @@ def followed(known, at, first, last, qx, qy, qz, tolerance):
 
 @device
 def undo(known, at, first, last, qx, qy, qz, tolerance):
-    """Return T⁻¹ without a guess, as from `newton`: strokes undone from last to first, then polished."""
+    """Return T⁻¹ without a guess, as from `newton`: what acts at once undone from last to first, then polished."""
     x, y, z, norm, done = qx, qy, qz, 0.0, True
     a, b, c, d, e, f, g, h, k = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
     spent = 0
-    s = last - STROKE
-    while s >= first:
+    end = last
+    while end > first:
+        s = first_of(known, first, end - STROKE)
         gx, gy, gz = x, y, z
         x, y, z, norm, done, steps, a, b, c, d, e, f, g, h, k = newton(
-            known, at, s, s + STROKE, gx, gy, gz, gx, gy, gz, tolerance, 40
+            known, at, s, end, gx, gy, gz, gx, gy, gz, tolerance, 40
         )
         spent += steps
         if not done:
-            fx, fy, fz, arrived, steps = followed(known, at, s, s + STROKE, gx, gy, gz, tolerance)
+            fx, fy, fz, arrived, steps = followed(known, at, s, end, gx, gy, gz, tolerance)
             spent += steps
             if arrived:
                 x, y, z = fx, fy, fz
-                if last - first == STROKE:  # its Jacobian and residual are known
+                if s == first and end == last:  # its Jacobian and residual are known
                     x, y, z, norm, done, steps, a, b, c, d, e, f, g, h, k = newton(
-                        known, at, s, s + STROKE, gx, gy, gz, x, y, z, tolerance, 8
+                        known, at, s, end, gx, gy, gz, x, y, z, tolerance, 8
                     )
                     spent += steps
-        s -= STROKE
-    if last - first > STROKE:
+        end = s
+    if first_of(known, first, last - STROKE) > first:
         x, y, z, norm, done, steps, a, b, c, d, e, f, g, h, k = newton(
             known, at, first, last, qx, qy, qz, x, y, z, tolerance, 8
         )

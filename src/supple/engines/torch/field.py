@@ -2,7 +2,9 @@
 
 Of one stroke, in physical units, with r = p - pivot, s = |r|² and p taken into the domain where its border is fixed,
 
-    K(p) = diag(β) m(√s/R) [A(s) f + B(s) (r·f) r],    m(t) = (1-t)³ (1 + 3t + 6t²) for t < 1, 0 beyond.
+    K(p) = diag(β) m(√s/R) [A(s) v + B(s) (r·v) r],    m(t) = (1-t)³ (1 + 3t + 6t²) for t < 1, 0 beyond,
+
+where v is the force f of a grab, or M r. Strokes that act at once move one point, and their displacements are added.
 
 An image is the plane z = 0 of a volume, without displacement along z.
 
@@ -35,6 +37,33 @@ Axis = tuple[float, float, float, float, float]  # first, last, sigma and spacin
 Columns = list[torch.Tensor]  # one for each coordinate, x first
 
 
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """What of a stroke has no gradients.
+
+    Parameters
+    ----------
+    ratio : float
+        b/a of its material.
+    scales : int
+    reach : float
+        In radii, infinite without a limit.
+    part : float
+        The applied fraction of its force.
+    matrix : sequence of D rows, or None
+        ∂K/∂p at the pivot of a brush that is affine there, in physical units.
+    joined : bool
+        Whether it acts at once with the stroke before it.
+    """
+
+    ratio: float
+    scales: int
+    reach: float
+    part: float = 1.0
+    matrix: Sequence[Sequence[float]] | None = None
+    joined: bool = False
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Strokes:
     """Strokes as tensors: composed in order, they make T.
@@ -45,9 +74,8 @@ class Strokes:
         In pixels, x first.
     radius : tensor of floats, shape (n,)
         In physical units.
-    kinds : sequence of (float, float, int, float)
-        For each stroke, the applied fraction of its force, its material's b/a, its scales, and its reach in radii,
-        infinite without a limit.
+    kinds : sequence of Kind
+        The rest of each stroke.
     axes : sequence of (float, float, float, float)
         Extent, width of the fixed border (-1 where it is free), spacing and the border's profile along each axis, as
         in `Domain.packed`.
@@ -58,7 +86,7 @@ class Strokes:
     at: torch.Tensor
     by: torch.Tensor
     radius: torch.Tensor
-    kinds: Sequence[tuple[float, float, int, float]]
+    kinds: Sequence[Kind]
     axes: Sequence[Axis]
     flows: bool = False
 
@@ -75,10 +103,23 @@ class Strokes:
         at, by, radius = (
             torch.tensor(x, dtype=dtype, device=device) for x in (*columns, table["radius2"][:, 0] ** 0.5)
         )
-        ratios = (table["r"][:, 0] / (table["p"][:, 0] + table["r"][:, 0])).tolist()
-        reaches = (table["reach"] / table["radius2"][:, 0] ** 0.5).tolist()
-        given = zip(ratios, table["terms"].tolist(), reaches, strict=True)
-        return cls(at, by, radius, [(1.0, ratio, terms, reach) for ratio, terms, reach in given], axes_of(space))
+        first = {name: table[name][:, 0] for name in ("radius2", "q", "r")}
+        columns = [
+            first["r"] * first["radius2"] / (2 * first["q"]),
+            table["terms"],
+            table["reach"] / first["radius2"] ** 0.5,
+        ]
+        kinds = [
+            Kind(
+                ratio,
+                scales,
+                reach,
+                matrix=row["matrix"][:n, :n].tolist() if row["power"] == 3 else None,
+                joined=bool(row["joined"]),
+            )
+            for row, ratio, scales, reach in zip(table, *(column.tolist() for column in columns), strict=True)
+        ]
+        return cls(at, by, radius, kinds, axes_of(space))
 
 
 def axes_of(space: Space) -> list[Axis]:
@@ -88,21 +129,25 @@ def axes_of(space: Space) -> list[Axis]:
 
 def moved(points: Columns, strokes: Strokes) -> Columns:
     """Return T of points, both in physical units: D tensors of one shape."""
-    for k, (part, ratio, scales, reach) in enumerate(strokes.kinds):
+    start = points
+    for k, kind in enumerate(strokes.kinds):
+        start = start if kind.joined else points
         pivot = [x * axis[3] for x, axis in zip(strokes.at[k], strokes.axes, strict=True)]
-        force = [x * (axis[3] * part) for x, axis in zip(strokes.by[k], strokes.axes, strict=True)]
-        if strokes.flows:
-            force = _arriving(pivot, force, strokes.axes)
-        near, beta = _edges(points, strokes.axes)
+        near, beta = _edges(start, strokes.axes)
         r = [x - p for x, p in zip(near, pivot, strict=True)]
+        if kind.matrix is None:
+            v: Columns = [x * (axis[3] * kind.part) for x, axis in zip(strokes.by[k], strokes.axes, strict=True)]
+        else:
+            v = [sum((m * x for m, x in zip(row, r, strict=True)), torch.zeros_like(r[0])) for row in kind.matrix]
+        if strokes.flows:
+            v = _arriving(pivot, v, strokes.axes)
         s = _dot(r, r)
-        a, b = _profiles(s, strokes.radius[k], ratio, scales)
-        if reach < math.inf:
-            m = _support(s / (strokes.radius[k] * reach) ** 2)
+        a, b = _profiles(s, strokes.radius[k], kind)
+        if kind.reach < math.inf:
+            m = _support(s / (strokes.radius[k] * kind.reach) ** 2)
             a, b = m * a, m * b
-        b = b * _dot(r, force)
-        columns = zip(points, beta, force, r, strict=True)
-        points = [x + weight * (a * f + b * d) for x, weight, f, d in columns]
+        b = b * _dot(r, v)
+        points = [x + weight * (a * w + b * d) for x, weight, w, d in zip(points, beta, v, r, strict=True)]
     return points
 
 
@@ -149,13 +194,16 @@ def _cross(a: Sequence[torch.Tensor], b: Sequence[torch.Tensor]) -> Columns:
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
-def _profiles(
-    distance2: torch.Tensor, radius: torch.Tensor, ratio: float, scales: int
-) -> tuple[torch.Tensor, torch.Tensor]:
+def _profiles(distance2: torch.Tensor, radius: torch.Tensor, kind: Kind) -> tuple[torch.Tensor, torch.Tensor]:
     """Return A and B, summed over the stroke's terms."""
+    a, b, ratio = torch.zeros_like(distance2), torch.zeros_like(distance2), kind.ratio
+    if kind.matrix is not None:
+        e = radius**2
+        w2 = e / (distance2 + e)
+        w3 = w2 * torch.sqrt(w2) / (2.5 - 2 * ratio)
+        return w3 * ((1 - 2 * ratio) + 1.5 * w2), 3 * ratio * w3 * w2 / e
     size = radius * (2 / (3 - 2 * ratio))
-    a, b = torch.zeros_like(distance2), torch.zeros_like(distance2)
-    for weight, wider in zip(_WEIGHTS[scales], _RADII, strict=False):
+    for weight, wider in zip(_WEIGHTS[kind.scales], _RADII, strict=False):
         e = (radius * wider) ** 2
         v2 = 1 / (distance2 + e)
         v = torch.sqrt(v2) * (size * weight)
@@ -190,7 +238,7 @@ def _edges(points: Columns, axes: Sequence[Axis]) -> tuple[Columns, Columns]:
 
 
 def _arriving(pivot: Columns, force: Columns, axes: Sequence[Axis]) -> Columns:
-    """Return the force corrected for β at its pivot, unless that is outside of a fixed border."""
+    """Return the force, or M r, corrected for β at its pivot, unless that is outside of a fixed border."""
     places = [float(x.detach()) for x in pivot]
     outside = (sigma >= 0 and not a <= x <= b for x, (a, b, sigma, _, _) in zip(places, axes, strict=True))
     if any(outside):

@@ -17,34 +17,49 @@ STROKE = np.dtype(
         ("pivot", np.float32, 3),
         ("terms", np.float32),
         ("rest", np.float32, 4),
-        ("force", np.float32, 4),
+        ("force", np.float32, 3),
+        ("power", np.float32),
+        ("matrix", np.float32, (3, 4)),
         ("radius2", np.float32, 4),
         ("p", np.float32, 4),
         ("q", np.float32, 4),
         ("r", np.float32, 4),
+        ("joined", np.uint32, 4),
     ]
 )
 _POINTS = ("field", "newton", "points", "turns")
 
 
 def packed(table: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
-    """Return a table of strokes (`supple.strokes.pack`) in float32: each pivot as the sum of two numbers, and 1/R."""
+    """Return a table of strokes (`supple.strokes.pack`) in float32: each pivot as the sum of two numbers, and 1/R.
+
+    The weights are those of powers of ε/ρ, so that no power of ρ overflows.
+    """
     out = np.zeros(table.size, STROKE)
+    power, radius = table["power"][:, None], np.sqrt(table["radius2"])
     with np.errstate(over="ignore"):  # checked by `fits`
         out["pivot"] = table["pivot"]
         out["rest"][:, :3] = table["pivot"] - out["pivot"].astype(np.float64)
         out["rest"][:, 3] = 1.0 / table["reach"]
-        out["force"][:, :3] = table["force"]
-        out["terms"] = table["terms"]
-        for name in ("radius2", "p", "q", "r"):
-            out[name][:, : table[name].shape[1]] = table[name]
+        out["force"], out["terms"], out["power"] = table["force"], table["terms"], table["power"]
+        out["matrix"][..., :3] = np.swapaxes(table["matrix"], 1, 2)  # columns
+        out["joined"][:, 0] = table["joined"]
+        out["radius2"][:, :3] = table["radius2"]
+        for name, n in (("p", power), ("q", power + 2), ("r", power + 2)):
+            out[name][:, :3] = table[name] / radius**n
     return out
+
+
+def constants(table: npt.NDArray[np.void]) -> dict[str, int]:
+    """Return the constants of shaders for a table: software adapters run both sides of a branch."""
+    return {"GRABS": int(bool((table["power"] == 1).all() and not table["joined"].any()))}
 
 
 def fits(table: npt.NDArray[np.void]) -> bool:
     """Return whether float32 holds all numbers of a table and their products."""
     made = packed(table)
-    return all(bool((np.abs(made[name]) < 1e18).all()) for name in ("pivot", "force", "radius2", "p", "q", "r"))
+    names = ("pivot", "force", "matrix", "radius2", "p", "q", "r")
+    return all(bool((np.abs(made[name]) < 1e18).all()) for name in names)
 
 
 def local(table: npt.NDArray[np.void]) -> bool:
@@ -108,6 +123,6 @@ def _points(
         four(offsets),
         results,
     ]
-    made = pipeline(gpu, _POINTS, entry, (UNIFORM, UNIFORM, READ, READ, READ, WRITE))
+    made = pipeline(gpu, _POINTS, entry, (UNIFORM, UNIFORM, READ, READ, READ, WRITE), constants(table))
     run(gpu, [(made, buffers, spread(n, 64))])
     return download(gpu, results, np.float32, n * 16).reshape(n, 4, 4).copy()

@@ -70,7 +70,8 @@ class Filling:
         self._pace = Pace(1)
         self._key = object()  # not ``self``: a reference cycle would hold the device's memory
         kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, READ, WRITE, FILLED)
-        self._work = pipeline(volume.gpu, (*_NAMES, volume.reader), "fill", kinds, {"POLISHED": int(polished)})
+        chosen = lattice.constants | {"POLISHED": int(polished)}
+        self._work = pipeline(volume.gpu, (*_NAMES, volume.reader), "fill", kinds, chosen)
         self._target = volume.warped.create_view()
         self.finished = room(volume.gpu, 4 * self._made.size)
         """A buffer with a 1 for each brick that is filled with all of its neighbours, so that it can be read."""

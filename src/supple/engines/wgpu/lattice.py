@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.field import domain, local, packed
+from supple.engines.wgpu.field import constants, domain, local, packed
 from supple.engines.wgpu.kernel import LAYERS, READ, TURNS, UNIFORM, WRITE, download, owned, pipeline, room, run, upload
 from supple.engines.wgpu.samples import STEP
 from supple.engines.wgpu.texels import copy_in, plane_layers, view_of
@@ -61,7 +61,7 @@ class Strokes:
     """Strokes and their domain on the device.
 
     ``cells`` is the number of cells of a plane, across and down; ``limited`` is true if all strokes have a limited
-    reach.
+    reach; ``constants`` are those with which shaders are compiled for them.
     """
 
     gpu: Gpu
@@ -70,6 +70,7 @@ class Strokes:
     count: int
     cells: tuple[int, int]
     limited: bool
+    constants: dict[str, int]
 
 
 def strokes_on(
@@ -83,7 +84,7 @@ def strokes_on(
     """Upload strokes until the stack is left; the lattice covers samples up to ``step`` pixels apart."""
     held, places = owned(stack, upload(gpu, packed(table)), upload(gpu, domain(axes), UNIFORM))
     height, width = (-(-n // k) * k for n, k in zip(shape, reversed(step), strict=True))
-    return Strokes(gpu, held, places, int(table.size), (_cells(width), _cells(height)), local(table))
+    return Strokes(gpu, held, places, int(table.size), (_cells(width), _cells(height)), local(table), constants(table))
 
 
 def _cells(size: int) -> int:
@@ -137,11 +138,12 @@ class Lattice:
         told = settings_of(self, tolerance)
         gpu.device.queue.write_buffer(self.buffers[0], 0, told)
         gpu.device.queue.write_buffer(self.stats, 0, np.zeros(4, np.uint32))
-        solving = pipeline(gpu, _NAMES, "solve", _SOLVE)
+        chosen = self.strokes.constants
+        solving = pipeline(gpu, _NAMES, "solve", _SOLVE, chosen)
         run(gpu, [(solving, self.buffers, (-(-across // 8), -(-down // 8), count))])
         copy_in(gpu, self.buffers[3], pitch_of(across), self.read, 0, 4 * count)
         buffers = (*self.buffers, self.view)
-        checking, counting = (pipeline(gpu, _NAMES, entry, CHECK) for entry in ("check", "count"))
+        checking, counting = (pipeline(gpu, _NAMES, entry, CHECK, chosen) for entry in ("check", "count"))
         run(
             gpu,
             [

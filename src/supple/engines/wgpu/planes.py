@@ -98,7 +98,7 @@ def colour(
         settings[name] = value
     settings["fill"][0, : picture.channels] = wanted.fill
     buffers = (told, *lattice.buffers[1:], lattice.view, held.samples.view, target, held.pyramid.buffer)
-    constants = picture.constants() | {"FOLDED": int(held.samples.blocks != (1, 1))}
+    constants = lattice.strokes.constants | picture.constants() | {"FOLDED": int(held.samples.blocks != (1, 1))}
     whole = np.dtype(form.dtype).kind == "u"
     names = (*PARTS, "texels_whole" if whole else "texels_float")
     kinds = (*CHECK, WHOLE_LAYERS if whole else LAYERS, WRITE, WRITE)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from supple.engines.wgpu.buffers import Bound, Kept
 from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.field import domain, packed
+from supple.engines.wgpu.field import constants, domain, packed
 from supple.engines.wgpu.kernel import PICTURE, READ, TEXTURE, UNIFORM, WRITE, bound, pipeline, room
 
 Floats = npt.NDArray[np.float64]
@@ -143,13 +143,13 @@ class _Drawn:
             self._nodes[1],
             *self._held(sheet.view),
         )
-        paint, layout = pipeline(gpu, _NAMES, self._entry, self._kinds, {"BENT": bool(table.size)})
+        paint, layout = pipeline(gpu, _NAMES, self._entry, self._kinds, {"BENT": bool(table.size), **constants(table)})
         group = sheet.bound.group(resources, lambda: bound(gpu, layout, resources))
         commands = encoder or gpu.device.create_command_encoder()
         step = commands.begin_compute_pass()
         step.set_bind_group(0, group)
         if table.size:
-            step.set_pipeline(pipeline(gpu, _NAMES, "solve", self._kinds)[0])
+            step.set_pipeline(pipeline(gpu, _NAMES, "solve", self._kinds, constants(table))[0])
             step.dispatch_workgroups(-(-cells[0] // 8), -(-cells[1] // 8), 1)
         step.set_pipeline(paint)
         step.dispatch_workgroups(-(-width // 8), -(-height // 8), 1)

@@ -209,7 +209,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
     if held.whole and filling is not None and filling.part < 1.0:
         filling.advance()  # another scene of the volume has replaced it
     mode = _mode(held, look.step / finest)
-    made = _marching(volume, mode, filling is not None)
+    made = _marching(held, mode, filling is not None)
     height, width = size
     settings = np.zeros(1, SETTINGS)
     for name, value in {
@@ -272,10 +272,12 @@ def _read(held: Held, skips: Any, colours: Any) -> list[Any]:
     return [lattice.domain, lattice.strokes, lattice.nodes, volume.view, warped, skips, colours]
 
 
-def _marching(volume: Volume, mode: int, buffer: bool) -> Any:
+def _marching(held: Held, mode: int, buffer: bool) -> Any:
+    volume = held.volume
     kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, WHOLE_SOLID, LAYERS, WRITE, READ)
     sampled = {PLAIN: 1, HYBRID: 2}.get(mode, 0) if buffer else 0
-    return pipeline(volume.gpu, (*_NAMES, volume.reader), "march", kinds, {"MODE": mode, "SAMPLED": sampled})
+    chosen = held.lattice.constants | {"MODE": mode, "SAMPLED": sampled}
+    return pipeline(volume.gpu, (*_NAMES, volume.reader), "march", kinds, chosen)
 
 
 def prepare(held: Held, filling: Filling) -> None:
@@ -286,7 +288,7 @@ def prepare(held: Held, filling: Filling) -> None:
         skips, colours = solid(volume.gpu, (1, 1, 1), np.uint8), layers(volume.gpu, (1, 1), 1, np.float32, 4)
         owned(stack, skips, colours)
         buffers = [told, *_read(held, skips.create_view(), colours.view), seen, filling.finished]
-        run(volume.gpu, [(_marching(volume, mode, True), buffers, (1, 1, 1)) for mode in (LATTICE, HYBRID, PLAIN)])
+        run(volume.gpu, [(_marching(held, mode, True), buffers, (1, 1, 1)) for mode in (LATTICE, HYBRID, PLAIN)])
         filling.prepare()
         download(volume.gpu, seen, np.float32, 8)  # waits
 

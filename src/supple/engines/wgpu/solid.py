@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.field import domain, packed
+from supple.engines.wgpu.field import constants, domain, packed
 from supple.engines.wgpu.kernel import (
     CUT,
     READ,
@@ -60,6 +60,8 @@ class Lattice:
         Voxels from node to node; 0 for the identity, or without a lattice.
     count : int
         The number of strokes.
+    constants : dict of str to int
+        Those with which shaders are compiled for the strokes.
     cells : int
         The number of cells that a ray may cross with one cubic.
     """
@@ -71,6 +73,7 @@ class Lattice:
     shape: tuple[int, int, int]
     spread: float
     count: int
+    constants: dict[str, int]
     cells: int = 1
 
 
@@ -84,6 +87,7 @@ def hold_strokes(gpu: Gpu, table: npt.NDArray[np.void], axes: Floats) -> Lattice
         (2, 2, 2),
         0.0,
         table.size,
+        constants(table),
     )
 
 
@@ -126,6 +130,7 @@ def solve(
         (across, down, deep),
         float(step),
         table.size,
+        constants(table),
     )
     nodes = np.empty((deep, down, across, 16), np.float32)
     settings = np.zeros(1, _SETTINGS)
@@ -136,7 +141,7 @@ def solve(
     with contextlib.ExitStack() as stack:
         stats, some = owned(stack, upload(gpu, np.array([0.0, 1e30], np.float32)), room(gpu, most * layer))
         for entry, layers in (("solve", deep), ("check", deep - 1)):
-            work = pipeline(gpu, _NAMES, entry, _KINDS)
+            work = pipeline(gpu, _NAMES, entry, _KINDS, made.constants)
             for first, count in pace.parts(layers):
                 settings["first"], settings["last"] = first, first + count
                 with contextlib.ExitStack() as own:

@@ -98,6 +98,7 @@ def on_device(cuda: Any, array: np.ndarray) -> Any:
 # The simulator is slow: each of these has one number of channels, or two.
 ROWS = [
     *(row for row in rows(["small image"], few=True) if row.dtype == "f4" or row.filter in ("nearest", "linear")),
+    *(row for row in rows(["small image, turned"], ("f4",)) if row.outside == "edge"),
     *rows(["small clip"], ("f2", "i4"), few=True),
     *(row for row in rows(["small volume"], ("u2",), few=True) if not row.average),
     *(

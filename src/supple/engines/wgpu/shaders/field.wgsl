@@ -1,19 +1,25 @@
 // T and its Jacobian: every stroke of a table applied to a point.
 //
-// With r = p' - pivot (p' is p, clamped to the domain along axes with a fixed border), s = |r|² and ρᵢ² = s + radius2ᵢ,
-//     K(p) = m [ Σᵢ (pᵢ/ρᵢ + qᵢ/ρᵢ³) f + (rᵢ/ρᵢ³)(r·f) r ],  m = (1-t)³(1+3t+6t²), t = √s/R, and 0 from t = 1 on.
+// With r = p' - pivot (p' is p, clamped to the domain along axes with a fixed border), s = |r|² and ρᵢ² = s + eᵢ,
+//     K(p) = m [ A v + B (r·v) r ],  A = Σᵢ pᵢ wᵢⁿ + qᵢ wᵢⁿ⁺²,  B = Σᵢ rᵢ wᵢⁿ⁺²,  wᵢ = √eᵢ / ρᵢ,
+// and m = (1-t)³(1+3t+6t²), t = √s/R, and 0 from t = 1 on. A grab has n = 1 and v = f; the brushes that are affine at
+// their pivot have n = 3 and v = M r. Strokes that are joined to the one before them act at the same point as that.
 //
 // A point is an anchor q and an offset w from it, in physical units: the accuracy of w, and of distances to pivots, in
 // float32 does not depend on the distance of q from the origin. Likewise, a pivot is the sum of two numbers.
 
+override GRABS: bool = false; // true if all strokes are grabs, one after the other
+
 struct Stroke {
     pivot: vec3f, terms: f32,
     rest: vec4f, // of the pivot, and 1/R, which is 0 where the reach is unlimited
-    force: vec4f,
+    force: vec3f, power: f32, // n
+    matrix: mat3x3f,
     radius2: vec4f,
     p: vec4f,
     q: vec4f,
     r: vec4f,
+    joined: u32,
 }
 
 struct Domain {
@@ -71,8 +77,9 @@ fn edge(q: f32, w: f32, axis: u32) -> vec3f {
     return vec3f(t * (2.0 + t * t * (t - 2.0)), side * (2.0 + t * t * (4.0 * t - 6.0)), inside);
 }
 
-fn moved_by(k: u32, q: vec3f, at: Moved) -> Moved {
-    let near = clamped_to_domain(q, at.offset);
+// A point and its Jacobian after stroke k, too, which acts at `start`, where the strokes that act at once begin.
+fn moved_by(k: u32, q: vec3f, start: Moved, at: Moved) -> Moved {
+    let near = clamped_to_domain(q, start.offset);
     let d = (q - strokes[k].pivot) + (near - strokes[k].rest.xyz);
     let d2 = dot(d, d);
     let over = strokes[k].rest.w; // 1/R
@@ -80,28 +87,33 @@ fn moved_by(k: u32, q: vec3f, at: Moved) -> Moved {
     if (t2 >= RIM) {
         return at;
     }
-    let x = edge(q.x, at.offset.x, 0u);
-    let y = edge(q.y, at.offset.y, 1u);
-    let z = edge(q.z, at.offset.z, 2u);
+    let x = edge(q.x, start.offset.x, 0u);
+    let y = edge(q.y, start.offset.y, 1u);
+    let z = edge(q.z, start.offset.z, 2u);
     let beta = vec3f(x.x, y.x, z.x);
     let slope = vec3f(x.y, y.y, z.y);
     let inside = vec3f(x.z, y.z, z.z);
-    let f = strokes[k].force.xyz;
+    let affine = !GRABS && strokes[k].power == 3.0;
+    let n = select(1.0, 3.0, affine);
     var a = 0.0;
     var b = 0.0;
     var da = 0.0;
     var db = 0.0;
     for (var m = 0u; m < u32(strokes[k].terms); m++) {
-        let p = strokes[k].p[m];
-        let e = strokes[k].q[m];
-        let r = strokes[k].r[m];
-        let v2 = 1.0 / (d2 + strokes[k].radius2[m]);
-        let v = sqrt(v2);
-        let v3 = v * v2;
-        a += p * v + e * v3;
-        b += r * v3;
-        da -= v3 * (p + 3.0 * e * v2);
-        db -= 3.0 * r * v3 * v2;
+        let e = strokes[k].radius2[m];
+        let over_rho2 = 1.0 / (d2 + e);
+        let w2 = e * over_rho2;
+        var w = sqrt(w2);
+        if (affine) {
+            w *= w2;
+        }
+        let p = strokes[k].p[m] * w;
+        let q_ = strokes[k].q[m] * w * w2;
+        let r = strokes[k].r[m] * w * w2;
+        a += p + q_;
+        b += r;
+        da -= over_rho2 * (n * p + (n + 2.0) * q_);
+        db -= over_rho2 * (n + 2.0) * r;
     }
     // m, and 2 dm/ds = -30 t (1-t)² / R².
     let t = sqrt(t2);
@@ -112,22 +124,27 @@ fn moved_by(k: u32, q: vec3f, at: Moved) -> Moved {
     db = m_ * db + dm * b;
     a *= m_;
     b *= m_;
-    let rf = dot(d, f);
-    let g = b * rf;
-    let moving = a * f + g * d;
-    let c = da * f + db * rf * d;
+    var v = strokes[k].force;
+    if (affine) {
+        v = strokes[k].matrix * d;
+    }
+    let rv = dot(d, v);
+    let g = b * rv;
+    let moving = a * v + g * d;
+    let c = da * v + db * rv * d;
     let along = b * d;
-    // Column j of β (c dᵀ + b d fᵀ + g I) + diag(β' K): 0 along j beyond a fixed face.
-    var m = mat3x3f(
-        inside.x * beta * (c * d.x + along * f.x),
-        inside.y * beta * (c * d.y + along * f.y),
-        inside.z * beta * (c * d.z + along * f.z),
-    );
-    let own = inside * (beta * g + slope * moving) + 1.0;
+    // Column j of β (c dᵀ + b d (v + Mᵀd)ᵀ + A M + g I) + diag(β' K): 0 along j beyond a fixed face.
+    var m = mat3x3f(c * d.x + along * v.x, c * d.y + along * v.y, c * d.z + along * v.z);
+    if (affine) {
+        let bent = d * strokes[k].matrix;
+        m += a * strokes[k].matrix + mat3x3f(along * bent.x, along * bent.y, along * bent.z);
+    }
+    m = mat3x3f(inside.x * beta * m[0], inside.y * beta * m[1], inside.z * beta * m[2]);
+    let own = inside * (beta * g + slope * moving);
     m[0][0] += own.x;
     m[1][1] += own.y;
     m[2][2] += own.z;
-    return Moved(at.offset + beta * moving, m * at.jacobian);
+    return Moved(at.offset + beta * moving, at.jacobian + m * start.jacobian);
 }
 
 // True if a point lies outside the balls of all strokes, where T is the identity.
@@ -145,8 +162,12 @@ fn unreached(q: vec3f) -> bool {
 
 fn moved(first: u32, last: u32, q: vec3f, w: vec3f) -> Moved {
     var at = Moved(w, mat3x3f(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
+    var start = at;
     for (var k = first; k < last; k++) {
-        at = moved_by(k, q, at);
+        if (GRABS || strokes[k].joined == 0u) {
+            start = at;
+        }
+        at = moved_by(k, q, start, at);
     }
     return at;
 }

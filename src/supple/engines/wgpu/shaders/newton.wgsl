@@ -60,13 +60,18 @@ fn newton(first: u32, last: u32, q: vec3f, goal: vec3f, guess: vec3f, tolerance:
     return best;
 }
 
-// T⁻¹(q) without a guess: strokes undone from last to first, and polished together.
+// T⁻¹(q) without a guess: strokes, or those that act at once, undone from last to first, and polished together.
 fn undo(q: vec3f, tolerance: f32) -> Found {
     let count = u32(settings.strokes);
     var w = vec3f(0.0);
     var steps = 0.0;
-    for (var k = count; k > 0u; k--) {
-        let found = newton(k - 1u, k, q, w, w, tolerance, 40u);
+    for (var last = count; last > 0u;) {
+        var first = last - 1u;
+        while (!GRABS && first > 0u && strokes[first].joined != 0u) {
+            first--;
+        }
+        let found = newton(first, last, q, w, w, tolerance, 40u);
+        last = first;
         w = found.offset;
         steps += found.steps;
     }

@@ -20,14 +20,18 @@ fn norm_of(m: mat3x3f) -> f32 {
 // over σ or the distance to it, both scaled by the derivative of the stroke's input with respect to q.
 fn smoothness(q: vec3f, w: vec3f, m: mat3x3f) -> f32 {
     var at = Moved(w, mat3x3f(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
+    var start = at;
     var least = 1e30;
     for (var k = 0u; k < settings.strokes; k++) {
-        let x = at.jacobian * (m[0] * domain.spacing.xyz);
-        let y = at.jacobian * (m[1] * domain.spacing.xyz);
-        let d = (q - strokes[k].pivot) + (at.offset - strokes[k].rest.xyz);
+        if (GRABS || strokes[k].joined == 0u) {
+            start = at;
+        }
+        let x = start.jacobian * (m[0] * domain.spacing.xyz);
+        let y = start.jacobian * (m[1] * domain.spacing.xyz);
+        let d = (q - strokes[k].pivot) + (start.offset - strokes[k].rest.xyz);
         least = min(least, sqrt((dot(d, d) + strokes[k].radius2.x) / max(dot(x, x), dot(y, y))));
         let along = max(abs(x), abs(y));
-        let place = q + at.offset;
+        let place = q + start.offset;
         for (var axis = 0u; axis < 3u; axis++) {
             if (domain.sigma[axis] > 0.0) {
                 let depth = min(place[axis] - domain.first[axis], domain.last[axis] - place[axis]);
@@ -35,7 +39,7 @@ fn smoothness(q: vec3f, w: vec3f, m: mat3x3f) -> f32 {
                 least = min(least, 2.0 * distance_ / max(along[axis], 1e-12));
             }
         }
-        at = moved_by(k, q, at);
+        at = moved_by(k, q, start, at);
     }
     return least;
 }
