@@ -20,6 +20,7 @@ from supple.engines.native import NATIVE, measured, plan_of
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError
 from supple.fields import Field, Placed, check_path, folds_of
 from supple.folding import Resolved, described, resolve
+from supple.freezing import Freeze
 from supple.geometry import Grid
 from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
 
@@ -149,6 +150,9 @@ class Deformation:
         The policy for a stroke that would fold the image over itself, or that the border holds back: let it ``"flow"``
         to its target in smaller steps; ``"damp"`` it to a safe length, with a warning; or raise a `FoldError`
         (``"error"``).
+    freeze : array or Freeze, optional
+        The freeze mask: an array of the shape, True (or white) where strokes shall move nothing; or one that
+        `Freeze.of` made, with a fade of another width. For a clip, it may be that of a frame.
 
     Raises
     ------
@@ -182,13 +186,17 @@ class Deformation:
         spacing: float | Sequence[float] = 1.0,
         time: bool = False,
         on_fold: FoldPolicy = "flow",
+        freeze: npt.ArrayLike | Freeze | None = None,
     ) -> None:
         choice("on_fold", on_fold, ("damp", "flow", "error"))
         if isinstance(shape, Grid):
             if spacing != 1.0:
                 refuse("spacing", "left out beside a grid, which has one", spacing)
             grid, spacing = shape, shape.spacing
-        domain = Domain(shape.shape if isinstance(shape, Grid) else shape, spacing, border, border_profile, time)
+        sizes = shape.shape if isinstance(shape, Grid) else shape
+        if freeze is not None and not isinstance(freeze, Freeze):
+            freeze = _freeze_of(freeze, Domain(sizes, spacing, time=time))
+        domain = Domain(sizes, spacing, border, border_profile, time, freeze)
         if not isinstance(shape, Grid):
             grid = Grid(domain.shape, domain.spacing)
         axes = domain.packed()
@@ -261,6 +269,7 @@ class Deformation:
             spacing=spacing,
             time=time,
             on_fold=recipe.on_fold,
+            freeze=recipe.freeze,
         )
         size = made.shape[::-1]
         if recipe.strokes and recipe.size is not None and len(recipe.size) == len(size) and recipe.size != size:
@@ -304,6 +313,7 @@ class Deformation:
             border_profile=domain.border_profile,
             time=domain.time,
             on_fold=self.on_fold,
+            freeze=domain.freeze,
         )
 
     @property
@@ -315,6 +325,7 @@ class Deformation:
             on_fold=self.on_fold,
             strokes=self.strokes,
             size=self.shape[::-1],
+            freeze=self.domain.freeze,
         )
 
     @property
@@ -365,15 +376,15 @@ class Deformation:
             elif grid.shape == self.shape:
                 grid = None
         if not self.maps and regrid is None:
-            return Space(self._table, self._axes, self.ndim, count, shape, grid=grid)
+            return Space(self._table, self._axes, self.ndim, count, shape, grid=grid, freeze=self.domain.mask)
         if done < len(self._table):
             parts.append(("strokes", numbers(self._table[done:]), False))
         if regrid is not None:
             parts.append(("affine", matrix_rows(regrid), False))
         axes = self._axes.copy()
         axes[:, 2] = -1.0  # the border is that of the strokes
-        composite = _core.Composite(self.ndim, self._axes, parts)
-        return Space(self._table, axes, self.ndim, count, shape, composite, grid)
+        composite = _core.Composite(self.ndim, self._axes, parts, self.domain.mask)
+        return Space(self._table, axes, self.ndim, count, shape, composite, grid, self.domain.mask)
 
     @property
     def is_identity(self) -> bool:
@@ -1005,7 +1016,7 @@ class Deformation:
             rows = self._table[row : row + resolved.substrokes]
             row += resolved.substrokes
             if i and len(rows):
-                final[:i], _ = _core.forward(numbers(rows), self._axes, final[:i], False)
+                final[:i], _ = _core.forward(numbers(rows), self._axes, final[:i], False, self.domain.mask)
             final[i, : self.ndim] = resolved.arrived * steps
         for placed in self.maps:
             if placed.after == len(self.strokes) > 0:
@@ -1039,6 +1050,15 @@ class Deformation:
 
     def _key(self) -> tuple[object, ...]:
         return self.domain, self.grid, self.on_fold, self.strokes, self.maps
+
+
+def _freeze_of(mask: npt.ArrayLike, domain: Domain) -> Freeze:
+    """Return the freeze mask of an array of the domain's shape, or of a frame's."""
+    array = np.asarray(mask)
+    fit = {domain.shape, domain.shape[1:]} if domain.time else {domain.shape}
+    if array.shape not in fit:
+        refuse("freeze", f"an array of shape {' or '.join(map(str, sorted(fit)))}, or a Freeze", f"shape {array.shape}")
+    return Freeze.of(array, spacing=domain.spacing[: array.ndim])
 
 
 def reduced(stroke: Stroke, amount: float, whole: Deformation, now: Deformation) -> Stroke:

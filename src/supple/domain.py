@@ -7,12 +7,16 @@ import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
-from typing import Any, Literal, NoReturn, SupportsIndex, get_args
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, SupportsIndex, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
+
+if TYPE_CHECKING:
+    from supple import _core
+    from supple.freezing import Freeze
 
 # Fields contain fifth powers of lengths, which neither overflow nor vanish in float64 within these bounds.
 SMALLEST = 1e-30
@@ -199,6 +203,8 @@ class Domain:
     time : bool
         Whether the first of three axes is time. A drag along time alone, without a Poisson ratio, then has no
         displacement across it.
+    freeze : Freeze, optional
+        The freeze mask, of as many axes; or of two for a clip, in each of whose frames it is the same.
     """
 
     shape: tuple[int, ...]
@@ -206,6 +212,7 @@ class Domain:
     border: Border
     border_profile: BorderProfile
     time: bool
+    freeze: Freeze | None
 
     def __init__(
         self,
@@ -214,6 +221,7 @@ class Domain:
         border: float | Sequence[float] | Literal["auto"] | None = "auto",
         border_profile: BorderProfile = "quartic",
         time: bool = False,
+        freeze: Freeze | None = None,
     ) -> None:
         sizes = checked_shape(shape)
         object.__setattr__(self, "shape", sizes)
@@ -229,6 +237,9 @@ class Domain:
         object.__setattr__(self, "time", bool(time))
         check_border_profile(border_profile)
         object.__setattr__(self, "border_profile", border_profile)
+        if freeze is not None and freeze.ndim != len(sizes) and not (time and freeze.ndim == 2):
+            refuse("freeze", f"a mask of {len(sizes)} axes, as the deformation has", f"one of {freeze.ndim}")
+        object.__setattr__(self, "freeze", freeze)
 
     @property
     def ndim(self) -> int:
@@ -261,6 +272,11 @@ class Domain:
             return tuple(AUTO * extent for extent in self.extent)
         wanted = self.border if isinstance(self.border, tuple) else (self.border,) * self.ndim
         return tuple(min(width, extent / 2) for width, extent in zip(wanted, self.extent, strict=True))
+
+    @property
+    def mask(self) -> _core.Freeze | None:
+        """The freeze mask as the core takes it, or None if nothing is frozen."""
+        return None if self.freeze is None else self.freeze.packed(self.spacing)
 
     def packed(self) -> npt.NDArray[np.float64]:
         """Return the domain in the layout of the engines.

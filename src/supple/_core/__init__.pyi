@@ -16,12 +16,20 @@ def threads() -> int: ...
 
 # ---- points
 
+class Freeze:
+    def __init__(self, values: Singles, first: Sequence[float], step: Sequence[float]) -> None: ...
+    def freedom(self, points: Floats) -> tuple[Floats, Floats]: ...
+
 @overload
-def forward(strokes: Floats, axes: Floats, points: Floats, jacobian: Literal[True]) -> tuple[Floats, Floats]: ...
+def forward(
+    strokes: Floats, axes: Floats, points: Floats, jacobian: Literal[True], freeze: Freeze | None = None
+) -> tuple[Floats, Floats]: ...
 @overload
-def forward(strokes: Floats, axes: Floats, points: Floats, jacobian: Literal[False]) -> tuple[Floats, None]: ...
+def forward(
+    strokes: Floats, axes: Floats, points: Floats, jacobian: Literal[False], freeze: Freeze | None = None
+) -> tuple[Floats, None]: ...
 def inverse(
-    strokes: Floats, axes: Floats, targets: Floats, ndim: int, tolerance: float
+    strokes: Floats, axes: Floats, targets: Floats, ndim: int, tolerance: float, freeze: Freeze | None = None
 ) -> tuple[Floats, Floats, Floats]: ...
 def invert_as_published(
     strokes: Floats,
@@ -66,7 +74,7 @@ class Sampled:
 Part = tuple[Literal["strokes", "affine", "field"], Floats | tuple[Floats, Floats] | Sampled, bool]
 
 class Composite:
-    def __init__(self, ndim: int, axes: Floats, parts: Sequence[Part]) -> None: ...
+    def __init__(self, ndim: int, axes: Floats, parts: Sequence[Part], freeze: Freeze | None = None) -> None: ...
     def through(
         self, points: Floats, backwards: bool, jacobian: bool, status: npt.NDArray[np.uint8]
     ) -> tuple[Floats, Floats | None, Floats]: ...
@@ -105,6 +113,7 @@ class Plan:
         tolerance: float,
         map: Composite | None = None,
         box: tuple[int, int, int, int] | None = None,
+        freeze: Freeze | None = None,
     ) -> None: ...
     @property
     def outside(self) -> int: ...
@@ -134,6 +143,7 @@ def warp_stack(
     map: Composite | None = None,
     box: tuple[int, int, int, int] | None = None,
     copied: list[bool] | None = None,
+    freeze: Freeze | None = None,
 ) -> tuple[float, float, tuple[int, int, int]]: ...
 def needed(
     strokes: Floats,
@@ -151,14 +161,21 @@ def needed(
     average: bool,
     map: Composite | None,
     box: tuple[int, int, int, int],
+    freeze: Freeze | None = None,
 ) -> tuple[tuple[int, ...], list[float], float, tuple[int, int, int]]: ...
 
 # ---- folding
 
 def smallest_strain(
-    stroke: Floats, axes: Floats, free: float, distance: float, target: float, gap: float
+    stroke: Floats,
+    axes: Floats,
+    free: float,
+    distance: float,
+    target: float,
+    gap: float,
+    freeze: Freeze | None = None,
 ) -> tuple[float, float]: ...
-def largest_displacement(strokes: Floats, axes: Floats) -> float: ...
+def largest_displacement(strokes: Floats, axes: Floats, freeze: Freeze | None = None) -> float: ...
 def smallest_free_strain(stroke: Floats, gap: float) -> tuple[float, float, float]: ...
 
 # ---- volumes
@@ -167,7 +184,7 @@ BRICK: int
 NODE: int
 
 class Strokes:
-    def __init__(self, rows: Floats, axes: Floats) -> None: ...
+    def __init__(self, rows: Floats, axes: Floats, freeze: Freeze | None = None) -> None: ...
 
 class Lattice:
     def __init__(self, nodes: Singles, step: int) -> None: ...

@@ -1,6 +1,8 @@
 // The Python module of the core, and its functions of points.
 #include "bindings.hpp"
 
+#include <nanobind/stl/array.h>
+
 #include "paper.hpp"
 
 namespace supple {
@@ -28,9 +30,9 @@ void each_batch(size_t count, F body) {
     });
 }
 
-nb::object forward(const Doubles& table, const Doubles& rows, const Doubles& points, bool jacobian) {
+nb::object forward(const Doubles& table, const Doubles& rows, const Doubles& points, bool jacobian, Masking freeze) {
     Axes axes = axes_of(rows);
-    std::vector<Stroke> strokes = strokes_of(table, axes.data());
+    std::vector<Stroke> strokes = strokes_of(table, axes.data(), freeze);
     if (points.shape(1) != 3) throw nb::value_error("points must have the shape (N, 3)");
     size_t count = points.shape(0);
     auto* moved = new std::vector<double>(count * 3);
@@ -85,9 +87,10 @@ void invert_points(const std::vector<Stroke>& strokes, const Axis* axes, const d
     });
 }
 
-nb::object inverse(const Doubles& table, const Doubles& rows, const Doubles& targets, int ndim, double tolerance) {
+nb::object inverse(const Doubles& table, const Doubles& rows, const Doubles& targets, int ndim, double tolerance,
+                   Masking freeze) {
     Axes axes = axes_of(rows);
-    std::vector<Stroke> strokes = strokes_of(table, axes.data());
+    std::vector<Stroke> strokes = strokes_of(table, axes.data(), freeze);
     if (targets.shape(1) != 3) throw nb::value_error("targets must have the shape (N, 3)");
     size_t count = targets.shape(0);
     auto *points = new std::vector<double>(targets.data(), targets.data() + 3 * count),
@@ -120,7 +123,7 @@ void invert_row(const std::vector<Stroke>& strokes, const Axis* axes, double z, 
 void published(const Doubles& table, const Doubles& rows, double z, int every, double mu, double tolerance, int limit,
                bool corrected, Map points, Counts counts, Residuals residual) {
     Axes axes = axes_of(rows);
-    std::vector<Stroke> strokes = strokes_of(table, axes.data());
+    std::vector<Stroke> strokes = strokes_of(table, axes.data(), std::nullopt);
     Published how{mu, tolerance, limit, corrected};
     int height = (int)points.shape(0), width = (int)points.shape(1), ndim = (int)points.shape(2);
     if (counts.shape(0) != points.shape(0) || counts.shape(1) != points.shape(1) ||
@@ -140,10 +143,41 @@ void published(const Doubles& table, const Doubles& rows, double z, int every, d
 
 }  // namespace
 
+typedef nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu> Coefficients;
+
+void make_frozen(Frozen* self, const Coefficients& values, std::array<double, 3> first, std::array<double, 3> step) {
+    int shape[3];
+    for (int i = 0; i < 3; i++) {
+        shape[i] = (int)values.shape(i);
+        if (shape[i] != 1 && shape[i] < 8) throw nb::value_error("a mask needs 1 coefficient along an axis, or 8");
+        if (!(step[i] > 0) || !std::isfinite(step[i])) throw nb::value_error("steps must be above 0");
+    }
+    for (size_t i = 0; i < values.size(); i++)
+        if (!(values.data()[i] >= 0 && values.data()[i] <= 1)) throw nb::value_error("coefficients must be in [0, 1]");
+    new (self) Frozen(values.data(), shape, first.data(), step.data());
+}
+
+// m of points (N, 3), and its gradient.
+nb::object freedom(const Frozen& mask, const Doubles& points) {
+    if (points.shape(1) != 3) throw nb::value_error("points must have the shape (N, 3)");
+    const size_t count = points.shape(0);
+    auto *values = new std::vector<double>(count), *slopes = new std::vector<double>(3 * count);
+    nb::object made = nb::make_tuple(owned(values, {count}), owned(slopes, {count, 3}));
+    for (size_t i = 0; i < count; i++) {
+        const Freed<3, 1, double> found = freed<3, 1, double>(mask, points.data() + 3 * i);
+        (*values)[i] = found.m;
+        for (int d = 0; d < 3; d++) (*slopes)[3 * i + d] = found.slope[d];
+    }
+    return made;
+}
+
 void bind_points(nb::module_& m) {
-    m.def("forward", &forward, "strokes"_a, "axes"_a, "points"_a, "jacobian"_a,
+    nb::class_<Frozen>(m, "Freeze", "A freeze mask: the B-spline m, a factor of all strokes' displacement.")
+        .def("__init__", &make_frozen, "values"_a, "first"_a, "step"_a)
+        .def("freedom", &freedom, "points"_a, "Return m of points (N, 3), in physical units, and its gradient.");
+    m.def("forward", &forward, "strokes"_a, "axes"_a, "points"_a, "jacobian"_a, "freeze"_a = nb::none(),
           "Return T of points (N, 3), in physical units, and ∂T/∂p (N, 3, 3) or None.");
-    m.def("inverse", &inverse, "strokes"_a, "axes"_a, "targets"_a, "ndim"_a, "tolerance"_a,
+    m.def("inverse", &inverse, "strokes"_a, "axes"_a, "targets"_a, "ndim"_a, "tolerance"_a, "freeze"_a = nb::none(),
           "Return T⁻¹ of points (N, 3), the residuals |T(p) - q| and the evaluations of T, in physical units.");
     m.def("invert_as_published", &published, "strokes"_a, "axes"_a, "z"_a, "every"_a, "mu"_a, "tolerance"_a, "limit"_a,
           "corrected"_a, "points"_a.noconvert(), "counts"_a.noconvert(), "residual"_a.noconvert(),

@@ -2,6 +2,9 @@
 #pragma once
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+
+#include <optional>
 
 #include "stack.hpp"
 #include "table.hpp"
@@ -17,9 +20,12 @@ inline Axes axes_of(const Doubles& rows) {
     if (rows.shape(0) != 3 || rows.shape(1) != AXIS_NUMBERS) throw nb::value_error("axes must have the shape (3, 5)");
     return load_axes(rows.data());
 }
-inline std::vector<Stroke> strokes_of(const Doubles& rows, const Axis* axes) {
+// A freeze mask, or none.
+typedef std::optional<const Frozen*> Masking;
+
+inline std::vector<Stroke> strokes_of(const Doubles& rows, const Axis* axes, const Masking& freeze) {
     if (rows.shape(0) && rows.shape(1) != STROKE_NUMBERS) throw nb::value_error("strokes must have 32 columns");
-    return load_strokes(rows.data(), rows.shape(0), axes);
+    return load_strokes(rows.data(), rows.shape(0), axes, freeze.value_or(nullptr));
 }
 
 // At exit, Python ends daemon threads that wait for its lock, within C++ code that cannot be unwound. So such threads

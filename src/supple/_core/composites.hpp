@@ -18,7 +18,7 @@ struct Field {
 struct AnyComposite {
     int ndim;
     std::shared_ptr<const Composite> held;
-    std::vector<nb::object> kept;  // the fields
+    std::vector<nb::object> kept;  // the fields, and the mask
 };
 
 }  // namespace supple

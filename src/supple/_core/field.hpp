@@ -12,9 +12,12 @@
 // border, K_β = diag(β) K, J_β = diag(β) J + diag(β' ∘ K), and beyond a face the map is that at the nearest point of
 // the face: there, the derivatives across the face are 0.
 //
+// With a freeze mask (`freeze.hpp`), K and J are those of m K: m J u + (∇m·u) K, before β.
+//
 // All is a template over the number V (`double`, or a vector of doubles) and the dimension D. It uses no std::,
 // allocation or exceptions, so that compilers for GPUs accept this file.
 #pragma once
+#include "freeze.hpp"
 #include "simd.hpp"
 
 namespace supple {
@@ -23,13 +26,14 @@ namespace supple {
 struct Stroke {
     double pivot[3], force[3], matrix[3][3], radius2[3], p[3], q[3], r[3];
     int64_t terms;
-    int64_t power;     // n: 1, with a force, or 3, with a matrix
-    int64_t group;     // neighbours of one number act at once
-    double reach;      // R, or infinity
-    double most;       // a bound of the displacement of the strokes that act at once, or infinity
-    double per_reach;  // 1/R, or 0
-    bool shared;       // others act at once with it
-    bool inner;        // the ball of its reach touches no fixed border: β is 1 in all of it
+    int64_t power;         // n: 1, with a force, or 3, with a matrix
+    int64_t group;         // neighbours of one number act at once
+    double reach;          // R, or infinity
+    double most;           // a bound of the displacement of the strokes that act at once, or infinity
+    double per_reach;      // 1/R, or 0
+    bool shared;           // others act at once with it
+    bool inner;            // the ball of its reach touches no fixed border: β is 1 in all of it
+    const Freeze* freeze;  // or null: m is 1 in all of its ball
 };
 
 enum Profile : int64_t { QUARTIC = 0, SINE = 1 };
@@ -156,7 +160,8 @@ INLINE Radial<V> radial(const Stroke& k, V s) {
 }
 
 // The jet beside the point x: tangents t[j] = ∂x/∂u_j and, if MIXED, ∂²x/∂u₀∂u₁; and the squared length scales of the
-// map along u₀ and u₁: ρ² / |t|², and 4 max(D, σ)² / |t|² at the distance D from a fixed face.
+// map along u₀ and u₁: ρ² / |t|², 4 max(D, σ)² / |t|² at the distance D from a fixed face, and
+// that of the freeze mask.
 template <int D, int TANGENTS, bool MIXED, class V>
 struct Jet {
     V x[D];
@@ -172,7 +177,7 @@ INLINE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED,
                 Jet<D, TANGENTS, MIXED, V>& jet) {
     constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
     constexpr int N = TANGENTS > 0 ? TANGENTS : 1;
-    V r[D], f[D], inside[D], beta[D][3], s = V{};
+    V place[D], r[D], f[D], inside[D], beta[D][3], s = V{};
     for (int i = 0; i < D; i++) {
         V near = at.x[i];
         inside[i] = splat<V>(1.0);
@@ -186,6 +191,7 @@ INLINE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED,
             beta[i][0] = splat<V>(1.0);
             beta[i][1] = beta[i][2] = V{};
         }
+        place[i] = near;
         r[i] = near - k.pivot[i];
         s += r[i] * r[i];
     }
@@ -194,6 +200,8 @@ INLINE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED,
     Radial<V> g = radial<ORDER>(k, s);
     V rf = dot<D>(r, f), K[D];
     for (int i = 0; i < D; i++) K[i] = g.A[0] * f[i] + g.B[0] * rf * r[i];
+    Freed<D, ORDER, V> free{};
+    if (k.freeze) free = freed<D, ORDER, V>(*k.freeze, place);
 
     if constexpr (TANGENTS > 0) {
         // With each tangent u as it is at the nearest point, w = M u, and uf = u·v + r·w, the derivative of r·v.
@@ -221,14 +229,25 @@ INLINE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED,
                 nf += dot<D>(r, wn);
                 b += g.B[0] * (dot<D>(u[0], w[1]) + dot<D>(u[1], w[0]));
             }
-            V hn = g.B[1] * rn * rf + g.B[0] * nf;
+            V hn = g.B[1] * rn * rf + g.B[0] * nf, turn[2], way{};  // of m: ∇m·u, and ∇m·n + u₀ᵀ ∇∇m u₁
+            if (k.freeze) {
+                for (int j = 0; j < 2; j++) turn[j] = dot<D>(free.slope, u[j]);
+                way = dot<D>(free.slope, n);
+                for (int i = 0; i < D; i++) way += u[0][i] * dot<D>(free.bend[i], u[1]);
+            }
             for (int i = 0; i < D; i++) {
                 V Jn = g.A[1] * rn * f[i] + hn * r[i] + g.B[0] * rf * n[i];
                 V second = a * f[i] + b * r[i] + h[0] * u[1][i] + h[1] * u[0][i] + Jn;
                 if (affine) second += g.A[0] * wn[i] + g.A[1] * (ru[0] * w[1][i] + ru[1] * w[0][i]);
-                jet.mixed[i] += beta[i][0] * second +
-                                beta[i][1] * (u[0][i] * Ju[1][i] + u[1][i] * Ju[0][i] + n[i] * K[i]) +
-                                beta[i][2] * u[0][i] * u[1][i] * K[i];
+                V J0 = Ju[0][i], J1 = Ju[1][i], moved = K[i];
+                if (k.freeze) {
+                    second = free.m * second + turn[0] * J1 + turn[1] * J0 + way * moved;
+                    J0 = free.m * J0 + turn[0] * moved;
+                    J1 = free.m * J1 + turn[1] * moved;
+                    moved *= free.m;
+                }
+                jet.mixed[i] += beta[i][0] * second + beta[i][1] * (u[0][i] * J1 + u[1][i] * J0 + n[i] * moved) +
+                                beta[i][2] * u[0][i] * u[1][i] * moved;
             }
             V scale2 = s + k.radius2[0];
             for (int i = 0; i < D; i++)
@@ -237,11 +256,21 @@ INLINE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED,
                     V scale = 2.0 * most(depth(at.x[i], axes[i]), splat<V>(axes[i].sigma));
                     scale2 = least(scale2, V(scale * scale));
                 }
+            if (k.freeze) scale2 = least(scale2, V(free.smooth * free.smooth));
             for (int j = 0; j < 2; j++) jet.smooth2[j] = least(jet.smooth2[j], V(scale2 / dot<D>(at.t[j], at.t[j])));
         }
+        if (k.freeze)
+            for (int j = 0; j < TANGENTS; j++) {
+                V turn = dot<D>(free.slope, u[j]);
+                for (int i = 0; i < D; i++) Ju[j][i] = free.m * Ju[j][i] + turn * K[i];
+            }
+        if (k.freeze)
+            for (int i = 0; i < D; i++) K[i] *= free.m;
         for (int j = 0; j < TANGENTS; j++)
             for (int i = 0; i < D; i++) jet.t[j][i] += beta[i][0] * Ju[j][i] + beta[i][1] * u[j][i] * K[i];
     }
+    if (k.freeze && TANGENTS == 0)
+        for (int i = 0; i < D; i++) K[i] *= free.m;
     for (int i = 0; i < D; i++) jet.x[i] += beta[i][0] * K[i];
 }
 

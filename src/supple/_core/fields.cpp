@@ -315,11 +315,11 @@ void bind_fields(nb::module_& m) {
     nb::class_<AnyComposite>(m, "Composite", "Strokes, affine maps and sampled fields, one after the other.")
         .def(
             "__init__",
-            [](AnyComposite* self, int ndim, const Doubles& rows, nb::list parts) {
+            [](AnyComposite* self, int ndim, const Doubles& rows, nb::list parts, nb::object freeze) {
                 auto map = std::make_shared<Composite>();
                 Axes axes = axes_of(rows);
                 std::copy(axes.begin(), axes.end(), map->axes);
-                std::vector<nb::object> kept;
+                std::vector<nb::object> kept{freeze};
                 for (nb::handle h : parts) {
                     nb::tuple item = nb::cast<nb::tuple>(h);
                     std::string kind = nb::cast<std::string>(item[0]);
@@ -339,14 +339,14 @@ void bind_fields(nb::module_& m) {
                         fill_matrix(nb::cast<Doubles>(both[1]), ndim, ndim + 1, part.back);
                     } else {
                         part.kind = STROKES;
-                        part.strokes = strokes_of(nb::cast<Doubles>(item[1]), map->axes);
+                        part.strokes = strokes_of(nb::cast<Doubles>(item[1]), map->axes, nb::cast<Masking>(freeze));
                         for (int i = 0; i < (int)part.strokes.size(); i++) part.list.push_back(i);
                     }
                     map->parts.push_back(std::move(part));
                 }
                 new (self) AnyComposite{ndim, std::move(map), std::move(kept)};
             },
-            "ndim"_a, "axes"_a, "parts"_a)
+            "ndim"_a, "axes"_a, "parts"_a, "freeze"_a = nb::none())
         .def("through", &through, "points"_a, "backwards"_a, "jacobian"_a, "status"_a.noconvert(),
              "Return points (N, 3) mapped by T or T⁻¹, the derivatives or None, and the evaluations; status: 1 folded, "
              "2 outside, 4 unsolved.");

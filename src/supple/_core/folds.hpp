@@ -30,6 +30,8 @@
 // The affine brushes. The derivatives of M r are at most |M| |r| and |M|, those of (rᵀ M r) r at most 1, 3, 6 and 6
 // times |M| |r|³, |M| |r|², |M| |r| and |M|; products with powers of ρ follow by Leibniz. Bounds of a sum are sums.
 //
+// A freeze mask multiplies K, too; of a spline, the coefficients' differences bound the derivatives (`frozen.hpp`).
+//
 // The reach multiplies K by m = 1 - 10t³ + 15t⁴ - 6t⁵, t = |r|/R. Its first three derivatives are at most 30 t² (1-t)²,
 // 10/√3 and 60, over R, R² and R³; those of the product follow by Leibniz. The third jumps at t = 0 and 1, but the
 // second derivatives of S are bounded all the same, which is all that (1) asks for.
@@ -68,8 +70,15 @@ struct Bounds {
 
 // ---- bounds of derivatives in a box --------------------------------------------------------------------------------
 
-// Bounds of the zeroth to third derivatives of something.
-typedef std::array<double, 4> Derivatives;
+// Of a product, by Leibniz' rule.
+inline Derivatives product(const Derivatives& a, const Derivatives& b) {
+    return {
+        a[0] * b[0],
+        a[0] * b[1] + a[1] * b[0],
+        a[0] * b[2] + 2 * a[1] * b[1] + a[2] * b[0],
+        a[0] * b[3] + 3 * a[1] * b[2] + 3 * a[2] * b[1] + a[3] * b[0],
+    };
+}
 
 // Of β between two points of an axis, both in the border or both outside of it.
 inline Derivatives fade_bounds(const Axis& axis, double low, double high) {
@@ -151,12 +160,7 @@ inline Derivatives displacement_bounds(const Stroke& stroke, double near2, doubl
     const double i = stroke.per_reach, a = i * std::sqrt(near2), b = i * std::sqrt(far2), t = std::clamp(0.5, a, b);
     const double m = (1 - a) * (1 - a) * (1 - a) * (1 + a * (3 + 6 * a));
     const double m1 = 30 * i * t * t * (1 - t) * (1 - t), m2 = 5.7736 * i * i, m3 = 60 * i * i * i;
-    return {
-        m * n[0],
-        m * n[1] + m1 * n[0],
-        m * n[2] + 2 * m1 * n[1] + m2 * n[0],
-        m * n[3] + 3 * m1 * n[2] + 3 * m2 * n[1] + m3 * n[0],
-    };
+    return product({m, m1, m2, m3}, n);
 }
 
 // ---- S at points, and its smallest eigenvalue ----------------------------------------------------------------------
@@ -252,7 +256,8 @@ public:
             }
             if (std::sqrt(near2) >= stroke.reach) continue;  // the displacement is 0 there
             near.push_back(s);
-            const Derivatives own = displacement_bounds(stroke, near2, far2);
+            Derivatives own = displacement_bounds(stroke, near2, far2);
+            if (stroke.freeze) own = product(mask_of(stroke).bounds_in(box.low, box.high), own);
             for (int i = 0; i < 4; i++) n[i] += own[i];
         }
         return n;
@@ -334,11 +339,14 @@ private:
         Errors found;
         const Derivatives n = sum_in(box);
         if (near.empty()) return found;
+        double turn = 0;  // |∇m|
         for (int s : near) {
             const Stroke& stroke = strokes[s];
             const double rho = std::sqrt(stroke.radius2[0]);
+            const double own = stroke.freeze ? mask_of(stroke).bounds_in(box.low, box.high)[1] : 0;
+            turn = std::max(turn, own);
             found.rounding +=
-                noise[s] / (stroke.power == 3 ? rho * rho : rho) * (5 / rho + steepest + 2 * stroke.per_reach);
+                noise[s] / (stroke.power == 3 ? rho * rho : rho) * (5 / rho + steepest + own + 2 * stroke.per_reach);
         }
         double most = 0;
         for (int k = 0; k < 3; k++) {
@@ -356,7 +364,7 @@ private:
             if (added > most) most = added, found.cut = k;
         }
         found.simple = -(value * n[1] + steepest * n[0]) * (1 + 1e-12);
-        if (steepest == 0) found.simple = std::max(found.simple, free);
+        if (steepest == 0 && turn == 0) found.simple = std::max(found.simple, free);
         return found;
     }
 

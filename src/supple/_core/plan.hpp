@@ -53,7 +53,7 @@ struct Row {
     float part[D][STRIDE];
     float across[2][STRIDE], down[2][STRIDE];  // ∂p/∂x, ∂p/∂y in the plane
     float depth2[STRIDE];                      // |∂p_z/∂q|², in a stack
-    bool same[STRIDE];                         // true outside the balls of all strokes
+    bool same[STRIDE];                         // true outside the balls of all strokes, and where it is frozen
     bool some_same, idle;                      // whether any is the same; whether all are, so that nothing else is set
     int count;                                 // of the samples of its root
 };
@@ -150,7 +150,7 @@ private:
     struct Root {
         int band = 0, first = -1, leaves = 0;
         ptrdiff_t first_pixel = -1;  // of the band's, if every pixel is solved
-        bool rim = false;            // some of its pixels lie outside every ball
+        bool rim = false;            // some of its pixels may lie outside every ball, or be frozen
     };
     struct Pixel {
         float part[D], across[2], down[2], depth2;  // relative to the anchor of its root
@@ -180,6 +180,7 @@ private:
     template <class RootOf>
     Chain chain_of(Work& w, RootOf root_of) const;
     void find_reaching(int root_row, int left, int right);
+    void thaw(int root);
     void solve_band(int index);
     void solve_pixels(int root);
     Passed<Lanes> solve_composite(const Lanes (&q)[D], Jet<D, D, true, Lanes>& jet) const;
@@ -192,7 +193,7 @@ private:
     void widen(const Leaf<D>& leaf, Extent<D>& e) const;
     void mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const;
     void fill_pixels(const Root& root, int index, int y, int n, Row<D>& row) const;
-    double reserve() const { return map ? ROUGH : RESERVE; }
+    double reserve() const { return map || freeze ? ROUGH : RESERVE; }
     double finest() const {
         double least = std::min(axes[0].spacing, axes[1].spacing);
         return D == 3 ? std::min(least, axes[2].spacing) : least;
@@ -200,6 +201,7 @@ private:
 
     std::vector<Stroke> strokes;
     std::vector<Bound> bounds;  // of each stroke
+    const Frozen* freeze;       // the mask, if it concerns any stroke
     std::vector<int> all;       // a list of all strokes
     Axis axes[3];
     int size[2], last[2], across, down;
@@ -219,11 +221,15 @@ inline double widest_of(double xx, double xy, double yx, double yy) {
 
 // ---- which strokes reach which cells ------------------------------------------------------------------------------
 
-// Bounds of |K_β| and |J_β|, with the additional term of a border's slope.
+// Bounds of |K_β| and |J_β|, with the additional terms of a border's slope and a mask's.
 inline Bound bound_within(const Stroke& k, const Axis* axes, int dimensions) {
     Bound bound = bound_of(k);
     for (int i = 0; i < dimensions; i++)
         if (axes[i].sigma > 0 && !k.inner) bound.slope += 2 * bound.value / axes[i].sigma;
+    if (k.freeze) {
+        const Vicinity near(k);
+        bound.slope += bound.value * mask_of(k).bounds_in(near.low, near.high)[1];
+    }
     return bound;
 }
 
@@ -244,6 +250,9 @@ Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int heigh
       words((strokes.size() + 63) / 64) {
     std::copy(given, given + 3, axes);
     const int count = (int)strokes.size();
+    freeze = nullptr;
+    for (const Stroke& k : strokes)
+        if (k.freeze) freeze = &mask_of(k);
     while (first_limited < count && !(strokes[first_limited].per_reach > 0)) first_limited++;
     while (first_limited + 1 < count && strokes[first_limited + 1].group == strokes[first_limited].group)
         first_limited++;
@@ -373,8 +382,24 @@ void Plan<D>::find_reaching(int j, int left, int right) {
             radius = choose(touched, grown, radius);
             for (int d = 0; d < D; d++) centre[d] = choose(touched, x[d], centre[d]);
         }
-        for (int l = 0; l < LANES && first + l < across; l++) roots[j * across + first + l].rim = rim[l];
+        for (int l = 0; l < LANES && first + l < across; l++) {
+            const int index = j * across + first + l;
+            roots[index].rim = rim[l];
+            if (freeze) thaw(index);
+        }
     }
+}
+
+// What is frozen is the identity: all of a root, or samples of it, as outside of every ball.
+template <int D>
+void Plan<D>::thaw(int index) {
+    const int i = index % across, j = index / across;
+    const double low[3] = {column(i) * axes[0].spacing, line(j) * axes[1].spacing, z * axes[2].spacing};
+    const double high[3] = {column(i + 1) * axes[0].spacing, line(j + 1) * axes[1].spacing, low[2]};
+    if (freeze->is_frozen(low, high))
+        std::fill_n(reaching.data() + (size_t)index * words, words, 0);
+    else if (!freeze->is_free(low, high))
+        roots[index].rim = true;
 }
 
 // ---- nodes ----------------------------------------------------------------------------------------------------------
@@ -945,7 +970,7 @@ void Plan<D>::fill_pixels(const Root& root, int index, int y, int n, Row<D>& row
     }
 }
 
-// Find the samples that lie outside the ball of every stroke, and set them to the identity.
+// Find the samples that lie outside the ball of every stroke, or are frozen, and set them to the identity.
 template <int D>
 void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const {
     row.some_same = false;
@@ -965,6 +990,11 @@ void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, 
             int from = (int)std::clamp(floor(first + 1e-9) + 1, 0.0, (double)n);
             int to = (int)std::clamp(ceil(final - 1e-9), 0.0, (double)n);
             for (int i = from; i < to; i++) row.same[i] = false;
+        }
+    if (freeze)
+        for (int i = 0; i < n; i++) {
+            const double at[3] = {((x + i) * grid.step[0] + grid.offset[0]) * sx, py, z * axes[2].spacing};
+            row.same[i] = row.same[i] || is_frozen<3>(*freeze, at);
         }
     for (int i = 0; i < n; i++) {
         if (!row.same[i]) continue;

@@ -173,12 +173,13 @@ void points_of(const Plan<D>& plan, Points<T>& out) {
 // Sample planes of a stack, each by one thread. Returns the accuracy of the map, and the evaluations.
 nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int width, std::vector<int> planes,
                      double tolerance, nb::list samplings, std::optional<const AnyComposite*> map,
-                     std::optional<std::tuple<int, int, int, int>> wanted, std::optional<std::vector<bool>> copied) {
+                     std::optional<std::tuple<int, int, int, int>> wanted, std::optional<std::vector<bool>> copied,
+                     Masking freeze) {
     if (copied && copied->size() != planes.size()) throw nb::value_error("copied must have a value for each plane");
     const Box box = checked_box(wanted, width, height);
     const std::shared_ptr<const Composite> composite = held(map);
     Axes axes = axes_of(rows);
-    std::vector<Stroke> strokes = strokes_of(table, axes.data());
+    std::vector<Stroke> strokes = strokes_of(table, axes.data(), freeze);
     std::vector<const Sampling*> all;
     for (nb::handle h : samplings) all.push_back(nb::cast<const Sampling*>(h));
     for (const Sampling* s : all)
@@ -229,10 +230,10 @@ nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int 
 // The part of the frames that a box of planes reads, and how far each plane moves there.
 template <int D>
 nb::tuple needed_by(const Doubles& table, const Doubles& rows, int height, int width, const std::vector<int>& planes,
-                    double tolerance, const Job& job, const std::shared_ptr<const Composite>& composite,
-                    const Box& box) {
+                    double tolerance, const Job& job, const std::shared_ptr<const Composite>& composite, const Box& box,
+                    const Masking& freeze) {
     Axes axes = axes_of(rows);
-    std::vector<Stroke> strokes = strokes_of(table, axes.data());
+    std::vector<Stroke> strokes = strokes_of(table, axes.data(), freeze);
     std::vector<Portion> parts(planes.size());
     std::vector<double> moved(planes.size()), errors(planes.size());
     std::vector<std::array<long, 3>> bad(planes.size());
@@ -256,7 +257,8 @@ nb::tuple needed_by(const Doubles& table, const Doubles& rows, int height, int w
 }
 nb::tuple needed_of(const Doubles& table, const Doubles& rows, int ndim, int height, int width, std::vector<int> planes,
                     double tolerance, int count, std::tuple<int, int> size, int filter, int between, int rule,
-                    bool average, std::optional<const AnyComposite*> map, std::tuple<int, int, int, int> wanted) {
+                    bool average, std::optional<const AnyComposite*> map, std::tuple<int, int, int, int> wanted,
+                    Masking freeze) {
     Job job{};
     std::tie(job.h, job.w) = size;
     job.count = count;
@@ -267,8 +269,8 @@ nb::tuple needed_of(const Doubles& table, const Doubles& rows, int ndim, int hei
     const Box box = checked_box(wanted, width, height);
     job = placed(job, box, width, height);
     const std::shared_ptr<const Composite> composite = held(map);
-    return ndim == 2 ? needed_by<2>(table, rows, height, width, planes, tolerance, job, composite, box)
-                     : needed_by<3>(table, rows, height, width, planes, tolerance, job, composite, box);
+    return ndim == 2 ? needed_by<2>(table, rows, height, width, planes, tolerance, job, composite, box, freeze)
+                     : needed_by<3>(table, rows, height, width, planes, tolerance, job, composite, box, freeze);
 }
 
 }  // namespace
@@ -285,9 +287,9 @@ void bind_plans(nb::module_& m) {
             "__init__",
             [](AnyPlan* self, const Doubles& table, const Doubles& rows, int ndim, int height, int width, double z,
                double tolerance, std::optional<const AnyComposite*> map,
-               std::optional<std::tuple<int, int, int, int>> wanted) {
+               std::optional<std::tuple<int, int, int, int>> wanted, Masking freeze) {
                 Axes axes = axes_of(rows);
-                std::vector<Stroke> strokes = strokes_of(table, axes.data());
+                std::vector<Stroke> strokes = strokes_of(table, axes.data(), freeze);
                 if (height < 1 || width < 1) throw nb::value_error("a plane has at least one pixel");
                 if (map && *map && (*map)->ndim != ndim) throw nb::value_error("the map has another number of axes");
                 const Box box = checked_box(wanted, width, height);
@@ -304,7 +306,7 @@ void bind_plans(nb::module_& m) {
                 });
             },
             "strokes"_a, "axes"_a, "ndim"_a, "height"_a, "width"_a, "z"_a, "tolerance"_a, "map"_a = nb::none(),
-            "box"_a = nb::none())
+            "box"_a = nb::none(), "freeze"_a = nb::none(), nb::keep_alive<1, 11>())
         .def_prop_ro("error", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.error; }); })
         .def_prop_ro("evaluations",
                      [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.evaluations; }); })
@@ -356,11 +358,12 @@ void bind_plans(nb::module_& m) {
             "sampling"_a, "box"_a = nb::none(),
             "Fill what a box (x0, x1, y0, y1) holds of a sampling's output, or all of it.");
     m.def("warp_stack", &warp_stack, "strokes"_a, "axes"_a, "height"_a, "width"_a, "planes"_a, "tolerance"_a,
-          "samplings"_a, "map"_a = nb::none(), "box"_a = nb::none(), "copied"_a = nb::none(),
+          "samplings"_a, "map"_a = nb::none(), "box"_a = nb::none(), "copied"_a = nb::none(), "freeze"_a = nb::none(),
           "Sample planes of a stack, each by one thread; return the largest error, the evaluations, and how many nodes "
           "or pixels fold, lie outside, and are not solved. `copied` says which planes are copied, if it is known.");
     m.def("needed", &needed_of, "strokes"_a, "axes"_a, "ndim"_a, "height"_a, "width"_a, "planes"_a, "tolerance"_a,
           "count"_a, "size"_a, "filter"_a, "between"_a, "rule"_a, "average"_a, "map"_a, "box"_a,
+          "freeze"_a = nb::none(),
           "Return the part (x0, x1, y0, y1, k0, k1) of `count` frames of a size (h, w) that a box of planes reads, and "
           "how far each plane's part moves (-1 for the identity), the largest error, and how many nodes or pixels are "
           "not solved, fold, and lie outside.");

@@ -36,9 +36,9 @@ std::array<int64_t, 3> sizes(const A& a) {
     return {(int64_t)a.shape(2), (int64_t)a.shape(1), (int64_t)a.shape(0)};
 }
 
-Strokes* make_strokes(const Doubles& rows, const Doubles& axes) {
+void make_strokes(Strokes* self, const Doubles& rows, const Doubles& axes, Masking freeze) {
     const Axes domain = axes_of(axes);
-    return new Strokes(domain, strokes_of(rows, domain.data()));
+    new (self) Strokes(domain, strokes_of(rows, domain.data(), freeze));
 }
 
 // A lattice in an array of Python's, (nz, ny, nx, NODE).
@@ -193,7 +193,7 @@ void bind_render(nb::module_& m) {
     m.attr("BRICK") = BRICK;
     m.attr("NODE") = NODE;
     nb::class_<Strokes>(m, "Strokes", "The strokes of a deformation and its domain, for volumes.")
-        .def(nb::new_(&make_strokes), "rows"_a, "axes"_a);
+        .def("__init__", &make_strokes, "rows"_a, "axes"_a, "freeze"_a = nb::none(), nb::keep_alive<1, 4>());
     nb::class_<SolidLattice>(m, "Lattice", "The inverse displacements of a volume at the nodes of a lattice.")
         .def(nb::init<Array<float, 4>, int>(), "nodes"_a, "step"_a)
         .def("solve", &solve, "strokes"_a, "Solve the nodes; return the evaluations and the shortest length.")

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "field.hpp"
+#include "frozen.hpp"
 
 namespace supple {
 
@@ -70,8 +71,29 @@ inline Bound bound_of(const Stroke& k) {
     return {strength * most.value, strength * most.slope, strength * most.unlimited};
 }
 
-// Read `count` rows of STROKE_NUMBERS, and derive the rest.
-inline std::vector<Stroke> load_strokes(const double* rows, size_t count, const Axis* axes) {
+// The box around a stroke's ball.
+struct Vicinity {
+    double low[3], high[3];
+    explicit Vicinity(const Stroke& k) {
+        for (int i = 0; i < 3; i++) {
+            low[i] = k.pivot[i] - k.reach;
+            high[i] = k.pivot[i] + k.reach;
+        }
+    }
+};
+
+// True if the freeze mask is 1 in all of a stroke's ball.
+inline bool is_free(const Stroke& k, const Frozen* freeze) {
+    const Vicinity near(k);
+    return !freeze || freeze->is_free(near.low, near.high);
+}
+
+// The mask that a stroke is subject to, which has one.
+inline const Frozen& mask_of(const Stroke& k) { return *static_cast<const Frozen*>(k.freeze); }
+
+// Read `count` rows of STROKE_NUMBERS, and derive the rest; the mask has to live as long as they do.
+inline std::vector<Stroke> load_strokes(const double* rows, size_t count, const Axis* axes,
+                                        const Frozen* freeze = nullptr) {
     std::vector<Stroke> strokes(count);
     int64_t group = 0;
     for (Stroke& k : strokes) {
@@ -85,6 +107,7 @@ inline std::vector<Stroke> load_strokes(const double* rows, size_t count, const 
         k.most = *rows++;
         k.per_reach = std::isfinite(k.reach) ? 1.0 / k.reach : 0.0;
         k.inner = is_inner(k, axes);
+        k.freeze = is_free(k, freeze) ? nullptr : freeze;
         k.shared = joined != 0;
         if (joined && &k != strokes.data()) (&k - 1)->shared = true;
     }

@@ -130,6 +130,8 @@ class Space:
         The whole map, if there is more to it than strokes: affine maps, fields, or another grid of the output.
     grid : Grid, optional
         The grid of the output, if it is not that of the input.
+    freeze : _core.Freeze, optional
+        The freeze mask that the strokes are subject to; that of a composite map's is its own, too.
     """
 
     table: npt.NDArray[np.void]
@@ -139,6 +141,7 @@ class Space:
     shape: tuple[int, int]
     composite: _core.Composite | None = None
     grid: Grid | None = None
+    freeze: _core.Freeze | None = None
 
     @property
     def whole(self) -> tuple[int, ...]:
@@ -154,6 +157,11 @@ class Space:
     def is_plain(self) -> bool:
         """Return whether the map has strokes alone, and the output the grid of the input."""
         return self.composite is None and self.grid is None
+
+    @property
+    def is_common(self) -> bool:
+        """Return whether every engine supports the map: plain, and without a freeze mask."""
+        return self.is_plain and self.freeze is None
 
     @property
     def out(self) -> tuple[int, ...]:
@@ -480,9 +488,9 @@ class Engine(Protocol):
 
 def check_plain(space: Space) -> None:
     """Raise SuppleError for a map that only the native engine supports."""
-    if not space.is_plain:
+    if not space.is_common:
         raise SuppleError(
-            "fields, affine maps and output grids are for the CPU, with arrays in host memory: leave the device out"
+            "fields, affine maps, output grids and freeze masks are for the CPU, with arrays in host memory: leave the device out"
         )
 
 

@@ -38,7 +38,7 @@ def check_device(device: str, what: str = "") -> None:
 def check_host(device: str) -> None:
     """Raise SuppleError for a device that warps by strokes alone."""
     if device in ("gpu", "cuda"):
-        refuse("device", '"cpu" or "auto" for fields, affine maps and output grids, which the CPU warps', device)
+        refuse("device", '"cpu" or "auto" for fields, affine maps, output grids and freeze masks, which the CPU warps', device)
 
 
 def gpu_of(device: str, what: str = "this") -> Gpu | None:
@@ -69,7 +69,7 @@ def engine_for(device: str, work: Work) -> Engine:
     SuppleError
         If the user names a device that does not exist, or does not support this work.
     """
-    if not work.space.is_plain:
+    if not work.space.is_common:
         check_host(device)
         return NATIVE
     if device == "cuda":

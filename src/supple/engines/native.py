@@ -63,11 +63,15 @@ def plan_of(space: Space, z: float, tolerance: float, step: tuple[int, int] = (1
     grid = space.grid
     if grid is None:
         shape = space.planned(step) if space.composite is None else space.shape
-        return _core.Plan(numbers(space.table), space.axes, space.ndim, *shape, float(z), tolerance, space.composite)
+        return _core.Plan(
+            numbers(space.table), space.axes, space.ndim, *shape, float(z), tolerance, space.composite, None, space.freeze
+        )
     planes, box = _part(grid)
     (height, width), first = grid.whole[-2:], planes[0]
     table = numbers(space.table)
-    return _core.Plan(table, space.axes, space.ndim, height, width, first + z, tolerance, space.composite, box)
+    return _core.Plan(
+        table, space.axes, space.ndim, height, width, first + z, tolerance, space.composite, box, space.freeze
+    )
 
 
 def needed(space: Space, sampling: Sampling) -> tuple[tuple[int, ...], list[float], Certificate]:
@@ -100,6 +104,7 @@ def needed(space: Space, sampling: Sampling) -> tuple[tuple[int, ...], list[floa
         sampling.time_filter and sampling.between != "nearest",
         space.composite,
         box,
+        space.freeze,
     )
     return part, moved, _certificate(space, error, 0.0, found)
 
@@ -311,7 +316,7 @@ class Native:
         given, shape = _rows(space, points)
         if space.composite is not None:
             return _slopes_through(space, given, shape)
-        _, found = _core.forward(numbers(space.table), space.axes, given, True)
+        _, found = _core.forward(numbers(space.table), space.axes, given, True, space.freeze)
         n, steps = space.ndim, space.axes[: space.ndim, 3]
         full = found[:, :n, :n] * (steps[None, :] / steps[:, None])
         return np.ascontiguousarray(full.reshape(*shape[:-1], n, n))
@@ -324,7 +329,9 @@ class Native:
         finest = float(space.axes[: space.ndim, 3].min())
         if space.composite is not None:
             return _back(space, targets, shape, finest)
-        found, residual, steps = _core.inverse(numbers(space.table), space.axes, targets, space.ndim, 1e-9 * finest)
+        found, residual, steps = _core.inverse(
+            numbers(space.table), space.axes, targets, space.ndim, 1e-9 * finest, space.freeze
+        )
         solved = _points(space, found, shape)
         if space.is_identity:
             solved = np.array(np.broadcast_to(np.asarray(points, np.float64), shape))
@@ -354,7 +361,7 @@ def forward_of(space: Space, points: npt.ArrayLike) -> tuple[Floats, Certificate
     """Return T of points, as `Engine.forward` does, and its certificate: without fields, T is explicit."""
     given, shape = _rows(space, points)
     if space.composite is None:
-        found, _ = _core.forward(numbers(space.table), space.axes, given, False)
+        found, _ = _core.forward(numbers(space.table), space.axes, given, False, space.freeze)
         return _points(space, found, shape), Certificate(0.0, 0.0)
     status = np.zeros(len(given), np.uint8)
     found, _, _ = space.composite.through(given, False, False, status)
@@ -424,7 +431,7 @@ def _stacked(
         some = slice(start, min(start + together, len(planes)))
         error, steps, (folded, outside, unknown) = _core.warp_stack(
             table, space.axes, *shape, planes[some], work.sampling.tolerance, given(some), space.composite, box,
-            None if copied is None else list(copied[some]),
+            None if copied is None else list(copied[some]), space.freeze,
         )  # fmt: skip
         yield some.stop, _certificate(space, error, steps, (unknown, folded, outside))
 

@@ -124,7 +124,7 @@ def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> tuple[Solid, Lattice
         return tries[0]
 
     try:
-        solid = solve_solid(space.table, space.axes, shape, tolerance, attempt)
+        solid = solve_solid(space, shape, tolerance, attempt)
     except MemoryError:
         if not tries:
             raise

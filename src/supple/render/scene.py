@@ -384,7 +384,7 @@ class Scene:
         """Return the function that marches the rays of columns and rows of pixels, into colours, depths and work."""
         strokes, lattice, cells = None, None, 1
         if self.deformation is not None and (self.mode == "exact" or self._coarse):
-            strokes = strokes_of(self.deformation.space.table, self.deformation.space.axes)
+            strokes = strokes_of(self.deformation.space)
         elif self._solid is not None:
             lattice, cells = self._solid.lattice, cells_along_rays(self._solid, self.tolerance)
         look = self._look(view)
@@ -491,6 +491,10 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
             refuse("the deformation", f"one of spacing {spacing}", deformation.domain.spacing)
         deformation = None if deformation.is_identity else deformation
     space = deformation.space if deformation is not None else None
+    if gpu is not None and space is not None and space.freeze is not None:
+        if known["device"] == "gpu":
+            refuse("device", '"cpu" or "auto" for a freeze mask, which the CPU renders', "gpu")
+        gpu = None
     error = 0.0
     held: shading.Held | None = None
     solid: Solid | None = None
@@ -501,7 +505,7 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
         part = ready[tuple(map(slice, shape))]
         ready = prepared(deformation.warp(part, filter="linear", tolerance=tolerance))
     elif space is not None and mode != "exact":
-        solid = solid or solve_solid(space.table, space.axes, shape, tolerance)
+        solid = solid or solve_solid(space, shape, tolerance)
         error = along_rays(solid, cells_along_rays(solid, tolerance), tolerance)
         if mode != "buffered" and error > tolerance:
             off = f"by {error:.2g} voxels" if math.isfinite(error) else "by more than a voxel"

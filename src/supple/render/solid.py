@@ -60,14 +60,13 @@ class Solid:
         return out[:, 0], out[:, 1:].transpose(0, 2, 1)
 
 
-def strokes_of(table: npt.NDArray[np.void], axes: Floats) -> _core.Strokes:
-    """Return a table of strokes and the axes of their domain in the layout of the core."""
-    return _core.Strokes(numbers(table), np.ascontiguousarray(axes))
+def strokes_of(space: Space) -> _core.Strokes:
+    """Return a map of strokes in the layout of the core."""
+    return _core.Strokes(numbers(space.table), np.ascontiguousarray(space.axes), space.freeze)
 
 
 def solve_solid(
-    table: npt.NDArray[np.void],
-    axes: Floats,
+    space: Space,
     shape: tuple[int, ...],
     tolerance: float,
     attempt: Callable[[int], tuple[Solid, float]] | None = None,
@@ -77,7 +76,7 @@ def solve_solid(
     The error tells if the finest lattice is accurate enough. ``attempt`` solves with a step in voxels, and also returns
     the length scale of the map; by default, it is the core's.
     """
-    strokes = strokes_of(table, axes)
+    strokes = strokes_of(space)
     step, evaluations = COARSEST, 0.0
     while True:
         solid, smooth = attempt(step) if attempt else _solve(strokes, shape, step)

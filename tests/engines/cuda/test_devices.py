@@ -209,7 +209,7 @@ def test_maps_are_refused_before_anything_starts() -> None:
         lambda: points.inverse_map(d.space, given, 0.01),
         lambda: points._known(d.space, given),
     ):
-        with pytest.raises(SuppleError, match="fields, affine maps and output grids are for the CPU"):
+        with pytest.raises(SuppleError, match="fields, affine maps, output grids and freeze masks are for the CPU"):
             call()
 
 
@@ -224,5 +224,5 @@ def test_maps_other_than_strokes_are_refused() -> None:
         Work(plain.space, layout, Sampling(), (plain.space, moved.space)),
         Work(plain.space_on(plain.grid.crop((1, 1), (3, 3))), layout, Sampling()),
     ):
-        with pytest.raises(SuppleError, match="fields, affine maps and output grids are for the CPU"):
+        with pytest.raises(SuppleError, match="fields, affine maps, output grids and freeze masks are for the CPU"):
             engine.check(work)

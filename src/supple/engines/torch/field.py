@@ -93,9 +93,9 @@ class Strokes:
     @classmethod
     def of(cls, space: Space, dtype: torch.dtype, device: torch.device) -> Strokes:
         """Return the strokes of a space as engines apply them, row by row; SuppleError if it has other maps."""
-        if not space.is_plain:
+        if not space.is_common:
             raise SuppleError(
-                "supple.torch.forward is for strokes alone, found a deformation with fields or affine maps: "
+                "supple.torch.forward is for strokes alone, found a deformation with fields, affine maps or a freeze mask: "
                 "Deformation.forward takes it, without gradients"
             )
         table, n = space.table, space.ndim

@@ -1,0 +1,127 @@
+// What a freeze mask lets through: m(p), from 0 where nothing moves to 1, which multiplies every stroke's displacement.
+//
+// m is a cubic B-spline (C²): m(p) = Σ c_k Π_i B(u_i - k_i), u = (p - first) / step. Its weights are at least 0 and add
+// up to 1, so that m is 0, exactly and with its derivatives, where all coefficients around a point are 0. The outermost
+// four along an axis are equal: beyond, m is constant. An axis of one coefficient is one along which m is constant.
+//
+// It uses no std::, allocation or exceptions, so that compilers for GPUs accept this file.
+#pragma once
+#include "simd.hpp"
+
+namespace supple {
+
+struct Freeze {
+    int size[3];                   // of coefficients along x, y and z: 1, or 8 and more
+    double first[3], per_step[3];  // the place of the first, and 1 / step; in physical units
+    double step;                   // the least one
+    const float* values;           // (z, y, x)
+    const uint8_t* calm;  // of each cell, from coefficient i to i + 1: cells to the next in which m varies; 0: this one
+};
+
+// The cell of a coordinate, and its part of the way through it.
+INLINE int cell_of(const Freeze& f, int axis, double x, double& part) {
+    part = 0;
+    if (f.size[axis] == 1) return 0;
+    const double last = f.size[axis] - 3, u = least(most((x - f.first[axis]) * f.per_step[axis], 1.0), last + 1);
+    const int i = (int)least(u, last);
+    part = u - i;
+    return i;
+}
+
+// m at some points, and its derivatives up to ORDER; `smooth`: the distance over which m stays as smooth as it is here.
+template <int D, int ORDER, class V>
+struct Freed {
+    V m, slope[D], bend[D][D], smooth;
+};
+
+// The weights of the four coefficients around a part of the way from the second to the third, and their derivatives.
+template <int ORDER>
+INLINE void spline_weights(double t, double per_step, double (*w)[4]) {
+    const double s = 1 - t, sixth = 1.0 / 6;
+    w[0][0] = sixth * s * s * s;
+    w[0][1] = sixth * (4 - 3 * t * t * (2 - t));
+    w[0][2] = sixth * (4 - 3 * s * s * (2 - s));
+    w[0][3] = sixth * t * t * t;
+    if (ORDER > 0) {
+        const double a = 0.5 * per_step;
+        w[1][0] = -a * s * s;
+        w[1][1] = a * t * (3 * t - 4);
+        w[1][2] = -a * s * (3 * s - 4);
+        w[1][3] = a * t * t;
+    }
+    if (ORDER > 1) {
+        const double b = per_step * per_step;
+        w[2][0] = b * s;
+        w[2][1] = b * (3 * t - 2);
+        w[2][2] = b * (3 * s - 2);
+        w[2][3] = b * t;
+    }
+}
+
+// In the cell `at`, at its `part`; [n][k] of the sums: the n-th derivative along x, of the k-th along y and so on.
+template <int D, int ORDER>
+NOINLINE void freed_in(const Freeze& f, const int* at, const double* part, double& m, double* slope,
+                       double (*bend)[D]) {
+    double w[D][3][4];
+    for (int d = 0; d < D; d++) spline_weights<ORDER>(part[d], f.per_step[d], w[d]);
+    double sums[ORDER + 1][ORDER + 1][ORDER + 1] = {};  // by the derivatives along z, y and x
+    const int deep = D == 3 && f.size[2] > 1 ? 4 : 1;
+    for (int k = 0; k < deep; k++) {
+        double plane[ORDER + 1][ORDER + 1] = {};
+        for (int j = 0; j < 4; j++) {
+            const int z = deep > 1 ? at[D - 1] - 1 + k : 0, y = f.size[1] > 1 ? at[1] - 1 + j : 0;
+            const float* row = f.values + ((int64_t)z * f.size[1] + y) * f.size[0];
+            for (int n = 0; n <= ORDER; n++) {
+                double sum = 0;
+                for (int i = 0; i < 4; i++) sum += w[0][n][i] * row[f.size[0] > 1 ? at[0] - 1 + i : 0];
+                for (int o = 0; o + n <= ORDER; o++) plane[o][n] += w[1][o][j] * sum;
+            }
+        }
+        for (int p = 0; p <= ORDER; p++)
+            for (int o = 0; o + p <= ORDER; o++)
+                for (int n = 0; n + o + p <= ORDER; n++)
+                    sums[p][o][n] += (deep > 1 ? w[D - 1][p][k] : p == 0 ? 1.0 : 0.0) * plane[o][n];
+    }
+    m = sums[0][0][0];
+    for (int d = 0; d < D && ORDER > 0; d++) slope[d] = sums[d == 2][d == 1][d == 0];
+    for (int d = 0; d < D && ORDER > 1; d++)
+        for (int e = 0; e < D; e++) bend[d][e] = sums[(d == 2) + (e == 2)][(d == 1) + (e == 1)][(d == 0) + (e == 0)];
+}
+
+template <int D, int ORDER, class V>
+INLINE Freed<D, ORDER, V> freed(const Freeze& f, const V* x) {
+    Freed<D, ORDER, V> found{};
+    for (int l = 0; l < Masked<V>::lanes; l++) {
+        int at[D];
+        double part[D];
+        int64_t cell = 0;
+        for (int d = D - 1; d >= 0; d--) {
+            at[d] = cell_of(f, d, lane(x[d], l), part[d]);
+            cell = cell * f.size[d] + at[d];
+        }
+        const int calm = f.calm[cell];
+        set_lane(found.smooth, l, (4 + calm) * f.step);
+        if (calm) {
+            set_lane(found.m, l, f.values[cell]);
+            continue;
+        }
+        double m, slope[D], bend[D][D];
+        freed_in<D, ORDER>(f, at, part, m, slope, bend);
+        set_lane(found.m, l, m);
+        for (int d = 0; d < D && ORDER > 0; d++) set_lane(found.slope[d], l, slope[d]);
+        for (int d = 0; d < D && ORDER > 1; d++)
+            for (int e = 0; e < D; e++) set_lane(found.bend[d][e], l, bend[d][e]);
+    }
+    return found;
+}
+
+// True if nothing moves at a point.
+template <int D>
+INLINE bool is_frozen(const Freeze& f, const double* x) {
+    int64_t cell = 0;
+    double part;
+    for (int d = D - 1; d >= 0; d--) cell = cell * f.size[d] + cell_of(f, d, x[d], part);
+    return f.calm[cell] && f.values[cell] == 0;
+}
+
+}  // namespace supple

@@ -1,0 +1,171 @@
+// A freeze mask with what is known of it: where it is constant, and bounds of its derivatives in boxes.
+#pragma once
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <vector>
+
+#include "freeze.hpp"
+
+namespace supple {
+
+// Bounds of the zeroth to third derivatives of something.
+typedef std::array<double, 4> Derivatives;
+
+class Frozen : public Freeze {
+public:
+    // Of coefficients (nz, ny, nx), from 0 to 1. Along an axis of several, the outermost four are equal.
+    Frozen(const float* from, const int* shape, const double* first, const double* step) {
+        const size_t count = (size_t)shape[0] * shape[1] * shape[2];
+        held.assign(from, from + count);
+        values = held.data();
+        this->step = 1e300;
+        for (int i = 0; i < 3; i++) {
+            size[i] = shape[2 - i];
+            this->first[i] = first[i];
+            per_step[i] = 1 / step[i];
+            if (size[i] > 1) this->step = std::min(this->step, step[i]);
+        }
+        levels.emplace_back();
+        levels[0].bounds.resize(count);
+        distances.assign(count, 255);
+        std::copy(size, size + 3, levels[0].size);
+        const int* n = size;
+        for (int z = 0; z < n[2]; z++)
+            for (int y = 0; y < n[1]; y++)
+                for (int x = 0; x < n[0]; x++) {
+                    const Derivatives found = bounds_of(x, y, z);
+                    levels[0].of(x, y, z) = found;
+                    if (found[1] > 0) distances[((size_t)z * n[1] + y) * n[0] + x] = 0;
+                }
+        measure(1);
+        measure(-1);
+        calm = distances.data();
+        while (levels.back().bounds.size() > 1) halve();
+    }
+    Frozen(const Frozen&) = delete;
+
+    // Of m in a box.
+    Derivatives bounds_in(const double* low, const double* high) const {
+        int from[3], to[3], level = 0;
+        double part;
+        for (int i = 0; i < 3; i++) {
+            from[i] = cell_of(*this, i, low[i], part);
+            to[i] = cell_of(*this, i, high[i], part);
+            while ((to[i] >> level) - (from[i] >> level) > 2) level++;
+        }
+        const Level& known = levels[level];
+        Derivatives found{};
+        for (int z = from[2] >> level; z <= to[2] >> level; z++)
+            for (int y = from[1] >> level; y <= to[1] >> level; y++)
+                for (int x = from[0] >> level; x <= to[0] >> level; x++) raise(found, known.of(x, y, z));
+        return found;
+    }
+    // True if m = 1 in a box.
+    bool is_free(const double* low, const double* high) const {
+        const Derivatives found = bounds_in(low, high);
+        return found[1] == 0 && found[0] == 1;
+    }
+    // True if m = 0 in a box.
+    bool is_frozen(const double* low, const double* high) const { return bounds_in(low, high)[0] == 0; }
+
+private:
+    struct Level {  // the largest bounds of blocks of cells
+        int size[3];
+        std::vector<Derivatives> bounds;
+        Derivatives& of(int x, int y, int z) { return bounds[((size_t)z * size[1] + y) * size[0] + x]; }
+        const Derivatives& of(int x, int y, int z) const { return bounds[((size_t)z * size[1] + y) * size[0] + x]; }
+    };
+
+    static void raise(Derivatives& a, const Derivatives& b) {
+        for (int i = 0; i < 4; i++) a[i] = std::max(a[i], b[i]);
+    }
+
+    // In a cell: a derivative of a spline is the spline, one degree lower, of the differences of its coefficients, and
+    // no larger than the largest of those around.
+    Derivatives bounds_of(int x, int y, int z) const {
+        const int at[3] = {x, y, z};
+        int count[3], from[3];
+        for (int i = 0; i < 3; i++) {
+            count[i] = size[i] > 1 ? 4 : 1;
+            from[i] = size[i] > 1 ? at[i] - 1 : 0;
+        }
+        double c[4][4][4];
+        double lowest = 1, highest = 0;
+        for (int k = 0; k < count[2]; k++)
+            for (int j = 0; j < count[1]; j++)
+                for (int i = 0; i < count[0]; i++) {
+                    // Cells beside the outermost coefficients are not asked for.
+                    const int a = std::clamp(from[0] + i, 0, size[0] - 1);
+                    const int b = std::clamp(from[1] + j, 0, size[1] - 1);
+                    const int d = std::clamp(from[2] + k, 0, size[2] - 1);
+                    const double v = values[((size_t)d * size[1] + b) * size[0] + a];
+                    c[k][j][i] = v;
+                    lowest = std::min(lowest, v);
+                    highest = std::max(highest, v);
+                }
+        Derivatives found{highest, 0, 0, 0};
+        if (lowest == highest) return found;
+        static constexpr int WAYS[4] = {1, 1, 2, 6};
+        double sums[4] = {};
+        for (int p = 0; p < std::min(count[0], 4); p++)
+            for (int q = 0; q + p < 4 && q < count[1]; q++)
+                for (int r = 0; r + q + p < 4 && r < count[2]; r++) {
+                    const int order = p + q + r;
+                    if (order == 0) continue;
+                    double largest = 0;
+                    for (int k = 0; k + r < count[2]; k++)
+                        for (int j = 0; j + q < count[1]; j++)
+                            for (int i = 0; i + p < count[0]; i++) {
+                                double sum = 0;
+                                for (int w = 0; w <= r; w++)
+                                    for (int v = 0; v <= q; v++)
+                                        for (int u = 0; u <= p; u++)
+                                            sum += SIGNED[r][w] * SIGNED[q][v] * SIGNED[p][u] * c[k + w][j + v][i + u];
+                                largest = std::max(largest, std::abs(sum));
+                            }
+                    largest *= std::pow(per_step[0], p) * std::pow(per_step[1], q) * std::pow(per_step[2], r);
+                    // As often as it occurs in the form of all derivatives of its order.
+                    sums[order] += WAYS[order] / (WAYS[p] * WAYS[q] * WAYS[r]) * largest * largest;
+                }
+        for (int n = 1; n < 4; n++) found[n] = std::sqrt(sums[n]) * (1 + 1e-12);
+        found[1] = std::max(found[1], 1e-300);
+        return found;
+    }
+    static constexpr double SIGNED[4][4] = {{1}, {-1, 1}, {1, -2, 1}, {-1, 3, -3, 1}};  // of differences
+
+    // The distance to a cell where m varies, by a sweep: the largest of those along the axes.
+    void measure(int way) {
+        const int* n = size;
+        const int64_t count = (int64_t)distances.size();
+        for (int64_t s = 0; s < count; s++) {
+            const int64_t i = way > 0 ? s : count - 1 - s;
+            const int x = int(i % n[0]), y = int(i / n[0] % n[1]), z = int(i / n[0] / n[1]);
+            for (int dz = -1; dz <= 0; dz++)
+                for (int dy = -1; dy <= (dz < 0 ? 1 : 0); dy++)
+                    for (int dx = -1; dx <= (dz < 0 || dy < 0 ? 1 : -1); dx++) {
+                        const int a = x + way * dx, b = y + way * dy, c = z + way * dz;
+                        if (a < 0 || b < 0 || c < 0 || a >= n[0] || b >= n[1] || c >= n[2]) continue;
+                        const int beside = distances[((size_t)c * n[1] + b) * n[0] + a];
+                        if (beside + 1 < distances[i]) distances[i] = (uint8_t)(beside + 1);
+                    }
+        }
+    }
+    void halve() {
+        const Level& fine = levels.back();
+        Level coarse;
+        size_t count = 1;
+        for (int i = 0; i < 3; i++) count *= coarse.size[i] = (fine.size[i] + 1) / 2;
+        coarse.bounds.resize(count);
+        for (int z = 0; z < fine.size[2]; z++)
+            for (int y = 0; y < fine.size[1]; y++)
+                for (int x = 0; x < fine.size[0]; x++) raise(coarse.of(x / 2, y / 2, z / 2), fine.of(x, y, z));
+        levels.push_back(std::move(coarse));
+    }
+
+    std::vector<float> held;
+    std::vector<uint8_t> distances;
+    std::vector<Level> levels;
+};
+
+}  // namespace supple

@@ -1,0 +1,279 @@
+"""Freeze masks: the part of a picture or a volume in which strokes move nothing."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import math
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from supple import _core
+from supple.domain import LARGEST, checked_shape, integer, items, length, number, refuse
+from supple.errors import SuppleError
+
+Floats = npt.NDArray[np.float64]
+
+_FREE = 255  # a coefficient of 1
+_EDGE = 3  # coefficients beyond those that differ: from there on, the spline is constant
+_LEAST = 8  # coefficients along an axis
+_MOST = 2**28
+_PART = 1 / 32  # of the shorter side: the width of the fade, unless it is given
+_SHORTEST = 4.0  # samples, likewise
+
+
+@dataclass(frozen=True, slots=True)
+class Freeze:
+    """A freeze mask: the factor m(p) of the displacement, from 0 where it is frozen to 1 where it is free.
+
+    m is a cubic B-spline. Each coefficient is the least freedom of the samples that its spline covers, so that m and
+    its derivatives are exactly 0 at every frozen sample, and rise to 1 over the width of the fade beside it. `of` makes
+    one from an image or a label.
+
+    Parameters
+    ----------
+    size : tuple of int
+        Coefficients along each axis, x first: 1 along an axis on which m does not depend.
+    first : tuple of float
+        The position of the first coefficient, in samples, x first.
+    step : tuple of float
+        Samples from one coefficient to the next, along each axis.
+    values : bytes
+        The coefficients, from 0 to 255 for 1, in C order: x varies fastest. The outermost four along an axis are equal.
+
+    Raises
+    ------
+    SuppleError
+        If they do not fit together.
+    """
+
+    size: tuple[int, ...]
+    first: tuple[float, ...]
+    step: tuple[float, ...]
+    values: bytes
+
+    def __post_init__(self) -> None:
+        wanted = f"1 or an integer from {_LEAST} on"
+        sizes = items("freeze size", self.size, "two or three numbers, x first", (2, 3))
+        sizes = [integer("freeze size", n, wanted, 1, 2**20) for n in sizes]
+        if any(1 < n < _LEAST for n in sizes):
+            refuse("freeze size", wanted, self.size)
+        n = len(sizes)
+        object.__setattr__(self, "size", tuple(sizes))
+        within = f"a number from {-LARGEST:g} to {LARGEST:g}"
+        first = items("freeze first", self.first, f"{n} numbers, x first", (n,))
+        object.__setattr__(
+            self, "first", tuple(number("freeze first", x, within, -LARGEST, LARGEST) for x in first)
+        )
+        step = items("freeze step", self.step, f"{n} numbers, x first", (n,))
+        object.__setattr__(self, "step", tuple(length("freeze step", x) for x in step))
+        if not isinstance(self.values, bytes) or len(self.values) != math.prod(sizes):
+            refuse("freeze values", f"{math.prod(sizes)} bytes", f"{len(self.values)} of them")
+
+    @classmethod
+    def of(
+        cls, mask: npt.ArrayLike, *, width: float | None = None, spacing: float | Sequence[float] = 1.0
+    ) -> Self:
+        """Return the freeze mask of an image or a volume.
+
+        Parameters
+        ----------
+        mask : array, shape (H, W) or (Z, H, W)
+            Where it is True, or the largest value of its type (1 for floats), nothing moves; in between, a part of the
+            displacement is let through.
+        width : float, optional
+            The width of the fade beside what is frozen, in physical units. By default a 32nd of the shortest side, and
+            4 samples at least.
+        spacing : float or sequence of float
+            Physical units per sample, x first.
+
+        Raises
+        ------
+        SuppleError
+            If the mask is not of such a shape or type, or a value of it is not from 0 to 1.
+        """
+        array = np.asarray(mask)
+        if array.ndim not in (2, 3) or 0 in array.shape:
+            refuse("freeze", "an array of shape (H, W) or (Z, H, W)", f"shape {array.shape}")
+        if array.dtype.kind not in "bui" and array.dtype.kind != "f":
+            refuse("freeze", "an array of bool, integers or floats", f"dtype {array.dtype}")
+        checked_shape(array.shape)
+        steps = (spacing,) * array.ndim if isinstance(spacing, float | int) else tuple(spacing)
+        if width is None:
+            sides = [n * step for n, step in zip(reversed(array.shape), steps, strict=True) if n > 1]
+            width = max(_PART * min(sides, default=1.0), _SHORTEST * min(steps))
+        width = length("the freeze mask's width", width)
+        apart = tuple(max(width / 4 / step, 1.0) for step in steps)
+        least = _freedom_of(array)
+        first = []
+        for axis in range(array.ndim):
+            least, start = _covered(least, axis, apart[array.ndim - 1 - axis])
+            first.append(start)
+        return cls(tuple(reversed(least.shape)), tuple(reversed(first)), apart, least.tobytes())
+
+    @property
+    def ndim(self) -> int:
+        """The number of axes."""
+        return len(self.size)
+
+    @property
+    def is_free(self) -> bool:
+        """True if nothing is frozen."""
+        return self.values.count(_FREE) == len(self.values)
+
+    @property
+    def coefficients(self) -> npt.NDArray[np.uint8]:
+        """The coefficients, in C order, read-only: (..., y, x)."""
+        return np.frombuffer(self.values, np.uint8).reshape(self.size[::-1])
+
+    def packed(self, spacing: Sequence[float]) -> _core.Freeze | None:
+        """Return the mask as the core takes it, or None if nothing is frozen.
+
+        Parameters
+        ----------
+        spacing : sequence of float
+            Physical units per sample, x first: three for a clip, along which a mask of two axes is the same.
+        """
+        return None if self.is_free else _packed(self, tuple(spacing))
+
+    def freedom(self, points: npt.ArrayLike) -> Floats:
+        """Return m at points (..., D), in samples, x first."""
+        given = np.asarray(points, np.float64)
+        flat = np.zeros((given[..., 0].size, 3))
+        flat[:, : self.ndim] = given.reshape(-1, given.shape[-1])[:, : self.ndim]
+        known = self.packed((1.0,) * self.ndim)
+        return (np.ones(len(flat)) if known is None else known.freedom(flat)[0]).reshape(given.shape[:-1])
+
+    def shown(self, shape: Sequence[int]) -> npt.NDArray[np.float32]:
+        """Return m at the samples of an array of a shape (H, W) or (Z, H, W)."""
+        made = self.coefficients.astype(np.float32) / _FREE
+        for axis, n in enumerate(shape):
+            k = len(shape) - 1 - axis
+            weights = _weights(n, self.size[k], self.first[k], self.step[k])
+            made = np.moveaxis(np.tensordot(weights, made, (1, axis)), 0, axis)
+        return made
+
+    def painted(
+        self, at: Sequence[float], radius: float, spacing: Sequence[float], *, frozen: bool = True, plane: int | None = None
+    ) -> Self:
+        """Return the mask with a ball more of it frozen, or free.
+
+        Parameters
+        ----------
+        at : sequence of float
+            The centre, in samples, x first.
+        radius : float
+            In physical units. Within it, all samples are frozen, exactly; or all coefficients are free.
+        spacing : sequence of float
+            Physical units per sample, x first.
+        frozen : bool
+        plane : int, optional
+            An axis, x first, along which only the coefficients next to the centre are painted.
+        """
+        made = self.coefficients.copy()
+        away = np.zeros(made.shape)
+        beyond = np.zeros(made.shape)
+        for k in range(self.ndim):
+            off = np.abs(self.first[k] + self.step[k] * np.arange(self.size[k]) - at[k]) * spacing[k]
+            covered = 2 * self.step[k] * spacing[k]
+            reached = np.maximum(off - covered, 0.0) if frozen else off
+            shape = [1] * self.ndim
+            shape[self.ndim - 1 - k] = -1
+            away = away + (reached**2).reshape(shape)
+            if plane == k:
+                beyond = beyond + (off > covered).reshape(shape)
+        made[(away <= radius**2) & (beyond == 0)] = 0 if frozen else _FREE
+        return replace(self, values=_levelled(made).tobytes())
+
+    def fitted(self, scale: Sequence[float], shift: Sequence[float]) -> Self:
+        """Return the mask of a medium of other samples: what is at x is at scale * x + shift there."""
+        n = self.ndim
+        return replace(
+            self,
+            first=tuple(scale[k] * self.first[k] + shift[k] for k in range(n)),
+            step=tuple(scale[k] * self.step[k] for k in range(n)),
+        )
+
+    def entry(self) -> dict[str, Any]:
+        """Return the mask as JSON has it; the coefficients are compressed (zlib) and in base 64."""
+        packed = base64.b64encode(zlib.compress(self.values, 9)).decode()
+        return {"size": list(self.size), "first": list(self.first), "step": list(self.step), "values": packed}
+
+    @classmethod
+    def from_entry(cls, entry: object) -> Self:
+        """Return the mask of an `entry`; SuppleError for anything else."""
+        keys = {"size", "first", "step", "values"}
+        if not isinstance(entry, dict) or set(entry) != keys or not isinstance(entry["values"], str):
+            refuse("freeze", f"an object with {', '.join(sorted(keys))}", entry)
+        count = math.prod(n for n in entry["size"] if isinstance(n, int)) if isinstance(entry["size"], list) else 0
+        try:
+            with_rest = zlib.decompressobj()
+            values = with_rest.decompress(base64.b64decode(entry["values"], validate=True), min(count, _MOST) + 1)
+        except (binascii.Error, ValueError, zlib.error):
+            raise SuppleError("freeze: the values are damaged: they must be zlib's, in base 64") from None
+        return cls(entry["size"], entry["first"], entry["step"], values)
+
+
+def _freedom_of(mask: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    """Return the freedom of samples, 255 for all of it."""
+    if mask.dtype.kind == "b":
+        return np.where(mask, 0, _FREE).astype(np.uint8)
+    if mask.dtype.kind == "f":
+        if not (mask.min() >= 0 and mask.max() <= 1):  # also for NaN
+            refuse("freeze", "an array of values from 0 to 1 (frozen)", f"from {mask.min():g} to {mask.max():g}")
+        return np.floor((1 - mask.astype(np.float64)) * _FREE).astype(np.uint8)
+    white = np.iinfo(mask.dtype).max
+    if mask.min() < 0:
+        refuse("freeze", f"an array of values from 0 to {white} (frozen)", f"down to {mask.min()}")
+    return np.asarray((white - mask.astype(np.int64)) * _FREE // white, np.uint8)
+
+
+def _covered(least: npt.NDArray[np.uint8], axis: int, step: float) -> tuple[npt.NDArray[np.uint8], float]:
+    """Return the least of the samples that each coefficient's spline covers along an axis, and the first's position."""
+    n = least.shape[axis]
+    if n == 1:
+        return least, 0.0
+    first, last = -1, math.ceil((n - 1) / step) + 1
+    rows = []
+    for k in range(first, last + 1):
+        start, end = math.ceil((k - 2) * step - 1e-9), math.floor((k + 2) * step + 1e-9)
+        covered = np.take(least, range(max(start, 0), min(end, n - 1) + 1), axis)
+        rows.append(covered.min(axis, keepdims=True))
+    rows = [rows[0]] * _EDGE + rows + [rows[-1]] * _EDGE
+    return np.concatenate(rows, axis), (first - _EDGE) * step
+
+
+def _levelled(made: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """Make the outermost four coefficients along each axis equal: to the innermost of them."""
+    for axis, n in enumerate(made.shape):
+        if n > 1:
+            index = np.clip(np.arange(n), _EDGE, n - 1 - _EDGE)
+            made = np.take(made, index, axis)
+    return np.ascontiguousarray(made)
+
+
+def _weights(count: int, size: int, first: float, step: float) -> npt.NDArray[np.float32]:
+    """Return the weights of ``size`` coefficients at ``count`` samples."""
+    if size == 1:
+        return np.ones((count, 1), np.float32)
+    u = np.clip((np.arange(count)[:, None] - first) / step, 1.0, size - 2.0)
+    t = np.abs(u - np.arange(size))
+    inner, outer = 2 / 3 - t * t * (1 - t / 2), np.maximum(2 - t, 0) ** 3 / 6
+    return np.where(t < 1, inner, outer).astype(np.float32)
+
+
+@lru_cache(maxsize=16)
+def _packed(freeze: Freeze, spacing: tuple[float, ...]) -> _core.Freeze:
+    n = freeze.ndim
+    values = np.ones((1,) * (3 - n) + freeze.size[::-1], np.float32)
+    values[...] = freeze.coefficients / np.float32(_FREE)
+    first, step = np.zeros(3), np.ones(3)
+    first[:n] = np.multiply(freeze.first, spacing[:n])
+    step[:n] = np.multiply(freeze.step, spacing[:n])
+    return _core.Freeze(values, first.tolist(), step.tolist())
