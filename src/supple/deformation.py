@@ -19,8 +19,9 @@ from supple.engines.choice import DEVICES, engine_at
 from supple.engines.native import NATIVE, measured, plan_of
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError
 from supple.fields import Field, Placed, check_path, folds_of
-from supple.folding import Resolved, described, resolve
+from supple.folding import resolve
 from supple.geometry import Grid
+from supple.resolved import Resolved, described
 from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
 
 Floats = npt.NDArray[np.float64]
