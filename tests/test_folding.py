@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 from supple import _core, strain
 from supple.domain import BorderProfile, Domain
 from supple.errors import FoldError, SuppleError
-from supple.folding import NEAR, Resolved, resolve
+from supple.folding import NEAR, resolve
+from supple.resolved import Resolved
 from supple.strain import CLEARLY_SAFE, MARGIN, limit
-from supple.strokes import STROKE_DTYPE, FoldPolicy, Stroke, numbers, pack
+from supple.strokes import STROKE_DTYPE, FoldPolicy, Stroke, numbers, pack, poisson_of
 from tests import reference
 
 Floats = npt.NDArray[np.float64]
@@ -231,7 +232,7 @@ def test_mu_is_bounded_on_both_sides(case: tuple[Stroke, Domain], seed: int) -> 
     stroke, domain = case
     row, axes = pack([stroke], domain.spacing)[0], domain.packed()
     lower, upper = weakest(row, axes, target=-0.01)
-    found, _ = searched(np.random.default_rng(seed), row, stroke.material(), axes)
+    found, _ = searched(np.random.default_rng(seed), row, poisson_of(stroke), axes)
     assert lower <= upper <= 0
     assert lower <= found + 1e-6 * max(abs(found), 1)
     if lower < -0.01:  # within 0.2 %, but for rare boxes that the search gives up
@@ -244,7 +245,7 @@ def test_mu_is_bounded_on_both_sides(case: tuple[Stroke, Domain], seed: int) -> 
 def test_damped_strokes_do_not_fold_and_are_as_strong_as_can_be(case: tuple[Stroke, Domain], seed: int) -> None:
     (stroke, domain), rng = case, np.random.default_rng(seed)
     resolved, axes = resolve(stroke, domain, "damp"), domain.packed()
-    found, worst = searched(rng, resolved.rows[0], stroke.material(), axes)
+    found, worst = searched(rng, resolved.rows[0], poisson_of(stroke), axes)
     assert 1 + found >= resolved.margin - 1e-6 >= MARGIN - 1e-6
     target = np.add(stroke.at, stroke.by)
     assert (resolved.warning is not None) == (
@@ -259,7 +260,7 @@ def test_damped_strokes_do_not_fold_and_are_as_strong_as_can_be(case: tuple[Stro
         assert found < -(1 - MARGIN) / 1.005
     points = np.concatenate([[worst], rng.uniform(*axes[:, :2].T, (2000, 3))])
     ours = moved(resolved, domain, points[:, : domain.ndim] / domain.spacing)[1]
-    theirs = 1 + strains(resolved.rows[0], stroke.material(), axes, points)
+    theirs = 1 + strains(resolved.rows[0], poisson_of(stroke), axes, points)
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-5)
     assert ours.min() >= MARGIN - 1e-9
 
@@ -347,7 +348,7 @@ def test_flow_arrives(
     rng = np.random.default_rng(0)
     for row in resolved.rows[:: max(len(resolved.rows) // 4, 1)]:
         if border is not None:
-            found, _ = searched(rng, row, stroke.material(), domain.packed(), 1000)
+            found, _ = searched(rng, row, poisson_of(stroke), domain.packed(), 1000)
             assert 1 + found >= resolved.margin - 1e-6
 
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from supple.deformation import Deformation
 from supple.errors import OutsideWarning, SuppleError
-from supple.strokes import STROKE_DTYPE, Recipe, Stroke, pack
+from supple.strokes import STROKE_DTYPE, Recipe, Stroke, pack, poisson_of
 from tests import reference
 from tests.strokes import grab, ratios, recipes, refusal
 
@@ -67,7 +67,7 @@ class TestStroke:
     def test_defaults(self) -> None:
         stroke = grab()
         assert (stroke.poisson, stroke.scales, stroke.brush, stroke.ndim) == (None, 1, "grab", 2)
-        assert (stroke.reach, stroke.material()) == (4, 0.4)
+        assert (stroke.reach, poisson_of(stroke)) == (4, 0.4)
         assert grab(at=(1, 2, 3), by=(1, 2, 3)).ndim == 3
 
     def test_is_a_value(self) -> None:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from supple.files import warp_file
     from supple.files.grids import GridOptions
     from supple.files.maps import grid_of
+    from supple.freezing import Freeze
     from supple.geometry import Grid
     from supple.keys import Key
     from supple.strokes import Recipe, Stroke
@@ -39,6 +40,7 @@ __all__ = [
     "FieldReport",
     "FoldError",
     "FoldWarning",
+    "Freeze",
     "Grid",
     "GridOptions",
     "Inverse",
@@ -71,6 +73,7 @@ _HOMES = {
     "FieldReport": "checks",
     "FoldError": "errors",
     "FoldWarning": "errors",
+    "Freeze": "freezing",
     "Grid": "geometry",
     "GridOptions": "files.grids",
     "Inverse": "deformation",

@@ -19,9 +19,11 @@ from supple.engines.choice import DEVICES, engine_at
 from supple.engines.native import NATIVE, measured, plan_of
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError
 from supple.fields import Field, Placed, check_path, folds_of
-from supple.folding import Resolved, described, resolve
+from supple.folding import resolve
 from supple.freezing import Freeze
 from supple.geometry import Grid
+from supple.resolved import Resolved, described
+from supple.strain import mask_of
 from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
 
 Floats = npt.NDArray[np.float64]
@@ -376,15 +378,15 @@ class Deformation:
             elif grid.shape == self.shape:
                 grid = None
         if not self.maps and regrid is None:
-            return Space(self._table, self._axes, self.ndim, count, shape, grid=grid, freeze=self.domain.mask)
+            return Space(self._table, self._axes, self.ndim, count, shape, grid=grid, freeze=mask_of(self.domain))
         if done < len(self._table):
             parts.append(("strokes", numbers(self._table[done:]), False))
         if regrid is not None:
             parts.append(("affine", matrix_rows(regrid), False))
         axes = self._axes.copy()
         axes[:, 2] = -1.0  # the border is that of the strokes
-        composite = _core.Composite(self.ndim, self._axes, parts, self.domain.mask)
-        return Space(self._table, axes, self.ndim, count, shape, composite, grid, self.domain.mask)
+        composite = _core.Composite(self.ndim, self._axes, parts, mask_of(self.domain))
+        return Space(self._table, axes, self.ndim, count, shape, composite, grid, mask_of(self.domain))
 
     @property
     def is_identity(self) -> bool:
@@ -1016,7 +1018,7 @@ class Deformation:
             rows = self._table[row : row + resolved.substrokes]
             row += resolved.substrokes
             if i and len(rows):
-                final[:i], _ = _core.forward(numbers(rows), self._axes, final[:i], False, self.domain.mask)
+                final[:i], _ = _core.forward(numbers(rows), self._axes, final[:i], False, mask_of(self.domain))
             final[i, : self.ndim] = resolved.arrived * steps
         for placed in self.maps:
             if placed.after == len(self.strokes) > 0:

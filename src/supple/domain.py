@@ -15,7 +15,6 @@ import numpy.typing as npt
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
-    from supple import _core
     from supple.freezing import Freeze
 
 # Fields contain fifth powers of lengths, which neither overflow nor vanish in float64 within these bounds.
@@ -272,11 +271,6 @@ class Domain:
             return tuple(AUTO * extent for extent in self.extent)
         wanted = self.border if isinstance(self.border, tuple) else (self.border,) * self.ndim
         return tuple(min(width, extent / 2) for width, extent in zip(wanted, self.extent, strict=True))
-
-    @property
-    def mask(self) -> _core.Freeze | None:
-        """The freeze mask as the core takes it, or None if nothing is frozen."""
-        return None if self.freeze is None else self.freeze.packed(self.spacing)
 
     def packed(self) -> npt.NDArray[np.float64]:
         """Return the domain in the layout of the engines.

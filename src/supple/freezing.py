@@ -6,15 +6,13 @@ import base64
 import binascii
 import math
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from supple import _core
 from supple.domain import LARGEST, checked_shape, integer, items, length, number, refuse
 from supple.errors import SuppleError
 
@@ -68,18 +66,14 @@ class Freeze:
         object.__setattr__(self, "size", tuple(sizes))
         within = f"a number from {-LARGEST:g} to {LARGEST:g}"
         first = items("freeze first", self.first, f"{n} numbers, x first", (n,))
-        object.__setattr__(
-            self, "first", tuple(number("freeze first", x, within, -LARGEST, LARGEST) for x in first)
-        )
+        object.__setattr__(self, "first", tuple(number("freeze first", x, within, -LARGEST, LARGEST) for x in first))
         step = items("freeze step", self.step, f"{n} numbers, x first", (n,))
         object.__setattr__(self, "step", tuple(length("freeze step", x) for x in step))
-        if not isinstance(self.values, bytes) or len(self.values) != math.prod(sizes):
+        if len(self.values) != math.prod(sizes):
             refuse("freeze values", f"{math.prod(sizes)} bytes", f"{len(self.values)} of them")
 
     @classmethod
-    def of(
-        cls, mask: npt.ArrayLike, *, width: float | None = None, spacing: float | Sequence[float] = 1.0
-    ) -> Self:
+    def of(cls, mask: npt.ArrayLike, *, width: float | None = None, spacing: float | Sequence[float] = 1.0) -> Self:
         """Return the freeze mask of an image or a volume.
 
         Parameters
@@ -101,7 +95,7 @@ class Freeze:
         array = np.asarray(mask)
         if array.ndim not in (2, 3) or 0 in array.shape:
             refuse("freeze", "an array of shape (H, W) or (Z, H, W)", f"shape {array.shape}")
-        if array.dtype.kind not in "bui" and array.dtype.kind != "f":
+        if array.dtype.kind not in "buif":
             refuse("freeze", "an array of bool, integers or floats", f"dtype {array.dtype}")
         checked_shape(array.shape)
         steps = (spacing,) * array.ndim if isinstance(spacing, float | int) else tuple(spacing)
@@ -132,35 +126,45 @@ class Freeze:
         """The coefficients, in C order, read-only: (..., y, x)."""
         return np.frombuffer(self.values, np.uint8).reshape(self.size[::-1])
 
-    def packed(self, spacing: Sequence[float]) -> _core.Freeze | None:
-        """Return the mask as the core takes it, or None if nothing is frozen.
+    def packed(self, spacing: Sequence[float]) -> tuple[Floats, Floats, Floats]:
+        """Return the mask in the layout of the core.
 
         Parameters
         ----------
         spacing : sequence of float
             Physical units per sample, x first: three for a clip, along which a mask of two axes is the same.
-        """
-        return None if self.is_free else _packed(self, tuple(spacing))
 
-    def freedom(self, points: npt.ArrayLike) -> Floats:
-        """Return m at points (..., D), in samples, x first."""
-        given = np.asarray(points, np.float64)
-        flat = np.zeros((given[..., 0].size, 3))
-        flat[:, : self.ndim] = given.reshape(-1, given.shape[-1])[:, : self.ndim]
-        known = self.packed((1.0,) * self.ndim)
-        return (np.ones(len(flat)) if known is None else known.freedom(flat)[0]).reshape(given.shape[:-1])
+        Returns
+        -------
+        values : float64 array, shape (nz, ny, nx)
+            The coefficients, from 0 to 1.
+        first, step : float64 array, shape (3,)
+            The position of the first one, and the distance from one to the next, in physical units.
+        """
+        n = self.ndim
+        values = self.coefficients.reshape((1,) * (3 - n) + self.size[::-1]) / _FREE
+        first, step = np.zeros(3), np.ones(3)
+        first[:n] = np.multiply(self.first, spacing[:n])
+        step[:n] = np.multiply(self.step, spacing[:n])
+        return values, first, step
 
     def shown(self, shape: Sequence[int]) -> npt.NDArray[np.float32]:
         """Return m at the samples of an array of a shape (H, W) or (Z, H, W)."""
-        made = self.coefficients.astype(np.float32) / _FREE
+        made = self.coefficients / np.float32(_FREE)
         for axis, n in enumerate(shape):
             k = len(shape) - 1 - axis
             weights = _weights(n, self.size[k], self.first[k], self.step[k])
             made = np.moveaxis(np.tensordot(weights, made, (1, axis)), 0, axis)
-        return made
+        return np.asarray(made, np.float32)
 
     def painted(
-        self, at: Sequence[float], radius: float, spacing: Sequence[float], *, frozen: bool = True, plane: int | None = None
+        self,
+        at: Sequence[float],
+        radius: float,
+        spacing: Sequence[float],
+        *,
+        frozen: bool = True,
+        plane: int | None = None,
     ) -> Self:
         """Return the mask with a ball more of it frozen, or free.
 
@@ -191,14 +195,11 @@ class Freeze:
         made[(away <= radius**2) & (beyond == 0)] = 0 if frozen else _FREE
         return replace(self, values=_levelled(made).tobytes())
 
-    def fitted(self, scale: Sequence[float], shift: Sequence[float]) -> Self:
-        """Return the mask of a medium of other samples: what is at x is at scale * x + shift there."""
-        n = self.ndim
-        return replace(
-            self,
-            first=tuple(scale[k] * self.first[k] + shift[k] for k in range(n)),
-            step=tuple(scale[k] * self.step[k] for k in range(n)),
-        )
+    def fitted(self, moved: Callable[[Sequence[float]], Sequence[float]]) -> Self:
+        """Return the mask of a medium of other samples: ``moved`` returns the place of a point there, axis by axis."""
+        first = moved(self.first)
+        step = (b - a for a, b in zip(first, moved(np.add(self.first, self.step).tolist()), strict=True))
+        return replace(self, first=tuple(first), step=tuple(step))
 
     def entry(self) -> dict[str, Any]:
         """Return the mask as JSON has it; the coefficients are compressed (zlib) and in base 64."""
@@ -213,8 +214,9 @@ class Freeze:
             refuse("freeze", f"an object with {', '.join(sorted(keys))}", entry)
         count = math.prod(n for n in entry["size"] if isinstance(n, int)) if isinstance(entry["size"], list) else 0
         try:
-            with_rest = zlib.decompressobj()
-            values = with_rest.decompress(base64.b64decode(entry["values"], validate=True), min(count, _MOST) + 1)
+            values = zlib.decompressobj().decompress(
+                base64.b64decode(entry["values"], validate=True), min(count, _MOST) + 1
+            )
         except (binascii.Error, ValueError, zlib.error):
             raise SuppleError("freeze: the values are damaged: they must be zlib's, in base 64") from None
         return cls(entry["size"], entry["first"], entry["step"], values)
@@ -265,15 +267,4 @@ def _weights(count: int, size: int, first: float, step: float) -> npt.NDArray[np
     u = np.clip((np.arange(count)[:, None] - first) / step, 1.0, size - 2.0)
     t = np.abs(u - np.arange(size))
     inner, outer = 2 / 3 - t * t * (1 - t / 2), np.maximum(2 - t, 0) ** 3 / 6
-    return np.where(t < 1, inner, outer).astype(np.float32)
-
-
-@lru_cache(maxsize=16)
-def _packed(freeze: Freeze, spacing: tuple[float, ...]) -> _core.Freeze:
-    n = freeze.ndim
-    values = np.ones((1,) * (3 - n) + freeze.size[::-1], np.float32)
-    values[...] = freeze.coefficients / np.float32(_FREE)
-    first, step = np.zeros(3), np.ones(3)
-    first[:n] = np.multiply(freeze.first, spacing[:n])
-    step[:n] = np.multiply(freeze.step, spacing[:n])
-    return _core.Freeze(values, first.tolist(), step.tolist())
+    return np.asarray(np.where(t < 1, inner, outer), np.float32)

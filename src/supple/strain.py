@@ -13,6 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple.domain import Domain
+from supple.freezing import Freeze
 from supple.strokes import Stroke, numbers, pack
 
 Floats = npt.NDArray[np.float64]
@@ -73,7 +75,25 @@ def _free(poisson: float, scales: int, reach: float) -> tuple[float, float, floa
     return slope(worst) * (1 + 1e-12), slope(worst) * (1 - 1e-12), math.sqrt(worst)
 
 
-def weakest(rows: Table, axes: Floats, target: float = CLEARLY_SAFE, gap: float = GAP) -> tuple[float, float]:
+@lru_cache(maxsize=16)
+def _mask(freeze: Freeze, spacing: tuple[float, ...]) -> _core.Freeze:
+    values, first, step = freeze.packed(spacing)
+    return _core.Freeze(values.astype(np.float32), first.tolist(), step.tolist())
+
+
+def mask_of(domain: Domain) -> _core.Freeze | None:
+    """Return a domain's freeze mask as the core takes it, or None if nothing is frozen."""
+    freeze = domain.freeze
+    return None if freeze is None or freeze.is_free else _mask(freeze, domain.spacing)
+
+
+def weakest(
+    rows: Table,
+    axes: Floats,
+    target: float = CLEARLY_SAFE,
+    gap: float = GAP,
+    mask: _core.Freeze | None = None,
+) -> tuple[float, float]:
     """Return lower and upper bounds of μ for rows that act at once.
 
     Parameters
@@ -86,11 +106,15 @@ def weakest(rows: Table, axes: Floats, target: float = CLEARLY_SAFE, gap: float 
     gap : float
         The relative gap of the bounds. Rounding and the limited number of boxes can leave a larger one, if |μ| is very
         small or the volume very anisotropic.
+    mask : _core.Freeze, optional
+        The freeze mask.
     """
     free, active = axes[:, 2] < 0, (axes[:, 1] > axes[:, 0]) & (axes[:, 2] > 0)
-    if len(rows) > 1 or rows["power"][0] != 1:
+    if len(rows) > 1 or rows["power"][0] != 1 or mask is not None:
         around, beyond = _around(rows, axes)
-        lower, upper = _core.smallest_strain(numbers(rows), around, -math.inf, 0.0, target, gap)
+        if mask is not None and beyond:  # beyond the domain, it does not vary
+            around[:, 0], around[:, 1] = np.minimum(around[:, 0], axes[:, 0]), np.maximum(around[:, 1], axes[:, 1])
+        lower, upper = _core.smallest_strain(numbers(rows), around, -math.inf, 0.0, target, gap, mask)
         return min(lower, beyond), upper
     row = rows[0]
     # In a plane through the pivot, the force across it has no displacement within it.
@@ -108,9 +132,9 @@ def weakest(rows: Table, axes: Floats, target: float = CLEARLY_SAFE, gap: float 
     return lower * size, upper * size
 
 
-def largest(rows: Table, axes: Floats) -> float:
+def largest(rows: Table, axes: Floats, mask: _core.Freeze | None = None) -> float:
     """Return an upper bound of the displacement of rows that act at once, in physical units."""
-    return _core.largest_displacement(numbers(rows), _around(rows, axes)[0])
+    return _core.largest_displacement(numbers(rows), _around(rows, axes)[0], mask)
 
 
 def _around(rows: Table, axes: Floats) -> tuple[Floats, float]:

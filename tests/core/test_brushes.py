@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from supple import Deformation, Stroke, SuppleError, _core
 from supple.domain import Domain
 from supple.engines.native import NATIVE
-from supple.folding import MARGIN, resolve
-from supple.strokes import numbers
+from supple.folding import resolve
+from supple.strain import MARGIN
+from supple.strokes import matrix_of, numbers
 from tests import reference
 from tests.core.drawn import lifted, places, turning
 from tests.turns import AFFINE, at_once
@@ -66,7 +67,7 @@ def test_the_pivot_is_turned_exactly(stroke: Stroke, time: bool, border: Any, on
     assert (border is None or on_fold == "flow") or d.report().damping == (1.0,)
     steps = np.array(d.domain.spacing)
     turned = d.jacobian(near.at) * steps[:, None] / steps
-    np.testing.assert_allclose(turned, np.eye(n) + near.matrix(steps, time=time)[:n, :n], atol=1e-9)
+    np.testing.assert_allclose(turned, np.eye(n) + matrix_of(near, steps, time=time)[:n, :n], atol=1e-9)
     np.testing.assert_allclose(d.forward(near.at), near.at, rtol=0, atol=1e-12)
 
 

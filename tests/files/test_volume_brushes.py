@@ -17,6 +17,7 @@ from supple.cli import command
 from supple.files.volumes import indexed, placed
 from supple.geometry import Floats, Geometry
 from supple.media import volume
+from supple.strokes import matrix_of
 
 TURNED = Rotation.from_euler("xyz", (20, -35, 50), degrees=True).as_matrix()
 OBLIQUE = Geometry((1.5, 1.0, 2.5), (-20.0, 31.0, 7.0), TURNED, "RAS")
@@ -79,7 +80,9 @@ def test_strokes_go_to_millimetres_and_back(geometry: Geometry) -> None:
             )
             np.testing.assert_allclose(after.handles, before.handles, atol=1e-9)
             np.testing.assert_allclose(after.path, before.path, atol=1e-9)
-            np.testing.assert_allclose(after.matrix(geometry.spacing), before.matrix(geometry.spacing), atol=1e-12)
+            np.testing.assert_allclose(
+                matrix_of(after, geometry.spacing), matrix_of(before, geometry.spacing), atol=1e-12
+            )
 
 
 def test_the_same_twist_of_two_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

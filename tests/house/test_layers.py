@@ -47,7 +47,7 @@ def test_data_flows_one_way() -> None:
     ("module", "line"),
     [
         ("errors.py", "import supple.domain\n"),
-        ("strokes.py", "from supple import cli\n"),
+        ("strokes/stroke.py", "from supple import cli\n"),
         ("domain.py", "def late() -> None:\n    import supple.deformation\n"),
         ("_core/bad.py", "import supple.media\n"),
         ("engines/native.py", "import supple.pipeline\n"),

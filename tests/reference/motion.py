@@ -13,7 +13,7 @@ import numpy.typing as npt
 from supple.deformation import Deformation
 from supple.domain import Domain
 from supple.folding import resolve
-from supple.strokes import Stroke
+from supple.strokes import Stroke, matrix_of, poisson_of
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -173,11 +173,11 @@ def displacement(step: Step, domain: Domain, points: Floats) -> tuple[Floats, Fl
     stroke = step.stroke if isinstance(step, Turned) else step
     steps, (first, last) = np.array(domain.spacing), faces(domain)
     near = points if domain.border is None else np.clip(points, first, last)
-    r, material = near - np.array(stroke.at) * steps, stroke.material(time=domain.time)
+    r, material = near - np.array(stroke.at) * steps, poisson_of(stroke, time=domain.time)
     if stroke.brush == "grab":
         k, j = grab(np.array(stroke.by) * steps, stroke.radius, material, stroke.scales, r)
     else:
-        whole = step.matrix if isinstance(step, Turned) else stroke.matrix(domain.spacing, time=domain.time)
+        whole = step.matrix if isinstance(step, Turned) else matrix_of(stroke, domain.spacing, time=domain.time)
         k, j = turn(whole[: domain.ndim, : domain.ndim], stroke.brush, stroke.radius, material, r)
     m, slope = support(r, radius_of_support(stroke))
     k, j = m[..., None] * k, m[..., None, None] * j + k[..., :, None] * slope[..., None, :]

@@ -17,7 +17,7 @@ import pytest
 from supple.deformation import Deformation
 from supple.errors import FoldError, FoldWarning, SuppleError
 from supple.files import read_recipe, warp_file, write_recipe
-from supple.files.clips import deformation_of as on_clip
+from supple.files.clip_work import deformation_of as on_clip
 from supple.geometry import Geometry
 from supple.keys import Key
 from supple.media.image import read, write

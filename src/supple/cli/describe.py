@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from supple.errors import SuppleError, shown
-from supple.files.clips import turned
+from supple.files.clip_work import turned
 from supple.media.codecs import SUFFIXES
 from supple.media.numbering import is_sequence
 from supple.media.volume import RawLayout

@@ -145,7 +145,7 @@ def _deformation(
 ) -> tuple[Deformation, Geometry | None]:
     """The strokes on a volume, a picture or a clip; and where a volume's voxels lie."""
     from supple.deformation import Deformation
-    from supple.files.clips import deformation_of as on_clip
+    from supple.files.clip_work import deformation_of as on_clip
     from supple.files.clips import is_clip, open_clip, refuse_places
     from supple.files.volumes import deformation_of as on_volume
     from supple.files.volumes import is_volume_job, open_volume

@@ -490,7 +490,8 @@ def check_plain(space: Space) -> None:
     """Raise SuppleError for a map that only the native engine supports."""
     if not space.is_common:
         raise SuppleError(
-            "fields, affine maps, output grids and freeze masks are for the CPU, with arrays in host memory: leave the device out"
+            "fields, affine maps, output grids and freeze masks are for the CPU, with arrays in host memory: leave the "
+            "device out"
         )
 
 

@@ -38,7 +38,11 @@ def check_device(device: str, what: str = "") -> None:
 def check_host(device: str) -> None:
     """Raise SuppleError for a device that warps by strokes alone."""
     if device in ("gpu", "cuda"):
-        refuse("device", '"cpu" or "auto" for fields, affine maps, output grids and freeze masks, which the CPU warps', device)
+        refuse(
+            "device",
+            '"cpu" or "auto" for fields, affine maps, output grids and freeze masks, which the CPU warps',
+            device,
+        )
 
 
 def gpu_of(device: str, what: str = "this") -> Gpu | None:

@@ -64,7 +64,15 @@ def plan_of(space: Space, z: float, tolerance: float, step: tuple[int, int] = (1
     if grid is None:
         shape = space.planned(step) if space.composite is None else space.shape
         return _core.Plan(
-            numbers(space.table), space.axes, space.ndim, *shape, float(z), tolerance, space.composite, None, space.freeze
+            numbers(space.table),
+            space.axes,
+            space.ndim,
+            *shape,
+            float(z),
+            tolerance,
+            space.composite,
+            None,
+            space.freeze,
         )
     planes, box = _part(grid)
     (height, width), first = grid.whole[-2:], planes[0]

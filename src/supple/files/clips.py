@@ -5,30 +5,27 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from supple.deformation import Deformation, Report
-from supple.domain import integer, length, number, refuse
-from supple.engines.base import Array, Certificate, Layout, Sampling, Work, warn_of
+from supple.domain import integer, number
+from supple.engines.base import Certificate, warn_of
 from supple.engines.choice import check_device, engine_for
 from supple.errors import SuppleError, shown
-from supple.files.motion import motion_of
+from supple.files.clip_work import deformations_of, sampling_of, warn_of_rotation, work_on
 from supple.media import codecs
-from supple.media.base import Clip, ClipWarning, CountError
+from supple.media.base import Clip, CountError
 from supple.media.codecs import SUFFIXES
 from supple.media.files import check_output, replacing
 from supple.media.image import check_quality, check_target
 from supple.media.image.formats import SUFFIXES as SUFFIXES_IN
 from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.numbering import has_number, is_sequence
-from supple.pipeline import Done, Tell, make_plan, run, stream
-from supple.strokes import Fit, Recipe, fit_recipe, scaling_of
+from supple.pipeline import Done, Tell, run
+from supple.strokes import Fit, Recipe
 
 if TYPE_CHECKING:
     from fractions import Fraction
@@ -191,115 +188,12 @@ def refuse_picture(path: PathLike) -> None:
         )
 
 
-def turned(rotation: float) -> str:
-    """Return the direction in which players rotate a video."""
-    return "clockwise" if rotation < 0 else "counterclockwise"
-
-
-def warn_of_rotation(clip: Clip, deformations: Sequence[Deformation]) -> None:
-    """Warn that points are those of stored frames, if players rotate them."""
-    rotation = clip.rotation
-    if rotation and not all(each.is_identity for each in deformations):
-        height, width = clip.layout.shape
-        warnings.warn(
-            f"{clip.name} is turned by {abs(rotation):g}° {turned(rotation)} when it is played: points are in the "
-            f"frame as it is stored, {width} x {height}",
-            ClipWarning,
-            stacklevel=4,
-        )
-
-
 def refuse_places(recipe: Recipe, source: PathLike) -> None:
     """Raise SuppleError for a recipe in millimetres, unless it is for a volume."""
     if recipe.is_world:
         raise SuppleError(
             f"the recipe is in {recipe.space} millimetres, and {shown(source)} is no volume: give a recipe in pixels"
         )
-
-
-def deformation_of(
-    recipe: Recipe,
-    count: int,
-    shape: tuple[int, int],
-    time_scale: float | None,
-    name: str,
-    fit: Fit | None = None,
-) -> Deformation:
-    """Return a recipe on a clip: strokes with a time warp the clip, those without one warp each of its frames."""
-    known = recipe.time_scale if time_scale is None else length("time_scale", time_scale)
-    worth = 1.0 if known is None else known
-    height, width = shape
-    if not recipe.strokes or recipe.strokes[0].ndim == 2:
-        return Deformation.from_recipe(fit_recipe(recipe, (width, height), fit, name), shape)
-    size = (width, height, count)
-    scaling = None if recipe.size is None else scaling_of(recipe.size, size, fit, time=True, name=name)
-    if scaling is not None:
-        worth *= scaling.frame  # so that the brush covers the same part of the clip
-    recipe = fit_recipe(recipe, size, fit, name, time=True)
-    return Deformation.from_recipe(recipe, (count, *shape), spacing=(1.0, 1.0, worth), time=True)
-
-
-def deformations_of(
-    recipe: Recipe,
-    clip: Clip,
-    time_scale: float | None,
-    fit: Fit | None = None,
-    tell: Tell = lambda step, done, total: None,
-) -> tuple[Deformation, ...]:
-    """Return a recipe on a clip: one deformation, or, if its strokes move, one for each frame."""
-    count, shape, name = clip.count, clip.layout.shape, clip.name
-    if not recipe.moves:
-        return (deformation_of(recipe, count, shape, time_scale, name, fit),)
-    return motion_of(fit_recipe(recipe, shape[::-1], fit, name), count, shape, tell)
-
-
-def sampling_of(
-    clip: Clip,
-    *,
-    filter: str,
-    outside: str,
-    fill: float | Sequence[float],
-    tolerance: float,
-    light: bool,
-    options: ClipOptions,
-) -> Sampling:
-    """Return the checked sampling options for a clip's frames."""
-    layout: Layout = clip.layout
-    name: str = clip.name
-    sampling = Sampling.checked(
-        filter=filter, outside=outside, tolerance=tolerance, linear_light=light, between=options.between,
-        time_filter=options.time_filter,
-    )  # fmt: skip
-    if light and (len(layout.groups) > 1 or layout.dtype.kind == "f" or not _is_rgb(layout)):
-        raise SuppleError(
-            f"linear_light needs frames of RGB or grey of 8 or 16 bits, and {name} has others: leave it out"
-        )
-    return replace(sampling, fill=_filled(clip, fill))
-
-
-def _filled(clip: Clip, fill: float | Sequence[float]) -> tuple[float, ...]:
-    """Return the fill value as the components of a clip."""
-    layout: Layout = clip.layout
-    values = [float(value) for value in np.asarray(fill, np.float64).ravel()]
-    paint = getattr(clip, "painted", None)  # only videos, whose planes may not be RGB
-    alpha = layout.groups[0].alpha
-    grey = len(layout.groups) == 1 and layout.groups[0].channels - alpha == 1
-    full = (1 if grey else 3) + alpha if paint else layout.groups[0].channels
-    allowed = {1, full, 3} if paint and not grey else {1, full}
-    if len(values) not in allowed or not np.isfinite(values).all():
-        colours = "grey" if grey else "red, green and blue"
-        refuse("fill", f"a number, or {full} of them ({colours}{', opacity' if alpha else ''}) for {clip.name}", fill)
-    if values == [0.0]:
-        return tuple(layout.black)
-    if len(values) == 1:
-        values *= full
-    if not paint:
-        return tuple(values)
-    return tuple(paint([*values, layout.white] if alpha and len(values) < full else values))
-
-
-def _is_rgb(layout: Layout) -> bool:
-    return all(value == 0 for value in layout.black)
 
 
 def warp_clip(
@@ -343,7 +237,8 @@ def warp_clip(
                     fill=fill,
                     tolerance=tolerance,
                     light=linear_light,
-                    options=known,
+                    between=known.between,
+                    time_filter=known.time_filter,
                 )
                 work = work_on(clip, deformations, sampling)
                 untouched = work.is_identity and known == replace(ClipOptions(), memory=known.memory)
@@ -442,21 +337,3 @@ def is_picture_target(target: PathLike) -> bool:
 
 def _suffix(path: PathLike) -> str:
     return Path(path).suffix.lower()
-
-
-def frames_of(
-    clip: Clip, deformations: Sequence[Deformation], sampling: Sampling, planes: Sequence[int], memory: float = 2 * GB
-) -> Iterator[tuple[int, list[Array]]]:
-    """Yield some frames of a warped clip, in order, as arrays that are reused for the next one."""
-    work = work_on(clip, deformations, sampling)
-    for z, arrays, _ in stream(work, make_plan(work, planes), clip.frames(), memory=memory):
-        yield z, arrays
-
-
-def work_on(clip: Clip, deformations: Sequence[Deformation], sampling: Sampling) -> Work:
-    """Return the work on the frames of a clip: of one deformation, or of one for each."""
-    space = replace(deformations[0].space, count=clip.count)
-    if len(deformations) == 1:
-        return Work(space, clip.layout, sampling)
-    each = {id(deformation): deformation.space for deformation in deformations}
-    return Work(space, clip.layout, sampling, tuple(each[id(deformation)] for deformation in deformations))

@@ -13,20 +13,8 @@ from supple.deformation import Deformation
 from supple.domain import choice, integer
 from supple.engines.base import Array, Sampling
 from supple.errors import SuppleError, shown
-from supple.files.clips import (
-    ClipOptions,
-    PathLike,
-    deformations_of,
-    fickle,
-    frames_of,
-    is_clip,
-    open_clip,
-    refuse_picture,
-    refuse_places,
-    sampling_of,
-    warn_of_rotation,
-    work_on,
-)
+from supple.files.clip_work import deformations_of, frames_of, sampling_of, warn_of_rotation, work_on
+from supple.files.clips import ClipOptions, PathLike, fickle, is_clip, open_clip, refuse_picture, refuse_places
 from supple.media.base import CountError
 from supple.media.files import check_output
 from supple.media.volume import is_volume
@@ -186,7 +174,10 @@ def _plot_clip(
 
 
 def _sampling(clip: Any, options: ClipOptions) -> Sampling:
-    return sampling_of(clip, filter="auto", outside="edge", fill=0.0, tolerance=0.01, light=False, options=options)
+    return sampling_of(
+        clip, filter="auto", outside="edge", fill=0.0, tolerance=0.01, light=False,
+        between=options.between, time_filter=options.time_filter,
+    )  # fmt: skip
 
 
 def _seen_best(clip: Any, deformations: Sequence[Deformation], options: ClipOptions) -> list[int]:

@@ -254,18 +254,20 @@ def placed(recipe: Recipe, geometry: Geometry, space: CoordinateSpace) -> Recipe
 
 def _mapped(stroke: Stroke, there: Callable[[Floats], Floats], geometry: Geometry) -> Stroke:
     """Return a stroke between indices and positions of a volume, in either direction."""
-    axis, pairs = stroke.direction, []
-    for at, by in stroke.handles:
-        start, end = there(np.array(at)), there(np.add(at, by))
-        pairs.append((tuple(start.tolist()), tuple((end - start).tolist())))
-    path = tuple(tuple(there(np.array(p)).tolist()) for p in stroke.path)
-    made = replace(stroke, at=pairs[0][0], by=pairs[0][1], also=tuple(pairs[1:]), path=path)
+    origin = there(np.zeros(3))
+
+    def point(p: tuple[float, ...]) -> tuple[float, ...]:
+        return tuple(there(np.array(p)).tolist())
+
+    def along(v: tuple[float, ...]) -> tuple[float, ...]:
+        return tuple((there(np.array(v)) - origin + 0.0).tolist())
+
+    made, axis = replace(stroke, axis=None).mapped(point, along), stroke.direction
     if axis is None:
         return made
-    along = there(np.divide(axis, np.abs(axis).max())) - there(np.zeros(3))
-    if stroke.brush == "twist" and np.linalg.det(geometry.direction) < 0:
-        along = -along  # what is right-handed about an axis in one of the two spaces is left-handed in the other
-    return replace(made, axis=tuple((along + 0.0).tolist()))
+    # What is right-handed about an axis in one of the two spaces may be left-handed in the other.
+    way = -1.0 if stroke.brush == "twist" and np.linalg.det(geometry.direction) < 0 else 1.0
+    return replace(made, axis=along(tuple(np.multiply(axis, way / np.abs(axis).max()).tolist())))
 
 
 def sampling_of(

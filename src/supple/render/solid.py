@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple.engines.base import Space
 from supple.strokes import numbers
 
 Floats = npt.NDArray[np.float64]

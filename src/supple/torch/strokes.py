@@ -13,7 +13,7 @@ from supple.deformation import Deformation
 from supple.domain import refuse
 from supple.engines.torch.field import Kind, Strokes, axes_of
 from supple.errors import FoldWarning, MissWarning, SuppleError
-from supple.strokes import Stroke
+from supple.strokes import Stroke, matrix_of, poisson_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,10 +67,10 @@ class Item:
 
 def _kind(stroke: Stroke, part: float, d: Deformation) -> Kind:
     """Return what of a stroke has no gradients; part of it is applied."""
-    ratio = 1 / (4 * (1 - stroke.material(time=d.domain.time)))
+    ratio = 1 / (4 * (1 - poisson_of(stroke, time=d.domain.time)))
     matrix = None
     if stroke.brush != "grab":
-        whole = stroke.weakened(part).matrix(d.domain.spacing, time=d.domain.time)
+        whole = matrix_of(stroke.weakened(part), d.domain.spacing, time=d.domain.time)
         matrix = whole[: d.ndim, : d.ndim].tolist()
         ratio = ratio if stroke.brush == "pinch" else 0.0
     return Kind(ratio, stroke.scales, math.inf if stroke.reach is None else stroke.reach, part, matrix)

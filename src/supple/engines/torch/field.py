@@ -95,8 +95,8 @@ class Strokes:
         """Return the strokes of a space as engines apply them, row by row; SuppleError if it has other maps."""
         if not space.is_common:
             raise SuppleError(
-                "supple.torch.forward is for strokes alone, found a deformation with fields, affine maps or a freeze mask: "
-                "Deformation.forward takes it, without gradients"
+                "supple.torch.forward is for strokes alone, found a deformation with fields, affine maps or a freeze "
+                "mask: Deformation.forward takes it, without gradients"
             )
         table, n = space.table, space.ndim
         columns = [table[name][:, :n] / space.axes[:n, 3] for name in ("pivot", "force")]

@@ -1,0 +1,146 @@
+"""Grabs of several handles at once, each of which arrives: pulls."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from supple import _core
+from supple.domain import Domain
+from supple.errors import FoldError, SuppleError
+from supple.resolved import (
+    FLOW_GAP,
+    FLOW_MARGIN,
+    MOST_SUBSTROKES,
+    SQUEEZED,
+    TOO_NARROW,
+    Floats,
+    Resolved,
+    Table,
+    beta_at,
+    cut,
+    described,
+    freedom_at,
+    is_held,
+    narrowest,
+    spelled,
+)
+from supple.strain import MARGIN, largest, mask_of, weakest
+from supple.strokes import FoldPolicy, Stroke, numbers, pack
+
+_HIT = 1e-6  # samples: the accuracy of handles
+
+
+def pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
+    """Resolve a grab of several handles: forces f_j at the handles, with Σ_j K_ij f_j the displacement of each."""
+    axes, ndim = domain.packed(), domain.ndim
+    single = [replace(stroke, at=at, by=by, also=()) for at, by in stroke.handles]
+    table = pack(single, domain.spacing, time=domain.time)
+    table["joined"][1:] = 1
+    start, goal = table["pivot"].copy(), table["pivot"] + table["force"]
+    _check_handles(stroke, start, goal, domain)
+    groups: list[Table] = []
+    position, margin, pieces = start.copy(), 1.0, 2
+    while pieces > 1:
+        table["pivot"] = position
+        table["force"] = _forces(table, goal - position, domain)
+        if on_fold != "flow":
+            lower, _ = weakest(table, axes, mask=mask_of(domain))
+            whole, _ = _core.forward(numbers(table), axes, start, False, mask_of(domain))
+            missed = float(np.linalg.norm(whole - goal, axis=1).max())
+            break
+        lower, _ = weakest(table, axes, FLOW_MARGIN - 1, FLOW_GAP, mask_of(domain))
+        pieces = max(math.ceil(np.nan_to_num(-lower, nan=1e9, posinf=1e9) / (1 - FLOW_MARGIN) * (1 - 1e-9)), 1)
+        margin = min(margin, 1 + lower / pieces)
+        table["force"] /= pieces
+        table["most"] = largest(table, axes, mask_of(domain))
+        groups.append(table.copy())
+        position, _ = _core.forward(numbers(table), axes, position, False, mask_of(domain))
+        if pieces > MOST_SUBSTROKES or len(groups) * len(table) > MOST_SUBSTROKES:
+            raise SuppleError(f"{described(stroke)} cannot arrive without a fold: {_conflict(stroke, start, position)}")
+    if on_fold == "flow":
+        missed = float(np.linalg.norm(position - goal, axis=1).max())
+    if not missed <= _HIT * min(domain.spacing):  # also for NaN
+        raise SuppleError(f"{described(stroke)} cannot arrive: {_conflict(stroke, start, goal)}")
+    if on_fold == "flow":
+        if narrowest(np.concatenate(groups), domain, start, goal - start) < SQUEEZED:
+            raise SuppleError(f"{described(stroke)} {TOO_NARROW}")
+        return Resolved(np.concatenate(groups), tuple((position[0, :ndim] / domain.spacing).tolist()), margin=margin)
+    alpha = 1.0 if lower >= MARGIN - 1 else (1 - MARGIN) / -lower * (1 - 1e-14)
+    warning = None
+    if alpha < 1:
+        if on_fold == "error":
+            raise FoldError(
+                f"{described(stroke)} folds: at most {cut(0.999 * alpha, 3):g} of it does not (on_fold='flow' goes "
+                f"all the way); {_conflict(stroke, start, goal)}"
+            )
+        warning = f"{described(stroke)} folds: damped to {cut(alpha, 2):g} of it (on_fold='flow' goes all the way)"
+    table["force"] *= alpha
+    table["most"] = largest(table, axes, mask_of(domain))
+    arrived = tuple(a + alpha * b for a, b in zip(stroke.at, stroke.by, strict=True))
+    return Resolved(table, arrived, alpha, 1 + alpha * lower, "fold" if alpha < 1 else None, warning)
+
+
+def _check_handles(stroke: Stroke, start: Floats, goal: Floats, domain: Domain) -> None:
+    """Refuse handles that cannot arrive: at one place, on a fixed edge, or frozen."""
+    axes = domain.packed()
+    places: dict[tuple[float, ...], int] = {}
+    first, last = axes[:, 0], axes[:, 1]
+    for which, points in (("starts", start), ("ends", goal)):
+        stuck = np.flatnonzero((freedom_at(points, domain) == 0) & (start != goal).any(axis=1))
+        if stuck.size:
+            which = f"{spelled(stroke.handles[stuck[0]][0])} {which}"
+            raise SuppleError(
+                f"{described(stroke)} cannot arrive: the handle at {which} where it is "
+                "frozen, and nothing moves; a pin may be there"
+            )
+    fixed = axes[:, 2] >= 0
+    for i, (a, b) in enumerate(zip(start, goal, strict=True)):
+        other = places.setdefault(tuple(a.tolist()), i)
+        if other != i:
+            raise SuppleError(f"{described(stroke)} has two handles at {spelled(stroke.handles[i][0])}: leave one out")
+        across = fixed & (a != b)
+        out = across & ((b <= first) | (b >= last) | (beta_at(a, axes) < 1e-100))
+        if out.any() or not is_held(a, axes):
+            raise SuppleError(
+                f"{described(stroke)} cannot arrive: the handle at {spelled(stroke.handles[i][0])} starts or ends on "
+                "the edge or outside, where the border is fixed; use border=None, or points further in"
+            )
+
+
+def _forces(table: Table, drags: Floats, domain: Domain) -> Floats:
+    """Return forces (N, 3) whose displacements at the pivots add up to the drags (N, 3)."""
+    axes, pivots, n = domain.packed(), table["pivot"], len(table)
+    moving = np.array([beta_at(p, axes) > 1e-100 for p in pivots]) & (freedom_at(pivots, domain)[:, None] > 0)
+    moving[:, domain.ndim :] = False
+    columns = []
+    for j, d in zip(*np.nonzero(moving), strict=True):
+        unit = table[j : j + 1].copy()
+        unit["joined"], unit["force"] = 0, np.eye(3)[d]
+        there, _ = _core.forward(numbers(unit), axes, pivots, False, mask_of(domain))
+        columns.append((there - pivots)[moving])
+    forces = np.zeros((n, 3))
+    if columns:
+        matrix = np.stack(columns, axis=1)
+        try:
+            forces[moving] = np.linalg.solve(matrix, drags[moving])
+        except np.linalg.LinAlgError:
+            forces[moving] = np.linalg.lstsq(matrix, drags[moving], rcond=1e-13)[0]
+    return forces
+
+
+def _conflict(stroke: Stroke, start: Floats, now: Floats) -> str:
+    """Name the two handles that have come nearest to each other, or farthest apart, from where they were."""
+    before = np.linalg.norm(start[:, None] - start, axis=2)
+    after = np.linalg.norm(now[:, None] - now, axis=2)
+    np.fill_diagonal(before, 1.0)
+    np.fill_diagonal(after, 1.0)
+    with np.errstate(divide="ignore"):
+        i, j = np.unravel_index(np.argmax(np.abs(np.log(after / before))), before.shape)
+    (a, u), (b, v) = stroke.handles[i], stroke.handles[j]
+    return (
+        f"the handles at {spelled(a)} and {spelled(b)}, dragged by {spelled(u)} and {spelled(v)}, "
+        "pull against each other; use a larger radius, or other targets"
+    )

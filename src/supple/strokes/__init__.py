@@ -1,0 +1,40 @@
+"""Strokes and recipes: immutable values, their JSON, their scaling to other sizes, and the packed table of engines."""
+
+from supple.strokes.paths import legs
+from supple.strokes.recipe import CoordinateSpace, FoldPolicy, Recipe, fit_recipe
+from supple.strokes.scaling import Fit, Scaling, scaling_of, spoken
+from supple.strokes.stroke import (
+    LARGEST_ANGLE,
+    LARGEST_FACTOR,
+    MOST_HANDLES,
+    REACH,
+    Brush,
+    Point,
+    Stroke,
+)
+from supple.strokes.table import POISSON, STROKE_DTYPE, matrix_of, numbers, pack, poisson_of
+
+__all__ = [
+    "LARGEST_ANGLE",
+    "LARGEST_FACTOR",
+    "MOST_HANDLES",
+    "POISSON",
+    "REACH",
+    "STROKE_DTYPE",
+    "Brush",
+    "CoordinateSpace",
+    "Fit",
+    "FoldPolicy",
+    "Point",
+    "Recipe",
+    "Scaling",
+    "Stroke",
+    "fit_recipe",
+    "legs",
+    "matrix_of",
+    "numbers",
+    "pack",
+    "poisson_of",
+    "scaling_of",
+    "spoken",
+]

@@ -1,0 +1,223 @@
+"""A recipe: strokes and their options, for any medium."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Literal, Self, get_args
+
+from supple.domain import (
+    LONGEST_AXIS,
+    Border,
+    BorderProfile,
+    check_border_profile,
+    checked_border,
+    choice,
+    integer,
+    items,
+    length,
+    number,
+    refuse,
+)
+from supple.errors import ScaleWarning, SuppleError
+from supple.freezing import Freeze
+from supple.strokes.scaling import Fit, scaling_of, spoken
+from supple.strokes.stroke import PART, Stroke
+from supple.strokes.text import read, written
+
+FoldPolicy = Literal["damp", "flow", "error"]
+CoordinateSpace = Literal["pixels", "LPS", "RAS"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recipe:
+    """A sequence of strokes and their options, to be applied to any medium.
+
+    Parameters
+    ----------
+    border : "auto", float, sequence of float or None
+        The width of the fixed border, as in `Domain`.
+    border_profile : str
+        The profile of the fixed border: ``"quartic"``, or the paper's ``"sine"``.
+    on_fold : str
+        The policy for a stroke that would fold the image, or that the border holds back: ``"flow"``, ``"damp"`` or
+        ``"error"``.
+    strokes : iterable of Stroke
+        In order of application, all with the same number of coordinates. Hidden ones are not applied.
+    size : sequence of int or None
+        The samples along each axis, x first, of the medium that it was made for; as many numbers as coordinates.
+    space : str or None
+        The coordinates of points: ``"pixels"`` (indices, in volumes); or, in volumes, millimetres in ``"LPS"`` or
+        ``"RAS"``. None: pixels, unless the reader of the volume determines otherwise.
+    amount : float
+        The applied fraction of every stroke's drag, from 0 to 1.
+    time_scale : float or None
+        For a recipe with times, the length of a frame in pixels. None: 1, unless the reader of the clip determines
+        otherwise.
+    freeze : Freeze or None
+        The freeze mask, in samples of the medium that the recipe was made for, whatever its ``space`` is.
+    """
+
+    border: Border = "auto"
+    border_profile: BorderProfile = "quartic"
+    on_fold: FoldPolicy = "flow"
+    strokes: tuple[Stroke, ...] = ()
+    size: tuple[int, ...] | None = None
+    space: CoordinateSpace | None = None
+    amount: float = 1.0
+    time_scale: float | None = None
+    freeze: Freeze | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "border", checked_border(self.border))
+        check_border_profile(self.border_profile)
+        choice("on_fold", self.on_fold, get_args(FoldPolicy))
+        if not isinstance(self.strokes, Iterable):
+            refuse("strokes", "a sequence of Stroke", self.strokes)
+        strokes = tuple(self.strokes)
+        for i, stroke in enumerate(strokes):
+            if not isinstance(stroke, Stroke):
+                refuse(f"strokes[{i}]", "a Stroke", stroke)
+            if (n := strokes[0].ndim) != stroke.ndim:
+                refuse(f"strokes[{i}].at", f"a point of {n} numbers, as in strokes[0]", stroke.at)
+        object.__setattr__(self, "strokes", strokes)
+        ndim = strokes[0].ndim if strokes else None
+        if self.size is not None:
+            object.__setattr__(self, "size", _checked_size(self.size, ndim))
+        if self.space is not None:
+            choice("space", self.space, get_args(CoordinateSpace))
+            if self.is_world and ndim == 2:
+                refuse("space", '"pixels" where points have 2 numbers', self.space)
+        object.__setattr__(self, "amount", number("amount", self.amount, PART, 0.0, 1.0))
+        if self.time_scale is not None:
+            object.__setattr__(self, "time_scale", length("time_scale", self.time_scale))
+        if self.freeze is not None and not isinstance(self.freeze, Freeze):
+            refuse("freeze", "a Freeze (Freeze.of makes one from an array)", self.freeze)
+
+    @property
+    def is_world(self) -> bool:
+        """True if points are in space, in millimetres."""
+        return self.space in ("LPS", "RAS")
+
+    @property
+    def moves(self) -> bool:
+        """True if a stroke that is not hidden has keys: it is another one in each frame of a clip."""
+        return any(stroke.keys and not stroke.hidden for stroke in self.strokes)
+
+    def at_frame(self, frame: float) -> Self:
+        """Return the recipe of a frame of a clip, by the keys of its strokes: without keys, and for a picture.
+
+        Parameters
+        ----------
+        frame : float
+            The frame, counted from 0.
+        """
+        if not any(stroke.keys for stroke in self.strokes):
+            return self
+        return replace(self, strokes=tuple(stroke.at_frame(frame) for stroke in self.strokes))
+
+    def fitted(self, size: Sequence[int], how: Fit | None = None, *, time: bool = False, name: str = "this") -> Self:
+        """Return the recipe scaled to a medium of another size.
+
+        The centre p of a pixel goes to (p + 0.5) s - 0.5, where s is the factor from the old size to the new one; radii
+        and borders are scaled, too. For a clip, the length of a frame must be scaled by `Scaling.frame`.
+
+        Parameters
+        ----------
+        size : sequence of int
+            Samples along each axis, x first.
+        how : str, optional
+            Without it, only a size of the same proportions fits, within half a pixel. ``"pixels"``: same coordinates;
+            ``"stretch"``: each axis has a factor of its own, and the radius has their geometric mean;
+            ``"inside"``: x and y have the same factor, the largest that fits, and the result is centred.
+        time : bool
+            Whether a third axis is time. Only ``"stretch"`` scales it.
+        name : str
+            The owner of the size, for messages.
+
+        Raises
+        ------
+        SuppleError
+            If it does not fit, or ``how`` is given and the recipe has no size, or is in millimetres.
+        """
+        size = _checked_size(size, None)
+        if how is not None and self.is_world:
+            raise SuppleError(
+                f"fit is for recipes in pixels, and this one is in {self.space} millimetres: leave it out"
+            )
+        if how is not None and self.size is None:
+            raise SuppleError("fit needs the size that the recipe was made for, and it has none: leave it out")
+        if self.strokes and self.strokes[0].ndim != len(size):
+            return self  # invalid recipes are reported when they are applied
+        if self.size is None or self.is_world or not (self.strokes or self.freeze):
+            return replace(self, size=size)
+        scaling = scaling_of(self.size, size, how, time=time, name=name)
+        if scaling is None:
+            return replace(self, size=size)
+        strokes = [
+            replace(stroke.mapped(scaling.point, scaling.drag), radius=stroke.radius * scaling.length)
+            for stroke in self.strokes
+        ]
+        border = self.border
+        if isinstance(border, float | tuple):
+            given = border if isinstance(border, tuple) else (border,) * len(size)
+            if len(given) == len(size):  # else reported when it is applied
+                widths = tuple(width * s for width, s in zip(given, scaling.widths, strict=True))
+                border = widths[0] if isinstance(border, float) and len(set(widths)) == 1 else widths
+        freeze = None if self.freeze is None else self.freeze.fitted(scaling.point)
+        return replace(self, size=size, strokes=tuple(strokes), border=border, freeze=freeze)
+
+    def to_json(self) -> str:
+        """Return the recipe as strict JSON, one stroke a line, from which `from_json` makes an equal one."""
+        order = ("border", "border_profile", "on_fold", "amount", "space", "size", "time_scale", "freeze")
+        return written({name: getattr(self, name) for name in order}, self.strokes)
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Read a recipe written by `to_json` or by hand.
+
+        Parameters
+        ----------
+        text : str
+            The JSON text. All keys but ``supple`` and ``strokes``, and of a stroke ``brush``, ``at``, ``radius`` and
+            ``by`` (or ``to``), have defaults. A recipe of version 1 has no ``reach``, and the border is ``"sine"``.
+
+        Raises
+        ------
+        SuppleError
+            If it is not a recipe; the message names the fault.
+        """
+        return cls(**read(text, [field.name for field in fields(cls)]))
+
+
+def fit_recipe(recipe: Recipe, size: Sequence[int], how: Fit | None, name: str, *, time: bool = False) -> Recipe:
+    """Return a recipe scaled to a file's size by `Recipe.fitted`, and warn if ``how`` is not given.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    size : sequence of int
+        Samples along each axis, x first.
+    how : str or None
+        As in `Recipe.fitted`.
+    name : str
+        The name of the file, for messages.
+    time : bool
+        Whether a third axis is time.
+    """
+    made = recipe.fitted(size, how, time=time, name=name)
+    if how is None and recipe.size is not None and made.strokes != recipe.strokes:
+        warnings.warn(
+            f"the recipe was made for {spoken(recipe.size)}, and is scaled for {name}, which is {spoken(size)}",
+            ScaleWarning,
+            stacklevel=4,
+        )
+    return made
+
+
+def _checked_size(size: object, ndim: int | None) -> tuple[int, ...]:
+    lengths = (2, 3) if ndim is None else (ndim,)
+    sizes = items("size", size, f"{' or '.join(map(str, lengths))} numbers of samples, x first", lengths)
+    wanted = f"a whole number from 1 to {LONGEST_AXIS}"
+    return tuple(integer(f"size[{i}]", n, wanted, 1, LONGEST_AXIS) for i, n in enumerate(sizes))

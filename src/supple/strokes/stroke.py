@@ -1,0 +1,403 @@
+"""A stroke: immutable, checked when it is made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Self, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.domain import LARGEST, choice, integer, length, number, point, refuse
+from supple.errors import SuppleError
+from supple.keys import Key, checked_keys, position
+from supple.keys import strength as strength_of
+
+Brush = Literal["grab", "twist", "scale", "pinch"]
+Point = Sequence[float] | npt.NDArray[Any]
+Place = tuple[float, ...]
+
+REACH = 4.0  # as natural as an unlimited reach, and local
+LARGEST_ANGLE = 3600.0  # degrees
+LARGEST_FACTOR = 100.0
+MOST_HANDLES = 1000
+PART = "a number from 0 to 1"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stroke:
+    """One movement of a brush.
+
+    Parameters
+    ----------
+    at : sequence of float
+        The position of the brush, in samples, x first: ``(x, y)``, ``(x, y, t)`` or ``(x, y, z)``.
+    by : sequence of float, optional
+        The drag of a grab, in samples; as many numbers. The pivot of the other brushes stays where it is.
+    radius : float
+        The brush's radius, in physical units.
+    poisson : float or None
+        The material's Poisson ratio, at most 0.5 (incompressible); ``-inf`` is allowed. None: 0.4; but ``-inf``, which
+        has no displacement across the drag, for a drag along time alone.
+    scales : int
+        1 reaches farthest (fading as 1/r), 2 fades as 1/r³, 3 as 1/r⁵.
+    reach : float or None
+        The reach in radii, from 1: beyond, the displacement is exactly 0. None: unlimited, as in the paper.
+    brush : str
+        ``"grab"`` moves the pivot by the drag. The others are affine at the pivot, and fade with the distance:
+        ``"twist"`` turns it by the angle; ``"scale"`` magnifies it by the factor (in a clip, in x and y alone);
+        ``"pinch"`` stretches it by the factor along the axis, and by the inverse across it (in a volume, by the
+        inverse's root along both axes across).
+    angle : float or None
+        Of a twist: degrees, from x towards y; in a volume, right-handed about the axis.
+    factor : float or None
+        Of a scale or a pinch: above 1, it bloats or stretches; below 1, it puckers or squeezes.
+    axis : sequence of float or None
+        Of a twist of three coordinates, and of a pinch: a direction, in samples. None: z or time; and x.
+    also : sequence of (sequence of float, sequence of float)
+        Of a grab: further points and their drags, in samples. All are carried out at once, so that each point arrives;
+        a point with a drag of 0 is a pin.
+    path : sequence of sequences of float
+        Of a grab: the points through which it is dragged on its way, in samples. None: a straight line.
+    hidden : bool
+        Whether it is kept in the recipe, but not applied.
+    name : str or None
+        A name for users.
+    strength : float
+        The applied fraction of the drag, from 0 to 1; see `Deformation.from_recipe`.
+    keys : sequence of Key
+        In a clip, of a stroke of two coordinates: where its point ``at`` is, and how strong it is, in some frames, in
+        ascending order. The whole stroke moves along with ``at``; see `Recipe.at_frame`.
+    """
+
+    at: Place
+    by: Place = ()
+    radius: float
+    poisson: float | None = None
+    scales: int = 1
+    reach: float | None = REACH
+    brush: Brush = "grab"
+    angle: float | None = None
+    factor: float | None = None
+    axis: Place | None = None
+    also: tuple[tuple[Place, Place], ...] = ()
+    path: tuple[Place, ...] = ()
+    hidden: bool = False
+    name: str | None = None
+    strength: float = 1.0
+    keys: tuple[Key, ...] = ()
+
+    def __post_init__(self) -> None:
+        choice("brush", self.brush, get_args(Brush))
+        if not isinstance(self.hidden, bool):
+            refuse("hidden", "true or false", self.hidden)
+        if not isinstance(self.name, str | None):
+            refuse("name", "text", self.name)
+        at = point("at", self.at)
+        checked = {
+            "at": at,
+            "by": self._checked_by(at),
+            "radius": length("radius", self.radius),
+            "poisson": None
+            if self.poisson is None
+            else number("poisson", self.poisson, "a number up to 0.5, or -inf", -math.inf, 0.5),
+            "scales": integer("scales", self.scales, "1, 2 or 3", 1, 3),
+            "reach": _checked_reach(self.reach),
+            "strength": number("strength", self.strength, PART, 0.0, 1.0),
+            **self._checked_shape(len(at)),
+            "also": self._checked_pairs(len(at)),
+            "path": self._checked_path(len(at)),
+            "keys": checked_keys(self.keys, len(at)),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    def _checked_by(self, at: Place) -> Place:
+        if self.brush == "grab":
+            return point("by", self.by, (len(at),))
+        still = (0.0,) * len(at)
+        if self.by not in ((), still):
+            refuse("by", f"left out for a {self.brush}, which does not move its pivot", self.by)
+        return still
+
+    def _checked_pairs(self, ndim: int) -> tuple[tuple[Place, Place], ...]:
+        wanted = "pairs of a point and its drag"
+        given: object = self.also
+        if not isinstance(given, Iterable):
+            refuse("also", wanted, given)
+        pairs = tuple(given)
+        if pairs and self.brush != "grab":
+            refuse("also", f"left out for a {self.brush}", self.also)
+        if len(pairs) >= MOST_HANDLES:
+            refuse("also", f"fewer than {MOST_HANDLES} pairs", len(pairs))
+        made = []
+        for i, pair in enumerate(pairs):
+            if not isinstance(pair, tuple | list) or len(pair) != 2:
+                refuse(f"also[{i}]", wanted, pair)
+            made.append((point(f"also[{i}] point", pair[0], (ndim,)), point(f"also[{i}] drag", pair[1], (ndim,))))
+        return tuple(made)
+
+    def _checked_path(self, ndim: int) -> tuple[Place, ...]:
+        given: object = self.path
+        if not isinstance(given, Iterable):
+            refuse("path", "a sequence of points", given)
+        made = tuple(point(f"path[{i}]", p, (ndim,)) for i, p in enumerate(given))
+        if made and (self.brush != "grab" or self.also):
+            refuse("path", f"left out for a {'pull' if self.also else self.brush}", f"{len(made)} points")
+        return made
+
+    def _checked_shape(self, ndim: int) -> dict[str, object]:
+        """Return the angle, the factor and the axis, each if the brush has one."""
+        takes = {"grab": (), "twist": ("angle", "axis"), "scale": ("factor",), "pinch": ("factor", "axis")}[self.brush]
+        for name in ("angle", "factor", "axis"):
+            if name not in takes and getattr(self, name) is not None:
+                refuse(name, f"left out for a {self.brush}", getattr(self, name))
+        if self.brush != "grab" and self.scales != 1:
+            refuse("scales", f"1 for a {self.brush}, which fades as 1/r² of itself", self.scales)
+        checked: dict[str, object] = {}
+        if "angle" in takes:
+            wanted = f"a number of degrees from {-LARGEST_ANGLE:g} to {LARGEST_ANGLE:g}"
+            checked["angle"] = number("angle", self.angle, wanted, -LARGEST_ANGLE, LARGEST_ANGLE)
+        if "factor" in takes:
+            wanted = f"a number from {1 / LARGEST_FACTOR:g} to {LARGEST_FACTOR:g}"
+            checked["factor"] = number("factor", self.factor, wanted, 1 / LARGEST_FACTOR, LARGEST_FACTOR)
+        if self.axis is not None:
+            if self.brush == "twist" and ndim == 2:
+                refuse("axis", "left out for a twist of points of 2 numbers", self.axis)
+            axis = point("axis", self.axis, (ndim,))
+            if not any(axis):
+                refuse("axis", "a direction, with a number other than 0", self.axis)
+            checked["axis"] = axis
+        return checked
+
+    @classmethod
+    def grab(
+        cls,
+        at: Point,
+        *,
+        to: Point | None = None,
+        by: Point | None = None,
+        path: Sequence[Point] = (),
+        radius: float,
+        poisson: float | None = None,
+        scales: int = 1,
+        reach: float | None = REACH,
+    ) -> Self:
+        """Return a stroke that drags the point ``at`` ``to`` another, or ``by`` a distance, or along a ``path``."""
+        start = point("at", at)
+        if len(path) and to is None and by is None:
+            *path, to = path
+        if by is not None and to is None:
+            drag = point("by", by, (len(start),))
+        elif to is not None and by is None:
+            end = point("to", to, (len(start),))
+            drag = tuple(b - a for a, b in zip(start, end, strict=True))
+        else:
+            raise SuppleError(f"a grab takes one of to and by, found {'neither' if to is None else 'both'}")
+        return cls(at=start, by=drag, path=path, radius=radius, poisson=poisson, scales=scales, reach=reach)  # type: ignore[arg-type]
+
+    @classmethod
+    def pull(
+        cls,
+        points: npt.ArrayLike,
+        *,
+        to: npt.ArrayLike | None = None,
+        by: npt.ArrayLike | None = None,
+        pins: npt.ArrayLike = (),
+        radius: float,
+        poisson: float | None = None,
+        reach: float | None = REACH,
+    ) -> Self:
+        """Return a stroke that drags many points at once; see `supple.Deformation.pull`."""
+        start = _points("points", points)
+        if (to is None) == (by is None):
+            raise SuppleError(f"a pull takes one of to and by, found {'neither' if to is None else 'both'}")
+        given = _points("by" if to is None else "to", by if to is None else to)
+        if len(given) != len(start):
+            refuse("by" if to is None else "to", f"{len(start)} points, one for each of points", f"{len(given)}")
+        drags = given
+        if to is not None:
+            pairs_given = zip(start, given, strict=True)
+            drags = [[b - a for a, b in zip(p, q, strict=False)] for p, q in pairs_given]
+        stay = _points("pins", pins)
+        pairs = [*zip(start, drags, strict=True), *((p, [0.0] * len(p)) for p in stay)]
+        if not start:
+            refuse("points", "one point at least", points)
+        (at, drag), *also = pairs
+        return cls(at=at, by=drag, also=also, radius=radius, poisson=poisson, reach=reach)  # type: ignore[arg-type]
+
+    @property
+    def ndim(self) -> int:
+        """The number of coordinates of its points: 2 or 3."""
+        return len(self.at)
+
+    def mapped(self, place: Callable[[Place], Place], turn: Callable[[Place], Place]) -> Self:
+        """Return the stroke with all its points sent through one function, its drags and its axis through another."""
+        return replace(
+            self,
+            at=place(self.at),
+            by=turn(self.by),
+            also=tuple((place(at), turn(by)) for at, by in self.also),
+            path=tuple(map(place, self.path)),
+            axis=None if self.axis is None else turn(self.axis),
+            keys=tuple(key if key.at is None else replace(key, at=place(key.at)) for key in self.keys),
+        )
+
+    def mirrored(self, at: Point, normal: Point) -> Self:
+        """Return the mirror image of the stroke about a line or, with three coordinates, a plane.
+
+        Parameters
+        ----------
+        at : sequence of float
+            A point of the line or plane, in samples.
+        normal : sequence of float
+            The direction across it, in samples.
+        """
+        origin, n = np.array(point("at", at, (self.ndim,))), np.array(point("normal", normal, (self.ndim,)))
+        if not n.any():
+            refuse("normal", "a direction, with a number other than 0", normal)
+        n = n / np.linalg.norm(n)
+
+        def turned(v: Place) -> Place:
+            return tuple((np.array(v) - 2 * np.dot(v, n) * n).tolist())
+
+        def placed(p: Place) -> Place:
+            return tuple((np.array(p) - 2 * np.dot(np.array(p) - origin, n) * n).tolist())
+
+        axis = None if self.direction is None else turned(self.direction)
+        return replace(
+            self.mapped(placed, turned),
+            angle=None if self.angle is None else -self.angle,
+            axis=self.axis if axis == self.direction else axis,
+        )
+
+    def symmetric(self, at: Point, normal: Point) -> tuple[Self, ...]:
+        """Return the strokes that make this one symmetric about a line or a plane.
+
+        Those are one that drags the points and their mirror images at once, as a pull; or, of other brushes, of grabs
+        along a path and of strokes with keys, the stroke and its mirror image after it. Points within a hundredth of
+        the radius of the line are their own images, and only dragged along it.
+
+        Parameters
+        ----------
+        at, normal : sequence of float
+            As in `mirrored`.
+        """
+        image = self.mirrored(at, normal)
+        apart = math.dist(self.at, image.at) > 0.02 * self.radius
+        if self.brush != "grab" or self.path or (self.keys and apart):
+            if apart:
+                return self, image
+            if self.path:
+                raise SuppleError("a path that begins on the line of symmetry has two images there: begin beside it")
+            return (self,)
+        pairs = []
+        for (p, v), (q, w) in zip(self.handles, image.handles, strict=True):
+            if math.dist(p, q) > 0.02 * self.radius:
+                pairs += [(p, v), (q, w)]
+            else:
+                pairs.append((p, tuple((a + b) / 2 for a, b in zip(v, w, strict=True))))
+        return (replace(self, at=pairs[0][0], by=pairs[0][1], also=tuple(pairs[1:])),)
+
+    def weakened(self, part: float) -> Self:
+        """Return a part of the stroke: of its drag, its angle, or its factor's logarithm; at full strength."""
+        return replace(
+            self,
+            by=tuple(part * x for x in self.by),
+            also=tuple((at, tuple(part * x for x in by)) for at, by in self.also),
+            path=tuple(tuple(a + part * (b - a) for a, b in zip(self.at, p, strict=True)) for p in self.path),
+            angle=None if self.angle is None else part * self.angle,
+            factor=None if self.factor is None else self.factor**part,
+            strength=1.0,
+        )
+
+    def at_frame(self, frame: float) -> Self:
+        """Return what the stroke is in a frame of a clip, by its keys: moved as a whole, and of another strength.
+
+        Between two keys, each coordinate and the strength follow a smooth curve that never leaves their range; before
+        the first and after the last, they are constant.
+        """
+        if not self.keys:
+            return self
+        held = replace(self, keys=(), strength=self.strength * strength_of(self.keys, frame))
+        at = position(self.keys, frame)
+        if at is None or at == self.at:
+            return held
+        shift = [b - a for a, b in zip(self.at, at, strict=True)]
+
+        def moved(p: Place) -> Place:
+            return tuple(a + d for a, d in zip(p, shift, strict=True))
+
+        return replace(held.mapped(moved, lambda v: v), at=at)
+
+    def following(self, track: Sequence[tuple[int, Point]], frame: float | None = None) -> Self:
+        """Return the stroke with keys that move it along with a tracked point.
+
+        Parameters
+        ----------
+        track : sequence of (int, point)
+            The position of a tracked point in some frames, in ascending order (`supple.media.tracks.read_tracks`).
+        frame : float, optional
+            The frame in which the stroke is where it is now: there, it keeps its distance from the tracked point, as
+            it does in all frames. By default, the first of the track.
+
+        Raises
+        ------
+        SuppleError
+            If the track is none, or the stroke has positions in its keys already.
+        """
+        keys = checked_keys([Key(k, tuple(at)) for k, at in track], self.ndim)
+        if not keys:
+            refuse("a track", "the positions of a point in one frame or more", track)
+        if any(key.at is not None for key in self.keys):
+            raise SuppleError("the stroke has keys with positions, and cannot follow a track too: leave one out")
+        origin = position(
+            keys, keys[0].frame if frame is None else number("frame", frame, "a frame", -LARGEST, LARGEST)
+        )
+        assert origin is not None
+        shift = [a - b for a, b in zip(self.at, origin, strict=True)]
+        made = {key.frame: key for key in self.keys}
+        for key in keys:
+            assert key.at is not None
+            at = tuple(a + d for a, d in zip(key.at, shift, strict=True))
+            made[key.frame] = replace(made.get(key.frame, key), at=at)
+        return replace(self, keys=tuple(made[k] for k in sorted(made)))
+
+    @property
+    def is_still(self) -> bool:
+        """True if it moves nothing: a drag or an angle of 0, or a factor of 1."""
+        drags = (self.by, *(by for _, by in self.also), *(np.subtract(p, self.at) for p in self.path))
+        return not any(map(any, drags)) and not self.angle and self.factor in (None, 1.0)
+
+    @property
+    def handles(self) -> tuple[tuple[Place, Place], ...]:
+        """The points of a grab and their drags, in samples: one pair, and those that it has besides."""
+        return ((self.at, self.by), *self.also)
+
+    @property
+    def direction(self) -> Place | None:
+        """The axis of a twist or a pinch, in samples, also where it is the default; None without one, as of a plane."""
+        if self.axis is not None or self.brush not in ("twist", "pinch") or (self.brush == "twist" and self.ndim == 2):
+            return self.axis
+        return (0.0, 0.0, 1.0) if self.brush == "twist" else (1.0, 0.0, 0.0)[: self.ndim]
+
+
+def _points(name: str, values: object) -> list[list[float]]:
+    """Return rows of coordinates; what the rows hold is checked by `Stroke`."""
+    try:
+        made = np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        refuse(name, "points of 2 or 3 numbers each, x first", values)
+    if made.size == 0:
+        return []
+    if made.ndim != 2 or made.shape[1] not in (2, 3):
+        refuse(name, "points of 2 or 3 numbers each, x first", f"an array of shape {made.shape}")
+    return made.tolist()  # type: ignore[no-any-return]
+
+
+def _checked_reach(reach: object) -> float | None:
+    if reach is None:
+        return None
+    return number("reach", reach, f"a number of radii from 1 to {LARGEST:g}, or None for no limit", 1.0, LARGEST)

@@ -1,0 +1,155 @@
+"""The packed table of strokes that the engines read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.domain import refuse
+from supple.strokes.stroke import Brush, Stroke
+
+POISSON = 0.4
+
+STROKE_DTYPE = np.dtype(
+    [
+        ("pivot", np.float64, (3,)),
+        ("force", np.float64, (3,)),
+        ("matrix", np.float64, (3, 3)),
+        ("radius2", np.float64, (3,)),
+        ("p", np.float64, (3,)),
+        ("q", np.float64, (3,)),
+        ("r", np.float64, (3,)),
+        ("terms", np.int64),
+        ("power", np.int64),
+        ("joined", np.int64),
+        ("reach", np.float64),
+        ("most", np.float64),
+    ],
+    align=True,
+)
+
+# The radii are ε, 1.1ε and 1.21ε. The weights that cancel the far field, divided by their sum at the pivot, are
+# exactly these fractions; computed in floats they would lose digits.
+_WEIGHTS = {1: np.array([1.0]), 2: np.array([11.0, -11.0]), 3: np.array([14641.0, -26741.0, 12100.0]) / 331}
+_RADIUS2 = (1.0, 1.21, 1.4641)
+
+
+def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = False) -> npt.NDArray[np.void]:
+    """Return the strokes as the table that the engines read.
+
+    With ``d = point - pivot`` and ``rho_i² = |d|² + radius2_i``, a row is the displacement
+    ``sum_i (p_i / rho_iⁿ + q_i / rho_iⁿ⁺²) v + (r_i / rho_iⁿ⁺²) (d · v) d``. A grab has the ``power`` n = 1, and v is
+    its ``force``, the displacement of the pivot; the other brushes have n = 3, and v is ``matrix @ d``, where the
+    matrix is the displacement's Jacobian at the pivot (de Goes and James, "Regularized Kelvinlets", 2017; section 5).
+    Where ``reach`` is finite, that is multiplied by ``1 - 10t³ + 15t⁴ - 6t⁵``, ``t = |d| / reach``, and 0 beyond.
+    Rows that are ``joined`` act at once with the one before them: all are evaluated at the same point, and added;
+    ``most`` bounds their displacement, if it is known, and is infinite otherwise.
+
+    Parameters
+    ----------
+    strokes : iterable of Stroke
+    spacing : sequence of float
+        Physical units per sample, x first; as many as the strokes have coordinates.
+    time : bool
+        Whether the third axis is time.
+
+    Returns
+    -------
+    ndarray of STROKE_DTYPE
+        One row a stroke, in physical units; a missing third coordinate is 0.
+    """
+    strokes = tuple(strokes)
+    table = np.zeros(len(strokes), STROKE_DTYPE)
+    n = len(spacing)
+    for i, (row, stroke) in enumerate(zip(table, strokes, strict=True)):
+        if stroke.ndim != n:
+            refuse(f"strokes[{i}].at", f"a point of {n} numbers, as the medium has {n} axes", stroke.at)
+        row["pivot"][:n] = np.multiply(stroke.at, spacing)
+        row["force"][:n] = np.multiply(stroke.by, spacing)
+        row["matrix"] = matrix_of(stroke, spacing, time=time)
+        row["terms"], row["power"] = stroke.scales, 1 if stroke.brush == "grab" else 3
+        row["radius2"], row["p"], row["q"], row["r"] = _terms(
+            stroke.radius, poisson_of(stroke, time=time), stroke.scales, stroke.brush
+        )
+        row["reach"] = math.inf if stroke.reach is None else stroke.reach * stroke.radius
+        row["most"] = math.inf
+    return table
+
+
+def matrix_of(stroke: Stroke, spacing: Sequence[float], *, time: bool = False) -> npt.NDArray[np.float64]:
+    """Return ∂K/∂p at the pivot, in physical units, shape (3, 3): R - I of a rotation R, for instance.
+
+    Parameters
+    ----------
+    stroke : Stroke
+    spacing : sequence of float
+        Physical units per sample, x first.
+    time : bool
+        Whether the third axis is time.
+    """
+    made, plane = np.zeros((3, 3)), time or stroke.ndim == 2
+    axis = np.array((0.0, 0.0, 1.0))
+    if (direction := stroke.direction) is not None:
+        axis[: stroke.ndim] = np.multiply(direction, spacing)
+        axis[stroke.ndim :] = 0.0
+        axis /= np.abs(axis).max()  # so that no square overflows
+        axis /= np.linalg.norm(axis)
+    if stroke.angle is not None:
+        angle, (x, y, z) = math.radians(stroke.angle), axis
+        skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        made = math.sin(angle) * skew + 2 * math.sin(angle / 2) ** 2 * (skew @ skew)
+    elif stroke.factor is not None:
+        within = np.diag([1.0, 1.0, 0.0 if plane else 1.0])
+        if stroke.brush == "pinch" and plane and axis[2]:
+            refuse("axis", "a direction within the frame, with a 0 for time", stroke.axis)
+        along, power = np.outer(axis, axis), math.log(stroke.factor)
+        if stroke.brush == "scale":
+            made = math.expm1(power) * within
+        else:
+            made = math.expm1(power) * along + math.expm1(-power if plane else -power / 2) * (within - along)
+    return made
+
+
+def poisson_of(stroke: Stroke, *, time: bool = False) -> float:
+    """Return the Poisson ratio in effect, if the third axis is ``time`` or is not."""
+    if stroke.poisson is not None:
+        return stroke.poisson
+    return -math.inf if time and not any(stroke.by[:2]) else POISSON
+
+
+@lru_cache(maxsize=256)
+def _terms(radius: float, poisson: float, scales: int, brush: Brush) -> npt.NDArray[np.float64]:
+    """Return the columns radius2, p, q and r of a row, as four rows."""
+    # b/a of the kelvinlet (a itself cancels): from 0, at -inf, to 1/2, so that no sum here loses digits.
+    ratio = 1 / (4 * (1 - poisson))
+    made = np.zeros((4, 3))
+    radius2, p, q, r = made
+    radius2[:] = radius**2
+    if brush != "grab":
+        # Of a rotation and of a scale, the part with b vanishes, or is proportional to that with a.
+        share = ratio if brush == "pinch" else 0.0
+        scale = radius**3 / (2.5 - 2 * share)
+        p[0], q[0], r[0] = scale * (1 - 2 * share), scale * 1.5 * radius**2, scale * 3 * share
+        made.flags.writeable = False
+        return made
+    scale = radius * 2 / (3 - 2 * ratio)
+    weights, m = _WEIGHTS[scales], scales
+    radius2[:m] *= _RADIUS2[:m]
+    p[:m] = weights * (scale * (1 - ratio))
+    r[:m] = weights * (scale * ratio)
+    q[:m] = weights * scale * radius2[:m] / 2
+    if m > 1:
+        # These must sum to exactly zero, or a remainder of 1/r would outlast 1/r⁵. The sums are exact.
+        p[m - 1] = -p[: m - 1].sum()
+        r[m - 1] = -r[: m - 1].sum()
+    made.flags.writeable = False
+    return made
+
+
+def numbers(table: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
+    """Return a table's rows in the layout of the native core: float64 (n, 32), with the bits of the integers."""
+    return np.ascontiguousarray(table).view(np.float64).reshape(len(table), STROKE_DTYPE.itemsize // 8)

@@ -1,0 +1,216 @@
+"""The JSON of recipes: strict, one stroke a line."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
+from typing import Any, NoReturn
+
+from supple.domain import integer, point, refuse, value_shown
+from supple.errors import SuppleError
+from supple.freezing import Freeze
+from supple.keys import Key
+from supple.strokes.stroke import Stroke
+from supple.strokes.table import POISSON
+
+VERSION = 2
+
+# Keys added after version 1.
+_NEW = (
+    "border_profile", "reach", "size", "space", "amount", "time_scale", "name", "strength", "to", "angle", "factor",
+    "axis", "also", "path", "keys", "freeze",
+)  # fmt: skip
+
+
+def written(members: Mapping[str, object], strokes: Iterable[Stroke]) -> str:
+    """Return the text of a recipe; members that are None are left out, but for the border.
+
+    Parameters
+    ----------
+    members : dict
+        The fields of the recipe, but for its strokes.
+    strokes : iterable of Stroke
+    """
+    head = {"supple": VERSION, **{k: v for k, v in members.items() if v is not None or k == "border"}}
+    lines = [f"  {_dump(key)}: {_dump(_plain(value))}" for key, value in head.items()]
+    entries = ",\n".join(f"    {_dump(_entry(stroke))}" for stroke in strokes)
+    lines.append(f'  "strokes": [\n{entries}\n  ]' if entries else '  "strokes": []')
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def read(text: str, names: Sequence[str]) -> dict[str, Any]:
+    """Return the fields of a recipe from its text; `Recipe` checks all but the strokes.
+
+    Parameters
+    ----------
+    text : str
+    names : sequence of str
+        The fields of recipes.
+
+    Raises
+    ------
+    SuppleError
+        If it is not a recipe.
+    """
+    data = _parse(text)
+    if not isinstance(data, dict):
+        refuse("a recipe", "a JSON object", data)
+    if "supple" not in data:
+        raise SuppleError(f'the key "supple", a recipe\'s version ({VERSION}), is missing in {value_shown(data)}')
+    version = integer('"supple"', data.pop("supple"), "1 or 2 (the versions that this release reads)", 1, VERSION)
+    _check_keys("the recipe", data, _known(names, version), ["strokes"])
+    if version == 1:
+        data = {"border": 50.0, "on_fold": "damp", **data, "border_profile": "sine"}
+    if not isinstance(data["strokes"], list):
+        refuse("strokes", "a list", data["strokes"])
+    if data.get("freeze") is not None:
+        data["freeze"] = Freeze.from_entry(data["freeze"])
+    data["strokes"] = [_stroke(f"strokes[{i}]", entry, version) for i, entry in enumerate(data["strokes"])]
+    return data
+
+
+def _plain(value: object) -> object:
+    """Return a value as JSON has it: whole numbers without a fraction, and lists."""
+    if isinstance(value, Freeze):
+        return value.entry()
+    if isinstance(value, tuple):
+        return [_plain(x) for x in value]
+    if not isinstance(value, float) or not value.is_integer() or abs(value) >= 2**53:
+        return value
+    return value if value == 0 and math.copysign(1, value) < 0 else int(value)
+
+
+def _dump(value: object) -> str:
+    return json.dumps(value, allow_nan=False)
+
+
+def _entry(stroke: Stroke) -> dict[str, object]:
+    shape: dict[str, object] = {"by": stroke.by}
+    if stroke.brush != "grab":
+        shape = {name: x for name, x in (("angle", stroke.angle), ("factor", stroke.factor)) if x is not None}
+    shape.update({name: x for name, x in (("also", stroke.also), ("path", stroke.path)) if x})
+    if stroke.axis is not None:
+        shape["axis"] = stroke.axis
+    entry: dict[str, object] = {
+        "brush": stroke.brush,
+        "at": stroke.at,
+        **shape,
+        "radius": stroke.radius,
+        "scales": stroke.scales,
+        "reach": stroke.reach,
+        "poisson": "-inf" if stroke.poisson == -math.inf else stroke.poisson,
+        "strength": stroke.strength,
+    }
+    if stroke.hidden:
+        entry["hidden"] = True
+    if stroke.name is not None:
+        entry["name"] = stroke.name
+    if stroke.keys:
+        entry["keys"] = [_key_entry(key) for key in stroke.keys]
+    return {name: _plain(value) for name, value in entry.items()}
+
+
+def _key_entry(key: Key) -> dict[str, object]:
+    entry = {"frame": key.frame, "at": key.at, "strength": key.strength}
+    return {name: _plain(value) for name, value in entry.items() if value is not None}
+
+
+def _known(names: Iterable[str], version: int) -> list[str]:
+    """Return the keys of a version."""
+    return [name for name in names if version > 1 or name not in _NEW]
+
+
+def _stroke(where: str, entry: object, version: int) -> Stroke:
+    if not isinstance(entry, dict):
+        refuse(where, "a JSON object", entry)
+    known, end = (
+        _known([field.name for field in fields(Stroke)], version),
+        "to" if "to" in entry and version > 1 else "by",
+    )
+    needed = {"twist": "angle", "scale": "factor", "pinch": "factor"}.get(str(entry.get("brush")), end)
+    _check_keys(where, entry, [*known, "to"] if version > 1 else known, ["brush", "at", needed, "radius"])
+    if end == "to":
+        if "by" in entry:
+            raise SuppleError(f'{where} takes one of "to" and "by", found both')
+        entry = {**entry, "by": _drag(where, entry["at"], entry["to"])}
+        del entry["to"]
+    if version == 1:
+        entry = {"poisson": POISSON, **entry, "reach": None}
+    if entry.get("poisson") == "-inf":
+        entry["poisson"] = -math.inf
+    if "keys" in entry:
+        entry = {**entry, "keys": _keys(where, entry["keys"])}
+    try:
+        return Stroke(**entry)
+    except SuppleError as error:
+        raise SuppleError(f"{where}: {error}") from None
+
+
+def _keys(where: str, entries: object) -> list[Key]:
+    if not isinstance(entries, list):
+        refuse(f"{where}: keys", "a list of objects with frame, at and strength", entries)
+    made = []
+    for i, entry in enumerate(entries):
+        name = f"{where}: keys[{i}]"
+        if not isinstance(entry, dict):
+            refuse(name, "an object with frame, at and strength", entry)
+        _check_keys(name, entry, [field.name for field in fields(Key)], ["frame"])
+        try:
+            made.append(Key(**entry))
+        except SuppleError as error:
+            raise SuppleError(f"{name}: {error}") from None
+    return made
+
+
+def _drag(where: str, at: object, to: object) -> tuple[float, ...]:
+    try:
+        start = point("at", at)
+        return tuple(b - a for a, b in zip(start, point("to", to, (len(start),)), strict=True))
+    except SuppleError as error:
+        raise SuppleError(f"{where}: {error}") from None
+
+
+def _check_keys(where: str, entry: dict[str, object], known: list[str], required: list[str]) -> None:
+    for key in entry:
+        if key not in known:
+            import difflib
+
+            near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
+            hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
+            if key in _NEW:
+                hint = f'it is of version {VERSION} ("supple": {VERSION})'
+            raise SuppleError(f"unknown key {value_shown(key)} in {where}: {hint}")
+    for key in required:
+        if key not in entry:
+            raise SuppleError(f'the key "{key}" is missing in {where}')
+
+
+def _parse(text: str) -> Any:
+    if not isinstance(text, str):
+        refuse("a recipe", "text in JSON", text)
+    try:
+        return json.loads(text, object_pairs_hook=_unique, parse_constant=_no_constant, parse_int=_parse_int)
+    except json.JSONDecodeError as error:
+        reason = f"{error.msg} at line {error.lineno}, column {error.colno}"
+    except RecursionError:
+        reason = "it is nested too deeply"
+    raise SuppleError(f"a recipe must be JSON: {reason}")
+
+
+def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    twice = [key for key, n in Counter(key for key, _ in pairs).items() if n > 1]
+    if twice:
+        raise SuppleError(f"the key {value_shown(twice[0])} is given twice in one object of the recipe")
+    return dict(pairs)
+
+
+def _no_constant(token: str) -> NoReturn:
+    raise SuppleError(f'a recipe must be strict JSON, found {token} (an infinite poisson is written "-inf")')
+
+
+def _parse_int(digits: str) -> float:
+    # Python refuses to read integers of thousands of digits; as a float, such a number is out of bounds.
+    return int(digits) if len(digits) < 100 else float(digits)
