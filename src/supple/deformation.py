@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import warnings
 from collections.abc import Callable, Collection, Sequence
@@ -201,6 +202,8 @@ class Deformation:
         domain = Domain(sizes, spacing, border, border_profile, time, freeze)
         if not isinstance(shape, Grid):
             grid = Grid(domain.shape, domain.spacing)
+        elif isinstance(freeze, Freeze) and freeze.place:
+            _check_place(freeze, grid)
         axes = domain.packed()
         if domain.ndim == 2:
             axes[2, 2] = 0.0  # nothing leaves the plane of an image, so that the field off it does not matter
@@ -1052,6 +1055,17 @@ class Deformation:
 
     def _key(self) -> tuple[object, ...]:
         return self.domain, self.grid, self.on_fold, self.strokes, self.maps
+
+
+def _check_place(freeze: Freeze, grid: Grid) -> None:
+    """Refuse a freeze mask that lies elsewhere in space than the grid."""
+    corners = np.array([*itertools.product(*[(0.0, n - 1.0) for n in grid.sizes])])
+    matrix = np.reshape(freeze.place, (3, 4))
+    off = np.abs(grid.indices(corners @ matrix[:, :3].T + matrix[:, 3]) - corners).max()
+    if not off < 0.01:
+        raise SuppleError(
+            f"the freeze mask lies elsewhere in space: its corners are up to {off:.3g} voxels from those of the volume"
+        )
 
 
 def _freeze_of(mask: npt.ArrayLike, domain: Domain) -> Freeze:
