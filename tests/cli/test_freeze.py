@@ -90,7 +90,7 @@ def test_a_drag_of_what_is_frozen_is_told(run: Run) -> None:
     assert status == 0
     assert "ends 8 pixels short: what is frozen holds it back" in err
     assert json.loads(out)["arrivals"][0]["cause"] == "freeze"
-    command = ("warp", "in.png", "out.png", "--grab", "32,20:34,20", "--radius", "12", "--freeze", "mask.png")
+    command = ("warp", "in.png", "out.png", "--grab", "32,20:32.8,20", "--radius", "12", "--freeze", "mask.png")
     status, _, err = run(*command, "--on-fold", "error", "--force")
     assert status != 0
     assert "what is frozen holds it back" in one_line(err)
