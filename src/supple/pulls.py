@@ -26,7 +26,7 @@ from supple.resolved import (
     narrowest,
     spelled,
 )
-from supple.strain import MARGIN, largest, weakest
+from supple.strain import MARGIN, largest, sampled, weakest
 from supple.strokes import FoldPolicy, Stroke, numbers, pack
 
 _HIT = 1e-6  # samples: the accuracy of handles
@@ -40,33 +40,11 @@ def pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     table["joined"][1:] = 1
     start, goal = table["pivot"].copy(), table["pivot"] + table["force"]
     _check_handles(stroke, start, goal, axes)
-    groups: list[Table] = []
-    position, margin, pieces = start.copy(), 1.0, 2
-    while pieces > 1:
-        table["pivot"] = position
-        table["force"] = _forces(table, goal - position, axes, ndim)
-        if on_fold != "flow":
-            lower, _ = weakest(table, axes)
-            whole, _ = _core.forward(numbers(table), axes, start, False)
-            missed = float(np.linalg.norm(whole - goal, axis=1).max())
-            break
-        lower, _ = weakest(table, axes, FLOW_MARGIN - 1, FLOW_GAP)
-        pieces = max(math.ceil(np.nan_to_num(-lower, nan=1e9, posinf=1e9) / (1 - FLOW_MARGIN) * (1 - 1e-9)), 1)
-        margin = min(margin, 1 + lower / pieces)
-        table["force"] /= pieces
-        table["most"] = largest(table, axes)
-        groups.append(table.copy())
-        position, _ = _core.forward(numbers(table), axes, position, False)
-        if pieces > MOST_SUBSTROKES or len(groups) * len(table) > MOST_SUBSTROKES:
-            raise SuppleError(f"{described(stroke)} cannot arrive without a fold: {_conflict(stroke, start, position)}")
     if on_fold == "flow":
-        missed = float(np.linalg.norm(position - goal, axis=1).max())
-    if not missed <= _HIT * min(domain.spacing):  # also for NaN
-        raise SuppleError(f"{described(stroke)} cannot arrive: {_conflict(stroke, start, goal)}")
-    if on_fold == "flow":
-        if narrowest(np.concatenate(groups), axes, start, goal - start) < SQUEEZED:
-            raise SuppleError(f"{described(stroke)} {TOO_NARROW}")
-        return Resolved(np.concatenate(groups), tuple((position[0, :ndim] / domain.spacing).tolist()), margin=margin)
+        return _flow(stroke, domain, table, goal)
+    table["force"] = _forces(table, goal - start, axes, ndim)
+    _check_arrival(stroke, domain, _moved(table, axes, start), start, goal)
+    lower, _ = weakest(table, axes)
     alpha = 1.0 if lower >= MARGIN - 1 else (1 - MARGIN) / -lower * (1 - 1e-14)
     warning = None
     if alpha < 1:
@@ -80,6 +58,52 @@ def pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     table["most"] = largest(table, axes)
     arrived = tuple(a + alpha * b for a, b in zip(stroke.at, stroke.by, strict=True))
     return Resolved(table, arrived, alpha, 1 + alpha * lower, "fold" if alpha < 1 else None, warning)
+
+
+def _flow(stroke: Stroke, domain: Domain, table: Table, goal: Floats) -> Resolved:
+    """Resolve a pull as groups, one after the other: all handles go straight to their targets, and arrive at once."""
+    axes, start = domain.packed(), table["pivot"].copy()
+
+    def proven(rows: Table) -> float:
+        return weakest(rows, axes, FLOW_MARGIN - 1, FLOW_GAP)[0]
+
+    def estimated(rows: Table) -> float:
+        return sampled(rows, axes)
+
+    # Proofs take most of the time: they begin when it is known that the handles arrive.
+    for bound in (estimated, proven):
+        groups, margin, position, pieces = list[Table](), 1.0, start, 2
+        while pieces > 1:
+            group = table.copy()
+            group["pivot"] = position
+            group["force"] = _forces(group, goal - position, axes, domain.ndim)
+            lower = bound(group)
+            pieces = max(math.ceil(np.nan_to_num(-lower, nan=1e9, posinf=1e9) / (1 - FLOW_MARGIN) * (1 - 1e-9)), 1)
+            margin = min(margin, 1 + lower / pieces)
+            group["force"] /= pieces
+            groups.append(group)
+            position = _moved(group, axes, position)
+            if pieces > MOST_SUBSTROKES or len(groups) * len(table) > MOST_SUBSTROKES:
+                conflict = _conflict(stroke, start, goal)
+                raise SuppleError(f"{described(stroke)} cannot arrive without a fold: {conflict}")
+        _check_arrival(stroke, domain, position, start, goal)
+    for group in groups:
+        group["most"] = largest(group, axes)
+    rows = np.concatenate(groups)
+    if narrowest(rows, axes, start, goal - start) < SQUEEZED:
+        raise SuppleError(f"{described(stroke)} {TOO_NARROW}")
+    return Resolved(rows, tuple((position[0, : domain.ndim] / domain.spacing).tolist()), margin=margin)
+
+
+def _moved(group: Table, axes: Floats, points: Floats) -> Floats:
+    moved, _ = _core.forward(numbers(group), axes, points, False)
+    return moved
+
+
+def _check_arrival(stroke: Stroke, domain: Domain, found: Floats, start: Floats, goal: Floats) -> None:
+    missed = float(np.linalg.norm(found - goal, axis=1).max())
+    if not missed <= _HIT * min(domain.spacing):  # also for NaN
+        raise SuppleError(f"{described(stroke)} cannot arrive: {_conflict(stroke, start, goal)}")
 
 
 def _check_handles(stroke: Stroke, start: Floats, goal: Floats, axes: Floats) -> None:
@@ -121,14 +145,16 @@ def _forces(table: Table, drags: Floats, axes: Floats, ndim: int) -> Floats:
     return forces
 
 
-def _conflict(stroke: Stroke, start: Floats, now: Floats) -> str:
-    """Name the two handles that have come nearest to each other, or farthest apart, from where they were."""
-    before = np.linalg.norm(start[:, None] - start, axis=2)
-    after = np.linalg.norm(now[:, None] - now, axis=2)
-    np.fill_diagonal(before, 1.0)
-    np.fill_diagonal(after, 1.0)
-    with np.errstate(divide="ignore"):
-        i, j = np.unravel_index(np.argmax(np.abs(np.log(after / before))), before.shape)
+def _conflict(stroke: Stroke, start: Floats, goal: Floats) -> str:
+    """Name the two handles whose distance changes most on their straight ways, at the worst of these."""
+    drag = goal - start
+    apart, parting = start[:, None] - start, drag[:, None] - drag
+    with np.errstate(divide="ignore", invalid="ignore"):
+        nearest = np.clip(-(apart * parting).sum(axis=2) / (parting**2).sum(axis=2), 0, 1)[:, :, None]
+        ways = [np.linalg.norm(apart + t * parting, axis=2) for t in (np.nan_to_num(nearest), 1.0)]
+        change = np.max(np.abs(np.log(ways / np.linalg.norm(apart, axis=2))), axis=0)
+    np.fill_diagonal(change, 0.0)
+    i, j = np.unravel_index(np.argmax(change), change.shape)
     (a, u), (b, v) = stroke.handles[i], stroke.handles[j]
     return (
         f"the handles at {spelled(a)} and {spelled(b)}, dragged by {spelled(u)} and {spelled(v)}, "
