@@ -284,3 +284,15 @@ def test_painted() -> None:
     assert frozen.painted((70, 40), 60, (1, 1), frozen=False) == free
     edge = free.painted((0, 0), 8, (1, 1))  # the outermost coefficients are equal
     assert (edge.shown((90, 120))[:5, :5] == 0).all()
+
+
+def test_handles_arrive_beside_what_is_frozen() -> None:
+    mask = np.zeros((80, 100), bool)
+    mask[:, :20] = True
+    d = Deformation((80, 100), freeze=mask)
+    points, to, pins = [(40, 30), (70, 55)], [(34, 36), (62, 50)], [(10, 40), (50, 60)]
+    pulled = d.pull(points, to=to, pins=pins, radius=12)
+    np.testing.assert_allclose(pulled.forward([*points, *pins]), [*to, *pins], atol=1e-6)
+    for wrong, which in (((10, 30), "starts"), ((60, 30), "ends")):
+        with pytest.raises(SuppleError, match=f"{which} where it is frozen, and nothing moves; a pin may be there"):
+            d.pull([wrong, (70, 50)], to=[(12, 31), (71, 52)], radius=9)
