@@ -346,6 +346,8 @@ class Deformation:
     def _space(self, grid: Grid | None) -> Space:
         count = self.shape[0] if self.ndim == 3 else 1
         shape = (self.shape[-2], self.shape[-1])
+        if grid is None and not self.maps:
+            return Space(self._table, self._axes, self.ndim, count, shape)
         frame = np.eye(self.ndim + 1)  # from the domain's coordinates, index times spacing, to positions
         frame[:-1, :-1], frame[:-1, -1] = self.grid.direction, self.grid.origin
         parts: list[_core.Part] = []
@@ -995,25 +997,27 @@ class Deformation:
     @property
     def arrivals(self) -> tuple[Arrival, ...]:
         """For each stroke, the target of its point, and its position."""
-        steps = np.array(self.domain.spacing)
+        if not self.strokes:
+            return ()
+        steps, table = np.array(self.domain.spacing), numbers(self._table)
         final = np.zeros((len(self.strokes), 3))  # physical units
+        final[:, : self.ndim] = [resolved.arrived for resolved in self._resolved] * steps
         row = 0
         for i, resolved in enumerate(self._resolved):
             for placed in self.maps:
                 if placed.after == i > 0:
                     final[:i] = self._moved(placed, final[:i])
-            rows = self._table[row : row + resolved.substrokes]
+            rows = table[row : row + resolved.substrokes]
             row += resolved.substrokes
             if i and len(rows):
-                final[:i], _ = _core.forward(numbers(rows), self._axes, final[:i], False)
-            final[i, : self.ndim] = resolved.arrived * steps
+                final[:i], _ = _core.forward(rows, self._axes, final[:i], False)
         for placed in self.maps:
             if placed.after == len(self.strokes) > 0:
                 final = self._moved(placed, final)
         found = []
-        for stroke, resolved, where in zip(self.strokes, self._resolved, final, strict=True):
+        ends = (final[:, : self.ndim] / steps).tolist()
+        for stroke, resolved, end in zip(self.strokes, self._resolved, map(tuple, ends), strict=True):
             target = tuple(a + b for a, b in zip(stroke.at, stroke.by, strict=True))
-            end = tuple((where[: self.ndim] / steps).tolist())
             miss, moved = math.dist(resolved.arrived, target), math.dist(end, resolved.arrived)
             found.append(Arrival(target, resolved.arrived, end, miss, moved, resolved.cause))
         return tuple(found)

@@ -136,7 +136,7 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         rows = np.concatenate([leg.rows for leg in legs])
         return Resolved(rows, legs[-1].arrived, margin=min(leg.margin for leg in legs), cause=legs[0].cause)
     if on_fold == "flow":
-        return _flow(stroke, domain, table[0])
+        return _flow(stroke, domain, table)
     lower, _ = weakest(table, axes)
     alpha = 1.0 if lower >= MARGIN - 1 else (1 - MARGIN) / -lower * (1 - 1e-14)
     folds = alpha < 1
@@ -343,8 +343,8 @@ def _arrived(stroke: Stroke, table: Table, domain: Domain) -> tuple[float, ...]:
     return tuple((moved[0, : domain.ndim] / domain.spacing).tolist())
 
 
-def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
-    axes, poisson = domain.packed(), stroke.material(time=domain.time)
+def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
+    row, axes, poisson = table[0], domain.packed(), stroke.material(time=domain.time)
     position, target = row["pivot"].copy(), row["pivot"] + row["force"]
     first, last, sigma, _, _ = axes.T
     fixed, held = sigma >= 0, _held(position, axes)
@@ -361,18 +361,18 @@ def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
             "it, and nothing else gets there; use border=None, or points further in"
         )
     if not drag.any():
-        return Resolved(np.zeros(0, row.dtype), stroke.at)
+        return Resolved(table[:0], stroke.at)
     # A point outside a fixed border is not moved; a brush only passes there.
     weights = axes if held else np.array([FREE] * 3)
     longest = (1 - _FLOW_MARGIN) * limit(poisson, stroke.scales, stroke.reach) * stroke.radius
     refused = held and math.hypot(*drag.tolist()) > MOST_SUBSTROKES * longest
-    rows: list[np.void] = []
+    rows: list[Floats] = []
     margin, pieces = 1.0, 2.0
     while pieces > 1 and not refused:
         beta, left = _beta(position, weights), target - position
         row["pivot"] = position
         row["force"] = np.divide(left, beta, out=np.zeros(3), where=beta > 0)
-        lower, _ = weakest(np.array([row]), axes, _FLOW_MARGIN - 1, _FLOW_GAP)
+        lower, _ = weakest(table, axes, _FLOW_MARGIN - 1, _FLOW_GAP)
         pieces = max(float(np.ceil(-lower / (1 - _FLOW_MARGIN) * (1 - 1e-9))), 1.0)
         # Close to a border steps are short, but they grow with β.
         slow = pieces * float(np.min(beta, where=left != 0, initial=1.0)) > MOST_SUBSTROKES
@@ -380,13 +380,13 @@ def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
         row["force"] /= pieces
         position = position + beta * row["force"]
         margin = min(margin, 1 + lower / pieces)
-        rows.append(row.copy())
+        rows.append(numbers(table).copy())
     if refused:
         raise SuppleError(
             f"{described(stroke)} would take more than {MOST_SUBSTROKES} strokes to arrive without a fold; "
             "use a larger radius, or on_fold='damp'"
         )
-    table = np.array(rows)
+    table = np.concatenate(rows).view(table.dtype)[:, 0]  # as numbers: NumPy is slow to join records
     if _narrowest(table, axes, table[:1]["pivot"], drag[None]) < _SQUEEZED:
         if not held:
             raise SuppleError(
@@ -407,16 +407,21 @@ def _narrowest(table: Table, axes: Floats, starts: Floats, drags: Floats) -> flo
     ahead = (starts[:, None] + drags[:, None] * along[:, None]).reshape(-1, 3).T
     start = starts[0]
     first, last, sigma = axes[:, :3].T
-    extent = np.where(sigma >= 0, last - first, 0.0)
-    parts = np.stack(np.meshgrid(*[np.linspace(0, 1, 17 if e > 0 else 1) for e in extent]), axis=0).reshape(3, -1)
-    around = np.where(extent[:, None] > 0, first[:, None] + parts * extent[:, None], start[:, None])
-    points = np.concatenate([ahead, around], axis=1)
-    points = np.where((sigma >= 0)[:, None], np.clip(points, first[:, None], last[:, None]), points)
+    points, fixed = ahead, sigma >= 0
+    if fixed.any():
+        extent = np.where(fixed, last - first, 0.0)
+        parts = np.stack(np.meshgrid(*[np.linspace(0, 1, 17 if e > 0 else 1) for e in extent]), axis=0).reshape(3, -1)
+        around = np.where(extent[:, None] > 0, first[:, None] + parts * extent[:, None], start[:, None])
+        points = np.concatenate([ahead, around], axis=1)
+        points = np.where(fixed[:, None], np.clip(points, first[:, None], last[:, None]), points)
     _, jacobian = _core.forward(numbers(table), axes, np.ascontiguousarray(points.T), True)
     if not np.isfinite(jacobian).all():
         return 0.0
-    n = 2 if axes[2, 1] == axes[2, 0] and axes[2, 2] < 0 else 3  # for an image, only the plane counts
-    return float(np.linalg.svd(jacobian[:, :n, :n], compute_uv=False).min())
+    if axes[2, 1] == axes[2, 0] and axes[2, 2] < 0:  # for an image, only the plane counts
+        (a, b), (c, d) = jacobian[:, :2, :2].transpose(1, 2, 0)
+        widest = 0.5 * (np.hypot(a + d, b - c) + np.hypot(a - d, b + c))
+        return float((np.abs(a * d - b * c) / np.maximum(widest, 1e-300)).min())
+    return float(np.linalg.svd(jacobian, compute_uv=False).min())
 
 
 def _held(position: Floats, axes: Floats) -> bool:
@@ -427,6 +432,8 @@ def _held(position: Floats, axes: Floats) -> bool:
 
 def _beta(position: Floats, axes: Floats) -> Floats:
     first, last, sigma, _, profile = axes.T
+    if (sigma < 0).all():
+        return np.ones(3)
     depth = np.minimum(position - first, last - position)
     beta = border_factor(np.divide(depth, sigma, out=np.zeros(3), where=sigma > 0), profile[0])
     return np.where(sigma < 0, 1.0, beta)

@@ -98,11 +98,12 @@ def weakest(rows: Table, axes: Floats, target: float = CLEARLY_SAFE, gap: float 
     size = math.hypot(*force.tolist())
     if size == 0 or not (active.any() or free.all()):
         return 0.0, 0.0
-    unit, radius = row.copy(), math.sqrt(row["radius2"][0])
-    unit["force"] = force / size
+    radius = math.sqrt(row["radius2"][0])
     lower, upper, distance = _free(_poisson(row), int(row["terms"]), row["reach"] / radius)
     lower, upper, distance = lower / radius, upper / radius, distance * radius
     if active.any():
+        unit = row.copy()
+        unit["force"] = force / size
         above = target / size * (1 - 1e-12)  # so that rounding does not put the result below it
         lower, upper = _core.smallest_strain(_numbers(unit), axes, lower, distance, above, gap)
     return lower * size, upper * size
