@@ -346,20 +346,21 @@ def _arrived(stroke: Stroke, table: Table, domain: Domain) -> tuple[float, ...]:
 def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
     row, axes, poisson = table[0], domain.packed(), stroke.material(time=domain.time)
     position, target = row["pivot"].copy(), row["pivot"] + row["force"]
-    first, last, sigma, _, _ = axes.T
-    fixed, held = sigma >= 0, _held(position, axes)
-    if held:  # a point on a face only slides along it
-        slides = fixed & (_beta(position, axes) < 1e-100) & (np.abs(target - position) <= _ALONG * stroke.radius)
+    held, fixed = _held(position, axes), axes[:, 2] >= 0
+    if held and fixed.any():
+        first, last = axes[:, 0], axes[:, 1]
+        beta = _beta(position, axes)  # a point on a face only slides along it
+        slides = fixed & (beta < 1e-100) & (np.abs(target - position) <= _ALONG * stroke.radius)
         target = np.where(slides, position, target)
+        across = fixed & (target != position)  # the axes along which it has to leave its face
+        beyond = across & ((target <= first) | (target >= last))
+        if beyond.any() or np.any(across & (beta < 1e-100)):
+            where = "its target is on the edge or outside, and" if beyond.any() else "it starts on the edge, and"
+            raise SuppleError(
+                f"{described(stroke)} cannot arrive: {where} the border is fixed, so that what is on it only slides "
+                "along it, and nothing else gets there; use border=None, or points further in"
+            )
     drag = target - position
-    across = held & fixed & (drag != 0)  # the axes along which it has to leave its face
-    beyond = across & ((target <= first) | (target >= last))
-    if beyond.any() or np.any(across & (_beta(position, axes) < 1e-100)):
-        where = "its target is on the edge or outside, and" if beyond.any() else "it starts on the edge, and"
-        raise SuppleError(
-            f"{described(stroke)} cannot arrive: {where} the border is fixed, so that what is on it only slides along "
-            "it, and nothing else gets there; use border=None, or points further in"
-        )
     if not drag.any():
         return Resolved(table[:0], stroke.at)
     # A point outside a fixed border is not moved; a brush only passes there.
@@ -375,7 +376,8 @@ def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
         lower, _ = weakest(table, axes, _FLOW_MARGIN - 1, _FLOW_GAP)
         pieces = max(float(np.ceil(-lower / (1 - _FLOW_MARGIN) * (1 - 1e-9))), 1.0)
         # Close to a border steps are short, but they grow with β.
-        slow = pieces * float(np.min(beta, where=left != 0, initial=1.0)) > MOST_SUBSTROKES
+        least = min((b for b, x in zip(beta.tolist(), left.tolist(), strict=True) if x != 0), default=1.0)
+        slow = pieces * min(least, 1.0) > MOST_SUBSTROKES
         refused = slow or len(rows) == MOST_SUBSTROKES
         row["force"] /= pieces
         position = position + beta * row["force"]
@@ -426,8 +428,8 @@ def _narrowest(table: Table, axes: Floats, starts: Floats, drags: Floats) -> flo
 
 def _held(position: Floats, axes: Floats) -> bool:
     """Return whether a point is within the fixed faces, where strokes move points."""
-    first, last, sigma = axes[:, :3].T
-    return bool(np.all((sigma < 0) | ((position >= first) & (position <= last))))
+    faces = zip(position.tolist(), axes.tolist(), strict=True)
+    return all(sigma < 0 or first <= x <= last for x, (first, last, sigma, *_) in faces)
 
 
 def _beta(position: Floats, axes: Floats) -> Floats:

@@ -87,21 +87,25 @@ def weakest(rows: Table, axes: Floats, target: float = CLEARLY_SAFE, gap: float 
         The relative gap of the bounds. Rounding and the limited number of boxes can leave a larger one, if |μ| is very
         small or the volume very anisotropic.
     """
-    free, active = axes[:, 2] < 0, (axes[:, 1] > axes[:, 0]) & (axes[:, 2] > 0)
     if len(rows) > 1 or rows["power"][0] != 1:
         around, beyond = _around(rows, axes)
         lower, upper = _core.smallest_strain(numbers(rows), around, -math.inf, 0.0, target, gap)
         return min(lower, beyond), upper
-    row = rows[0]
-    # In a plane through the pivot, the force across it has no displacement within it.
-    force = np.where(~free & ~active & (row["pivot"] == axes[:, 0]), 0.0, row["force"])
+    row, fixed = rows[0], axes[:, 2] >= 0
+    force, bounded = row["force"], bool(fixed.any())
+    if bounded:
+        active = (axes[:, 1] > axes[:, 0]) & (axes[:, 2] > 0)
+        # In a plane through the pivot, the force across it has no displacement within it.
+        force = np.where(fixed & ~active & (row["pivot"] == axes[:, 0]), 0.0, force)
+        if not active.any():
+            return 0.0, 0.0
     size = math.hypot(*force.tolist())
-    if size == 0 or not (active.any() or free.all()):
+    if size == 0:
         return 0.0, 0.0
     radius = math.sqrt(row["radius2"][0])
     lower, upper, distance = _free(_poisson(row), int(row["terms"]), row["reach"] / radius)
     lower, upper, distance = lower / radius, upper / radius, distance * radius
-    if active.any():
+    if bounded:
         unit = row.copy()
         unit["force"] = force / size
         above = target / size * (1 - 1e-12)  # so that rounding does not put the result below it

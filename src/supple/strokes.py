@@ -1010,22 +1010,16 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = Fa
     ndarray of STROKE_DTYPE
         One row a stroke, in physical units; a missing third coordinate is 0.
     """
-    strokes = tuple(strokes)
-    table = np.zeros(len(strokes), STROKE_DTYPE)
-    n = len(spacing)
-    for i, (row, stroke) in enumerate(zip(table, strokes, strict=True)):
+    n, rows = len(spacing), []
+    for i, stroke in enumerate(strokes):
         if stroke.ndim != n:
             refuse(f"strokes[{i}].at", f"a point of {n} numbers, as the medium has {n} axes", stroke.at)
-        row["pivot"][:n] = np.multiply(stroke.at, spacing)
-        row["force"][:n] = np.multiply(stroke.by, spacing)
-        row["matrix"] = stroke.matrix(spacing, time=time)
-        row["terms"], row["power"] = stroke.scales, 1 if stroke.brush == "grab" else 3
-        row["radius2"], row["p"], row["q"], row["r"] = _terms(
-            stroke.radius, stroke.material(time=time), stroke.scales, stroke.brush
-        )
-        row["reach"] = math.inf if stroke.reach is None else stroke.reach * stroke.radius
-        row["most"] = math.inf
-    return table
+        pivot, force = ((*(x * step for x, step in zip(v, spacing, strict=True)), 0.0)[:3] for v in (stroke.at, stroke.by))
+        matrix, power = stroke.matrix(spacing, time=time), 1 if stroke.brush == "grab" else 3
+        terms = _terms(stroke.radius, stroke.material(time=time), stroke.scales, stroke.brush)
+        reach = math.inf if stroke.reach is None else stroke.reach * stroke.radius
+        rows.append((pivot, force, matrix, *terms, stroke.scales, power, 0, reach, math.inf))
+    return np.array(rows, STROKE_DTYPE)
 
 
 @lru_cache(maxsize=256)
