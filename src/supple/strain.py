@@ -111,7 +111,6 @@ def weakest(
     mask : _core.Freeze, optional
         The freeze mask.
     """
-    free, active = axes[:, 2] < 0, (axes[:, 1] > axes[:, 0]) & (axes[:, 2] > 0)
     if len(rows) > 1 or rows["power"][0] != 1 or mask is not None:
         around, beyond = _around(rows, axes)
         if mask is not None and beyond:  # beyond the domain, it does not vary
@@ -120,17 +119,23 @@ def weakest(
             target = min(target, sampled(rows, axes, mask) * (1 + gap))
         lower, upper = _core.smallest_strain(numbers(rows), around, -math.inf, 0.0, target, gap, mask)
         return min(lower, beyond), upper
-    row = rows[0]
-    # In a plane through the pivot, the force across it has no displacement within it.
-    force = np.where(~free & ~active & (row["pivot"] == axes[:, 0]), 0.0, row["force"])
+    row, fixed = rows[0], axes[:, 2] >= 0
+    force, bounded = row["force"], bool(fixed.any())
+    if bounded:
+        active = (axes[:, 1] > axes[:, 0]) & (axes[:, 2] > 0)
+        # In a plane through the pivot, the force across it has no displacement within it.
+        force = np.where(fixed & ~active & (row["pivot"] == axes[:, 0]), 0.0, force)
+        if not active.any():
+            return 0.0, 0.0
     size = math.hypot(*force.tolist())
-    if size == 0 or not (active.any() or free.all()):
+    if size == 0:
         return 0.0, 0.0
-    unit, radius = row.copy(), math.sqrt(row["radius2"][0])
-    unit["force"] = force / size
+    radius = math.sqrt(row["radius2"][0])
     lower, upper, distance = _free(_poisson(row), int(row["terms"]), row["reach"] / radius)
     lower, upper, distance = lower / radius, upper / radius, distance * radius
-    if active.any():
+    if bounded:
+        unit = row.copy()
+        unit["force"] = force / size
         above = target / size * (1 - 1e-12)  # so that rounding does not put the result below it
         lower, upper = _core.smallest_strain(_numbers(unit), axes, lower, distance, above, gap)
     return lower * size, upper * size

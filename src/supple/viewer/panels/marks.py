@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from imgui_bundle import imgui
 
-from supple.folding import NEAR
 from supple.viewer.document.state import PAINTINGS
 from supple.viewer.panels import theme
 from supple.viewer.panels.view import View
@@ -168,13 +167,13 @@ def _crosshair(tools: SliceTools, lines: imgui.ImDrawList, pane: Pane) -> None:
 def _strokes(view: View, tools: SliceTools, lines: imgui.ImDrawList, pane: Pane) -> None:
     """Draw the strokes whose point starts or ends in a plane, and the selected one, faint where it is elsewhere."""
     document = view.document
-    for i, arrival in enumerate(document.arrivals):
+    for i, seen in document.tracks():
         selected = document.selected == i
-        if arrival is None or not document.has_handles(i) or (not selected and len(document.items) > 60):
+        if not selected and len(document.items) > 60:
             continue
-        stroke, wanted = document.seen(i), arrival.target if arrival.miss > NEAR else None
+        stroke, wanted = seen.stroke, seen.wanted
         colour = theme.BLUE if selected else theme.SOFT
-        for point, where in document.handles(i):
+        for point, where in seen.handles:
             there = [pane.crosses(p) for p in (point, where)]
             if not any(there) and not selected:
                 continue
@@ -219,17 +218,15 @@ def end_of(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None)
 
 def _rendering(view: View, tools: SliceTools, lines: imgui.ImDrawList, place: Place) -> None:
     document = view.document
-    for i, arrival in enumerate(document.arrivals):
-        if arrival is None or not document.has_handles(i):
-            continue
-        wanted = tools.projected(arrival.target) if arrival.miss > NEAR else None
+    for i, seen in document.tracks():
+        wanted = None if seen.wanted is None else tools.projected(seen.wanted)
         colour = theme.BLUE if document.selected == i else theme.SOFT
-        for point, where in document.handles(i):
+        for point, where in seen.handles:
             start, end = tools.projected(point), tools.projected(where)
             if start is not None and end is not None:
-                track(lines, (start, *map(tools.projected, document.seen(i).path), end), theme.SOFT)
+                track(lines, (start, *map(tools.projected, seen.stroke.path), end), theme.SOFT)
                 lines.add_circle_filled(start, 3.0, colour)
-                if document.items[i].stroke.brush == "grab":
+                if seen.stroke.brush == "grab":
                     end_of(lines, end, colour, wanted)
             wanted = None  # only the first one's is known
     left, top, width, height = place

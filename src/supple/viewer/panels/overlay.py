@@ -6,7 +6,6 @@ import math
 
 from imgui_bundle import imgui
 
-from supple.folding import NEAR
 from supple.viewer.document.words import done, named
 from supple.viewer.panels import icons, marks, theme
 from supple.viewer.panels.stages import VideoStage, VolumeStage
@@ -52,13 +51,13 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
     tools = view.tools
     assert isinstance(tools, ImageTools)
     document, viewport = view.document, tools.viewport
-    for i, arrival in enumerate(document.arrivals):
+    for i, track in document.tracks():
         selected = document.selected == i
-        if arrival is None or not document.has_handles(i) or (not selected and len(document.items) > 60):
+        if not selected and len(document.items) > 60:
             continue
-        stroke, wanted = document.seen(i), arrival.target if arrival.miss > NEAR else None
+        stroke, wanted = track.stroke, track.wanted
         colour = theme.BLUE if selected else theme.SOFT
-        for point, where in document.handles(i):
+        for point, where in track.handles:
             start, end = viewport.to_canvas(*point[:2]), viewport.to_canvas(*where[:2])
             if isinstance(view.stage, VideoStage):
                 # Handles of other frames are faint, and cannot be dragged.

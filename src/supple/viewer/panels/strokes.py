@@ -100,8 +100,7 @@ def _row(view: View, i: int, item: Item, selected: bool) -> None:
         view.attempt(lambda: document.hide(i, not item.hidden))
     hint("Hidden: click to show it" if item.hidden else "Seen: click to hide it")
     imgui.same_line()
-    arrival = document.arrivals[i]
-    short = bool(arrival and arrival.miss > NEAR)
+    short = document.misses(i)
     text = f"{named(item.stroke)} {place(item.stroke.at)}, radius {item.stroke.radius:.3g}"
     if item.hidden or short:
         imgui.push_style_color(imgui.Col_.text, theme.FAINT if item.hidden else theme.WARNING)
@@ -111,7 +110,7 @@ def _row(view: View, i: int, item: Item, selected: bool) -> None:
     imgui.pop_style_var()
     if item.hidden or short:
         imgui.pop_style_color()
-    hint(lambda: described(item.stroke, arrival))
+    hint(lambda: described(item.stroke, document.arrival(i)))
     imgui.pop_id()
 
 
@@ -185,7 +184,7 @@ def selected(view: View) -> None:
 def _arrival(view: View, i: int) -> None:
     """Say where a stroke's point ends, if it is not where it was asked to."""
     document = view.document
-    arrival = document.arrivals[i] if i < len(document.arrivals) else None
+    arrival = document.arrival(i) if i < len(document.items) else None
     if arrival is not None and arrival.miss > NEAR:
         wrapped(f"It ends {arrival.miss:.3g} short: {CAUSES[arrival.cause or 'border']}.", colour=theme.WARNING)
         if document.state.on_fold != "flow" and imgui.button("Go all the way, in small steps", (REST, 0)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Collection
 from dataclasses import replace
 
 from supple.domain import Domain
@@ -190,15 +190,15 @@ class Drawing(ABC):
             held.stroke = replace(held.stroke, radius=radius)
             self._draw(held)
 
-    def handles(self, among: Iterable[int] | None = None) -> list[Handle]:
+    def handles(self, among: Collection[int] | None = None) -> list[Handle]:
         """Return the visible handles of some strokes, or of all."""
-        found, items = [], self.document.items
-        for i in range(len(items)) if among is None else among:
-            if items[i].hidden or not self.document.has_handles(i):
+        found = []
+        for i, track in self.document.tracks():
+            if among is not None and i not in among:
                 continue
-            for nth, (pivot, end) in enumerate(self.document.handles(i)):
+            for nth, (pivot, end) in enumerate(track.handles):
                 parts: dict[Part, tuple[float, ...]] = {"pivot": pivot, "end": end}
-                if items[i].stroke.brush != "grab":  # its point stays where it is
+                if track.stroke.brush != "grab":  # its point stays where it is
                     del parts["end"]
                 for part, point in parts.items():
                     place = self._seen(point)
