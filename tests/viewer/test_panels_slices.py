@@ -265,10 +265,19 @@ def test_landmarks_are_shown_before_and_after(gpu: Gpu, tmp_path: Path) -> None:
 
 def test_landmarks_are_for_volumes(gpu: Gpu, tmp_path: Path) -> None:
     (tmp_path / "marks.csv").write_text("i,j,k\n1,2,3\n")
-    with pytest.raises(supple.SuppleError, match=r"--points are shown in volumes, and .*coffee.jpg is none"):
+    with pytest.raises(supple.SuppleError, match=r"^points are shown in volumes, and .*coffee.jpg is none"):
         opened(DATA / "coffee.jpg", points=tmp_path / "marks.csv")
-    with pytest.raises(supple.SuppleError, match="--convention is for --points"):
+    with pytest.raises(supple.SuppleError, match="convention is that of points, and there are none"):
         opened(DATA / "head.nii.gz", convention="RAS")
+
+
+def test_a_script_shows_landmarks_as_the_command_does(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from supple.viewer.window import launch
+
+    taken: list[launch.ViewOptions] = []
+    monkeypatch.setattr(launch, "show", lambda source, recipe, *, options: taken.append(options))
+    supple.view(DATA / "head.nii.gz", points=tmp_path / "marks.csv", convention="RAS")
+    assert (taken[0].points, taken[0].convention) == (tmp_path / "marks.csv", "RAS")
 
 
 def test_the_curve_is_the_opacity_of_the_transfer_function(gpu: Gpu) -> None:

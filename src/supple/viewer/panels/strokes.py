@@ -39,6 +39,10 @@ def brush(view: View) -> None:
     if changed:
         tools.radius = value
     if tools.brush in PAINTINGS:
+        label("Strength", "The part of the way that a click brings it")
+        changed, value = slider("##strength", 100 * tools.strength, 1.0, 100.0, "%.0f %%")
+        if changed:
+            tools.strength = min(max(value / 100, 0.01), 1.0)
         return
     if tools.brush not in SHAPES:  # those fade in one way
         label("Fall-off", _FALLOFF)
@@ -76,7 +80,9 @@ def listed(view: View) -> None:
         return
     if not count:
         wrapped(
-            "Drag on the picture to make one." if view.stage.kind != "volume" else "Drag on the object to make one."
+            "Drag on the picture to make one."
+            if view.stage.kind != "volume"
+            else "Drag in a plane, or on the object, to make one."
         )
         return
     row = imgui.get_frame_height_with_spacing()
@@ -128,7 +134,7 @@ def selected(view: View) -> None:
     made: dict[str, Any] = {}
     gap = imgui.get_style().item_inner_spacing.x
     grabs = stroke.brush == "grab"
-    for name, said in (("at", "From"), ("by", "By"))[: 1 + grabs]:
+    for name, said in (("at", "From"), ("by", "By")) if grabs else (("at", "At"),):
         values = list(getattr(stroke, name))
         label(said)
         wide = (imgui.get_content_region_avail().x - gap * (len(values) - 1)) / len(values)
@@ -145,7 +151,7 @@ def selected(view: View) -> None:
     numbers: tuple[tuple[str, str, float | None, str], ...] = (
         ("angle", "Angle", stroke.angle, "%.1f\u00b0"),
         ("factor", "Factor", stroke.factor, "%.3f"),
-        ("radius", "Radius", stroke.radius, "%.2f"),
+        ("radius", "Radius", stroke.radius, f"%.2f {'mm' if view.stage.kind == 'volume' else 'px'}"),
         ("poisson", "Poisson ratio", material, "%.3f"),
     )
     for name, said, number, form in numbers:
@@ -164,9 +170,9 @@ def selected(view: View) -> None:
     if changed:
         made["reach"] = reach
     if stroke.also:
-        wrapped(f"With {others(stroke)}: drag their points in the picture.")
+        wrapped(f"With {others(stroke)}, to drag in the picture.")
     if made:
-        view.attempt(lambda: document.replace(i, replace(stroke, **made)))
+        view.attempt(lambda: document.replace(i, view.tools.paired(stroke, replace(stroke, **made))))
     _arrival(view, i)
     count = len(document.state.items)
     wide = (imgui.get_content_region_avail().x - 2 * imgui.get_style().item_spacing.x) / 3

@@ -25,7 +25,7 @@ BRUSHES: Mapping[Tool, tuple[str, str]] = {
 """For each brush, in the order of the tools' strip, its key, and what a drag with it does."""
 _ALWAYS: Rows = {
     **{key: f"{name}: {what}" for name, (key, what) in BRUSHES.items()},
-    "M": "strokes are symmetric about the dashed line, or no longer",
+    "M": "strokes are symmetric about the dashed line, whose knob moves it, or no longer",
     "click": "select the stroke whose handle is there, or none",
     "[  ]": "smaller and larger brush, or selected stroke",
     "Delete, Backspace": "remove the selected stroke",
