@@ -197,7 +197,7 @@ def photo(path: Path) -> None:
     hand.shoot(0.8)
     hand.key("\\", "\\ held: the original", 1.0, held=True)
     hand.shoot(1.2)
-    hand.write(path, 62)
+    hand.write(path, 42)
 
 
 def clip(path: Path) -> None:
@@ -224,17 +224,23 @@ def clip(path: Path) -> None:
 
 
 def volume(path: Path) -> None:
-    """A head is turned, pulled, and turned again."""
+    """A head is pulled in a plane, which all views show; then its rendering is pulled, and turned."""
     hand = Hand(DATA / "head.nii.gz", Recipe(border=None))  # it reaches up to its borders
+    tools = hand.view.tools
+
+    def seen(*point: float) -> Pair:
+        return tools.pane(2).to_canvas(point)
+
     hand.shoot(0.4)
-    hand.drag((520, 430), (360, 400), 1.0, says="beside it: turn")
-    hand.move((300, 200))
-    hand.wheel(6, "Shift+wheel: radius", "Shift")
-    hand.drag((330, 150), (335, 90), 1.2)
-    hand.move((140, 240))
+    hand.drag(seen(45, 100, 28), seen(45, 101, 40), 1.2, says="drag: in a plane, seen in all")
+    hand.shoot(0.6)
+    hand.key("4", "4: the rendering alone", 0.8)
+    width, height = tools.canvas_size
+    hand.drag((0.9 * width, 0.8 * height), (0.6 * width, 0.75 * height), 1.0, says="beside it: turn")
+    hand.move((0.5 * width, 0.35 * height))
     hand.wheel(-4, "Shift+wheel: radius", "Shift")
-    hand.drag((138, 250), (180, 256), 1.0)
-    hand.drag((300, 250), (440, 280), 1.4, button=RIGHT, says="right button: turn")
+    hand.drag((0.5 * width, 0.3 * height), (0.5 * width, 0.16 * height), 1.2)
+    hand.drag((0.5 * width, 0.5 * height), (0.8 * width, 0.55 * height), 1.4, button=RIGHT, says="right button: turn")
     hand.shoot(1.0)
     hand.write(path, 70)
 

@@ -43,10 +43,10 @@ def draw(view: View) -> None:
     lines, cold, hot = imgui.get_window_draw_list(), theme.packed(COLD), theme.packed(HOT)
     if name == "stretch":  # as plate.wgsl has it: what keeps its size keeps its colour
         for k in range(-_STEPS, _STEPS):
-            part = math.sqrt(abs(k + 0.5) / _STEPS)
-            left, right = (at.x + wide * (0.5 + 0.5 * (k + more) / _STEPS) for more in (0, 1))
-            shade = theme.packed(COLD if k < 0 else HOT, part)
-            lines.add_rect_filled((left, at.y), (right, at.y + _HIGH), shade)
+            opacity = math.sqrt(abs(k + 0.5) / _STEPS)
+            begin, end = (round(at.x + wide * (0.5 + 0.5 * (k + more) / _STEPS)) for more in (0, 1))
+            shade = theme.packed(COLD if k < 0 else HOT, opacity)
+            lines.add_rect_filled((begin, at.y), (end, at.y + _HIGH), shade)
     else:
         lines.add_rect_filled_multi_color((at.x, at.y), (at.x + wide, at.y + _HIGH), cold, hot, hot, cold)
     imgui.dummy((wide, _HIGH))

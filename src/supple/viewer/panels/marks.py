@@ -127,8 +127,8 @@ def _plane(view: View, tools: SliceTools, lines: imgui.ImDrawList, k: int) -> No
     axis = pane.plane.axis
     _text(lines, (left + _INSET, top + _INSET), pane.plane.name, _PLANES[k])
     wide = imgui.calc_text_size(pane.plane.name).x
-    if width > _ROOMY:
-        said = f"{'xyz'[axis]} {pane.index[axis]}   {_lies(tools, pane)}"
+    said = f"{'xyz'[axis]} {pane.index[axis]}   {_lies(tools, pane)}"
+    if 3 * _INSET + wide + imgui.calc_text_size(said).x < 0.5 * width - _INSET:  # beside the letter in the middle
         _text(lines, (left + 2 * _INSET + wide, top + _INSET), said, theme.GREY)
     _bar(lines, pane.place, pane.scale)
     if view.slices is not None and not view.slices.labels and width > _ROOMY:
