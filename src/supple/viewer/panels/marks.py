@@ -252,6 +252,7 @@ def _landmarks(
     marks = view.landmarks
     if marks is None:
         return
+    taken: list[tuple[float, float, float]] = []  # where names lie, which are not written over each other
     before = marks.points
     after = before if view.tools.original else marks.moved(view.document.deformation)
     for name, old, new in zip(marks.names, before.tolist(), after.tolist(), strict=True):
@@ -272,7 +273,12 @@ def _landmarks(
         corners: list[Any] = [imgui.ImVec2(x + a, y + b) for a, b in ((0, -5), (5, 0), (0, 5), (-5, 0))]
         if away <= 0.5:
             lines.add_convex_poly_filled(corners, _MARK)
-            _text(lines, (x + 8, y), name, _MARK, (0.0, 0.5))
+            size, x = imgui.calc_text_size(name), x + _INSET
+            for begin, over, low in sorted(taken):
+                if abs(y - low) < size.y and begin < x + size.x and x < over:
+                    x = over + _INSET
+            taken.append((x, x + size.x, y))
+            _text(lines, (x, y), name, _MARK, (0.0, 0.5))
         lines.add_polyline([*corners, corners[0]], theme.DARK if away <= 0.5 else _MARK & 0x90FFFFFF, 1.5, 0)
 
 

@@ -109,13 +109,14 @@ def _row(view: View, i: int, item: Item, selected: bool) -> None:
     arrival = document.arrivals[i]
     short = bool(arrival and arrival.miss > NEAR)
     text = f"{named(item.stroke)} {place(item.stroke.at)}, radius {item.stroke.radius:.3g}"
-    if item.hidden or short:
+    coloured = short or (item.hidden and not selected)  # what is faint is not read on the ground of what is selected
+    if coloured:
         imgui.push_style_color(imgui.Col_.text, theme.FAINT if item.hidden else theme.WARNING)
     imgui.push_style_var(imgui.StyleVar_.selectable_text_align, (0.0, 0.5))
     if imgui.selectable(f"{text}##row", selected, size=(0, imgui.get_frame_height()))[0]:
         view.attempt(lambda: document.select(None if selected else i))
     imgui.pop_style_var()
-    if item.hidden or short:
+    if coloured:
         imgui.pop_style_color()
     hint(lambda: described(item.stroke, arrival))
     imgui.pop_id()
@@ -192,13 +193,14 @@ def _arrival(view: View, i: int) -> None:
     """Say where a stroke's point ends, if it is not where it was asked to."""
     document = view.document
     arrival = document.arrivals[i] if i < len(document.arrivals) else None
+    unit = "voxels" if view.stage.kind == "volume" else "px"
     if arrival is not None and arrival.miss > NEAR:
-        wrapped(f"It ends {arrival.miss:.3g} short: {CAUSES[arrival.cause or 'border']}.", colour=theme.WARNING)
+        wrapped(f"It ends {arrival.miss:.3g} {unit} short: {CAUSES[arrival.cause or 'border']}.", colour=theme.WARNING)
         if document.state.on_fold != "flow" and imgui.button("Go all the way, in small steps", (REST, 0)):
             view.attempt(lambda: document.set_on_fold("flow"))
         hint("No step folds; for all strokes")
     if arrival is not None and arrival.moved > NEAR:
-        wrapped(f"Later strokes move it by {arrival.moved:.3g}.")
+        wrapped(f"Later strokes move it by {arrival.moved:.3g} {unit}.")
 
 
 def folds(view: View) -> None:

@@ -19,7 +19,7 @@ BRUSHES: Mapping[Tool, tuple[str, str]] = {
     "smooth": ("S", "even out how far the surroundings have moved; a click does so once"),
     "pin": (
         "D",
-        "hold a point of the selected grab where it is, by a click, or drag one more; a click on a point removes it",
+        "hold a point against the selected grab, by a click, or drag one more; a click on a point removes it",
     ),
 }
 """For each brush, in the order of the tools' strip, its key, and what a drag with it does."""
