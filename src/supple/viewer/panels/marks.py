@@ -79,10 +79,10 @@ def names(tools: ImageTools | SliceTools, lines: imgui.ImDrawList, place: Place,
         lines.add_text((x + 10, y + 4), theme.WHITE, text)
 
 
-def knob(lines: imgui.ImDrawList, at: Pair) -> None:
-    """Draw the knob of the split between before and after."""
+def knob(lines: imgui.ImDrawList, at: Pair, colour: int = theme.WHITE) -> None:
+    """Draw the knob of a line that can be dragged: of the split between before and after, or of symmetry."""
     x, y = at
-    lines.add_circle_filled(at, 9.0, theme.WHITE)
+    lines.add_circle_filled(at, 9.0, colour)
     lines.add_circle(at, 9.0, theme.DARK, 0, 1.0)
     for way in (-1, 1):
         lines.add_triangle_filled((x + 6 * way, y), (x + 2 * way, y - 4), (x + 2 * way, y + 4), 0xFF202020)
@@ -114,10 +114,8 @@ def _plane(view: View, tools: SliceTools, lines: imgui.ImDrawList, k: int) -> No
     pane = tools.pane(k)
     left, top, width, height = pane.place
     _crosshair(tools, lines, pane)
-    if tools.symmetric and pane.plane.across == tools.across:
-        here = [0.0, 0.0, 0.0]
-        here[tools.across] = tools.middle
-        mirror(lines, pane.to_canvas(tuple(here))[0], top, height)
+    if (grip := tools.grip_of(k)) is not None:
+        mirror(lines, grip, top, height)
     _strokes(view, tools, lines, pane)
     _landmarks(view, lines, pane.to_canvas, pane)
     x, y, (west, east, north, south) = left + width / 2, top + height / 2, pane.plane.sides
@@ -128,8 +126,8 @@ def _plane(view: View, tools: SliceTools, lines: imgui.ImDrawList, k: int) -> No
     axis = pane.plane.axis
     _text(lines, (left + _INSET, top + _INSET), pane.plane.name, _PLANES[k])
     wide = imgui.calc_text_size(pane.plane.name).x
-    if width > _ROOMY:
-        said = f"{'xyz'[axis]} {pane.index[axis]}   {_lies(tools, pane)}"
+    said = f"{'xyz'[axis]} {pane.index[axis]}   {_lies(tools, pane)}"
+    if 3 * _INSET + wide + imgui.calc_text_size(said).x < 0.5 * width - _INSET:  # beside the letter in the middle
         _text(lines, (left + 2 * _INSET + wide, top + _INSET), said, theme.GREY)
     _bar(lines, pane.place, pane.scale)
     if view.slices is not None and not view.slices.labels and width > _ROOMY:
@@ -201,11 +199,13 @@ def track(lines: imgui.ImDrawList, places: Iterable[Pair | None], colour: int) -
         lines.add_polyline(points, col=shade, thickness=thick, flags=imgui.ImDrawFlags_.none)
 
 
-def mirror(lines: imgui.ImDrawList, x: float, top: float, height: float) -> None:
-    """Draw the line of symmetry, dashed."""
+def mirror(lines: imgui.ImDrawList, grip: Pair, top: float, height: float) -> None:
+    """Draw the line of symmetry, dashed, with its knob."""
+    x = grip[0]
     for k in range(math.ceil(height / _DASH)):
         for shade, thick in ((theme.DARK, 3.0), (theme.BLUE, 1.0)):
             lines.add_line((x, top + k * _DASH), (x, top + min(k * _DASH + 0.55 * _DASH, height)), shade, thick)
+    knob(lines, grip, theme.BLUE)
 
 
 def end_of(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None) -> None:
@@ -249,6 +249,7 @@ def _landmarks(
     marks = view.landmarks
     if marks is None:
         return
+    taken: list[tuple[float, float, float]] = []  # where names lie, which are not written over each other
     before = marks.points
     after = before if view.tools.original else marks.moved(view.document.deformation)
     for name, old, new in zip(marks.names, before.tolist(), after.tolist(), strict=True):
@@ -269,7 +270,12 @@ def _landmarks(
         corners: list[Any] = [imgui.ImVec2(x + a, y + b) for a, b in ((0, -5), (5, 0), (0, 5), (-5, 0))]
         if away <= 0.5:
             lines.add_convex_poly_filled(corners, _MARK)
-            _text(lines, (x + 8, y), name, _MARK, (0.0, 0.5))
+            size, x = imgui.calc_text_size(name), x + _INSET
+            for begin, over, low in sorted(taken):
+                if abs(y - low) < size.y and begin < x + size.x and x < over:
+                    x = over + _INSET
+            taken.append((x, x + size.x, y))
+            _text(lines, (x, y), name, _MARK, (0.0, 0.5))
         lines.add_polyline([*corners, corners[0]], theme.DARK if away <= 0.5 else _MARK & 0x90FFFFFF, 1.5, 0)
 
 

@@ -34,8 +34,8 @@ def draw(view: View) -> None:
     if isinstance(tools, SliceTools):
         marks.draw(view, tools, lines)
     else:
-        if tools.symmetric:
-            marks.mirror(lines, tools.viewport.to_canvas(tools.middle, 0.0)[0], 0.0, height)
+        if (grip := tools.grip) is not None:
+            marks.mirror(lines, grip, 0.0, height)
         _handles(view, lines)
         marks.rings(tools, lines)
         if tools.knob is not None:
@@ -218,7 +218,7 @@ def certified(view: View) -> str:
         if not stage.warned:
             return f"within {error:.2g} voxels"
         off = f"up to {error:.2g} voxels" if math.isfinite(error) else "more than a voxel"
-        return f"the lattice is off by {off}: mode exact is not"
+        return f"the rendering is off by {off}: in mode exact it is not"
     if view.document.dragging or (isinstance(tools, VideoTools) and tools.playback.playing):
         return ""
     film = stage.kind == "video"
