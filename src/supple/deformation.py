@@ -363,7 +363,7 @@ class Deformation:
         count = self.shape[0] if self.ndim == 3 else 1
         shape = (self.shape[-2], self.shape[-1])
         if grid is None and not self.maps:
-            return Space(self._table, self._axes, self.ndim, count, shape)
+            return Space(self._table, self._axes, self.ndim, count, shape, freeze=mask_of(self.domain))
         frame = np.eye(self.ndim + 1)  # from the domain's coordinates, index times spacing, to positions
         frame[:-1, :-1], frame[:-1, -1] = self.grid.direction, self.grid.origin
         parts: list[_core.Part] = []

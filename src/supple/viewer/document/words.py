@@ -11,7 +11,8 @@ from supple.strokes import FoldPolicy, Recipe, Stroke
 from supple.viewer.document.state import PAINTINGS, Item, State
 
 CAUSES = {"fold": "all of it would fold", "border": "the fixed border holds it back", "outside": "it starts outside"}
-CAUSES["fold and border"] = f"{CAUSES['fold']}, and {CAUSES['border']}"
+CAUSES["freeze"] = "what is frozen holds it back"
+CAUSES |= {f"fold and {other}": f"{CAUSES['fold']}, and {CAUSES[other]}" for other in ("border", "freeze")}
 FALLOFFS = ("far", "medium", "near")
 """For 1, 2 and 3 scales, which fade as 1/r, 1/r³ and 1/r⁵."""
 FOLDS: dict[FoldPolicy, str] = {
