@@ -23,12 +23,14 @@ from supple.fields import Field, Placed, check_path, folds_of
 from supple.folding import resolve
 from supple.freezing import Freeze
 from supple.geometry import Grid
-from supple.resolved import Resolved, described
+from supple.resolved import Resolved, described, freedom_at
 from supple.strain import mask_of
 from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
 
 Floats = npt.NDArray[np.float64]
 Source = npt.NDArray[Any] | Callable[[Floats], npt.ArrayLike]
+
+_FREE_ENOUGH = 0.1  # of the freeze mask: where less is let through, a point is not led back
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -576,8 +578,11 @@ class Deformation:
         first, last = (x[: self.ndim] / self.domain.spacing for x in self.domain.packed()[:, :2].T)
         held = 0.0 if self.domain.border is None else 1.0  # samples within a fixed edge, which nothing else reaches
         points = points[np.all((points > first + held) & (points < last - held), axis=1)]
+        padded = np.zeros((len(points), 3))
+        padded[:, : self.ndim] = points * self.domain.spacing
+        points = points[freedom_at(padded, self.domain) > _FREE_ENOUGH]
         if not len(points):
-            refuse("at", "a point within the domain", at)
+            refuse("at", "a point within the domain that is not frozen", at)
         targets = points - part * errors(points)
         if held:
             targets = np.clip(targets, first + held, last - held)

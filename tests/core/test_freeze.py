@@ -296,3 +296,19 @@ def test_handles_arrive_beside_what_is_frozen() -> None:
     for wrong, which in (((10, 30), "starts"), ((60, 30), "ends")):
         with pytest.raises(SuppleError, match=f"{which} where it is frozen, and nothing moves; a pin may be there"):
             d.pull([wrong, (70, 50)], to=[(12, 31), (71, 52)], radius=9)
+
+
+def test_restoring_leaves_what_is_frozen() -> None:
+    mask = np.zeros((80, 100), bool)
+    mask[:, :20] = True
+    bent = Deformation((80, 100), freeze=mask).grab((45, 40), by=(14, 6), radius=15)
+    back = bent
+    for x in (35, 45, 55, 65):
+        for y in (30, 40, 50):
+            back = back.restore((x, y), radius=20)
+    at = np.array([(50.0, 40.0), (55.0, 42.0)])
+    assert np.linalg.norm(back.inverse(at).points - at, axis=1).max() < 0.6
+    assert np.linalg.norm(bent.inverse(at).points - at, axis=1).min() > 5
+    assert (back.inverse_map()[mask] == np.argwhere(mask)[:, ::-1]).all()
+    with pytest.raises(SuppleError, match="at must be a point within the domain that is not frozen"):
+        back.restore((10, 40), radius=4)

@@ -9,61 +9,72 @@
 
 namespace supple {
 
-// The strokes of a table that apply, in order.
+// The strokes of a table that apply, in order. If `reached` is not null, it has for each stroke a bit for each lane
+// that it applies to, the first of them `lane`: what neighbours need changes no bit of a lane.
 struct Chain {
     const Stroke* strokes;
     const int* list;
     int count;
+    const uint8_t* reached = nullptr;
+    int lane = 0;
     const Stroke& operator[](int i) const { return strokes[list[i]]; }
+    // The lanes that a stroke applies to, as bits.
+    int lanes_of(int i) const { return reached ? reached[i] >> lane : -1; }
     // The end of the group that begins at i.
     int end_of(int i) const {
         int end = i + 1;
         while (end < count && (*this)[end].group == (*this)[i].group) end++;
         return end;
     }
+    Chain part(int from, int end) const {
+        return {strokes, list + from, end - from, reached ? reached + from : nullptr, lane};
+    }
     // The group that ends before `end`.
     Chain last_before(int end) const {
         int i = end - 1;
         while (i > 0 && (*this)[i - 1].group == (*this)[end - 1].group) i--;
-        return {strokes, list + i, end - i};
+        return part(i, end);
     }
 };
 
-// Add one stroke's part to a jet, as `add` does, but leave the length scales of the lanes that it does not concern:
-// `lanes` has a bit for each that it does.
+// Add one stroke's part to a jet, as `add` does, in some lanes.
 template <int D, int TANGENTS, bool MIXED, class V>
 INLINE void add_for(int lanes, const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V>& at,
                     Jet<D, TANGENTS, MIXED, V>& jet) {
-    V before[2], own{};
-    if constexpr (MIXED)
-        for (int j = 0; j < 2; j++) before[j] = jet.smooth2[j];
+    constexpr int EVERY = (1 << Masked<V>::lanes) - 1;
+    if ((lanes & EVERY) == EVERY) return add(k, axes, at, jet);
+    if ((lanes & EVERY) == 0) return;
+    const Jet<D, TANGENTS, MIXED, V> before = jet;
+    V bits{};
+    for (int l = 0; l < Masked<V>::lanes; l++) set_lane(bits, l, lanes >> l & 1);
+    const auto own = bits > 0.5;
     add(k, axes, at, jet);
+    for (int i = 0; i < D; i++) jet.x[i] = choose(own, jet.x[i], before.x[i]);
+    for (int j = 0; j < TANGENTS; j++)
+        for (int i = 0; i < D; i++) jet.t[j][i] = choose(own, jet.t[j][i], before.t[j][i]);
     if constexpr (MIXED) {
-        for (int l = 0; l < Masked<V>::lanes; l++) set_lane(own, l, lanes >> l & 1);
-        for (int j = 0; j < 2; j++) jet.smooth2[j] = choose(own > 0.5, jet.smooth2[j], before[j]);
+        for (int i = 0; i < D; i++) jet.mixed[i] = choose(own, jet.mixed[i], before.mixed[i]);
+        for (int j = 0; j < 2; j++) jet.smooth2[j] = choose(own, jet.smooth2[j], before.smooth2[j]);
     }
 }
 
 // Add the displacements of strokes that act at once, all at the same point, to a jet.
 template <int D, int TANGENTS, bool MIXED, class V>
-NOINLINE void add_group(const Chain& group, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& jet,
-                        const uint8_t* reached = nullptr) {
+NOINLINE void add_group(const Chain& group, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& jet) {
     const Jet<D, TANGENTS, MIXED, V> at = jet;
-    for (int k = 0; k < group.count; k++) add_for(reached ? reached[k] : -1, group[k], axes, at, jet);
+    for (int k = 0; k < group.count; k++) add_for(group.lanes_of(k), group[k], axes, at, jet);
 }
 
-// Send a jet through a chain: x ← T(x), t ← T'(x) t, mixed ← T'(x) mixed + T''(x)(t₀, t₁). `reached` has, for each
-// stroke, a bit for each lane whose length scales it concerns, so that neighbours do not split what belongs to others.
-// One stroke of a group is added as more of it are, so that the others, which a lane may not need, change no bit.
+// Send a jet through a chain: x ← T(x), t ← T'(x) t, mixed ← T'(x) mixed + T''(x)(t₀, t₁). One stroke of a group is
+// added as more of it are, so that the others, which a lane may not need, change no bit.
 template <int D, int TANGENTS, bool MIXED, class V>
-INLINE void carry(const Chain& chain, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& jet,
-                  const uint8_t* reached = nullptr) {
+INLINE void carry(const Chain& chain, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& jet) {
     for (int k = 0, end; k < chain.count; k = end) {
         end = chain.end_of(k);
         if (chain[k].shared)
-            add_group({chain.strokes, chain.list + k, end - k}, axes, jet, reached ? reached + k : nullptr);
+            add_group(chain.part(k, end), axes, jet);
         else
-            add_for(reached ? reached[k] : -1, chain[k], axes, jet, jet);
+            add_for(chain.lanes_of(k), chain[k], axes, jet, jet);
     }
 }
 
@@ -215,7 +226,9 @@ NOINLINE void undo(const Chain& chain, const Axis* axes, const V* q, double tole
             if (!lane(found.done, l)) {
                 double target[D], p[D], steps = 0;
                 for (int i = 0; i < D; i++) target[i] = lane(at[i], l);
-                bool known = follow<D>(one, axes, target, tolerance, p, steps);
+                Chain alone = one;
+                alone.lane = l;
+                bool known = follow<D>(alone, axes, target, tolerance, p, steps);
                 if constexpr (Masked<V>::lanes == 1) {
                     for (int i = 0; i < D && known; i++) found.p[i] = p[i];
                     found.steps += steps;
@@ -232,12 +245,10 @@ NOINLINE void undo(const Chain& chain, const Axis* axes, const V* q, double tole
 
 // Take one more Newton step from p with m ≈ (∂T/∂p)⁻¹ in `found`, which makes m exact to second order, and find
 // ∂²p/∂q₀∂q₁ = -m T''(m₀, m₁); it is done if that step is shorter than `tolerance`, the residual
-// than STEEP times that, and m was close. `smooth2`: how far
-// the map stays as it is here along q₀ and q₁, squared; `reached` has a bit for each lane that a stroke of the chain
-// concerns, so that its neighbours do not split what belongs to others.
+// than STEEP times that, and m was close. `smooth2`: how far the map stays as it is here along q₀ and q₁, squared.
 template <int D, class V>
-INLINE void polish(const Chain& chain, const uint8_t* reached, const Axis* axes, const V* q, double tolerance,
-                   Solution<D, V>& found, V* mixed, V* smooth2) {
+INLINE void polish(const Chain& chain, const Axis* axes, const V* q, double tolerance, Solution<D, V>& found, V* mixed,
+                   V* smooth2) {
     Jet<D, D, true, V> jet;
     for (int i = 0; i < D; i++) {
         jet.x[i] = found.p[i];
@@ -245,7 +256,7 @@ INLINE void polish(const Chain& chain, const uint8_t* reached, const Axis* axes,
         for (int j = 0; j < D; j++) jet.t[j][i] = found.m[j][i];
     }
     jet.smooth2[0] = jet.smooth2[1] = splat<V>(1e300);
-    carry(chain, axes, jet, reached);
+    carry(chain, axes, jet);
     for (int j = 0; j < 2; j++) smooth2[j] = jet.smooth2[j];
     // jet.t = (∂T/∂p) m ≈ I, so that its inverse is 2I - jet.t but for squares.
     V better[D][D], e[D];

@@ -292,7 +292,7 @@ Chain Plan<D>::chain_of(Work& w, RootOf root_of) const {
             w.reached.push_back(lanes);
         }
     }
-    return {strokes.data(), w.list.data(), (int)w.list.size()};
+    return {strokes.data(), w.list.data(), (int)w.list.size(), w.reached.data()};
 }
 
 // A ball around each root of a row is carried back through the chain: its centre by a fixed point of each group of
@@ -480,7 +480,7 @@ void Plan<D>::solve(Work& w, Guess guess) {
         Chain chain = chain_of(w, [&](int i) { return ask(i).root; });
         auto polished = [&](const Solution<D, Lanes>& s, double tolerance) {
             Solved made{s, {}, {}};
-            polish<D>(chain, w.reached.data(), axes, q, tolerance, made.at, made.mixed, made.smooth2);
+            polish<D>(chain, axes, q, tolerance, made.at, made.mixed, made.smooth2);
             return made;
         };
         auto merged = [&](const Solved& a, const Solved& b) {

@@ -137,7 +137,7 @@ struct Lattice {
                 }
                 s.settle(q, SOLVED * s.finest(), found);
                 Lanes mixed[3], smooth2[2];
-                polish<3>(s.chain(), nullptr, s.axes.data(), q, SOLVED * s.finest(), found, mixed, smooth2);
+                polish<3>(s.chain(), s.axes.data(), q, SOLVED * s.finest(), found, mixed, smooth2);
                 for (int d = 0; d < 2; d++) {
                     double spacing = s.axes[d].spacing;
                     shortest = least(shortest, Lanes(smooth2[d] * (1 / (spacing * spacing))));
