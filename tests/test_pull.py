@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import warnings
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from supple import Deformation, Recipe, strain
+from supple import Deformation, Recipe, _core, pulls, strain
 from supple.errors import FoldError, FoldWarning, SuppleError
-from supple.strokes import MOST_HANDLES, Stroke, pack
+from supple.strokes import MOST_HANDLES, Stroke, numbers, pack
 from tests import reference
 from tests.strokes import refusal
 
@@ -90,6 +90,49 @@ def test_bounds_of_a_sum_hold_at_dense_points(border: float | None, count: int) 
     assert moved <= strain.largest(table, axes) <= (1.6 if border else 1.25) * moved
 
 
+@pytest.mark.parametrize(("ndim", "reach"), [(2, 4.0), (2, None), (3, 4.0), (3, 1.5)])
+@pytest.mark.parametrize("poisson", [-np.inf, 0.2, 0.5])
+def test_the_bound_of_many_is_near_what_is_found_at_points(ndim: int, reach: float | None, poisson: float) -> None:
+    rng = np.random.default_rng(11)
+    points = scattered(ndim, 14, 9.0, seed=3)
+    handles = [Stroke(at=tuple(p), by=tuple(rng.normal(size=ndim) * 3), radius=9, reach=reach, poisson=poisson)
+               for p in points]  # fmt: skip
+    domain = Deformation(SHAPES[ndim]).domain
+    table, axes = pack(handles, domain.spacing), domain.packed()
+    table["joined"][1:] = 1
+    found = strain.sampled(table, axes)
+    lower, upper = strain.weakest(table, axes, target=0.0, gap=0.02)
+    early, _ = strain.weakest(table, axes, target=1.5 * found, gap=0.02)
+    assert 1.501 * found <= early <= lower * (1 - 1e-9)
+    assert lower <= found <= 0.97 * upper
+    places = rng.uniform(0, np.array(SHAPES[ndim][::-1]) - 1, (40_000, ndim))
+    places = np.pad(np.concatenate([places, points + rng.normal(size=points.shape) * 3]), ((0, 0), (0, 3 - ndim)))
+    _, jacobians = _core.forward(numbers(table), axes, places, True)
+    strains = jacobians[:, :ndim, :ndim] - np.eye(ndim)
+    assert np.linalg.eigvalsh(0.5 * (strains + np.swapaxes(strains, 1, 2)))[:, 0].min() >= lower
+
+
+def test_what_cannot_arrive_is_refused_before_anything_is_proven(monkeypatch: pytest.MonkeyPatch) -> None:
+    def late(*given: object) -> NoReturn:
+        raise AssertionError("a bound was asked for")
+
+    monkeypatch.setattr(pulls, "weakest", late)
+    points = np.random.default_rng(0).uniform((60, 40), (540, 360), (200, 2))
+    by = np.random.default_rng(1).normal(size=points.shape) * 20
+    message = refusal(lambda: Deformation((400, 600)).pull(points, by=by, radius=30))
+    assert "a pull of 200 handles" in message
+    assert "cannot arrive without a fold" in message
+
+
+def test_two_that_meet_on_their_way_are_named() -> None:
+    d = Deformation((120, 240))
+    points, by = [(20, 60), (60, 60), (160, 60), (200, 90)], [(0, 9), (100, 0), (-100, 0), (0, 5)]
+    message = refusal(lambda: d.pull(points, by=by, radius=20))
+    assert (
+        "the handles at (60, 60) and (160, 60), dragged by (100, 0) and (-100, 0), pull against each other" in message
+    )
+
+
 @pytest.mark.parametrize("on_fold", ["damp", "error"])
 def test_a_pull_that_folds_is_damped_or_refused(on_fold: str) -> None:
     d = Deformation((120, 160), on_fold=on_fold)  # type: ignore[arg-type]
@@ -119,6 +162,10 @@ def test_refusals() -> None:
     assert refusal(lambda: d.pull([(9, 9), (9, 8)], by=[(1, 1)], radius=3)).startswith("by must be 2 points")
     assert refusal(lambda: d.pull([], by=[], radius=3)).startswith("points must be one point at least")
     assert refusal(lambda: d.pull([1, 2], by=[1, 2], radius=3)).startswith("points must be points of 2 or 3 numbers")
+    crowd = [(x, 1) for x in range(MOST_HANDLES)]
+    assert refusal(lambda: Stroke.pull(crowd, by=crowd, pins=[(9, 9)], radius=3)) == (
+        "points must be at most 1000 points, pins among them, found 1001"
+    )
     assert "two handles at (9, 9)" in refusal(lambda: d.pull([(9, 9), (9, 9)], by=[(1, 1), (2, 1)], radius=3))
     assert "starts or ends on the edge" in refusal(lambda: d.pull([(9, 9), (30, 9)], by=[(-20, 0), (0, 0)], radius=3))
     assert "also must be left out for a twist" in refusal(

@@ -144,8 +144,8 @@ def weakest(
 def sampled(rows: Table, axes: Floats, mask: _core.Freeze | None = None) -> float:
     """Return the lowest λ_min(sym(J_β)) found at points near strokes that act at once: an upper bound of μ, and fast.
 
-    Points are around the pivots of the strongest strokes and between them and their neighbours; then, closer and
-    closer, around those with the lowest values.
+    Points are around the pivots of the strongest strokes, between them and their neighbours, and on a lattice; then,
+    closer and closer, around those with the lowest values.
 
     Parameters
     ----------
@@ -173,7 +173,10 @@ def sampled(rows: Table, axes: Floats, mask: _core.Freeze | None = None) -> floa
     neighbours = pivots[np.argsort(distances, axis=1, kind="stable")[:, 1:5]]
     beside = near[:, None] + radius[strongest, None, None] * np.concatenate([steps * r for r in (0.0, 0.3, 0.6, 1.0)])
     between = [near[:, None] + (neighbours - near[:, None]) * t for t in (0.2, 0.5, 0.8)]
-    points = np.concatenate([beside, *between], axis=1).reshape(-1, 3)
+    ends = np.linspace(low[extended], high[extended], 65 if len(extended) == 2 else 17)
+    lattice = np.repeat(low[None], len(ends) ** len(extended), axis=0)
+    lattice[:, extended] = np.stack(np.meshgrid(*ends.T), axis=-1).reshape(len(lattice), -1)
+    points = np.concatenate([np.concatenate([beside, *between], axis=1).reshape(-1, 3), lattice])
     found = lowest(points)
     for width in radius.max() * 0.25 * 0.5 ** np.arange(8):
         best = np.argsort(found, kind="stable")[:_CLOSER]

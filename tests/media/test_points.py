@@ -130,7 +130,7 @@ class TestWhatCannotBeRead:
             ('{\n"markups": [}', "line 2: it is no whole JSON (Expecting value): save it from Slicer as .mrk.json"),
             ("[" * 200_000, "it is JSON of a size or depth that nobody needs: save it from Slicer as .mrk.json"),
             ("[1]", 'it has no list "markups": save it from Slicer as .mrk.json'),
-            ('{"markups": []}', 'it has no list "markups": save it from Slicer as .mrk.json'),
+            ('{"markups": []}', "it holds no points that are placed: place some"),
             ('{"markups": [3]}', 'markup 1: it has no list "controlPoints": save it from Slicer as .mrk.json'),
             (
                 f'{{"markups": [{{"controlPoints": [{POINT}]}}, {{"type": "Line"}}]}}',

@@ -179,7 +179,7 @@ def _from_json(name: str, text: str) -> PointFile:
     except (ValueError, RecursionError):
         refuse("", "it is JSON of a size or depth that nobody needs", slicer)
     markups = data.get("markups") if isinstance(data, dict) else None
-    if not isinstance(markups, list) or not markups:
+    if not isinstance(markups, list):
         refuse("", 'it has no list "markups"', slicer)
     places, points, labels, first = [], [], [], ""
     for m, markup in enumerate(markups):

@@ -225,6 +225,8 @@ class Stroke:
         pairs = [*zip(start, drags, strict=True), *((p, [0.0] * len(p)) for p in stay)]
         if not start:
             refuse("points", "one point at least", points)
+        if len(pairs) > MOST_HANDLES:
+            refuse("points", f"at most {MOST_HANDLES} points, pins among them", len(pairs))
         (at, drag), *also = pairs
         return cls(at=at, by=drag, also=also, radius=radius, poisson=poisson, reach=reach)  # type: ignore[arg-type]
 
