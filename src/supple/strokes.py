@@ -1014,7 +1014,9 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = Fa
     for i, stroke in enumerate(strokes):
         if stroke.ndim != n:
             refuse(f"strokes[{i}].at", f"a point of {n} numbers, as the medium has {n} axes", stroke.at)
-        pivot, force = ((*(x * step for x, step in zip(v, spacing, strict=True)), 0.0)[:3] for v in (stroke.at, stroke.by))
+        pivot, force = (
+            (*(x * step for x, step in zip(v, spacing, strict=True)), 0.0)[:3] for v in (stroke.at, stroke.by)
+        )
         matrix, power = stroke.matrix(spacing, time=time), 1 if stroke.brush == "grab" else 3
         terms = _terms(stroke.radius, stroke.material(time=time), stroke.scales, stroke.brush)
         reach = math.inf if stroke.reach is None else stroke.reach * stroke.radius

@@ -60,13 +60,9 @@ class Screen:
         self._gpu, self._linear = gpu, format.endswith("srgb")
         self._smooth = gpu.device.create_sampler(mag_filter=filter, min_filter=filter)
         module = gpu.device.create_shader_module(code=source("screen"))
-        textures = [{"binding": k, "visibility": "FRAGMENT", "texture": {}} for k in (1, 2)]
+        kinds: list[dict[str, Any]] = [{"buffer": {"type": UNIFORM}}, {"texture": {}}, {"texture": {}}, {"sampler": {}}]
         self._layout = gpu.device.create_bind_group_layout(
-            entries=[
-                {"binding": 0, "visibility": "FRAGMENT", "buffer": {"type": UNIFORM}},
-                *textures,
-                {"binding": 3, "visibility": "FRAGMENT", "sampler": {}},
-            ]
+            entries=[{"binding": k, "visibility": "FRAGMENT"} | kind for k, kind in enumerate(kinds)]
         )
         self._pipelines = [  # for one texture, and for two
             gpu.device.create_render_pipeline(
