@@ -51,26 +51,28 @@ print(time.time())
 """
 _OURS = """
 import sys, time
+from types import SimpleNamespace
 import supple.cli
-from rendercanvas.offscreen import RenderCanvas, loop
+from rendercanvas.offscreen import RenderCanvas
 from supple.viewer.window.launch import opened
 canvas = RenderCanvas(size=(1280, 800))
-view = opened(sys.argv[1], None, canvas, loop)
+view = opened(sys.argv[1], None, canvas, SimpleNamespace(call_later=lambda seconds, work: None))
 canvas.draw()
 print(time.time())
 view.close()
 """
+_LOOP = SimpleNamespace(call_later=lambda seconds, work: None)  # frames are drawn from here: nothing comes later
 
 
 def opened(source: Any) -> tuple[Any, Any]:
     """A view of 20 strokes."""
-    from rendercanvas.offscreen import RenderCanvas, loop
+    from rendercanvas.offscreen import RenderCanvas
 
     from supple.viewer.window.launch import opened as opened_on
 
     canvas = RenderCanvas(size=(1280, 800))
     strokes = tuple(Stroke.grab((150 + 80 * k, 300 + 20 * k), by=(15, 28), radius=120) for k in range(20))
-    view = opened_on(source, Recipe(border=None, strokes=strokes), canvas, loop)
+    view = opened_on(source, Recipe(border=None, strokes=strokes), canvas, _LOOP)
     canvas.draw()
     # Without a screen, it would read each picture back; a screen takes it where it is.
     view._context._rc_present = lambda **options: {"method": "skip"}
@@ -188,13 +190,13 @@ def clip(target: Path, frames: int = 100, rate: int = 25) -> Path:
 
 def played(path: Path, seconds: float = 3.0) -> tuple[float, int, int]:
     """The rate of a clip that is bent in time; how many frames are due in some seconds, and how many are seen."""
-    from rendercanvas.offscreen import RenderCanvas, loop
+    from rendercanvas.offscreen import RenderCanvas
 
     from supple.viewer.window.launch import opened as opened_on
 
     canvas = RenderCanvas(size=(1920 + WIDE, 1080 + BAR + LINE))
     stroke = Stroke.grab((960, 540, 40), by=(150, 0, 4), radius=300)
-    view = opened_on(path, Recipe(border=None, strokes=(stroke,)), canvas, loop)
+    view = opened_on(path, Recipe(border=None, strokes=(stroke,)), canvas, _LOOP)
     playback = view.tools.playback
     for _ in range(20):  # what is compiled, and the first frames
         canvas.draw()

@@ -82,14 +82,15 @@ def test_each_tool_and_action_has_an_icon_and_a_key_that_is_listed() -> None:
 
 
 def test_icons_are_seen_and_differ(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
-    from supple.viewer.panels.icons import ICONS, Pen
+    from supple.viewer.panels.icons import ICONS, placed
 
     _, hand = grey()
     seen: dict[str, np.ndarray] = {}
     for name, icon in ICONS.items():
 
         def draw(view: Any, icon: Any = icon) -> None:
-            icon(Pen(imgui.get_background_draw_list(), 30, 30, 9, 0xFFFFFFFF))
+            for part in placed(icon, 30, 30, 9):
+                part(imgui.get_background_draw_list(), 0xFFFFFFFF)
 
         monkeypatch.setattr("supple.viewer.panels.overlay.draw", draw)
         picture = hand.canvas.draw()[10:50, 10:50, :3].astype(int)

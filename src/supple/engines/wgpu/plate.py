@@ -112,6 +112,7 @@ class _Drawn:
 
     _entry: str  # of the shader
     _kinds: tuple[str | None, ...]
+    _chosen: tuple[str, ...]  # the constants that it is compiled for
 
     def __init__(self, gpu: Gpu, size: tuple[int, int]) -> None:
         self.gpu, self.size = gpu, size
@@ -150,9 +151,11 @@ class _Drawn:
         if self._nodes[0] < cells[0] * cells[1]:
             self._nodes = cells[0] * cells[1], room(gpu, 48 * cells[0] * cells[1])
         sheet = self._sheet(texture)
-        buffers = sheet.hold(table, axes, self._settings(sight, cells, table.size))
+        settings = self._settings(sight, cells, table.size)
+        buffers = sheet.hold(table, axes, settings)
         resources = (*buffers, self._nodes[1], *self._held(sheet.view))
-        paint, layout = pipeline(gpu, _NAMES, self._entry, self._kinds, {"BENT": bool(table.size), **constants(table)})
+        chosen = {"BENT": bool(table.size), "SINGLE": not settings["solved"], **constants(table)}
+        paint, layout = pipeline(gpu, _NAMES, self._entry, self._kinds, {name: chosen[name] for name in self._chosen})
         group = sheet.bound.group(resources, lambda: bound(gpu, layout, resources))
         commands = encoder or gpu.device.create_command_encoder()
         step = commands.begin_compute_pass()
@@ -194,7 +197,7 @@ class _Drawn:
 class Laid(_Drawn):
     """A part of an image at one size, which is warped already: strokes are for the overlay only."""
 
-    _entry, _kinds = "lay", (*_COMMON, None, TEXTURE, PICTURE)
+    _entry, _kinds, _chosen = "lay", (*_COMMON, None, TEXTURE, PICTURE), ("BENT", "GRABS", "SINGLE")
 
     def __init__(self, gpu: Gpu, size: tuple[int, int]) -> None:
         super().__init__(gpu, size)
@@ -248,7 +251,7 @@ class Plate(_Drawn):
         If they exceed the largest binding.
     """
 
-    _entry, _kinds = "paint", (*_COMMON, READ, TEXTURE)
+    _entry, _kinds, _chosen = "paint", (*_COMMON, READ, TEXTURE), ("BENT", "GRABS")
 
     def __init__(self, gpu: Gpu, size: tuple[int, int], frames: int = 1, slots: int = 1) -> None:
         super().__init__(gpu, size)

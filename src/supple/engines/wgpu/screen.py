@@ -60,12 +60,24 @@ class Screen:
         self._gpu, self._linear = gpu, format.endswith("srgb")
         self._smooth = gpu.device.create_sampler(mag_filter=filter, min_filter=filter)
         module = gpu.device.create_shader_module(code=source("screen"))
-        self._pipeline = gpu.device.create_render_pipeline(
-            layout="auto",
-            vertex={"module": module, "entry_point": "corner"},
-            fragment={"module": module, "entry_point": "shown", "targets": [{"format": format}]},
-            primitive={"topology": "triangle-list"},
+        kinds: list[dict[str, Any]] = [{"buffer": {"type": UNIFORM}}, {"texture": {}}, {"texture": {}}, {"sampler": {}}]
+        self._layout = gpu.device.create_bind_group_layout(
+            entries=[{"binding": k, "visibility": "FRAGMENT"} | kind for k, kind in enumerate(kinds)]
         )
+        self._pipelines = [  # for one texture, and for two
+            gpu.device.create_render_pipeline(
+                layout=gpu.device.create_pipeline_layout(bind_group_layouts=[self._layout]),
+                vertex={"module": module, "entry_point": "corner"},
+                fragment={
+                    "module": module,
+                    "entry_point": "shown",
+                    "targets": [{"format": format}],
+                    "constants": {"SPLIT": split},
+                },
+                primitive={"topology": "triangle-list"},
+            )
+            for split in (False, True)
+        ]
         self._told, self._bound = Kept(gpu, UNIFORM), Bound()
 
     def draw(
@@ -92,7 +104,7 @@ class Screen:
         """
         settings = np.array([(part, split if second is not None else -1.0, 0.001, self._linear, 0)], _SETTINGS)
         things = self._told.hold(settings), first, second or first
-        drawing.set_pipeline(self._pipeline)
+        drawing.set_pipeline(self._pipelines[second is not None])
         if place is not None:
             drawing.set_viewport(*place, 0.0, 1.0)
         drawing.set_bind_group(0, self._bound.group(things, lambda: self._group(*things)))
@@ -105,4 +117,4 @@ class Screen:
             {"binding": 2, "resource": second.create_view()},
             {"binding": 3, "resource": self._smooth},
         ]
-        return self._gpu.device.create_bind_group(layout=self._pipeline.get_bind_group_layout(0), entries=entries)
+        return self._gpu.device.create_bind_group(layout=self._layout, entries=entries)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from operator import attrgetter
 
 from supple.deformation import Arrival, Deformation, last_outside, reduced
 from supple.domain import Border, Domain, integer, refuse
@@ -12,6 +13,8 @@ from supple.files.volumes import indexed, placed
 from supple.geometry import Geometry
 from supple.strokes import FoldPolicy, Recipe, Stroke, spoken
 from supple.viewer.document.state import PAINTINGS, Handle, History, Item, Kind, Solved, State, Track, handles_of
+
+_HIDDEN = attrgetter("hidden")
 
 
 class Document:
@@ -393,7 +396,7 @@ class Document:
     def _nth(self, i: int) -> int | None:
         """Return the index of an item among the visible strokes."""
         i = self._checked(i)
-        return None if self.items[i].hidden else sum(not item.hidden for item in self.items[:i])
+        return None if self.items[i].hidden else i - sum(map(_HIDDEN, self.items[:i]))
 
     @staticmethod
     def _replaced(state: State, i: int, stroke: Stroke) -> State:

@@ -12,7 +12,7 @@ from supple.viewer.panels.stages import VideoStage, VolumeStage
 from supple.viewer.panels.view import BAR, LINE, View
 from supple.viewer.panels.widgets import hint, icon_button
 from supple.viewer.tools.brushes import ImageTools, VideoTools
-from supple.viewer.tools.drags import Pair
+from supple.viewer.tools.drags import Pair, Point
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.slices import SliceTools
 
@@ -51,6 +51,11 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
     tools = view.tools
     assert isinstance(tools, ImageTools)
     document, viewport = view.document, tools.viewport
+    (left, top), zoom = viewport.to_canvas(0.0, 0.0), viewport.zoom
+
+    def placed(point: Point) -> Pair:  # as the viewport does, which finds its zoom anew for each
+        return left + point[0] * zoom, top + point[1] * zoom
+
     for i, track in document.tracks():
         selected = document.selected == i
         if not selected and len(document.items) > 60:
@@ -58,7 +63,7 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
         stroke, wanted = track.stroke, track.wanted
         colour = theme.BLUE if selected else theme.SOFT
         for point, where in track.handles:
-            start, end = viewport.to_canvas(*point[:2]), viewport.to_canvas(*where[:2])
+            start, end = placed(point), placed(where)
             if isinstance(view.stage, VideoStage):
                 # Handles of other frames are faint, and cannot be dragged.
                 there = [abs(t - view.frame) <= 0.5 for t in (point[2], where[2])]
@@ -67,12 +72,12 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
                         if seen or selected:
                             lines.add_circle(place, 5.0 if seen else 3.0, colour if seen else theme.DIM, 0, 1.5)
                     continue
-            marks.track(lines, (start, *(viewport.to_canvas(*p[:2]) for p in stroke.path), end), colour)
+            marks.track(lines, (start, *map(placed, stroke.path), end), colour)
             lines.add_circle_filled(start, 3.0, colour)
             if stroke.brush == "grab":
-                marks.end_of(lines, end, colour, None if wanted is None else viewport.to_canvas(*wanted[:2]))
+                marks.end_of(lines, end, colour, None if wanted is None else placed(wanted))
             if selected:
-                lines.add_circle(start, stroke.radius * viewport.zoom, theme.BALL, 0, 1.0)
+                lines.add_circle(start, stroke.radius * zoom, theme.BALL, 0, 1.0)
             wanted = None  # only the first one's is known
 
 

@@ -34,6 +34,7 @@ struct Settings {
 @group(0) @binding(6) var laid: texture_2d<f32>;
 
 override BENT: bool = true; // true if there are strokes; constant, as software GPUs compile shaders slowly
+override SINGLE: bool = false; // true if one sample will do; constant, as a loop of any length takes them as long again
 
 const CELL = 16u;
 const GRID = 1u;
@@ -229,7 +230,7 @@ fn lay(@builtin(global_invocation_id) id: vec3u) {
         return;
     }
     // During a drag, one sample will do, too: it is the mean of four pixels, each at least half a pixel of the window.
-    let taps = select(1u, taps_of(settings.scale / settings.step), settings.solved == 1u);
+    let taps = select(taps_of(settings.scale / settings.step), 1u, SINGLE);
     var total = vec4f(0.0);
     for (var j = 0u; j < taps; j++) {
         for (var i = 0u; i < taps; i++) {

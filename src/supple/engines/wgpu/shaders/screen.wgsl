@@ -8,6 +8,8 @@ struct Settings {
     unused: u32,
 }
 
+override SPLIT: bool = true; // constant, as software GPUs would sample both textures everywhere
+
 @group(0) @binding(0) var<uniform> settings: Settings;
 @group(0) @binding(1) var first: texture_2d<f32>;
 @group(0) @binding(2) var second: texture_2d<f32>;
@@ -27,11 +29,13 @@ fn corner(@builtin(vertex_index) k: u32) -> Corner {
 @fragment
 fn shown(corner: Corner) -> @location(0) vec4f {
     let at = settings.part.xy + settings.part.zw * corner.at;
-    let one = textureSampleLevel(first, smooth_, at, 0.0).xyz;
-    let other = textureSampleLevel(second, smooth_, at, 0.0).xyz;
-    var v = select(one, other, corner.at.x < settings.split);
-    if (abs(corner.at.x - settings.split) < settings.line) {
-        v = vec3f(1.0);
+    var v = textureSampleLevel(first, smooth_, at, 0.0).xyz;
+    if (SPLIT) {
+        let other = textureSampleLevel(second, smooth_, at, 0.0).xyz;
+        v = select(v, other, corner.at.x < settings.split);
+        if (abs(corner.at.x - settings.split) < settings.line) {
+            v = vec3f(1.0);
+        }
     }
     if (settings.linear == 1u) {
         v = select(pow((v + 0.055) / 1.055, vec3f(2.4)), v / 12.92, v <= vec3f(0.04045));
