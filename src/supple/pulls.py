@@ -27,7 +27,7 @@ from supple.resolved import (
     narrowest,
     spelled,
 )
-from supple.strain import MARGIN, largest, mask_of, sampled, weakest
+from supple.strain import CLEARLY_SAFE, GAP, MARGIN, largest, mask_of, sampled, weakest
 from supple.strokes import FoldPolicy, Stroke, numbers, pack
 
 _HIT = 1e-6  # samples: the accuracy of handles
@@ -45,7 +45,9 @@ def pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         return _flow(stroke, domain, table, goal)
     table["force"] = _forces(table, goal - start, domain)
     _check_arrival(stroke, domain, _moved(table, domain, start), start, goal)
-    lower, _ = weakest(table, axes, mask=mask_of(domain))
+    # Where μ is known to be that low anywhere, no closer bound is needed elsewhere.
+    known = sampled(table, axes, mask_of(domain)) * (1 + GAP)
+    lower, _ = weakest(table, axes, min(CLEARLY_SAFE, known), mask=mask_of(domain))
     alpha = 1.0 if lower >= MARGIN - 1 else (1 - MARGIN) / -lower * (1 - 1e-14)
     warning = None
     if alpha < 1:
@@ -65,11 +67,12 @@ def _flow(stroke: Stroke, domain: Domain, table: Table, goal: Floats) -> Resolve
     """Resolve a pull as groups, one after the other: all handles go straight to their targets, and arrive at once."""
     axes, start = domain.packed(), table["pivot"].copy()
 
-    def proven(rows: Table) -> float:
-        return weakest(rows, axes, FLOW_MARGIN - 1, FLOW_GAP, mask_of(domain))[0]
-
     def estimated(rows: Table) -> float:
         return sampled(rows, axes, mask_of(domain))
+
+    def proven(rows: Table) -> float:
+        pieces = math.ceil(estimated(rows) * (1 + FLOW_GAP) / (FLOW_MARGIN - 1))
+        return weakest(rows, axes, (FLOW_MARGIN - 1) * max(pieces, 1), FLOW_GAP, mask_of(domain))[0]
 
     # Proofs take most of the time: they begin when it is known that the handles arrive.
     for bound in (estimated, proven):

@@ -115,8 +115,6 @@ def weakest(
         around, beyond = _around(rows, axes)
         if mask is not None and beyond:  # beyond the domain, it does not vary
             around[:, 0], around[:, 1] = np.minimum(around[:, 0], axes[:, 0]), np.maximum(around[:, 1], axes[:, 1])
-        if len(rows) > 1:  # what is known to be that low anywhere need not be bounded more closely elsewhere
-            target = min(target, sampled(rows, axes, mask) * (1 + gap))
         lower, upper = _core.smallest_strain(numbers(rows), around, -math.inf, 0.0, target, gap, mask)
         return min(lower, beyond), upper
     row, fixed = rows[0], axes[:, 2] >= 0
@@ -171,9 +169,9 @@ def sampled(rows: Table, axes: Floats, mask: _core.Freeze | None = None) -> floa
     pivots, near = rows["pivot"], rows["pivot"][strongest]
     distances = np.linalg.norm(near[:, None] - pivots, axis=2)
     neighbours = pivots[np.argsort(distances, axis=1, kind="stable")[:, 1:5]]
-    beside = near[:, None] + radius[strongest, None, None] * np.concatenate([steps * r for r in (0.0, 0.3, 0.6, 1.0)])
+    beside = near[:, None] + radius[strongest, None, None] * np.concatenate([steps * r for r in (0.3, 0.6, 1.0)])
     between = [near[:, None] + (neighbours - near[:, None]) * t for t in (0.2, 0.5, 0.8)]
-    ends = np.linspace(low[extended], high[extended], 65 if len(extended) == 2 else 17)
+    ends = np.linspace(low[extended], high[extended], 33 if len(extended) == 2 else 17)
     lattice = np.repeat(low[None], len(ends) ** len(extended), axis=0)
     lattice[:, extended] = np.stack(np.meshgrid(*ends.T), axis=-1).reshape(len(lattice), -1)
     points = np.concatenate([np.concatenate([beside, *between], axis=1).reshape(-1, 3), lattice])
