@@ -1,4 +1,4 @@
-"""An image as the CPU warps it, on a device that draws it: only what changes is warped again."""
+"""Images and frames as the CPU warps them, on a device that draws them: only what changes is warped again."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from supple.engines.base import Sampling, Space
 from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.plate import Laid, Sight, halved
 from supple.geometry import Grid
+from supple.strain import mask_of
 from supple.strokes import numbers
 
 Pixels = npt.NDArray[np.uint8]
@@ -76,7 +77,7 @@ class Warped:
             made = source[y0:y1, x0:x1]
         else:
             part = grid.crop((x0, y0), (x1 - x0, y1 - y0))
-            space = replace(_reduced(deformation.space, k, source.shape), grid=part)
+            space = replace(_reduced(deformation, k, source.shape), grid=part)
             made, _ = warp_array(source, space, _SAMPLING, alpha=self._levels.has_alpha)
         self._laid.put((x0, y0), made)
 
@@ -87,9 +88,41 @@ class Warped:
         self._laid.draw(sight, space.table if sight.overlay else space.table[:0], space.axes, texture, encoder)
 
 
+class WarpedFrame:
+    """The visible part of a clip's frame, warped as exports are: where a device cannot."""
+
+    def __init__(self, gpu: Gpu, size: tuple[int, int]) -> None:
+        self._laid = Laid(gpu, size)
+        self._levels: dict[int, Levels] = {}  # of the frames that it is made of
+        self._known: tuple[Deformation, float, tuple[int, Box]] | None = None
+
+    def bring(self, deformation: Deformation, sight: Sight, first: int, frames: list[Pixels]) -> None:
+        """Warp the part that a sight shows, as far as it is not there yet, from the frames that it is made of."""
+        self._levels = {first + i: self._levels.get(first + i) or Levels(frame) for i, frame in enumerate(frames)}
+        each = list(self._levels.values())
+        k = each[0].of(sight.scale)
+        source = np.stack([levels.at(k)[0] for levels in each])
+        box = x0, y0, x1, y1 = _visible(sight, k, source.shape[1:])
+        if self._known == (deformation, sight.time, (k, box)):
+            return
+        self._known = deformation, sight.time, (k, box)
+        time = int(sight.time) - first
+        part = Grid(source.shape[:3]).crop((x0, y0, time), (x1 - x0, y1 - y0, 1))
+        space = replace(_reduced(deformation, k, source.shape[1:], first), grid=part, count=len(source))
+        made, _ = warp_array(source, space, _BETWEEN, alpha=False)
+        self._laid.clear((x0, y0), (x1 - x0, y1 - y0), 2**k)
+        self._laid.put((x0, y0), made[0])
+
+    def draw(self, sight: Sight, texture: Any, encoder: Any = None) -> None:
+        """Draw what was brought last into a texture, if there is anything; see `Plate.draw`."""
+        if self._known is not None:
+            space = self._known[0].space
+            self._laid.draw(sight, space.table if sight.overlay else space.table[:0], space.axes, texture, encoder)
+
+
 def changed(before: Space, after: Space) -> tuple[Floats, Floats]:
     """Return a box around all points where two maps of strokes differ: the least and the largest x and y, in pixels."""
-    if not np.array_equal(before.axes, after.axes):
+    if not np.array_equal(before.axes, after.axes) or before.freeze is not after.freeze:
         return np.full(2, -math.inf), np.full(2, math.inf)
     one, other = numbers(before.table), numbers(after.table)
     most = min(len(one), len(other))
@@ -127,14 +160,16 @@ def _cells(box: tuple[Floats, Floats], k: int) -> Box:
     return x0, y0, x1, y1
 
 
-def _reduced(space: Space, k: int, shape: tuple[int, ...]) -> Space:
-    """Return the map of an image for a level of it."""
+def _reduced(deformation: Deformation, k: int, shape: tuple[int, ...], first: int = 0) -> Space:
+    """Return the map of an image, or of a clip from a frame on, for a level of it."""
+    space = deformation.space
     table, axes = space.table.copy(), space.axes.copy()
-    inset = 0.5 * (2**k - 1) * axes[:2, 3]  # the centre of the level's first pixel
-    table["pivot"][:, :2] -= inset
-    axes[:2, :2] -= inset[:, None]
+    inset = np.array([0.5 * (2**k - 1)] * 2 + [first]) * axes[:, 3]  # the centre of the level's first pixel
+    table["pivot"] -= inset
+    axes[:, :2] -= inset[:, None]
     axes[:2, 3] *= 2**k
-    return replace(space, table=table, axes=axes, shape=(shape[0], shape[1]))
+    freeze = mask_of(deformation.domain, tuple(inset.tolist()))
+    return replace(space, table=table, axes=axes, shape=(shape[0], shape[1]), freeze=freeze)
 
 
 def _visible(sight: Sight, k: int, shape: tuple[int, ...]) -> Box:
@@ -154,4 +189,4 @@ def _common(one: Box, other: Box) -> Box:
     return max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3])
 
 
-_SAMPLING = Sampling.checked(2)
+_SAMPLING, _BETWEEN = Sampling.checked(2), Sampling.checked(3)
