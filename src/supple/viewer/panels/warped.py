@@ -13,7 +13,7 @@ from supple.arrays import warp_array
 from supple.deformation import Deformation
 from supple.engines.base import Sampling, Space
 from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.plate import Laid, Sight, halved
+from supple.engines.wgpu.plate import FINE, Laid, Sight, halved, nodes_of
 from supple.geometry import Grid
 from supple.strain import mask_of
 from supple.strokes import numbers
@@ -84,8 +84,7 @@ class Warped:
     def draw(self, sight: Sight, texture: Any, encoder: Any = None) -> None:
         """Draw what was brought, or a coarser image of it, into a texture; see `Plate.draw`."""
         assert self.shown is not None
-        space = self.shown.space
-        self._laid.draw(sight, space.table if sight.overlay else space.table[:0], space.axes, texture, encoder)
+        _lay(self._laid, self.shown, sight, texture, encoder)
 
 
 class WarpedFrame:
@@ -116,8 +115,33 @@ class WarpedFrame:
     def draw(self, sight: Sight, texture: Any, encoder: Any = None) -> None:
         """Draw what was brought last into a texture, if there is anything; see `Plate.draw`."""
         if self._known is not None:
-            space = self._known[0].space
-            self._laid.draw(sight, space.table if sight.overlay else space.table[:0], space.axes, texture, encoder)
+            _lay(self._laid, self._known[0], sight, texture, encoder)
+
+
+def _lay(laid: Laid, deformation: Deformation, sight: Sight, texture: Any, encoder: Any) -> None:
+    """Draw what is warped already; the strokes are for the overlay."""
+    space = deformation.space
+    table = space.table if sight.overlay else space.table[:0]
+    nodes = _solved(deformation, sight) if table.size and space.freeze is not None else None
+    laid.draw(sight, table, space.axes, texture, encoder, nodes)
+
+
+def _solved(deformation: Deformation, sight: Sight) -> npt.NDArray[np.float32]:
+    """Return T⁻¹ at the nodes of a window, as `Laid.draw` takes it: what is frozen is known to the CPU alone."""
+    columns, rows = nodes_of(sight.size, FINE)
+    n, spacing = deformation.ndim, np.array(deformation.domain.spacing)
+    targets = np.full((rows, columns, n), float(sight.time))
+    for k, count in enumerate((columns, rows)):
+        targets[..., k] = (sight.origin[k] + sight.scale * FINE * np.arange(count)).reshape(
+            (1, -1) if k == 0 else (-1, 1)
+        )
+    found = deformation.inverse(targets)
+    slopes = np.linalg.inv(deformation.jacobian(found.points)) * (spacing[:, None] / spacing)
+    made = np.zeros((rows, columns, 3, 4), np.float32)
+    made[..., 0, :n] = (found.points - targets) * spacing
+    made[..., 0, 3], made[..., 1, 3] = found.residual * spacing.min(), found.steps
+    made[..., 1, :n], made[..., 2, :n] = slopes[..., 0], slopes[..., 1]
+    return made
 
 
 def changed(before: Space, after: Space) -> tuple[Floats, Floats]:
