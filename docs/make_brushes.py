@@ -56,6 +56,13 @@ BY_HAND = (
     ("along a path", (Stroke.grab(WAY[0], path=WAY[1:], radius=RADIUS),)),
     ("with its mirror image", Stroke.grab((110, 150), by=(-30, 35), radius=RADIUS).symmetric((160, 0), (1, 0))),
 )
+FROZEN = np.hypot(np.arange(SIDE) - 130, (np.arange(SIDE) - 160)[:, None]) < 40
+BESIDE = (
+    ("grab", (Stroke.grab((200, 160), by=(50, 0), radius=RADIUS),)),
+    ("towards it", (Stroke.grab((230, 160), by=(-45, 0), radius=RADIUS),)),
+    ("twist", (Stroke(brush="twist", at=(130, 160), angle=80, radius=60),)),
+    ("scale", (Stroke(brush="scale", at=(195, 160), factor=2.5, radius=RADIUS),)),
+)
 
 
 def titled(pixels: image.Array, text: str) -> pyvips.Image:
@@ -77,14 +84,17 @@ def on_photo(path: Path) -> None:
     joined.resize(0.8).webpsave(path, Q=72, effort=6, keep="none")
 
 
-def on_grids(path: Path, cases: Sequence[tuple[str, Sequence[Stroke]]]) -> None:
+def on_grids(path: Path, cases: Sequence[tuple[str, Sequence[Stroke]]], frozen: image.Array | None = None) -> None:
     """Write what strokes make of a grid, side by side."""
+    freeze = None if frozen is None else supple.Freeze.of(frozen)
     from matplotlib.collections import LineCollection
 
     made, panels = sheet(3.1 * len(cases), 3.35, 1, len(cases))
     for axes, (text, strokes) in zip(panels, cases, strict=True):
-        d = supple.Deformation.from_recipe(supple.Recipe(strokes=strokes, border=None), (SIDE, SIDE))
+        d = supple.Deformation.from_recipe(supple.Recipe(strokes=strokes, border=None, freeze=freeze), (SIDE, SIDE))
         axes.add_collection(LineCollection(grid(d, lines=32), colors="#2a6099", linewidths=0.8))
+        if frozen is not None:
+            axes.contourf(frozen, levels=[0.5, 1], colors="#e07b39", alpha=0.4)
         arrows(axes, d)
         axes.set(xlim=(0, SIDE), ylim=(SIDE, 0), aspect="equal", xticks=[], yticks=[])
         axes.set_title(text, fontsize=12)
@@ -101,6 +111,7 @@ def main(folder: Path = IMAGES) -> None:
         made = [(text, (Stroke(brush=brush, at=AT, radius=RADIUS, **numbers),)) for text, numbers in cases]  # type: ignore[arg-type]
         on_grids(folder / f"brush-{brush}.webp", made)
     on_grids(folder / "brush-hand.webp", BY_HAND)
+    on_grids(folder / "brush-freeze.webp", BESIDE, FROZEN)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
-"""Make the moving pictures of the window in docs/images: a real window without a screen, and a hand that is drawn.
+"""Make the pictures of the window in docs/images: a real window without a screen, and a hand, drawn where it moves.
 
-python docs/make_moving.py [photo] [clip] [volume]      all three, by default; a hardware GPU helps, and is not needed
+python docs/make_moving.py [photo] [clip] [volume]      films; all, by default; a hardware GPU helps, and is not needed
+python docs/make_moving.py [panel] [slices] [history]   pictures that stand still
 """
 
 import os
@@ -19,7 +20,7 @@ import supple
 from supple.strokes import Recipe
 from supple.viewer.panels import view as views
 from supple.viewer.window import window as windows
-from supple.viewer.window.launch import opened
+from supple.viewer.window.launch import ViewOptions, opened
 
 HERE = Path(__file__).resolve().parent
 DATA = Path(supple.__file__).parent / "examples" / "data"
@@ -51,10 +52,17 @@ class Still:
 class Hand:
     """A hand at a window, and what was filmed of it."""
 
-    def __init__(self, source: Path, recipe: Recipe | None = None) -> None:
+    def __init__(
+        self,
+        source: Path,
+        recipe: Recipe | None = None,
+        size: tuple[int, int] = SIZE,
+        ratio: float = 1.0,
+        options: ViewOptions | None = None,
+    ) -> None:
         self.clock = views.time = windows.time = Clock()  # type: ignore[attr-defined]
-        self.canvas = RenderCanvas(size=SIZE, pixel_ratio=1.0)
-        self.view: Any = opened(source, recipe, self.canvas, Still())
+        self.canvas = RenderCanvas(size=size, pixel_ratio=ratio)
+        self.view: Any = opened(source, recipe, self.canvas, Still(), options=options or ViewOptions())
         self.canvas.set_title("")
         self.place: Pair = (SIZE[0] * 0.3, SIZE[1] * 0.8)
         self.buttons: tuple[int, ...] = ()
@@ -157,6 +165,8 @@ class Hand:
 
     def certified(self) -> None:
         """Wait until the error is measured, which takes no time in the picture."""
+        if self.view.stage.kind == "volume":  # it is known at once
+            return
         while self.view.certifier.report(self.view.document.deformation) is None:
             pass
 
@@ -170,6 +180,18 @@ class Hand:
         # What is left of earlier frames shows as blocks, but for whole ones now and then.
         tall.webpsave(path, Q=quality, effort=5, kmin=RATE // 2, kmax=RATE, keep="none")
         print(f"{path.name}: {len(frames)} frames, {path.stat().st_size / 1e6:.2f} MB")
+        self.view.close()
+
+    def still(self, path: Path, quality: int) -> None:
+        """Write what is seen now."""
+        while self.view.stage.kind == "volume" and self.view.filled < 1.0:
+            self.canvas.draw()
+        self.certified()
+        for _ in range(3):  # the panel answers in the second
+            pixels = self.draw()
+        picture = pyvips.Image.new_from_array(np.ascontiguousarray(pixels)).copy(interpretation="srgb")
+        picture.webpsave(path, Q=quality, effort=6, keep="none")
+        print(f"{path.name}: {picture.width} x {picture.height}, {path.stat().st_size / 1e3:.0f} kB")
         self.view.close()
 
 
@@ -197,7 +219,7 @@ def photo(path: Path) -> None:
     hand.shoot(0.8)
     hand.key("\\", "\\ held: the original", 1.0, held=True)
     hand.shoot(1.2)
-    hand.write(path, 62)
+    hand.write(path, 42)
 
 
 def clip(path: Path) -> None:
@@ -224,30 +246,98 @@ def clip(path: Path) -> None:
 
 
 def volume(path: Path) -> None:
-    """A head is turned, pulled, and turned again."""
+    """A head is pulled in a plane, which all views show; then its rendering is pulled, and turned."""
     hand = Hand(DATA / "head.nii.gz", Recipe(border=None))  # it reaches up to its borders
+    tools = hand.view.tools
+
+    def seen(*point: float) -> Pair:
+        return tools.pane(2).to_canvas(point)
+
     hand.shoot(0.4)
-    hand.drag((520, 430), (360, 400), 1.0, says="beside it: turn")
-    hand.move((300, 200))
-    hand.wheel(6, "Shift+wheel: radius", "Shift")
-    hand.drag((330, 150), (335, 90), 1.2)
-    hand.move((140, 240))
+    hand.drag(seen(45, 100, 28), seen(45, 101, 40), 1.2, says="drag: in a plane, seen in all")
+    hand.shoot(0.6)
+    hand.key("4", "4: the rendering alone", 0.8)
+    width, height = tools.canvas_size
+    hand.drag((0.9 * width, 0.8 * height), (0.6 * width, 0.75 * height), 1.0, says="beside it: turn")
+    hand.move((0.5 * width, 0.35 * height))
     hand.wheel(-4, "Shift+wheel: radius", "Shift")
-    hand.drag((138, 250), (180, 256), 1.0)
-    hand.drag((300, 250), (440, 280), 1.4, button=RIGHT, says="right button: turn")
+    hand.drag((0.5 * width, 0.3 * height), (0.5 * width, 0.16 * height), 1.2)
+    hand.drag((0.5 * width, 0.5 * height), (0.8 * width, 0.55 * height), 1.4, button=RIGHT, says="right button: turn")
     hand.shoot(1.0)
     hand.write(path, 70)
 
 
-FILMS: dict[str, Callable[[Path], None]] = {"photo": photo, "clip": clip, "volume": volume}
+def panel(path: Path) -> None:
+    """A cup, symmetric about a line that was moved to its middle, on a large screen."""
+    hand = Hand(DATA / "coffee.jpg", size=(1600, 1000))
+    tools = hand.view.tools
+
+    def drag(start: Pair, end: Pair) -> None:
+        hand.drag(tools.viewport.to_canvas(*start), tools.viewport.to_canvas(*end), 0.1)
+
+    hand.key("m", "", 0.1)
+    at, y = tools.grip
+    hand.drag((at, y), (tools.viewport.to_canvas(290, 0)[0], y), 0.1)
+    tools.radius = 45.0
+    drag((206, 60), (188, 48))
+    tools.radius, tools.scales = 30.0, 2
+    drag((290, 16), (290, 54))
+    hand.key("t", "", 0.1)
+    tools.radius = 40.0
+    drag((370, 300), (388, 300))
+    hand.view.document.select(0)
+    hand.key("g", "", 0.1)
+    hand.move(tools.viewport.to_canvas(420, 120))
+    hand.still(path, 62)
+
+
+def slices(path: Path) -> None:
+    """A head with landmarks, pulled in the sagittal plane, on a small screen."""
+    with tempfile.TemporaryDirectory() as folder:
+        marks = Path(folder) / "marks.csv"
+        marks.write_text("name,i,j,k\nnasion,45,104,28\nAC,45,63,36\nPC,45,49,37\n")
+        hand = Hand(DATA / "head.nii.gz", Recipe(border=None), (1280, 720), options=ViewOptions(points=marks))
+        place = hand.view.tools.pane(2).to_canvas
+        hand.drag(place((45, 92, 44)), place((45, 84, 51)), 0.1)
+        hand.move(hand.view.tools.pane(2).to_canvas((45, 70, 36)))
+        hand.still(path, 75)
+
+
+def history(path: Path) -> None:
+    """A clip on a screen of small pixels: steps that were undone."""
+    hand = Hand(DATA / "bunny.mp4", Recipe(border=None), (1280, 720), 2.0)
+    view, document = hand.view, hand.view.document
+    view.sections |= {"Brush": False, "View": False, "Accuracy": False, "Selected stroke": False}
+    view.sections |= {"History": True, "Recipe": True}
+    view.tools.playback.seek(38)
+    view.tools.radius = 30.0
+    for key, at, by in (("g", (350, 120), (30, -20)), ("w", (330, 90), (20, 0)), ("n", (250, 200), (0, 20))):
+        hand.key(key, "", 0.1)
+        start = view.tools.viewport.to_canvas(*at)
+        hand.drag(start, (start[0] + by[0], start[1] + by[1]), 0.1)
+    document.hide(2)
+    document.replace(0, replace(document.items[0].stroke, radius=36.0))
+    document.undo()
+    hand.move(view.tools.viewport.to_canvas(200, 230))
+    hand.still(path, 60)
+
+
+PICTURES: dict[str, Callable[[Path], None]] = {
+    "photo": photo,
+    "clip": clip,
+    "volume": volume,
+    "panel": panel,
+    "slices": slices,
+    "history": history,
+}
 
 
 def main(names: list[str]) -> None:
     """Make them."""
     with tempfile.TemporaryDirectory() as state:
-        os.environ["XDG_STATE_HOME"] = state
-        for name in names or FILMS:
-            FILMS[name](HERE / "images" / f"window-{name}.webp")
+        os.environ["XDG_STATE_HOME"] = os.environ["XDG_CONFIG_HOME"] = state
+        for name in names or PICTURES:
+            PICTURES[name](HERE / "images" / f"window-{name}.webp")
 
 
 if __name__ == "__main__":

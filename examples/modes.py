@@ -33,7 +33,7 @@ def main(folder: Path, path: Path = HEAD) -> None:
     geometry, (skin, *_) = layers(path)
     d = bent(skin.samples.shape, geometry, DRAGS["moderate"])
     spent = {
-        "lattice": round(solve_solid(d.space.table, d.space.axes, d.shape, TOLERANCE).evaluations),
+        "lattice": round(solve_solid(d.space, d.shape, TOLERANCE).evaluations),
         "buffered": of_planes(d),
     }
     pictures: dict[str, np.ndarray] = {}

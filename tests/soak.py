@@ -343,7 +343,7 @@ def look_at_clip(d: Deformation, rng: np.random.Generator, tally: Tally) -> list
 def look_at_solid(d: Deformation, rng: np.random.Generator, tally: Tally) -> list[str]:
     """Whether the lattice of a volume, by which it is seen, is as exact as is said."""
     tolerance = float(rng.choice([0.5, 0.1, 0.02]))
-    solid = solve_solid(d.space.table, d.space.axes, d.shape, tolerance)
+    solid = solve_solid(d.space, d.shape, tolerance)
     q = rng.uniform(0, 1, (2_000, 3)) * (np.array(d.shape[::-1]) - 1.0)
     # Half of them where something happens: about the ends of strokes.
     for k, stroke in enumerate(d.strokes[:8]):

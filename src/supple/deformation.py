@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import warnings
 from collections.abc import Callable, Collection, Sequence
@@ -201,6 +202,8 @@ class Deformation:
         domain = Domain(sizes, spacing, border, border_profile, time, freeze)
         if not isinstance(shape, Grid):
             grid = Grid(domain.shape, domain.spacing)
+        elif isinstance(freeze, Freeze) and freeze.place:
+            _check_place(freeze, grid)
         axes = domain.packed()
         if domain.ndim == 2:
             axes[2, 2] = 0.0  # nothing leaves the plane of an image, so that the field off it does not matter
@@ -359,6 +362,8 @@ class Deformation:
     def _space(self, grid: Grid | None) -> Space:
         count = self.shape[0] if self.ndim == 3 else 1
         shape = (self.shape[-2], self.shape[-1])
+        if grid is None and not self.maps:
+            return Space(self._table, self._axes, self.ndim, count, shape, freeze=mask_of(self.domain))
         frame = np.eye(self.ndim + 1)  # from the domain's coordinates, index times spacing, to positions
         frame[:-1, :-1], frame[:-1, -1] = self.grid.direction, self.grid.origin
         parts: list[_core.Part] = []
@@ -1008,28 +1013,40 @@ class Deformation:
     @property
     def arrivals(self) -> tuple[Arrival, ...]:
         """For each stroke, the target of its point, and its position."""
-        steps = np.array(self.domain.spacing)
-        final = np.zeros((len(self.strokes), 3))  # physical units
-        row = 0
-        for i, resolved in enumerate(self._resolved):
-            for placed in self.maps:
-                if placed.after == i > 0:
-                    final[:i] = self._moved(placed, final[:i])
-            rows = self._table[row : row + resolved.substrokes]
-            row += resolved.substrokes
-            if i and len(rows):
-                final[:i], _ = _core.forward(numbers(rows), self._axes, final[:i], False, mask_of(self.domain))
-            final[i, : self.ndim] = resolved.arrived * steps
-        for placed in self.maps:
-            if placed.after == len(self.strokes) > 0:
-                final = self._moved(placed, final)
+        return self._arrivals(0)
+
+    def arrival(self, i: int) -> Arrival:
+        """Return one of `arrivals`: that of the last stroke is known at once, and that of the first takes longest."""
+        count = len(self.strokes)
+        return self._arrivals(integer("a stroke's number", i, f"one of {count}, from 0", 0, count - 1))[0]
+
+    def _arrivals(self, first: int) -> tuple[Arrival, ...]:
+        """Return the arrivals from one stroke on."""
+        strokes, resolved = self.strokes[first:], self._resolved[first:]
+        ends = [each.arrived for each in resolved]
+        if len(strokes) > 1 or self.maps:
+            ends = self._ends(first)
         found = []
-        for stroke, resolved, where in zip(self.strokes, self._resolved, final, strict=True):
+        for stroke, each, end in zip(strokes, resolved, ends, strict=True):
             target = tuple(a + b for a, b in zip(stroke.at, stroke.by, strict=True))
-            end = tuple((where[: self.ndim] / steps).tolist())
-            miss, moved = math.dist(resolved.arrived, target), math.dist(end, resolved.arrived)
-            found.append(Arrival(target, resolved.arrived, end, miss, moved, resolved.cause))
+            miss, moved = math.dist(each.arrived, target), math.dist(end, each.arrived)
+            found.append(Arrival(target, each.arrived, end, miss, moved, each.cause))
         return tuple(found)
+
+    def _ends(self, first: int) -> list[tuple[float, ...]]:
+        """Return where the points of the strokes from one on are after all strokes."""
+        resolved, steps, table = self._resolved[first:], np.array(self.domain.spacing), numbers(self._table)
+        final = np.zeros((len(resolved), 3))  # physical units
+        final[:, : self.ndim] = np.reshape([each.arrived for each in resolved], (-1, self.ndim)) * steps
+        row = len(table) - sum(each.substrokes for each in resolved[1:])
+        for i in range(1, len(resolved) + 1):
+            for placed in self.maps:
+                if placed.after == first + i:
+                    final[:i] = self._moved(placed, final[:i])
+            if i < len(resolved) and resolved[i].substrokes:
+                start, row = row, row + resolved[i].substrokes
+                final[:i], _ = _core.forward(table[start:row], self._axes, final[:i], False, mask_of(self.domain))
+        return [tuple(end) for end in (final[:, : self.ndim] / steps).tolist()]
 
     def _moved(self, placed: Placed, points: Floats) -> Floats:
         """Return points (N, 3) of the domain as one map alone moves them."""
@@ -1052,6 +1069,17 @@ class Deformation:
 
     def _key(self) -> tuple[object, ...]:
         return self.domain, self.grid, self.on_fold, self.strokes, self.maps
+
+
+def _check_place(freeze: Freeze, grid: Grid) -> None:
+    """Refuse a freeze mask that lies elsewhere in space than the grid."""
+    corners = np.array([*itertools.product(*[(0.0, n - 1.0) for n in grid.sizes])])
+    matrix = np.reshape(freeze.place, (3, 4))
+    off = np.abs(grid.indices(corners @ matrix[:, :3].T + matrix[:, 3]) - corners).max()
+    if not off < 0.01:
+        raise SuppleError(
+            f"the freeze mask lies elsewhere in space: its corners are up to {off:.3g} voxels from those of the volume"
+        )
 
 
 def _freeze_of(mask: npt.ArrayLike, domain: Domain) -> Freeze:

@@ -238,6 +238,9 @@ class Domain:
         object.__setattr__(self, "border_profile", border_profile)
         if freeze is not None and freeze.ndim != len(sizes) and not (time and freeze.ndim == 2):
             refuse("freeze", f"a mask of {len(sizes)} axes, as the deformation has", f"one of {freeze.ndim}")
+        if freeze is not None and freeze.samples != sizes[::-1][: freeze.ndim]:
+            wanted, found = (" x ".join(map(str, size)) for size in (sizes[::-1][: freeze.ndim], freeze.samples))
+            raise SuppleError(f"the freeze mask is of {found} samples, and what is deformed of {wanted}")
         object.__setattr__(self, "freeze", freeze)
 
     @property

@@ -25,6 +25,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 
 from supple import _core
 from supple.domain import FREE, Domain
@@ -126,7 +127,7 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         rows = np.concatenate([leg.rows for leg in made])
         return Resolved(rows, made[-1].arrived, margin=min(leg.margin for leg in made), cause=made[0].cause)
     if on_fold == "flow":
-        return _flow(stroke, domain, table[0])
+        return _flow(stroke, domain, table)
     lower, _ = weakest(table, axes, mask=mask_of(domain))
     alpha = 1.0 if lower >= MARGIN - 1 else (1 - MARGIN) / -lower * (1 - 1e-14)
     folds = alpha < 1
@@ -225,50 +226,52 @@ def _arrived(stroke: Stroke, table: Table, domain: Domain) -> tuple[float, ...]:
     return tuple((moved[0, : domain.ndim] / domain.spacing).tolist())
 
 
-def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
-    axes, poisson = domain.packed(), poisson_of(stroke, time=domain.time)
+def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
+    row, axes, poisson = table[0], domain.packed(), poisson_of(stroke, time=domain.time)
     position, target = row["pivot"].copy(), row["pivot"] + row["force"]
-    first, last, sigma, _, _ = axes.T
-    fixed, held = sigma >= 0, is_held(position, axes)
-    if held:  # a point on a face only slides along it
-        slides = fixed & (beta_at(position, axes) < 1e-100) & (np.abs(target - position) <= _ALONG * stroke.radius)
+    held, fixed = is_held(position, axes), axes[:, 2] >= 0
+    if held and fixed.any():
+        first, last = axes[:, 0], axes[:, 1]
+        beta = beta_at(position, axes)  # a point on a face only slides along it
+        slides = fixed & (beta < 1e-100) & (np.abs(target - position) <= _ALONG * stroke.radius)
         target = np.where(slides, position, target)
+        across = fixed & (target != position)  # the axes along which it has to leave its face
+        beyond = across & ((target <= first) | (target >= last))
+        if beyond.any() or np.any(across & (beta < 1e-100)):
+            where = "its target is on the edge or outside, and" if beyond.any() else "it starts on the edge, and"
+            raise SuppleError(
+                f"{described(stroke)} cannot arrive: {where} the border is fixed, so that what is on it only slides "
+                "along it, and nothing else gets there; use border=None, or points further in"
+            )
     drag = target - position
-    across = held & fixed & (drag != 0)  # the axes along which it has to leave its face
-    beyond = across & ((target <= first) | (target >= last))
-    if beyond.any() or np.any(across & (beta_at(position, axes) < 1e-100)):
-        where = "its target is on the edge or outside, and" if beyond.any() else "it starts on the edge, and"
-        raise SuppleError(
-            f"{described(stroke)} cannot arrive: {where} the border is fixed, so that what is on it only slides along "
-            "it, and nothing else gets there; use border=None, or points further in"
-        )
     if not drag.any():
-        return Resolved(np.zeros(0, row.dtype), stroke.at)
+        return Resolved(table[:0], stroke.at)
     # A point outside a fixed border is not moved; a brush only passes there.
     weights = axes if held else np.array([FREE] * 3)
     longest = (1 - FLOW_MARGIN) * limit(poisson, stroke.scales, stroke.reach) * stroke.radius
     refused = held and math.hypot(*drag.tolist()) > MOST_SUBSTROKES * longest
-    rows: list[np.void] = []
+    rows: list[npt.NDArray[np.float64]] = []
     margin, pieces = 1.0, 2.0
     while pieces > 1 and not refused:
         beta, left = beta_at(position, weights), target - position
         row["pivot"] = position
         row["force"] = np.divide(left, beta, out=np.zeros(3), where=beta > 0)
-        lower, _ = weakest(np.array([row]), axes, FLOW_MARGIN - 1, FLOW_GAP, mask_of(domain))
+        lower, _ = weakest(table, axes, FLOW_MARGIN - 1, FLOW_GAP, mask_of(domain))
         pieces = max(float(np.ceil(-lower / (1 - FLOW_MARGIN) * (1 - 1e-9))), 1.0)
         # Close to a border steps are short, but they grow with β.
-        slow = pieces * float(np.min(beta, where=left != 0, initial=1.0)) > MOST_SUBSTROKES
+        least = min((b for b, x in zip(beta.tolist(), left.tolist(), strict=True) if x != 0), default=1.0)
+        slow = pieces * min(least, 1.0) > MOST_SUBSTROKES
         refused = slow or len(rows) == MOST_SUBSTROKES
         row["force"] /= pieces
         position = position + beta * row["force"]
         margin = min(margin, 1 + lower / pieces)
-        rows.append(row.copy())
+        rows.append(numbers(table).copy())
     if refused:
         raise SuppleError(
             f"{described(stroke)} would take more than {MOST_SUBSTROKES} strokes to arrive without a fold; "
             "use a larger radius, or on_fold='damp'"
         )
-    table = np.array(rows)
+    table = np.concatenate(rows).view(table.dtype)[:, 0]  # as numbers: NumPy is slow to join records
     if narrowest(table, domain, table[:1]["pivot"], drag[None]) < SQUEEZED:
         if not held:
             raise SuppleError(

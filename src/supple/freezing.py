@@ -13,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import LARGEST, checked_shape, integer, items, length, number, refuse
+from supple.domain import LARGEST, LONGEST_AXIS, checked_shape, integer, items, length, number, refuse
 from supple.errors import SuppleError
 
 Floats = npt.NDArray[np.float64]
@@ -36,6 +36,8 @@ class Freeze:
 
     Parameters
     ----------
+    samples : tuple of int
+        The samples along each axis, x first, of the medium that it is for.
     size : tuple of int
         Coefficients along each axis, x first: 1 along an axis on which m does not depend.
     first : tuple of float
@@ -44,6 +46,9 @@ class Freeze:
         Samples from one coefficient to the next, along each axis.
     values : bytes
         The coefficients, from 0 to 255 for 1, in C order: x varies fastest. The outermost four along an axis are equal.
+    place : tuple of float
+        The first three rows of the matrix from indices of samples to positions in LPS, if the mask was a volume in
+        space; otherwise empty.
 
     Raises
     ------
@@ -51,10 +56,12 @@ class Freeze:
         If they do not fit together.
     """
 
+    samples: tuple[int, ...]
     size: tuple[int, ...]
     first: tuple[float, ...]
     step: tuple[float, ...]
     values: bytes
+    place: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         wanted = f"1 or an integer from {_LEAST} on"
@@ -64,7 +71,14 @@ class Freeze:
             refuse("freeze size", wanted, self.size)
         n = len(sizes)
         object.__setattr__(self, "size", tuple(sizes))
+        samples = items("freeze samples", self.samples, f"{n} numbers, x first", (n,))
+        within = f"an integer from 1 to {LONGEST_AXIS}"
+        object.__setattr__(
+            self, "samples", tuple(integer("freeze samples", k, within, 1, LONGEST_AXIS) for k in samples)
+        )
         within = f"a number from {-LARGEST:g} to {LARGEST:g}"
+        place = items("freeze place", self.place, "12 numbers, or none", (0, 12))
+        object.__setattr__(self, "place", tuple(number("freeze place", x, within, -LARGEST, LARGEST) for x in place))
         first = items("freeze first", self.first, f"{n} numbers, x first", (n,))
         object.__setattr__(self, "first", tuple(number("freeze first", x, within, -LARGEST, LARGEST) for x in first))
         step = items("freeze step", self.step, f"{n} numbers, x first", (n,))
@@ -73,7 +87,14 @@ class Freeze:
             refuse("freeze values", f"{math.prod(sizes)} bytes", f"{len(self.values)} of them")
 
     @classmethod
-    def of(cls, mask: npt.ArrayLike, *, width: float | None = None, spacing: float | Sequence[float] = 1.0) -> Self:
+    def of(
+        cls,
+        mask: npt.ArrayLike,
+        *,
+        width: float | None = None,
+        spacing: float | Sequence[float] = 1.0,
+        place: Sequence[float] = (),
+    ) -> Self:
         """Return the freeze mask of an image or a volume.
 
         Parameters
@@ -86,6 +107,8 @@ class Freeze:
             4 samples at least.
         spacing : float or sequence of float
             Physical units per sample, x first.
+        place : sequence of float
+            As in `Freeze`.
 
         Raises
         ------
@@ -105,18 +128,19 @@ class Freeze:
         for axis in range(array.ndim):
             least, start = _covered(least, axis, apart[array.ndim - 1 - axis])
             first.append(start)
-        return cls(tuple(reversed(least.shape)), tuple(reversed(first)), apart, least.tobytes())
+        sizes, samples = tuple(reversed(least.shape)), tuple(reversed(array.shape))
+        return cls(samples, sizes, tuple(reversed(first)), apart, least.tobytes(), tuple(place))
 
     @classmethod
     def free(cls, shape: Sequence[int], spacing: Sequence[float]) -> Self:
         """Return the freeze mask of an image or a volume in which nothing is frozen, as `of` would make it."""
-        apart = _apart(shape, spacing, None)
+        samples, apart = tuple(reversed(shape)), _apart(shape, spacing, None)
         size, first = [], []
-        for n, step in zip(reversed(shape), apart, strict=True):
+        for n, step in zip(samples, apart, strict=True):
             begin, end = _ends(n, step)
             size.append(1 if n == 1 else end - begin + 1 + 2 * _EDGE)
             first.append(0.0 if n == 1 else (begin - _EDGE) * step)
-        return cls(tuple(size), tuple(first), apart, bytes([_FREE]) * math.prod(size))
+        return cls(samples, tuple(size), tuple(first), apart, bytes([_FREE]) * math.prod(size))
 
     @property
     def ndim(self) -> int:
@@ -132,6 +156,12 @@ class Freeze:
     def inverted(self) -> Self:
         """The mask 1 - m: what is frozen is free, and what is free is frozen."""
         return replace(self, values=(_FREE - self.coefficients).tobytes())
+
+    @property
+    def share(self) -> float:
+        """The part of the medium that is frozen, on average: 0 if nothing is."""
+        inner = tuple(slice(_EDGE + 1, -_EDGE - 1) if n > 1 else slice(None) for n in self.size[::-1])
+        return 1 - float(self.coefficients[inner].mean()) / _FREE
 
     @property
     def coefficients(self) -> npt.NDArray[np.uint8]:
@@ -166,25 +196,14 @@ class Freeze:
 
     def at(self, places: Sequence[npt.ArrayLike]) -> npt.NDArray[np.float32]:
         """Return m on a grid of positions along each axis, in samples, x first: an array (..., y, x)."""
-        each = [self._weights(k, np.asarray(p, np.float64)) for k, p in enumerate(places)]
+        lattice = zip(places, self.size, self.first, self.step, strict=True)
+        each = [_weights(np.asarray(p, np.float64), size, first, step) for p, size, first, step in lattice]
         # Of a plane, only the coefficients beside it are read.
         used = [np.flatnonzero(weights.any(axis=0)) for weights in each]
-        some = [slice(rows[0], rows[-1] + 1) for rows in used]
-        return self._summed([w[:, part] for w, part in zip(each, some, strict=True)], tuple(reversed(some)))
-
-    def part(self, shape: Sequence[int]) -> float:
-        """Return how much of an array of a shape (H, W) or (Z, H, W) is frozen, from 0 to 1: the mean of 1 - m."""
-        means = [self._weights(k, np.arange(n)).mean(axis=0, keepdims=True) for k, n in enumerate(reversed(shape))]
-        return max(1.0 - float(self._summed(means, (slice(None),) * self.ndim).sum()), 0.0)
-
-    def _weights(self, k: int, places: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-        return _weights(places, self.size[k], self.first[k], self.step[k])
-
-    def _summed(self, weights: list[npt.NDArray[np.float32]], part: tuple[slice, ...]) -> npt.NDArray[np.float32]:
-        """Return the sums over a part of the coefficients, weighted along each axis, x first."""
-        made = self.coefficients[part] / np.float32(_FREE)
-        for axis, weight in enumerate(reversed(weights)):
-            made = np.moveaxis(np.tensordot(weight, made, (1, axis)), 0, axis)
+        parts = [slice(rows[0], rows[-1] + 1) for rows in used]
+        made = self.coefficients[tuple(reversed(parts))] / np.float32(_FREE)
+        for axis, (weights, part) in enumerate(zip(reversed(each), reversed(parts), strict=True)):
+            made = np.moveaxis(np.tensordot(weights[:, part], made, (1, axis)), 0, axis)
         return np.asarray(made, np.float32)
 
     def painted(
@@ -229,22 +248,36 @@ class Freeze:
         _level(made)
         return replace(self, values=made.tobytes())
 
-    def fitted(self, moved: Callable[[Sequence[float]], Sequence[float]]) -> Self:
-        """Return the mask of a medium of other samples: ``moved`` returns the place of a point there, axis by axis."""
-        first = moved(self.first)
-        step = (b - a for a, b in zip(first, moved(np.add(self.first, self.step).tolist()), strict=True))
-        return replace(self, first=tuple(first), step=tuple(step))
+    def fitted(self, samples: Sequence[int], moved: Callable[[Sequence[float]], Sequence[float]] | None) -> Self:
+        """Return the mask of a medium of other samples.
+
+        Parameters
+        ----------
+        samples : sequence of int
+            Its samples along each axis, x first.
+        moved : function or None
+            The place there of a point of this medium, axis by axis; None if it is the same.
+        """
+        n, some = self.ndim, tuple(samples)[: self.ndim]
+        if moved is None:
+            return replace(self, samples=some)
+        rest = (0.0,) * (len(samples) - n)
+        first = moved((*self.first, *rest))[:n]
+        next_ = moved((*np.add(self.first, self.step).tolist(), *rest))[:n]
+        step = tuple(b - a for a, b in zip(first, next_, strict=True))
+        return replace(self, samples=some, first=tuple(first), step=step)
 
     def entry(self) -> dict[str, Any]:
         """Return the mask as JSON has it; the coefficients are compressed (zlib) and in base 64."""
         packed = base64.b64encode(zlib.compress(self.values, 9)).decode()
-        return {"size": list(self.size), "first": list(self.first), "step": list(self.step), "values": packed}
+        made: dict[str, Any] = {name: list(getattr(self, name)) for name in ("samples", "size", "first", "step")}
+        return {**made, "values": packed, **({"place": list(self.place)} if self.place else {})}
 
     @classmethod
     def from_entry(cls, entry: object) -> Self:
         """Return the mask of an `entry`; SuppleError for anything else."""
-        keys = {"size", "first", "step", "values"}
-        if not isinstance(entry, dict) or set(entry) != keys or not isinstance(entry["values"], str):
+        keys = {"samples", "size", "first", "step", "values"}
+        if not isinstance(entry, dict) or set(entry) - {"place"} != keys or not isinstance(entry["values"], str):
             refuse("freeze", f"an object with {', '.join(sorted(keys))}", entry)
         count = math.prod(n for n in entry["size"] if isinstance(n, int)) if isinstance(entry["size"], list) else 0
         try:
@@ -253,7 +286,7 @@ class Freeze:
             )
         except (binascii.Error, ValueError, zlib.error):
             raise SuppleError("freeze: the values are damaged: they must be zlib's, in base 64") from None
-        return cls(entry["size"], entry["first"], entry["step"], values)
+        return cls(**{**entry, "values": values})
 
 
 def _apart(shape: Sequence[int], spacing: Sequence[float], width: float | None) -> tuple[float, ...]:

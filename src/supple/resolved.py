@@ -92,13 +92,15 @@ def padded(stroke: Stroke, domain: Domain) -> Floats:
 
 def is_held(position: Floats, axes: Floats) -> bool:
     """Return whether a point is within the fixed faces, where strokes move points."""
-    first, last, sigma = axes[:, :3].T
-    return bool(np.all((sigma < 0) | ((position >= first) & (position <= last))))
+    faces = zip(position.tolist(), axes.tolist(), strict=True)
+    return all(sigma < 0 or first <= x <= last for x, (first, last, sigma, *_) in faces)
 
 
 def beta_at(position: Floats, axes: Floats) -> Floats:
     """Return the factor of the border for each axis at a point."""
     first, last, sigma, _, profile = axes.T
+    if (sigma < 0).all():
+        return np.ones(3)
     depth = np.minimum(position - first, last - position)
     beta = border_factor(np.divide(depth, sigma, out=np.zeros(3), where=sigma > 0), profile[0])
     return np.where(sigma < 0, 1.0, beta)
@@ -117,13 +119,18 @@ def narrowest(table: Table, domain: Domain, starts: Floats, drags: Floats) -> fl
     ahead = (starts[:, None] + drags[:, None] * along[:, None]).reshape(-1, 3).T
     start = starts[0]
     first, last, sigma = axes[:, :3].T
-    extent = np.where(sigma >= 0, last - first, 0.0)
-    parts = np.stack(np.meshgrid(*[np.linspace(0, 1, 17 if e > 0 else 1) for e in extent]), axis=0).reshape(3, -1)
-    around = np.where(extent[:, None] > 0, first[:, None] + parts * extent[:, None], start[:, None])
-    points = np.concatenate([ahead, around], axis=1)
-    points = np.where((sigma >= 0)[:, None], np.clip(points, first[:, None], last[:, None]), points)
+    points, fixed = ahead, sigma >= 0
+    if fixed.any():
+        extent = np.where(fixed, last - first, 0.0)
+        parts = np.stack(np.meshgrid(*[np.linspace(0, 1, 17 if e > 0 else 1) for e in extent]), axis=0).reshape(3, -1)
+        around = np.where(extent[:, None] > 0, first[:, None] + parts * extent[:, None], start[:, None])
+        points = np.concatenate([ahead, around], axis=1)
+        points = np.where(fixed[:, None], np.clip(points, first[:, None], last[:, None]), points)
     _, jacobian = _core.forward(numbers(table), axes, np.ascontiguousarray(points.T), True, mask_of(domain))
     if not np.isfinite(jacobian).all():
         return 0.0
-    n = 2 if axes[2, 1] == axes[2, 0] and axes[2, 2] < 0 else 3  # for an image, only the plane counts
-    return float(np.linalg.svd(jacobian[:, :n, :n], compute_uv=False).min())
+    if axes[2, 1] == axes[2, 0] and axes[2, 2] < 0:  # for an image, only the plane counts
+        (a, b), (c, d) = jacobian[:, :2, :2].transpose(1, 2, 0)
+        widest = 0.5 * (np.hypot(a + d, b - c) + np.hypot(a - d, b + c))
+        return float((np.abs(a * d - b * c) / np.maximum(widest, 1e-300)).min())
+    return float(np.linalg.svd(jacobian, compute_uv=False).min())

@@ -188,7 +188,7 @@ def send():
 timer = threading.Timer(0.3, send)
 timer.start()
 try:
-    for _ in range(200): solid.solve(strokes_of(d.space.table, d.space.axes))
+    for _ in range(200): solid.solve(strokes_of(d.space))
 except KeyboardInterrupt:
     print("interrupted", time.monotonic() - sent[0])
 """,

@@ -59,7 +59,7 @@ CASES = {
 @pytest.mark.parametrize("tolerance", [0.5, 0.05, 0.01])
 def test_source_points_are_within_the_error(name: str, tolerance: float) -> None:
     d = CASES[name]
-    solid = solve_solid(d.space.table, d.space.axes, SHAPE, tolerance)
+    solid = solve_solid(d.space, SHAPE, tolerance)
     assert solid.error <= tolerance or solid.step == FINEST
     assert solid.nodes.shape[3] == _core.NODE
     points = drawn()
@@ -73,7 +73,7 @@ def test_source_points_are_within_the_error(name: str, tolerance: float) -> None
 def test_nodes_are_solved(name: str) -> None:
     """T of a node's source is the node, and its slopes are the inverse of T's Jacobian there."""
     d = CASES[name]
-    solid = solve_solid(d.space.table, d.space.axes, SHAPE, 0.05)
+    solid = solve_solid(d.space, SHAPE, 0.05)
     index = np.stack(np.meshgrid(*(np.arange(n) for n in solid.nodes.shape[:3]), indexing="ij")[::-1], axis=-1)
     points = index.reshape(-1, 3) * float(solid.step)
     inside = (points <= SIZE - 1).all(axis=-1)
@@ -93,7 +93,7 @@ def test_a_finer_lattice_is_more_exact_with_the_cube() -> None:
     errors = []
     points = drawn()
     for tolerance in (1e9, 0.2, 1e-9):
-        solid = solve_solid(d.space.table, d.space.axes, SHAPE, tolerance)
+        solid = solve_solid(d.space, SHAPE, tolerance)
         errors.append((solid.step, off(d, points, sources(solid, points)).max()))
     assert errors[0][0] > FINEST
     assert errors[-1][0] == FINEST
@@ -103,7 +103,7 @@ def test_a_finer_lattice_is_more_exact_with_the_cube() -> None:
 
 def test_nothing_moves_without_strokes() -> None:
     d = supple.Deformation(SHAPE, border=64, on_fold="damp")
-    solid = solve_solid(d.space.table, d.space.axes, SHAPE, 0.01)
+    solid = solve_solid(d.space, SHAPE, 0.01)
     assert solid.step == COARSEST
     assert np.abs(sources(solid, drawn()) - drawn()).max() == 0
 
@@ -111,7 +111,7 @@ def test_nothing_moves_without_strokes() -> None:
 def test_nothing_is_solved_where_no_stroke_reaches() -> None:
     d = supple.Deformation(SHAPE, border=None, on_fold="damp").grab((10, 12, 9), by=(2, 1, 0), radius=4, reach=2)
     nodes = np.empty((20, 26, 23, _core.NODE), np.float32)
-    evaluations, smooth = _core.Lattice(nodes, 2).solve(strokes_of(d.space.table, d.space.axes))
+    evaluations, smooth = _core.Lattice(nodes, 2).solve(strokes_of(d.space))
     index = np.stack(np.meshgrid(*(np.arange(n) for n in nodes.shape[:3]), indexing="ij")[::-1], axis=-1)
     away = np.linalg.norm(2.0 * index - (10, 12, 9), axis=-1)
     assert not nodes[away >= 8][:, :3].any()
@@ -124,7 +124,7 @@ def test_nothing_is_solved_where_no_stroke_reaches() -> None:
 def test_gradients_are_turned_as_the_jacobian_says() -> None:
     """∂p/∂q between nodes is the slope of the sources."""
     d = bent(None, 0.5)
-    solid = solve_solid(d.space.table, d.space.axes, SHAPE, 1e-9)
+    solid = solve_solid(d.space, SHAPE, 1e-9)
     points = np.clip(drawn(500), 1, SIZE - 2)
     found = sources(solid, points)
     turned = solid.at(points)[1]
@@ -137,7 +137,7 @@ def test_gradients_are_turned_as_the_jacobian_says() -> None:
 def test_moved_bricks_miss_nothing() -> None:
     """Every brick that shows a voxel that is seen is marked, wherever the map takes it from."""
     d = CASES["free"]
-    solid = solve_solid(d.space.table, d.space.axes, SHAPE, 0.05)
+    solid = solve_solid(d.space, SHAPE, 0.05)
     fine, counts = (brick_counts(SHAPE, brick) for brick in (FINE, _core.BRICK))
     seen = np.random.default_rng(2).random(fine) > 0.997
     found = np.empty(counts, np.bool_)
@@ -151,7 +151,7 @@ def test_moved_bricks_miss_nothing() -> None:
 
 
 def test_tables_of_another_shape_are_refused() -> None:
-    with pytest.raises(ValueError, match="20 columns"):
+    with pytest.raises(ValueError, match="32 columns"):
         _core.Strokes(np.zeros((2, 19)), np.zeros((3, 5)))
     with pytest.raises(ValueError, match="two nodes of 16 numbers"):
         _core.Lattice(np.zeros((1, 2, 2, 16), np.float32), 2)

@@ -270,7 +270,7 @@ class TestFolds:
     def test_each_stroke_knows_where_it_arrives(self, recwarn: pytest.WarningsRecorder) -> None:
         strokes = (stroke(), replace(STRONG, hidden=True), STRONG)
         d = Document(SHAPE, recipe=Recipe(on_fold="damp", strokes=strokes))
-        first, second, third = d.arrivals
+        first, second, third = map(d.arrival, range(3))
         assert first is not None
         assert (first.miss, first.cause) == (0, None)
         assert second is None
@@ -284,9 +284,9 @@ class TestFolds:
         assert d.handles(1) == (((60, 50), (260, 46)),)
         assert not recwarn.list
         d.hide(1, False)
-        assert d.arrivals[1] is not None
-        assert d.arrivals[1].arrived == third.arrived
-        assert d.arrivals[1].moved > 1  # by the third, which begins there too
+        assert d.arrival(1) is not None
+        assert d.arrival(1).arrived == third.arrived
+        assert d.arrival(1).moved > 1  # by the third, which begins there too
 
 
 class TestHiddenStrokes:

@@ -76,7 +76,7 @@ def test_a_damped_stroke_of_a_volume_shows_how_far_it_was_to_go(gpu: Gpu) -> Non
     hand.key("4")  # the rendering, on the whole canvas
     assert missed(view) > 3
     # And nobody is warned elsewhere.
-    assert "the lattice is off by more than a voxel: mode exact is not" in status(view)
+    assert "the rendering is off by more than a voxel: in mode exact it is not" in status(view)
     damped = red(hand.canvas.draw())
     assert damped > 20
     view.document.set_on_fold("flow")

@@ -231,8 +231,27 @@ def test_what_is_folded_stays_folded(gpu: Gpu, places: Places, tmp_path: Path) -
     assert again.sections == {"Brush": False}
 
 
+def test_a_painting_has_a_strength_beside_its_radius(gpu: Gpu, places: Places, monkeypatch: pytest.MonkeyPatch) -> None:
+    draw = imgui.slider_float
+
+    def watched(name: str, *rest: Any) -> Any:
+        made = draw(name, *rest)
+        low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+        places[name] = (low.x + 0.5 * (high.x - low.x), low.y + 8)
+        return made
+
+    monkeypatch.setattr(imgui, "slider_float", watched)
+    view, hand = grey()
+    assert "##strength" not in places
+    hand.key("r")
+    hand.canvas.draw()
+    click(hand, places["##strength"])
+    assert view.tools.strength == pytest.approx(0.5, abs=0.03)
+
+
 def test_each_overlay_has_a_legend_in_its_own_colours() -> None:
     from supple.viewer.panels import legend
+    from supple.viewer.panels.view import FROZEN
 
     assert set(legend.NAMES) == {*plate.OVERLAYS, FROZEN}
     shader = (Path(plate.__file__).parent / "shaders" / "warm.wgsl").read_text()

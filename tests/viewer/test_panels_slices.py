@@ -263,12 +263,49 @@ def test_landmarks_are_shown_before_and_after(gpu: Gpu, tmp_path: Path) -> None:
     view.document.mark_saved()
 
 
+@pytest.mark.parametrize("size", [(1600, 1000), (1280, 720), (900, 540), (640, 480)])
+def test_no_words_lie_on_others(
+    gpu: Gpu, size: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from supple.viewer.panels import marks
+
+    (tmp_path / "marks.csv").write_text("name,i,j,k\nnasion,45,104,28\nAC,45,63,36\nPC,45,49,37\n")
+    view, hand = opened(DATA / "head.nii.gz", Recipe(border=None), size=size, points=tmp_path / "marks.csv")
+    boxes: list[tuple[str, float, float, float, float]] = []
+    write = marks._text
+
+    def watched(lines: Any, at: Any, said: str, colour: int = 0, align: Any = (0.0, 0.0)) -> None:
+        wide, high = marks.imgui.calc_text_size(said)
+        left, top = at[0] - align[0] * wide, at[1] - align[1] * high
+        boxes.append((said, left, top, left + wide, top + high))
+        write(lines, at, said, colour or marks._LETTERS, align)
+
+    monkeypatch.setattr(marks, "_text", watched)
+    hand.move(1, 1)
+    view.tools.sight = view.tools.sight.at((87, 71, 34), view.tools.sizes)  # long words: A 17.0 mm
+    view.refresh()
+    hand.canvas.draw()
+    assert {"nasion", "AC", "PC", "axial", "50 mm"} <= {said for said, *_ in boxes}
+    for k, (said, left, top, right, bottom) in enumerate(boxes):
+        for other, a, b, c, d in boxes[k + 1 :]:
+            assert left >= c or a >= right or top >= d or b >= bottom, (said, other)
+
+
 def test_landmarks_are_for_volumes(gpu: Gpu, tmp_path: Path) -> None:
     (tmp_path / "marks.csv").write_text("i,j,k\n1,2,3\n")
-    with pytest.raises(supple.SuppleError, match=r"--points are shown in volumes, and .*coffee.jpg is none"):
+    with pytest.raises(supple.SuppleError, match=r"^points are shown in volumes, and .*coffee.jpg is none"):
         opened(DATA / "coffee.jpg", points=tmp_path / "marks.csv")
-    with pytest.raises(supple.SuppleError, match="--convention is for --points"):
+    with pytest.raises(supple.SuppleError, match="convention is that of points, and there are none"):
         opened(DATA / "head.nii.gz", convention="RAS")
+
+
+def test_a_script_shows_landmarks_as_the_command_does(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from supple.viewer.window import launch
+
+    taken: list[launch.ViewOptions] = []
+    monkeypatch.setattr(launch, "show", lambda source, recipe, *, options: taken.append(options))
+    supple.view(DATA / "head.nii.gz", points=tmp_path / "marks.csv", convention="RAS")
+    assert (taken[0].points, taken[0].convention) == (tmp_path / "marks.csv", "RAS")
 
 
 def test_the_curve_is_the_opacity_of_the_transfer_function(gpu: Gpu) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -224,6 +225,18 @@ class TestPaintings:
         tools.document.select(1)
         assert {handle.item for handle in tools.handles()} == {0, 1}
 
+    @pytest.mark.parametrize("key", ["r", "s"])
+    def test_a_dab_goes_as_far_as_its_strength(self, key: str) -> None:
+        gone = []
+        for strength in (1.0, 0.25):
+            tools = image(BENT)
+            tools.radius, tools.strength = 20, strength
+            press(tools, key)
+            drag(tools, (221, 101), (221, 101))
+            gone.append(np.array([by for _, by in tools.document.items[-1].stroke.handles]))
+        np.testing.assert_allclose(gone[1], 0.25 * gone[0], atol=1e-9)
+        assert np.abs(gone[0]).max() > 0.1
+
     def test_a_dab_of_a_clip_and_of_a_plane_is_where_it_is_seen(self) -> None:
         film = clip(Stroke(at=(150, 100, 5), by=(20, 0, 0), radius=30))
         film.playback.seek(5)
@@ -385,7 +398,7 @@ class TestSymmetry:
         one, other = (item.stroke for item in tools.document.items[3:])
         assert (one.at, other.at) == ((68, 50), (231, 50))
 
-    def test_an_edit_of_one_is_not_mirrored(self) -> None:
+    def test_an_edit_of_one_that_is_alone_is_not_mirrored(self) -> None:
         tools = image(Stroke(at=(100, 50), by=(10, 5), radius=20))
         press(tools, "m")
         tools.document.select(0)
@@ -400,6 +413,7 @@ class TestSymmetry:
         assert [(handle.nth, handle.part) for handle in tools.handles()] == [
             (0, "pivot"), (0, "end"), (1, "pivot"), (1, "end")
         ]  # fmt: skip
+        press(tools, "m")  # each for itself
         drag(tools, tools.viewport.to_canvas(189, 55), tools.viewport.to_canvas(189, 65))
         drag(tools, tools.viewport.to_canvas(199, 50), tools.viewport.to_canvas(204, 50))
         (item,) = tools.document.items
@@ -407,6 +421,83 @@ class TestSymmetry:
         ((at, by),) = item.stroke.also
         assert at == pytest.approx((204, 50))
         assert by == pytest.approx((-10, 15))
+
+    def test_an_edit_of_a_point_moves_its_image_too(self) -> None:
+        tools = image()
+        press(tools, "m")
+        drawn(tools, "g", (201, 101), (221, 111))
+        place = tools.viewport.to_canvas
+        drag(tools, place(189, 55), place(185, 65))  # the end of the image
+        drag(tools, place(100, 50), place(90, 52))  # the point itself
+        (item,) = tools.document.items
+        (at, by), (image_at, image_by) = item.stroke.handles
+        assert at == pytest.approx((90, 52))
+        assert by == pytest.approx((14, 15))
+        assert image_at == pytest.approx((209, 52))
+        assert image_by == pytest.approx((-14, 15))
+        # Numbers that are typed are edits, too.
+        typed = tools.paired(item.stroke, replace(item.stroke, by=(3.0, 1.0)))
+        assert typed.also[0][1] == (-3, 1)
+        # One step each: undo takes both back.
+        press(tools, "z", "Control")
+        assert tools.document.items[0].stroke.also[0][0] == pytest.approx((199, 50))
+
+    def test_an_edit_of_a_point_on_the_line_stays_there(self) -> None:
+        tools = image()
+        press(tools, "m")
+        x, y = tools.viewport.to_canvas(149.5, 50)
+        drawn(tools, "g", (x, y), (x, y + 20))
+        drag(tools, (x, y + 20), (x + 16, y + 40))
+        (item,) = tools.document.items
+        assert item.stroke.by == pytest.approx((0, 20))
+
+    def test_pins_come_and_go_in_pairs(self) -> None:
+        tools = image()
+        press(tools, "m")
+        drawn(tools, "g", (201, 101), (221, 111))
+        press(tools, "d")
+        place = tools.viewport.to_canvas(70, 80)
+        drag(tools, place, place)
+        assert len(tools.document.items[0].stroke.handles) == 4
+        drag(tools, place, place)
+        assert len(tools.document.items[0].stroke.handles) == 2
+
+    def test_its_knob_moves_the_line_which_finds_the_middle(self) -> None:
+        tools = image()
+        assert tools.grip is None
+        press(tools, "m")
+        grip = tools.grip
+        assert grip is not None
+        drag(tools, grip, (grip[0] - 60, grip[1] + 30))
+        assert tools.middle == pytest.approx(119.5)
+        assert tools.document.items == ()
+        stroke = drawn(tools, "g", (201, 101), (221, 111))
+        assert stroke.also == (((139, 50), (-10, 5)),)
+        drag(tools, tools.grip, (9000, 0))
+        assert tools.middle == 299.5
+        drag(tools, tools.grip, (grip[0] + 2, 0))
+        assert tools.middle == 149.5
+        press(tools, "m")
+        down(tools, *grip)  # which is not there any more
+        assert tools.held is not None
+
+    def test_what_has_no_room_for_an_image_has_none(self) -> None:
+        tools = image()
+        press(tools, "m")
+        tools.middle = 80.0
+        assert drawn(tools, "g", (401, 101), (421, 111)).also == ()
+        assert len(drawn(tools, "g", (101, 101), (121, 111)).handles) == 2
+
+    def test_the_knob_of_a_volume_is_in_two_planes(self) -> None:
+        tools = bench()
+        press(tools, "m")
+        assert [tools.grip_of(k) is not None for k in range(4)] == [True, True, False, False]
+        x, y = tools.grip_of(1)
+        scale = tools.pane(1).scale * tools.geometry.spacing[0]
+        drag(tools, (x, y), (x - 10 * scale, y))
+        assert abs(tools.middle - 29.5) == pytest.approx(10)
+        assert tools.grip_of(0)[0] == pytest.approx(tools.grip_of(1)[0])
+        assert tools.document.items == ()
 
     def test_a_volume_has_a_plane_between_left_and_right(self) -> None:
         tools = bench()  # 60 voxels from left to right

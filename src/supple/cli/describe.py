@@ -273,6 +273,8 @@ def _recipe(name: str, recipe: Recipe) -> str:
     lines = [f"{shown(name)}:", "  recipe"]
     lines += [f"  made for    {'any size' if recipe.size is None else spoken(recipe.size)}", f"  points      {points}"]
     lines += [f"  border      {border}", f"  on fold     {recipe.on_fold}", f"  amount      {100 * recipe.amount:g}%"]
+    if recipe.freeze is not None:
+        lines.append(f"  freeze      {100 * recipe.freeze.share:.0f}% of {spoken(recipe.freeze.samples)}")
     if recipe.time_scale is not None:
         lines.append(f"  a frame     is worth {recipe.time_scale:g} pixels")
     for i, s in enumerate(recipe.strokes):

@@ -16,6 +16,7 @@ from supple.errors import SuppleError
 
 if TYPE_CHECKING:
     from supple.domain import Border
+    from supple.freezing import Freeze
     from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke
 
 STROKES = Group("Strokes", sort_key=1)
@@ -108,6 +109,12 @@ class StrokeOptions:
         millimetres. none: the edges move too.
     border_profile
         How movement fades towards the border: quartic (default), or sine as in the paper.
+    freeze
+        Where nothing moves, whatever the strokes: a picture, white where it is frozen, or a volume, all but 0; with
+        :LABEL, what has this label. Frozen pixels stay as they are. In a video, it is the same in each frame.
+    freeze_width
+        Width over which movement fades to 0 beside what is frozen, in pixels, in a volume in millimetres (default: a
+        32nd of the shortest side).
     on_fold
         What to do with a stroke that would fold the picture or that the border holds back. flow (default): carry
         all of it out, in smaller steps. damp: weaken it. error: stop.
@@ -135,6 +142,8 @@ class StrokeOptions:
     border_profile: Annotated[
         Literal["quartic", "sine"] | None, Parameter(metavar="quartic|sine", show_choices=False)
     ] = None
+    freeze: Annotated[str | None, Parameter(metavar="FILE[:LABEL]")] = None
+    freeze_width: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="N")] = None
     on_fold: Annotated[
         Literal["damp", "flow", "error"] | None, Parameter(metavar="flow|damp|error", show_choices=False)
     ] = None
@@ -198,6 +207,10 @@ class StrokeOptions:
             made = replace(made, border=_border(self.border))
         if self.amount is not None:
             made = replace(made, amount=_amount(self.amount))
+        if self.freeze is not None:
+            made = replace(made, freeze=_freeze(self.freeze, self.freeze_width))
+        elif self.freeze_width is not None:
+            raise SuppleError("--freeze-width is for a freeze mask, and there is none: give --freeze, or leave it out")
         if self.border_profile is not None:
             made = replace(made, border_profile=self.border_profile)
         return made if self.on_fold is None else replace(made, on_fold=self.on_fold)
@@ -297,6 +310,17 @@ def _border(text: str) -> Border:
         parse_number("--border", part, "auto, none, a width, or one for each axis") for part in text.split(",")
     )
     return widths[0] if len(widths) == 1 else widths
+
+
+def _freeze(text: str, width: str | None) -> Freeze:
+    """Read the freeze mask that the command line names."""
+    from supple.files.freezing import read_freeze
+
+    name, colon, last = text.rpartition(":")
+    labelled = bool(colon and name) and last.lstrip("-").isdigit() and not os.path.exists(text)
+    path, label = (name, int(last)) if labelled else (text, None)
+    wide = None if width is None else parse_number("--freeze-width", width, "a number of pixels or millimetres above 0")
+    return read_freeze(path, label=label, width=wide)
 
 
 def _amount(text: str) -> float:

@@ -156,7 +156,8 @@ class Recipe:
             return replace(self, size=size)
         scaling = scaling_of(self.size, size, how, time=time, name=name)
         if scaling is None:
-            return replace(self, size=size)
+            freeze = self.freeze and self.freeze.fitted(size, None)
+            return replace(self, size=size, freeze=freeze)
         strokes = [
             replace(stroke.mapped(scaling.point, scaling.drag), radius=stroke.radius * scaling.length)
             for stroke in self.strokes
@@ -167,7 +168,7 @@ class Recipe:
             if len(given) == len(size):  # else reported when it is applied
                 widths = tuple(width * s for width, s in zip(given, scaling.widths, strict=True))
                 border = widths[0] if isinstance(border, float) and len(set(widths)) == 1 else widths
-        freeze = None if self.freeze is None else self.freeze.fitted(scaling.point)
+        freeze = None if self.freeze is None else self.freeze.fitted(size, scaling.point)
         return replace(self, size=size, strokes=tuple(strokes), border=border, freeze=freeze)
 
     def to_json(self) -> str:

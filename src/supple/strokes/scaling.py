@@ -40,8 +40,8 @@ class Scaling:
         return self.length / self.factors[2] if len(self.factors) == 3 else 1.0
 
     def point(self, p: Sequence[float]) -> tuple[float, ...]:
-        """Return the image of a point, or of its first coordinates."""
-        moved = zip(p, self.factors, self.offsets, strict=False)
+        """Return the image of a point."""
+        moved = zip(p, self.factors, self.offsets, strict=True)
         return tuple(x if (s, o) == (1.0, 0.0) else (x + 0.5) * s - 0.5 + o for x, s, o in moved)
 
     def drag(self, v: Sequence[float]) -> tuple[float, ...]:

@@ -62,22 +62,18 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = Fa
     ndarray of STROKE_DTYPE
         One row a stroke, in physical units; a missing third coordinate is 0.
     """
-    strokes = tuple(strokes)
-    table = np.zeros(len(strokes), STROKE_DTYPE)
-    n = len(spacing)
-    for i, (row, stroke) in enumerate(zip(table, strokes, strict=True)):
+    n, rows = len(spacing), []
+    for i, stroke in enumerate(strokes):
         if stroke.ndim != n:
             refuse(f"strokes[{i}].at", f"a point of {n} numbers, as the medium has {n} axes", stroke.at)
-        row["pivot"][:n] = np.multiply(stroke.at, spacing)
-        row["force"][:n] = np.multiply(stroke.by, spacing)
-        row["matrix"] = matrix_of(stroke, spacing, time=time)
-        row["terms"], row["power"] = stroke.scales, 1 if stroke.brush == "grab" else 3
-        row["radius2"], row["p"], row["q"], row["r"] = _terms(
-            stroke.radius, poisson_of(stroke, time=time), stroke.scales, stroke.brush
+        pivot, force = (
+            (*(x * step for x, step in zip(v, spacing, strict=True)), 0.0)[:3] for v in (stroke.at, stroke.by)
         )
-        row["reach"] = math.inf if stroke.reach is None else stroke.reach * stroke.radius
-        row["most"] = math.inf
-    return table
+        matrix, power = matrix_of(stroke, spacing, time=time), 1 if stroke.brush == "grab" else 3
+        terms = _terms(stroke.radius, poisson_of(stroke, time=time), stroke.scales, stroke.brush)
+        reach = math.inf if stroke.reach is None else stroke.reach * stroke.radius
+        rows.append((pivot, force, matrix, *terms, stroke.scales, power, 0, reach, math.inf))
+    return np.array(rows, STROKE_DTYPE)
 
 
 def matrix_of(stroke: Stroke, spacing: Sequence[float], *, time: bool = False) -> npt.NDArray[np.float64]:

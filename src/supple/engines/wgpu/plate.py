@@ -91,12 +91,26 @@ def nodes_of(size: tuple[int, int], cell: int = CELL) -> tuple[int, int]:
 
 
 class _Sheet:
-    """The buffers for drawing into one texture."""
+    """The buffers for drawing into one texture, and what they hold."""
 
     def __init__(self, gpu: Gpu, texture: Any) -> None:
         self.texture, self.view = texture, texture.create_view()
         self.settings, self.domain, self.strokes = Kept(gpu, UNIFORM), Kept(gpu, UNIFORM), Kept(gpu)
         self.bound = Bound()
+        self._table: Any = None
+        self._axes: Any = None
+        self._told: Any = None
+        self._held: tuple[Any, ...] = ()
+
+    def hold(self, table: npt.NDArray[np.void], axes: Floats, settings: dict[str, Any]) -> tuple[Any, ...]:
+        """Return the buffers of settings, of a domain and of strokes; arrays are told apart by identity."""
+        if self._table is not table or self._axes is not axes or self._told != settings:
+            made = np.zeros(1, _SETTINGS)
+            for name, value in settings.items():
+                made[name] = value
+            self._held = self.settings.hold(made), self.domain.hold(domain(axes)), self.strokes.hold(packed(table))
+            self._table, self._axes, self._told = table, axes, settings
+        return self._held
 
 
 class _Drawn:
@@ -149,13 +163,8 @@ class _Drawn:
         if nodes is not None:
             gpu.device.queue.write_buffer(self._nodes[1], 0, np.ascontiguousarray(nodes))
         sheet = self._sheet(texture)
-        resources = (
-            sheet.settings.hold(self._settings(sight, cells, table.size, nodes is not None)),
-            sheet.domain.hold(domain(axes)),
-            sheet.strokes.hold(packed(table)),
-            self._nodes[1],
-            *self._held(sheet.view),
-        )
+        buffers = sheet.hold(table, axes, self._settings(sight, cells, table.size, nodes is not None))
+        resources = (*buffers, self._nodes[1], *self._held(sheet.view))
         paint, layout = pipeline(gpu, _NAMES, self._entry, self._kinds, {"BENT": bool(table.size), **constants(table)})
         group = sheet.bound.group(resources, lambda: bound(gpu, layout, resources))
         commands = encoder or gpu.device.create_command_encoder()
@@ -178,9 +187,8 @@ class _Drawn:
         self._sheets = [*self._sheets[-3:], _Sheet(self.gpu, texture)]
         return self._sheets[-1]
 
-    def _settings(self, sight: Sight, cells: tuple[int, int], strokes: int, given: bool) -> npt.NDArray[np.void]:
-        made = np.zeros(1, _SETTINGS)
-        told = {
+    def _settings(self, sight: Sight, cells: tuple[int, int], strokes: int, given: bool) -> dict[str, Any]:
+        return {
             "size": sight.size,
             "nodes": cells,
             "origin": sight.origin,
@@ -193,10 +201,8 @@ class _Drawn:
             "overlay": OVERLAYS[sight.overlay],
             "every": sight.every,
             "back": (*sight.back, max(sight.square, 1.0)),
+            **self._told(),
         }
-        for name, value in (told | self._told()).items():
-            made[name] = value
-        return made
 
 
 class Laid(_Drawn):

@@ -12,7 +12,7 @@ from supple.files.volumes import indexed, placed
 from supple.freezing import Freeze
 from supple.geometry import Geometry
 from supple.strokes import FoldPolicy, Recipe, Stroke, spoken
-from supple.viewer.document.state import PAINTINGS, History, Item, Kind, Solved, State
+from supple.viewer.document.state import PAINTINGS, Handle, History, Item, Kind, Solved, State, Track, handles_of
 
 
 class Document:
@@ -47,7 +47,6 @@ class Document:
         self._now = self._solved(self._state(recipe or Recipe()), None)
         self._history = History(self._now.state)
         self._saved = self._now.state.content
-        self._arrivals: tuple[Solved | None, tuple[Arrival | None, ...]] = (None, ())
 
     @property
     def state(self) -> State:
@@ -77,35 +76,37 @@ class Document:
         space = self.state.rest.space
         return made if space is None or self.geometry is None else placed(made, self.geometry, space)
 
-    @property
-    def arrivals(self) -> tuple[Arrival | None, ...]:
-        """The target of each stroke's point, and its position; None for hidden ones."""
-        if self._arrivals[0] is not self._now:
-            known = iter(self.deformation.arrivals)
-            self._arrivals = self._now, tuple(None if item.hidden else next(known) for item in self.items)
-        return self._arrivals[1]
-
     def arrival(self, i: int) -> Arrival | None:
         """Return the target of a stroke's point, and its position; None if the stroke is hidden."""
-        return self.arrivals[self._checked(i)]
+        known = self._nth(i)
+        return None if known is None else self.deformation.arrival(known)
+
+    def misses(self, i: int) -> bool:
+        """Return whether a stroke's point ends elsewhere than at its target; False if the stroke is hidden."""
+        known = self._nth(i)
+        return known is not None and self._now.tracks[known].wanted is not None
 
     def warning(self, i: int) -> str | None:
         """Return a sentence on a stroke that misses its target."""
         known = self._nth(i)
         return None if known is None else self.deformation.warnings[known]
 
-    def handles(self, i: int) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...]:
+    def handles(self, i: int) -> tuple[Handle, ...]:
         """Return the points of a stroke and their positions after it; for a hidden one, and all but the first, targets.
 
         The point of a twist, a scale or a pinch stays where it is.
         """
-        found, stroke = self.arrival(i), self.seen(i)
-        made = [(at, tuple(a + b for a, b in zip(at, by, strict=True))) for at, by in stroke.handles]
-        return ((made[0][0], found.arrived), *made[1:]) if found else tuple(made)
+        known = self._nth(i)
+        return handles_of(self.items[i].stroke) if known is None else self._now.tracks[known].handles
 
-    def has_handles(self, i: int) -> bool:
-        """Return whether a stroke has handles: those of a painting, which are many, only if they are selected."""
-        return i == self.selected or self.items[i].stroke.name not in PAINTINGS
+    def tracks(self) -> list[tuple[int, Track]]:
+        """Return the strokes that have handles on screen, and their indices: no hidden ones.
+
+        Of those of a painting, which are many, only the selected one has handles.
+        """
+        visible = (i for i, item in enumerate(self.items) if not item.hidden)
+        pairs, chosen = zip(visible, self._now.tracks, strict=True), self.selected
+        return [(i, track) for i, track in pairs if i == chosen or track.stroke.name not in PAINTINGS]
 
     def beneath(self, i: int, point: tuple[float, ...]) -> tuple[float, ...]:
         """Return where the material that is seen at a point was before a stroke, which is not hidden."""
@@ -115,13 +116,8 @@ class Document:
 
     def seen(self, i: int) -> Stroke:
         """Return a stroke at its full drag on screen, if its recipe applies a fraction of it."""
-        known, stroke = self._nth(i), self.items[i].stroke
-        if known is None:
-            return stroke
-        applied = self.deformation.strokes[known]
-        if applied is stroke:
-            return stroke
-        return replace(applied, strength=stroke.strength)
+        known = self._nth(i)
+        return self.items[i].stroke if known is None else self._now.tracks[known].stroke
 
     def add(self, stroke: Stroke) -> int:
         """Append a stroke, and select it; return its index."""
@@ -375,13 +371,14 @@ class Document:
                 if stroke is not before and stroke != before:
                     break
                 same += 1
-            made = Solved(state, known.chain[: same + 1], known.wholes[:same])
+            made = Solved(state, known.chain[: same + 1], known.wholes[:same], known.tracks[:same])
         for k, (i, stroke) in enumerate(visible[same:], same):
             try:
                 whole, now = made.before(k)
                 applied = now.add(reduced(stroke, rest.amount, whole, now), warn=False)
                 last_outside(applied)
-                made = Solved(state, (*made.chain, applied), (*made.wholes, whole))
+                tracks = (*made.tracks, Track.of(stroke, applied))
+                made = Solved(state, (*made.chain, applied), (*made.wholes, whole), tracks)
             except SuppleError as error:
                 many = len(state.items) > 1
                 raise type(error)(f"stroke {i + 1}: {error}" if many else str(error)) from None

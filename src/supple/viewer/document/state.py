@@ -7,9 +7,13 @@ from typing import Generic, Literal, Self, TypeVar
 
 from supple.deformation import Deformation, after
 from supple.domain import refuse
+from supple.folding import NEAR
 from supple.strokes import CoordinateSpace, FoldPolicy, Recipe, Stroke
 
 Kind = Literal["image", "video", "volume"]
+Point = tuple[float, ...]
+Handle = tuple[Point, Point]
+"""A point of a stroke, and where it ends."""
 S = TypeVar("S")
 PAINTINGS = frozenset(("restore", "smooth"))
 """The names of strokes that were painted, many at a time."""
@@ -74,6 +78,28 @@ class State:
 
 
 @dataclass(frozen=True, slots=True)
+class Track:
+    """A visible stroke on screen: at its full drag, if its recipe applies a fraction of it."""
+
+    stroke: Stroke
+    handles: tuple[Handle, ...]
+    wanted: Point | None  # the target of its first point, if it misses that
+
+    @classmethod
+    def of(cls, stroke: Stroke, made: Deformation) -> Self:
+        """Return the last stroke of a deformation, which applies a stroke of the recipe."""
+        applied, arrival = made.strokes[-1], made.arrival(len(made.strokes) - 1)
+        seen = stroke if applied is stroke else replace(applied, strength=stroke.strength)
+        (at, _), *others = handles_of(seen)
+        return cls(seen, ((at, arrival.arrived), *others), arrival.target if arrival.miss > NEAR else None)
+
+
+def handles_of(stroke: Stroke) -> tuple[Handle, ...]:
+    """Return the points of a stroke, and their targets."""
+    return tuple((at, tuple(a + b for a, b in zip(at, by, strict=True))) for at, by in stroke.handles)
+
+
+@dataclass(frozen=True, slots=True)
 class Solved:
     """A state, and the deformation after none, one, two, … of its visible strokes.
 
@@ -84,6 +110,7 @@ class Solved:
     state: State
     chain: tuple[Deformation, ...]
     wholes: tuple[Deformation, ...] = ()
+    tracks: tuple[Track, ...] = ()
 
     @property
     def visible(self) -> list[tuple[int, Stroke]]:

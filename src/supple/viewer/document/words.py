@@ -101,14 +101,14 @@ def settings(recipe: Recipe) -> str:
     border = "The border is free" if recipe.border is None else "The border is fixed"
     width = "" if not isinstance(recipe.border, int | float) else f", over {recipe.border:g}"
     return f"Where a stroke would fold: {FOLDS[recipe.on_fold]}. {border}{width}." + (
-        "" if recipe.freeze is None or recipe.size is None else f" {frozen(recipe.freeze, recipe.size)}."
+        "" if recipe.freeze is None else f" {frozen(recipe.freeze)}."
     )
 
 
 @lru_cache(maxsize=4)
-def frozen(freeze: Freeze, size: tuple[int, ...]) -> str:
+def frozen(freeze: Freeze) -> str:
     """Return how much of a medium a mask freezes; one of two axes does so in all frames of a clip."""
-    percent = 100 * freeze.part(size[: freeze.ndim][::-1])
+    percent = 100 * freeze.share
     return f"{'Less than 1' if percent < 1 else f'{percent:.0f}'} % is frozen"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 from imgui_bundle import imgui
@@ -45,7 +44,7 @@ def _history(view: View) -> None:
 
 def _recipe(view: View) -> None:
     document = view.document
-    wrapped(settings(replace(document.state.rest, size=document.shape[::-1])))
+    wrapped(settings(document.state.rest))
     items = document.items
     if items:
         listing("recipe", len(items), 4, imgui.get_text_line_height() + imgui.get_text_line_height_with_spacing())

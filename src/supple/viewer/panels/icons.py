@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from functools import lru_cache
 from typing import Any
 
 from imgui_bundle import imgui
@@ -13,43 +13,44 @@ WIDTH = 1.6  # of lines, in logical pixels
 Pair = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True)
+Part = Callable[[imgui.ImDrawList, int], None]
+"""A line or a shape that is drawn in a colour."""
+
+
 class Pen:
-    """A pen at the middle of an icon."""
+    """A pen about the middle of an icon, which is given in logical pixels, as its unit is."""
 
-    lines: imgui.ImDrawList
-    x: float
-    y: float
-    size: float  # of a unit, in logical pixels
-    colour: int
+    def __init__(self, x: float, y: float, size: float) -> None:
+        self.x, self.y, self.size = x, y, size
+        self.parts: list[Part] = []  # that are drawn so far
 
-    def at(self, place: Pair) -> Pair:
-        """Return the place of a point on the canvas."""
-        return self.x + place[0] * self.size, self.y + place[1] * self.size
+    def _at(self, places: Iterable[Pair]) -> Any:
+        return [imgui.ImVec2(self.x + x * self.size, self.y + y * self.size) for x, y in places]
 
     def line(self, *places: Pair, closed: bool = False) -> None:
         """Draw a line through points."""
-        flags = imgui.ImDrawFlags_.closed if closed else imgui.ImDrawFlags_.none
-        points: Any = [self.at(p) for p in places]
-        self.lines.add_polyline(points, col=self.colour, thickness=WIDTH, flags=flags)  # the order changes by release
+        points, flags = self._at(places), imgui.ImDrawFlags_.closed if closed else imgui.ImDrawFlags_.none
+        # The order of the arguments changes by release.
+        self.parts.append(lambda lines, c: lines.add_polyline(points, col=c, thickness=WIDTH, flags=flags))
 
     def shape(self, *places: Pair) -> None:
         """Fill a convex shape."""
-        points: Any = [self.at(p) for p in places]
-        self.lines.add_convex_poly_filled(points, self.colour)
+        points = self._at(places)
+        self.parts.append(lambda lines, colour: lines.add_convex_poly_filled(points, colour))
 
     def ring(self, middle: Pair, radius: float) -> None:
         """Draw a circle."""
-        self.lines.add_circle(self.at(middle), radius * self.size, self.colour, 0, WIDTH)
+        (at,), radius = self._at([middle]), radius * self.size
+        self.parts.append(lambda lines, colour: lines.add_circle(at, radius, colour, 0, WIDTH))
 
     def dot(self, middle: Pair, radius: float = 0.22) -> None:
         """Fill a circle."""
-        self.lines.add_circle_filled(self.at(middle), radius * self.size, self.colour)
+        (at,), radius = self._at([middle]), radius * self.size
+        self.parts.append(lambda lines, colour: lines.add_circle_filled(at, radius, colour))
 
     def arc(self, middle: Pair, radius: float, begin: float, end: float) -> None:
         """Draw an arc between angles in degrees, clockwise from the right."""
-        self.lines.path_arc_to(self.at(middle), radius * self.size, math.radians(begin), math.radians(end), 20)
-        self.lines.path_stroke(col=self.colour, thickness=WIDTH)
+        self.line(*_arc(middle, radius, begin, end))
 
     def head(self, tip: Pair, angle: float, size: float = 0.5) -> None:
         """Fill an arrowhead which points along an angle in degrees."""
@@ -59,9 +60,21 @@ class Pen:
 Icon = Callable[[Pen], None]
 
 
+@lru_cache(maxsize=256)
+def placed(icon: Icon, x: float, y: float, size: float) -> tuple[Part, ...]:
+    """Return an icon about a point, in units of a size: most stay where they are from frame to frame."""
+    pen = Pen(x, y, size)
+    icon(pen)
+    return tuple(pen.parts)
+
+
 def _round(middle: Pair, radius: float, degrees: float) -> Pair:
     angle = math.radians(degrees)
     return middle[0] + radius * math.cos(angle), middle[1] + radius * math.sin(angle)
+
+
+def _arc(middle: Pair, radius: float, begin: float, end: float) -> list[Pair]:
+    return [_round(middle, radius, begin + k * (end - begin) / 20) for k in range(21)]
 
 
 def grab(pen: Pen) -> None:
@@ -174,8 +187,7 @@ def redo(pen: Pen) -> None:
 def original(pen: Pen) -> None:
     """A circle, half of it full."""
     pen.ring((0, 0), 0.9)
-    pen.lines.path_arc_to(pen.at((0, 0)), 0.9 * pen.size, 0.5 * math.pi, 1.5 * math.pi, 20)
-    pen.lines.path_fill_convex(pen.colour)
+    pen.shape(*_arc((0, 0), 0.9, 90, 270))
 
 
 def split(pen: Pen) -> None:

@@ -7,7 +7,7 @@ from imgui_bundle import imgui
 from supple.viewer.panels.view import View
 from supple.viewer.tools.keys import KEYS
 
-_WIDTH = 560.0
+_WIDTH = 720.0
 _FLAGS = imgui.WindowFlags_.no_resize | imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_collapse
 
 
@@ -23,7 +23,7 @@ def draw(view: View) -> None:
         "Keys and gestures", True, _FLAGS | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_saved_settings
     )
     if shown and imgui.begin_table("keys", 2, imgui.TableFlags_.row_bg):
-        imgui.table_setup_column("keys", imgui.TableColumnFlags_.width_fixed, 0.36 * wide)
+        imgui.table_setup_column("keys", imgui.TableColumnFlags_.width_fixed, 0.28 * wide)
         imgui.table_setup_column("what", imgui.TableColumnFlags_.width_stretch)
         for keys, what in KEYS[view.stage.kind].items():
             imgui.table_next_row()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from imgui_bundle import imgui
 
 from supple.viewer.document.words import frozen
@@ -21,6 +23,7 @@ NAMES = {
 COLD, HOT = (0.10, 0.25, 0.75, 1.0), (0.95, 0.35, 0.10, 1.0)
 """The ends of the colours, as in warm.wgsl."""
 _HIGH = 10.0  # of the scale, in logical pixels
+_STEPS = 40  # of one that has two ends
 _SCALES: dict[str, tuple[str, tuple[str, ...]]] = {
     "stretch": ("How much larger or smaller an area is than in the original.", ("half", "same", "twice")),
     "residual": ("How far each source point misses its pixel when it is bent.", ("1/65536 px", "1/256 px", "1 px")),
@@ -37,11 +40,7 @@ def draw(view: View) -> None:
         imgui.dummy((size, size))
         imgui.same_line()
         known = view.document.state.rest.freeze
-        wrapped(
-            "Nothing is frozen."
-            if known is None
-            else f"{frozen(known, view.document.shape[::-1])}: no stroke moves it."
-        )
+        wrapped("Nothing is frozen." if known is None else f"{frozen(known)}: no stroke moves it.")
     name = "rays" if view.overlay == "inversions" and view.stage.kind == "volume" else view.overlay
     if name == "grid":
         wrapped("Lines of the original, every 32 pixels, as they are bent.")
@@ -51,7 +50,14 @@ def draw(view: View) -> None:
     wrapped(text)
     wide, at = imgui.get_content_region_avail().x, imgui.get_cursor_screen_pos()
     lines, cold, hot = imgui.get_window_draw_list(), theme.packed(COLD), theme.packed(HOT)
-    lines.add_rect_filled_multi_color((at.x, at.y), (at.x + wide, at.y + _HIGH), cold, hot, hot, cold)
+    if name == "stretch":  # as plate.wgsl has it: what keeps its size keeps its colour
+        for k in range(-_STEPS, _STEPS):
+            opacity = math.sqrt(abs(k + 0.5) / _STEPS)
+            begin, end = (round(at.x + wide * (0.5 + 0.5 * (k + more) / _STEPS)) for more in (0, 1))
+            shade = theme.packed(COLD if k < 0 else HOT, opacity)
+            lines.add_rect_filled((begin, at.y), (end, at.y + _HIGH), shade)
+    else:
+        lines.add_rect_filled_multi_color((at.x, at.y), (at.x + wide, at.y + _HIGH), cold, hot, hot, cold)
     imgui.dummy((wide, _HIGH))
     left = imgui.get_cursor_pos_x()
     for k, mark in enumerate(marks):

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from imgui_bundle import imgui
 
-from supple.folding import NEAR
 from supple.viewer.document.state import PAINTINGS
 from supple.viewer.panels import theme
 from supple.viewer.panels.view import View
@@ -82,10 +81,10 @@ def names(tools: ImageTools | SliceTools, lines: imgui.ImDrawList, place: Place,
         lines.add_text((x + 10, y + 4), theme.WHITE, text)
 
 
-def knob(lines: imgui.ImDrawList, at: Pair) -> None:
-    """Draw the knob of the split between before and after."""
+def knob(lines: imgui.ImDrawList, at: Pair, colour: int = theme.WHITE) -> None:
+    """Draw the knob of a line that can be dragged: of the split between before and after, or of symmetry."""
     x, y = at
-    lines.add_circle_filled(at, 9.0, theme.WHITE)
+    lines.add_circle_filled(at, 9.0, colour)
     lines.add_circle(at, 9.0, theme.DARK, 0, 1.0)
     for way in (-1, 1):
         lines.add_triangle_filled((x + 6 * way, y), (x + 2 * way, y - 4), (x + 2 * way, y + 4), 0xFF202020)
@@ -120,10 +119,8 @@ def _plane(view: View, tools: SliceTools, lines: imgui.ImDrawList, k: int) -> No
         axes = pane.plane.axis, pane.plane.across, pane.plane.down
         view.veil.draw(lines, tools.mask, tools.sizes, pane.to_canvas, axes, pane.index[pane.plane.axis])
     _crosshair(tools, lines, pane)
-    if tools.symmetric and pane.plane.across == tools.across:
-        here = [0.0, 0.0, 0.0]
-        here[tools.across] = tools.middle
-        mirror(lines, pane.to_canvas(tuple(here))[0], top, height)
+    if (grip := tools.grip_of(k)) is not None:
+        mirror(lines, grip, top, height)
     _strokes(view, tools, lines, pane)
     _landmarks(view, lines, pane.to_canvas, pane)
     x, y, (west, east, north, south) = left + width / 2, top + height / 2, pane.plane.sides
@@ -134,8 +131,8 @@ def _plane(view: View, tools: SliceTools, lines: imgui.ImDrawList, k: int) -> No
     axis = pane.plane.axis
     _text(lines, (left + _INSET, top + _INSET), pane.plane.name, _PLANES[k])
     wide = imgui.calc_text_size(pane.plane.name).x
-    if width > _ROOMY:
-        said = f"{'xyz'[axis]} {pane.index[axis]}   {_lies(tools, pane)}"
+    said = f"{'xyz'[axis]} {pane.index[axis]}   {_lies(tools, pane)}"
+    if 3 * _INSET + wide + imgui.calc_text_size(said).x < 0.5 * width - _INSET:  # beside the letter in the middle
         _text(lines, (left + 2 * _INSET + wide, top + _INSET), said, theme.GREY)
     _bar(lines, pane.place, pane.scale)
     if view.slices is not None and not view.slices.labels and width > _ROOMY:
@@ -173,13 +170,13 @@ def _crosshair(tools: SliceTools, lines: imgui.ImDrawList, pane: Pane) -> None:
 def _strokes(view: View, tools: SliceTools, lines: imgui.ImDrawList, pane: Pane) -> None:
     """Draw the strokes whose point starts or ends in a plane, and the selected one, faint where it is elsewhere."""
     document = view.document
-    for i, arrival in enumerate(document.arrivals):
+    for i, seen in document.tracks():
         selected = document.selected == i
-        if arrival is None or not document.has_handles(i) or (not selected and len(document.items) > 60):
+        if not selected and len(document.items) > 60:
             continue
-        stroke, wanted = document.seen(i), arrival.target if arrival.miss > NEAR else None
+        stroke, wanted = seen.stroke, seen.wanted
         colour = theme.BLUE if selected else theme.SOFT
-        for point, where in document.handles(i):
+        for point, where in seen.handles:
             there = [pane.crosses(p) for p in (point, where)]
             if not any(there) and not selected:
                 continue
@@ -207,11 +204,13 @@ def track(lines: imgui.ImDrawList, places: Iterable[Pair | None], colour: int) -
         lines.add_polyline(points, col=shade, thickness=thick, flags=imgui.ImDrawFlags_.none)
 
 
-def mirror(lines: imgui.ImDrawList, x: float, top: float, height: float) -> None:
-    """Draw the line of symmetry, dashed."""
+def mirror(lines: imgui.ImDrawList, grip: Pair, top: float, height: float) -> None:
+    """Draw the line of symmetry, dashed, with its knob."""
+    x = grip[0]
     for k in range(math.ceil(height / _DASH)):
         for shade, thick in ((theme.DARK, 3.0), (theme.BLUE, 1.0)):
             lines.add_line((x, top + k * _DASH), (x, top + min(k * _DASH + 0.55 * _DASH, height)), shade, thick)
+    knob(lines, grip, theme.BLUE)
 
 
 def end_of(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None) -> None:
@@ -224,17 +223,15 @@ def end_of(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None)
 
 def _rendering(view: View, tools: SliceTools, lines: imgui.ImDrawList, place: Place) -> None:
     document = view.document
-    for i, arrival in enumerate(document.arrivals):
-        if arrival is None or not document.has_handles(i):
-            continue
-        wanted = tools.projected(arrival.target) if arrival.miss > NEAR else None
+    for i, seen in document.tracks():
+        wanted = None if seen.wanted is None else tools.projected(seen.wanted)
         colour = theme.BLUE if document.selected == i else theme.SOFT
-        for point, where in document.handles(i):
+        for point, where in seen.handles:
             start, end = tools.projected(point), tools.projected(where)
             if start is not None and end is not None:
-                track(lines, (start, *map(tools.projected, document.seen(i).path), end), theme.SOFT)
+                track(lines, (start, *map(tools.projected, seen.stroke.path), end), theme.SOFT)
                 lines.add_circle_filled(start, 3.0, colour)
-                if document.items[i].stroke.brush == "grab":
+                if seen.stroke.brush == "grab":
                     end_of(lines, end, colour, wanted)
             wanted = None  # only the first one's is known
     left, top, width, height = place
@@ -257,6 +254,7 @@ def _landmarks(
     marks = view.landmarks
     if marks is None:
         return
+    taken: list[tuple[float, float, float]] = []  # where names lie, which are not written over each other
     before = marks.points
     after = before if view.tools.original else marks.moved(view.document.deformation)
     for name, old, new in zip(marks.names, before.tolist(), after.tolist(), strict=True):
@@ -277,7 +275,12 @@ def _landmarks(
         corners: list[Any] = [imgui.ImVec2(x + a, y + b) for a, b in ((0, -5), (5, 0), (0, 5), (-5, 0))]
         if away <= 0.5:
             lines.add_convex_poly_filled(corners, _MARK)
-            _text(lines, (x + 8, y), name, _MARK, (0.0, 0.5))
+            size, x = imgui.calc_text_size(name), x + _INSET
+            for begin, over, low in sorted(taken):
+                if abs(y - low) < size.y and begin < x + size.x and x < over:
+                    x = over + _INSET
+            taken.append((x, x + size.x, y))
+            _text(lines, (x, y), name, _MARK, (0.0, 0.5))
         lines.add_polyline([*corners, corners[0]], theme.DARK if away <= 0.5 else _MARK & 0x90FFFFFF, 1.5, 0)
 
 

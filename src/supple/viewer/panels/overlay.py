@@ -6,7 +6,6 @@ import math
 
 from imgui_bundle import imgui
 
-from supple.folding import NEAR
 from supple.viewer.document.words import done, named
 from supple.viewer.panels import icons, marks, theme
 from supple.viewer.panels.stages import VideoStage, VolumeStage
@@ -37,8 +36,8 @@ def draw(view: View) -> None:
     else:
         if view.veiled and tools.mask is not None:
             view.veil.draw(lines, tools.mask, view.document.shape[:-3:-1], lambda p: tools.viewport.to_canvas(*p))
-        if tools.symmetric:
-            marks.mirror(lines, tools.viewport.to_canvas(tools.middle, 0.0)[0], 0.0, height)
+        if (grip := tools.grip) is not None:
+            marks.mirror(lines, grip, 0.0, height)
         _handles(view, lines)
         marks.rings(tools, lines)
         if tools.knob is not None:
@@ -54,13 +53,13 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
     tools = view.tools
     assert isinstance(tools, ImageTools)
     document, viewport = view.document, tools.viewport
-    for i, arrival in enumerate(document.arrivals):
+    for i, track in document.tracks():
         selected = document.selected == i
-        if arrival is None or not document.has_handles(i) or (not selected and len(document.items) > 60):
+        if not selected and len(document.items) > 60:
             continue
-        stroke, wanted = document.seen(i), arrival.target if arrival.miss > NEAR else None
+        stroke, wanted = track.stroke, track.wanted
         colour = theme.BLUE if selected else theme.SOFT
-        for point, where in document.handles(i):
+        for point, where in track.handles:
             start, end = viewport.to_canvas(*point[:2]), viewport.to_canvas(*where[:2])
             if isinstance(view.stage, VideoStage):
                 # Handles of other frames are faint, and cannot be dragged.
@@ -221,7 +220,7 @@ def certified(view: View) -> str:
         if not stage.warned:
             return f"within {error:.2g} voxels"
         off = f"up to {error:.2g} voxels" if math.isfinite(error) else "more than a voxel"
-        return f"the lattice is off by {off}: mode exact is not"
+        return f"the rendering is off by {off}: in mode exact it is not"
     if view.document.dragging or (isinstance(tools, VideoTools) and tools.playback.playing):
         return ""
     film = stage.kind == "video"

@@ -82,9 +82,9 @@ def _accuracy(view: View) -> None:
         return
     said = certified(view)
     none = "No error: nothing is bent" if view.document.deformation.is_identity else "Measured once nothing moves"
-    imgui.text(f"{said[:1].upper()}{said[1:]}" if said else none)
+    wrapped(f"{said[:1].upper()}{said[1:]}" if said else none, colour=theme.TEXT)
     if view.stage.kind == "volume":
-        wrapped("How far the place that a sample of a ray is read from may be off. Mode exact has no such error.")
+        wrapped("How far the place that a sample of a ray is read from may be off. Mode exact has none.")
     else:
         wrapped("Proven for every pixel of an export: how far the place that it is read from may be off.")
 

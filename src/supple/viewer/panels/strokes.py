@@ -41,7 +41,12 @@ def brush(view: View) -> None:
         tools.radius = value
     if tools.brush in MASKS:
         _masks(view)
-    if tools.brush in PAINTINGS | MASKS:
+        return
+    if tools.brush in PAINTINGS:
+        label("Strength", "The part of the way that a click brings it")
+        changed, value = slider("##strength", 100 * tools.strength, 1.0, 100.0, "%.0f %%")
+        if changed:
+            tools.strength = min(max(value / 100, 0.01), 1.0)
         return
     if tools.brush not in SHAPES:  # those fade in one way
         label("Fall-off", _FALLOFF)
@@ -96,7 +101,9 @@ def listed(view: View) -> None:
         return
     if not count:
         wrapped(
-            "Drag on the picture to make one." if view.stage.kind != "volume" else "Drag on the object to make one."
+            "Drag on the picture to make one."
+            if view.stage.kind != "volume"
+            else "Drag in a plane, or on the object, to make one."
         )
         return
     row = imgui.get_frame_height_with_spacing()
@@ -120,18 +127,18 @@ def _row(view: View, i: int, item: Item, selected: bool) -> None:
         view.attempt(lambda: document.hide(i, not item.hidden))
     hint("Hidden: click to show it" if item.hidden else "Seen: click to hide it")
     imgui.same_line()
-    arrival = document.arrivals[i]
-    short = bool(arrival and arrival.miss > NEAR)
+    short = document.misses(i)
     text = f"{named(item.stroke)} {place(item.stroke.at)}, radius {item.stroke.radius:.3g}"
-    if item.hidden or short:
+    coloured = short or (item.hidden and not selected)  # what is faint is not read on the ground of what is selected
+    if coloured:
         imgui.push_style_color(imgui.Col_.text, theme.FAINT if item.hidden else theme.WARNING)
     imgui.push_style_var(imgui.StyleVar_.selectable_text_align, (0.0, 0.5))
     if imgui.selectable(f"{text}##row", selected, size=(0, imgui.get_frame_height()))[0]:
         view.attempt(lambda: document.select(None if selected else i))
     imgui.pop_style_var()
-    if item.hidden or short:
+    if coloured:
         imgui.pop_style_color()
-    hint(lambda: described(item.stroke, arrival))
+    hint(lambda: described(item.stroke, document.arrival(i)))
     imgui.pop_id()
 
 
@@ -148,7 +155,7 @@ def selected(view: View) -> None:
     made: dict[str, Any] = {}
     gap = imgui.get_style().item_inner_spacing.x
     grabs = stroke.brush == "grab"
-    for name, said in (("at", "From"), ("by", "By"))[: 1 + grabs]:
+    for name, said in (("at", "From"), ("by", "By")) if grabs else (("at", "At"),):
         values = list(getattr(stroke, name))
         label(said)
         wide = (imgui.get_content_region_avail().x - gap * (len(values) - 1)) / len(values)
@@ -165,7 +172,7 @@ def selected(view: View) -> None:
     numbers: tuple[tuple[str, str, float | None, str], ...] = (
         ("angle", "Angle", stroke.angle, "%.1f\u00b0"),
         ("factor", "Factor", stroke.factor, "%.3f"),
-        ("radius", "Radius", stroke.radius, "%.2f"),
+        ("radius", "Radius", stroke.radius, f"%.2f {'mm' if view.stage.kind == 'volume' else 'px'}"),
         ("poisson", "Poisson ratio", material, "%.3f"),
     )
     for name, said, number, form in numbers:
@@ -184,9 +191,9 @@ def selected(view: View) -> None:
     if changed:
         made["reach"] = reach
     if stroke.also:
-        wrapped(f"With {others(stroke)}: drag their points in the picture.")
+        wrapped(f"With {others(stroke)}, to drag in the picture.")
     if made:
-        view.attempt(lambda: document.replace(i, replace(stroke, **made)))
+        view.attempt(lambda: document.replace(i, view.tools.paired(stroke, replace(stroke, **made))))
     _arrival(view, i)
     count = len(document.state.items)
     wide = (imgui.get_content_region_avail().x - 2 * imgui.get_style().item_spacing.x) / 3
@@ -205,14 +212,15 @@ def selected(view: View) -> None:
 def _arrival(view: View, i: int) -> None:
     """Say where a stroke's point ends, if it is not where it was asked to."""
     document = view.document
-    arrival = document.arrivals[i] if i < len(document.arrivals) else None
+    arrival = document.arrival(i) if i < len(document.items) else None
+    unit = "voxels" if view.stage.kind == "volume" else "px"
     if arrival is not None and arrival.miss > NEAR:
-        wrapped(f"It ends {arrival.miss:.3g} short: {CAUSES[arrival.cause or 'border']}.", colour=theme.WARNING)
+        wrapped(f"It ends {arrival.miss:.3g} {unit} short: {CAUSES[arrival.cause or 'border']}.", colour=theme.WARNING)
         if document.state.on_fold != "flow" and imgui.button("Go all the way, in small steps", (REST, 0)):
             view.attempt(lambda: document.set_on_fold("flow"))
         hint("No step folds; for all strokes")
     if arrival is not None and arrival.moved > NEAR:
-        wrapped(f"Later strokes move it by {arrival.moved:.3g}.")
+        wrapped(f"Later strokes move it by {arrival.moved:.3g} {unit}.")
 
 
 def folds(view: View) -> None:

@@ -16,7 +16,7 @@ from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.plate import FINE, Laid, Sight, halved, nodes_of
 from supple.geometry import Grid
 from supple.strain import mask_of
-from supple.strokes import numbers
+from supple.strokes import STROKE_DTYPE, numbers
 
 Pixels = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float64]
@@ -121,7 +121,7 @@ class WarpedFrame:
 def _lay(laid: Laid, deformation: Deformation, sight: Sight, texture: Any, encoder: Any) -> None:
     """Draw what is warped already; the strokes are for the overlay."""
     space = deformation.space
-    table = space.table if sight.overlay else space.table[:0]
+    table = space.table if sight.overlay else _PLAIN
     nodes = _solved(deformation, sight) if table.size and space.freeze is not None else None
     laid.draw(sight, table, space.axes, texture, encoder, nodes)
 
@@ -157,11 +157,10 @@ def changed(before: Space, after: Space) -> tuple[Floats, Floats]:
         same -= 1
     while last and after.table["joined"][-last]:
         last -= 1
-    low, high = np.full(2, math.inf), np.full(2, -math.inf)
-    for table in (before.table, after.table):
-        for row in table[same : len(table) - last]:
-            pivot, reach = row["pivot"][:2], row["reach"]
-            low, high = np.minimum(low, pivot - reach), np.maximum(high, pivot + reach)
+    differing = np.concatenate([one[same : len(one) - last], other[same : len(other) - last]])
+    rows = differing.view(after.table.dtype)[:, 0]
+    pivots, reach = rows["pivot"][:, :2], rows["reach"][:, None]
+    low, high = (pivots - reach).min(axis=0, initial=math.inf), (pivots + reach).max(axis=0, initial=-math.inf)
     # A later stroke moves what it reaches, within its reach.
     for row in after.table[len(after.table) - last :]:
         pivot, reach = row["pivot"][:2], row["reach"]
@@ -178,9 +177,11 @@ def _alike(one: Floats, other: Floats) -> int:
 
 def _cells(box: tuple[Floats, Floats], k: int) -> Box:
     """Return the cells of a level that a box of the image touches, and those beside them, which are split as well."""
-    low, high = ((side + 0.5) / 2**k - 0.5 for side in box)
-    ends = np.clip((np.floor(low / CELL) - 1, np.floor(high / CELL) + 2), 0, 1 << 20) * CELL
-    (x0, y0), (x1, y1) = ends.astype(int).tolist()
+    ends = []
+    for side, more in zip(box, (-1, 2), strict=True):
+        places = (((p + 0.5) / 2**k - 0.5) / CELL for p in side.tolist())
+        ends += [(math.floor(min(max(p, -2.0), 1 << 20)) + more) * CELL for p in places]
+    x0, y0, x1, y1 = (max(end, 0) for end in ends)
     return x0, y0, x1, y1
 
 
@@ -214,3 +215,4 @@ def _common(one: Box, other: Box) -> Box:
 
 
 _SAMPLING, _BETWEEN = Sampling.checked(2), Sampling.checked(3)
+_PLAIN = np.zeros(0, STROKE_DTYPE)

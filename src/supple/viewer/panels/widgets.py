@@ -8,7 +8,7 @@ from collections.abc import Callable
 from imgui_bundle import imgui
 
 from supple.viewer.panels import settings, theme
-from supple.viewer.panels.icons import Icon, Pen
+from supple.viewer.panels.icons import Icon, placed
 from supple.viewer.panels.view import View
 
 LABEL = 104.0  # logical pixels of the labels before fields
@@ -86,7 +86,8 @@ def icon_button(name: str, icon: Icon, size: float, on: bool = False, enabled: b
     colour = theme.packed((1.0, 1.0, 1.0, 1.0) if on else theme.TEXT, 1.0 if enabled else 0.3)
     # The middle of a pixel: lines of a whole width are sharp.
     middle = (round(0.5 * (low.x + high.x)), round(0.5 * (low.y + high.y)))
-    icon(Pen(lines, *middle, round(0.25 * size), colour))
+    for part in placed(icon, *middle, round(0.25 * size)):
+        part(lines, colour)
     return bool(pressed)
 
 
@@ -99,9 +100,7 @@ def slider(
     part = (place(min(max(value, low), high)) - place(low)) / max(place(high) - place(low), 1e-30)
     lines, bottom = imgui.get_window_draw_list(), at.y + imgui.get_frame_height()
     lines.add_rect_filled((at.x, at.y), (at.x + wide, bottom), theme.packed(theme.FIELD), 4.0)
-    lines.push_clip_rect((at.x, at.y), (at.x + part * wide, bottom), True)
-    lines.add_rect_filled((at.x, at.y), (at.x + wide, bottom), theme.packed(theme.FULL), 4.0)
-    lines.pop_clip_rect()
+    lines.add_rect_filled((at.x, at.y), (at.x + part * wide, bottom), theme.packed(theme.FULL), 4.0)
     shades = (imgui.Col_.frame_bg, imgui.Col_.slider_grab, imgui.Col_.slider_grab_active)
     for shade in shades:
         imgui.push_style_color(shade, (0.0, 0.0, 0.0, 0.0))

@@ -18,6 +18,7 @@ from supple.viewer.tools.gestures import Event, Tools, commanded, shifted
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.viewport import Viewport
 
+GRIP = 40.0  # logical pixels from the lower edge of a view to the knob of the line of symmetry
 ZOOM = 1.2  # the zoom factor of a notch of the wheel, which is 100
 
 _LEFT, _RIGHT, _MIDDLE = 1, 2, 3
@@ -65,6 +66,15 @@ class ImageTools(Tools[Viewport]):
         if pointer is None or not all(p < n for p, n in zip(pointer, self.canvas_size, strict=True)):
             return None
         return (self.radius if held is None else held.stroke.radius) * self._scale(())
+
+    @property
+    def grip(self) -> Pair | None:
+        """The position of the knob of the line of symmetry; None where that is not drawn."""
+        at = self.view.to_canvas(self.middle, 0.0)[0], self.canvas_size[1] - GRIP
+        return at if self.symmetric else None
+
+    def _level(self, place: Pair) -> float:
+        return self.view.to_image(*place)[0]
 
     def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
         point = self.view.to_image(x, y)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Collection
 from dataclasses import replace
 
 from supple.domain import Domain
@@ -35,6 +35,7 @@ class Drawing(ABC):
         self.poisson: float | None = None
         self.scales = 1
         self.reach: float | None = REACH
+        self.strength = 1.0  # of a dab of a painting: the part of the way that it goes
         self.symmetric = False  # whether new strokes have a mirror image
         self.across, self.middle = 0, 0.5 * (document.shape[-1] - 1)
         """The axis across which they have it, x is 0; and where its line or plane lies on it, in samples."""
@@ -106,10 +107,11 @@ class Drawing(ABC):
         )
 
     def _unpin(self, held: Held) -> None:
-        """Remove a point of a stroke; with its last one, the stroke."""
+        """Remove a point of a stroke, and its mirror image; with its last one, the stroke."""
         assert held.item is not None
         stroke = self.document.items[held.item].stroke
-        pairs = [pair for nth, pair in enumerate(stroke.handles) if nth != held.nth]
+        gone = {held.nth, *self._images(stroke, stroke.handles[held.nth][0])}
+        pairs = [pair for nth, pair in enumerate(stroke.handles) if nth not in gone]
         if pairs:
             (at, by), *also = pairs
             self.document.replace(held.item, replace(stroke, at=at, by=by, also=tuple(also)))
@@ -125,6 +127,30 @@ class Drawing(ABC):
     def mirrored(self, point: tuple[float, ...]) -> tuple[float, ...]:
         """Return the mirror image of a point."""
         return tuple(2 * self.middle - p if k == self.across else p for k, p in enumerate(point))
+
+    def _has_image(self, point: tuple[float, ...]) -> bool:
+        """Return whether strokes are symmetric, and the mirror image of a point lies within the medium."""
+        size, image = self.document.shape[-1 - self.across], self.mirrored(point)[self.across]
+        return self.symmetric and -0.5 <= image <= size - 0.5
+
+    def _images(self, stroke: Stroke, point: tuple[float, ...]) -> list[int]:
+        """Return which points of a stroke are the mirror image of one, if strokes are symmetric."""
+        seen, near = self.mirrored(point), 0.02 * stroke.radius
+        return [k for k, (at, _) in enumerate(stroke.handles) if self.symmetric and math.dist(at, seen) <= near]
+
+    def paired(self, before: Stroke, after: Stroke) -> Stroke:
+        """Return an edited stroke, in which the mirror images of the points that were edited follow them."""
+        pairs = list(after.handles)
+        for nth, ((at, by), (p, v)) in enumerate(zip(before.handles, after.handles, strict=True)):
+            if (at, by) == (p, v):
+                continue
+            flipped = tuple(-d if k == self.across else d for k, d in enumerate(v))
+            images = self._images(before, at)
+            if nth in images and p == at:  # on the line, where it stays
+                pairs[nth] = p, tuple((a + b) / 2 for a, b in zip(v, flipped, strict=True))
+            elif images and nth not in images:
+                pairs[images[0]] = self.mirrored(p), flipped
+        return replace(after, at=pairs[0][0], by=pairs[0][1], also=tuple(pairs[1:]))
 
     def _draw(self, held: Held) -> None:
         """Show a drag in the document, if the pointer has moved."""
@@ -150,9 +176,8 @@ class Drawing(ABC):
             if point is None:
                 continue
             self._dab(held, point)
-            size, image = document.shape[-1 - self.across], self.mirrored(point)
-            if self.symmetric and -0.5 <= image[self.across] <= size - 0.5:
-                self._dab(held, image)
+            if self._has_image(point):
+                self._dab(held, self.mirrored(point))
 
     def _mask(self, held: Held) -> None:
         """Freeze or thaw what is under the pointer. Strokes are resolved anew at the end, as each depends on it."""
@@ -174,7 +199,7 @@ class Drawing(ABC):
         """Add a stroke of a painting, if it moves anything."""
         document = self.document
         led = document.deformation.restore if held.tool == "restore" else document.deformation.smooth
-        made = led(point, radius=held.stroke.radius, warn=False).strokes[-1]
+        made = led(point, radius=held.stroke.radius, strength=self.strength, warn=False).strokes[-1]
         if max(math.hypot(*by) for _, by in made.handles) > STILL:
             held.made.append(made)
             if not document.preview(*held.made, select=False):
@@ -188,7 +213,9 @@ class Drawing(ABC):
             gone = self._carried(held, x - a, y - b)
             ring = stroke.radius * self._scale(held.point)
             stroke = held.dragged(gone, ((x - u) / ring, (y - v) / ring), self._normal(held.point))
-        if not (held.new and self.symmetric):
+        if not held.new:
+            return (self.paired(held.stroke, stroke),)
+        if not self._has_image(held.point):
             return (stroke,)
         here, normal = [0.0] * stroke.ndim, [0.0] * stroke.ndim
         here[self.across], normal[self.across] = self.middle, 1.0
@@ -209,15 +236,15 @@ class Drawing(ABC):
             held.stroke = replace(held.stroke, radius=radius)
             self._draw(held)
 
-    def handles(self, among: Iterable[int] | None = None) -> list[Handle]:
+    def handles(self, among: Collection[int] | None = None) -> list[Handle]:
         """Return the visible handles of some strokes, or of all."""
-        found, items = [], self.document.items
-        for i in range(len(items)) if among is None else among:
-            if items[i].hidden or not self.document.has_handles(i):
+        found = []
+        for i, track in self.document.tracks():
+            if among is not None and i not in among:
                 continue
-            for nth, (pivot, end) in enumerate(self.document.handles(i)):
+            for nth, (pivot, end) in enumerate(track.handles):
                 parts: dict[Part, tuple[float, ...]] = {"pivot": pivot, "end": end}
-                if items[i].stroke.brush != "grab":  # its point stays where it is
+                if track.stroke.brush != "grab":  # its point stays where it is
                     del parts["end"]
                 for part, point in parts.items():
                     place = self._seen(point)

@@ -19,9 +19,9 @@ V = TypeVar("V")
 
 Event = Mapping[str, Any]
 
-KNOB = 10.0  # the largest distance from the knob of the split between before and after
+KNOB = 10.0  # the largest distance from a knob: of the split between before and after, of the line of symmetry
 _LEFT = 1
-_CUT = "cut"
+_CUT, _LINE = "cut", "line"
 _MOST = 1e4  # the largest turn of the wheel at once: larger powers overflow
 _REQUESTS = {"s": "save", "o": "open", "e": "export"}
 COMMANDS = frozenset((*_REQUESTS, "z", "y"))  # letters that do something together with Control
@@ -121,12 +121,21 @@ class Tools(Drawing, Generic[V]):
         width, height = self.canvas_size
         return None if self.split is None else (self.split * width, 0.5 * height)
 
+    @property
+    @abstractmethod
+    def grip(self) -> Pair | None:
+        """The position of the knob of the line of symmetry; None where that is not drawn."""
+
     # Methods of the kinds of media.
 
     @property
     @abstractmethod
     def canvas_size(self) -> Pair:
         """The width and height of the canvas, in logical pixels."""
+
+    @abstractmethod
+    def _level(self, place: Pair) -> float:
+        """Return the coordinate, along the axis across the line of symmetry, of a position of the canvas."""
 
     @abstractmethod
     def _led(self, how: str, view: V, dx: float, dy: float) -> V:
@@ -156,6 +165,8 @@ class Tools(Drawing, Generic[V]):
         how = self._leads(event)
         if how is None and button == _LEFT and self.knob is not None and math.dist(self.knob, (x, y)) <= KNOB:
             how = _CUT
+        elif how is None and button == _LEFT and self.grip is not None and math.dist(self.grip, (x, y)) <= KNOB:
+            how = _LINE
         elif how is None and button == _LEFT:
             self._gesture = self._taken(x, y)
             if self._gesture is not None and self._gesture.clicks:
@@ -197,9 +208,18 @@ class Tools(Drawing, Generic[V]):
             self._draw(gesture)
         elif gesture.how == _CUT:
             self.split = min(max(place[0] / self.canvas_size[0], 0.0), 1.0)
+        elif gesture.how == _LINE:
+            self._lay(gesture, place)
         else:
             (x, y), (a, b) = place, gesture.start
             self.view = self._led(gesture.how, gesture.base, x - a, y - b)
+
+    def _lay(self, gesture: Lead[V], place: Pair) -> None:
+        """Move the line of symmetry to the pointer, and into the very middle if it is near."""
+        middle = 0.5 * (self.document.shape[-1 - self.across] - 1)
+        found = self._level((place[0], gesture.start[1]))
+        near = abs(found - middle) < abs(self._level((place[0] + CLICK, gesture.start[1])) - found)
+        self.middle = middle if near else min(max(found, -0.5), 2 * middle + 0.5)
 
     def _look(self, view: V) -> None:
         """Set the view; a drag of the view continues from there."""
@@ -228,7 +248,7 @@ class Tools(Drawing, Generic[V]):
             if gesture.tool == "pin" and gesture.item is not None and self._takes(gesture.item):
                 self._unpin(gesture)
                 return True
-        elif gesture.button != _LEFT or gesture.how == _CUT or gesture.moved:
+        elif gesture.button != _LEFT or gesture.how in (_CUT, _LINE) or gesture.moved:
             return True
         found = nearest(self.handles(), gesture.start)
         self.document.select(None if found is None else found.item)

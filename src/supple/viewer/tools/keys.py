@@ -19,7 +19,7 @@ BRUSHES: Mapping[Tool, tuple[str, str]] = {
     "smooth": ("S", "even out how far the surroundings have moved; a click does so once"),
     "pin": (
         "D",
-        "hold a point of the selected grab where it is, by a click, or drag one more; a click on a point removes it",
+        "hold a point against the selected grab, by a click, or drag one more; a click on a point removes it",
     ),
     "freeze": ("C", "paint what no stroke moves, earlier ones neither; with Shift, thaw"),
     "thaw": ("V", "paint what strokes may move again; with Shift, freeze"),
@@ -27,7 +27,7 @@ BRUSHES: Mapping[Tool, tuple[str, str]] = {
 """For each brush, in the order of the tools' strip, its key, and what a drag with it does."""
 _ALWAYS: Rows = {
     **{key: f"{name}: {what}" for name, (key, what) in BRUSHES.items()},
-    "M": "strokes are symmetric about the dashed line, or no longer",
+    "M": "strokes are symmetric about the dashed line, whose knob moves it, or no longer",
     "click": "select the stroke whose handle is there, or none",
     "[  ]": "smaller and larger brush, or selected stroke",
     "Delete, Backspace": "remove the selected stroke",

@@ -10,7 +10,7 @@ from supple.geometry import Geometry
 from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.viewer.document.editing import Document
-from supple.viewer.tools.brushes import ZOOM, VolumeTools, pans
+from supple.viewer.tools.brushes import GRIP, ZOOM, VolumeTools, pans
 from supple.viewer.tools.drags import Held, Pair
 from supple.viewer.tools.gestures import Event, Lead, commanded, shifted
 from supple.viewer.tools.planes import (
@@ -125,6 +125,23 @@ class SliceTools(VolumeTools):
         """Return the position of the knob of the split in a view; None without a split."""
         left, top, width, height = self.places[k]
         return None if self.split is None else (left + self.split * width, top + 0.5 * height)
+
+    @property
+    def grip(self) -> Pair | None:
+        """The position of the knob of the line of symmetry in the view under the pointer; None where it has none."""
+        return self.grip_of(self.active)
+
+    def grip_of(self, k: int) -> Pair | None:
+        """Return the position of the knob of the line of symmetry in a view; None where it has none."""
+        if not self.symmetric or k == RENDERED or self.planes[k].across != self.across:
+            return None
+        pane, here = self.pane(k), [0.0, 0.0, 0.0]
+        here[self.across] = self.middle
+        _, top, _, height = pane.place
+        return pane.to_canvas(tuple(here))[0], top + height - GRIP
+
+    def _level(self, place: Pair) -> float:
+        return self.pane(self.active).to_point(*place)[self.across]
 
     def handle(self, event: Event) -> bool:
         """Process an event, for the view at its place; a gesture stays in its view."""

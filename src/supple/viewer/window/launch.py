@@ -181,10 +181,10 @@ def _landmarks(stage: ImageStage | VolumeStage, options: ViewOptions) -> Landmar
     """Return the landmarks to show, if a file is given."""
     if options.points is None:
         if options.convention is not None:
-            raise SuppleError("--convention is for --points: give a file of points, or leave it out")
+            raise SuppleError("the convention is that of points, and there are none: give a file of them")
         return None
     if not isinstance(stage, VolumeStage):
-        raise SuppleError(f"--points are shown in volumes, and {stage.name} is none: leave it out")
+        raise SuppleError(f"points are shown in volumes, and {stage.name} is none: leave them out")
     return Landmarks(*read_landmarks(options.points, stage.volume.geometry, convention=options.convention))
 
 
@@ -307,6 +307,8 @@ def view(
     spacing: Spacing = _EVEN,
     time_scale: float = 1.0,
     volume: VolumeOptions | None = None,
+    points: str | os.PathLike[str] | None = None,
+    convention: str | None = None,
 ) -> Window:
     """Warp a photograph, a clip or a volume by hand.
 
@@ -324,6 +326,10 @@ def view(
         The length of a clip's frame in pixels, for the brush, as in ``supple warp --time-scale``.
     volume : VolumeOptions, optional
         Options for volume files, as in `supple.warp_file`.
+    points : str or os.PathLike, optional
+        A file of landmarks, which are shown in a volume, as by ``supple view --points``.
+    convention : str, optional
+        The coordinates of a table of them that does not name its own: ``"LPS"``, ``"RAS"`` or ``"index"``.
 
     Returns
     -------
@@ -335,7 +341,7 @@ def view(
     SuppleError
         If the source or the recipe does not fit, there is no GPU, or a part of the window is not installed.
     """
-    options = ViewOptions(spacing, time_scale, volume or _PLAIN)
+    options = ViewOptions(spacing, time_scale, volume or _PLAIN, points=points, convention=convention)
     if not in_notebook():
         return show(source, recipe, options=options)
     with _installed():

@@ -158,7 +158,9 @@ fn show(id: vec2u, total: vec4f, cover: f32, seen: Seen, p: vec2f, covers: f32) 
         shown = mix(vec3f(1.0), shown, clamp(min(lines.x, lines.y) - 0.2, 0.25, 1.0));
     } else if (settings.overlay == STRETCH) {
         let area = abs(seen.right.x * seen.below.y - seen.right.y * seen.below.x);
-        shown = mix(shown, warm(0.5 - 0.5 * log2(max(area, 1e-6))), 0.6);
+        let larger = clamp(-0.5 * log2(max(area, 1e-6)), -0.5, 0.5);
+        // What keeps its size keeps its colour; a root, so that a tenth more is seen, too.
+        shown = mix(shown, warm(0.5 + sign(larger) * 0.5), 0.7 * sqrt(2.0 * abs(larger)));
     } else if (settings.overlay == RESIDUAL) {
         shown = mix(shown, warm(1.0 + log2(max(seen.residual / finest(), 1e-9)) / 16.0), 0.6);
     } else if (settings.overlay == INVERSIONS) {

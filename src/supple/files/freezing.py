@@ -1,0 +1,85 @@
+"""Freeze masks from files: pictures, and labels of volumes."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.errors import SuppleError, shown
+from supple.freezing import Freeze
+from supple.media import image, volume
+
+PathLike = str | os.PathLike[str]
+
+
+def read_freeze(path: PathLike, *, label: int | None = None, width: float | None = None) -> Freeze:
+    """Read a freeze mask.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        A grey picture, in which white is frozen, and grey in part; or a volume, of which all but 0 is frozen. If a
+        file of whole numbers has but two values, the larger one is frozen.
+    label : int, optional
+        The label that is frozen, in a label map.
+    width : float, optional
+        The width of the fade beside what is frozen, in pixels, or in millimetres of a volume; `Freeze.of` has a
+        default.
+
+    Raises
+    ------
+    SuppleError
+        If it cannot be read, has colours, or does not hold the label.
+    """
+    if volume.is_volume(path):
+        held = volume.read(path)
+        if held.samples.ndim != 3:
+            raise SuppleError(f"{held.name} cannot be a freeze mask: it has several values for a voxel, or times")
+        grid = held.grid
+        samples, whole = np.asarray(held.samples), True
+        place = () if held.geometry.convention == "array" else tuple(grid.matrix[:3].ravel().tolist())
+        spacing = grid.spacing
+    else:
+        samples, whole, place, spacing = _grey(path), False, (), (1.0, 1.0)
+    return Freeze.of(_frozen(samples, label, path, whole=whole), width=width, spacing=spacing, place=place)
+
+
+def _grey(path: PathLike) -> npt.NDArray[np.generic]:
+    """Return the one channel of a picture."""
+    pixels = image.read(path).pixels
+    if pixels.ndim == 2:
+        return pixels
+    colours, opacity = (pixels[..., :-1], pixels[..., -1]) if pixels.shape[2] in (2, 4) else (pixels, None)
+    if opacity is not None and np.any(opacity != opacity.flat[0]):
+        raise SuppleError(f"{shown(path)} cannot be a freeze mask: parts of it are transparent; give a grey picture")
+    if np.any(colours != colours[..., :1]):
+        raise SuppleError(f"{shown(path)} cannot be a freeze mask: it has colours; give a grey picture")
+    return np.ascontiguousarray(colours[..., 0])
+
+
+def _frozen(
+    samples: npt.NDArray[np.generic], label: int | None, path: PathLike, *, whole: bool
+) -> npt.NDArray[np.generic]:
+    """Return the mask of samples: of a label, of all but 0 in a volume, or of grey values."""
+    if label is not None:
+        made = samples == label
+        if not made.any():
+            known = np.unique(samples)
+            some = ", ".join(f"{x:g}" for x in known[:8]) + (", …" if len(known) > 8 else "")
+            raise SuppleError(f"{shown(path)} holds no label {label}: found {some}")
+        return np.asarray(made)
+    if whole:
+        return np.asarray(samples != 0)
+    if samples.dtype.kind in "iu":
+        known = np.unique(samples)
+        if len(known) == 2:
+            return np.asarray(samples == known[1])
+        white = float(np.iinfo(str(samples.dtype)).max)
+        if len(known) > 2 and 4 * float(known[-1]) < white:
+            raise SuppleError(
+                f"{shown(path)} seems to hold labels, as its values go from {known[0]} to {known[-1]} of {white:g}: "
+                "say which one is frozen"
+            )
+    return samples
