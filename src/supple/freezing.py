@@ -7,7 +7,7 @@ import binascii
 import math
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -60,7 +60,7 @@ class Freeze:
     size: tuple[int, ...]
     first: tuple[float, ...]
     step: tuple[float, ...]
-    values: bytes
+    values: bytes = field(repr=False)
     place: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:

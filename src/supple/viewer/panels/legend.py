@@ -8,6 +8,7 @@ from imgui_bundle import imgui
 
 from supple.viewer.document.words import frozen
 from supple.viewer.panels import theme
+from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.panels.view import FROZEN, View
 from supple.viewer.panels.widgets import wrapped
 
@@ -45,6 +46,9 @@ def draw(view: View) -> None:
     if name == "grid":
         wrapped("Lines of the original, every 32 pixels, as they are bent.")
     if name not in _SCALES:
+        return
+    if isinstance(view.stage, VolumeStage) and view.stage.scene.gpu is None:
+        wrapped("Not shown where something is frozen: the CPU renders then.")
         return
     text, marks = _SCALES[name]
     wrapped(text)

@@ -43,8 +43,8 @@ class ImageStage:
         self.pixels = pixels
         levels = Levels(pixels)
         self._warped = [Warped(gpu, levels), Warped(gpu, levels)]  # the result, and the original beside it
-        self._plate: Plate | None = None
-        if not gpu.software:  # otherwise the CPU itself warps faster than shaders on it
+        self._by_cpu = gpu.software  # which itself warps faster than shaders on it
+        if not self._by_cpu:
             self._plate = Plate(gpu, self.size)
             self._plate.put(0, pixels)
 
@@ -59,7 +59,7 @@ class ImageStage:
 
     def _by_device(self, deformation: Deformation) -> bool:
         """Return whether the device warps; what is frozen is known to the CPU alone."""
-        return self._plate is not None and _is_common(deformation)
+        return not self._by_cpu and _is_common(deformation)
 
     def expect(self, deformations: tuple[Deformation, ...], sight: Sight) -> None:
         """Prepare the next drawing: warp the image, where the device does not."""
@@ -69,7 +69,7 @@ class ImageStage:
 
     def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
         """Draw the visible part, or record it into an encoder; return whether it is complete."""
-        if self._plate is not None and _is_common(deformation):
+        if self._by_device(deformation):
             space = deformation.space
             self._plate.draw(sight, space.table, space.axes, texture, encoder)
         else:
@@ -111,7 +111,7 @@ class VideoStage(ImageStage):
         slots = max(2, min(film.most, Plate.most(gpu, film.size), film.count))
         self._name(film.name, film.size)
         self._plate = Plate(gpu, film.size, film.count, slots)
-        self._bent = WarpedFrame(gpu, film.size)
+        self._by_cpu, self._bent = False, WarpedFrame(gpu, film.size)
         self._spans: dict[tuple[Deformation, float], Span] = {}
 
     def expect(self, deformations: tuple[Deformation, ...], sight: Sight) -> None:
@@ -132,7 +132,7 @@ class VideoStage(ImageStage):
     def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
         """Draw the visible part of an expected frame, or record it into an encoder; return whether it is complete."""
         first, last = self._kept(self._spans[deformation, sight.time])
-        if _is_common(deformation):
+        if self._by_device(deformation):
             space, plate, ready = deformation.space, self._plate, self._laid(first, last)
             if plate.held:
                 plate.draw(sight, space.table, space.axes, texture, encoder)
@@ -196,7 +196,7 @@ class VolumeStage:
         counts, _ = np.histogram(self.scene.samples, 96, self.scene.range)
         self.histogram = np.log1p(counts).astype(np.float32)  # logarithms of voxel counts by value
         self._plain = self.scene
-        self._by_cpu: Scene | None = None  # the same, where something is frozen
+        self._rest: Scene | None = None  # the same by the CPU, where something is frozen
         self._deformation: Deformation | None = None
         self.trouble = self.warned = ""  # a remark on the displayed image
 
@@ -213,7 +213,7 @@ class VolumeStage:
         """Set the mode of rendering."""
         self.mode = mode
         self._plain = self._made(self.scene.transfer)
-        self.scene, self._by_cpu, self._deformation = self._plain, None, None
+        self.scene, self._rest, self._deformation = self._plain, None, None
 
     def deform(self, deformation: Deformation) -> Scene:
         """Return the scene with strokes; the last one is cached."""
@@ -223,7 +223,7 @@ class VolumeStage:
             said = [""]
             plain = self._plain
             if not _is_common(deformation):
-                plain = self._by_cpu = self._by_cpu or self._made(plain.transfer, "cpu")
+                plain = self._rest = self._rest or self._made(plain.transfer, "cpu")
             with heard(lambda text, kind: said.append(text)):
                 self.scene, self._deformation = plain.deformed(deformation), deformation
             self.warned = said[-1]
@@ -234,8 +234,8 @@ class VolumeStage:
         self.preset, self.density = transfer if isinstance(transfer, str) else "", density
         self.scene = self.scene.seen_through(transfer, density)
         self._plain = self._plain.seen_through(transfer, density)
-        if self._by_cpu is not None:
-            self._by_cpu = self._by_cpu.seen_through(transfer, density)
+        if self._rest is not None:
+            self._rest = self._rest.seen_through(transfer, density)
 
     def draw(
         self, deformation: Deformation, camera: Camera, size: tuple[int, int], texture: Any, overlay: str = ""
