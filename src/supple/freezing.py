@@ -7,7 +7,7 @@ import binascii
 import math
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -60,7 +60,7 @@ class Freeze:
     size: tuple[int, ...]
     first: tuple[float, ...]
     step: tuple[float, ...]
-    values: bytes
+    values: bytes = field(repr=False)
     place: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
@@ -122,11 +122,7 @@ class Freeze:
             refuse("freeze", "an array of bool, integers or floats", f"dtype {array.dtype}")
         checked_shape(array.shape)
         steps = (spacing,) * array.ndim if isinstance(spacing, float | int) else tuple(spacing)
-        if width is None:
-            sides = [n * step for n, step in zip(reversed(array.shape), steps, strict=True) if n > 1]
-            width = max(_PART * min(sides, default=1.0), _SHORTEST * min(steps))
-        width = length("the freeze mask's width", width)
-        apart = tuple(max(width / 4 / step, 1.0) for step in steps)
+        apart = _apart(array.shape, steps, width)
         least = _freedom_of(array)
         first = []
         for axis in range(array.ndim):
@@ -134,6 +130,17 @@ class Freeze:
             first.append(start)
         sizes, samples = tuple(reversed(least.shape)), tuple(reversed(array.shape))
         return cls(samples, sizes, tuple(reversed(first)), apart, least.tobytes(), tuple(place))
+
+    @classmethod
+    def free(cls, shape: Sequence[int], spacing: Sequence[float]) -> Self:
+        """Return the freeze mask of an image or a volume in which nothing is frozen, as `of` would make it."""
+        samples, apart = tuple(reversed(shape)), _apart(shape, spacing, None)
+        size, first = [], []
+        for n, step in zip(samples, apart, strict=True):
+            begin, end = _ends(n, step)
+            size.append(1 if n == 1 else end - begin + 1 + 2 * _EDGE)
+            first.append(0.0 if n == 1 else (begin - _EDGE) * step)
+        return cls(samples, tuple(size), tuple(first), apart, bytes([_FREE]) * math.prod(size))
 
     @property
     def ndim(self) -> int:
@@ -143,7 +150,12 @@ class Freeze:
     @property
     def is_free(self) -> bool:
         """True if nothing is frozen."""
-        return self.values.count(_FREE) == len(self.values)
+        return bool(self.coefficients.min() == _FREE)
+
+    @property
+    def inverted(self) -> Self:
+        """The mask 1 - m: what is frozen is free, and what is free is frozen."""
+        return replace(self, values=(_FREE - self.coefficients).tobytes())
 
     @property
     def share(self) -> float:
@@ -180,11 +192,18 @@ class Freeze:
 
     def shown(self, shape: Sequence[int]) -> npt.NDArray[np.float32]:
         """Return m at the samples of an array of a shape (H, W) or (Z, H, W)."""
-        made = self.coefficients / np.float32(_FREE)
-        for axis, n in enumerate(shape):
-            k = len(shape) - 1 - axis
-            weights = _weights(n, self.size[k], self.first[k], self.step[k])
-            made = np.moveaxis(np.tensordot(weights, made, (1, axis)), 0, axis)
+        return self.at([np.arange(n) for n in reversed(shape)])
+
+    def at(self, places: Sequence[npt.ArrayLike]) -> npt.NDArray[np.float32]:
+        """Return m on a grid of positions along each axis, in samples, x first: an array (..., y, x)."""
+        lattice = zip(places, self.size, self.first, self.step, strict=True)
+        each = [_weights(np.asarray(p, np.float64), size, first, step) for p, size, first, step in lattice]
+        # Of a plane, only the coefficients beside it are read.
+        used = [np.flatnonzero(weights.any(axis=0)) for weights in each]
+        parts = [slice(rows[0], rows[-1] + 1) for rows in used]
+        made = self.coefficients[tuple(reversed(parts))] / np.float32(_FREE)
+        for axis, (weights, part) in enumerate(zip(reversed(each), reversed(parts), strict=True)):
+            made = np.moveaxis(np.tensordot(weights[:, part], made, (1, axis)), 0, axis)
         return np.asarray(made, np.float32)
 
     def painted(
@@ -211,19 +230,23 @@ class Freeze:
             An axis, x first, along which only the coefficients next to the centre are painted.
         """
         made = self.coefficients.copy()
-        away = np.zeros(made.shape)
-        beyond = np.zeros(made.shape)
+        near: list[slice] = []  # of the coefficients along each axis, x first
+        away, beyond = np.zeros(()), np.zeros((), bool)
         for k in range(self.ndim):
             off = np.abs(self.first[k] + self.step[k] * np.arange(self.size[k]) - at[k]) * spacing[k]
             covered = 2 * self.step[k] * spacing[k]
             reached = np.maximum(off - covered, 0.0) if frozen else off
-            shape = [1] * self.ndim
-            shape[self.ndim - 1 - k] = -1
-            away = away + (reached**2).reshape(shape)
+            found = np.flatnonzero(reached <= radius)
+            if not found.size:
+                return self
+            near.append(slice(found[0], found[-1] + 1))
+            shape = (-1,) + (1,) * k
+            away = away + (reached[near[-1]] ** 2).reshape(shape)
             if plane == k:
-                beyond = beyond + (off > covered).reshape(shape)
-        made[(away <= radius**2) & (beyond == 0)] = 0 if frozen else _FREE
-        return replace(self, values=_levelled(made).tobytes())
+                beyond = beyond | (off[near[-1]] > covered).reshape(shape)
+        made[tuple(reversed(near))][(away <= radius**2) & ~beyond] = 0 if frozen else _FREE
+        _level(made)
+        return replace(self, values=made.tobytes())
 
     def fitted(self, samples: Sequence[int], moved: Callable[[Sequence[float]], Sequence[float]] | None) -> Self:
         """Return the mask of a medium of other samples.
@@ -266,6 +289,20 @@ class Freeze:
         return cls(**{**entry, "values": values})
 
 
+def _apart(shape: Sequence[int], spacing: Sequence[float], width: float | None) -> tuple[float, ...]:
+    """Return the samples from one coefficient to the next for a width of the fade, or for the usual one."""
+    if width is None:
+        sides = [n * step for n, step in zip(reversed(shape), spacing, strict=True) if n > 1]
+        width = max(_PART * min(sides, default=1.0), _SHORTEST * min(spacing))
+    width = length("the freeze mask's width", width)
+    return tuple(max(width / 4 / step, 1.0) for step in spacing)
+
+
+def _ends(n: int, step: float) -> tuple[int, int]:
+    """Return the first and the last coefficient for samples along an axis, beside those that repeat them."""
+    return -1, math.ceil((n - 1) / step) + 1
+
+
 def _freedom_of(mask: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     """Return the freedom of samples, 255 for all of it."""
     if mask.dtype.kind == "b":
@@ -285,7 +322,7 @@ def _covered(least: npt.NDArray[np.uint8], axis: int, step: float) -> tuple[npt.
     n = least.shape[axis]
     if n == 1:
         return least, 0.0
-    first, last = -1, math.ceil((n - 1) / step) + 1
+    first, last = _ends(n, step)
     rows = []
     for k in range(first, last + 1):
         start, end = math.ceil((k - 2) * step - 1e-9), math.floor((k + 2) * step + 1e-9)
@@ -295,20 +332,19 @@ def _covered(least: npt.NDArray[np.uint8], axis: int, step: float) -> tuple[npt.
     return np.concatenate(rows, axis), (first - _EDGE) * step
 
 
-def _levelled(made: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+def _level(made: npt.NDArray[np.uint8]) -> None:
     """Make the outermost four coefficients along each axis equal: to the innermost of them."""
     for axis, n in enumerate(made.shape):
         if n > 1:
-            index = np.clip(np.arange(n), _EDGE, n - 1 - _EDGE)
-            made = np.take(made, index, axis)
-    return np.ascontiguousarray(made)
+            rows = np.moveaxis(made, axis, 0)
+            rows[:_EDGE], rows[-_EDGE:] = rows[_EDGE], rows[-1 - _EDGE]
 
 
-def _weights(count: int, size: int, first: float, step: float) -> npt.NDArray[np.float32]:
-    """Return the weights of ``size`` coefficients at ``count`` samples."""
+def _weights(places: npt.NDArray[Any], size: int, first: float, step: float) -> npt.NDArray[np.float32]:
+    """Return the weights of ``size`` coefficients at positions."""
     if size == 1:
-        return np.ones((count, 1), np.float32)
-    u = np.clip((np.arange(count)[:, None] - first) / step, 1.0, size - 2.0)
+        return np.ones((len(places), 1), np.float32)
+    u = np.clip((places[:, None] - first) / step, 1.0, size - 2.0)
     t = np.abs(u - np.arange(size))
     inner, outer = 2 / 3 - t * t * (1 - t / 2), np.maximum(2 - t, 0) ** 3 / 6
     return np.asarray(np.where(t < 1, inner, outer), np.float32)

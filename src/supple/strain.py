@@ -78,15 +78,18 @@ def _free(poisson: float, scales: int, reach: float) -> tuple[float, float, floa
 
 
 @lru_cache(maxsize=16)
-def _mask(freeze: Freeze, spacing: tuple[float, ...]) -> _core.Freeze:
+def _mask(freeze: Freeze, spacing: tuple[float, ...], origin: tuple[float, ...]) -> _core.Freeze:
     values, first, step = freeze.packed(spacing)
-    return _core.Freeze(values.astype(np.float32), first.tolist(), step.tolist())
+    return _core.Freeze(values.astype(np.float32), (first - origin).tolist(), step.tolist())
 
 
-def mask_of(domain: Domain) -> _core.Freeze | None:
-    """Return a domain's freeze mask as the core takes it, or None if nothing is frozen."""
+def mask_of(domain: Domain, origin: tuple[float, ...] = (0.0, 0.0, 0.0)) -> _core.Freeze | None:
+    """Return a domain's freeze mask as the core takes it, or None if nothing is frozen.
+
+    Points are from the origin, in physical units.
+    """
     freeze = domain.freeze
-    return None if freeze is None or freeze.is_free else _mask(freeze, domain.spacing)
+    return None if freeze is None or freeze.is_free else _mask(freeze, domain.spacing, origin)
 
 
 def weakest(

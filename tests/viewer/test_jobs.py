@@ -38,6 +38,13 @@ Pair = tuple[float, float]
 EYES = (204.0, 101.0), (247.0, 103.0)
 NOSE, MOUTH, CHIN = (226.0, 129.0), ((206.0, 141.0), (244.0, 141.0)), (226.0, 176.0)
 CHEEKS = (184.0, 145.0), (264.0, 145.0)
+FACE = (
+    ((205.0, 95.0), (245.0, 95.0)),
+    ((192.0, 120.0), (258.0, 120.0)),
+    ((192.0, 145.0), (256.0, 145.0)),
+    ((212.0, 166.0), (238.0, 166.0)),
+)
+"""Drags of a brush that goes over a face."""
 
 
 class Job:
@@ -260,16 +267,24 @@ def test_a_face_stays_while_the_background_moves(gpu: Gpu, portrait: Path) -> No
     wall = 305.0, 110.0
 
     def work(job: Job) -> None:
+        job.key("c")
+        job.wheel(notches(64, 24), NOSE)
+        for start, end in FACE:
+            job.drag(start, end)
+        job.key("g")
+        job.wheel(notches(24, 64), NOSE)
         job.drag(wall, (wall[0] + 24, wall[1]))
-        pinned(job, *EYES, NOSE, *MOUTH, *CHEEKS, CHIN)
 
-    recipe, _ = done(portrait, "portrait-bent.png", fitted(512, 512).to_canvas, work)
+    recipe, made = done(portrait, "portrait-bent.png", fitted(512, 512).to_canvas, work)
     (stroke,) = recipe.strokes
     assert moves(recipe, stroke.at)[0] == pytest.approx((24, 0), abs=0.7)
     face = (*EYES, NOSE, *MOUTH, CHIN, *CHEEKS)
-    loose = replace(recipe, strokes=(replace(stroke, also=()),))
-    assert np.linalg.norm(moves(recipe, *face), axis=-1).max() < 1.0
-    assert np.linalg.norm(moves(loose, *face), axis=-1).max() > 5
+    np.testing.assert_array_equal(moves(recipe, *face), 0)
+    assert np.linalg.norm(moves(replace(recipe, freeze=None), *face), axis=-1).max() > 5
+    # Every pixel of it keeps every bit.
+    frozen = recipe.freeze.shown((512, 512)) == 0
+    assert 0.02 < frozen.mean() < 0.12
+    np.testing.assert_array_equal(image.read(made).pixels[frozen], image.read(portrait).pixels[frozen])
 
 
 TUMOUR, RADIUS = (62, 60, 50), 8.0  # voxels of 2 mm

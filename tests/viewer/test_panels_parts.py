@@ -252,8 +252,9 @@ def test_a_painting_has_a_strength_beside_its_radius(gpu: Gpu, places: Places, m
 
 def test_each_overlay_has_a_legend_in_its_own_colours() -> None:
     from supple.viewer.panels import legend
+    from supple.viewer.panels.view import FROZEN
 
-    assert set(legend.NAMES) == set(plate.OVERLAYS)
+    assert set(legend.NAMES) == {*plate.OVERLAYS, FROZEN}
     shader = (Path(plate.__file__).parent / "shaders" / "warm.wgsl").read_text()
     found = [tuple(map(float, v.split(","))) for v in re.findall(r"vec3f\(([\d., ]+)\)", shader)]
     assert found == [legend.COLD[:3], legend.HOT[:3]]

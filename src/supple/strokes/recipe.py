@@ -150,6 +150,8 @@ class Recipe:
             raise SuppleError("fit needs the size that the recipe was made for, and it has none: leave it out")
         if self.strokes and self.strokes[0].ndim != len(size):
             return self  # invalid recipes are reported when they are applied
+        if not self.strokes and self.size is not None and len(self.size) != len(size):
+            return self  # nothing moves: a mask alone may be that of a clip's frames
         if self.size is None or self.is_world or not (self.strokes or self.freeze):
             return replace(self, size=size)
         scaling = scaling_of(self.size, size, how, time=time, name=name)

@@ -15,7 +15,7 @@ from supple.engines.wgpu.kernel import PICTURE, READ, TEXTURE, UNIFORM, WRITE, b
 
 Floats = npt.NDArray[np.float64]
 
-CELL = 16
+CELL, FINE = 16, 4  # pixels of the window from node to node: solved here, and given
 BACK = (0.12, 0.12, 0.13)  # the sRGB background
 OVERLAYS = {"": 0, "grid": 1, "stretch": 2, "residual": 3, "inversions": 4}
 _NAMES = ("plate", "warm", "blend", "field", "newton")
@@ -41,7 +41,7 @@ _SETTINGS = np.dtype(
         ("every", "f4"),
         ("corner", "f4", 2),
         ("step", "f4"),
-        ("unused", "u4"),
+        ("cell", "u4"),
         ("back", "f4", 4),
     ]
 )
@@ -82,6 +82,12 @@ class Sight:
     every: float = 32.0
     back: tuple[float, float, float] = BACK
     square: float = 8.0
+
+
+def nodes_of(size: tuple[int, int], cell: int = CELL) -> tuple[int, int]:
+    """Return how many columns and rows of nodes T⁻¹ is interpolated between, for a window of columns and rows."""
+    columns, rows = (max(1, -(-(n - 1) // cell)) + 1 for n in size)
+    return columns, rows
 
 
 class _Sheet:
@@ -134,6 +140,7 @@ class _Drawn:
         axes: Floats,
         texture: Any,
         encoder: Any = None,
+        nodes: npt.NDArray[np.float32] | None = None,
     ) -> None:
         """Draw the visible part, warped by strokes, into a texture of format rgba8unorm.
 
@@ -145,13 +152,19 @@ class _Drawn:
         texture : wgpu.GPUTexture
         encoder : wgpu.GPUCommandEncoder, optional
             The encoder to record into; by default, the work is submitted at once.
+        nodes : float32 array, shape (*nodes_of(sight.size, FINE)[::-1], 3, 4), optional
+            T⁻¹ at every fourth pixel, which is interpolated at the others; by default, it is solved here. Of each: the
+            source point's offset and the residual, ∂p/∂q with respect to x and the evaluations of T, and to y and 0, in
+            physical units.
         """
         gpu, (width, height) = self.gpu, sight.size
-        cells = tuple(max(1, -(-(n - 1) // CELL)) + 1 for n in sight.size)
+        cells = nodes_of(sight.size, CELL if nodes is None else FINE)
         if self._nodes[0] < cells[0] * cells[1]:
             self._nodes = cells[0] * cells[1], room(gpu, 48 * cells[0] * cells[1])
+        if nodes is not None:
+            gpu.device.queue.write_buffer(self._nodes[1], 0, np.ascontiguousarray(nodes))
         sheet = self._sheet(texture)
-        settings = self._settings(sight, cells, table.size)
+        settings = self._settings(sight, cells, table.size, nodes is not None)
         buffers = sheet.hold(table, axes, settings)
         resources = (*buffers, self._nodes[1], *self._held(sheet.view))
         chosen = {"BENT": bool(table.size), "SINGLE": not settings["solved"], **constants(table)}
@@ -160,7 +173,7 @@ class _Drawn:
         commands = encoder or gpu.device.create_command_encoder()
         step = commands.begin_compute_pass()
         step.set_bind_group(0, group)
-        if table.size:
+        if table.size and nodes is None:
             step.set_pipeline(pipeline(gpu, _NAMES, "solve", self._kinds, constants(table))[0])
             step.dispatch_workgroups(-(-cells[0] // 8), -(-cells[1] // 8), 1)
         step.set_pipeline(paint)
@@ -177,7 +190,7 @@ class _Drawn:
         self._sheets = [*self._sheets[-3:], _Sheet(self.gpu, texture)]
         return self._sheets[-1]
 
-    def _settings(self, sight: Sight, cells: tuple[int, ...], strokes: int) -> dict[str, Any]:
+    def _settings(self, sight: Sight, cells: tuple[int, int], strokes: int, given: bool) -> dict[str, Any]:
         return {
             "size": sight.size,
             "nodes": cells,
@@ -187,6 +200,7 @@ class _Drawn:
             "source": self.size,
             "strokes": strokes,
             "solved": sight.solved or sight.overlay in ("residual", "inversions"),
+            "cell": FINE if given else CELL,
             "overlay": OVERLAYS[sight.overlay],
             "every": sight.every,
             "back": (*sight.back, max(sight.square, 1.0)),

@@ -20,7 +20,8 @@ _SETTINGS = np.dtype([("part", "f4", 4), ("split", "f4"), ("line", "f4"), ("line
 
 def canvas_texture(gpu: Gpu, size: tuple[int, int]) -> Any:
     """Return a texture of columns and rows for scenes and plates, which the screen can read."""
-    return gpu.device.create_texture(size=(*size, 1), format=_PLAIN, usage="STORAGE_BINDING|TEXTURE_BINDING|COPY_SRC")
+    usage = "STORAGE_BINDING|TEXTURE_BINDING|COPY_SRC|COPY_DST"
+    return gpu.device.create_texture(size=(*size, 1), format=_PLAIN, usage=usage)
 
 
 def pixels_of(gpu: Gpu, texture: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:

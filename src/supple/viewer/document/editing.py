@@ -10,6 +10,7 @@ from supple.deformation import Arrival, Deformation, last_outside, reduced
 from supple.domain import Border, Domain, integer, refuse
 from supple.errors import SuppleError
 from supple.files.volumes import indexed, placed
+from supple.freezing import Freeze
 from supple.geometry import Geometry
 from supple.strokes import FoldPolicy, Recipe, Stroke, spoken
 from supple.viewer.document.state import PAINTINGS, Handle, History, Item, Kind, Solved, State, Track, handles_of
@@ -158,6 +159,22 @@ class Document:
     def set_on_fold(self, on_fold: FoldPolicy) -> None:
         """Set the policy for strokes that would fold the image."""
         self._edit(replace(self.state, rest=replace(self.state.rest, on_fold=on_fold)))
+
+    @property
+    def freeze(self) -> Freeze:
+        """The freeze mask; in a clip, where nothing was frozen, that of all its frames."""
+        known = self.state.rest.freeze
+        if known is not None:
+            return known
+        domain = self.deformation.domain
+        n = 2 if self.kind == "video" else len(self.shape)
+        return Freeze.free(self.shape[-n:], domain.spacing[:n])
+
+    def set_freeze(self, freeze: Freeze | None) -> None:
+        """Set the freeze mask of all strokes; one in which nothing is frozen is none."""
+        if freeze is not None and freeze.is_free:
+            freeze = None
+        self._edit(replace(self.state, rest=replace(self.state.rest, freeze=freeze)))
 
     def load(self, recipe: Recipe) -> None:
         """Replace the document by a recipe, as one step."""

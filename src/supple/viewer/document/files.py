@@ -78,6 +78,8 @@ class FileCommands:
         if self._left is not None:
             count = len(self._left.recipe.strokes)
             what = "1 stroke on this file was" if count == 1 else f"{count} strokes on this file were"
+            if count == 0:
+                what = "What was changed on this file was"
             text = f"{what} not saved the last time."
             if not self._left.same:
                 text += "\nThe file has changed since then."

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import fields
+from functools import lru_cache
 
 from supple.deformation import Arrival
 from supple.folding import NEAR
+from supple.freezing import Freeze
 from supple.strokes import FoldPolicy, Recipe, Stroke
 from supple.viewer.document.state import PAINTINGS, Item, State
 
@@ -95,10 +97,19 @@ def sentence(i: int, item: Item) -> str:
 
 
 def settings(recipe: Recipe) -> str:
-    """Return what a recipe says of folds and of the border, in two sentences."""
+    """Return what a recipe says of folds, of the border, and of what is frozen, in a few sentences."""
     border = "The border is free" if recipe.border is None else "The border is fixed"
     width = "" if not isinstance(recipe.border, int | float) else f", over {recipe.border:g}"
-    return f"Where a stroke would fold: {FOLDS[recipe.on_fold]}. {border}{width}."
+    return f"Where a stroke would fold: {FOLDS[recipe.on_fold]}. {border}{width}." + (
+        "" if recipe.freeze is None else f" {frozen(recipe.freeze)}."
+    )
+
+
+@lru_cache(maxsize=4)
+def frozen(freeze: Freeze) -> str:
+    """Return how much of a medium a mask freezes; one of two axes does so in all frames of a clip."""
+    percent = 100 * freeze.share
+    return f"{'Less than 1' if percent < 1 else f'{percent:.0f}'} % is frozen"
 
 
 def step(before: State, after: State) -> str:
@@ -107,6 +118,8 @@ def step(before: State, after: State) -> str:
         changed = [f.name for f in fields(Recipe) if getattr(before.rest, f.name) != getattr(after.rest, f.name)]
         if before.items != after.items or len(changed) > 1:
             return _OTHER
+        if changed == ["freeze"]:
+            return _freezing(before.rest.freeze, after.rest.freeze)
         if changed == ["border"]:
             return "Free the border" if after.rest.border is None else "Fix the border"
         return "Folds" if changed == ["on_fold"] else _OTHER
@@ -132,6 +145,21 @@ def step(before: State, after: State) -> str:
     if moved == (*part[1:], part[0]):
         return f"Move stroke {first + 1} later"
     return f"Move stroke {last + 1} earlier" if moved == (part[-1], *part[:-1]) else _OTHER
+
+
+@lru_cache(maxsize=256)
+def _freezing(old: Freeze | None, new: Freeze | None) -> str:
+    """Return the name of a step between two freeze masks."""
+    if new is None:
+        return "Thaw everything"
+    if old is None:
+        return "Freeze" if any(new.values) else "Invert what is frozen"
+    if old.size != new.size:
+        return "Freeze mask"
+    if new == old.inverted:
+        return "Invert what is frozen"
+    one, other = old.coefficients, new.coefficients
+    return "Freeze" if (other <= one).all() else "Thaw" if (other >= one).all() else "Freeze and thaw"
 
 
 def _edit(i: int, old: Item, new: Item) -> str:

@@ -78,6 +78,18 @@ def _hide(view: View) -> None:
         view.attempt(lambda: view.document.hide(chosen, not view.document.items[chosen].hidden))
 
 
+def _thaw(view: View) -> None:
+    view.attempt(lambda: view.document.set_freeze(None))
+
+
+def _invert(view: View) -> None:
+    view.attempt(lambda: view.document.set_freeze(view.document.freeze.inverted))
+
+
+def _frozen(view: View) -> bool:
+    return view.document.state.rest.freeze is not None
+
+
 def _key(key: str, view: View) -> None:
     view.tools.press(key)
     view.canvas.request_draw()
@@ -108,6 +120,8 @@ ACTIONS: dict[str, Action] = {
     "redo": Action("Redo", "Ctrl+Y", _redo, lambda view: view.document.can_redo, more=_redone),
     "delete": Action("Delete the stroke", "Delete", _delete, _chosen),
     "hide": Action("Hide or show the stroke", "H", _hide, _chosen),
+    "thaw all": Action("Thaw everything", "", _thaw, _frozen),
+    "invert frozen": Action("Invert what is frozen", "", _invert),
     "copy recipe": Action("Copy the recipe as JSON", "", copy_recipe, lambda view: view.copy_text is not None),
     "original": Action(
         "Show the original",

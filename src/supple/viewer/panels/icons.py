@@ -153,6 +153,13 @@ def freeze(pen: Pen) -> None:
             pen.line(start, _round(start, 0.36, angle + side))
 
 
+def thaw(pen: Pen) -> None:
+    """A drop."""
+    pen.arc((0, 0.35), 0.68, -25, 205)
+    pen.line(_round((0, 0.35), 0.68, 205), (0, -1.1), _round((0, 0.35), 0.68, -25))
+    pen.arc((0, 0.35), 0.32, 90, 170)
+
+
 def symmetry(pen: Pen) -> None:
     """A shape and its mirror image, about a dashed line."""
     for y in (-1.0, -0.3, 0.4):
@@ -268,6 +275,7 @@ ICONS: dict[str, Icon] = {
     "smooth": smooth,
     "pin": pin,
     "freeze": freeze,
+    "thaw": thaw,
     "symmetry": symmetry,
     "undo": undo,
     "redo": redo,

@@ -6,8 +6,10 @@ import math
 
 from imgui_bundle import imgui
 
+from supple.viewer.document.words import frozen
 from supple.viewer.panels import theme
-from supple.viewer.panels.view import View
+from supple.viewer.panels.stages import VolumeStage
+from supple.viewer.panels.view import FROZEN, View
 from supple.viewer.panels.widgets import wrapped
 
 NAMES = {
@@ -16,6 +18,7 @@ NAMES = {
     "stretch": "Stretch",
     "residual": "Residual",
     "inversions": "Work",
+    FROZEN: "Frozen",
 }
 """Overlays, as they are called in the panel."""
 COLD, HOT = (0.10, 0.25, 0.75, 1.0), (0.95, 0.35, 0.10, 1.0)
@@ -31,11 +34,21 @@ _SCALES: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 def draw(view: View) -> None:
-    """Draw the legend of the overlay that is shown."""
-    name = "rays" if view.overlay and view.stage.kind == "volume" else view.overlay
+    """Draw the legend of the overlays that are shown."""
+    if view.veiled:
+        at, size = imgui.get_cursor_screen_pos(), imgui.get_text_line_height()
+        imgui.get_window_draw_list().add_rect_filled((at.x, at.y), (at.x + size, at.y + size), theme.VEIL, 3.0)
+        imgui.dummy((size, size))
+        imgui.same_line()
+        known = view.document.state.rest.freeze
+        wrapped("Nothing is frozen." if known is None else f"{frozen(known)}: no stroke moves it.")
+    name = "rays" if view.overlay == "inversions" and view.stage.kind == "volume" else view.overlay
     if name == "grid":
         wrapped("Lines of the original, every 32 pixels, as they are bent.")
     if name not in _SCALES:
+        return
+    if isinstance(view.stage, VolumeStage) and view.stage.scene.gpu is None:
+        wrapped("Not shown where something is frozen: the CPU renders then.")
         return
     text, marks = _SCALES[name]
     wrapped(text)

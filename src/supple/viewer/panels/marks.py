@@ -13,7 +13,7 @@ from supple.viewer.document.state import PAINTINGS
 from supple.viewer.panels import theme
 from supple.viewer.panels.view import View
 from supple.viewer.tools.brushes import ImageTools
-from supple.viewer.tools.drags import PAINTED, Pair
+from supple.viewer.tools.drags import MASKS, PAINTED, Pair
 from supple.viewer.tools.planes import RENDERED, Pane, Place
 from supple.viewer.tools.slices import SliceTools
 
@@ -58,6 +58,8 @@ def rings(tools: ImageTools | SliceTools, lines: imgui.ImDrawList) -> None:
     if held is not None and held.shapes:  # the point stays, and the pointer says how much
         middle = held.start
     reach = PAINTED if tools.brush in PAINTINGS else tools.reach if held is None else held.stroke.reach
+    if tools.brush in MASKS:
+        reach = None
     if reach is not None and reach > 1.0:
         lines.add_circle(middle, reach * radius, theme.SHADE, 0, 3.0)
         lines.add_circle(middle, reach * radius, theme.PALE, 0, 1.0)
@@ -113,6 +115,9 @@ def _button(tools: SliceTools, lines: imgui.ImDrawList, k: int) -> None:
 def _plane(view: View, tools: SliceTools, lines: imgui.ImDrawList, k: int) -> None:
     pane = tools.pane(k)
     left, top, width, height = pane.place
+    if view.veiled and tools.mask is not None:
+        axes = pane.plane.axis, pane.plane.across, pane.plane.down
+        view.veil.draw(lines, tools.mask, tools.sizes, pane.to_canvas, axes, pane.index[pane.plane.axis])
     _crosshair(tools, lines, pane)
     if (grip := tools.grip_of(k)) is not None:
         mirror(lines, grip, top, height)

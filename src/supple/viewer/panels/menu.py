@@ -9,7 +9,7 @@ from supple.viewer.panels.view import View
 
 MENUS = {
     "File": ("open", "save", "save as", "", "export", "copy"),
-    "Edit": ("undo", "redo", "", "hide", "delete", "", "symmetry", "", "copy recipe"),
+    "Edit": ("undo", "redo", "", "hide", "delete", "", "symmetry", "", "invert frozen", "thaw all", "", "copy recipe"),
     "View": ("fit", "actual", "", "original", "split"),
     "Help": ("keys",),
 }

@@ -34,6 +34,8 @@ def draw(view: View) -> None:
     if isinstance(tools, SliceTools):
         marks.draw(view, tools, lines)
     else:
+        if view.veiled and tools.mask is not None:
+            view.veil.draw(lines, tools.mask, view.document.shape[:-3:-1], lambda p: tools.viewport.to_canvas(*p))
         if (grip := tools.grip) is not None:
             marks.mirror(lines, grip, 0.0, height)
         _handles(view, lines)

@@ -72,7 +72,7 @@ class Painter:
         sight = self._sight(shot)
         if not isinstance(self.stage, VolumeStage):
             self.stage.expect(seen, sight)
-            self._adapts = self.stage.solves(sight)
+            self._adapts = self.stage.solves(seen[0], sight)
             self.coarse = self.coarse if self._adapts else 1
         self._begun = time.perf_counter()
         textures = [self._drawn(k, shot, sight, deformation, encoder) for k, deformation in enumerate(seen)]

@@ -11,7 +11,7 @@ from supple.viewer.panels import history, legend, menu, question, strokes, theme
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.icons import cross
 from supple.viewer.panels.overlay import certified
-from supple.viewer.panels.view import STRIP, WIDE, View
+from supple.viewer.panels.view import FROZEN, STRIP, WIDE, View
 from supple.viewer.panels.widgets import REST, elided, hint, icon_button, label, primary, section, slider, wrapped
 
 _FOOT = 94.0  # logical pixels of the file commands
@@ -57,7 +57,7 @@ def panel(view: View) -> None:
 def _seeing(view: View) -> None:
     if not section(view, "View"):
         return
-    names = ["", "inversions"] if view.stage.kind == "volume" else list(OVERLAYS)
+    names = [*(("", "inversions") if view.stage.kind == "volume" else OVERLAYS), FROZEN]
     label("Overlay", "What the map does, and what it costs, in colours over the picture")
     changed, index = imgui.combo("##overlay", names.index(view.overlay), [legend.NAMES[name] for name in names])
     if changed:

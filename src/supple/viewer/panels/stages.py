@@ -23,7 +23,7 @@ from supple.render.transfer import TransferFunction
 from supple.viewer.document.background import heard
 from supple.viewer.document.state import Kind
 from supple.viewer.panels.frame_cache import FrameCache
-from supple.viewer.panels.warped import Levels, Warped
+from supple.viewer.panels.warped import Levels, Warped, WarpedFrame
 
 Pixels = npt.NDArray[np.uint8]
 Point = tuple[float, ...]
@@ -41,31 +41,35 @@ class ImageStage:
         self.spacing: tuple[float, ...] = (1.0, 1.0)
         self._name(name, (width, height))
         self.pixels = pixels
-        if gpu.software:  # the CPU itself warps faster than shaders on it
-            levels = Levels(pixels)
-            self._warped += [Warped(gpu, levels), Warped(gpu, levels)]  # the result, and the original beside it
-        else:
+        levels = Levels(pixels)
+        self._warped = [Warped(gpu, levels), Warped(gpu, levels)]  # the result, and the original beside it
+        self._by_cpu = gpu.software  # which itself warps faster than shaders on it
+        if not self._by_cpu:
             self._plate = Plate(gpu, self.size)
             self._plate.put(0, pixels)
 
     def _name(self, name: str, size: tuple[int, int]) -> None:
         self.name, self.size = name, size
-        self._warped: list[Warped] = []
         self.trouble = ""  # the reason why the display is incomplete
         self._under: tuple[Deformation, Point, Point] | None = None
 
-    def solves(self, sight: Sight) -> bool:
+    def solves(self, deformation: Deformation, sight: Sight) -> bool:
         """Return whether drawing solves for T⁻¹, which takes a slow device long."""
-        return not self._warped or bool(sight.overlay)
+        return self._by_device(deformation) or bool(sight.overlay)
+
+    def _by_device(self, deformation: Deformation) -> bool:
+        """Return whether the device warps; what is frozen is known to the CPU alone."""
+        return not self._by_cpu and _is_common(deformation)
 
     def expect(self, deformations: tuple[Deformation, ...], sight: Sight) -> None:
         """Prepare the next drawing: warp the image, where the device does not."""
         for deformation, warped in zip(deformations, self._warped, strict=False):
-            warped.bring(deformation, sight)
+            if not self._by_device(deformation):
+                warped.bring(deformation, sight)
 
     def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
         """Draw the visible part, or record it into an encoder; return whether it is complete."""
-        if not self._warped:
+        if self._by_device(deformation):
             space = deformation.space
             self._plate.draw(sight, space.table, space.axes, texture, encoder)
         else:
@@ -107,6 +111,7 @@ class VideoStage(ImageStage):
         slots = max(2, min(film.most, Plate.most(gpu, film.size), film.count))
         self._name(film.name, film.size)
         self._plate = Plate(gpu, film.size, film.count, slots)
+        self._by_cpu, self._bent = False, WarpedFrame(gpu, film.size)
         self._spans: dict[tuple[Deformation, float], Span] = {}
 
     def expect(self, deformations: tuple[Deformation, ...], sight: Sight) -> None:
@@ -127,10 +132,17 @@ class VideoStage(ImageStage):
     def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
         """Draw the visible part of an expected frame, or record it into an encoder; return whether it is complete."""
         first, last = self._kept(self._spans[deformation, sight.time])
-        ready = self._laid(first, last)
-        space, plate = deformation.space, self._plate
-        if plate.held:
-            plate.draw(sight, space.table, space.axes, texture, encoder)
+        if self._by_device(deformation):
+            space, plate, ready = deformation.space, self._plate, self._laid(first, last)
+            if plate.held:
+                plate.draw(sight, space.table, space.axes, texture, encoder)
+        else:
+            found = [self.film.get(k) for k in range(first, last + 1)]
+            frames = [frame for frame in found if frame is not None]
+            ready = len(frames) == len(found)
+            if ready:
+                self._bent.bring(deformation, sight, first, frames)
+            self._bent.draw(sight, texture, encoder)
         if ready:
             return True
         self.trouble = self.film.error or self.trouble
@@ -184,15 +196,16 @@ class VolumeStage:
         counts, _ = np.histogram(self.scene.samples, 96, self.scene.range)
         self.histogram = np.log1p(counts).astype(np.float32)  # logarithms of voxel counts by value
         self._plain = self.scene
+        self._rest: Scene | None = None  # the same by the CPU, where something is frozen
         self._deformation: Deformation | None = None
         self.trouble = self.warned = ""  # a remark on the displayed image
 
-    def _made(self, transfer: TransferFunction | str) -> Scene:
-        device = "gpu" if self._gpu.software else "auto"
+    def _made(self, transfer: TransferFunction | str, device: str = "") -> Scene:
+        device = device or ("gpu" if self._gpu.software else "auto")
         scene = Scene(
             self._samples, self.volume.geometry, transfer=transfer, density=self.density, mode=self.mode, device=device
         )
-        if scene._held is None:
+        if scene._held is None and device != "cpu":
             raise SuppleError(f"{self.name} is more than a shader takes of {self._gpu.name}")
         return scene
 
@@ -200,7 +213,7 @@ class VolumeStage:
         """Set the mode of rendering."""
         self.mode = mode
         self._plain = self._made(self.scene.transfer)
-        self.scene, self._deformation = self._plain, None
+        self.scene, self._rest, self._deformation = self._plain, None, None
 
     def deform(self, deformation: Deformation) -> Scene:
         """Return the scene with strokes; the last one is cached."""
@@ -208,8 +221,11 @@ class VolumeStage:
             return self._plain
         if deformation is not self._deformation:
             said = [""]
+            plain = self._plain
+            if not _is_common(deformation):
+                plain = self._rest = self._rest or self._made(plain.transfer, "cpu")
             with heard(lambda text, kind: said.append(text)):
-                self.scene, self._deformation = self._plain.deformed(deformation), deformation
+                self.scene, self._deformation = plain.deformed(deformation), deformation
             self.warned = said[-1]
         return self.scene
 
@@ -218,12 +234,22 @@ class VolumeStage:
         self.preset, self.density = transfer if isinstance(transfer, str) else "", density
         self.scene = self.scene.seen_through(transfer, density)
         self._plain = self._plain.seen_through(transfer, density)
+        if self._rest is not None:
+            self._rest = self._rest.seen_through(transfer, density)
 
     def draw(
         self, deformation: Deformation, camera: Camera, size: tuple[int, int], texture: Any, overlay: str = ""
     ) -> None:
-        """Render into a texture of columns and rows."""
-        self.deform(deformation).draw(texture, camera, (size[1], size[0]), background=BACK, overlay=overlay)
+        """Render into a texture of columns and rows; what is frozen is rendered by the CPU, without an overlay."""
+        scene, (columns, rows) = self.deform(deformation), size
+        if scene.gpu is not None:
+            scene.draw(texture, camera, (rows, columns), background=BACK, overlay=overlay)
+            return
+        pixels = np.full((rows, columns, 4), 255, np.uint8)
+        pixels[..., :3] = scene.render(camera, (rows, columns)).pixels(BACK)
+        self._gpu.device.queue.write_texture(
+            {"texture": texture}, pixels, {"bytes_per_row": 4 * columns, "rows_per_image": rows}, (columns, rows, 1)
+        )
 
     def fill(self, deformation: Deformation, camera: Camera, size: tuple[int, int], seconds: float) -> float:
         """Fill a part of the buffer; return the filled part."""
@@ -242,6 +268,11 @@ class VolumeStage:
         geometry = self.volume.geometry
         place = ", ".join(f"{round(v, 1) + 0.0:.1f}" for v in geometry.to_world(point).tolist())
         return f"({place}) mm {geometry.convention}"
+
+
+def _is_common(deformation: Deformation) -> bool:
+    """Return whether a device warps by it: it moves nothing, or nothing is frozen."""
+    return deformation.is_identity or deformation.space.is_common
 
 
 def on_screen(picture: Picture) -> Pixels:

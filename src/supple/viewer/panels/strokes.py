@@ -14,10 +14,11 @@ from supple.strokes import POISSON, REACH, FoldPolicy
 from supple.viewer.document.state import PAINTINGS, Item
 from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, named, others, place
 from supple.viewer.panels import theme
+from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.icons import hidden, seen
 from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import REST, hint, icon_button, label, listing, section, slider, typed, wrapped
-from supple.viewer.tools.drags import IMMATERIAL, SHAPES
+from supple.viewer.tools.drags import IMMATERIAL, MASKS, SHAPES
 
 _POLICIES = get_args(FoldPolicy)
 _FALLOFF = "How fast the pull fades with the distance: far as 1/r, medium as 1/r\u00b3, near as 1/r\u2075"
@@ -38,6 +39,9 @@ def brush(view: View) -> None:
     changed, value = slider("##radius", tools.radius, *tools.radius_limits, form, logarithmic=True)
     if changed:
         tools.radius = value
+    if tools.brush in MASKS:
+        _masks(view)
+        return
     if tools.brush in PAINTINGS:
         label("Strength", "The part of the way that a click brings it")
         changed, value = slider("##strength", 100 * tools.strength, 1.0, 100.0, "%.0f %%")
@@ -56,6 +60,23 @@ def brush(view: View) -> None:
         if changed:
             tools.poisson = value
     changed, tools.reach = _reach(tools.reach, "")
+
+
+def _masks(view: View) -> None:
+    """Draw the buttons for the whole freeze mask."""
+    wide = 0.5 * (imgui.get_content_region_avail().x - imgui.get_style().item_spacing.x)
+    for name, text, tip in (
+        ("thaw all", "Thaw everything", "Strokes move all again"),
+        ("invert frozen", "Invert", "What is frozen is free, and what is free is frozen"),
+    ):
+        action = ACTIONS[name]
+        imgui.begin_disabled(not action.able(view))
+        if imgui.button(text, (wide, 0)):
+            action.do(view)
+        imgui.end_disabled()
+        hint(tip)
+        imgui.same_line()
+    imgui.new_line()
 
 
 def _reach(reach: float | None, of: str) -> tuple[bool, float | None]:

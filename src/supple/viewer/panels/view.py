@@ -25,13 +25,17 @@ from supple.viewer.panels import settings
 from supple.viewer.panels.painter import Painter, Shot
 from supple.viewer.panels.slices import Slices, physical
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage
+from supple.viewer.panels.veil import Veil
 from supple.viewer.tools.brushes import ImageTools, VideoTools
+from supple.viewer.tools.drags import MASKS
 from supple.viewer.tools.planes import RENDERED
 from supple.viewer.tools.slices import SliceTools
 
 WIDE, STRIP = 348, 44  # logical pixels of the tools and the panel, and of the tools alone
 BAR, LINE = 44, 24  # and of the timeline and the status line
 SETTLED = 0.15  # seconds without a change, after which an image is drawn at full size
+FROZEN = "frozen"
+"""The name of the overlay of what is frozen."""
 PATIENCE = 5.0  # seconds that saving an image waits for its frames
 
 
@@ -50,14 +54,14 @@ class View:
     landmarks: Landmarks | None = None  # of a volume
 
     def __post_init__(self) -> None:
-        self.overlay = ""
+        self.overlay = ""  # one of `supple.engines.wgpu.plate.OVERLAYS`, or `FROZEN`
         self.listed: int | None = None  # the stroke that the list has scrolled to
         self.reached: int | None = None  # and the step of the history
         self.sections = settings.read()  # those that were folded or opened
         self.copy_text: Callable[[str], None] | None = None  # to the clipboard, if there is one
         self.typed: dict[str, float] = {}  # numbers being typed in the panel
         self.filled = 0.0
-        self.painter = Painter(self.gpu, self.stage)
+        self.painter, self.veil = Painter(self.gpu, self.stage), Veil(self.gpu)
         self.slices: Slices | None = None
         if isinstance(self.stage, VolumeStage):
             labels = bool(getattr(self.export.get("volume"), "labels", False))
@@ -125,7 +129,8 @@ class View:
     def _shot(self, moving: bool) -> Shot:
         tools, ratio = self.tools, self.canvas.get_pixel_ratio()
         size = tuple(round(n * ratio) for n in self.area)
-        common: dict[str, Any] = {"size": size, "moving": moving, "ratio": ratio, "overlay": self.overlay}
+        common: dict[str, Any] = {"size": size, "moving": moving, "ratio": ratio}
+        common["overlay"] = "" if self.overlay == FROZEN else self.overlay
         common |= {"original": tools.original, "split": tools.split is not None}
         if isinstance(tools, SliceTools):
             hidden = (0.0, 0.0, 1.0, 1.0)  # a pixel of it is drawn
@@ -166,6 +171,11 @@ class View:
         if len(self._frames) < 2 or time.perf_counter() - self._frames[-1] > 1.0:
             return 0.0
         return (len(self._frames) - 1) / max(self._frames[-1] - self._frames[0], 1e-9)
+
+    @property
+    def veiled(self) -> bool:
+        """Return whether to show what is frozen: while it is painted, and as an overlay."""
+        return (self.overlay == FROZEN or self.tools.brush in MASKS) and not self.tools.original
 
     def write(self, path: str, force: bool) -> None:
         """Write the image of the canvas, drawn at full size."""

@@ -155,7 +155,7 @@ class VideoTools(ImageTools):
 
     def _turn(self, event: Event, amount: float) -> None:
         held = self.held
-        if held is None or held.shapes or commanded(event) or shifted(event):
+        if held is None or held.shapes or held.masks or commanded(event) or shifted(event):
             super()._turn(event, amount)
         else:
             self._carry(held, -amount / 100)
@@ -173,7 +173,7 @@ class VideoTools(ImageTools):
             "l": lambda: playback.set_loop(not playback.loop),
         }
         if held is not None and step is not None:
-            if not held.shapes:  # those stay in their frame
+            if not (held.shapes or held.masks):  # those stay in their frame
                 self._carry(held, step)
         elif step is not None:
             playback.step(step)

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from supple.freezing import Freeze
 from supple.strokes import LARGEST_ANGLE, LARGEST_FACTOR, Stroke
 from supple.viewer.document.state import PAINTINGS
 from supple.viewer.tools.keys import Tool
@@ -28,6 +29,8 @@ SHAPES: dict[Tool, dict[str, Any]] = {
 }
 """The tools whose strokes keep their pivot, and what these are before the drag."""
 
+MASKS = frozenset(("freeze", "thaw"))
+"""The tools that paint the freeze mask."""
 PAINTED = 2.0  # radii that a stroke of a painting reaches
 IMMATERIAL = frozenset(("twist", "bloat", "pucker", "scale"))
 """Tools and brushes that do not depend on the Poisson ratio."""
@@ -75,6 +78,7 @@ class Held:
     way: list[tuple[Pair, Point]] = field(default_factory=list)  # of a path: the places of the pointer, and its points
     beneath: Point | None = None  # of a point that is added to a stroke: where its material was before the stroke
     dabbed: Pair | None = None  # of a painting: the place of the last dab
+    mask: Freeze | None = None  # of the freeze mask: what it is so far
     made: list[Stroke] = field(default_factory=list)  # and its strokes
 
     @property
@@ -88,6 +92,11 @@ class Held:
         return self.item is None and self.tool in PAINTINGS
 
     @property
+    def masks(self) -> bool:
+        """True if it paints the freeze mask."""
+        return self.item is None and self.tool in MASKS
+
+    @property
     def shapes(self) -> bool:
         """True if it makes a stroke whose point stays where it is."""
         return self.item is None and self.tool in SHAPES
@@ -95,7 +104,7 @@ class Held:
     @property
     def clicks(self) -> bool:
         """True if a click is enough."""
-        return self.paints or (self.new and self.tool == "pin")
+        return self.paints or self.masks or (self.new and self.tool == "pin")
 
     @property
     def moved(self) -> bool:

@@ -12,10 +12,11 @@ from supple.errors import SuppleError
 from supple.strokes import REACH, Stroke
 from supple.viewer.document.editing import Document
 from supple.viewer.document.state import PAINTINGS
-from supple.viewer.tools.drags import IMMATERIAL, SHAPES, Handle, Held, Pair, Part, nearest
+from supple.viewer.tools.drags import IMMATERIAL, MASKS, SHAPES, Handle, Held, Pair, Part, nearest
 from supple.viewer.tools.keys import Tool
 
 STILL = 0.01  # samples: a painting leaves alone what moves less
+_APART = 0.25  # radii between two dabs of the freeze mask, whose edge is even then
 GROWTH = 1.1  # the factor of the brush for a notch of the wheel, which is 100
 
 
@@ -79,7 +80,7 @@ class Drawing(ABC):
 
     def _taken(self, x: float, y: float) -> Held | None:
         """Return a handle of the selected stroke; or a new stroke at the point under the pointer."""
-        chosen = None if self.brush in PAINTINGS else self.document.selected
+        chosen = None if self.brush in PAINTINGS | MASKS else self.document.selected
         found = None if chosen is None else nearest(self.handles([chosen]), (x, y))
         if found is not None:
             (hx, hy), stroke = found.seen, self.document.seen(found.item)
@@ -154,7 +155,9 @@ class Drawing(ABC):
     def _draw(self, held: Held) -> None:
         """Show a drag in the document, if the pointer has moved."""
         try:
-            if held.paints:
+            if held.masks:
+                self._mask(held)
+            elif held.paints:
                 self._paint(held)
             elif self.document.dragging or held.moved or held.grown or held.clicks:
                 if not self.document.dragging:
@@ -175,6 +178,22 @@ class Drawing(ABC):
             self._dab(held, point)
             if self._has_image(point):
                 self._dab(held, self.mirrored(point))
+
+    def _mask(self, held: Held) -> None:
+        """Freeze or thaw what is under the pointer. Strokes are resolved anew at the end, as each depends on it."""
+        domain = self.document.deformation.domain
+        mask = held.mask or self.document.freeze
+        steps = (*domain.spacing[: mask.ndim],)
+        if self.document.kind == "video" and mask.ndim == 3:
+            steps = (*steps[:2], 0.0)  # in all frames alike
+        frozen = (held.tool == "freeze") is not held.shift
+        for place in held.dabs(_APART * held.stroke.radius * self._scale(held.point)):
+            point = self._grab(*place)
+            if point is None:
+                continue
+            for at in (point, self.mirrored(point))[: 1 + self.symmetric]:
+                mask = mask.painted(at, held.stroke.radius, steps, frozen=frozen)
+        held.mask = mask
 
     def _dab(self, held: Held, point: tuple[float, ...]) -> None:
         """Add a stroke of a painting, if it moves anything."""

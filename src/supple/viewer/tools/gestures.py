@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from supple.errors import SuppleError
+from supple.freezing import Freeze
 from supple.viewer.document.editing import Document
 from supple.viewer.tools.drags import CLICK, Held, Pair, nearest
 from supple.viewer.tools.drawing import Drawing
@@ -76,6 +77,12 @@ class Tools(Drawing, Generic[V]):
     def dragging(self) -> bool:
         """True if a stroke is being dragged."""
         return self.held is not None and self.document.dragging
+
+    @property
+    def mask(self) -> Freeze | None:
+        """The freeze mask, as it is painted; None if nothing is frozen."""
+        held = self.held
+        return self.document.state.rest.freeze if held is None or held.mask is None else held.mask
 
     @property
     def status(self) -> str | None:
@@ -163,6 +170,7 @@ class Tools(Drawing, Generic[V]):
         elif how is None and button == _LEFT:
             self._gesture = self._taken(x, y)
             if self._gesture is not None and self._gesture.clicks:
+                self._gesture.shift = shifted(event)
                 self._draw(self._gesture)
             how = self._beside
         if self._gesture is None and how is not None:
@@ -226,6 +234,10 @@ class Tools(Drawing, Generic[V]):
         if gesture is None:
             return False
         if isinstance(gesture, Held):
+            if gesture.masks:
+                if gesture.mask is not None:
+                    self.document.set_freeze(gesture.mask)
+                return True
             if (gesture.moved or gesture.grown or gesture.clicks) and self.document.dragging:
                 trouble = self.document.trouble
                 self._refused = None if self.document.commit() else trouble

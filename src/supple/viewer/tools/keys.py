@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-Tool = Literal["grab", "twist", "bloat", "pucker", "pinch", "path", "restore", "smooth", "pin"]
+Tool = Literal["grab", "twist", "bloat", "pucker", "pinch", "path", "restore", "smooth", "pin", "freeze", "thaw"]
 Rows = Mapping[str, str]
 
 BRUSHES: Mapping[Tool, tuple[str, str]] = {
@@ -21,6 +21,8 @@ BRUSHES: Mapping[Tool, tuple[str, str]] = {
         "D",
         "hold a point against the selected grab, by a click, or drag one more; a click on a point removes it",
     ),
+    "freeze": ("C", "paint what no stroke moves, earlier ones neither; with Shift, thaw"),
+    "thaw": ("V", "paint what strokes may move again; with Shift, freeze"),
 }
 """For each brush, in the order of the tools' strip, its key, and what a drag with it does."""
 _ALWAYS: Rows = {

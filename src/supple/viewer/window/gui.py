@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -41,10 +41,15 @@ _INDEX = {2: "uint16", 4: "uint32"}[imgui.INDEX_SIZE]
 
 
 class Gui:
-    """Controls laid out by a function in each frame, drawn in the canvas's format, with the canvas's events."""
+    """Controls laid out by a function in each frame, drawn in the canvas's format, with the canvas's events.
 
-    def __init__(self, gpu: Gpu, canvas: Any, format: str, controls: Callable[[], None]) -> None:
-        self._canvas, self._controls = canvas, controls
+    They draw with textures of letters, and with pictures by their numbers.
+    """
+
+    def __init__(
+        self, gpu: Gpu, canvas: Any, format: str, controls: Callable[[], None], pictures: Mapping[int, Any]
+    ) -> None:
+        self._canvas, self._controls, self._pictures = canvas, controls, pictures
         # Used for its event handling only: its drawing creates a bind group for each clip rectangle (wgpu 0.32).
         self._renderer = ImguiRenderer(gpu.device, canvas, format)
         self.trouble = ""  # the error of the last layout
@@ -56,6 +61,7 @@ class Gui:
         self._device, self._gamma = gpu.device, 2.2 if format.endswith("srgb") else 1.0
         self._told, self._bytes, self._buffer = Kept(gpu, UNIFORM), bytearray(), None
         self._letters: dict[int, tuple[Any, Any]] = {}  # textures, and their bind groups
+        self._drawn: dict[int, tuple[Any, Any]] = {}  # likewise, of pictures
         module = self._device.create_shader_module(code=_SHADER)
         shapes = zip(("float32x2", "float32x2", "unorm8x4"), (0, 8, 16), strict=True)
         attributes = [{"format": f, "offset": o, "shader_location": k} for k, (f, o) in enumerate(shapes)]
@@ -133,12 +139,26 @@ class Gui:
                 which = command.tex_ref.get_tex_id()
                 if which != bound:
                     bound = which
-                    drawing.set_bind_group(1, self._letters[which][1])
+                    drawing.set_bind_group(1, self._group(which))
                 drawing.set_scissor_rect(x, y, width, height)
                 first, base = index + command.idx_offset, corner + command.vtx_offset
                 drawing.draw_indexed(command.elem_count, 1, first, base, 0)
             corner += part.vtx_buffer.size()
             index += part.idx_buffer.size()
+
+    def _group(self, which: int) -> Any:
+        """Return the bind group of a texture."""
+        if which in self._letters:
+            return self._letters[which][1]
+        texture = self._pictures[which]
+        if which not in self._drawn or self._drawn[which][0] is not texture:
+            self._drawn[which] = self._bound(texture)
+        return self._drawn[which][1]
+
+    def _bound(self, texture: Any) -> tuple[Any, Any]:
+        """Return a texture, and a bind group for it."""
+        layout, entries = self._pipeline.get_bind_group_layout(1), [{"binding": 0, "resource": texture.create_view()}]
+        return texture, self._device.create_bind_group(layout=layout, entries=entries)
 
     def _write(self, lists: list[Any]) -> int:
         """Write vertices, and then the indices of triangles; return the offset of the indices."""
@@ -172,8 +192,7 @@ class Gui:
             made = self._device.create_texture(size=size, format="rgba8unorm", usage="COPY_DST|TEXTURE_BINDING")
             which = max(self._letters, default=0) + 1
             texture.set_tex_id(which)
-            layout, entries = self._pipeline.get_bind_group_layout(1), [{"binding": 0, "resource": made.create_view()}]
-            self._letters[which] = made, self._device.create_bind_group(layout=layout, entries=entries)
+            self._letters[which] = self._bound(made)
         # The whole texture: new letters are rare.
         self._device.queue.write_texture(
             {"texture": self._letters[texture.get_tex_id()][0]},

@@ -22,6 +22,7 @@ struct Settings {
     every: f32, // pixels from line to line of a grid
     corner: vec2f, // of an image that is warped already: the position of the first pixel held, at its size
     step: f32, // and pixels of the image for each of them
+    cell: u32, // pixels from node to node; less than CELL if they are given, and not solved here
     back: vec4f, // behind the image; and the width of the checkerboard squares behind transparent pixels
 }
 
@@ -67,14 +68,14 @@ fn solve(@builtin(global_invocation_id) id: vec3u) {
 }
 
 fn interpolated(at: vec2f) -> Seen {
-    let v = at / f32(CELL);
+    let v = at / f32(settings.cell);
     let i = min(vec2u(v), settings.nodes - 2u);
     let s = v - vec2f(i);
     let a = 3u * (i.y * settings.nodes.x + i.x);
     let c = a + 3u * settings.nodes.x;
     let x = vec3f(1.0, 0.0, 0.0);
     let y = vec3f(0.0, 1.0, 0.0);
-    let h = f32(CELL) * settings.scale * domain.spacing.xyz;
+    let h = f32(settings.cell) * settings.scale * domain.spacing.xyz;
     let upper = bent(nodes[a].xyz, nodes[a + 3u].xyz, nodes[a + 1u].xyz, nodes[a + 4u].xyz, s.x, h.x);
     let lower = bent(nodes[c].xyz, nodes[c + 3u].xyz, nodes[c + 1u].xyz, nodes[c + 4u].xyz, s.x, h.x);
     let above = mix(nodes[a + 2u].xyz, nodes[a + 5u].xyz, s.x);
@@ -91,7 +92,7 @@ fn source_of(at: vec2f) -> Seen {
         return Seen(vec3f(0.0), vec3f(1.0, 0.0, 0.0), vec3f(0.0, 1.0, 0.0), 0.0, 0.0);
     }
     let guess = interpolated(at);
-    if (settings.solved == 0u) {
+    if (settings.solved == 0u || settings.cell < CELL) {
         return guess;
     }
     let found = newton(0u, settings.strokes, anchor(at), vec3f(0.0), guess.w, 1e-3 * finest(), 6u);

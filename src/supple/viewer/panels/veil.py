@@ -1,0 +1,93 @@
+"""The veil over what is frozen: a texture for the picture, and for each plane of a volume."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from imgui_bundle import imgui
+
+from supple.engines.wgpu.device import Gpu
+from supple.freezing import Freeze
+from supple.viewer.panels import theme
+from supple.viewer.tools.drags import Pair
+
+_FIRST = 1 << 20  # the number of the first texture: those of letters have low ones
+_INNER = 1.5  # coefficients from the outermost ones to the edges of a texture, whose texels are at coefficients
+
+
+class Veil:
+    """Textures whose opacity is 1 - m, at every coefficient of the freeze mask; made anew when that changes."""
+
+    def __init__(self, gpu: Gpu) -> None:
+        self._gpu = gpu
+        self.textures: dict[int, Any] = {}
+        """Textures by the numbers under which ImGui knows them."""
+        self._known: dict[int, tuple[Freeze, int]] = {}
+
+    def draw(
+        self,
+        lines: imgui.ImDrawList,
+        mask: Freeze,
+        sizes: Sequence[int],
+        seen: Callable[[tuple[float, ...]], Pair],
+        axes: tuple[int, int, int] = (2, 0, 1),
+        index: int = 0,
+    ) -> None:
+        """Draw the veil over a picture, or over a plane of a volume.
+
+        Parameters
+        ----------
+        lines : imgui.ImDrawList
+        mask : Freeze
+        sizes : sequence of int
+            Samples along each axis, x first.
+        seen : function
+            Returns the position of a point on the canvas.
+        axes : (int, int, int)
+            The axis of the plane's normal, the one across it and the one down, x is 0.
+        index : int
+            The place of the plane along its normal, in samples.
+        """
+        normal, across, down = axes
+        which = _FIRST + normal
+        if self._known.get(which) != (mask, index):
+            self._upload(which, mask, axes, index)
+            self._known[which] = mask, index
+        low, high = [0.0] * len(sizes), [0.0] * len(sizes)
+        ends = [-0.5] * len(sizes), [n - 0.5 for n in sizes]
+        for k in (across, down):
+            low[k], high[k] = ends[0][k], ends[1][k]
+            if mask.size[k] > 1:
+                low[k] = mask.first[k] + mask.step[k] * (_INNER - 1)
+                high[k] = mask.first[k] + mask.step[k] * (mask.size[k] - _INNER)
+        (a, b), (c, d) = (seen(tuple(end)) for end in ends)
+        lines.push_clip_rect((min(a, c), min(b, d)), (max(a, c), max(b, d)), True)
+        lines.add_image(imgui.ImTextureRef(which), seen(tuple(low)), seen(tuple(high)), col=theme.VEIL)
+        lines.pop_clip_rect()
+
+    def _upload(self, which: int, mask: Freeze, axes: tuple[int, int, int], index: int) -> None:
+        normal, across, down = axes
+        places: list[Any] = [
+            np.zeros(1) if n == 1 else first + step * np.arange(1, n - 1)
+            for n, first, step in zip(mask.size, mask.first, mask.step, strict=True)
+        ]
+        if mask.ndim == 3:
+            places[normal] = np.array([float(index)])
+        shade = mask.at(places)
+        if mask.ndim == 3:
+            shade = shade.squeeze(2 - normal)
+        if down < across:
+            shade = shade.T
+        rows, columns = shade.shape
+        pixels = np.full((rows, columns, 4), 255, np.uint8)
+        pixels[..., 3] = np.rint(255 * (1 - np.clip(shade, 0, 1)))
+        texture = self.textures.get(which)
+        if texture is None or texture.size[:2] != (columns, rows):
+            usage = "TEXTURE_BINDING|COPY_DST"
+            texture = self._gpu.device.create_texture(size=(columns, rows, 1), format="rgba8unorm", usage=usage)
+            self.textures[which] = texture
+        self._gpu.device.queue.write_texture(
+            {"texture": texture}, pixels, {"bytes_per_row": 4 * columns, "rows_per_image": rows}, (columns, rows, 1)
+        )
