@@ -261,6 +261,7 @@ def test_a_face_stays_while_the_background_moves(gpu: Gpu, portrait: Path) -> No
 
     def work(job: Job) -> None:
         job.drag(wall, (wall[0] + 24, wall[1]))
+        # All that holds the face: a brush that holds a region would take the place of this line.
         pinned(job, *EYES, NOSE, *MOUTH, *CHEEKS, CHIN)
 
     recipe, _ = done(portrait, "portrait-bent.png", fitted(512, 512).to_canvas, work)
