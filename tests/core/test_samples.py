@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from supple import Deformation, _core
+from supple import Deformation, SuppleError, _core
 from supple.engines.native import plan_of
 from supple.strokes import numbers
 from tests import reference
@@ -213,6 +214,23 @@ def test_any_box_is_a_crop(d: Deformation, seed: int, filter: str, outside: str)
         np.testing.assert_array_equal(part[y0:y1, x0:x1], whole[y0:y1, x0:x1])
         part[y0:y1, x0:x1] = 0
         assert not part.any()
+
+
+@pytest.mark.filterwarnings("ignore::supple.FoldWarning", "ignore::supple.OutsideWarning")
+@pytest.mark.parametrize("pulls", [False, True])
+def test_parts_of_long_drags_are_parts(pulls: bool) -> None:
+    """Strokes of many steps, which the neighbours of a part's pixels may need, and the part not."""
+    for seed in range(12):
+        rng, d = np.random.default_rng(seed), Deformation((160, 160), border=None)
+        for _ in range(1 if pulls else 3):
+            n, radius, reach = 4 if pulls else 1, float(rng.uniform(8, 30)), float(rng.choice([1, 2, 4]))
+            points, drags = rng.uniform(20, 140, (n, 2)), rng.normal(size=(n, 2)) * (8 if pulls else 40)
+            with contextlib.suppress(SuppleError):
+                d = d.pull(points, by=drags, radius=radius, reach=reach)
+        source = rng.random(d.shape).astype(np.float32)
+        whole = d.warp(source)
+        for x, y, w, h in rng.integers((0, 0, 20, 20), (100, 100, 60, 60), (6, 4)).tolist():
+            np.testing.assert_array_equal(d.warp(source, grid=d.grid.crop((x, y), (w, h))), whole[y : y + h, x : x + w])
 
 
 def test_boxes_of_chroma_are_crops() -> None:
