@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from supple import Deformation, Recipe, Stroke
+from supple import Deformation, Recipe, Stroke, SuppleError
 
 FIRST, SECOND = (Stroke(at=at, by=(3.0, 1.0), radius=9.0) for at in ((20.0, 16.0), (25.0, 20.0)))
 SOLID = Stroke(at=(20.0, 16.0, 5.0), by=(0.0, 0.0, 1.0), radius=9.0)
@@ -65,3 +65,21 @@ def test_others_are_never_equal() -> None:
     assert made() != made().recipe
     assert made() != (40, 48)
     assert made().__eq__(1) is NotImplemented
+
+
+def test_one_arrival_is_that_of_all() -> None:
+    d = Deformation((90, 120), border=None)
+    assert d.arrivals == ()
+    d = d.grab((40, 40), by=(20, 5), radius=12).grab((55, 45), by=(0, 18), radius=15)
+    d = d.affine(np.array([[1.0, 0.1, 2.0], [0.0, 1.0, -3.0]])).twist((60, 60), angle=50, radius=20)
+    assert [d.arrival(i) for i in range(3)] == list(d.arrivals)
+    for arrival, stroke in zip(d.arrivals[:2], d.strokes, strict=False):
+        assert arrival.miss < 1e-9
+        assert arrival.moved > 1
+        k = d.strokes.index(stroke)
+        source = Deformation((90, 120), border=None)
+        for earlier in d.strokes[: k + 1]:
+            source = source.add(earlier)
+        np.testing.assert_allclose(d.forward(source.inverse(arrival.arrived).points), arrival.final, atol=1e-6)
+    with pytest.raises(SuppleError, match="a stroke's number must be one of 3, from 0, found 3"):
+        d.arrival(3)
