@@ -314,6 +314,8 @@ def _freedom_of(mask: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     white = np.iinfo(mask.dtype).max
     if mask.min() < 0:
         refuse("freeze", f"an array of values from 0 to {white} (frozen)", f"down to {mask.min()}")
+    if white > np.iinfo(np.uint32).max:  # the product would not fit
+        return np.floor((1 - mask / white) * _FREE).astype(np.uint8)
     return np.asarray((white - mask.astype(np.int64)) * _FREE // white, np.uint8)
 
 

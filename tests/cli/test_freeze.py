@@ -110,6 +110,23 @@ def test_a_mask_goes_with_its_recipe_to_another_size(run: Run) -> None:
     assert (out[:, :48][disc()] == source[:, :48][disc()]).all()
 
 
+def test_a_mask_of_the_large_picture_is_not_scaled_with_the_recipe(run: Run) -> None:
+    Path("r.json").write_text(Deformation((40, 48)).grab((20, 16), to=(25, 18), radius=12).recipe.to_json())
+    large, mask = noise(80, 96), np.kron(disc(), np.ones((2, 2))).astype(bool)
+    image.write("large.png", large)
+    image.write("mask.png", np.where(mask, 255, 0).astype(np.uint8))
+    image.write("other.png", np.where(mask[:70], 255, 0).astype(np.uint8))
+    command = ("warp", "large.png", "out.png", "--recipe", "r.json", "--force")
+    for fit in ((), ("--fit", "stretch"), ("--fit", "inside"), ("--fit", "pixels")):
+        assert run(*command, *fit, "--freeze", "mask.png")[0] == 0
+        out = image.read("out.png").pixels
+        assert (out[mask] == large[mask]).all()
+        assert (out != large).any()
+        status, _, err = run(*command, *fit, "--freeze", "other.png")
+        assert status != 0
+        assert "the freeze mask is of 96 x 70 samples" in err
+
+
 PLACE = Geometry((1.0, 1.0, 2.0), (5.0, -7.0, 3.0), np.diag([1.0, -1.0, 1.0]), "LPS")
 
 

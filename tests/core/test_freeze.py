@@ -263,6 +263,14 @@ def test_bad_masks(given: Any, message: str) -> None:
         Deformation((20, 30), freeze=given)
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.uint32, np.int64, np.uint64])
+def test_whole_numbers_of_any_size(dtype: type[np.integer[Any]]) -> None:
+    mask = np.zeros((40, 50), dtype)
+    assert Freeze.of(mask).is_free
+    mask[10:20, 10:20] = np.iinfo(dtype).max
+    assert Freeze.of(mask) == Freeze.of(mask > 0)
+
+
 def test_bad_coefficients() -> None:
     good = Freeze.of(np.zeros((20, 30), bool))
     for wrong in ({"values": b"1"}, {"size": (3, 4)}, {"step": (0, 1)}, {"first": (0,)}, {"samples": (0, 2)}):

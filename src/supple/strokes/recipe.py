@@ -156,7 +156,9 @@ class Recipe:
             return replace(self, size=size)
         scaling = scaling_of(self.size, size, how, time=time, name=name)
         if scaling is None:
-            freeze = self.freeze and self.freeze.fitted(size, None)
+            freeze = self.freeze
+            if freeze is not None and freeze.samples == self.size[: freeze.ndim]:
+                freeze = freeze.fitted(size, None)
             return replace(self, size=size, freeze=freeze)
         strokes = [
             replace(stroke.mapped(scaling.point, scaling.drag), radius=stroke.radius * scaling.length)
@@ -168,7 +170,9 @@ class Recipe:
             if len(given) == len(size):  # else reported when it is applied
                 widths = tuple(width * s for width, s in zip(given, scaling.widths, strict=True))
                 border = widths[0] if isinstance(border, float) and len(set(widths)) == 1 else widths
-        freeze = None if self.freeze is None else self.freeze.fitted(size, scaling.point)
+        freeze = self.freeze
+        if freeze is not None and freeze.samples == self.size[: freeze.ndim]:  # or else it is the medium's, or refused
+            freeze = freeze.fitted(size, scaling.point)
         return replace(self, size=size, strokes=tuple(strokes), border=border, freeze=freeze)
 
     def to_json(self) -> str:
