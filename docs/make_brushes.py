@@ -22,6 +22,8 @@ IMAGES = Path(__file__).resolve().parent / "images"
 PHOTO = Path(supple.__file__).parent / "examples" / "data" / "chelsea.jpg"
 
 EYE, NOSE = (171.0, 115.0), (265.0, 243.0)
+CORNERS = [(150, 140), (196, 140), (280, 140), (330, 136)]
+FACE = np.hypot((np.arange(451) - 235) / 105, (np.arange(300)[:, None] - 170) / 105) < 1
 ON_PHOTO = (
     ("as it was", ()),
     ("grab", (Stroke.grab(NOSE, to=(225, 205), radius=45),)),
@@ -29,6 +31,12 @@ ON_PHOTO = (
     ("scale by 2", (Stroke(brush="scale", at=EYE, factor=2, radius=42),)),
     ("scale by 0.5", (Stroke(brush="scale", at=NOSE, factor=0.5, radius=50),)),
     ("pinch by 0.5", (Stroke(brush="pinch", at=(240, 150), factor=0.5, radius=100),)),
+    ("along a path", (Stroke.grab(NOSE, path=[(300, 235), (320, 200), (300, 165)], radius=40),)),
+    ("pull, and four pins", (Stroke.pull([EYE, (302, 112)], by=[(-30, -12), (26, -14)], pins=CORNERS, radius=34),)),
+    (
+        "beside a frozen face",
+        (Stroke.grab((370, 60), by=(-70, 60), radius=70), Stroke.grab((120, 60), by=(60, -30), radius=60)),
+    ),
 )
 
 SIDE, AT, RADIUS = 321, (160.0, 160.0), 36.0
@@ -78,10 +86,11 @@ def on_photo(path: Path) -> None:
     photo = image.read(PHOTO).pixels
     pictures = []
     for text, strokes in ON_PHOTO:
-        d = supple.Deformation.from_recipe(supple.Recipe(strokes=strokes), photo.shape[:2])
+        freeze = supple.Freeze.of(FACE) if "frozen" in text else None
+        d = supple.Deformation.from_recipe(supple.Recipe(strokes=strokes, freeze=freeze), photo.shape[:2])
         pictures.append(titled(d.warp(photo), text))
     joined = pyvips.Image.arrayjoin(pictures, across=3, shim=8, background=[255] * 3)
-    joined.resize(0.8).webpsave(path, Q=72, effort=6, keep="none")
+    joined.resize(0.7).webpsave(path, Q=72, effort=6, keep="none")
 
 
 def on_grids(path: Path, cases: Sequence[tuple[str, Sequence[Stroke]]], frozen: image.Array | None = None) -> None:

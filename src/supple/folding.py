@@ -98,7 +98,10 @@ def _held_back(stroke: Stroke, domain: Domain, on_fold: FoldPolicy, made: Resolv
         if part > 0.99:
             return made
         why = "its pivot is frozen" if part == 0 else f"at its pivot, it is {part:.0%} of that: what is frozen is near"
-        return replace(made, cause="freeze", warning=f"{described(stroke)} is held back: {why}")
+        warning = f"{described(stroke)} is held back: {why}"
+        if on_fold == "error":
+            raise FoldError(warning)
+        return replace(made, cause="freeze", warning=warning)
     arrived = _arrived(stroke, made.rows, domain)
     short = math.dist(arrived, np.add(stroke.at, stroke.by))
     if short <= NEAR:
@@ -150,10 +153,9 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
             why = f"folds: damped to {cut(alpha, 2):g} of it{', and ' * held_back}{border}, it ends {distance} short"
         else:
             why = f"ends {distance} short: {border}"
-        helps = "on_fold='flow' goes all the way" + (
-            ", border=None frees the border" if held_back and not frozen else ""
-        )
-        warning = f"{described(stroke)} {why} ({helps})"
+        freed = ", border=None frees the border" if held_back else ""
+        helps = "" if frozen else f" (on_fold='flow' goes all the way{freed})"
+        warning = f"{described(stroke)} {why}{helps}"
         # The paper's border held strokes back without a warning, as did recipes of version 1: results stay the same.
         if on_fold == "error" and domain.border_profile != "sine":
             raise FoldError(warning)

@@ -22,6 +22,7 @@ _FREE = 255  # a coefficient of 1
 _EDGE = 3  # coefficients beyond those that differ: from there on, the spline is constant
 _LEAST = 8  # coefficients along an axis
 _MOST = 2**28
+_MOST_ACROSS = 2  # times as many coefficients as are needed
 _PART = 1 / 32  # of the shorter side: the width of the fade, unless it is given
 _SHORTEST = 4.0  # samples, likewise
 
@@ -83,8 +84,17 @@ class Freeze:
         object.__setattr__(self, "first", tuple(number("freeze first", x, within, -LARGEST, LARGEST) for x in first))
         step = items("freeze step", self.step, f"{n} numbers, x first", (n,))
         object.__setattr__(self, "step", tuple(length("freeze step", x) for x in step))
+        for size, count, apart in zip(self.size, self.samples, self.step, strict=True):
+            if size > _MOST_ACROSS * (count / apart + _LEAST + 2 * _EDGE):
+                raise SuppleError(f"freeze size must fit {count} samples that are {apart:g} apart, found {size}")
         if len(self.values) != math.prod(sizes):
-            refuse("freeze values", f"{math.prod(sizes)} bytes", f"{len(self.values)} of them")
+            raise SuppleError(f"freeze values must be {math.prod(sizes)} bytes, found {len(self.values)}")
+        held = self.coefficients
+        for axis, size in enumerate(held.shape):
+            if size > 1 and not np.array_equal(
+                held, np.take(held, np.arange(size).clip(_EDGE, size - 1 - _EDGE), axis)
+            ):
+                raise SuppleError("freeze values must have four equal ones at each end of an axis")
 
     @classmethod
     def of(
@@ -101,10 +111,10 @@ class Freeze:
         ----------
         mask : array, shape (H, W) or (Z, H, W)
             Where it is True, or the largest value of its type (1 for floats), nothing moves; in between, a part of the
-            displacement is let through.
+            displacement is let through. Of whole numbers with but two values, the larger is frozen.
         width : float, optional
-            The width of the fade beside what is frozen, in physical units. By default a 32nd of the shortest side, and
-            4 samples at least.
+            The width of the fade beside what is frozen, in physical units; less than 4 samples is taken as 4. By
+            default a 32nd of the shortest side.
         spacing : float or sequence of float
             Physical units per sample, x first.
         place : sequence of float
@@ -159,9 +169,8 @@ class Freeze:
 
     @property
     def share(self) -> float:
-        """The part of the medium that is frozen, on average: 0 if nothing is."""
-        inner = tuple(slice(_EDGE + 1, -_EDGE - 1) if n > 1 else slice(None) for n in self.size[::-1])
-        return 1 - float(self.coefficients[inner].mean()) / _FREE
+        """The part of the medium that is frozen, by samples at up to 256 places along each axis."""
+        return float((self.at([np.linspace(0, n - 1, min(n, 256)).round() for n in self.samples]) == 0).mean())
 
     @property
     def coefficients(self) -> npt.NDArray[np.uint8]:
@@ -311,9 +320,11 @@ def _freedom_of(mask: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
         if not (mask.min() >= 0 and mask.max() <= 1):  # also for NaN
             refuse("freeze", "an array of values from 0 to 1 (frozen)", f"from {mask.min():g} to {mask.max():g}")
         return np.floor((1 - mask.astype(np.float64)) * _FREE).astype(np.uint8)
-    white = np.iinfo(mask.dtype).max
-    if mask.min() < 0:
-        refuse("freeze", f"an array of values from 0 to {white} (frozen)", f"down to {mask.min()}")
+    white, low, high = np.iinfo(mask.dtype).max, mask.min(), mask.max()
+    if low < 0:
+        refuse("freeze", f"an array of values from 0 to {white} (frozen)", f"down to {low}")
+    if low < high and np.all((mask == low) | (mask == high)):
+        return np.where(mask == high, 0, _FREE).astype(np.uint8)
     if white > np.iinfo(np.uint32).max:  # the product would not fit
         return np.floor((1 - mask / white) * _FREE).astype(np.uint8)
     return np.asarray((white - mask.astype(np.int64)) * _FREE // white, np.uint8)
@@ -327,7 +338,8 @@ def _covered(least: npt.NDArray[np.uint8], axis: int, step: float) -> tuple[npt.
     first, last = _ends(n, step)
     rows = []
     for k in range(first, last + 1):
-        start, end = math.ceil((k - 2) * step - 1e-9), math.floor((k + 2) * step + 1e-9)
+        # And half a sample more, where the chroma of frozen pixels may lie.
+        start, end = math.ceil((k - 2) * step - 0.5), math.floor((k + 2) * step + 0.5)
         covered = np.take(least, range(max(start, 0), min(end, n - 1) + 1), axis)
         rows.append(covered.min(axis, keepdims=True))
     rows = [rows[0]] * _EDGE + rows + [rows[-1]] * _EDGE

@@ -210,7 +210,7 @@ class TestPictures:
         half = np.zeros(document.shape, bool)
         half[:, :150] = True
         document.set_freeze(Freeze.of(half))
-        assert settings(document.state.rest).endswith(" 51 % is frozen.")
+        assert settings(document.state.rest).endswith(" 50 % is frozen.")
         document.set_freeze(document.freeze.inverted)
         document.set_freeze(Freeze.free(document.shape, (1.0, 1.0)).painted((10, 10), 2, (1.0, 1.0)))
         assert settings(document.state.rest).endswith(" Less than 1 % is frozen.")

@@ -35,6 +35,13 @@
 //
 // A freeze mask multiplies K, too; of a spline, the coefficients' differences bound the derivatives (`frozen.hpp`).
 //
+// Where m varies much faster than K, (1) needs many boxes. Within one of its cells, with K' = β∘K at the middle, up to
+// δ from that elsewhere,
+//
+//     λ_min(S) ≥ min ½ (K'·g - |K'| |g|) - δ max |g| - max m (max β N₁ + max |β'| N₀),                      (6)
+//
+// over vectors g whose hull has all ∇m in the box: λ_min is concave, so that the minimum is at one of them.
+//
 // The reach multiplies K by m = 1 - 10t³ + 15t⁴ - 6t⁵, t = |r|/R. Its first three derivatives are at most 30 t² (1-t)²,
 // 10/√3 and 60, over R, R² and R³; those of the product follow by Leibniz. The third jumps at t = 0 and 1, but the
 // second derivatives of S are bounded all the same, which is all that (1) asks for.
@@ -246,15 +253,18 @@ public:
             for (int i = 0; i < k.terms; i++)
                 sum += std::abs(k.p[i]) + std::abs(k.r[i]) + std::abs(k.q[i]) / k.radius2[i];
             noise.push_back(2e-14 * strength_of(k) * sum);
+            if (k.freeze) freeze = &mask_of(k);
         }
     }
 
     Bounds known;
     std::vector<int> near;  // the strokes that reach the last box
+    double plain[2];        // N₀ and N₁ there, without a mask
 
     // List the strokes that reach a box in `near`, and add their bounds up.
     Derivatives sum_in(const Box& box) {
         Derivatives n{};
+        plain[0] = plain[1] = 0;
         near.clear();
         for (int s = 0; s < (int)strokes.size(); s++) {
             const Stroke& stroke = strokes[s];
@@ -268,6 +278,7 @@ public:
             if (std::sqrt(near2) >= stroke.reach) continue;  // the displacement is 0 there
             near.push_back(s);
             Derivatives own = displacement_bounds(stroke, near2, far2);
+            for (int i = 0; i < 2; i++) plain[i] += own[i];
             if (stroke.freeze) own = product(mask_of(stroke).bounds_in(box.low, box.high), own);
             for (int i = 0; i < 4; i++) n[i] += own[i];
         }
@@ -321,7 +332,9 @@ public:
         box.bound = std::max(box.bound, worst);
         const double bound = std::max(box.bound, errors.simple), *d = errors.all;
         const int k = errors.cut;
-        const double middle = 0.5 * (box.low[k] + box.high[k]);
+        double middle = 0.5 * (box.low[k] + box.high[k]);
+        if (freeze)
+            if (const double knot = freeze->knot(k, middle); box.low[k] < knot && knot < box.high[k]) middle = knot;
         const bool divisible = box.low[k] < middle && middle < box.high[k];
         if (bound >= enough() || errors.rounding >= d[0] + d[1] + d[2] || !divisible) return settle(bound);
         Box other = box;
@@ -376,7 +389,42 @@ private:
         }
         found.simple = -(value * n[1] + steepest * n[0]) * (1 + 1e-12);
         if (steepest == 0 && turn == 0) found.simple = std::max(found.simple, free);
+        if (turn > 0) found.simple = std::max(found.simple, beside(box, value, steepest));
         return found;
+    }
+
+    // The bound (6) in a box.
+    double beside(const Box& box, double value, double steepest) const {
+        double g[64][3];
+        const int count = freeze->gradients_in(box.low, box.high, g);
+        if (!count) return -INFINITE;
+        Jet<3, 0, false, double> at, moved{};
+        double across2 = 0;
+        for (int i = 0; i < 3; i++) {
+            at.x[i] = 0.5 * (box.low[i] + box.high[i]);
+            const double half = 0.5 * (box.high[i] - box.low[i]);
+            across2 += half * half;
+        }
+        for (int s : near) {
+            Stroke k = strokes[s];
+            k.freeze = nullptr;
+            supple::add(k, axes, at, moved);
+        }
+        // Along an axis without extent, nothing can fold.
+        for (int i = 0; i < 3; i++)
+            if (axes[i].extent() == 0) moved.x[i] = 0;
+        const double away = value * plain[1] + steepest * plain[0], delta = away * std::sqrt(across2);
+        const double size = std::sqrt(dot<3>(moved.x, moved.x));
+        double lowest = 0, longest = 0;
+        for (int n = 0; n < count; n++) {
+            for (int i = 0; i < 3; i++)
+                if (axes[i].extent() == 0) g[n][i] = 0;
+            const double length = std::sqrt(dot<3>(g[n], g[n]));
+            longest = std::max(longest, length);
+            lowest = std::min(lowest, 0.5 * (dot<3>(moved.x, g[n]) - size * length));
+        }
+        const double most = freeze->bounds_in(box.low, box.high)[0];
+        return (lowest - delta * longest - most * away) * (1 + 1e-12);
     }
 
     // The lowest bound in a box that needs no further division.
@@ -388,8 +436,9 @@ private:
     const std::vector<Stroke>& strokes;
     const Axis* axes;
     const double free, target, gap;
-    std::vector<double> noise;  // of each stroke
-    std::vector<Box> waiting;   // a heap
+    const Frozen* freeze = nullptr;  // the mask, if a stroke is subject to it
+    std::vector<double> noise;       // of each stroke
+    std::vector<Box> waiting;        // a heap
 };
 
 constexpr size_t FEW = 8;   // strokes, up to which a domain is not divided in advance

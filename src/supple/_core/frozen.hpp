@@ -61,6 +61,63 @@ public:
                 for (int x = from[0] >> level; x <= to[0] >> level; x++) raise(found, known.of(x, y, z));
         return found;
     }
+    // Vectors whose hull has ∇m of all points of a box within one cell, and their number; 0 if it is in several.
+    //
+    // A polynomial is in the hull of its Bézier points, of a common degree for all components of the vector.
+    int gradients_in(const double* low, const double* high, double (*found)[3]) const {
+        double w[3][4][4] = {}, dw[3][4][4] = {};
+        int from[3], n[3];
+        for (int i = 0; i < 3; i++) {
+            n[i] = size[i] > 1 ? 4 : 1;
+            from[i] = 0;
+            if (n[i] == 1) {
+                w[i][0][0] = 1;
+                continue;
+            }
+            double a, b;
+            const int cell = cell_of(*this, i, low[i], a), last = cell_of(*this, i, high[i], b);
+            if (last != cell && !(last == cell + 1 && b < 1e-9)) return 0;
+            from[i] = cell - 1;
+            b += last - cell;
+            bezier_weights(a, b, per_step[i], w[i], dw[i]);
+        }
+        double x[2][4][4][4] = {}, y[3][4][4][4] = {};  // [k][j][i], of ∂/∂x, ∂/∂y and ∂/∂z
+        for (int k = 0; k < n[2]; k++)
+            for (int j = 0; j < n[1]; j++) {
+                const float* row = values + ((int64_t)(from[2] + k) * size[1] + from[1] + j) * size[0] + from[0];
+                for (int p = 0; p < n[0]; p++)
+                    for (int i = 0; i < n[0]; i++) {
+                        x[0][k][j][p] += w[0][p][i] * row[i];
+                        x[1][k][j][p] += dw[0][p][i] * row[i];
+                    }
+            }
+        for (int k = 0; k < n[2]; k++)
+            for (int q = 0; q < n[1]; q++)
+                for (int j = 0; j < n[1]; j++)
+                    for (int p = 0; p < n[0]; p++) {
+                        y[0][k][q][p] += w[1][q][j] * x[1][k][j][p];
+                        y[1][k][q][p] += dw[1][q][j] * x[0][k][j][p];
+                        y[2][k][q][p] += w[1][q][j] * x[0][k][j][p];
+                    }
+        int count = 0;
+        for (int r = 0; r < n[2]; r++)
+            for (int q = 0; q < n[1]; q++)
+                for (int p = 0; p < n[0]; p++, count++) {
+                    double* g = found[count];
+                    g[0] = g[1] = g[2] = 0;
+                    for (int k = 0; k < n[2]; k++) {
+                        g[0] += w[2][r][k] * y[0][k][q][p];
+                        g[1] += w[2][r][k] * y[1][k][q][p];
+                        g[2] += dw[2][r][k] * y[2][k][q][p];
+                    }
+                }
+        return count;
+    }
+    // The knot nearest to a coordinate; itself along an axis without.
+    double knot(int axis, double x) const {
+        if (size[axis] == 1) return x;
+        return first[axis] + std::round((x - first[axis]) * per_step[axis]) / per_step[axis];
+    }
     // True if m = 1 in a box.
     bool is_free(const double* low, const double* high) const {
         const Derivatives found = bounds_in(low, high);
@@ -76,6 +133,35 @@ private:
         Derivatives& of(int x, int y, int z) { return bounds[((size_t)z * size[1] + y) * size[0] + x]; }
         const Derivatives& of(int x, int y, int z) const { return bounds[((size_t)z * size[1] + y) * size[0] + x]; }
     };
+
+    // Of the coefficients around a cell: the weights in the Bézier points of a part [a, b] of it, and in those of its
+    // derivative, raised to the same degree.
+    static void bezier_weights(double a, double b, double per_step, double (*w)[4], double (*dw)[4]) {
+        for (int c = 0; c < 4; c++)
+            for (int p = 0; p < 4; p++) {  // the blossom at (a, a, a), (a, a, b), (a, b, b) and (b, b, b)
+                const double t[3] = {p > 2 ? b : a, p > 1 ? b : a, p > 0 ? b : a};
+                double d[4] = {};
+                d[c] = 1;
+                for (int j = 0; j < 3; j++) d[j] = ((j + 1 - t[0]) * d[j] + (t[0] - j + 2) * d[j + 1]) / 3;
+                for (int j = 0; j < 2; j++) d[j] = ((j + 1 - t[1]) * d[j] + (t[1] - j + 1) * d[j + 1]) / 2;
+                w[p][c] = (1 - t[2]) * d[0] + t[2] * d[1];
+            }
+        if (!(b - a > 1e-9)) {  // at a point, the slope is that of the whole cell there
+            double slope[3][4];
+            spline_weights<1>(a, per_step, slope);
+            for (int p = 0; p < 4; p++) std::copy(slope[1], slope[1] + 4, dw[p]);
+            return;
+        }
+        const double scale = 3 * per_step / (b - a);
+        for (int c = 0; c < 4; c++) {
+            double d[3];
+            for (int p = 0; p < 3; p++) d[p] = scale * (w[p + 1][c] - w[p][c]);
+            dw[0][c] = d[0];
+            dw[1][c] = (d[0] + 2 * d[1]) / 3;
+            dw[2][c] = (2 * d[1] + d[2]) / 3;
+            dw[3][c] = d[2];
+        }
+    }
 
     static void raise(Derivatives& a, const Derivatives& b) {
         for (int i = 0; i < 4; i++) a[i] = std::max(a[i], b[i]);

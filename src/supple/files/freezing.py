@@ -74,8 +74,6 @@ def _frozen(
         return np.asarray(samples != 0)
     if samples.dtype.kind in "iu":
         known = np.unique(samples)
-        if len(known) == 2:
-            return np.asarray(samples == known[1])
         white = float(np.iinfo(str(samples.dtype)).max)
         if len(known) > 2 and 4 * float(known[-1]) < white:
             raise SuppleError(

@@ -300,13 +300,13 @@ def test_what_a_caller_raises_passes_through_a_warp(gpu: Gpu, tmp_path: Path) ->
 def test_a_lattice_that_it_cannot_solve_is_the_cpu_s(
     gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, monkeypatch: pytest.MonkeyPatch, mode: str
 ) -> None:
-    tiny = 1e-11  # squares of such lengths are lost in float32
+    tiny = 1e-11  # the inverse squares of such lengths are beyond float32
     d = supple.Deformation(SHAPE, spacing=tiny, border=None, on_fold="damp").grab(
         (13, 14, 11), by=(3, -2, 2), radius=9 * tiny, reach=None
     )
     options: dict[str, Any] = {"deformation": d, "transfer": SOFT, "mode": mode}
     wanted = Scene(cloud, Geometry(spacing=(tiny,) * 3), **options)
-    with pytest.warns(DeviceWarning, match="nodes of the lattice could not be solved in its numbers"):
+    with pytest.warns(DeviceWarning, match="strokes of such sizes are beyond its numbers"):
         made = Scene(cloud, Geometry(spacing=(tiny,) * 3), device="gpu", **options)
     assert made.gpu is None
     assert made.error == wanted.error
