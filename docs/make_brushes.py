@@ -23,7 +23,7 @@ PHOTO = Path(supple.__file__).parent / "examples" / "data" / "chelsea.jpg"
 
 EYE, NOSE = (171.0, 115.0), (265.0, 243.0)
 CORNERS = [(150, 140), (196, 140), (280, 140), (330, 136)]
-FACE = np.hypot((np.arange(451) - 235) / 105, (np.arange(300)[:, None] - 170) / 105) < 1
+FROZEN_EYE = np.hypot(np.arange(451) - EYE[0], np.arange(300)[:, None] - EYE[1]) < 34
 ON_PHOTO = (
     ("as it was", ()),
     ("grab", (Stroke.grab(NOSE, to=(225, 205), radius=45),)),
@@ -33,10 +33,7 @@ ON_PHOTO = (
     ("pinch by 0.5", (Stroke(brush="pinch", at=(240, 150), factor=0.5, radius=100),)),
     ("along a path", (Stroke.grab(NOSE, path=[(300, 235), (320, 200), (300, 165)], radius=40),)),
     ("pull, and four pins", (Stroke.pull([EYE, (302, 112)], by=[(-30, -12), (26, -14)], pins=CORNERS, radius=34),)),
-    (
-        "beside a frozen face",
-        (Stroke.grab((370, 60), by=(-70, 60), radius=70), Stroke.grab((120, 60), by=(60, -30), radius=60)),
-    ),
+    ("twist, the eye frozen", (Stroke(brush="twist", at=(240, 150), angle=-50, radius=90),)),
 )
 
 SIDE, AT, RADIUS = 321, (160.0, 160.0), 36.0
@@ -86,11 +83,11 @@ def on_photo(path: Path) -> None:
     photo = image.read(PHOTO).pixels
     pictures = []
     for text, strokes in ON_PHOTO:
-        freeze = supple.Freeze.of(FACE) if "frozen" in text else None
+        freeze = supple.Freeze.of(FROZEN_EYE, width=24) if "frozen" in text else None
         d = supple.Deformation.from_recipe(supple.Recipe(strokes=strokes, freeze=freeze), photo.shape[:2])
         pictures.append(titled(d.warp(photo), text))
     joined = pyvips.Image.arrayjoin(pictures, across=3, shim=8, background=[255] * 3)
-    joined.resize(0.7).webpsave(path, Q=72, effort=6, keep="none")
+    joined.resize(0.62).webpsave(path, Q=72, effort=6, keep="none")
 
 
 def on_grids(path: Path, cases: Sequence[tuple[str, Sequence[Stroke]]], frozen: image.Array | None = None) -> None:

@@ -8,6 +8,7 @@ import os
 import shutil
 import stat
 import sys
+import time
 from collections.abc import Container, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import IO
@@ -289,7 +290,11 @@ def replacing_all(folder: Path, *, force: bool = False) -> Iterator[Path]:
         reason = error.strerror or str(error) or type(error).__name__
         raise SuppleError(f"cannot write into {shown(folder)}: {reason}: choose another place") from error
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        for pause in (0.05, 0.2, 0.5, 1.0):
+            shutil.rmtree(temporary, ignore_errors=True)
+            if not os.path.lexists(temporary):
+                break
+            time.sleep(pause)  # after an interrupt, a thread may still write a file into it
 
 
 @contextlib.contextmanager
