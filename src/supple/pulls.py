@@ -36,8 +36,10 @@ _HIT = 1e-6  # samples: the accuracy of handles
 def pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     """Resolve a grab of several handles: forces f_j at the handles, with Σ_j K_ij f_j the displacement of each."""
     axes = domain.packed()
-    single = [replace(stroke, at=at, by=by, also=()) for at, by in stroke.handles]
-    table = pack(single, domain.spacing, time=domain.time)
+    one = pack([replace(stroke, also=())], domain.spacing, time=domain.time)
+    handles = np.array(stroke.handles) * domain.spacing  # of each, the point and the drag
+    table = np.repeat(one, len(handles))
+    table["pivot"][:, : domain.ndim], table["force"][:, : domain.ndim] = handles[:, 0], handles[:, 1]
     table["joined"][1:] = 1
     start, goal = table["pivot"].copy(), table["pivot"] + table["force"]
     _check_handles(stroke, start, goal, domain)
@@ -67,23 +69,31 @@ def _flow(stroke: Stroke, domain: Domain, table: Table, goal: Floats) -> Resolve
     """Resolve a pull as groups, one after the other: all handles go straight to their targets, and arrive at once."""
     axes, start = domain.packed(), table["pivot"].copy()
 
-    def estimated(rows: Table) -> float:
-        return sampled(rows, axes, mask_of(domain))
+    steps: dict[bytes, tuple[Table, float]] = {}
 
-    def proven(rows: Table) -> float:
-        pieces = math.ceil(estimated(rows) * (1 + FLOW_GAP) / (FLOW_MARGIN - 1))
-        return weakest(rows, axes, (FLOW_MARGIN - 1) * max(pieces, 1), FLOW_GAP, mask_of(domain))[0]
-
-    # Proofs take most of the time: they begin when it is known that the handles arrive.
-    for bound in (estimated, proven):
-        groups, margin, position, pieces = list[Table](), 1.0, start, 2
-        while pieces > 1:
+    def step(position: Floats) -> tuple[Table, float]:
+        """Return the pull from a position to the goal, and an estimate of its μ; both passes ask for most of them."""
+        key = position.tobytes()
+        if key not in steps:
             group = table.copy()
             group["pivot"] = position
             group["force"] = _forces(group, goal - position, domain)
-            lower = bound(group)
+            steps[key] = group, sampled(group, axes, mask_of(domain))
+        return steps[key]
+
+    def proven(rows: Table, estimate: float) -> float:
+        pieces = math.ceil(estimate * (1 + FLOW_GAP) / (FLOW_MARGIN - 1))
+        return weakest(rows, axes, (FLOW_MARGIN - 1) * max(pieces, 1), FLOW_GAP, mask_of(domain))[0]
+
+    # Proofs take most of the time: they begin when it is known that the handles arrive.
+    for proving in (False, True):
+        groups, margin, position, pieces = list[Table](), 1.0, start, 2
+        while pieces > 1:
+            whole, estimate = step(position)
+            lower = proven(whole, estimate) if proving else estimate
             pieces = max(math.ceil(np.nan_to_num(-lower, nan=1e9, posinf=1e9) / (1 - FLOW_MARGIN) * (1 - 1e-9)), 1)
             margin = min(margin, 1 + lower / pieces)
+            group = whole.copy()
             group["force"] /= pieces
             groups.append(group)
             position = _moved(group, domain, position)
@@ -123,13 +133,13 @@ def _check_handles(stroke: Stroke, start: Floats, goal: Floats, domain: Domain) 
                 f"{described(stroke)} cannot arrive: the handle at {place} where it is frozen, and nothing moves; a "
                 "pin may be there"
             )
-    fixed = axes[:, 2] >= 0
+    fixed, beta = axes[:, 2] >= 0, beta_at(start, axes)
     for i, (a, b) in enumerate(zip(start, goal, strict=True)):
         other = places.setdefault(tuple(a.tolist()), i)
         if other != i:
             raise SuppleError(f"{described(stroke)} has two handles at {spelled(stroke.handles[i][0])}: leave one out")
         across = fixed & (a != b)
-        out = across & ((b <= first) | (b >= last) | (beta_at(a, axes) < 1e-100))
+        out = across & ((b <= first) | (b >= last) | (beta[i] < 1e-100))
         if out.any() or not is_held(a, axes):
             raise SuppleError(
                 f"{described(stroke)} cannot arrive: the handle at {spelled(stroke.handles[i][0])} starts or ends on "
@@ -140,7 +150,7 @@ def _check_handles(stroke: Stroke, start: Floats, goal: Floats, domain: Domain) 
 def _forces(table: Table, drags: Floats, domain: Domain) -> Floats:
     """Return forces (N, 3) whose displacements at the pivots add up to the drags (N, 3)."""
     axes, pivots, n = domain.packed(), table["pivot"], len(table)
-    moving = np.array([beta_at(p, axes) > 1e-100 for p in pivots]) & (freedom_at(pivots, domain)[:, None] > 0)
+    moving = (beta_at(pivots, axes) > 1e-100) & (freedom_at(pivots, domain)[:, None] > 0)
     moving[:, domain.ndim :] = False
     columns = []
     for j, d in zip(*np.nonzero(moving), strict=True):

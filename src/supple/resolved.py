@@ -97,12 +97,12 @@ def is_held(position: Floats, axes: Floats) -> bool:
 
 
 def beta_at(position: Floats, axes: Floats) -> Floats:
-    """Return the factor of the border for each axis at a point."""
+    """Return the factor of the border for each axis at a point (3,), or at points (N, 3)."""
     first, last, sigma, _, profile = axes.T
     if (sigma < 0).all():
-        return np.ones(3)
+        return np.ones(position.shape)
     depth = np.minimum(position - first, last - position)
-    beta = border_factor(np.divide(depth, sigma, out=np.zeros(3), where=sigma > 0), profile[0])
+    beta = border_factor(np.divide(depth, sigma, out=np.zeros(position.shape), where=sigma > 0), profile[0])
     return np.where(sigma < 0, 1.0, beta)
 
 
