@@ -516,7 +516,7 @@ inline Bounds smallest_strain(const std::vector<Stroke>& strokes, const Axis* ax
 }
 
 // An upper bound of |K_β| in a domain, within LOOSE of the largest one unless it takes too many boxes.
-constexpr double LOOSE = 1.2;
+constexpr double LOOSE = 1.5;
 constexpr int MOST_PLACES = 20'000;
 inline double largest_displacement(const std::vector<Stroke>& strokes, const Axis* axes) {
     Search search(strokes, axes, -INFINITE, 0, 0);
