@@ -87,7 +87,7 @@ def test_bounds_of_a_sum_hold_at_dense_points(border: float | None, count: int) 
     assert least >= lower
     assert least <= 0.9 * upper
     moved = np.linalg.norm(d.forward(grid) - grid, axis=1).max()
-    assert moved <= strain.largest(table, axes) <= (1.6 if border else 1.25) * moved
+    assert moved <= strain.largest(table, axes) <= 1.6 * moved
 
 
 @pytest.mark.parametrize(("ndim", "reach"), [(2, 4.0), (2, None), (3, 4.0), (3, 1.5)])
