@@ -53,16 +53,6 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, float]]:
     return found
 
 
-def click(hand: Hand, place: tuple[float, float]) -> None:
-    hand.move(*place)
-    hand.canvas.draw()
-    hand.press(*place)
-    hand.canvas.draw()
-    hand.release(*place)
-    for _ in range(2):
-        hand.canvas.draw()
-
-
 SECTIONS = (
     "Brush",
     "Strokes",
@@ -109,10 +99,10 @@ def test_every_control_can_be_clicked(gpu: Gpu, seen: dict[str, tuple[float, flo
         view.sections |= dict.fromkeys(SECTIONS, True)  # what was folded is opened again
         hand.canvas.draw()
         before = view.document.state
-        click(hand, seen[label])
+        hand.click(seen[label])
         assert view._gui.trouble == "", label
         hand.key("Escape")
-        click(hand, (10, 1390))  # closes a menu
+        hand.click((10, 1390))  # closes a menu
         if label == "button Delete":
             assert len(view.document.items) == len(strokes) - 1
         elif label == "invisible_button undo":
@@ -364,7 +354,7 @@ def test_a_number_that_is_typed_counts_when_it_is_left(
     view.document.select(0)
     hand.canvas.draw()
     place = seen["input_float ##radius own"]
-    click(hand, place)
+    hand.click(place)
     hand.modifiers = ("Control",)
     hand.send("key_down", key="a")
     hand.canvas.draw()
@@ -374,7 +364,7 @@ def test_a_number_that_is_typed_counts_when_it_is_left(
     type_(hand, "61")
     assert view.document.items[0].stroke.radius == 40  # not yet
     if leaving == "elsewhere":
-        click(hand, (SIZE[0] - 5, 1300))
+        hand.click((SIZE[0] - 5, 1300))
     else:
         hand.key(leaving)
     for _ in range(3):

@@ -54,16 +54,6 @@ def places(monkeypatch: pytest.MonkeyPatch) -> Places:
     return found
 
 
-def click(hand: Hand, place: tuple[float, float]) -> None:
-    hand.move(*place)
-    hand.canvas.draw()
-    hand.press(*place)
-    hand.canvas.draw()
-    hand.release(*place)
-    for _ in range(2):
-        hand.canvas.draw()
-
-
 def grey(*strokes: Stroke, size: tuple[int, int] = SIZE) -> tuple[Any, Hand]:
     return opened(GREY, Recipe(border=None, strokes=strokes), size=size)
 
@@ -108,33 +98,33 @@ def test_the_strip_does_what_its_keys_do(gpu: Gpu, places: Places) -> None:
     view, hand = grey(*FLAT)
     hand.canvas.draw()
     view.document.remove(0)
-    click(hand, places["undo"])
+    hand.click(places["undo"])
     assert len(view.document.items) == 2
-    click(hand, places["redo"])
+    hand.click(places["redo"])
     assert len(view.document.items) == 1
-    click(hand, places["split"])
+    hand.click(places["split"])
     assert view.tools.split == 0.5
-    click(hand, places["split"])
+    hand.click(places["split"])
     assert view.tools.split is None
     hand.key("1")
-    click(hand, places["fit"])
+    hand.click(places["fit"])
     assert view.tools.viewport.held is None
     for name in ("open", "save", "copy"):
         view.commands.asked = None
         hand.canvas.draw()
         if name != "copy":
-            click(hand, places[name])
+            hand.click(places[name])
             assert view.commands.asked.name == name
     view.commands.asked = None
     view.tools.brush = "other"
     hand.canvas.draw()
-    click(hand, places["brush grab"])
+    hand.click(places["brush grab"])
     assert view.tools.brush == "grab"
     view.tools.brush = "other"
     hand.key("g")
     assert view.tools.brush == "grab"
     # An array is no file: nothing is exported.
-    click(hand, places["export"])
+    hand.click(places["export"])
     assert view.commands.asked is None
     assert not view.commands.message
     view.document.mark_saved()
@@ -169,13 +159,13 @@ def test_the_menu_undoes_by_name(gpu: Gpu, places: Places, monkeypatch: pytest.M
     monkeypatch.setattr(imgui, "menu_item", lambda text, *rest: said.append(text) or item(text, *rest))
     view.document.remove(0)
     hand.canvas.draw()
-    click(hand, places["Edit"])
+    hand.click(places["Edit"])
     assert "Undo: Remove stroke 1###undo" in said
     assert "Redo###redo" in said
-    click(hand, places["menu undo"])
+    hand.click(places["menu undo"])
     assert len(view.document.items) == 2
     said.clear()
-    click(hand, places["Edit"])
+    hand.click(places["Edit"])
     assert "Redo: Remove stroke 1###redo" in said
     view.document.mark_saved()
 
@@ -189,16 +179,16 @@ def test_a_click_in_the_history_goes_there(gpu: Gpu, places: Places) -> None:
     for _ in range(2):
         hand.canvas.draw()
     assert {"step 0", "step 1", "step 2"} <= set(places)
-    click(hand, places["step 0"])
+    hand.click(places["step 0"])
     assert view.document.items == ()
-    click(hand, places["step 2"])
+    hand.click(places["step 2"])
     assert len(view.document.items) == 2
     # The recipe is copied where there is a clipboard.
     copied: list[str] = []
-    click(hand, places["Copy JSON"])
+    hand.click(places["Copy JSON"])
     assert copied == []
     view.copy_text = copied.append
-    click(hand, places["Copy JSON"])
+    hand.click(places["Copy JSON"])
     assert Recipe.from_json(copied[0]).strokes == FLAT
     view.document.mark_saved()
 
@@ -208,13 +198,13 @@ def test_what_is_folded_stays_folded(gpu: Gpu, places: Places, tmp_path: Path) -
     for _ in range(2):
         hand.canvas.draw()
     assert "step 0" not in places
-    click(hand, places["Brush"])
+    hand.click(places["Brush"])
     view.close()
     place = tmp_path / "config" / "supple" / "window.json"
     assert json.loads(place.read_text()) == {"sections": {"Brush": False}}
     again, hand = grey()
     assert again.sections == {"Brush": False}
-    click(hand, places["Brush"])
+    hand.click(places["Brush"])
     assert json.loads(place.read_text()) == {"sections": {"Brush": True}}
     # What is broken, or cannot be written, is ignored.
     for broken in ("{", "[1]", '{"sections": 3}', '{"sections": {"Brush": 7}}', "\x00", "[" * 100000):
@@ -227,7 +217,7 @@ def test_what_is_folded_stays_folded(gpu: Gpu, places: Places, tmp_path: Path) -
     place.unlink()
     place.parent.rmdir()
     place.parent.write_text("a file, and no folder")
-    click(hand, places["Brush"])
+    hand.click(places["Brush"])
     assert again._gui.trouble == ""
     assert again.sections == {"Brush": False}
 
@@ -246,7 +236,7 @@ def test_a_painting_has_a_strength_beside_its_radius(gpu: Gpu, places: Places, m
     assert "##strength" not in places
     hand.key("r")
     hand.canvas.draw()
-    click(hand, places["##strength"])
+    hand.click(places["##strength"])
     assert view.tools.strength == pytest.approx(0.5, abs=0.03)
 
 

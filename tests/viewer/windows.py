@@ -71,6 +71,15 @@ class Hand:
     def release(self, x: float, y: float, button: int = 1) -> None:
         self.send("pointer_up", x=x, y=y, button=button, buttons=(), ntouches=0, touches={})
 
+    def click(self, place: tuple[float, float]) -> None:
+        self.move(*place)
+        self.canvas.draw()
+        self.press(*place)
+        self.canvas.draw()
+        self.release(*place)
+        for _ in range(2):
+            self.canvas.draw()
+
     def drag(self, start: tuple[float, float], end: tuple[float, float], button: int = 1, steps: int = 4) -> None:
         self.move(*start)
         self.press(*start, button)
