@@ -23,7 +23,7 @@ from supple.fields import Field, Placed, check_path, folds_of
 from supple.folding import resolve
 from supple.freezing import Freeze
 from supple.geometry import Grid
-from supple.resolved import Resolved, described, freedom_at
+from supple.resolved import Resolved, described, freedom_at, padded
 from supple.strain import mask_of
 from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
 
@@ -578,9 +578,7 @@ class Deformation:
         first, last = (x[: self.ndim] / self.domain.spacing for x in self.domain.packed()[:, :2].T)
         held = 0.0 if self.domain.border is None else 1.0  # samples within a fixed edge, which nothing else reaches
         points = points[np.all((points > first + held) & (points < last - held), axis=1)]
-        padded = np.zeros((len(points), 3))
-        padded[:, : self.ndim] = points * self.domain.spacing
-        points = points[freedom_at(padded, self.domain) > _FREE_ENOUGH]
+        points = points[freedom_at(padded(points, self.domain), self.domain) > _FREE_ENOUGH]
         if not len(points):
             refuse("at", "a point within the domain that is not frozen", at)
         targets = points - part * errors(points)
@@ -1041,8 +1039,7 @@ class Deformation:
     def _ends(self, first: int) -> list[tuple[float, ...]]:
         """Return where the points of the strokes from one on are after all strokes."""
         resolved, steps, table = self._resolved[first:], np.array(self.domain.spacing), numbers(self._table)
-        final = np.zeros((len(resolved), 3))  # physical units
-        final[:, : self.ndim] = np.reshape([each.arrived for each in resolved], (-1, self.ndim)) * steps
+        final = padded(np.reshape([each.arrived for each in resolved], (-1, self.ndim)), self.domain)
         row = len(table) - sum(each.substrokes for each in resolved[1:])
         for i in range(1, len(resolved) + 1):
             for placed in self.maps:

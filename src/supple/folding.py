@@ -39,6 +39,7 @@ from supple.resolved import (
     TOO_NARROW,
     Resolved,
     Table,
+    apart,
     beta_at,
     cut,
     described,
@@ -94,7 +95,7 @@ def _resolved(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
 def _held_back(stroke: Stroke, domain: Domain, on_fold: FoldPolicy, made: Resolved) -> Resolved:
     """Say if what is frozen holds a stroke back: it multiplies its displacement, and nothing makes up for that."""
     if stroke.brush != "grab":
-        part = float(freedom_at(padded(stroke, domain)[None], domain)[0])
+        part = float(freedom_at(padded(stroke.at, domain)[None], domain)[0])
         if part > 0.99:
             return made
         why = "its pivot is frozen" if part == 0 else f"at its pivot, it is {part:.0%} of that: what is frozen is near"
@@ -106,8 +107,7 @@ def _held_back(stroke: Stroke, domain: Domain, on_fold: FoldPolicy, made: Resolv
     short = math.dist(arrived, np.add(stroke.at, stroke.by))
     if short <= NEAR:
         return made
-    distance = f"{short:.3g} {'pixels' if domain.ndim == 2 else 'samples'}"
-    warning = f"{described(stroke)} ends {distance} short: what is frozen holds it back"
+    warning = f"{described(stroke)} ends {apart(short, domain)} short: what is frozen holds it back"
     if on_fold == "error":
         raise FoldError(warning)
     return replace(made, arrived=arrived, cause="freeze", warning=warning)
@@ -147,7 +147,7 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         held_back, cause = False, "outside"
     warning = None
     if folds or (short > NEAR and held):
-        distance = f"{short:.3g} {'pixels' if domain.ndim == 2 else 'samples'}"
+        distance = apart(short, domain)
         border = f"{'what is frozen' if frozen else 'the fixed border'} holds it back" if held_back else ""
         if folds:
             why = f"folds: damped to {cut(alpha, 2):g} of it{', and ' * held_back}{border}, it ends {distance} short"
@@ -165,9 +165,9 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
 def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     """Resolve an affine brush: its pivot stays, and equal parts of it add up to the whole there."""
     axes, weights = domain.packed(), np.ones(3)
-    held = is_held(padded(stroke, domain), axes)
+    held = is_held(padded(stroke.at, domain), axes)
     if held and on_fold == "flow":
-        weights = beta_at(padded(stroke, domain), axes)
+        weights = beta_at(padded(stroke.at, domain), axes)
         needed = np.abs(matrix_of(stroke, domain.spacing, time=domain.time)).sum(axis=1) > 0
         if np.any(needed & (weights < 1e-100)):
             raise SuppleError(
@@ -197,7 +197,7 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
                     "a point further from the border, or on_fold='damp'"
                 )
             lower = lowest(1 / pieces, FLOW_MARGIN - 1, FLOW_GAP)
-        table, start = np.repeat(rows(1 / pieces), pieces), padded(stroke, domain)
+        table, start = np.repeat(rows(1 / pieces), pieces), padded(stroke.at, domain)
         if narrowest(table, domain, np.tile(start, (3, 1)), stroke.radius * np.eye(3)) < SQUEEZED:
             raise SuppleError(f"{described(stroke)} {TOO_NARROW}")
         return Resolved(table, stroke.at, margin=1 + lower, cause=None if held else "outside")
@@ -224,7 +224,7 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
 
 def _arrived(stroke: Stroke, table: Table, domain: Domain) -> tuple[float, ...]:
     """Return the position of the stroke's point after these rows, in samples."""
-    moved, _ = _core.forward(numbers(table), domain.packed(), padded(stroke, domain)[None], False, mask_of(domain))
+    moved, _ = _core.forward(numbers(table), domain.packed(), padded(stroke.at, domain)[None], False, mask_of(domain))
     return tuple((moved[0, : domain.ndim] / domain.spacing).tolist())
 
 

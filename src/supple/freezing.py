@@ -89,12 +89,10 @@ class Freeze:
                 raise SuppleError(f"freeze size must fit {count} samples that are {apart:g} apart, found {size}")
         if len(self.values) != math.prod(sizes):
             raise SuppleError(f"freeze values must be {math.prod(sizes)} bytes, found {len(self.values)}")
-        held = self.coefficients
-        for axis, size in enumerate(held.shape):
-            if size > 1 and not np.array_equal(
-                held, np.take(held, np.arange(size).clip(_EDGE, size - 1 - _EDGE), axis)
-            ):
-                raise SuppleError("freeze values must have four equal ones at each end of an axis")
+        level = self.coefficients.copy()
+        _level(level)
+        if level.tobytes() != self.values:
+            raise SuppleError("freeze values must have four equal ones at each end of an axis")
 
     @classmethod
     def of(

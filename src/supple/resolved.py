@@ -83,11 +83,17 @@ def cut(x: float, digits: int) -> float:
     return float(decimal.Context(prec=digits, rounding=decimal.ROUND_DOWN).create_decimal_from_float(x))
 
 
-def padded(stroke: Stroke, domain: Domain) -> Floats:
-    """Return a stroke's pivot in physical units, with a third coordinate."""
-    made = np.zeros(3)
-    made[: domain.ndim] = np.multiply(stroke.at, domain.spacing)
+def padded(points: npt.ArrayLike, domain: Domain) -> Floats:
+    """Return a point (D,) or points (N, D), in samples, in physical units and with a third coordinate."""
+    given = np.asarray(points, np.float64)
+    made = np.zeros((*given.shape[:-1], 3))
+    made[..., : domain.ndim] = given * domain.spacing
     return made
+
+
+def apart(distance: float, domain: Domain) -> str:
+    """Spell a distance in samples, in a message."""
+    return f"{distance:.3g} {'pixels' if domain.ndim == 2 else 'samples'}"
 
 
 def is_held(position: Floats, axes: Floats) -> bool:

@@ -78,7 +78,9 @@ def _free(poisson: float, scales: int, reach: float) -> tuple[float, float, floa
 
 
 @lru_cache(maxsize=16)
-def _mask(freeze: Freeze, spacing: tuple[float, ...], origin: tuple[float, ...]) -> _core.Freeze:
+def _mask(freeze: Freeze, spacing: tuple[float, ...], origin: tuple[float, ...]) -> _core.Freeze | None:
+    if freeze.is_free:
+        return None
     values, first, step = freeze.packed(spacing)
     return _core.Freeze(values.astype(np.float32), (first - origin).tolist(), step.tolist())
 
@@ -88,8 +90,7 @@ def mask_of(domain: Domain, origin: tuple[float, ...] = (0.0, 0.0, 0.0)) -> _cor
 
     Points are from the origin, in physical units.
     """
-    freeze = domain.freeze
-    return None if freeze is None or freeze.is_free else _mask(freeze, domain.spacing, origin)
+    return None if domain.freeze is None else _mask(domain.freeze, domain.spacing, origin)
 
 
 def weakest(

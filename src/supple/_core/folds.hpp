@@ -260,11 +260,13 @@ public:
     Bounds known;
     std::vector<int> near;  // the strokes that reach the last box
     double plain[2];        // N₀ and N₁ there, without a mask
+    Derivatives mask;       // bounds of m and its derivatives there
 
     // List the strokes that reach a box in `near`, and add their bounds up.
     Derivatives sum_in(const Box& box) {
         Derivatives n{};
         plain[0] = plain[1] = 0;
+        if (freeze) mask = freeze->bounds_in(box.low, box.high);
         near.clear();
         for (int s = 0; s < (int)strokes.size(); s++) {
             const Stroke& stroke = strokes[s];
@@ -279,7 +281,7 @@ public:
             near.push_back(s);
             Derivatives own = displacement_bounds(stroke, near2, far2);
             for (int i = 0; i < 2; i++) plain[i] += own[i];
-            if (stroke.freeze) own = product(mask_of(stroke).bounds_in(box.low, box.high), own);
+            if (stroke.freeze) own = product(mask, own);
             for (int i = 0; i < 4; i++) n[i] += own[i];
         }
         return n;
@@ -367,7 +369,7 @@ private:
         for (int s : near) {
             const Stroke& stroke = strokes[s];
             const double rho = std::sqrt(stroke.radius2[0]);
-            const double own = stroke.freeze ? mask_of(stroke).bounds_in(box.low, box.high)[1] : 0;
+            const double own = stroke.freeze ? mask[1] : 0;
             turn = std::max(turn, own);
             found.rounding +=
                 noise[s] / (stroke.power == 3 ? rho * rho : rho) * (5 / rho + steepest + own + 2 * stroke.per_reach);
@@ -423,8 +425,7 @@ private:
             longest = std::max(longest, length);
             lowest = std::min(lowest, 0.5 * (dot<3>(moved.x, g[n]) - size * length));
         }
-        const double most = freeze->bounds_in(box.low, box.high)[0];
-        return (lowest - delta * longest - most * away) * (1 + 1e-12);
+        return (lowest - delta * longest - mask[0] * away) * (1 + 1e-12);
     }
 
     // The lowest bound in a box that needs no further division.
