@@ -26,7 +26,7 @@ from supple.viewer.tools.slices import SliceTools
 from supple.viewer.tools.viewport import Viewport
 from supple.viewer.window.launch import SIZE
 from tests.viewer.sessions import DATA, recipe_in, warped
-from tests.viewer.windows import Mouse, a_screen, viewing, wait_for
+from tests.viewer.windows import Mouse, a_screen, viewing
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
@@ -110,11 +110,9 @@ def done(source: Path, target: str, place: Callable[..., Pair], work: Callable[[
         work(job)
         for keys, path in (("ctrl+s", saved), ("ctrl+e", made)):
             mouse.do("mousemove", 1100, 780)
-            mouse.settled()
-            job.key(keys)
-            wait_for(lambda path=path: mouse.enter() or path.exists(), 60, every=0.5)
+            mouse.filed(keys, path)
     print(f"{job.events} events, {job.seconds:.0f} s of a hand")
-    assert job.seconds + 2 * CLICK < 60  # two questions are answered by Enter
+    assert job.seconds + 4 * CLICK < 60  # two commands, and a question each
     wanted = warped(source, "wanted" + "".join(source.suffixes), saved)
     if source.suffixes[-1] == ".gz":
         np.testing.assert_array_equal(volumes.read(made).samples, volumes.read(wanted).samples)

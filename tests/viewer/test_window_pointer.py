@@ -41,13 +41,11 @@ def edited(
         time.sleep(pause)
         mouse.do("key", "ctrl+z")
         time.sleep(pause)
-        mouse.do("key", "ctrl+s")
-        wait_for(lambda: mouse.enter() or saved.exists(), every=0.5)
+        mouse.filed("ctrl+s", saved)
         assert len(recipe_in(saved).strokes) == 1
         # What is pressed while a question is still seen is not for the picture.
         wait_for(lambda: mouse.do("key", "ctrl+shift+z", "ctrl+s") or len(recipe_in(saved).strokes) == 2, every=0.5)
-        mouse.do("key", "ctrl+e")
-        wait_for(lambda: mouse.enter() or made.exists(), every=0.5)
+        mouse.filed("ctrl+e", made)
         mouse.do("key", "Escape")
         mouse.do("mousemove", 1100, 780)
         seen = mouse.settled()

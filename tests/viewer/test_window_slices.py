@@ -16,7 +16,7 @@ from supple.viewer.panels.view import LINE, WIDE
 from supple.viewer.tools.slices import SliceTools
 from supple.viewer.window.launch import SIZE
 from tests.viewer.sessions import recipe_in, warped
-from tests.viewer.windows import Pixels, a_screen, viewing, wait_for
+from tests.viewer.windows import Pixels, a_screen, viewing
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
@@ -63,10 +63,8 @@ def test_drags_in_all_planes_by_a_real_pointer(gpu: Gpu, volume: Path, state: Pa
             pane = tools.pane(k)
             tools.sight = tools.sight.at(pane.to_point(*start), tools.sizes)
             wanted.append((pane.to_point(*start), np.subtract(pane.to_point(*end), pane.to_point(*start))))
-        mouse.do("key", "ctrl+s")
-        wait_for(lambda: mouse.enter() or saved.exists(), every=0.5)
-        mouse.do("key", "ctrl+e")
-        wait_for(lambda: mouse.enter() or made.exists(), every=0.5)
+        mouse.filed("ctrl+s", saved)
+        mouse.filed("ctrl+e", made)
         mouse.do("key", "Escape")
         mouse.do("key", "Escape")
         mouse.do("mousemove", 1100, 780)

@@ -238,6 +238,15 @@ class Mouse:
         """Press Enter, which is what a question waits for once it is there."""
         self.do("key", "Return")
 
+    def filed(self, keys: str, path: Path) -> None:
+        """Press the keys of a command that writes a file, and Enter until there is the file.
+
+        What is pressed while the question before is still on the screen would be lost.
+        """
+        self.settled()
+        self.do("key", keys)
+        wait_for(lambda: self.enter() or path.exists(), every=0.5)
+
     def drag(self, start: tuple[int, int], end: tuple[int, int], button: int = 1, steps: int = 6) -> None:
         self.do("mousemove", *start)
         time.sleep(0.2)
