@@ -198,7 +198,8 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
                 )
             lower = lowest(1 / pieces, FLOW_MARGIN - 1, FLOW_GAP)
         table, start = np.repeat(rows(1 / pieces), pieces), padded(stroke.at, domain)
-        if narrowest(table, domain, np.tile(start, (3, 1)), stroke.radius * np.eye(3)) < SQUEEZED:
+        ways = np.tile(start, (3, 1)), stroke.radius * np.eye(3)
+        if (1 + lower) ** pieces < SQUEEZED and narrowest(table, domain, *ways) < SQUEEZED:
             raise SuppleError(f"{described(stroke)} {TOO_NARROW}")
         return Resolved(table, stroke.at, margin=1 + lower, cause=None if held else "outside")
     alpha, lower = 1.0, lowest(1.0, CLEARLY_SAFE, GAP) if quarters < 1 else -1.0
@@ -274,7 +275,8 @@ def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
             "use a larger radius, or on_fold='damp'"
         )
     table = np.concatenate(rows).view(table.dtype)[:, 0]  # as numbers: NumPy is slow to join records
-    if narrowest(table, domain, table[:1]["pivot"], drag[None]) < SQUEEZED:
+    # No row's singular values are below its margin, nor those of all rows below the margins' product.
+    if margin ** len(rows) < SQUEEZED and narrowest(table, domain, table[:1]["pivot"], drag[None]) < SQUEEZED:
         if not held:
             raise SuppleError(
                 f"{described(stroke)} starts outside, where nothing is held, and squeezes what lies on its way against "

@@ -151,6 +151,36 @@ def test_what_is_transparent_lies_on_a_ground(gpu: Gpu) -> None:
     assert not solid[20, 220]
 
 
+def test_only_what_has_changed_is_drawn_again(gpu: Gpu) -> None:
+    rng, pixels = np.random.default_rng(8), smooth((ROWS, COLUMNS))
+    pixels[:, ::3, 3] = 90
+    warped, strokes = Warped(gpu, Levels(pixels)), [Stroke.grab((100, 100), by=(9, 4), radius=20)]
+    for scale, left in ((1.0, 0.0), (0.3, 40.3), (0.77, -20.5), (1.7, 3.0), (2.6, -30.0)):
+        for solved in (False, True):
+            sight = Sight((left, 0.4 * left), scale, (250, 180), solved=solved)
+            texture = canvas_texture(gpu, sight.size)
+            for _ in range(5):
+                d = bent(*strokes, some_stroke(rng))
+                warped.bring(d, sight)
+                warped.draw(sight, texture)
+                whole = drawn(gpu, Warped(gpu, Levels(pixels)), d, sight)
+                np.testing.assert_array_equal(pixels_of(gpu, texture), whole)
+    # What is far from a change stays as it is, whatever it is.
+    sight = Sight((0.0, 0.0), 1.0, (COLUMNS, ROWS))
+    texture = canvas_texture(gpu, sight.size)
+    for by in ((9, 4), (7, 4), (5, 4)):
+        d = bent(Stroke.grab((100, 100), by=by, radius=20))
+        warped.bring(d, sight)
+        warped.draw(sight, texture)
+        seen = pixels_of(gpu, texture)
+        if by != (9, 4):
+            assert (seen[220:, 250:] == 7).all()
+            assert np.abs(seen[:180, :180].astype(int) - drawn(gpu, warped, d, sight)[:180, :180]).max() == 0
+        red = np.full((ROWS, COLUMNS, 4), 7, np.uint8)
+        layout = {"bytes_per_row": 4 * COLUMNS, "rows_per_image": ROWS}
+        gpu.device.queue.write_texture({"texture": texture}, red, layout, (COLUMNS, ROWS, 1))
+
+
 @pytest.mark.parametrize("overlay", [name for name in OVERLAYS if name])
 def test_overlays_are_those_of_a_gpu(gpu: Gpu, overlay: str) -> None:
     pixels, d = smooth((ROWS, COLUMNS)), bent(Stroke.grab((200, 150), by=(30, 10), radius=40), border="auto")

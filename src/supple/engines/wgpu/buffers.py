@@ -25,20 +25,21 @@ class Kept:
     def __init__(self, gpu: Gpu, kind: str = READ) -> None:
         self._gpu, self._kind = gpu, kind
         self._bytes = b""
-        self._buffer: Any = None
+        self.buffer: Any = None
+        """The buffer of the last array; None at first."""
 
     def hold(self, array: npt.NDArray[Any]) -> Any:
         """Return the buffer with this array's bytes; it is replaced only if it is too small."""
         data = np.ascontiguousarray(array).tobytes()
-        if self._buffer is None or self._buffer.size < len(data):
+        if self.buffer is None or self.buffer.size < len(data):
             usage = "UNIFORM" if self._kind == UNIFORM else "STORAGE"
             size = max(LEAST, 1 << (max(len(data), 1) - 1).bit_length())
-            self._buffer = self._gpu.device.create_buffer(size=size, usage=f"{usage}|COPY_DST")
+            self.buffer = self._gpu.device.create_buffer(size=size, usage=f"{usage}|COPY_DST")
             self._bytes = b""
         if data and data != self._bytes:
-            self._gpu.device.queue.write_buffer(self._buffer, 0, data)
+            self._gpu.device.queue.write_buffer(self.buffer, 0, data)
             self._bytes = data
-        return self._buffer
+        return self.buffer
 
 
 class Bound:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,10 +15,13 @@ from supple.engines.wgpu.field import constants, domain, packed
 from supple.engines.wgpu.kernel import PICTURE, READ, TEXTURE, UNIFORM, WRITE, bound, pipeline, room
 
 Floats = npt.NDArray[np.float64]
+Box = tuple[float, float, float, float]  # x0, y0, and x1, y1
 
 CELL, FINE = 16, 4  # pixels of the window from node to node: solved here, and given
 BACK = (0.12, 0.12, 0.13)  # the sRGB background
 OVERLAYS = {"": 0, "grid": 1, "stretch": 2, "residual": 3, "inversions": 4}
+NOWHERE: Box = (math.inf, math.inf, -math.inf, -math.inf)
+EVERYWHERE: Box = (-math.inf, -math.inf, math.inf, math.inf)
 _NAMES = ("plate", "warm", "blend", "field", "newton")
 _COMMON = (UNIFORM, UNIFORM, READ, WRITE)
 
@@ -43,6 +47,8 @@ _SETTINGS = np.dtype(
         ("step", "f4"),
         ("cell", "u4"),
         ("back", "f4", 4),
+        ("first", "u4", 2),
+        ("unused", "u4", 2),
     ]
 )
 
@@ -91,26 +97,33 @@ def nodes_of(size: tuple[int, int], cell: int = CELL) -> tuple[int, int]:
 
 
 class _Sheet:
-    """The buffers for drawing into one texture, and what they hold."""
+    """The buffers for drawing into one texture, and what is drawn there."""
 
     def __init__(self, gpu: Gpu, texture: Any) -> None:
         self.texture, self.view = texture, texture.create_view()
         self.settings, self.domain, self.strokes = Kept(gpu, UNIFORM), Kept(gpu, UNIFORM), Kept(gpu)
         self.bound = Bound()
+        self.stale: Box = NOWHERE  # of pixels put since the last draw
         self._table: Any = None
         self._axes: Any = None
+        self._settings = np.zeros(1, _SETTINGS)
         self._told: Any = None
-        self._held: tuple[Any, ...] = ()
 
-    def hold(self, table: npt.NDArray[np.void], axes: Floats, settings: dict[str, Any]) -> tuple[Any, ...]:
-        """Return the buffers of settings, of a domain and of strokes; arrays are told apart by identity."""
-        if self._table is not table or self._axes is not axes or self._told != settings:
-            made = np.zeros(1, _SETTINGS)
-            for name, value in settings.items():
-                made[name] = value
-            self._held = self.settings.hold(made), self.domain.hold(domain(axes)), self.strokes.hold(packed(table))
-            self._table, self._axes, self._told = table, axes, settings
-        return self._held
+    def tell(self, table: npt.NDArray[np.void], axes: Floats, settings: dict[str, Any]) -> bool:
+        """Take what to draw; return whether it is as it was at the last draw. Tables are told apart by identity."""
+        if self._table is table and self._told == settings and np.array_equal(self._axes, axes):
+            return True
+        for name, value in settings.items():
+            self._settings[name] = value
+        self._table, self._axes, self._told = table, axes, settings
+        self.domain.hold(domain(axes))
+        self.strokes.hold(packed(table))
+        return False
+
+    def held(self, first: tuple[int, int]) -> tuple[Any, ...]:
+        """Return the buffers of settings, of a domain and of strokes; the first pixel is that to draw."""
+        self._settings["first"] = first
+        return self.settings.hold(self._settings), self.domain.buffer, self.strokes.buffer
 
 
 class _Drawn:
@@ -132,6 +145,10 @@ class _Drawn:
     def _told(self) -> dict[str, Any]:
         """Return settings of what is held."""
         raise NotImplementedError
+
+    def _box(self, sheet: _Sheet, sight: Sight, alike: bool) -> tuple[int, int, int, int]:
+        """Return the pixels of the window to draw."""
+        return 0, 0, *sight.size
 
     def draw(
         self,
@@ -157,7 +174,7 @@ class _Drawn:
             source point's offset and the residual, ∂p/∂q with respect to x and the evaluations of T, and to y and 0, in
             physical units.
         """
-        gpu, (width, height) = self.gpu, sight.size
+        gpu = self.gpu
         cells = nodes_of(sight.size, CELL if nodes is None else FINE)
         if self._nodes[0] < cells[0] * cells[1]:
             self._nodes = cells[0] * cells[1], room(gpu, 48 * cells[0] * cells[1])
@@ -165,8 +182,11 @@ class _Drawn:
             gpu.device.queue.write_buffer(self._nodes[1], 0, np.ascontiguousarray(nodes))
         sheet = self._sheet(texture)
         settings = self._settings(sight, cells, table.size, nodes is not None)
-        buffers = sheet.hold(table, axes, settings)
-        resources = (*buffers, self._nodes[1], *self._held(sheet.view))
+        x0, y0, x1, y1 = self._box(sheet, sight, sheet.tell(table, axes, settings))
+        sheet.stale = NOWHERE
+        if x0 >= x1 or y0 >= y1:
+            return
+        resources = (*sheet.held((x0, y0)), self._nodes[1], *self._held(sheet.view))
         chosen = {"BENT": bool(table.size), "SINGLE": not settings["solved"], **constants(table)}
         paint, layout = pipeline(gpu, _NAMES, self._entry, self._kinds, {name: chosen[name] for name in self._chosen})
         group = sheet.bound.group(resources, lambda: bound(gpu, layout, resources))
@@ -177,7 +197,7 @@ class _Drawn:
             step.set_pipeline(pipeline(gpu, _NAMES, "solve", self._kinds, constants(table))[0])
             step.dispatch_workgroups(-(-cells[0] // 8), -(-cells[1] // 8), 1)
         step.set_pipeline(paint)
-        step.dispatch_workgroups(-(-width // 8), -(-height // 8), 1)
+        step.dispatch_workgroups(-(-(x1 - x0) // 8), -(-(y1 - y0) // 8), 1)
         step.end()
         if encoder is None:
             gpu.device.queue.submit([commands.finish()])
@@ -227,6 +247,8 @@ class Laid(_Drawn):
                 size=(*size, 1), format="rgba8unorm", usage="TEXTURE_BINDING|COPY_DST"
             )
             self._view = self._texture.create_view()
+        for sheet in self._sheets:
+            sheet.stale = EVERYWHERE
 
     def put(self, corner: tuple[int, int], pixels: npt.NDArray[np.uint8]) -> None:
         """Hold pixels, of shape (rows, columns, 4): sRGB and opacity; the corner is their place in the whole image."""
@@ -238,6 +260,22 @@ class Laid(_Drawn):
             {"bytes_per_row": 4 * width, "rows_per_image": height},
             (width, height, 1),
         )
+        for sheet in self._sheets:
+            x0, y0, x1, y1 = sheet.stale
+            x, y = corner
+            sheet.stale = min(x0, x), min(y0, y), max(x1, x + width), max(y1, y + height)
+
+    def _box(self, sheet: _Sheet, sight: Sight, alike: bool) -> tuple[int, int, int, int]:
+        """Return the pixels of the window that show what was put since the last draw, if all else is as it was."""
+        if not alike:
+            return 0, 0, *sight.size
+        ends = []
+        for k, place in enumerate(sheet.stale):
+            beyond = -1.5 if k < 2 else 0.5  # a pixel is seen as far as the middles of those beside it
+            seen = ((place + beyond + 0.5) * self._step - 0.5 - sight.origin[k % 2]) / sight.scale
+            end = min(max(seen + (-2 if k < 2 else 2), 0.0), float(sight.size[k % 2]))  # within a footprint
+            ends.append(math.floor(end) if k < 2 else math.ceil(end))
+        return ends[0], ends[1], ends[2], ends[3]
 
     def _held(self, view: Any) -> tuple[Any, ...]:
         return None, view, self._view

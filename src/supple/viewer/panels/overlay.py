@@ -1,4 +1,4 @@
-"""Overlays on the image: the brush's ring, the strokes' handles, the timeline, and the status line."""
+"""What lies over the image: the brush's ring and the strokes' handles; and the bars below it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _BARE = (
 
 
 def draw(view: View) -> None:
-    """Draw all overlays."""
+    """Draw what lies over the image."""
     lines = imgui.get_background_draw_list()
     width, height = view.area
     lines.push_clip_rect((0, 0), (width, height))
@@ -44,6 +44,10 @@ def draw(view: View) -> None:
             marks.knob(lines, tools.knob)
         marks.names(tools, lines, (0.0, 0.0, width, height), 10.0)
     lines.pop_clip_rect()
+
+
+def bars(view: View) -> None:
+    """Draw the timeline and the status line."""
     if isinstance(view.stage, VideoStage):
         _timeline(view, view.stage)
     _status(view)

@@ -73,7 +73,9 @@ class Painter:
         if not isinstance(self.stage, VolumeStage):
             self.stage.expect(seen, sight)
             self._adapts = self.stage.solves(seen[0], sight)
-            self.coarse = self.coarse if self._adapts else 1
+            if not self._adapts:
+                self.coarse = 1
+                wait(self.gpu)  # until here, the device may draw the last image, while this one is warped
         self._begun = time.perf_counter()
         textures = [self._drawn(k, shot, sight, deformation, encoder) for k, deformation in enumerate(seen)]
         # The status line, already laid out, shows the error.
@@ -81,11 +83,11 @@ class Painter:
         return textures[0], textures[1] if shot.split else None
 
     def learn(self) -> None:
-        """Wait for the last image, and adapt the size of drawn pixels to the device's time."""
-        wait(self.gpu)
-        seconds = time.perf_counter() - self._begun
+        """Wait for the last image, and adapt the size of drawn pixels to the device's time, where it depends on it."""
         if not self._adapts:
             return
+        wait(self.gpu)
+        seconds = time.perf_counter() - self._begun
         if seconds > FRAME and self.coarse < COARSEST:
             self.coarse += 1
         elif self.coarse > 1 and seconds * (self.coarse / (self.coarse - 1)) ** 2 < 0.7 * FRAME:

@@ -47,6 +47,11 @@ def apply(io: imgui.IO) -> None:
     with resources.as_file(font) as path:
         if path.is_file():
             io.fonts.add_font_from_file_ttf(str(path), LETTERS)
+    style()
+
+
+def style() -> None:
+    """Set the style of the current context."""
     style, names = imgui.get_style(), imgui.Col_
     clear: Colour = (0.0, 0.0, 0.0, 0.0)
     colours: dict[Colour, tuple[imgui.Col_, ...]] = {

@@ -15,9 +15,11 @@ from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.kernel import UNIFORM
 from supple.viewer.panels import theme
 
-_SETTINGS = np.dtype([("origin", "f4", 2), ("size", "f4", 2), ("gamma", "f4"), ("unused", "f4", 3)])
+_SETTINGS = np.dtype([("origin", "f4", 2), ("size", "f4", 2)])
 _SHADER = """
-struct Settings { origin: vec2f, size: vec2f, gamma: f32 }
+override LINEAR: bool; // whether the screen takes linear light
+
+struct Settings { origin: vec2f, size: vec2f }
 struct Corner { @builtin(position) position: vec4f, @location(0) at: vec2f, @location(1) colour: vec4f }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -33,33 +35,97 @@ fn corner(@location(0) place: vec2f, @location(1) at: vec2f, @location(2) colour
 @fragment
 fn inked(corner: Corner) -> @location(0) vec4f {
     let c = corner.colour * textureSample(letters, smooth_, corner.at);
-    return vec4f(pow(c.rgb, vec3f(settings.gamma)), c.a);
+    if (LINEAR) {
+        return vec4f(pow(c.rgb, vec3f(2.2)), c.a);
+    }
+    return c;
 }
 """
 _OVER = {"src_factor": "src-alpha", "dst_factor": "one-minus-src-alpha", "operation": "add"}
 _INDEX = {2: "uint16", 4: "uint32"}[imgui.INDEX_SIZE]
 
 
-class Gui:
-    """Controls laid out by a function in each frame, drawn in the canvas's format, with the canvas's events.
+class _Layer:
+    """A context of Dear ImGui, what was laid out in it last, and its vertices on the device."""
 
-    They draw with textures of letters, and with pictures by their numbers.
+    def __init__(self, device: Any, context: Any, io: imgui.IO, work: Callable[[], None]) -> None:
+        self._device, self._context, self.io, self._work = device, context, io, work
+        self._bytes, self.buffer, self.indices = bytearray(), None, 0
+        self.data: Any = None
+        self.lists: list[Any] = []
+        # ImGui closes open scopes after an error, and the window survives.
+        io.config_error_recovery_enable_assert = False
+        io.config_error_recovery_enable_tooltip = False
+
+    def lay(self, size: tuple[float, float], ratio: float) -> str:
+        """Lay it out, for a canvas of a logical size; return the error, or an empty text."""
+        imgui.set_current_context(self._context)
+        self.io.display_size, self.io.display_framebuffer_scale = imgui.ImVec2(*size), imgui.ImVec2(ratio, ratio)
+        imgui.new_frame()
+        trouble = ""
+        try:
+            self._work()
+        except Exception as error:  # any error: strokes may be unsaved
+            trouble = " ".join(f"{type(error).__name__}: {error}".split())
+        finally:
+            imgui.render()
+        self.data = imgui.get_draw_data()
+        self.lists = list(self.data.cmd_lists)
+        self._write()
+        return trouble
+
+    def _write(self) -> None:
+        """Write vertices, and then the indices of triangles."""
+        vectors = [(part.vtx_buffer, imgui.VERTEX_SIZE) for part in self.lists]
+        vectors += [(part.idx_buffer, imgui.INDEX_SIZE) for part in self.lists]
+        sizes = [vector.size() * size for vector, size in vectors]
+        self.indices = sum(sizes[: len(self.lists)])
+        end = sum(sizes)  # vertices have 20 bytes: indices begin at a whole word
+        if end == 0:
+            return
+        if len(self._bytes) < end + 4:
+            self._bytes = bytearray(2 * end + 4)
+            self.buffer = self._device.create_buffer(size=len(self._bytes) & ~3, usage="VERTEX|INDEX|COPY_DST")
+        place = ctypes.addressof(ctypes.c_char.from_buffer(self._bytes))
+        for (vector, _), size in zip(vectors, sizes, strict=True):
+            ctypes.memmove(place, vector.data_address(), size)
+            place += size
+        self._device.queue.write_buffer(self.buffer, 0, memoryview(self._bytes)[: -(-end // 4) * 4])
+
+
+class Gui:
+    """Controls and marks on a canvas, laid out by functions, drawn in the canvas's format, with the canvas's events.
+
+    The marks lie on the picture, below the controls, and are laid out for each frame. They have no events, and a
+    context of their own. Both draw with textures of letters, and with pictures by their numbers.
     """
 
     def __init__(
-        self, gpu: Gpu, canvas: Any, format: str, controls: Callable[[], None], pictures: Mapping[int, Any]
+        self,
+        gpu: Gpu,
+        canvas: Any,
+        format: str,
+        controls: Callable[[], None],
+        marks: Callable[[], None],
+        pictures: Mapping[int, Any],
     ) -> None:
-        self._canvas, self._controls, self._pictures = canvas, controls, pictures
+        self._canvas, self._pictures = canvas, pictures
         # Used for its event handling only: its drawing creates a bind group for each clip rectangle (wgpu 0.32).
         self._renderer = ImguiRenderer(gpu.device, canvas, format)
         self.trouble = ""  # the error of the last layout
         io = self._renderer.backend.io
-        # ImGui closes open scopes after an error, and the window survives.
-        io.config_error_recovery_enable_assert = False
-        io.config_error_recovery_enable_tooltip = False
         theme.apply(io)
-        self._device, self._gamma = gpu.device, 2.2 if format.endswith("srgb") else 1.0
-        self._told, self._bytes, self._buffer = Kept(gpu, UNIFORM), bytearray(), None
+        self._controls = _Layer(gpu.device, self._renderer.imgui_context, io, controls)
+        context = imgui.create_context(io.fonts)
+        imgui.set_current_context(context)
+        own = imgui.get_io()
+        own.set_ini_filename("")
+        own.backend_flags = io.backend_flags
+        theme.style()
+        self._marks = _Layer(gpu.device, context, own, marks)
+        imgui.set_current_context(self._renderer.imgui_context)
+        self._told = Kept(gpu, UNIFORM)
+        self._device = gpu.device
         self._letters: dict[int, tuple[Any, Any]] = {}  # textures, and their bind groups
         self._drawn: dict[int, tuple[Any, Any]] = {}  # likewise, of pictures
         module = self._device.create_shader_module(code=_SHADER)
@@ -75,6 +141,7 @@ class Gui:
             fragment={
                 "module": module,
                 "entry_point": "inked",
+                "constants": {"LINEAR": format.endswith("srgb")},
                 "targets": [{"format": format, "blend": {"color": _OVER, "alpha": _OVER | {"src_factor": "one"}}}],
             },
             primitive={"topology": "triangle-list"},
@@ -94,41 +161,38 @@ class Gui:
         if not imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
             self._renderer.backend.io.want_capture_mouse = False
 
-    def lay(self) -> None:
-        """Run the layout function, and prepare its drawing."""
+    def lay(self, *, all: bool) -> None:
+        """Lay out the marks, and the controls if all is to be."""
+        size, ratio = self._canvas.get_logical_size(), self._canvas.get_pixel_ratio()
+        trouble = self._controls.lay(size, ratio) if all else ""  # first: the letters are theirs
+        self.trouble = trouble or self._marks.lay(size, ratio)
         imgui.set_current_context(self._renderer.imgui_context)
-        ratio, io = self._canvas.get_pixel_ratio(), self._renderer.backend.io
-        io.display_size = self._canvas.get_logical_size()
-        io.display_framebuffer_scale = ratio, ratio
-        imgui.new_frame()
-        self.trouble = ""
-        try:
-            self._controls()
-        except Exception as error:  # any error: strokes may be unsaved
-            self.trouble = " ".join(f"{type(error).__name__}: {error}".split())
-        finally:
-            imgui.render()
 
     def draw(self, drawing: Any) -> None:
-        """Draw the layout into a render pass."""
-        data = imgui.get_draw_data()
-        for texture in data.textures or ():
-            if texture.status != imgui.ImTextureStatus.ok:
-                self._update(texture)
+        """Draw what is laid out into a render pass."""
+        for layer in (self._marks, self._controls):
+            for texture in layer.data.textures or ():
+                if texture.status != imgui.ImTextureStatus.ok:
+                    self._update(texture)
+        data = self._controls.data
         ratio, (left, top), (wide, high) = data.framebuffer_scale, data.display_pos, data.display_size
         columns, rows = int(wide * ratio.x), int(high * ratio.y)
-        lists = list(data.cmd_lists)
-        if columns <= 0 or rows <= 0 or not lists:
+        if columns <= 0 or rows <= 0:
             return
-        self._told.hold(np.array([((left, top), (wide, high), self._gamma, (0, 0, 0))], _SETTINGS))
-        indices = self._write(lists)
+        self._told.hold(np.array([((left, top), (wide, high))], _SETTINGS))
         drawing.set_viewport(0, 0, columns, rows, 0, 1)
         drawing.set_pipeline(self._pipeline)
-        drawing.set_vertex_buffer(0, self._buffer)
-        drawing.set_index_buffer(self._buffer, _INDEX, indices)
         drawing.set_bind_group(0, self._common)
+        for layer in (self._marks, self._controls):
+            if layer.buffer is not None:
+                self._draw(drawing, layer, columns, rows)
+
+    def _draw(self, drawing: Any, layer: _Layer, columns: int, rows: int) -> None:
+        ratio, (left, top) = layer.data.framebuffer_scale, layer.data.display_pos
+        drawing.set_vertex_buffer(0, layer.buffer)
+        drawing.set_index_buffer(layer.buffer, _INDEX, layer.indices)
         corner, index, bound = 0, 0, 0
-        for part in lists:
+        for part in layer.lists:
             for command in part.cmd_buffer:
                 clip = command.clip_rect
                 x, y = max(int((clip.x - left) * ratio.x), 0), max(int((clip.y - top) * ratio.y), 0)
@@ -159,23 +223,6 @@ class Gui:
         """Return a texture, and a bind group for it."""
         layout, entries = self._pipeline.get_bind_group_layout(1), [{"binding": 0, "resource": texture.create_view()}]
         return texture, self._device.create_bind_group(layout=layout, entries=entries)
-
-    def _write(self, lists: list[Any]) -> int:
-        """Write vertices, and then the indices of triangles; return the offset of the indices."""
-        vectors = [(part.vtx_buffer, imgui.VERTEX_SIZE) for part in lists]
-        vectors += [(part.idx_buffer, imgui.INDEX_SIZE) for part in lists]
-        sizes = [vector.size() * size for vector, size in vectors]
-        begin: int = sum(sizes[: len(lists)])
-        end = begin + sum(sizes[len(lists) :])  # vertices have 20 bytes: indices begin at a whole word
-        if len(self._bytes) < end + 4:
-            self._bytes = bytearray(2 * end + 4)
-            self._buffer = self._device.create_buffer(size=len(self._bytes) & ~3, usage="VERTEX|INDEX|COPY_DST")
-        place = ctypes.addressof(ctypes.c_char.from_buffer(self._bytes))
-        for (vector, _), size in zip(vectors, sizes, strict=True):
-            ctypes.memmove(place, vector.data_address(), size)
-            place += size
-        self._device.queue.write_buffer(self._buffer, 0, memoryview(self._bytes)[: -(-end // 4) * 4])
-        return begin
 
     def _update(self, texture: imgui.ImTextureData) -> None:
         """Create, update or destroy a texture of letters, as requested."""

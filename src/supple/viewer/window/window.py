@@ -24,6 +24,7 @@ from supple.viewer.window.gui import Gui
 
 FILLING = 0.004  # seconds of each frame for filling a volume's buffer
 ANSWERED = 0.1  # seconds after an event until a panel has reacted
+FOLLOWED = 0.1  # seconds within which the controls follow a drag
 HINTED = 0.6  # and until it shows a hint under a resting pointer
 
 
@@ -87,12 +88,13 @@ class Window(View):
         self._pressed = 0.0
         self._textures: tuple[Any, Any] | None = None
         self._laid = (0.0, 0.0, 0.0)
+        self._followed = -math.inf  # when the controls were laid out
         self._titled = ""
         self._context = canvas.get_wgpu_context()
         presented = self._context.get_preferred_format(device.adapter)
         self._context.configure(device=device, format=presented)
         self._screen = Screen(self.gpu, presented)
-        self._gui = Gui(self.gpu, canvas, presented, self._controls, self.veil.textures)
+        self._gui = Gui(self.gpu, canvas, presented, self._controls, lambda: overlay.draw(self), self.veil.textures)
         canvas.add_event_handler(self._stir, *_HANDS, "char", order=-100)
         canvas.add_event_handler(self._event, *_HANDS, "pointer_leave", "close")
         canvas.request_draw(self.draw)
@@ -160,14 +162,16 @@ class Window(View):
         tools, (width, height) = self.tools, self.area
         ratio = self.canvas.get_pixel_ratio()
         if self._laid != (width, height, ratio):
-            self._laid = width, height, ratio
+            self._laid, self._followed = (width, height, ratio), -math.inf
             tools.handle({"event_type": "resize", "width": width, "height": height, "pixel_ratio": ratio})
         if isinstance(tools, VideoTools):
             tools.playback.frame_at(begun)
         moving = tools.dragging or self._lately or self._playing or self._filling
         shot = self._shot(moving)
         key = shot, self.painter.coarse if moving else 0
-        self._gui.lay()
+        all_of_it = not tools.dragging or begun - self._followed > FOLLOWED
+        self._followed = begun if all_of_it else self._followed
+        self._gui.lay(all=all_of_it)
         if self._gui.trouble:
             self.commands.message = self._gui.trouble
         encoder = self.gpu.device.create_command_encoder()
@@ -235,7 +239,7 @@ class Window(View):
     def _controls(self) -> None:
         panel.panel(self)
         toolbar.draw(self)
-        overlay.draw(self)
+        overlay.bars(self)
         keys.draw(self)
 
     def drop(self, paths: list[str]) -> None:

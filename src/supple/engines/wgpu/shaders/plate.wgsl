@@ -24,6 +24,7 @@ struct Settings {
     step: f32, // and pixels of the image for each of them
     cell: u32, // pixels from node to node; less than CELL if they are given, and not solved here
     back: vec4f, // behind the image; and the width of the checkerboard squares behind transparent pixels
+    first: vec2u, // the first pixel to draw
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -171,15 +172,16 @@ fn show(id: vec2u, total: vec4f, cover: f32, seen: Seen, p: vec2f, covers: f32) 
 }
 
 @compute @workgroup_size(8, 8)
-fn paint(@builtin(global_invocation_id) id: vec3u) {
+fn paint(@builtin(global_invocation_id) thread: vec3u) {
+    let id = settings.first + thread.xy;
     if (id.x >= settings.size.x || id.y >= settings.size.y) {
         return;
     }
-    let at = vec2f(id.xy);
+    let at = vec2f(id);
     let q = settings.origin + settings.scale * at;
     let cover = cover_of(q);
     if (cover == 0.0) {
-        textureStore(target_, id.xy, vec4f(settings.back.xyz, 1.0));
+        textureStore(target_, id, vec4f(settings.back.xyz, 1.0));
         return;
     }
     let seen = source_of(at);
@@ -200,7 +202,7 @@ fn paint(@builtin(global_invocation_id) id: vec3u) {
             total += at_time(p + s.x * right + s.y * below, level, time);
         }
     }
-    show(id.xy, total / f32(taps * taps), cover, seen, p, covers);
+    show(id, total / f32(taps * taps), cover, seen, p, covers);
 }
 
 fn laid_texel(at: vec2i) -> vec4f {
@@ -219,15 +221,16 @@ fn laid_at(q: vec2f) -> vec4f {
 
 // An image that is warped already.
 @compute @workgroup_size(8, 8)
-fn lay(@builtin(global_invocation_id) id: vec3u) {
+fn lay(@builtin(global_invocation_id) thread: vec3u) {
+    let id = settings.first + thread.xy;
     if (id.x >= settings.size.x || id.y >= settings.size.y) {
         return;
     }
-    let at = vec2f(id.xy);
+    let at = vec2f(id);
     let q = settings.origin + settings.scale * at;
     let cover = cover_of(q);
     if (cover == 0.0) {
-        textureStore(target_, id.xy, vec4f(settings.back.xyz, 1.0));
+        textureStore(target_, id, vec4f(settings.back.xyz, 1.0));
         return;
     }
     // During a drag, one sample will do, too: it is the mean of four pixels, each at least half a pixel of the window.
@@ -243,5 +246,5 @@ fn lay(@builtin(global_invocation_id) id: vec3u) {
     let p = q + seen.w.xy / domain.spacing.xy;
     let right = settings.scale * seen.right.xy * domain.spacing.x / domain.spacing.xy;
     let below = settings.scale * seen.below.xy * domain.spacing.y / domain.spacing.xy;
-    show(id.xy, total / f32(taps * taps), cover, seen, p, max(length(right), length(below)));
+    show(id, total / f32(taps * taps), cover, seen, p, max(length(right), length(below)));
 }
