@@ -76,12 +76,12 @@ $(VENV)/stamp-cuda: $(VENV)/stamp
 	  esac; \
 	  if [ "$$driver" -ge 580 ]; then cuda=13; else cuda=12; fi; \
 	fi; \
-	echo "Adding CUDA $$cuda, PyTorch, CuPy and kornia to $(VENV): some gigabytes"; \
+	echo "Adding CUDA $$cuda, PyTorch, CuPy, Numba and kornia to $(VENV): some gigabytes"; \
 	pip="$(BIN)/python -m pip install --quiet --disable-pip-version-check"; \
 	index="$(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))"; \
 	$(PIP) ".[cuda$$cuda]" || exit 1; \
 	$$pip $$index torch || echo "make: without PyTorch: its rows say so, and its tests are left out" >&2; \
-	for other in "cupy-cuda$${cuda}x[ctk]" kornia; do \
+	for other in "cupy-cuda$${cuda}x[ctk]" "numba-cuda[cu$$cuda]" kornia; do \
 	  $$pip "$$other" || echo "make: without $$other: its rows say so, and its tests are left out" >&2; \
 	done
 	@touch $@
@@ -92,19 +92,16 @@ demo: $(VENV)/stamp
 	$(BIN)/supple demo demo --force
 
 # A worker for each core; a file's tests stay together, as they share what is made once. Not the files with the most
-# tests first: those with the slowest would be last. What CUDA does is tested on a GPU that Numba plays.
+# tests first: those with the slowest would be last. CUDA is tested on a GPU that is played in memory.
 test: venv
 	$(BIN)/python -m pytest -q -n auto --dist loadfile --no-loadscope-reorder
-	NUMBA_ENABLE_CUDASIM=1 $(BIN)/python -m pytest -q -n auto tests/engines/cuda/kernels
 
 # On a real GPU, one after the other: each test fails where there is none. The last are few, and watched.
-ON_DEVICE := env -u NUMBA_ENABLE_CUDASIM SUPPLE_TEST_CUDA=1
-
 test-cuda: venv $(VENV)/stamp-cuda
-	$(ON_DEVICE) $(BIN)/python -m pytest -q tests/engines/cuda/kernels
+	SUPPLE_TEST_CUDA=1 $(BIN)/python -m pytest -q tests/engines/cuda
 	@if command -v compute-sanitizer >/dev/null; then \
-	  $(ON_DEVICE) compute-sanitizer --tool memcheck --report-api-errors no --error-exitcode 1 \
-	    $(BIN)/python -m pytest -q tests/engines/cuda/kernels/test_memory.py; \
+	  SUPPLE_TEST_CUDA=1 compute-sanitizer --tool memcheck --report-api-errors no --error-exitcode 1 \
+	    $(BIN)/python -m pytest -q tests/engines/cuda/test_memory.py; \
 	else \
 	  echo "compute-sanitizer is not on the PATH (it comes with the CUDA toolkit): memory was not checked"; \
 	fi
@@ -120,7 +117,7 @@ bench-gpu: venv
 	$(BIN)/python benchmarks/gpu.py
 
 bench-cuda: venv $(VENV)/stamp-cuda
-	env -u NUMBA_ENABLE_CUDASIM $(BIN)/python benchmarks/cuda_engine.py
+	$(BIN)/python benchmarks/cuda_engine.py
 
 bench-window: venv
 	$(BIN)/python benchmarks/window.py
@@ -133,7 +130,7 @@ lint: $(VENV)/stamp
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/clang-format --dry-run --Werror $(wildcard src/supple/_core/*.[ch]pp)
+	$(BIN)/clang-format --dry-run --Werror $(wildcard src/supple/_core/*.[ch]pp src/supple/engines/cuda/kernels/*)
 
 wheel: $(VENV)/stamp
 	@$(BIN)/python tools/wheel.py

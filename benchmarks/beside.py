@@ -41,7 +41,7 @@ from beside_tools import (
 )
 from beside_volume import volume
 from measure import kept, machine
-from paired import alone, digits, paired
+from paired import alone, in_turn, seconds
 from place import wall
 from scipy import ndimage
 
@@ -77,22 +77,20 @@ def folded(of: Floats) -> int:
     return int(((areas(right[:-1], down[:, :-1]) <= 0) | (areas(right[1:], down[:, 1:]) <= 0)).sum())
 
 
-def seconds(value: float) -> str:
-    return f"{digits(value * 1e3)} ms" if value < 1 else f"{digits(value)} s"
-
-
 def times(ours: Tool, tool: Tool, picture: Array, strokes: Sequence[Stroke], runs: int) -> str:
-    """The median of a tool's whole call, and how many times ours it is, of calls in turn."""
-    if tool.name == ours.name:
-        return f"{seconds(alone(lambda: ours.warp(picture, strokes), wall, runs).median)} |"
-    a, _, ratio = paired(lambda: tool.warp(picture, strokes), lambda: ours.warp(picture, strokes), wall, runs)
-    return f"{seconds(a.median)} | {digits(ratio.median)}"
+    """The cells of a tool's whole call: its time, ours in turn, and their ratio; of our own, its time alone."""
+    if type(tool) is type(ours):
+        return f"{seconds(alone(lambda: ours.warp(picture, strokes), wall, runs).median)} | |"
+    return in_turn(lambda: tool.warp(picture, strokes), lambda: ours.warp(picture, strokes), wall, runs)
 
 
 def dragged(picture: Array, stroke: Stroke, runs: int) -> Iterator[str]:
     """One drag by each tool: where it arrives, what folds, what changes far away, how long it takes."""
-    yield "| | misses its target by | folded cells | beyond 4 radii: moved by up to | pixels changed | time | × ours |"
-    yield "|---|---|---|---|---|---|---|"
+    yield (
+        "| | misses its target by | folded cells | beyond 4 radii: moved by up to | pixels changed | time | "
+        "ours, in turn | × ours |"
+    )
+    yield "|---|---|---|---|---|---|---|---|"
     shape = (picture.shape[0], picture.shape[1])
     q = pixels(*shape)
     far = np.linalg.norm(q - stroke.start, axis=-1) > FAR * stroke.radius
@@ -100,7 +98,7 @@ def dragged(picture: Array, stroke: Stroke, runs: int) -> Iterator[str]:
     ours = Supple()
     for tool in tools():
         if tool.missing:
-            yield f"| {tool.name} | {tool.missing} | | | | | |"
+            yield f"| {tool.name} | {tool.missing} | | | | | | |"
             continue
         of, bent = tool.map(shape, [stroke]), tool.warp(picture, [stroke])
         miss = float(np.linalg.norm(arrival(of, stroke) - stroke.end))
@@ -114,7 +112,7 @@ def dragged(picture: Array, stroke: Stroke, runs: int) -> Iterator[str]:
 
 def commands(picture: Array, stroke: Stroke, runs: int) -> Iterator[str]:
     """The same, as a shell runs it: a PNG is read, bent and written."""
-    yield "| | time | × ours |\n|---|---|---|"
+    yield "| | time | ours, in turn | × ours |\n|---|---|---|---|"
     with tempfile.TemporaryDirectory() as folder:
         source, out = saved(Path(folder) / "in.png", picture), Path(folder)
         (x0, y0), (x1, y1) = stroke.start, stroke.end
@@ -125,12 +123,11 @@ def commands(picture: Array, stroke: Stroke, runs: int) -> Iterator[str]:
         def ours() -> None:
             run(command)
 
-        yield f"| Supple | {seconds(alone(ours, wall, runs).median)} | |"
+        yield f"| Supple | {seconds(alone(ours, wall, runs).median)} | | |"
         for tool in tools():
             theirs = None if tool.missing else tool.command(source, out / "theirs.png", stroke)
             if theirs:
-                taken, _, ratio = paired(lambda words=theirs: run(words), ours, wall, runs)
-                yield f"| {tool.name} | {seconds(taken.median)} | {digits(ratio.median)} |"
+                yield f"| {tool.name} | {in_turn(lambda words=theirs: run(words), ours, wall, runs)} |"
 
 
 def run(command: list[str]) -> None:
@@ -196,7 +193,7 @@ def sharp(quick: bool) -> Iterator[str]:
     yield "|---|---|---|---|"
     names = ("astronaut.jpg",) if quick else ("astronaut.jpg", "chelsea.jpg", "coffee.jpg")
     photos = [halved(name, quick) for name in names]
-    for tool in tools():
+    for tool in tools(many=True):
         if tool.missing:
             yield f"| {tool.name} | {tool.missing} | | |"
             continue
@@ -223,9 +220,9 @@ def sharp(quick: bool) -> Iterator[str]:
 
 def timed(picture: Array, runs: int) -> Iterator[str]:
     """Ten strokes, sampled once: the time of a whole call."""
-    yield "| | time | × ours |\n|---|---|---|"
+    yield "| | time | ours, in turn | × ours |\n|---|---|---|---|"
     ours, strokes = Supple(), ten(picture.shape[0], picture.shape[1])
-    for tool in tools():
+    for tool in tools(many=True):
         if not tool.missing:
             yield f"| {tool.name} | {times(ours, tool, picture, strokes, runs)} |"
 

@@ -109,6 +109,16 @@ class Supple(Tool):
         return np.asarray(self.deformation(shape, strokes).inverse_map(tolerance=1e-3), np.float64)
 
 
+class Pull(Supple):
+    """All strokes at once, as pairs of points."""
+
+    name = "Supple, all points at once"
+
+    def deformation(self, shape: tuple[int, int], strokes: Sequence[Stroke]) -> supple.Deformation:
+        starts, ends = [s.start for s in strokes], [s.end for s in strokes]
+        return supple.Deformation(shape).pull(starts, to=ends, radius=strokes[0].radius)
+
+
 def saved(path: Path, values: Array) -> Path:
     """Write a picture as PNG or TIFF."""
     pyvips.Image.new_from_array(np.ascontiguousarray(values)).write_to_file(str(path))
@@ -295,6 +305,6 @@ class OpenCV(Tool):
         return self.bent(wide.astype(np.float32), strokes)[..., :2].astype(np.float64)
 
 
-def tools() -> tuple[Tool, ...]:
-    """Ours first."""
-    return Supple(), Gimp(), Gimp("cubic"), Magick(), Spline(), OpenCV()
+def tools(*, many: bool = False) -> tuple[Tool, ...]:
+    """Ours first; for many strokes, also all of them at once."""
+    return Supple(), *([Pull()] if many else []), Gimp(), Gimp("cubic"), Magick(), Spline(), OpenCV()

@@ -3,7 +3,9 @@
 python benchmarks/brushes.py [--runs N]
 
 Strokes have the same points, radii and reach, move pixels about as far, and take one step each; twelve are spread over
-the picture. The bar: at most 1.5 times as long as a grab.
+the picture. The bar: at most 1.5 times as long as a grab. Then a pull of 200 pairs, whose points are spread over the
+picture, at least 60 pixels apart, and move by 10 pixels each; beside one grab whose radius is 0.15 of the height, as in
+`run.py`, and whose drag 0.1 of it. The bar: at most 10 times as long. And a path of 100 points beside a straight one.
 """
 
 from __future__ import annotations
@@ -56,6 +58,28 @@ def warp(photo: np.ndarray[Any, np.dtype[np.uint8]], count: int, stroke: dict[st
     return work
 
 
+def scattered(count: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return points at least 60 pixels apart."""
+    rng, found = np.random.default_rng(0), np.empty((0, 2))
+    while len(found) < count:
+        point = rng.uniform((60, 60), (SHAPE[1] - 60, SHAPE[0] - 60))
+        if not (np.linalg.norm(found - point, axis=1) < 60).any():
+            found = np.concatenate([found, point[None]])
+    return found
+
+
+def made(photo: np.ndarray[Any, np.dtype[np.uint8]], **stroke: Any) -> Work:
+    """Return a whole warp by one stroke, in as many steps as it takes, resolved anew."""
+    turns = itertools.count()
+
+    def work() -> object:
+        # As above: of its own for each run.
+        one = Stroke(**{**stroke, "radius": stroke["radius"] + 1e-6 * next(turns)})
+        return supple.Deformation(SHAPE).add(one).warp(photo)
+
+    return work
+
+
 def main() -> int:
     """Print the table; return 1 if a bar is missed."""
     parser = argparse.ArgumentParser()
@@ -70,6 +94,22 @@ def main() -> int:
             line = against(what, warp(photo, count, stroke), warp(photo, count, GRAB), clock, runs, BAR)
             lines.append(line)
             print(line, flush=True)
+    points = scattered(200)
+    by = 10 * np.stack([np.cos(np.arange(200.0)), np.sin(np.arange(200.0))], axis=-1)
+    pull = Stroke.pull(points, to=points + by, radius=70)
+    grab = {"at": CENTRE[0], "by": (76.0, 76.0), "radius": 162.0}
+    handles = {"at": pull.at, "by": pull.by, "also": pull.also, "radius": pull.radius}
+    lines.append(
+        against("a pull of 200 pairs, beside a grab", made(photo, **handles), made(photo, **grab), clock, runs, 10)
+    )
+    print(lines[-1], flush=True)
+    turn = np.linspace(0, np.pi, 100)
+    way = np.stack([960 - 80 * np.cos(turn), 540 + 80 * np.sin(turn)], axis=-1).tolist()
+    path = {"at": way[0], "by": (160.0, 0.0), "path": way[1:-1], "radius": 100.0}
+    straight = {"at": way[0], "by": (80 * np.pi, 0.0), "radius": 100.0}
+    what = "a path of 100 points, beside a straight drag of its length"
+    lines.append(against(what, made(photo, **path), made(photo, **straight), clock, runs, 4))
+    print(lines[-1], flush=True)
     return int(missed(lines))
 
 

@@ -1,27 +1,64 @@
-"""What `cuda_engine.py` measures of warps that nobody waits for, and of volumes that lie on the host."""
+"""What `cuda_engine.py` measures of first calls, warps that nobody waits for, and volumes that lie on the host."""
 
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 from paired import Line, Spread, against, rate, warming
-from place import Bench, Events, host, stroke, wall, waves
+from place import Bench, Events, stroke, wall, waves
 
 SLAB = 8  # planes
 SMALL = 200  # kernels that are timed where nothing else goes on
 WARPS = 5
+FIRST = """
+import sys, time
+import supple
+from place import play, sent, stroke, waves
+
+dry, *shape = (int(word) for word in sys.argv[1:])
+if dry:
+    play()
+d, given = stroke(*shape), sent(waves(*shape))
+begun = time.perf_counter()
+d.warp(given)
+print(time.perf_counter() - begun)
+"""
+
+
+def first_calls(b: Bench) -> Iterator[Line]:
+    """The first warp of a process, of an array that is on the GPU: kernels are compiled, or read from the cache."""
+    runs = 1 if b.place.dry else 3
+
+    def first(shape: tuple[int, ...], cache: str) -> float:
+        words = [sys.executable, "-c", FIRST, str(int(b.place.dry)), *map(str, shape)]
+        around = {**os.environ, "SUPPLE_CACHE": cache, "PYTHONPATH": os.pathsep.join(sys.path)}
+        done = subprocess.run(words, env=around, stdout=subprocess.PIPE, check=True)
+        return float(done.stdout.split()[-1])
+
+    for words, shape in (("a picture", b.batch[1:] * 2), ("a volume", (b.side // 2,) * 3)):
+        empty, full = [], []
+        for _ in range(runs):
+            with tempfile.TemporaryDirectory() as cache:
+                empty.append(first(shape, cache))
+                full.append(first(shape, cache))
+        for state, bar, taken in (("empty", 5.0, empty), ("full", 0.3, full)):
+            what = f"first call of a process: {words} of float32, auto; the cache is {state}"
+            yield Line(what, value=Spread.of(taken), unit="s", bar=bar)
 
 
 def handed_over(b: Bench) -> Iterator[Line]:
     """How long the host is kept, and how evenly another stream's small kernels run meanwhile."""
-    from numba import cuda
-
     import supple.cuda
-    from supple.engines.cuda.kernel import launched
+    from supple.engines.cuda.device import open_device
+    from supple.engines.cuda.layout import SOME
+    from supple.engines.cuda.programs import Program, launch
 
     place, shape = b.place, (b.side,) * 3
     d = stroke(*shape)
@@ -43,25 +80,21 @@ def handed_over(b: Bench) -> Iterator[Line]:
         what = f"{b.volume}, linear, handed over {words}: the host's time"
         yield Line(what, taken, None, taken.map(lambda x: x * 1e3), "ms")
 
-    @cuda.jit  # type: ignore[misc]
-    def tick(cell: Any) -> None:
-        cell[0] += 1
-
-    cell, stream = cuda.to_device(np.zeros(1, np.int32)), cuda.stream()
-    clock = wall if place.dry else Events(stream, beside=True)
-
-    ticking = launched(tick, 1, 1, stream)
+    gpu = open_device()
+    stream = gpu.stream()
+    program, none = Program("points", 2, False), np.zeros(1, SOME)  # of no points: a block that has nothing to do
+    clock = wall if place.dry else Events(stream.handle, beside=True)
 
     def small() -> None:
-        ticking(cell)
+        with gpu.current():
+            launch(gpu, program, 1, none, stream)
 
     ways: list[tuple[str, Callable[[], Any] | None]] = [
         ("alone", None),
         ("beside a warp handed over whole", lambda: started(None)),
         (f"beside a warp in slabs of {SLAB} planes", lambda: started(SLAB)),
     ]
-    expected = 3
-    for _ in range(expected):
+    for _ in range(3):
         small()
     for words, begin in ways:
         seconds = []
@@ -72,16 +105,14 @@ def handed_over(b: Bench) -> Iterator[Line]:
                 seconds.append(clock(small))
             if warping is not None:
                 warping.wait()
-        expected += len(seconds)
         micro = Spread.of(seconds).map(lambda x: x * 1e6)
         note = f"longest {micro.longest:.0f} µs"
         yield Line(f"a small kernel of another stream, {words}", value=micro, unit="µs", note=note)
-    assert host(cell)[0] == expected
 
 
 def host_volume(b: Bench) -> Iterator[Line]:
     """A volume of twice the side that lies on the host, through the GPU and back, against plain copies."""
-    from numba import cuda
+    from supple.engines.cuda.device import Memory, Pinned, Stream, open_device
 
     n, memory = 2 * b.side, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     while 3 * 4 * n**3 > memory and n > 64:
@@ -93,24 +124,27 @@ def host_volume(b: Bench) -> Iterator[Line]:
     def ours() -> None:
         d.warp(samples, filter="linear", device="cuda", out=out)
 
-    held = cuda.to_device(samples)
+    gpu, stream = open_device(), Stream(0)
 
-    def copied() -> None:
-        held.copy_to_device(samples)
-        held.copy_to_host(out)
+    def both_ways(there: Memory, source: Any, target: Any) -> Callable[[], None]:
+        def copied() -> None:
+            with gpu.current():
+                there.upload(source)
+                there.download(target)
+                stream.synchronize()
+
+        return copied
 
     what = f"{n}³ float32 on the host, linear, through the GPU"
     yield rate(f"{what}: in and out", ours, size, "GB/s", wall, runs)
-    yield against(f"{what} / copies both ways (cudaMemcpy, pageable)", ours, copied, wall, runs)
+    with gpu.current():
+        held = Memory(samples.nbytes, stream)
+    copied = both_ways(held, samples, out)
+    yield against(f"{what} / copies both ways (pageable memory)", ours, copied, wall, runs)
     yield rate("the copies alone", copied, size, "GB/s", wall, runs)
-    part = cuda.pinned_array(max(1, min(samples.size, 1 << 27)), np.float32)
+    with gpu.current():
+        pinned = Pinned(min(samples.nbytes, 1 << 29))
+    part = pinned.bytes
     part[:] = 1
-    there = cuda.to_device(part)
-
-    def pinned() -> None:
-        there.copy_to_device(part)
-        there.copy_to_host(part)
-
-    yield rate(
-        "copies both ways of pinned memory, one after the other", pinned, 2 * part.nbytes / 1e9, "GB/s", wall, runs
-    )
+    words = "copies both ways of pinned memory, one after the other"
+    yield rate(words, both_ways(held, part, part), 2 * part.nbytes / 1e9, "GB/s", wall, runs)

@@ -1,15 +1,15 @@
 """The CUDA engine: `make bench-cuda`, or `python benchmarks/cuda_engine.py [--quick] [--json FILE]`.
 
 Each time is that of a whole call (for ours: the map of the deformation, its certificate and the samples), by CUDA
-events, in turn with a peer that has its map in hand. Both results are compared before. `--dry` goes through all of it
-on a machine without a GPU: in Numba's simulator, with tiny arrays; its times mean nothing.
+events, in turn with a peer that has its map in hand. Both results are compared before. First calls are those of
+processes of their own. `--dry` goes through all of it on a machine without a GPU: on one that is played in memory, with
+tiny arrays; its times mean nothing.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import traceback
 import warnings
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 from paired import HEAD, Line, against, missed, rate, took
-from place import Bench, Place, host, stroke, waves
+from place import Bench, Place, host, play, stroke, waves
 
 if TYPE_CHECKING:
     import supple
@@ -197,7 +197,7 @@ def batch(b: Bench) -> Iterator[Line]:
 
 def parts() -> dict[str, Callable[[Bench], Iterator[Line]]]:
     """What is measured, by name."""
-    from cuda_beside import handed_over, host_volume
+    from cuda_beside import first_calls, handed_over, host_volume
 
     return {
         "volume": one_volume,
@@ -207,6 +207,7 @@ def parts() -> dict[str, Callable[[Bench], Iterator[Line]]]:
         "batch": batch,
         "streams": handed_over,
         "host": host_volume,
+        "first": first_calls,
     }
 
 
@@ -214,12 +215,12 @@ def main() -> int:
     """Print the table; 1 if a bar is missed, or there is no GPU."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="fewer runs, and smaller")
-    parser.add_argument("--dry", action="store_true", help="in Numba's simulator, tiny: whether it runs at all")
-    parser.add_argument("--only", nargs="+", metavar="PART", help="of: volume torch cupy clip batch streams host")
+    parser.add_argument("--dry", action="store_true", help="without a GPU, tiny: whether it runs at all")
+    parser.add_argument("--only", nargs="+", metavar="PART", help="of: volume torch cupy clip batch streams host first")
     parser.add_argument("--json", type=Path, metavar="FILE", help="all numbers too, in seconds and ratios")
     asked = parser.parse_args()
     if asked.dry:
-        os.environ["NUMBA_ENABLE_CUDASIM"] = "1"  # before Numba is imported
+        play()
     import supple
     from supple.engines.cuda.device import open_device
 

@@ -98,6 +98,11 @@ def digits(x: float) -> str:
     return f"{x:.0f}" if abs(x) >= 100 else f"{x:#.3g}".rstrip(".")
 
 
+def seconds(value: float) -> str:
+    """A time, in milliseconds below a second."""
+    return f"{digits(value * 1e3)} ms" if value < 1 else f"{digits(value)} s"
+
+
 def alone(work: Work, clock: Clock, runs: int) -> Spread:
     """Seconds of some work, after calls that are not counted."""
     for _ in range(warming(runs)):
@@ -119,6 +124,15 @@ def paired(ours: Work, peer: Work, clock: Clock, runs: int) -> tuple[Spread, Spr
             b.append(clock(peer))
             a.append(clock(ours))
     return Spread.of(a), Spread.of(b), Spread.of([x / y for x, y in zip(a, b, strict=True)])
+
+
+def in_turn(peer: Work, ours: Work, clock: Clock, runs: int) -> str:
+    """The cells of a table of peers: the peer's time, ours in turn with it, and the ratio.
+
+    Ours is the peer's median divided by the median ratio, so that no column contradicts another.
+    """
+    taken, _, ratio = paired(peer, ours, clock, runs)
+    return f"{seconds(taken.median)} | {seconds(taken.median / ratio.median)} | {digits(ratio.median)}"
 
 
 def against(what: str, ours: Work, peer: Work, clock: Clock, runs: int, bar: float | None = None) -> Line:

@@ -1,4 +1,4 @@
-"""Where arrays are for `cuda_engine.py`: on an NVIDIA GPU, of whatever library; or in Numba's simulator."""
+"""Where arrays are for `cuda_engine.py`: on an NVIDIA GPU, of whatever library; or on one that is played in memory."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ import gc
 import importlib
 import shutil
 import subprocess
+import sys
 import time
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,23 +34,55 @@ def wall(work: Work) -> float:
 class Events:
     """Seconds by a GPU's clock, from before some work is handed to a stream until the stream has done it.
 
-    Unless it is ``beside`` the work of others, the GPU is idle before.
+    Unless it is ``beside`` the work of others, the GPU is idle before. The stream is CUDA's handle: 0 for the default.
     """
 
-    stream: Any = 0
+    stream: int = 0
     beside: bool = False
 
     def __call__(self, work: Work) -> float:
-        from numba import cuda
+        from supple.engines.cuda.device import call, open_device
 
-        begin, end = cuda.event(timing=True), cuda.event(timing=True)
-        if not self.beside:
-            cuda.synchronize()
-        begin.record(self.stream)
-        work()
-        end.record(self.stream)
-        end.synchronize()
-        return float(begin.elapsed_time(end)) / 1e3
+        with open_device().current():
+            begin, end = (call("cuEventCreate", 0) for _ in range(2))
+            if not self.beside:
+                call("cuCtxSynchronize")
+            call("cuEventRecord", begin, self.stream)
+            work()
+            call("cuEventRecord", end, self.stream)
+            call("cuEventSynchronize", end)
+            taken = float(call("cuEventElapsedTime", begin, end)) / 1e3
+            for event in (begin, end):
+                call("cuEventDestroy", event)
+        return taken
+
+
+def play() -> None:
+    """Put a GPU that is played in memory, as the tests have it, in the place of a real one."""
+    sys.path.insert(0, str(Path(__file__).parents[1]))
+    from supple.engines.cuda import arrays, device, programs
+    from tests.engines.cuda import conftest
+    from tests.engines.cuda.driver import Driver
+
+    made: Any = Driver(conftest.compiled())
+    replaced: Any = (device, programs, arrays)
+    replaced[0].driver = lambda: made
+    replaced[1].kept = conftest.coded
+    replaced[2]._viewed = lambda value, kind: conftest.View(value)
+
+
+def sent(array: Array) -> Any:
+    """An array of Supple's own on the GPU."""
+    from supple.engines.cuda.arrays import CudaArray
+    from supple.engines.cuda.device import Stream, call, open_device
+
+    gpu = open_device()
+    with gpu.current():
+        made = CudaArray(array.shape, array.dtype, gpu, Stream(0))
+        pointer = made.__cuda_array_interface__["data"][0]
+        call("cuMemcpyHtoDAsync", pointer, np.ascontiguousarray(array).ctypes.data, array.nbytes, 0)
+        call("cuStreamSynchronize", 0)
+    return made
 
 
 @dataclass
@@ -58,8 +92,8 @@ class Place:
     Parameters
     ----------
     dry : bool
-        Whether Numba plays the GPU: arrays are Numba's, peers work on the CPU (SciPy in CuPy's place), and times are
-        the host's.
+        Whether the GPU is played in memory: arrays are Supple's own, peers work on the CPU (SciPy in CuPy's place), and
+        times are the host's.
     missing : dict
         The peers that are not there, and what is to be said of each.
     """
@@ -88,12 +122,12 @@ class Place:
     @property
     def kind(self) -> str:
         """The library whose arrays are warped where no peer wants another."""
-        return next((name for name in ("torch", "cupy") if not self.dry and name not in self.missing), "numba")
+        return next((name for name in ("torch", "cupy") if not self.dry and name not in self.missing), "own")
 
     def put(self, array: Array, kind: str = "") -> Any:
         """An array as Supple takes it there."""
-        kind = "numba" if self.dry else kind or self.kind
-        return self.peers(array, kind) if kind != "numba" else _numba().to_device(array)
+        kind = "own" if self.dry else kind or self.kind
+        return self.peers(array, kind) if kind != "own" else sent(array)
 
     def peers(self, array: Array, kind: str) -> Any:
         """An array as a peer takes it: on the GPU, or for its twin on the CPU."""
@@ -119,22 +153,32 @@ class Place:
 
     def about(self) -> dict[str, str]:
         """What all this is: the GPU, its driver, the CUDA that it knows, and the libraries."""
-        from supple.engines.cuda.device import open_device
+        from supple.engines.cuda.device import call, open_device
 
-        libraries = ("supple", "numba", "numba-cuda", "torch", "cupy-cuda12x", "cupy-cuda13x", "kornia")
+        libraries = (
+            "supple", "cuda-bindings", "cuda-core", "nvidia-cuda-nvrtc", "nvidia-cuda-nvrtc-cu12", "torch",
+            "cupy-cuda12x", "cupy-cuda13x", "kornia",
+        )  # fmt: skip
         told = {"gpu": open_device().name}
         if not self.dry:
-            from numba.cuda.cudadrv.driver import driver
-
-            told |= {"driver": driver_version(), "CUDA": ".".join(map(str, driver.get_version()))}
+            known = int(call("cuDriverGetVersion"))
+            told |= {"driver": driver_version(), "CUDA": f"{known // 1000}.{known % 1000 // 10}"}
         return told | {name: found for name in libraries if (found := _version(name))}
 
 
 def host(array: Any) -> Array:
     """An array of any of the libraries, on the host."""
-    for name in ("copy_to_host", "get"):  # Numba's, CuPy's
-        if hasattr(array, name):
-            return np.asarray(getattr(array, name)())
+    from supple.engines.cuda.arrays import CudaArray
+    from supple.engines.cuda.device import call, open_device
+
+    if isinstance(array, CudaArray):
+        made = np.empty(array.shape, array.dtype)
+        with open_device().current():
+            call("cuMemcpyDtoHAsync", made.ctypes.data, array.__cuda_array_interface__["data"][0], made.nbytes, 0)
+            call("cuStreamSynchronize", 0)
+        return made
+    if hasattr(array, "get"):  # CuPy's
+        return np.asarray(array.get())
     return np.asarray(array.cpu() if hasattr(array, "cpu") else array)
 
 
@@ -152,10 +196,6 @@ def _version(name: str) -> str:
         return version(name)
     except PackageNotFoundError:
         return ""
-
-
-def _numba() -> Any:
-    return importlib.import_module("numba.cuda")
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Make the pictures of the README and the documentation, in docs/images.
 
-python docs/make_images.py [how-to]     all, or those of how-to.md; that of the wall needs scikit-image
+python docs/make_images.py [how-to] [augmentation]     all, or those of a page; that of the wall needs scikit-image
 """
 
 import contextlib
@@ -19,9 +19,13 @@ import pyvips
 import SimpleITK as sitk  # noqa: N813
 
 import supple
+from supple.augment import RandomElastic, apply
 from supple.files.volumes import open_volume
 from supple.media import image
 from supple.plot import figure
+from supple.plot.annotate import annotated
+from supple.render.camera import Camera
+from supple.render.scene import Scene
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "examples"))
@@ -84,6 +88,55 @@ def volumes_bent(folder: Path) -> None:
             picture = pyvips.Image.new_from_file(str(made / f"{what}.png"))
             picture = picture.flatten(background=255) if picture.hasalpha() else picture
             picture.resize(scale).jpegsave(folder / f"{what}.jpg", Q=80, keep="none")
+
+
+def cut_open(folder: Path) -> None:
+    """The head without an eighth, and the half of it that a density window leaves."""
+    whole = open_volume(DATA / "head.nii.gz")
+    scene = Scene(whole.samples, whole.geometry, transfer="mr-head")
+    inner = scene.seen_through("mr-head", density=(90, 254))
+    made = (
+        (scene.clipped(((None, None), (None, 70), (None, 60))), Camera(30, 25)),
+        (inner.clipped(((None, 45), (None, None), (None, None))), Camera(-60, 10)),
+    )
+    size = (400, 400)
+    pictures = [
+        part.render(part.framed(camera, size), size, supersampling=2).pixels((1.0, 1.0, 1.0)) for part, camera in made
+    ]
+    side_by_side(folder / "cut-open.webp", [shown(pixels, 1.0) for pixels in pictures])
+
+
+def marked(folder: Path) -> None:
+    """The head with a scale bar and letters, obliquely and from above."""
+    whole = open_volume(DATA / "head.nii.gz")
+    scene, size = Scene(whole.samples, whole.geometry, transfer="mr-head"), (400, 400)
+    pictures = []
+    for camera in (Camera(38, 12, distance=560), Camera(180, 90, distance=560)):
+        pixels = scene.render(camera, size, supersampling=2).pixels((0.16, 0.17, 0.2))
+        pictures.append(shown(annotated(pixels, scene.view(camera, size), scene.geometry), 1.0))
+    side_by_side(folder / "annotated.webp", pictures)
+
+
+def looks(folder: Path) -> None:
+    """The head as it is, with silhouettes, and cut by a plane; and its projections, all framed."""
+    whole, size = open_volume(DATA / "head.nii.gz"), (300, 300)
+    made: list[tuple[Camera, dict[str, Any]]] = [
+        (Camera(38, 12), {}),
+        (Camera(38, 12), {"silhouettes": 0.8}),
+        (Camera(38, 25), {"plane": ((45, 60, 60), (0.5, -0.7, 0.7))}),
+        (Camera(90), {"projection": "average", "clip": ((42, 48), (None, None), (None, None))}),
+        (Camera(38, 12), {"projection": "maximum", "density": (40, 254)}),
+        (
+            Camera(elevation=90),
+            {"projection": "minimum", "density": (0, 200), "clip": ((18, 72), (22, 92), (44, 52))},
+        ),
+    ]
+    pictures = []
+    for camera, options in made:
+        scene = Scene(whole.samples, whole.geometry, transfer="mr-head", **options)
+        pixels = scene.render(scene.framed(camera, size), size, supersampling=2).pixels((1.0, 1.0, 1.0))
+        pictures.append(shown(pixels, 1.0))
+    side_by_side(folder / "looks.webp", pictures, 3)
 
 
 def shown(pixels: image.Array, scale: float, kernel: str = "cubic") -> pyvips.Image:
@@ -191,12 +244,44 @@ def how_to(folder: Path) -> None:
     side_by_side(folder / "how-to-training.webp", rows, across=4)
 
 
+def augmented(folder: Path) -> None:
+    """Three draws of a photograph, with a grid, key points and a box; and of a slice of the head, with labels."""
+    photo = image.read(DATA / "astronaut.jpg").pixels.copy()
+    for line in range(15, 512, 32):
+        photo[line : line + 2] = photo[:, line : line + 2] = 255
+    known = {"points": [(203, 110), (247, 109), (225, 128)], "boxes": [(147, 10, 300, 230)]}
+    augment = RandomElastic(max_displacement=48, radius=(50, 110), strokes=(8, 12))
+    rows: tuple[list[pyvips.Image], list[pyvips.Image]] = ([], [])
+    for made in (
+        apply(supple.Deformation((512, 512)), photo, **known),
+        *(augment(photo, seed=s, **known) for s in (3, 5, 6)),
+    ):
+        (x0, y0, x1, y1) = made.boxes[0]
+        marks = "".join(f'<circle cx="{x + 0.5}" cy="{y + 0.5}" r="6" fill="#ffd400"/>' for x, y in made.points)
+        place = f'x="{x0}" y="{y0}" width="{x1 - x0}" height="{y1 - y0}"'
+        drawn = (
+            f'<svg width="512" height="512"><rect {place} fill="none" stroke="#ff2d20" stroke-width="5"/>{marks}</svg>'
+        )
+        over = pyvips.Image.svgload_buffer(drawn.encode())
+        rows[0].append(pyvips.Image.new_from_array(made.image).composite2(over, "over").flatten().resize(0.4))
+    head, brain = (open_volume(DATA / f"{name}.nii.gz").samples for name in ("head", "brain"))
+    augment = RandomElastic(max_displacement=25, radius=(25, 45), strokes=(20, 30))
+    draws = [augment(head, labels=brain, seed=s, shape=head.shape, spacing=(2, 2, 2)) for s in (2, 4, 6)]
+    for values, labels in ((head, brain), *((made.image, made.labels) for made in draws)):
+        rows[1].append(outlined(values[40], labels[40]).resize(0.4 * 512 / (4 * head.shape[2])))
+    joined = [pyvips.Image.arrayjoin(row, across=4, shim=8, background=WHITE) for row in rows]
+    both = joined[0].join(joined[1], "vertical", shim=8, background=WHITE)
+    both.webpsave(folder / "augmentation.webp", Q=70, effort=6, keep="none")
+
+
 def main() -> None:
     """Make all pictures."""
     folder = HERE / "images"
     folder.mkdir(exist_ok=True)
-    how_to(folder)
-    if sys.argv[1:] == ["how-to"]:
+    pages = {"how-to": how_to, "augmentation": augmented}
+    for page in sys.argv[1:] or pages:
+        pages[page](folder)
+    if sys.argv[1:]:
         return
     photo = image.read(heart.PHOTO).pixels
     d = heart.heart(photo.shape[:2])
@@ -209,6 +294,9 @@ def main() -> None:
     bunny_smiles(folder)
     time_filtered(folder)
     volumes_bent(folder)
+    cut_open(folder)
+    marked(folder)
+    looks(folder)
     rendered(paper, "iterations").pngsave(folder / "iterations.png", palette=True, keep="none")
 
 

@@ -17,18 +17,11 @@ from supple.errors import SuppleError
 hypothesis.settings.register_profile("supple", deadline=None)
 hypothesis.settings.load_profile("supple")
 
-# Numba's simulator takes the place of CUDA from its import on: those tests are run by themselves.
-collect_ignore = (
-    []
-    if {"1"} & {os.environ.get(k) for k in ("NUMBA_ENABLE_CUDASIM", "SUPPLE_TEST_CUDA")}
-    else ["engines/cuda/kernels"]
-)
-
 # A worker has a file at a time: those that take longest are begun first, so that none of them is waited for at the end.
 LONGEST = (
     "viewer/test_window_browser.py",
     "viewer/test_window_pointer.py",
-    "engines/cuda/test_ptx.py",
+    "engines/cuda/test_programs.py",
     "plot/test_diagnostics.py",
     "engines/test_native.py",
     "pipeline/test_frames.py",

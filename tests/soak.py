@@ -20,7 +20,7 @@ from supple import Deformation, FoldWarning, SuppleError, ToleranceWarning, _cor
 from supple.engines.base import Array, Group, Layout, Sampling, Work
 from supple.pipeline import make_plan, stream
 from supple.render.solid import solve_solid
-from supple.strokes import numbers
+from supple.strokes import Stroke, numbers
 
 Floats = npt.NDArray[np.float64]
 
@@ -115,7 +115,7 @@ def drawn(rng: np.random.Generator) -> tuple[Deformation, int]:
             continue
         by *= radius * np.exp(rng.uniform(np.log(0.01), np.log(20))) / np.linalg.norm(by)
         try:
-            d = d.grab(
+            stroke = Stroke.grab(
                 at,
                 by=by / spacing,
                 radius=radius,
@@ -123,6 +123,7 @@ def drawn(rng: np.random.Generator) -> tuple[Deformation, int]:
                 scales=int(rng.integers(1, 4)),
                 reach=REACHES[rng.integers(len(REACHES))],
             )
+            d = d.add(stroke, warn=False)  # many are outside, or held back
         except SuppleError:
             refused += 1
     return d, refused

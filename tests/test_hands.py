@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -183,3 +184,42 @@ class TestRestore:
         assert refusal(lambda: d.restore((300, 100), radius=10)).startswith("at must be a point within the domain")
         assert refusal(lambda: d.restore((30, 100), radius=10, strength=2)).startswith("strength must be")
         assert refusal(lambda: d.smooth((30, 100), radius=-1)).startswith("radius must be")
+
+
+@pytest.mark.parametrize("border", ["auto", None, 3.0])
+@pytest.mark.parametrize("t", [0, 1, 11])
+def test_the_first_and_the_last_frame_are_restored_and_smoothed(border: Any, t: int) -> None:
+    """There, points stay in their frame, as whatever is dragged does."""
+    bent = Deformation((12, 90, 120), time=True, border=border).grab((60, 40, t), by=(14, 5, 0), radius=18)
+    before = np.linalg.norm(bent.inverse((70, 44, t)).points - (70, 44, t))
+    assert before > 5
+    for back in (bent.restore((70, 44, t), radius=18), bent.smooth((70, 44, t), radius=18)):
+        left = back.inverse((70, 44, t)).points - (70, 44, t)
+        assert np.linalg.norm(left) < 0.7 * before
+        assert abs(left[2]) < 1e-9
+    late = Deformation((12, 90, 120), time=True, border=border).grab((60, 40, 4), by=(0, 0, 3), radius=18)
+    if border is not None and t != 1:
+        assert {by[2] for _, by in late.restore((62, 41, t), radius=18).strokes[-1].handles} == {0}
+
+
+@pytest.mark.parametrize(
+    ("stroke", "near", "far"),
+    [
+        (Stroke.twist((0, 256), angle=30, radius=60), 1.9, 0.1),
+        (Stroke.scale((0, 256), factor=1.4, radius=60), 1.3, 0.1),
+        (Stroke.pinch((0, 256), factor=0.7, radius=60), 0.9, 0.12),
+        (Stroke.grab((0, 256), path=[(-14, 250)], to=(-24, 240), radius=60), 7.0, 1.2),
+    ],
+)
+def test_two_strokes_are_nearly_symmetric(stroke: Stroke, near: float, far: float) -> None:
+    """The figures of docs/brushes.md."""
+    points = np.stack(np.meshgrid(np.arange(0.0, 512, 4), np.arange(0.0, 512, 4)), axis=-1)
+    for away, most in ((56, near), (120, far)):
+        moved = stroke.mapped(lambda p, x=255.5 - away: (p[0] + x, p[1]), lambda v: v)
+        d = Deformation((512, 512))
+        for one in moved.symmetric(at=(255.5, 0), normal=(1, 0)):
+            d = d.add(one)
+        found, image = d.forward(points), d.forward(np.stack([511 - points[..., 0], points[..., 1]], axis=-1))
+        image[..., 0] = 511 - image[..., 0]
+        off = np.linalg.norm(found - image, axis=-1).max()
+        assert 0.7 * most < off <= most or (away == 120 and off <= most)

@@ -74,11 +74,11 @@ PROBLEMS: dict[str, Callable[[], Deformation]] = {
         (119, 0), by=(-30, 40), radius=30, reach=None
     ),
     "a face": lambda: Deformation(SHAPE, border=3, on_fold="damp").grab((60, 0), by=(4, 40), radius=30, reach=None),
-    "far outside": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab(
-        (-300, 500), by=(400, 90), radius=200, reach=None
+    "far outside": lambda: Deformation(SHAPE, border=64, on_fold="damp").add(
+        Stroke.grab((-300, 500), by=(400, 90), radius=200, reach=None), warn=False
     ),
-    "just outside": lambda: Deformation(SHAPE, border=None, on_fold="damp").grab(
-        (-3, 92), by=(20, -30), radius=15, scales=3, reach=None
+    "just outside": lambda: Deformation(SHAPE, border=None, on_fold="damp").add(
+        Stroke.grab((-3, 92), by=(20, -30), radius=15, scales=3, reach=None), warn=False
     ),
     "a pixel's radius": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab(
         (60.3, 40.9), by=(1, -0.7), radius=1, scales=3, reach=None

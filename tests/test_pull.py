@@ -87,7 +87,7 @@ def test_bounds_of_a_sum_hold_at_dense_points(border: float | None, count: int) 
     assert least >= lower
     assert least <= 0.9 * upper
     moved = np.linalg.norm(d.forward(grid) - grid, axis=1).max()
-    assert moved <= strain.largest(table, axes) <= 1.6 * moved
+    assert moved <= strain.largest(table, axes) <= 3.1 * moved
 
 
 @pytest.mark.parametrize(("ndim", "reach"), [(2, 4.0), (2, None), (3, 4.0), (3, 1.5)])
@@ -128,8 +128,10 @@ def test_two_that_meet_on_their_way_are_named() -> None:
     d = Deformation((120, 240))
     points, by = [(20, 60), (60, 60), (160, 60), (200, 90)], [(0, 9), (100, 0), (-100, 0), (0, 5)]
     message = refusal(lambda: d.pull(points, by=by, radius=20))
-    assert (
-        "the handles at (60, 60) and (160, 60), dragged by (100, 0) and (-100, 0), pull against each other" in message
+    assert message == (
+        "a pull of 4 handles with radius 20 cannot arrive without a fold: handle 2, at (60, 60), dragged by (100, 0), "
+        "and handle 3, at (160, 60), dragged by (-100, 0), pull against each other; use a larger radius, or other "
+        "targets"
     )
 
 
@@ -138,9 +140,7 @@ def test_a_pull_that_folds_is_damped_or_refused(on_fold: str) -> None:
     d = Deformation((120, 160), on_fold=on_fold)  # type: ignore[arg-type]
     given = {"points": [(60, 60), (80, 60)], "by": [(30, 0), (-30, 5)], "radius": 12.0}
     if on_fold == "error":
-        with pytest.raises(
-            FoldError, match=r"^a pull of 2 handles from \(60, 60\) on with radius 12 folds: at most 0\.\d"
-        ):
+        with pytest.raises(FoldError, match=r"^a pull of 2 handles with radius 12 folds: at most 0\.\d"):
             d.pull(**given)  # type: ignore[arg-type]
         return
     with pytest.warns(FoldWarning, match="damped to 0"):
@@ -152,7 +152,7 @@ def test_a_pull_that_folds_is_damped_or_refused(on_fold: str) -> None:
 def test_two_that_change_places_are_named() -> None:
     d = Deformation((120, 160))
     message = refusal(lambda: d.pull([(60, 60), (80, 60), (20, 20)], to=[(80, 60), (60, 60), (20, 22)], radius=12))
-    assert "the handles at (60, 60) and (80, 60), dragged by (20, 0) and (-20, 0), pull against each other" in message
+    assert "handle 1, at (60, 60), dragged by (20, 0), and handle 2, at (80, 60), dragged by (-20, 0), pull" in message
 
 
 def test_refusals() -> None:
@@ -166,7 +166,15 @@ def test_refusals() -> None:
     assert refusal(lambda: Stroke.pull(crowd, by=crowd, pins=[(9, 9)], radius=3)) == (
         "points must be at most 1000 points, pins among them, found 1001"
     )
-    assert "two handles at (9, 9)" in refusal(lambda: d.pull([(9, 9), (9, 9)], by=[(1, 1), (2, 1)], radius=3))
+    assert refusal(lambda: d.pull([(9, 9), (9, 9)], by=[(1, 1), (2, 1)], radius=3)) == (
+        "a pull of 2 handles with radius 3 has two handles at (9, 9), 1 and 2: leave one out"
+    )
+    assert refusal(lambda: d.pull([(9, 9)], to=[(9, 8, 3)], radius=3)) == (
+        "to must be points of 2 numbers, as the dragged ones, found 3 numbers"
+    )
+    assert "pins must be points of 2 numbers" in refusal(
+        lambda: d.pull([(9, 9)], to=[(9, 8)], pins=[(1, 2, 3)], radius=3)
+    )
     assert "starts or ends on the edge" in refusal(lambda: d.pull([(9, 9), (30, 9)], by=[(-20, 0), (0, 0)], radius=3))
     assert "also must be left out for a twist" in refusal(
         lambda: Stroke(brush="twist", at=(1, 2), angle=3, radius=4, also=[((1, 2), (3, 4))])  # type: ignore[arg-type]
@@ -250,5 +258,17 @@ def test_handles_that_move_material_across_each_others_reach_are_in_the_map(apar
 @pytest.mark.parametrize("gap", [1e-12, 1e-9, 1e-6])
 def test_handles_too_close_to_tell_apart_are_refused(on_fold: Any, gap: float) -> None:
     d = Deformation((100, 100), on_fold=on_fold)
-    with pytest.raises(SuppleError, match=r"cannot arrive.*\(50, 50\) and \(50, 50\)|folds"):
+    with pytest.raises(SuppleError, match=r"cannot arrive.*handle 1, at \(50, 50\).*handle 2, at \(50, 50\)|folds"):
         d.pull([(50, 50), (50 + gap, 50)], by=[(0.01, 0), (0, 0.01)], radius=20)
+
+
+def test_what_is_frozen_in_the_way_is_named() -> None:
+    across = np.zeros((100, 100), np.bool_)
+    across[:, 47:53] = True
+    with pytest.raises(SuppleError, match="cannot arrive without a fold: what is frozen is in the way; use a larger"):
+        Deformation((100, 100), freeze=across).pull([(30, 30), (50, 60)], to=[(70, 30), (52, 60)], radius=9)
+    left = np.zeros((80, 80), np.bool_)
+    left[:, :20] = True
+    damped = Deformation((80, 80), freeze=left, on_fold="damp")
+    with pytest.warns(FoldWarning, match=r"\(10, 30\), is let go, .*; a pull of 2 handles .* folds: damped to 0\.33"):
+        damped.pull([(10, 30), (50, 40), (56, 40)], to=[(30, 30), (60, 40), (50, 40)], radius=9)

@@ -136,6 +136,12 @@ class TestJson:
         del entry[key]
         assert read_refusal(with_stroke(json.dumps(entry))) == f'the key "{key}" is missing in strokes[1]'
 
+    def test_unknown_brushes(self) -> None:
+        entry = '{"brush": "twirl", "at": [1, 2], "radius": 5, "angle": 4}'
+        assert read_refusal(with_stroke(entry)) == (
+            'strokes[1]: brush must be "grab" or "twist" or "scale" or "pinch", found \'twirl\''
+        )
+
     def test_missing_keys(self) -> None:
         assert read_refusal('{"supple": 1}') == 'the key "strokes" is missing in the recipe'
         assert read_refusal('{"strokes": []}').startswith('the key "supple", a recipe\'s version (2), is missing')

@@ -26,6 +26,10 @@ ROOT = Path(__file__).resolve().parent.parent
 CORE = Path("src", "supple", "_core")
 ZIGLANG = "ziglang>=0.13"
 COMPILERS = ["clang-cl"] if sys.platform == "win32" else ["c++", "g++", "clang++"]
+SANITIZED = [
+    "tests/core", "tests/engines/test_native.py", "tests/test_blocks.py",
+    *(f"tests/engines/cuda/test_{name}.py" for name in ("brushes", "driver", "large", "maps", "parity")),
+]  # fmt: skip
 GLIBC = "2.28"  # the oldest that what Zig builds runs with: RHEL 8, Debian 10, Ubuntu 18.10
 
 # What a compiler must be able to do.
@@ -253,12 +257,14 @@ def sanitize(tests: Sequence[str]) -> int:
         "PYTHONPATH": str(ROOT / folder),
         "PYTHONDONTWRITEBYTECODE": "1",
         "SUPPLE_TEST_EVERY": "5",
+        # The kernels for CUDA, compiled for this machine.
+        "SUPPLE_TEST_KERNELS": "-O0 -g1 -fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all",
     }
     # Reports are written by C, past what Python's sys.stderr is: of a test that they end, pytest would keep them.
     command = [sys.executable, "-m", "pytest", "-q", "--capture=sys", "-p", "no:cacheprovider"]
     command += ["-n", "auto", "-o", f"pythonpath={folder}"]
     if subprocess.run(
-        [*command, *(tests or ["tests/core", "tests/engines/test_native.py", "tests/test_blocks.py"])],
+        [*command, *(tests or [*SANITIZED])],
         cwd=ROOT,
         env=environment,
         check=False,

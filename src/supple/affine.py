@@ -46,7 +46,7 @@ class Affine:
             or given.shape[1] not in (3, 4)
             or given.shape[0] not in (given.shape[1] - 1, given.shape[1])
         ):
-            refuse("matrix", wanted, f"shape {given.shape}")
+            refuse("matrix", wanted, told=f"shape {given.shape}")
         n = given.shape[1] - 1
         if len(given) == n:
             given = np.vstack([given, np.eye(n + 1)[-1]])

@@ -78,10 +78,7 @@ def warp_array(
             refuse("clamp", "False for an array on a CUDA device: clip the result there", clamp)
         return _on_device(engine, held, work, device, out)
     engine = engine_for(device, work)
-    if space.grid is None:
-        result = engine.result(out, held)
-    else:
-        result = NATIVE.result(out, held, (*space.out, *held.shape[len(space.whole) :]))
+    result = engine.result(out, held, shape_of(held, work))
     frames, planes = (Arrays((_as_frames(a, len(space.whole)),)) for a in (held, result))
     done = run(frames, planes, work, engine, tell=tell)
     if clamp and not space.is_identity:
@@ -93,6 +90,14 @@ def work_of(held: Any, space: Space, sampling: Sampling, alpha: bool | None) -> 
     """Return the work on an image or on frames; SuppleError if they do not fit."""
     layout = Layout.of_array(held.shape, held.dtype, space.whole, alpha=alpha, light=sampling.light)
     return Work(space, layout, sampling.filled(layout.groups[0].channels, held.dtype))
+
+
+def shape_of(held: Any, work: Work) -> tuple[int, ...] | None:
+    """Return the shape of the result for an array, if it is not that of the array."""
+    if work.space.grid is None:
+        return None
+    before = 0 if work.items is None else 1
+    return (*held.shape[:before], *work.space.out, *held.shape[before + len(work.space.whole) :])
 
 
 def _as_frames(array: Array, axes: int) -> Array:
@@ -107,7 +112,7 @@ def _on_device(engine: Engine, held: Any, work: Work, device: str, out: Any) -> 
     if device == "gpu":
         refuse("device", "left out for an array on a CUDA device, which is warped there", device)
     engine.check(work)
-    result = engine.result(out, held)
+    result = engine.result(out, held, shape_of(held, work))
     return result.given, sampled(engine, work, [held], [result])
 
 
@@ -168,7 +173,7 @@ def warp_batch(
     shape = spaces[0].whole
     if held.ndim < 1 + len(shape) or held.shape[1 : 1 + len(shape)] != shape:
         sizes = ", ".join(map(str, shape))
-        refuse("sources", f"of shape (N, {sizes}) or (N, {sizes}, channels)", f"shape {held.shape}")
+        refuse("sources", f"of shape (N, {sizes}) or (N, {sizes}, channels)", told=f"shape {held.shape}")
     _check_count(spaces, len(held))
     result = engine.result(out, held)
     for k, item in enumerate(held):
@@ -191,7 +196,7 @@ def spaces_of(deformations: Any) -> tuple[Space, ...]:
     shapes = [s.whole for s in spaces]
     if len(set(shapes)) > 1:
         other = next(shape for shape in shapes if shape != shapes[0])
-        refuse("deformations", wanted, f"shapes {shapes[0]} and {other}")
+        refuse("deformations", wanted, told=f"shapes {shapes[0]} and {other}")
     return spaces
 
 
@@ -286,7 +291,7 @@ def warp_function(
         values = np.asarray(function(points))
         if values.ndim not in (1, 2) or values.shape[0] != len(points) or values.dtype.kind not in "biuf":
             wanted = f"numbers of shape ({len(points)},) or ({len(points)}, channels) for points {points.shape}"
-            refuse("the function's values", wanted, f"{values.dtype} of shape {values.shape}")
+            refuse("the function's values", wanted, told=f"{values.dtype} of shape {values.shape}")
         if values.dtype.kind != "f":
             values = values.astype(np.float64)
         square = values.reshape(len(y) // samples, samples, width, samples, *values.shape[1:]).mean(axis=(1, 3))

@@ -100,7 +100,7 @@ def warp(
         if not hasattr(array, name):
             refuse("array", "an array with a shape, a dtype and slices", array)
     if 0 in array.shape:
-        refuse("array", "an array with samples", f"shape {array.shape}")
+        refuse("array", "an array with samples", told=f"shape {array.shape}")
     return _warped(array, job, chunks, _first_axis(array.shape, deformation.shape, axes))
 
 

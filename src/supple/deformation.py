@@ -18,19 +18,19 @@ from supple.domain import BorderProfile, Domain, choice, colours_hint, flag, int
 from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import DEVICES, engine_at
 from supple.engines.native import NATIVE, measured, plan_of
-from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError
+from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, caller
 from supple.fields import Field, Placed, check_path, folds_of
 from supple.folding import resolve
 from supple.freezing import Freeze
 from supple.geometry import Grid
-from supple.resolved import Resolved, described, freedom_at, padded
+from supple.resolved import FREE_ENOUGH, Resolved, described, freedom_at, padded
 from supple.strain import mask_of
 from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
 
+_HIT = 1e-6  # samples: a point of a pull that is as near as this has arrived
+
 Floats = npt.NDArray[np.float64]
 Source = npt.NDArray[Any] | Callable[[Floats], npt.ArrayLike]
-
-_FREE_ENOUGH = 0.1  # of the freeze mask: where less is let through, a point is not led back
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,8 +72,10 @@ class Arrival:
     moved : float
         The distance from ``final`` to ``arrived``: the effect of later strokes.
     cause : str or None
-        The cause of a miss: ``"fold"``, ``"border"``, ``"fold and border"``, or ``"outside"`` if the stroke starts
-        outside a fixed border, where it moves nothing.
+        The cause of a miss: ``"fold"``, ``"border"``, ``"freeze"`` for what is frozen, ``"fold and border"``, ``"fold
+        and freeze"``; ``"outside"`` if the stroke starts outside a fixed border, where it moves nothing; or None.
+    also : tuple of Arrival
+        Of a pull, those of its further points, in order.
     """
 
     target: tuple[float, ...]
@@ -82,6 +84,7 @@ class Arrival:
     miss: float
     moved: float
     cause: str | None
+    also: tuple[Arrival, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,7 +302,7 @@ class Deformation:
             except SuppleError as error:
                 raise type(error)(f"{which}{error}") from None
             if outside and say is None:
-                warnings.warn(f"{which}{outside}", OutsideWarning, stacklevel=3)
+                warnings.warn(f"{which}{outside}", OutsideWarning, stacklevel=caller())
             elif outside and say is not None:
                 say(f"{which}{outside}", OutsideWarning)
             _warn(made._resolved[-1], which, say)
@@ -411,6 +414,7 @@ class Deformation:
         poisson: float | None = None,
         scales: int = 1,
         reach: float | None = REACH,
+        strength: float = 1.0,
     ) -> Self:
         """Return the deformation with one more stroke, which drags the material at a point.
 
@@ -434,21 +438,30 @@ class Deformation:
         reach : float or None
             The reach in radii, from 1; the default of 4 looks as natural as no limit. Beyond it, samples keep every
             bit. None: unlimited, as in the paper.
+        strength : float
+            The applied part of the drag, from 0 to 1.
 
         Raises
         ------
         SuppleError
             If an argument is invalid; `FoldError` if the stroke would fold, or be held back, under ``on_fold="error"``;
-            or if it cannot reach its target.
+            if it cannot reach its target; or if no sample is within its reach.
 
         Warns
         -----
+        OutsideWarning
+            If it starts outside the samples.
         FoldWarning
             If it was damped, under ``on_fold="damp"``.
         MissWarning
-            If the border keeps it more than half a pixel from its target, under ``on_fold="damp"``.
+            If it ends more than half a pixel from its target: what is frozen holds it back, or the border, under
+            ``on_fold="damp"``.
         """
-        stroke = Stroke.grab(at, to=to, by=by, path=path, radius=radius, poisson=poisson, scales=scales, reach=reach)
+        if len(point("at", at)) != self.ndim:
+            refuse("at", f"{self._coordinates}, as a point of {self._kind} has{colours_hint(self.shape)}", at)
+        stroke = Stroke.grab(
+            at, to=to, by=by, path=path, radius=radius, poisson=poisson, scales=scales, reach=reach, strength=strength
+        )
         return self.add(stroke)
 
     def pull(
@@ -461,6 +474,7 @@ class Deformation:
         radius: float,
         poisson: float | None = None,
         reach: float | None = REACH,
+        strength: float = 1.0,
     ) -> Self:
         """Return the deformation with one more stroke, which drags many points at once, each to its own target.
 
@@ -478,19 +492,23 @@ class Deformation:
             Points that stay where they are.
         radius : float
             The radius of the brush at each point, in physical units: about the distance between the points, or more.
-        poisson, reach : float or None
+        poisson, reach, strength
             As in `grab`.
 
         Raises
         ------
         SuppleError
             If an argument is invalid, or two points pull against each other so that they cannot arrive without a fold:
-            the message names them.
+            the message names them; `FoldError` if it would fold, or points are frozen, under ``on_fold="error"``.
 
         Warns
         -----
+        OutsideWarning
+            If its first point starts outside the samples.
         FoldWarning
             If it was damped, under ``on_fold="damp"``.
+        MissWarning
+            If some of the points are frozen, and are let go.
 
         Examples
         --------
@@ -500,7 +518,9 @@ class Deformation:
         array([[180., 250.],
                [250., 250.]])
         """
-        return self.add(Stroke.pull(points, to=to, by=by, pins=pins, radius=radius, poisson=poisson, reach=reach))
+        return self.add(
+            Stroke.pull(points, to=to, by=by, pins=pins, radius=radius, poisson=poisson, reach=reach, strength=strength)
+        )
 
     def restore(self, at: Point, *, radius: float, strength: float = 1.0, warn: bool = True) -> Self:
         """Return the deformation with one more stroke, which brings the material around a point back to its origin.
@@ -576,19 +596,33 @@ class Deformation:
         ring = centre + 0.5 * radius * self._directions() / np.array(self.domain.spacing)
         points = np.concatenate([centre[None], ring])
         first, last = (x[: self.ndim] / self.domain.spacing for x in self.domain.packed()[:, :2].T)
-        held = 0.0 if self.domain.border is None else 1.0  # samples within a fixed edge, which nothing else reaches
+        # Samples within a fixed edge, which nothing else reaches; at the ends of a clip, points move in their frames.
+        held = np.full(self.ndim, 0.0 if self.domain.border is None else 1.0)
+        low, high = first + held, last - held
+        if self.domain.time:
+            held[2] = 0.0
         points = points[np.all((points > first + held) & (points < last - held), axis=1)]
-        points = points[freedom_at(padded(points, self.domain), self.domain) > _FREE_ENOUGH]
+        points = points[freedom_at(padded(points, self.domain), self.domain) > FREE_ENOUGH]
         if not len(points):
             refuse("at", "a point within the domain that is not frozen", at)
         targets = points - part * errors(points)
-        if held:
-            targets = np.clip(targets, first + held, last - held)
+        if self.domain.border is not None:
+            targets = np.clip(targets, low, high)
+        if self.domain.time:
+            ends = (points[:, 2] <= low[2]) | (points[:, 2] >= high[2])
+            targets[ends, 2] = points[ends, 2]
         stroke = Stroke.pull(points, to=targets, radius=0.5 * radius, reach=3.0)
         return self.add(replace(stroke, name=name), warn=warn)
 
     def twist(
-        self, at: Point, *, angle: float, radius: float, axis: Point | None = None, reach: float | None = REACH
+        self,
+        at: Point,
+        *,
+        angle: float,
+        radius: float,
+        axis: Point | None = None,
+        reach: float | None = REACH,
+        strength: float = 1.0,
     ) -> Self:
         """Return the deformation with one more stroke, which turns the material around a point.
 
@@ -607,20 +641,27 @@ class Deformation:
             In a volume or a clip, the direction of the axis, in samples; by default, that of z or of time.
         reach : float or None
             As in `grab`.
+        strength : float
+            The applied part of the angle, from 0 to 1.
 
         Raises
         ------
         SuppleError
-            If an argument is invalid, or the stroke would fold under ``on_fold="error"`` (`FoldError`).
+            If an argument is invalid, no sample is within its reach, or the stroke would fold under
+            ``on_fold="error"`` (`FoldError`).
 
         Warns
         -----
+        OutsideWarning, MissWarning
+            If its pivot is outside the samples, or frozen.
         FoldWarning
             If it was damped, under ``on_fold="damp"``.
         """
-        return self.add(Stroke(brush="twist", at=at, angle=angle, axis=axis, radius=radius, reach=reach))  # type: ignore[arg-type]
+        return self.add(Stroke.twist(at, angle=angle, axis=axis, radius=radius, reach=reach, strength=strength))
 
-    def scale(self, at: Point, *, factor: float, radius: float, reach: float | None = REACH) -> Self:
+    def scale(
+        self, at: Point, *, factor: float, radius: float, reach: float | None = REACH, strength: float = 1.0
+    ) -> Self:
         """Return the deformation with one more stroke, which bloats or puckers the material around a point.
 
         At the point, lengths are magnified by exactly the factor; it fades with the distance. In a clip, x and y are
@@ -636,6 +677,8 @@ class Deformation:
             The radius of the brush, in physical units.
         reach : float or None
             As in `grab`.
+        strength : float
+            The applied part of the factor's logarithm, from 0 to 1: half of a scale by 4 is one by 2.
 
         Raises
         ------
@@ -644,10 +687,10 @@ class Deformation:
 
         Warns
         -----
-        FoldWarning
+        OutsideWarning, MissWarning, FoldWarning
             As in `twist`.
         """
-        return self.add(Stroke(brush="scale", at=at, factor=factor, radius=radius, reach=reach))  # type: ignore[arg-type]
+        return self.add(Stroke.scale(at, factor=factor, radius=radius, reach=reach, strength=strength))
 
     def pinch(
         self,
@@ -658,6 +701,7 @@ class Deformation:
         axis: Point | None = None,
         poisson: float | None = None,
         reach: float | None = REACH,
+        strength: float = 1.0,
     ) -> Self:
         """Return the deformation with one more stroke, which pinches the material around a point.
 
@@ -676,6 +720,8 @@ class Deformation:
             A direction, in samples; by default, that of x.
         poisson, reach : float or None
             As in `grab`.
+        strength : float
+            As in `scale`.
 
         Raises
         ------
@@ -684,11 +730,12 @@ class Deformation:
 
         Warns
         -----
-        FoldWarning
+        OutsideWarning, MissWarning, FoldWarning
             As in `twist`.
         """
-        stroke = Stroke(brush="pinch", at=at, factor=factor, axis=axis, radius=radius, poisson=poisson, reach=reach)  # type: ignore[arg-type]
-        return self.add(stroke)
+        return self.add(
+            Stroke.pinch(at, factor=factor, axis=axis, radius=radius, poisson=poisson, reach=reach, strength=strength)
+        )
 
     def add(self, stroke: Stroke, *, warn: bool = True) -> Self:
         """Return the deformation with one more stroke, applied to the result of the strokes so far.
@@ -699,7 +746,8 @@ class Deformation:
             A hidden one is not added, and this deformation itself is returned. Of one with a strength below 1, that
             fraction of the drag is applied and recorded.
         warn : bool
-            Whether to warn if it misses its target; `warnings` has the text too.
+            Whether to warn if it starts outside the samples or misses its target, and to refuse it if it reaches no
+            sample; `warnings` has the text of a miss too.
 
         Raises
         ------
@@ -708,14 +756,16 @@ class Deformation:
 
         Warns
         -----
-        FoldWarning, MissWarning
+        OutsideWarning, FoldWarning, MissWarning
             As in `grab`.
         """
         if not isinstance(stroke, Stroke):
             refuse("a stroke", "a Stroke", stroke)
         if stroke.ndim != self.ndim:
-            wanted = f"{self.ndim} numbers, as the shape has {self.ndim} axes{colours_hint(self.shape)}"
-            refuse("a stroke's point", wanted, stroke.at)
+            raise SuppleError(
+                f"{described(stroke)} has a point of {stroke.ndim} numbers, and a point of {self._kind} has "
+                f"{self._coordinates}{colours_hint(self.shape)}"
+            )
         if stroke.hidden:
             return self
         if stroke.keys:
@@ -724,12 +774,23 @@ class Deformation:
             )
         stroke = reduced(stroke, 1.0, self, self)
         resolved = resolve(stroke, self.domain, self.on_fold)
-        if warn:
-            _warn(resolved)
         count = self._table.size
         table = np.empty(count + resolved.substrokes, STROKE_DTYPE)
         table[:count], table[count:] = self._table, resolved.rows
-        return self._changed(strokes=(*self.strokes, stroke), _resolved=(*self._resolved, resolved), _table=table)
+        made = self._changed(strokes=(*self.strokes, stroke), _resolved=(*self._resolved, resolved), _table=table)
+        if warn:
+            if outside := last_outside(made):
+                warnings.warn(outside, OutsideWarning, stacklevel=caller())
+            _warn(resolved)
+        return made
+
+    @property
+    def _kind(self) -> str:
+        return "a picture" if self.ndim == 2 else "a clip" if self.domain.time else "a volume"
+
+    @property
+    def _coordinates(self) -> str:
+        return "2 numbers, x and y" if self.ndim == 2 else f"3 numbers, x, y and {'t' if self.domain.time else 'z'}"
 
     def affine(self, matrix: npt.ArrayLike | Affine, *, inverse: bool = False) -> Self:
         """Return the deformation with an affine map after the elements so far.
@@ -950,7 +1011,7 @@ class Deformation:
             if not isinstance(grid, Grid):
                 refuse("grid", "a Grid", grid)
             if grid.ndim != self.ndim:
-                refuse("grid", f"a grid of {self.ndim} axes, as the deformation is", f"one of {grid.ndim}")
+                refuse("grid", f"a grid of {self.ndim} axes, as the deformation is", told=f"one of {grid.ndim}")
         space = self.space_on(grid)
         if callable(source):
             if grid is not None:
@@ -1026,29 +1087,46 @@ class Deformation:
     def _arrivals(self, first: int) -> tuple[Arrival, ...]:
         """Return the arrivals from one stroke on."""
         strokes, resolved = self.strokes[first:], self._resolved[first:]
-        ends = [each.arrived for each in resolved]
+        arrived = [self._arrived(stroke, each) for stroke, each in zip(strokes, resolved, strict=True)]
+        ends = arrived
         if len(strokes) > 1 or self.maps:
-            ends = self._ends(first)
+            ends = self._ends(first, arrived)
         found = []
-        for stroke, each, end in zip(strokes, resolved, ends, strict=True):
-            target = tuple(a + b for a, b in zip(stroke.at, stroke.by, strict=True))
-            miss, moved = math.dist(each.arrived, target), math.dist(end, each.arrived)
-            found.append(Arrival(target, each.arrived, end, miss, moved, each.cause))
+        for stroke, each, here, there in zip(strokes, resolved, arrived, ends, strict=True):
+            made = []
+            for (at, by), now, end in zip(stroke.handles, here, there, strict=True):
+                target = tuple(a + b for a, b in zip(at, by, strict=True))
+                miss = math.dist(now, target)
+                cause = each.cause if not stroke.also or miss > _HIT else None
+                made.append(Arrival(target, now, end, miss, math.dist(end, now), cause))
+            found.append(replace(made[0], also=tuple(made[1:])))
         return tuple(found)
 
-    def _ends(self, first: int) -> list[tuple[float, ...]]:
-        """Return where the points of the strokes from one on are after all strokes."""
+    def _arrived(self, stroke: Stroke, resolved: Resolved) -> list[tuple[float, ...]]:
+        """Return where the points of a stroke are after it."""
+        if not stroke.also:
+            return [resolved.arrived]
+        points = padded([at for at, _ in stroke.also], self.domain)
+        if resolved.substrokes:
+            points, _ = _core.forward(numbers(resolved.rows), self._axes, points, False, mask_of(self.domain))
+        return [resolved.arrived, *map(tuple, (points[:, : self.ndim] / self.domain.spacing).tolist())]
+
+    def _ends(self, first: int, arrived: Sequence[Sequence[tuple[float, ...]]]) -> list[list[tuple[float, ...]]]:
+        """Return where the points of the strokes from one on, which have arrived, are after all strokes."""
         resolved, steps, table = self._resolved[first:], np.array(self.domain.spacing), numbers(self._table)
-        final = padded(np.reshape([each.arrived for each in resolved], (-1, self.ndim)), self.domain)
+        stops = [0, *itertools.accumulate(map(len, arrived))]  # of the points of each stroke
+        final = padded(np.reshape([*itertools.chain(*arrived)], (-1, self.ndim)), self.domain)
         row = len(table) - sum(each.substrokes for each in resolved[1:])
         for i in range(1, len(resolved) + 1):
+            before = final[: stops[i]]
             for placed in self.maps:
                 if placed.after == first + i:
-                    final[:i] = self._moved(placed, final[:i])
+                    before[:] = self._moved(placed, before)
             if i < len(resolved) and resolved[i].substrokes:
                 start, row = row, row + resolved[i].substrokes
-                final[:i], _ = _core.forward(table[start:row], self._axes, final[:i], False, mask_of(self.domain))
-        return [tuple(end) for end in (final[:, : self.ndim] / steps).tolist()]
+                before[:], _ = _core.forward(table[start:row], self._axes, before, False, mask_of(self.domain))
+        ends = [tuple(end) for end in (final[:, : self.ndim] / steps).tolist()]
+        return [ends[a:b] for a, b in itertools.pairwise(stops)]
 
     def _moved(self, placed: Placed, points: Floats) -> Floats:
         """Return points (N, 3) of the domain as one map alone moves them."""
@@ -1080,7 +1158,8 @@ def _check_place(freeze: Freeze, grid: Grid) -> None:
     off = np.abs(grid.indices(corners @ matrix[:, :3].T + matrix[:, 3]) - corners).max()
     if not off < 0.01:
         raise SuppleError(
-            f"the freeze mask lies elsewhere in space: its corners are up to {off:.3g} voxels from those of the volume"
+            f"{freeze.told} lies elsewhere in space: its corners are up to {off:.3g} voxels from those of the volume; "
+            "resample it to the volume's grid"
         )
 
 
@@ -1089,7 +1168,8 @@ def _freeze_of(mask: npt.ArrayLike, domain: Domain) -> Freeze:
     array = np.asarray(mask)
     fit = {domain.shape, domain.shape[1:]} if domain.time else {domain.shape}
     if array.shape not in fit:
-        refuse("freeze", f"an array of shape {' or '.join(map(str, sorted(fit)))}, or a Freeze", f"shape {array.shape}")
+        wanted = f"an array of shape {' or '.join(map(str, sorted(fit)))}, or a Freeze"
+        refuse("freeze", wanted, told=f"shape {array.shape}")
     return Freeze.of(array, spacing=domain.spacing[: array.ndim])
 
 
@@ -1148,6 +1228,6 @@ def _warn(resolved: Resolved, which: str = "", say: Callable[[str, type[Warning]
     if resolved.warning:
         category = FoldWarning if resolved.alpha < 1 else MissWarning
         if say is None:
-            warnings.warn(f"{which}{resolved.warning}", category, stacklevel=4)
+            warnings.warn(f"{which}{resolved.warning}", category, stacklevel=caller())
         else:
             say(f"{which}{resolved.warning}", category)

@@ -50,9 +50,9 @@ def value_shown(value: object) -> str:
     return text if len(text) <= 100 else f"{text[:97]}..."
 
 
-def refuse(name: str, wanted: str, found: object) -> NoReturn:
-    """Raise SuppleError with the values that ``name`` may have and the value found."""
-    raise SuppleError(f"{name} must be {wanted}, found {value_shown(found)}")
+def refuse(name: str, wanted: str, found: object = None, *, told: str = "") -> NoReturn:
+    """Raise SuppleError with the values that ``name`` may have and the value found, or what is ``told`` of it."""
+    raise SuppleError(f"{name} must be {wanted}, found {told or value_shown(found)}")
 
 
 def number(name: str, value: object, wanted: str, low: float, high: float) -> float:
@@ -237,10 +237,13 @@ class Domain:
         check_border_profile(border_profile)
         object.__setattr__(self, "border_profile", border_profile)
         if freeze is not None and freeze.ndim != len(sizes) and not (time and freeze.ndim == 2):
-            refuse("freeze", f"a mask of {len(sizes)} axes, as the deformation has", f"one of {freeze.ndim}")
+            held, kind = "a picture" if freeze.ndim == 2 else "a volume", "picture" if len(sizes) == 2 else "volume"
+            raise SuppleError(f"{freeze.told} is {held}, and what is deformed is none: give a {kind} of its size")
         if freeze is not None and freeze.samples != sizes[::-1][: freeze.ndim]:
             wanted, found = (" x ".join(map(str, size)) for size in (sizes[::-1][: freeze.ndim], freeze.samples))
-            raise SuppleError(f"the freeze mask is of {found} samples, and what is deformed of {wanted}")
+            raise SuppleError(
+                f"{freeze.told} is of {found} samples, and what is deformed of {wanted}: give a mask of its size"
+            )
         object.__setattr__(self, "freeze", freeze)
 
     @property

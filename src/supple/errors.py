@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from importlib.util import find_spec
 
 
@@ -49,8 +50,20 @@ class VolumeWarning(UserWarning):
     """A volume's files contradict each other, or hold more than images; the message says how they were read."""
 
 
+class FreezeWarning(UserWarning):
+    """A freeze mask freezes nothing."""
+
+
 class GapWarning(UserWarning):
     """Voxels are not finite numbers, and spread to their neighbours."""
+
+
+def caller() -> int:
+    """Return the ``stacklevel`` of a warning from the function that asks: that of the first caller outside Supple."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "supple":
+        level, frame = level + 1, frame.f_back
+    return level
 
 
 def said(error: BaseException) -> str:

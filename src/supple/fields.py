@@ -70,9 +70,11 @@ class Field:
         shape = "(H, W, 2)" if n == 2 else "(Z, H, W, 3)"
         given = _array(values)
         if given.dtype.kind not in "iuf" or given.dtype.itemsize > 8:
-            refuse("values", f"real numbers, as an array of shape {shape}", f"{given.dtype} of shape {given.shape}")
+            refuse(
+                "values", f"real numbers, as an array of shape {shape}", told=f"{given.dtype} of shape {given.shape}"
+            )
         if given.shape != (*grid.shape, n):
-            refuse("values", f"an array of shape {(*grid.shape, n)}, as the grid is", f"shape {given.shape}")
+            refuse("values", f"an array of shape {(*grid.shape, n)}, as the grid is", told=f"shape {given.shape}")
         choice("interpolation", interpolation, get_args(Interpolation))
         choice("beyond", beyond, get_args(Beyond))
         held = np.ascontiguousarray(given, np.float64 if given.dtype.itemsize == 8 else np.float32)
@@ -102,7 +104,7 @@ class Field:
         """Return a field of an array; see `Field` and `Grid` for the parameters."""
         given = _array(values)
         if given.ndim not in (3, 4) or given.shape[-1] != given.ndim - 1 or 0 in given.shape:
-            refuse("values", "an array of shape (H, W, 2) or (Z, H, W, 3)", f"shape {given.shape}")
+            refuse("values", "an array of shape (H, W, 2) or (Z, H, W, 3)", told=f"shape {given.shape}")
         return cls(given, Grid(given.shape[:-1], spacing, origin, direction), interpolation, beyond)
 
     @property

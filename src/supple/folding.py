@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.domain import FREE, Domain
+from supple.domain import Domain
 from supple.errors import FoldError, SuppleError
 from supple.pulls import pulled
 from supple.resolved import (
@@ -104,10 +104,10 @@ def _held_back(stroke: Stroke, domain: Domain, on_fold: FoldPolicy, made: Resolv
             raise FoldError(warning)
         return replace(made, cause="freeze", warning=warning)
     arrived = _arrived(stroke, made.rows, domain)
-    short = math.dist(arrived, np.add(stroke.at, stroke.by))
-    if short <= NEAR:
+    target = np.add(stroke.at, stroke.by).tolist()
+    if math.dist(arrived, target) <= NEAR:
         return made
-    warning = f"{described(stroke)} ends {apart(short, domain)} short: what is frozen holds it back"
+    warning = f"{described(stroke)} ends {apart(arrived, target, domain)} short: what is frozen holds it back"
     if on_fold == "error":
         raise FoldError(warning)
     return replace(made, arrived=arrived, cause="freeze", warning=warning)
@@ -147,7 +147,7 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         held_back, cause = False, "outside"
     warning = None
     if folds or (short > NEAR and held):
-        distance = apart(short, domain)
+        distance = apart(arrived, target, domain)
         border = f"{'what is frozen' if frozen else 'the fixed border'} holds it back" if held_back else ""
         if folds:
             why = f"folds: damped to {cut(alpha, 2):g} of it{', and ' * held_back}{border}, it ends {distance} short"
@@ -250,23 +250,24 @@ def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
     if not drag.any():
         return Resolved(table[:0], stroke.at)
     # A point outside a fixed border is not moved; a brush only passes there.
-    weights = axes if held else np.array([FREE] * 3)
+    weights = axes if held and fixed.any() else None
     longest = (1 - FLOW_MARGIN) * limit(poisson, stroke.scales, stroke.reach) * stroke.radius
     refused = held and math.hypot(*drag.tolist()) > MOST_SUBSTROKES * longest
     rows: list[npt.NDArray[np.float64]] = []
     margin, pieces = 1.0, 2.0
     while pieces > 1 and not refused:
-        beta, left = beta_at(position, weights), target - position
+        part = [1.0] * 3 if weights is None else beta_at(position, weights).tolist()
+        left = (target - position).tolist()
         row["pivot"] = position
-        row["force"] = np.divide(left, beta, out=np.zeros(3), where=beta > 0)
+        row["force"] = [x / b if b > 0 else 0.0 for x, b in zip(left, part, strict=True)]
         lower, _ = weakest(table, axes, FLOW_MARGIN - 1, FLOW_GAP, mask_of(domain))
         pieces = max(float(np.ceil(-lower / (1 - FLOW_MARGIN) * (1 - 1e-9))), 1.0)
         # Close to a border steps are short, but they grow with β.
-        least = min((b for b, x in zip(beta.tolist(), left.tolist(), strict=True) if x != 0), default=1.0)
+        least = min((b for b, x in zip(part, left, strict=True) if x != 0), default=1.0)
         slow = pieces * min(least, 1.0) > MOST_SUBSTROKES
         refused = slow or len(rows) == MOST_SUBSTROKES
         row["force"] /= pieces
-        position = position + beta * row["force"]
+        position = position + part * row["force"]
         margin = min(margin, 1 + lower / pieces)
         rows.append(numbers(table).copy())
     if refused:

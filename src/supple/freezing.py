@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.domain import LARGEST, LONGEST_AXIS, checked_shape, integer, items, length, number, refuse
-from supple.errors import SuppleError
+from supple.errors import SuppleError, shown
 
 Floats = npt.NDArray[np.float64]
 
@@ -50,6 +50,8 @@ class Freeze:
     place : tuple of float
         The first three rows of the matrix from indices of samples to positions in LPS, if the mask was a volume in
         space; otherwise empty.
+    name : str
+        The name of the file that it was read from, for messages.
 
     Raises
     ------
@@ -63,6 +65,7 @@ class Freeze:
     step: tuple[float, ...]
     values: bytes = field(repr=False)
     place: tuple[float, ...] = ()
+    name: str = field(default="", compare=False, repr=False)
 
     def __post_init__(self) -> None:
         wanted = f"1 or an integer from {_LEAST} on"
@@ -102,32 +105,34 @@ class Freeze:
         width: float | None = None,
         spacing: float | Sequence[float] = 1.0,
         place: Sequence[float] = (),
+        name: str = "",
     ) -> Self:
         """Return the freeze mask of an image or a volume.
 
         Parameters
         ----------
         mask : array, shape (H, W) or (Z, H, W)
-            Where it is True, or the largest value of its type (1 for floats), nothing moves; in between, a part of the
-            displacement is let through. Of whole numbers with but two values, the larger is frozen.
+            Of bool: True is frozen. Of floats from 0 to 1: 1 is frozen. Of whole numbers from 0: the largest value of
+            the type is frozen (255 of uint8), or the larger one if there are but two values. In between, a part of the
+            displacement is let through.
         width : float, optional
-            The width of the fade beside what is frozen, in physical units; less than 4 samples is taken as 4. By
-            default a 32nd of the shortest side.
+            The width of the fade beside what is frozen, in physical units: at least 4 samples. By default a 32nd of
+            the shortest side.
         spacing : float or sequence of float
             Physical units per sample, x first.
-        place : sequence of float
+        place, name
             As in `Freeze`.
 
         Raises
         ------
         SuppleError
-            If the mask is not of such a shape or type, or a value of it is not from 0 to 1.
+            If the mask is not of such a shape, type or range, or the width is less than 4 samples.
         """
         array = np.asarray(mask)
         if array.ndim not in (2, 3) or 0 in array.shape:
-            refuse("freeze", "an array of shape (H, W) or (Z, H, W)", f"shape {array.shape}")
+            refuse("freeze", "an array of shape (H, W) or (Z, H, W)", told=f"shape {array.shape}")
         if array.dtype.kind not in "buif":
-            refuse("freeze", "an array of bool, integers or floats", f"dtype {array.dtype}")
+            refuse("freeze", "an array of bool, integers or floats", told=f"dtype {array.dtype}")
         checked_shape(array.shape)
         steps = (spacing,) * array.ndim if isinstance(spacing, float | int) else tuple(spacing)
         apart = _apart(array.shape, steps, width)
@@ -137,7 +142,7 @@ class Freeze:
             least, start = _covered(least, axis, apart[array.ndim - 1 - axis])
             first.append(start)
         sizes, samples = tuple(reversed(least.shape)), tuple(reversed(array.shape))
-        return cls(samples, sizes, tuple(reversed(first)), apart, least.tobytes(), tuple(place))
+        return cls(samples, sizes, tuple(reversed(first)), apart, least.tobytes(), tuple(place), name)
 
     @classmethod
     def free(cls, shape: Sequence[int], spacing: Sequence[float]) -> Self:
@@ -154,6 +159,11 @@ class Freeze:
     def ndim(self) -> int:
         """The number of axes."""
         return len(self.size)
+
+    @property
+    def told(self) -> str:
+        """What it is called in messages."""
+        return f"the freeze mask {shown(self.name)}" if self.name else "the freeze mask"
 
     @property
     def is_free(self) -> bool:
@@ -298,10 +308,13 @@ class Freeze:
 
 def _apart(shape: Sequence[int], spacing: Sequence[float], width: float | None) -> tuple[float, ...]:
     """Return the samples from one coefficient to the next for a width of the fade, or for the usual one."""
+    least = _SHORTEST * min(spacing)
     if width is None:
         sides = [n * step for n, step in zip(reversed(shape), spacing, strict=True) if n > 1]
-        width = max(_PART * min(sides, default=1.0), _SHORTEST * min(spacing))
-    width = length("the freeze mask's width", width)
+        width = max(_PART * min(sides, default=1.0), least)
+    elif length("the freeze mask's width", width) < least:
+        here = "" if least == _SHORTEST else f", which is {least:g} here"
+        refuse("the freeze mask's width", f"at least 4 samples{here}", told=f"{width:g}")
     return tuple(max(width / 4 / step, 1.0) for step in spacing)
 
 
@@ -316,11 +329,11 @@ def _freedom_of(mask: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
         return np.where(mask, 0, _FREE).astype(np.uint8)
     if mask.dtype.kind == "f":
         if not (mask.min() >= 0 and mask.max() <= 1):  # also for NaN
-            refuse("freeze", "an array of values from 0 to 1 (frozen)", f"from {mask.min():g} to {mask.max():g}")
+            refuse("freeze", "an array of values from 0 to 1 (frozen)", told=f"from {mask.min():g} to {mask.max():g}")
         return np.floor((1 - mask.astype(np.float64)) * _FREE).astype(np.uint8)
     white, low, high = np.iinfo(mask.dtype).max, mask.min(), mask.max()
     if low < 0:
-        refuse("freeze", f"an array of values from 0 to {white} (frozen)", f"down to {low}")
+        refuse("freeze", f"an array of values from 0 to {white} (frozen)", told=f"down to {low}")
     if low < high and np.all((mask == low) | (mask == high)):
         return np.where(mask == high, 0, _FREE).astype(np.uint8)
     if white > np.iinfo(np.uint32).max:  # the product would not fit

@@ -20,6 +20,8 @@ Box = tuple[Floats, Floats]
 """The least and the largest coordinates of what is within a box along the axes of space."""
 
 CONVENTIONS = ("LPS", "RAS", "array")
+SIDES = (("L", "R"), ("P", "A"), ("S", "I"))
+"""The sides of a patient at the positive and at the negative end of each axis of LPS."""
 _FLIP = np.array([-1.0, -1.0, 1.0])
 
 
@@ -71,6 +73,11 @@ class Geometry:
         made[:3, :3] = self.direction * self.spacing
         made[:3, 3] = self.origin
         return made
+
+    @property
+    def sides(self) -> tuple[tuple[str, str], ...]:
+        """Names of the positive and the negative end of each axis of LPS; without a patient, signs and axes."""
+        return (("+x", "-x"), ("+y", "-y"), ("+z", "-z")) if self.convention == "array" else SIDES
 
     @property
     def oblique(self) -> float:

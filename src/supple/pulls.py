@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from supple import _core
 from supple.domain import Domain
@@ -13,6 +14,7 @@ from supple.errors import FoldError, SuppleError
 from supple.resolved import (
     FLOW_GAP,
     FLOW_MARGIN,
+    FREE_ENOUGH,
     MOST_SUBSTROKES,
     SQUEEZED,
     TOO_NARROW,
@@ -25,6 +27,7 @@ from supple.resolved import (
     freedom_at,
     is_held,
     narrowest,
+    padded,
     spelled,
 )
 from supple.strain import CLEARLY_SAFE, GAP, MARGIN, largest, mask_of, sampled, weakest
@@ -42,6 +45,10 @@ def pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     table["pivot"][:, : domain.ndim], table["force"][:, : domain.ndim] = handles[:, 0], handles[:, 1]
     table["joined"][1:] = 1
     start, goal = table["pivot"].copy(), table["pivot"] + table["force"]
+    frozen = np.minimum(freedom_at(start, domain), freedom_at(goal, domain)) <= FREE_ENOUGH
+    frozen &= (start != goal).any(axis=1)
+    if frozen.any():
+        return _without(stroke, frozen, domain, on_fold)
     _check_handles(stroke, start, goal, domain)
     if on_fold == "flow":
         return _flow(stroke, domain, table, goal)
@@ -56,13 +63,35 @@ def pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         if on_fold == "error":
             raise FoldError(
                 f"{described(stroke)} folds: at most {cut(0.999 * alpha, 3):g} of it does not (on_fold='flow' goes "
-                f"all the way); {_conflict(stroke, start, goal)}"
+                f"all the way); {_conflict(stroke, start, goal, domain)}"
             )
         warning = f"{described(stroke)} folds: damped to {cut(alpha, 2):g} of it (on_fold='flow' goes all the way)"
     table["force"] *= alpha
     table["most"] = largest(table, axes, mask_of(domain))
     arrived = tuple(a + alpha * b for a, b in zip(stroke.at, stroke.by, strict=True))
     return Resolved(table, arrived, alpha, 1 + alpha * lower, "fold" if alpha < 1 else None, warning)
+
+
+def _without(stroke: Stroke, frozen: npt.NDArray[np.bool_], domain: Domain, on_fold: FoldPolicy) -> Resolved:
+    """Resolve a pull without the handles that start or end where it is frozen: they cannot arrive, the others do."""
+    count, first = int(frozen.sum()), _handle(stroke, int(frozen.argmax()), domain)
+    which = f"{first}, is" if count == 1 else f"{count} handles, {first}, for one, are"
+    warning = f"{described(stroke)} is held back: {which} let go, since nothing moves where it is frozen"
+    if on_fold == "error":
+        raise FoldError(warning)
+    kept = [pair for pair, gone in zip(stroke.handles, frozen, strict=True) if not gone]
+    if kept:
+        (at, by), *also = kept
+        try:
+            made = pulled(replace(stroke, at=at, by=by, also=tuple(also)), domain, on_fold)
+        except SuppleError as error:
+            raise type(error)(f"without the handles that are frozen, {error}") from None
+    else:
+        made = Resolved(pack([stroke], domain.spacing, time=domain.time)[:0], stroke.at)
+    position = _moved(made.rows, domain, padded(stroke.at, domain)[None])[0]
+    arrived = tuple((position[: domain.ndim] / domain.spacing).tolist())
+    cause = "fold and freeze" if made.cause == "fold" else "freeze"
+    return replace(made, arrived=arrived, cause=cause, warning="; ".join(filter(None, (warning, made.warning))))
 
 
 def _flow(stroke: Stroke, domain: Domain, table: Table, goal: Floats) -> Resolved:
@@ -98,7 +127,7 @@ def _flow(stroke: Stroke, domain: Domain, table: Table, goal: Floats) -> Resolve
             groups.append(group)
             position = _moved(group, domain, position)
             if pieces > MOST_SUBSTROKES or len(groups) * len(table) > MOST_SUBSTROKES:
-                conflict = _conflict(stroke, start, goal)
+                conflict = _conflict(stroke, start, goal, domain)
                 raise SuppleError(f"{described(stroke)} cannot arrive without a fold: {conflict}")
         _check_arrival(stroke, domain, position, start, goal)
     for group in groups:
@@ -117,33 +146,26 @@ def _moved(group: Table, domain: Domain, points: Floats) -> Floats:
 def _check_arrival(stroke: Stroke, domain: Domain, found: Floats, start: Floats, goal: Floats) -> None:
     missed = float(np.linalg.norm(found - goal, axis=1).max())
     if not missed <= _HIT * min(domain.spacing):  # also for NaN
-        raise SuppleError(f"{described(stroke)} cannot arrive: {_conflict(stroke, start, goal)}")
+        raise SuppleError(f"{described(stroke)} cannot arrive: {_conflict(stroke, start, goal, domain)}")
 
 
 def _check_handles(stroke: Stroke, start: Floats, goal: Floats, domain: Domain) -> None:
-    """Refuse handles that cannot arrive: at one place, on a fixed edge, or frozen."""
+    """Refuse handles that cannot arrive: at one place, or on a fixed edge."""
     axes = domain.packed()
     places: dict[tuple[float, ...], int] = {}
     first, last = axes[:, 0], axes[:, 1]
-    for which, points in (("starts", start), ("ends", goal)):
-        stuck = np.flatnonzero((freedom_at(points, domain) == 0) & (start != goal).any(axis=1))
-        if stuck.size:
-            place = f"{spelled(stroke.handles[stuck[0]][0])} {which}"
-            raise SuppleError(
-                f"{described(stroke)} cannot arrive: the handle at {place} where it is frozen, and nothing moves; a "
-                "pin may be there"
-            )
     fixed, beta = axes[:, 2] >= 0, beta_at(start, axes)
     for i, (a, b) in enumerate(zip(start, goal, strict=True)):
         other = places.setdefault(tuple(a.tolist()), i)
         if other != i:
-            raise SuppleError(f"{described(stroke)} has two handles at {spelled(stroke.handles[i][0])}: leave one out")
+            place = _place(stroke, i, domain)
+            raise SuppleError(f"{described(stroke)} has two handles {place}, {other + 1} and {i + 1}: leave one out")
         across = fixed & (a != b)
         out = across & ((b <= first) | (b >= last) | (beta[i] < 1e-100))
         if out.any() or not is_held(a, axes):
             raise SuppleError(
-                f"{described(stroke)} cannot arrive: the handle at {spelled(stroke.handles[i][0])} starts or ends on "
-                "the edge or outside, where the border is fixed; use border=None, or points further in"
+                f"{described(stroke)} cannot arrive: {_handle(stroke, i, domain)}, starts or ends on the edge or "
+                "outside, where the border is fixed; use border=None, or points further in"
             )
 
 
@@ -168,7 +190,16 @@ def _forces(table: Table, drags: Floats, domain: Domain) -> Floats:
     return forces
 
 
-def _conflict(stroke: Stroke, start: Floats, goal: Floats) -> str:
+def _place(stroke: Stroke, i: int, domain: Domain) -> str:
+    return f"at {'voxel ' * (domain.ndim == 3 and not domain.time)}{spelled(stroke.handles[i][0])}"
+
+
+def _handle(stroke: Stroke, i: int, domain: Domain) -> str:
+    """Name a handle in a message, by its number from 1 and its place."""
+    return f"handle {i + 1}, {_place(stroke, i, domain)}"
+
+
+def _conflict(stroke: Stroke, start: Floats, goal: Floats, domain: Domain) -> str:
     """Name the two handles whose distance changes most on their straight ways, at the worst of these."""
     drag = goal - start
     apart, parting = start[:, None] - start, drag[:, None] - drag
@@ -178,8 +209,9 @@ def _conflict(stroke: Stroke, start: Floats, goal: Floats) -> str:
         change = np.max(np.abs(np.log(ways / np.linalg.norm(apart, axis=2))), axis=0)
     np.fill_diagonal(change, 0.0)
     i, j = np.unravel_index(np.argmax(change), change.shape)
-    (a, u), (b, v) = stroke.handles[i], stroke.handles[j]
-    return (
-        f"the handles at {spelled(a)} and {spelled(b)}, dragged by {spelled(u)} and {spelled(v)}, "
-        "pull against each other; use a larger radius, or other targets"
-    )
+    if not change[i, j] > 0:  # one handle, or all by the same drag
+        frozen = mask_of(domain) is not None
+        why = "what is frozen is in the way" if frozen else "the radius is too small for so long a drag"
+        return f"{why}; use a larger radius, or other targets"
+    one, other = (f"{_handle(stroke, k, domain)}, dragged by {spelled(stroke.handles[k][1])}" for k in (int(i), int(j)))
+    return f"{one}, and {other}, pull against each other; use a larger radius, or other targets"

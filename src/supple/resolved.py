@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.domain import Domain, border_factor
+from supple.errors import shown
 from supple.strain import mask_of
 from supple.strokes import Stroke, numbers
 
@@ -19,6 +21,7 @@ Table = npt.NDArray[np.void]
 MOST_SUBSTROKES = 10_000
 FLOW_GAP = 0.05
 FLOW_MARGIN = 0.3  # substrokes are well-conditioned: Newton takes few steps, and errors grow little
+FREE_ENOUGH = 0.1  # of the freeze mask: where less is let through, handles of pulls, restores and smooths are let go
 SQUEEZED = 1e-5  # a sequence that leaves less of a length has lost too many digits to be undone
 TOO_NARROW = (
     f"squeezes what lies around it more than {1 / SQUEEZED:g} times, which could not be undone; use a larger radius, "
@@ -64,7 +67,8 @@ def described(stroke: Stroke) -> str:
     """Name a stroke in a message."""
     where = f"at {spelled(stroke.at)} with radius {stroke.radius:g}"
     if stroke.also:
-        return f"a pull of {len(stroke.handles)} handles from {spelled(stroke.at)} on with radius {stroke.radius:g}"
+        name = f" ({shown(stroke.name)})" if stroke.name else ""
+        return f"a pull{name} of {len(stroke.handles)} handles with radius {stroke.radius:g}"
     if stroke.brush == "grab":
         return f"a drag by {spelled(stroke.by)} {where}"
     amount = f"{stroke.angle:g}°" if stroke.angle is not None else f"{stroke.factor:g}"
@@ -91,9 +95,16 @@ def padded(points: npt.ArrayLike, domain: Domain) -> Floats:
     return made
 
 
-def apart(distance: float, domain: Domain) -> str:
-    """Spell a distance in samples, in a message."""
-    return f"{distance:.3g} {'pixels' if domain.ndim == 2 else 'samples'}"
+def apart(one: Sequence[float], other: Sequence[float], domain: Domain) -> str:
+    """Spell the distance of two points, which are in samples, in a message: in the units that the domain has."""
+    off = np.abs(np.subtract(one, other))
+    if domain.time:
+        across, along = math.hypot(*off[:2]), float(off[2])
+        parts = [f"{x:.3g} {unit}" for x, unit in ((across, "pixels"), (along, "frames")) if x > 0.01 * max(off)]
+        return " and ".join(parts)
+    if domain.ndim == 3 and domain.spacing != (1.0, 1.0, 1.0):
+        return f"{math.hypot(*(off * domain.spacing)):.3g} mm"
+    return f"{math.hypot(*off):.3g} {'pixels' if domain.ndim == 2 else 'voxels'}"
 
 
 def is_held(position: Floats, axes: Floats) -> bool:

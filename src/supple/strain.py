@@ -77,16 +77,30 @@ def _free(poisson: float, scales: int, reach: float) -> tuple[float, float, floa
     return slope(worst) * (1 + 1e-12), slope(worst) * (1 - 1e-12), math.sqrt(worst)
 
 
+class Mask(_core.Freeze):
+    """A freeze mask as the core takes it, and what it is made of, for other engines.
+
+    Parameters
+    ----------
+    freeze : Freeze
+    spacing, origin : tuple of float
+        Physical units per sample, and the point, in these, that positions are from; x first.
+    """
+
+    def __init__(self, freeze: Freeze, spacing: tuple[float, ...], origin: tuple[float, ...]) -> None:
+        values, first, self.step = freeze.packed(spacing)
+        self.first: Floats = first - origin
+        self.coefficients = freeze.coefficients.reshape(values.shape)
+        super().__init__(values.astype(np.float32), self.first.tolist(), self.step.tolist())
+
+
 @lru_cache(maxsize=16)
-def _mask(freeze: Freeze, spacing: tuple[float, ...], origin: tuple[float, ...]) -> _core.Freeze | None:
-    if freeze.is_free:
-        return None
-    values, first, step = freeze.packed(spacing)
-    return _core.Freeze(values.astype(np.float32), (first - origin).tolist(), step.tolist())
+def _mask(freeze: Freeze, spacing: tuple[float, ...], origin: tuple[float, ...]) -> Mask | None:
+    return None if freeze.is_free else Mask(freeze, spacing, origin)
 
 
-def mask_of(domain: Domain, origin: tuple[float, ...] = (0.0, 0.0, 0.0)) -> _core.Freeze | None:
-    """Return a domain's freeze mask as the core takes it, or None if nothing is frozen.
+def mask_of(domain: Domain, origin: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Mask | None:
+    """Return a domain's freeze mask as engines take it, or None if nothing is frozen.
 
     Points are from the origin, in physical units.
     """

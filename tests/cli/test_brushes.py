@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ import pytest
 from supple import Deformation, Recipe, Stroke
 from supple.cli.options_strokes import in_order
 from supple.errors import SuppleError
-from supple.media import image
+from supple.geometry import Geometry
+from supple.media import image, volume
 from tests.cli.commands import Run, one_line
 
 
@@ -91,7 +93,7 @@ def test_what_a_recipe_does_in_words(run: Run) -> None:
         "grab (1, 2, 3) to (4, 5, 6), radius 9, reach 4, scales 2",
         "twist (1, 2, 3) by 30° about (0, 1, 0), radius 9, reach 4",
         "scale (1, 2, 3) by 1.5, radius 9, reach none",
-        "pinch (1, 2, 3) by 0.5, radius 9, reach 4, poisson 0.3, hidden",
+        "pinch (1, 2, 3) by 0.5 along (0.7071, -0.7071, 0), radius 9, reach 4, poisson 0.3, hidden",
         "grab (1, 2, 3) through 2 points to (1, 2, 3), radius 9, reach 4, scales 1",
         "grab (1, 2, 3) to (1, 2, 4), (7, 7, 7) pinned, radius 9, reach 4, scales 1",
     ]
@@ -104,7 +106,7 @@ def _strokes() -> tuple[Stroke, ...]:
         Stroke.grab(at, to=(4, 5, 6), radius=9, scales=2),
         Stroke(brush="twist", at=at, angle=30, axis=(0, 1, 0), radius=9),
         Stroke(brush="scale", at=at, factor=1.5, radius=9, reach=None),
-        Stroke(brush="pinch", at=at, factor=0.5, radius=9, poisson=0.3, hidden=True),
+        Stroke(brush="pinch", at=at, factor=0.5, axis=(20, -20, 0), radius=9, poisson=0.3, hidden=True),
         Stroke(at=at, by=(0, 0, 0), path=((5, 2, 3), (5, 5, 3)), radius=9),
         Stroke(at=at, by=(0, 0, 1), also=(((7, 7, 7), (0, 0, 0)),), radius=9),
     )
@@ -127,8 +129,13 @@ def test_a_turn_that_folds_is_named(run: Run) -> None:
     ("options", "wanted"),
     [
         (["--twist", "1,2"], "--twist must be X,Y[,T|Z]:ANGLE[:AXIS], a point, degrees, and of 3 numbers an axis"),
-        (["--twist", "1,2:30:0,0"], "--twist must be X,Y[,T|Z]:ANGLE[:AXIS]"),
-        (["--twist", "1,2:30:0,0,1"], "--twist must be"),
+        (["--twist", "1,2:30:0,0"], "--twist 1,2:30:0,0: a twist in a picture has no axis"),
+        (
+            ["--twist", "1,2:30:0,0,1"],
+            "--twist 1,2:30:0,0,1: a twist in a picture has no axis: leave it out (X,Y:ANGLE)",
+        ),
+        (["--twist", "1,2,3:30"], "has a point of 3 numbers, and a point of a picture has 2 numbers, x and y"),
+        (["--twist", "1,2:30", "--restore", "1,2"], "Restoring and smoothing are for Python"),
         (["--twist", "1,2:30,40"], "found '1,2:30,40'"),
         (["--twist", "1,2:half"], "found '1,2:half'"),
         (["--twist", "1,2:nan"], "--twist 1,2:nan: angle must be a number of degrees from -3600 to 3600, found nan"),
@@ -194,12 +201,13 @@ def test_a_pull_of_two_files(run: Run) -> None:
     points_of("b.csv", "r,20,30", "q,28,21", "p,14,21")
     found = saved(run, "--pull", "a.csv:b.csv", "--radius", "8", "--grab", "20,10:21,11", "--radius", "5")
     pull = Stroke.pull([(12, 20), (30, 20)], to=[(14, 21), (28, 21)], pins=[(20, 30)], radius=8)
+    pull = replace(pull, name="a.csv:b.csv")
     assert found.strokes == (pull, Stroke.grab((20, 10), to=(21, 11), radius=5))
     d = Deformation.from_recipe(found, (40, 48))
     np.testing.assert_array_equal(image.read("out.png").pixels, d.warp(image.read("in.png").pixels))
     Path("c.csv").write_text("x,y\n14,21\n28,21\n20,30\n")
     Path("d.csv").write_text("x,y\n12,20\n30,20\n20,30\n")
-    assert saved(run, "--pull", "d.csv:c.csv", "--radius", "8").strokes == (pull,)
+    assert saved(run, "--pull", "d.csv:c.csv", "--radius", "8").strokes == (replace(pull, name="d.csv:c.csv"),)
 
 
 def test_a_grab_through_points_is_a_path(run: Run) -> None:
@@ -215,13 +223,18 @@ def test_a_grab_through_points_is_a_path(run: Run) -> None:
         ("a.csv:none.csv", "--pull a.csv:none.csv: cannot read none.csv"),
         ("a.csv:other.csv", "a.csv and other.csv do not both have the point q"),
         ("d.csv:few.csv", "d.csv has 2 points, and few.csv has 1: give as many in both"),
-        ("a.csv:flat.fcsv", "a.csv is in index, and flat.fcsv in RAS"),
-        ("same.csv:same2.csv", "two handles at (12, 20)"),
+        ("flat.fcsv:flat.fcsv", "cannot place flat.fcsv: it is in RAS, and only volumes have a place in space"),
+        ("same.csv:same2.csv", "same.csv has two points at (12, 20), point 1 and point 2: leave one out"),
+        (
+            "edge.csv:a.csv",
+            "a pull (edge.csv:a.csv) of 2 handles with radius 8 cannot arrive: handle 1, at (-1, 20), starts",
+        ),
     ],
 )
 def test_refused_pulls(run: Run, value: str, message: str) -> None:
     points_of("a.csv", "p,12,20", "q,30,20")
     points_of("other.csv", "p,12,20", "z,30,20")
+    points_of("edge.csv", "p,-1,20", "q,30,21")
     Path("d.csv").write_text("x,y\n14,21\n28,21\n")
     Path("few.csv").write_text("x,y\n14,21\n")
     Path("flat.fcsv").write_text("# Markups fiducial file version = 4.11\n# CoordinateSystem = RAS\n1,10,20,30\n")
@@ -231,3 +244,129 @@ def test_refused_pulls(run: Run, value: str, message: str) -> None:
     assert status == 2
     assert message in one_line(err)
     assert not Path("out.png").exists()
+
+
+PLACE = Geometry((0.8, 0.8, 2.5), (5.0, -7.0, 3.0), np.diag([1.0, -1.0, 1.0]), "RAS")
+BEFORE, AFTER = np.array([[10, 12, 9.0], [30, 30, 15]]), np.array([[11, 13, 10.0], [30, 30, 15]])
+STIFF = ("--radius", "12")
+
+
+def table(name: str, header: str, points: object) -> None:
+    rows = [",".join(map(repr, row)) for row in np.asarray(points).tolist()]
+    Path(name).write_text("\n".join([*([header] if header else []), *rows, ""]))
+
+
+@pytest.fixture
+def head(run: Run) -> Run:
+    """A volume in space, and its points in tables that say differently what they are."""
+    samples = np.random.default_rng(1).integers(0, 255, (30, 60, 60), np.uint8)
+    volume.write("head.nii", samples, volume.Volume(samples, PLACE))
+    for name, points in (("a", BEFORE), ("b", AFTER)):
+        table(f"{name}-plain.csv", "", points)
+        table(f"{name}-xyz.csv", "x,y,z", points)
+        table(f"{name}-ijk.csv", "i,j,k", points)
+        for space, header in (("LPS", "l,p,s"), ("RAS", "r,a,s")):
+            table(f"{name}-{space}.csv", header, PLACE.to_world(points, space))
+            table(f"{name}-{space}-plain.csv", "", PLACE.to_world(points, space))
+            table(f"{name}-{space}-xyz.csv", "x,y,z", PLACE.to_world(points, space))
+    return run
+
+
+@pytest.mark.parametrize(
+    ("options", "warned"),
+    [
+        (["--pull", "a-plain.csv:b-plain.csv", "--convention", "index"], ""),
+        (["--pull", "a-xyz.csv:b-xyz.csv"], "x, y and z of a-xyz.csv are taken for voxels, counted from 0"),
+        (["--pull", "a-ijk.csv:b-ijk.csv"], ""),
+        (["--pull", "a-LPS.csv:b-LPS.csv"], ""),
+        (["--pull", "a-LPS.csv:b-RAS.csv"], ""),
+        (["--pull", "a-RAS.csv:b-LPS-plain.csv", "--convention", "LPS"], ""),
+        (["--pull", "a-LPS-plain.csv:b-LPS-plain.csv", "--convention", "LPS"], ""),
+        (["--pull", "a-LPS-xyz.csv:b-LPS-xyz.csv", "--convention", "LPS", "--world"], ""),
+        (["--pull", "a-LPS.csv:b-LPS.csv", "--world"], ""),
+    ],
+)
+def test_a_pull_of_a_volume_goes_by_what_its_tables_say(head: Run, options: list[str], warned: str) -> None:
+    status, _, err = head("warp", "head.nii", "out.nii", *options, *STIFF)
+    assert status == 0, err
+    assert warned in err if warned else "warning" not in err
+    wanted = Deformation((30, 60, 60), spacing=PLACE.spacing).pull(BEFORE, to=AFTER, radius=12)
+    wanted_samples = wanted.warp(volume.read("head.nii").samples, between="cubic", time_filter=True, clamp=True)
+    off = np.abs(np.subtract(volume.read("out.nii").samples, wanted_samples, dtype=float))
+    assert (off > 1).mean() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--pull", "a-plain.csv:b-plain.csv"], "cannot place a-plain.csv: no header says what its numbers are: give"),
+        (
+            ["--pull", "a-LPS-xyz.csv:b-LPS-xyz.csv", "--world"],
+            "its columns are not said to be LPS or RAS: give --convention LPS or RAS, or name its columns l,p,s",
+        ),
+        (["--pull", "a-ijk.csv:b-ijk.csv", "--world"], "a-ijk.csv is in voxels, and --world is for points in"),
+        (["--pull", "a-ijk.csv:b-LPS.csv"], "b-LPS.csv is in millimetres, and a-ijk.csv in voxels: give both in one"),
+        (["--pull", "a-RAS.csv:b-RAS.csv", "--convention", "LPS"], "it says that it is in RAS, and LPS was asked for"),
+        (
+            ["--pull", "a-LPS.csv:b-LPS.csv", "--convention", "itk"],
+            "--convention of a --pull must be LPS, RAS or index",
+        ),
+        (
+            ["--pull", "a-LPS.csv:b-LPS.csv", "--twist", "20,20,9:30"],
+            "--pull a-LPS.csv:b-LPS.csv is in millimetres, and --twist 20,20,9:30 is in voxels: give all points in",
+        ),
+    ],
+)
+def test_a_pull_of_a_volume_is_never_guessed(head: Run, options: list[str], message: str) -> None:
+    for command in (("warp", "head.nii", "out.nii"), ("plan", "head.nii")):
+        status, _, err = head(*command, *options, *STIFF)
+        assert status == 2
+        assert message in one_line(err)
+    assert not Path("out.nii").exists()
+
+
+def test_pulls_in_millimetres_mix_with_others_in_millimetres(head: Run) -> None:
+    at = ",".join(map(repr, PLACE.to_world(BEFORE[1], "RAS").tolist()))
+    options = ("--pull", "a-LPS.csv:b-LPS.csv", "--twist", f"{at}:20", "--world", *STIFF)
+    status, _, err = head("warp", "head.nii", "out.nii", *options, "--save-recipe", "r.json")
+    assert status == 0, err
+    made = Recipe.from_json(Path("r.json").read_text())
+    assert made.space == "RAS"
+    np.testing.assert_allclose([p for p, _ in made.strokes[0].handles], PLACE.to_world(BEFORE, "RAS"))
+    assert head("warp", "head.nii", "again.nii", "--recipe", "r.json")[0] == 0
+    assert Path("again.nii").read_bytes() == Path("out.nii").read_bytes()
+    pull = ("--pull", "a-RAS.csv:b-LPS.csv")
+    Path("lps.json").write_text(Recipe(strokes=(Stroke.scale((0, 0, 9), factor=1.2, radius=9),), space="LPS").to_json())
+    status, _, err = head(
+        "warp", "head.nii", "more.nii", "--recipe", "lps.json", *pull, *STIFF, "--save-recipe", "s.json"
+    )
+    assert status == 0, err
+    made = Recipe.from_json(Path("s.json").read_text())
+    np.testing.assert_allclose(made.strokes[1].at, PLACE.to_world(BEFORE[0], "LPS"))
+
+
+def test_other_commands_take_the_convention_of_a_pull(head: Run) -> None:
+    pull = ("--pull", "a-plain.csv:b-plain.csv", *STIFF)
+    for command in (
+        ("points", "a-plain.csv", "moved.csv", "--on", "head.nii"),
+        ("render", "head.nii", "out.png", "--size", "32x32"),
+    ):
+        status, _, err = head(*command, *pull)
+        assert (status, "no header says what its numbers are" in err) == (2, True)
+        status, _, err = head(*command, *pull, "--convention", "index")
+        assert status == 0, err
+    np.testing.assert_allclose(np.loadtxt("moved.csv", delimiter=",")[:, :3], AFTER, atol=1e-6)
+
+
+def test_a_convention_is_about_what_stands_before_it(run: Run) -> None:
+    points_of("a.csv", "p,12,20")
+    points_of("b.csv", "p,14,21")
+    pull = ("--pull", "a.csv:b.csv", "--radius", "8")
+    status, _, err = run("warp", "in.png", "out.png", *pull, "--affine", "m.npy", "--convention", "index")
+    assert status == 2
+    assert "index" in one_line(err)
+    assert "--pull" not in err
+    status, _, err = run("warp", "in.png", "out.png", *pull, "--convention", "index", "--grab", "20,10:21,11")
+    assert status == 0, err
+    status, _, err = run("warp", "in.png", "out.png", "--grab", "20,10:21,11", *pull[2:], "--convention", "itk")
+    assert "--convention is for the --field, --affine or --pull before it, and there is none" in one_line(err)

@@ -65,12 +65,20 @@ def test_what_a_picture_may_be(run: Run) -> None:
     [
         (("--freeze", "none.png"), "none.png"),
         (("--freeze", "in.png"), "in.png cannot be a freeze mask: it has colours"),
-        (("--freeze", "small.png"), "the freeze mask is of 20 x 20 samples, and what is deformed of 48 x 40"),
+        (
+            ("--freeze", "small.png"),
+            "the freeze mask small.png is of 20 x 20 samples, and what is deformed of 48 x 40: give a mask of its",
+        ),
         (("--freeze", "labels.png"), "labels.png seems to hold labels"),
         (("--freeze", "labels.png:4"), "labels.png holds no label 4: found 0, 1, 2"),
         (("--freeze", "clear.png"), "parts of it are transparent"),
         (("--freeze-width", "9"), "--freeze-width is for a freeze mask, and there is none"),
-        (("--freeze", "small.png", "--freeze-width", "0"), "width must be a number above 0"),
+        (("--freeze", "small.png", "--freeze-width", "0"), "--freeze-width must be a number above 0"),
+        (("--freeze", "small.png", "--freeze-width", "1"), "--freeze-width must be at least 4 samples, found 1"),
+        (
+            ("--freeze", "labels.png:x"),
+            "--freeze FILE:LABEL needs the number of a label (labels.png:3, say), found 'x'",
+        ),
     ],
 )
 def test_bad_masks_are_refused(run: Run, options: tuple[str, ...], message: str) -> None:
@@ -81,6 +89,19 @@ def test_bad_masks_are_refused(run: Run, options: tuple[str, ...], message: str)
     assert status != 0
     assert message in one_line(err)
     assert not Path("out.png").exists()
+
+
+def test_a_mask_that_freezes_nothing_is_told(run: Run) -> None:
+    image.write("black.png", np.zeros((40, 48), np.uint8))
+    status, out, err = run("warp", "in.png", "out.png", *GRAB, "--freeze", "black.png", "--json")
+    assert status == 0
+    said = "nothing is frozen in black.png: all of it is black, and white is frozen"
+    assert one_line(err) == f"supple: warning: {said}\n"
+    assert json.loads(out)["warnings"] == [said]
+    samples = np.zeros((5, 6, 7), np.uint8)
+    volume.write("empty.nii", samples, volume.Volume(samples, PLACE))
+    command = ("warp", "empty.nii", "out.nii", "--grab", "3,3,2:3,4,2", "--radius", "6", "--freeze", "empty.nii")
+    assert "nothing is frozen in empty.nii: all of it is 0, and all but 0 is frozen" in run(*command)[2]
 
 
 def test_a_drag_of_what_is_frozen_is_told(run: Run) -> None:
@@ -124,7 +145,7 @@ def test_a_mask_of_the_large_picture_is_not_scaled_with_the_recipe(run: Run) -> 
         assert (out != large).any()
         status, _, err = run(*command, *fit, "--freeze", "other.png")
         assert status != 0
-        assert "the freeze mask is of 96 x 70 samples" in err
+        assert "the freeze mask other.png is of 96 x 70 samples" in err
 
 
 PLACE = Geometry((1.0, 1.0, 2.0), (5.0, -7.0, 3.0), np.diag([1.0, -1.0, 1.0]), "LPS")
@@ -155,7 +176,7 @@ def test_a_label_of_a_volume(run: Run) -> None:
     assert (volume.read("out.nii").samples[labels > 0] == samples[labels > 0]).all()
     status, _, err = run(*command, "elsewhere.nii:3")
     assert status != 0
-    assert "the freeze mask lies elsewhere in space: its corners are up to 4 voxels" in one_line(err)
+    assert "the freeze mask elsewhere.nii lies elsewhere in space: its corners are up to 4 voxels" in one_line(err)
 
 
 def test_in_millimetres(run: Run) -> None:

@@ -236,7 +236,10 @@ def test_what_folds_is_told(run: Run, asked: Asked, monkeypatch: pytest.MonkeyPa
 
 REFUSED: list[tuple[tuple[str, ...], str]] = [
     (("in.png", "out.png", "--inverse", *GRAB), "--inverse is for the --field or --affine before it"),
-    (("in.png", "out.png", "--convention", "itk", *GRAB), "--convention is for the --field or --affine before it"),
+    (
+        ("in.png", "out.png", "--convention", "itk", *GRAB),
+        "--convention is for the --field, --affine or --pull before it",
+    ),
     (("in.png", "out.png", "--field", "flat.npy", "--inverse", "--inverse"), "--field flat.npy has two --inverse"),
     (("in.png", "out.png", "--field", "solid.nii"), "solid.nii is for volumes, with 3 axes, and in.png is a picture"),
     (("head.nii.gz", "out.nii", "--field", "flat.npy"), "flat.npy is for pictures, with 2 axes, and head.nii.gz is a"),
@@ -261,8 +264,8 @@ REFUSED: list[tuple[tuple[str, ...], str]] = [
     (("in.png", "out.png", *GRAB, "--reference", "head.nii.gz"), "head.nii.gz is a volume, and the grid of a picture"),
     (("head.nii.gz", "out.nii", "--reference", "in.png"), "in.png is a picture, and the grid of a volume is needed"),
     (("in.png", "out.png", "--field", "flat.npy", "--save-recipe", "r.json"), "--save-recipe is for strokes alone"),
-    (("in.png", "out.png", "--field", "flat.npy", "--device", "gpu"), '--device must be "cpu" or "auto" for fields'),
-    (("in.png", "out.png", *GRAB, "--crop", "0,0,5,5", "--device", "cuda"), '--device must be "cpu" or "auto" for f'),
+    (("in.png", "out.png", "--field", "flat.npy", "--device", "gpu"), '--device must be "cpu", "cuda" or "auto" f'),
+    (("in.png", "out.png", *GRAB, "--crop", "0,0,5,5", "--device", "gpu"), '--device must be "cpu", "cuda" or "auto"'),
     (("in.png", "out.xyz", "--field", "gone.npy"), "cannot write out.xyz"),
 ]
 

@@ -6,7 +6,6 @@ import math
 import os
 import subprocess
 import sys
-import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from hypothesis import strategies as st
 
-from supple import Deformation, FoldWarning, _core
+from supple import Deformation, _core
 from supple.engines.base import Group, Layout, Sampling, Space, Work
 from supple.engines.native import plan_of, samplings_of
 from supple.strokes import STROKE_DTYPE, Stroke, numbers
@@ -33,21 +32,20 @@ def deformation(rng: np.random.Generator, shape: tuple[int, ...], strokes: int, 
     """Return strokes of every kind, weak and damped to the fold limit, in the domain and beside it."""
     made = {"border": BORDERS[rng.integers(5)], "border_profile": ("quartic", "sine")[rng.integers(2)]}
     made |= {"on_fold": "damp", **domain}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FoldWarning)
-        d = Deformation(shape, **made)
-        size, n = np.array(shape[::-1]) - 1.0, len(shape)
-        for _ in range(strokes):
-            radius = float(np.exp(rng.uniform(math.log(2), math.log(0.5 * max(shape) + 3)))) * min(d.domain.spacing)
-            by = rng.normal(size=n)
-            by *= radius * np.exp(rng.uniform(math.log(0.05), math.log(5))) / np.linalg.norm(by)
-            at, poisson, reach = rng.uniform(-0.1, 1.1, n) * size, float(rng.choice(POISSONS)), REACHES[rng.integers(5)]
-            brush = ("grab", "grab", "twist", "scale", "pinch")[rng.integers(5)]
-            if brush == "grab":
-                by, scales = by / d.domain.spacing, int(rng.integers(1, 4))
-                d = d.grab(at, by=by, radius=radius, poisson=poisson, scales=scales, reach=reach)
-            else:
-                d = d.add(turning(rng, brush, at=at, radius=radius, reach=reach, poisson=poisson))
+    d = Deformation(shape, **made)
+    size, n = np.array(shape[::-1]) - 1.0, len(shape)
+    for _ in range(strokes):
+        radius = float(np.exp(rng.uniform(math.log(2), math.log(0.5 * max(shape) + 3)))) * min(d.domain.spacing)
+        by = rng.normal(size=n)
+        by *= radius * np.exp(rng.uniform(math.log(0.05), math.log(5))) / np.linalg.norm(by)
+        at, poisson, reach = rng.uniform(-0.1, 1.1, n) * size, float(rng.choice(POISSONS)), REACHES[rng.integers(5)]
+        brush = ("grab", "grab", "twist", "scale", "pinch")[rng.integers(5)]
+        if brush == "grab":
+            by, scales = by / d.domain.spacing, int(rng.integers(1, 4))
+            stroke = Stroke.grab(at, by=by, radius=radius, poisson=poisson, scales=scales, reach=reach)
+        else:
+            stroke = turning(rng, brush, at=at, radius=radius, reach=reach, poisson=poisson)
+        d = d.add(stroke, warn=False)
     return d
 
 

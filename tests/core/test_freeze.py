@@ -11,12 +11,13 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
-from scipy.interpolate import BSpline
 
 from supple import Deformation, Freeze, Stroke, SuppleError, _core
+from supple.errors import FoldError, MissWarning
 from supple.folding import MARGIN
 from supple.strain import mask_of, weakest
 from supple.strokes import numbers
+from tests import reference
 from tests.core.drawn import turning
 
 Floats = npt.NDArray[np.float64]
@@ -33,25 +34,6 @@ def mask_in(shape: tuple[int, ...], rng: np.random.Generator) -> npt.NDArray[np.
     return mask
 
 
-def spline(freeze: Freeze, points: Floats, axis: int | None = None) -> Floats:
-    """Return m at points (N, D), in samples, or its derivative along an axis, by another library."""
-    made = freeze.coefficients.astype(float) / 255
-    weights = []
-    for k in range(freeze.ndim):
-        n, h = freeze.size[k], freeze.step[k]
-        if n == 1:
-            weights.append(np.full((len(points), 1), 0.0 if axis == k else 1.0))
-            continue
-        x = np.clip(points[:, k], freeze.first[k] + h, freeze.first[k] + (n - 2) * h)
-        columns = []
-        for i in range(n):
-            one = BSpline.basis_element(freeze.first[k] + h * (i + np.arange(-2, 3)), extrapolate=False)
-            columns.append(np.nan_to_num((one.derivative() if axis == k else one)(x)))
-        weights.append(np.stack(columns, -1))
-    letters = "abc"[: freeze.ndim]
-    return np.einsum(f"{letters[::-1]},{','.join(f'n{c}' for c in letters)}->n", made, *weights)
-
-
 @pytest.mark.parametrize("shape", [(40, 55), (12, 30, 41), (1, 30), (5, 1, 40)])
 def test_m_is_the_spline(shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(3)
@@ -64,15 +46,15 @@ def test_m_is_the_spline(shape: tuple[int, ...]) -> None:
     padded = np.zeros((500, 3))
     padded[:, : len(shape)] = points * spacing
     m, slope = core.freedom(padded)
-    np.testing.assert_allclose(m, spline(freeze, points), atol=1e-6)  # coefficients in float32
+    np.testing.assert_allclose(m, reference.freedom(freeze, points), atol=1e-6)  # coefficients in float32
     for k in range(len(shape)):
-        np.testing.assert_allclose(slope[:, k] * spacing[k], spline(freeze, points, k), atol=1e-6)
+        np.testing.assert_allclose(slope[:, k] * spacing[k], reference.freedom(freeze, points, k), atol=1e-6)
     samples = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), -1)[..., ::-1].reshape(-1, len(shape))
-    np.testing.assert_allclose(freeze.shown(shape).ravel(), spline(freeze, samples.astype(float)), atol=1e-5)
+    np.testing.assert_allclose(freeze.shown(shape).ravel(), reference.freedom(freeze, samples.astype(float)), atol=1e-5)
 
 
 @pytest.mark.parametrize("shape", [(40, 55), (14, 30, 41)])
-@pytest.mark.parametrize("width", [None, 3.0, 30.0])
+@pytest.mark.parametrize("width", [None, 4.0, 30.0])
 def test_all_that_is_frozen_is_0_and_rises_within_the_width(shape: tuple[int, ...], width: float | None) -> None:
     mask = mask_in(shape, np.random.default_rng(1))
     freeze = Freeze.of(mask, width=width)
@@ -92,7 +74,7 @@ def drawn(seed: int, *, flat: bool, on_fold: Any = "flow") -> tuple[Deformation,
     shape = tuple(rng.integers(30, 90, 2).tolist()) if flat else tuple(rng.integers(12, 30, 3).tolist())
     mask = mask_in(shape, rng)
     spacing = np.exp(rng.uniform(-0.3, 0.3, len(shape)))
-    freeze = Freeze.of(mask, width=float(rng.uniform(4, 25)), spacing=spacing.tolist())
+    freeze = Freeze.of(mask, width=float(rng.uniform(6, 25)), spacing=spacing.tolist())
     border = ("auto", None, 5.0)[rng.integers(3)]
     d = Deformation(shape, spacing=spacing.tolist(), border=border, freeze=freeze, on_fold=on_fold)
     for _ in range(rng.integers(1, 4)):
@@ -130,7 +112,7 @@ def test_one_stroke_is_m_times_as_much(seed: int, flat: bool) -> None:
         if d.domain.border is not None:
             inside = np.clip(inside, -0.5, np.array(d.shape[::-1]) - 0.5)
         assert d.domain.freeze is not None
-        at = at + spline(d.domain.freeze, inside)[:, None] * (moved - at)
+        at = at + reference.freedom(d.domain.freeze, inside)[:, None] * (moved - at)
     np.testing.assert_allclose(d.forward(points), at[:, : d.ndim] / d.domain.spacing, atol=1e-4)
 
 
@@ -223,7 +205,7 @@ def test_what_is_free_is_as_without_a_mask() -> None:
     assert (Deformation((120, 160), border=None, freeze=mask).add(stroke).warp(source) == plain.warp(source)).all()
     free = Deformation((120, 160), border=None, freeze=np.zeros((120, 160), bool)).add(stroke)
     assert free.space.freeze is None
-    assert free.space.is_common
+    assert free.space.is_plain
 
 
 def test_fields_follow_what_is_frozen() -> None:
@@ -250,12 +232,15 @@ def test_clips_have_the_mask_of_a_frame() -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (np.zeros((4, 5), bool), r"freeze must be an array of shape \(20, 30\), or a Freeze, found 'shape \(4, 5\)'"),
+        (np.zeros((4, 5), bool), r"freeze must be an array of shape \(20, 30\), or a Freeze, found shape \(4, 5\)$"),
         (np.full((20, 30), 1.5), "freeze must be an array of values from 0 to 1"),
         (np.full((20, 30), -1), "freeze must be an array of values from 0 to"),
         (np.full((20, 30), "a"), "freeze must be an array of bool, integers or floats"),
         (Freeze.of(np.zeros((8, 9), bool)), "the freeze mask is of 9 x 8 samples, and what is deformed of 30 x 20"),
-        (Freeze.of(np.zeros((8, 9, 9), bool)), "freeze must be a mask of 2 axes"),
+        (
+            Freeze.of(np.zeros((8, 9, 9), bool), name="m.nii"),
+            "^the freeze mask m.nii is a volume, and what is deformed is none: give a picture of its size$",
+        ),
     ],
 )
 def test_bad_masks(given: Any, message: str) -> None:
@@ -300,9 +285,30 @@ def test_handles_arrive_beside_what_is_frozen() -> None:
     points, to, pins = [(40, 30), (70, 55)], [(34, 36), (62, 50)], [(10, 40), (50, 60)]
     pulled = d.pull(points, to=to, pins=pins, radius=12)
     np.testing.assert_allclose(pulled.forward([*points, *pins]), [*to, *pins], atol=1e-6)
-    for wrong, which in (((10, 30), "starts"), ((60, 30), "ends")):
-        with pytest.raises(SuppleError, match=f"{which} where it is frozen, and nothing moves; a pin may be there"):
-            d.pull([wrong, (70, 50)], to=[(12, 31), (71, 52)], radius=9)
+
+
+@pytest.mark.parametrize("on_fold", ["flow", "damp"])
+def test_handles_that_are_frozen_are_let_go(on_fold: Any) -> None:
+    mask = np.zeros((80, 100), bool)
+    mask[:, :20] = True
+    d = Deformation((80, 100), freeze=mask, on_fold=on_fold)
+    for start, end in (((10, 30), (40, 31)), ((60, 30), (12, 31))):  # one starts where it is frozen, one ends there
+        said = rf"handle 1, at \({start[0]}, {start[1]}\), is let go, since nothing moves where it is frozen"
+        with pytest.warns(MissWarning, match=said):
+            pulled = d.pull([start, (70, 50)], to=[end, (71, 52)], radius=9)
+        np.testing.assert_allclose(pulled.forward((70, 50)), (71, 52), atol=1e-6)
+        arrival = pulled.arrival(0)
+        assert arrival.cause == "freeze"
+        np.testing.assert_allclose(arrival.arrived, pulled.forward(start), atol=1e-9)
+        assert arrival.miss == pytest.approx(np.linalg.norm(pulled.forward(start) - end))
+        assert (pulled.inverse_map()[mask] == np.argwhere(mask)[:, ::-1]).all()
+    with pytest.warns(MissWarning, match="2 handles, handle 1, at .10, 30., for one, are let go"):
+        still = d.pull([(10, 30), (10, 50)], to=[(40, 31), (30, 50)], radius=9)
+    assert (still.inverse_map() == Deformation((80, 100)).inverse_map()).all()
+    with pytest.raises(FoldError, match="let go"):
+        Deformation((80, 100), freeze=mask, on_fold="error").pull(
+            [(10, 30), (70, 50)], to=[(40, 31), (71, 52)], radius=9
+        )
 
 
 def test_restoring_leaves_what_is_frozen() -> None:

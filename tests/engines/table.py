@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple import Deformation, FoldWarning
+from supple import Deformation, FoldWarning, Freeze, MissWarning, Stroke
 from tests import reference
 
 Floats = npt.NDArray[np.float64]
@@ -183,6 +183,15 @@ def _squeezed(shape: tuple[int, ...], at: tuple[float, ...], radius: float, turn
     return d
 
 
+def _mask(shape: tuple[int, ...]) -> Freeze:
+    """Return a mask: what is to the left of the middle is frozen, and a stripe in part, farther left."""
+    held = np.zeros(shape)
+    width = shape[-1]
+    held[..., 2 * width // 5 : width // 2] = 1
+    held[..., : shape[-2] // 3, : width // 4] = 0.6
+    return Freeze.of(held, width=4.0)
+
+
 PLANE, CLIP = (45, 70), (6, 24, 37)
 
 SCENES: dict[str, Callable[[], Deformation]] = {
@@ -198,6 +207,12 @@ SCENES: dict[str, Callable[[], Deformation]] = {
     "image, local": lambda: Deformation(PLANE, border=10, on_fold="damp").grab(
         (34, 20), by=(4, 5), radius=7, reach=2.5
     ),
+    # Parts of it are frozen, and held in part, within what moves.
+    "image, frozen": lambda: (
+        Deformation(PLANE, border=10, freeze=_mask(PLANE))
+        .grab((40, 22), by=(-14, 4), radius=16, reach=None)
+        .twist((20, 20), angle=40, radius=12, reach=None)
+    ),
     # Turned, magnified and squeezed, one after the other.
     "image, turned": lambda: (
         Deformation(PLANE, border=None, on_fold="damp")
@@ -212,11 +227,17 @@ SCENES: dict[str, Callable[[], Deformation]] = {
         .grab((33, 20, 4.3), by=(-5, 6, -3.2), radius=8, reach=None)
     ),
     # Time runs several times as fast before it.
-    "clip, hurried": lambda: Deformation(CLIP, border=None, on_fold="flow").grab(
-        (17, 12, -5), by=(4, -2, 9), radius=5, reach=None
+    "clip, hurried": lambda: Deformation(CLIP, border=None, on_fold="flow").add(
+        Stroke.grab((17, 12, -5), by=(4, -2, 9), radius=5, reach=None), warn=False
     ),
     "clip, local": lambda: Deformation(CLIP, border=6.0, on_fold="damp").grab(
         (18, 12, 3), by=(2, -1, 0.6), radius=3, reach=2.0
+    ),
+    "clip, frozen": lambda: Deformation(CLIP, border=None, time=True, freeze=_mask(CLIP[1:])).grab(
+        (22, 13, 2.5), by=(-5, 2, 0.8), radius=11, reach=None
+    ),
+    "volume, frozen": lambda: Deformation(CLIP, spacing=(2.0, 0.8, 1.0), border=3.0, freeze=_mask(CLIP)).grab(
+        (22, 13, 2.7), by=(-4, 2, 1), radius=9, reach=None
     ),
     # Voxels that are no cubes, in a border.
     "volume": lambda: Deformation(CLIP, spacing=(2.0, 0.8, 1.0), border=3.0, on_fold="damp").grab(
@@ -252,6 +273,7 @@ def scene(name: str) -> Deformation:
     """Return a scene's strokes, of which some are damped."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FoldWarning)
+        warnings.simplefilter("ignore", MissWarning)
         return SCENES[name]()
 
 
@@ -277,7 +299,8 @@ def places(name: str) -> Places:
     d = scene(name)
     strokes, q = reference.carried_out(d), reference.grid(d.shape)
     points = reference.inverse(strokes, d.domain, q)
-    return Places(points, reference.matrices(strokes, d.domain, points), reference.reached(strokes, d.domain, q))
+    touched = reference.reached(strokes, d.domain, q) & ~reference.frozen(d.domain, q)
+    return Places(points, reference.matrices(strokes, d.domain, points), touched)
 
 
 # ---------------------------------------------------------------- numbers

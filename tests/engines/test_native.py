@@ -18,11 +18,11 @@ pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 IMAGES = [
     *rows(["image", "image, squeezed", "image, local"]),
     *rows(["image"], CLEAR, ["opacity", "light", "opacity and light"]),
-    *rows(["image, turned"], few=True),
+    *rows(["image, turned", "image, frozen"], few=True),
 ]
 CLIPS = [
     *rows(["clip"], ("bool", "u1", "u2", "i2", "f2", "f4", "f8")),
-    *rows(["clip, hurried", "clip, local", "volume", "volume, turned"], few=True),
+    *rows(["clip, hurried", "clip, local", "volume", "volume, turned", "clip, frozen", "volume, frozen"], few=True),
     *rows(["clip"], CLEAR, ["opacity", "light", "opacity and light"], few=True),
 ]
 

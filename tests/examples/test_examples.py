@@ -33,7 +33,7 @@ MATCHES = {
     "asymmetry": [
         r"^skin, original: 1\.\d %",
         r"^skin, flattened: 5\.\d %",
-        r"^skin, corrected: 2\.\d %",
+        r"^skin, corrected: [12]\.\d %",
         r"^bone, flattened: 7\.\d %",
         r"^bone, corrected: [23]\.\d %",
     ],

@@ -17,6 +17,7 @@ from scipy import ndimage
 
 import supple
 from supple.cli import command
+from supple.errors import VolumeWarning
 from supple.files import volumes
 from supple.files.volumes import VolumeOptions, deformation_of, is_volume_job, sampling_of, warp_volume
 from supple.geometry import Geometry
@@ -169,6 +170,20 @@ def test_spaces_that_do_not_fit_are_refused(here: Path, capfd: pytest.CaptureFix
         assert err.count("\n") == 1
         assert wanted in err
     assert not Path("out.nii").exists()
+
+
+def test_a_border_that_is_elsewhere_is_told(here: Path) -> None:
+    stored("in.nii", made())
+    recipe = replace(RECIPE, space="RAS", border="auto", size=(9, 9, 9), strokes=())
+    volume = media.read("in.nii")
+    at = volume.geometry.to_world((10.0, 10.0, 8.0), "RAS").tolist()
+    recipe = replace(recipe, strokes=(supple.Stroke.grab(at, by=(0.1, 0, 0), radius=3),))
+    with pytest.warns(VolumeWarning, match="its border, a tenth of each axis, is elsewhere"):
+        deformation_of(recipe, volume)
+    for same in (replace(recipe, size=volume.sizes), replace(recipe, size=None), replace(recipe, border=2.0)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", VolumeWarning)
+            deformation_of(same, volume)
 
 
 def test_voxels_of_another_size_are_not_scaled(here: Path) -> None:
@@ -383,6 +398,23 @@ def test_what_is_not_a_number_stays_where_it_is(here: Path) -> None:
     expected = truth(np.nan_to_num(samples))
     far = ndimage.binary_dilation(~known, iterations=2)
     np.testing.assert_allclose(out[~far], expected[~far], atol=OFF)
+
+
+def test_the_sidecar_of_bids_comes_along(here: Path) -> None:
+    stored("head.nii.gz", made())
+    sidecar = '{"RepetitionTime": 2.3, "Manufacturer": "Siemens"}'
+    (here / "head.json").write_text(sidecar)
+    for _ in range(2):
+        warp_volume("head.nii.gz", "bent.nii.gz", RECIPE, force=True)
+        assert (here / "bent.json").read_text() == sidecar
+    (here / "bent.json").write_text(mine := '{"mine": 1}')
+    with pytest.warns(VolumeWarning, match=r"bent\.json is there already, and stays as it is"):
+        warp_volume("head.nii.gz", "bent.nii.gz", RECIPE, force=True)
+    assert (here / "bent.json").read_text() == mine
+    for text in (RECIPE.to_json(), "[1]", "{"):  # which are no sidecars
+        (here / "head.json").write_text(text)
+        warp_volume("head.nii.gz", "other.nii.gz", RECIPE, force=True)
+        assert not (here / "other.json").exists()
 
 
 def test_nothing_to_do_is_a_copy(here: Path) -> None:

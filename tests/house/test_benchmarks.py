@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
+import subprocess
 import sys
+from pathlib import Path
 from types import ModuleType
 
 import pytest
 
 from tests.children import ROOT
+from tools.core import machine_compiler
 
 FOLDER = ROOT / "benchmarks"
 
@@ -83,3 +87,23 @@ def test_what_is_not_there_is_a_line(paired: ModuleType) -> None:
     assert str(line) == "| ours / theirs |  |  |  | ≤ 0.3 | not measured |  | theirs is not installed |"
     assert not paired.missed([line])
     assert paired.HEAD.split("\n")[0].count("|") == str(line).count("|")
+
+
+def test_cells_of_a_peer_agree(paired: ModuleType) -> None:
+    clock = Played()
+    # Ours is slower in turn than alone; the medians of a machine that slows down do not divide to the median ratio.
+    ours = clock.work("o", 1.0, 1.0, 0.001, 0.002, 0.0025)
+    peer = clock.work("p", 1.0, 1.0, 0.2, 0.3, 0.4)
+    assert paired.in_turn(peer, ours, clock, 3) == "300 ms | 1.88 ms | 160"
+    assert paired.seconds(1.234) == "1.23 s"
+
+
+@pytest.mark.skipif(machine_compiler() is None, reason="there is no C++ compiler")
+def test_cuda_s_benchmark_runs_without_a_gpu(tmp_path: Path) -> None:
+    written = tmp_path / "lines.json"
+    words = [sys.executable, str(FOLDER / "cuda_engine.py"), "--dry", "--json", str(written)]
+    around = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
+    done = subprocess.run(words, env=around, capture_output=True, encoding="utf-8", check=False)
+    assert done.returncode == 0, done.stderr
+    lines = json.loads(written.read_text(encoding="utf-8"))["lines"]
+    assert {tuple(line["bar"].values()) for line in lines} >= {(3,), (0.5,), (0.3,), (5000,), (1,), (5,)}

@@ -83,6 +83,18 @@ def test_supples_map_is_that_of_its_picture(beside: ModuleType) -> None:
     assert np.abs(ours.warp(ramp, [stroke])[..., 0] / 3 - ours.map((64, 80), [stroke])[..., 0]).max() < 0.6
 
 
+def test_the_times_of_the_page_divide_to_its_ratios() -> None:
+    text = (ROOT / "docs" / "comparison.md").read_text(encoding="utf-8")
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:1] == "|"]
+    headings = [row for row in lines if row[-1] == "× ours"]
+    assert [row[-3:] for row in headings] == [["time", "ours, in turn", "× ours"]] * 5
+    rows = [row[-3:] for row in lines if row[-1].replace(".", "").isdigit()]
+    assert len(rows) == 21
+    for theirs, ours, ratio in rows:
+        quotient = float(theirs.removesuffix(" ms")) / float(ours.removesuffix(" ms"))
+        assert quotient == pytest.approx(float(ratio), rel=0.011)  # of three digits each
+
+
 def test_it_runs_where_no_other_tool_is_installed() -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "PATH": ""}
     done = subprocess.run(
@@ -93,3 +105,5 @@ def test_it_runs_where_no_other_tool_is_installed() -> None:
         assert done.stdout.count(line) == rows, line
     assert "| SimpleITK | is not installed |" in done.stdout
     assert done.stdout.count("| Supple | 0.00 px | 0 |") == 2
+    for table in done.stdout.split("\n## ")[1:]:
+        assert len({line.count("|") for line in table.splitlines() if line[:1] == "|"}) == 1, table

@@ -10,9 +10,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import supple
+from supple.media import image
 from supple.render.transfer import PRESETS, TransferFunction
 from tests.children import ROOT
 
@@ -36,6 +38,11 @@ def copy_inputs(folder: Path) -> None:
     names |= dict.fromkeys(("brain.nii.gz", "atlas.nii.gz", "labels.nii.gz"), "brain.nii.gz")
     for name, source in {**names, "head.nii.gz": "head.nii.gz"}.items():
         shutil.copy(DATA / source, folder / name)
+    face = np.hypot((np.arange(512) - 225) / 75, (np.arange(512)[:, None] - 115) / 95) < 1
+    image.write(folder / "mask.png", np.where(face, 255, 0).astype(np.uint8))
+    (folder / "before.csv").write_text("label,x,y\nleft,186,148\nright,265,148\nnose,225,120\n")
+    (folder / "after.csv").write_text("label,x,y\nnose,225,120\nleft,190,147\nright,261,147\n")
+    (folder / "nose.csv").write_text("frame,x,y\n10,330,160\n30,342,153\n")
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=lambda page: page.stem)
@@ -53,7 +60,7 @@ def test_the_commands_of_the_how_to_page_run_without_a_warning(tmp_path: Path) -
     copy_inputs(tmp_path)
     page = (ROOT / "docs" / "how-to.md").read_text(encoding="utf-8").replace("\\\n", " ")
     commands = re.findall(r"^supple (.*)$", page, re.MULTILINE)
-    assert len(commands) == 6
+    assert len(commands) == 10
     for command in commands:
         run = [sys.executable, "-m", "supple", *shlex.split(command)]
         path = {"PYTHONPATH": str(ROOT / "src")}

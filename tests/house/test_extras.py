@@ -17,7 +17,7 @@ DATA = Path(supple.__file__).parent / "examples" / "data"
 GRAB = ("--grab", "20,20:23,20", "--radius", "6")
 EXTRAS = {
     "video": ["av"],
-    "volume": ["SimpleITK", "nibabel"],
+    "volume": ["SimpleITK", "nibabel", "pydicom"],
     "plot": ["matplotlib"],
     "gpu": ["wgpu"],
     "view": ["imgui_bundle", "rendercanvas", "platformdirs", "glfw"],
@@ -73,6 +73,7 @@ def test_pictures_need_no_extra(here: Path) -> None:
         ("volume", ("render", str(DATA / "head.nii.gz"), "out.png"), "NIfTI files need nibabel"),
         ("volume", ("warp", str(DATA / "head.nii.gz"), "out.nii", *GRAB), "NIfTI files need nibabel"),
         ("plot", ("plot", "in.png", "out.png", *GRAB), "plots need matplotlib"),
+        ("plot", ("render", str(DATA / "head.nii.gz"), "out.png", "--annotate"), "plots need matplotlib"),
         ("gpu", ("warp", "in.png", "out.png", *GRAB, "--device", "gpu"), "the GPU needs wgpu"),
         ("view", ("view", "in.png", "--serve"), "window needs"),
     ],
@@ -115,3 +116,20 @@ except supple.SuppleError as error:
     told = "warps by Dask need dask, which is not installed: pip install 'supple[zarr]'\n"
     assert without(["dask"], program, here=here) == (1, told)
     assert without(["xarray", "distributed", "zarr"], program, here=here) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("module", "library"),
+    [("albumentations", "Albumentations"), ("monai", "MONAI"), ("torchio", "TorchIO"), ("torchvision", "torchvision")],
+)
+def test_transforms_say_which_library_they_need(here: Path, module: str, library: str) -> None:
+    program = f"""
+import supple.augment
+assert not {{"torch", "{module}"}} & set(sys.modules)
+try:
+    import supple.augment.{module}
+except supple.SuppleError as error:
+    sys.exit(str(error))
+"""
+    told = f"supple.augment.{module} needs {library}, which is not installed: pip install {module}\n"
+    assert without([module], program, here=here) == (1, told)

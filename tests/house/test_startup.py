@@ -15,14 +15,15 @@ from supple.media import image
 from tests.children import SOURCE
 
 ENGINES = (
-    "numba",
-    "llvmlite",
+    "cuda.bindings",
+    "cuda.core",
     "scipy",
     "torch",
     "wgpu",
     "supple.engines.wgpu.warp",
     "supple.engines.wgpu.engine",
     "supple.cuda",
+    "supple.engines.cuda.engine",
 )
 LIBRARIES = ("matplotlib", "av", "SimpleITK", "nibabel", "rich", "supple.viewer", "supple.plot")
 

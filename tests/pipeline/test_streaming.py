@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from supple import Deformation
+from supple import Deformation, Stroke
 from supple.engines.base import Group, Layout, Sampling, Work
 from supple.engines.native import NATIVE
 from supple.pipeline import make_plan
@@ -128,7 +128,8 @@ def drawn(seed: int) -> Deformation:
         radius = float(np.exp(rng.uniform(math.log(2), math.log(30))))
         by = rng.normal(size=3) * radius * rng.uniform(0.1, 1.0)
         at = rng.uniform(-0.05, 1.05, 3) * size
-        d = d.grab(at, by=by, radius=radius, scales=int(rng.integers(1, 4)), reach=None)
+        stroke = Stroke.grab(at, by=by, radius=radius, scales=int(rng.integers(1, 4)), reach=None)
+        d = d.add(stroke, warn=False)
     return d
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from supple import Deformation
+from supple import Deformation, Stroke
 from tests import reference
 from tests.pipeline.frames import BETWEEN, FILTERS, RULES, Floats, exact, hurried, noise, top_of
 
@@ -131,7 +131,8 @@ def test_the_reference_average_is_one() -> None:
 
 def test_averages_over_time_beyond_the_clip() -> None:
     """A box around a time outside is as long as one inside."""
-    d = Deformation((30, 40, 50), border=None, on_fold="flow").grab((25, 20, -10), by=(0, 0, 25), radius=12, reach=None)
+    before = Stroke.grab((25, 20, -10), by=(0, 0, 25), radius=12, reach=None)
+    d = Deformation((30, 40, 50), border=None, on_fold="flow").add(before, warn=False)
     points = exact(d)
     widths = reference.faded(reference.durations(d, points))
     seen = (widths > 1.5) & ((points[..., 2] < -0.5) | (points[..., 2] > 29.5))

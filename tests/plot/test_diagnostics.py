@@ -180,7 +180,8 @@ def test_every_plot_is_written(what: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (2, 400)])
 @pytest.mark.parametrize("what", WHATS)
 def test_odd_shapes_are_drawn(what: str, shape: tuple[int, int], tmp_path: Path) -> None:
-    d = Deformation(shape, border=None, on_fold="damp").grab((3, 0), by=(2, 1), radius=10, reach=None)
+    stroke = Stroke.grab((3, 0), by=(2, 1), radius=10, reach=None)
+    d = Deformation(shape, border=None, on_fold="damp").add(stroke, warn=False)
     plot(d, what, tmp_path / "a.png", image=np.ones(shape))
 
 
@@ -301,7 +302,8 @@ def test_every_plot_of_a_frame_is_written(what: str, tmp_path: Path) -> None:
         plot(VIDEO, what, tmp_path / "a.png", image=below, frame=k, force=True)
     plot(Deformation((3, 48, 64), border=64, on_fold="damp"), what, tmp_path / "still.png", frame=1)
     for shape in ((1, 1, 1), (4, 1, 30), (4, 30, 1)):
-        free = Deformation(shape, border=None, on_fold="damp").grab((3, 0, 0), by=(0, 0, 2), radius=10, reach=None)
+        stroke = Stroke.grab((3, 0, 0), by=(0, 0, 2), radius=10, reach=None)
+        free = Deformation(shape, border=None, on_fold="damp").add(stroke, warn=False)
         plot(free, what, tmp_path / "odd.png", frame=0, force=True)
     panels = {"iterations": 6, "residual": 3, "stretch": 4, "axes": 3, "grid": 2}
     assert len(figure(VIDEO, what, frame=16).axes) == panels[what]

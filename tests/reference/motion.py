@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -9,10 +10,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import BSpline
 
 from supple.deformation import Deformation
 from supple.domain import Domain
 from supple.folding import resolve
+from supple.freezing import Freeze
 from supple.strokes import Stroke, matrix_of, poisson_of
 
 Floats = npt.NDArray[np.float64]
@@ -162,8 +165,38 @@ def radius_of_support(stroke: Stroke) -> float:
     return math.inf if stroke.reach is None else stroke.reach * stroke.radius
 
 
+def freedom(freeze: Freeze, points: Floats, axis: int | None = None) -> Floats:
+    """Return m of a freeze mask at points (..., D) in samples, or its derivative along an axis, by another library."""
+    flat = points.reshape(-1, points.shape[-1])
+    if axis is not None and axis >= freeze.ndim:  # a clip's mask is the same in all frames
+        return np.zeros(points.shape[:-1])
+    weights = []
+    for k in range(freeze.ndim):
+        n, h, first = freeze.size[k], freeze.step[k], freeze.first[k]
+        if n == 1:
+            weights.append(np.full((len(flat), 1), 0.0 if axis == k else 1.0))
+            continue
+        x = np.clip(flat[:, k], first + h, first + (n - 2) * h)
+        spline = BSpline(first + h * np.arange(-2, n + 2), np.eye(n), 3)
+        weights.append((spline.derivative() if axis == k else spline)(x))
+    letters = "abc"[: freeze.ndim]
+    rule = f"{letters[::-1]},{','.join(f'n{c}' for c in letters)}->n"
+    made = np.einsum(rule, freeze.coefficients / 255, *weights, optimize=True)
+    return np.asarray(made.reshape(points.shape[:-1]))
+
+
+def frozen(domain: Domain, points: Floats) -> npt.NDArray[np.bool_]:
+    """Return where nothing moves, nor just beside it: at points (..., D) in samples."""
+    if domain.freeze is None:
+        return np.zeros(points.shape[:-1], np.bool_)
+    corners = itertools.product((-0.3, 0.3), repeat=domain.ndim)
+    return np.all([freedom(domain.freeze, points + np.array(c)) == 0 for c in corners], axis=0)
+
+
 def displacement(step: Step, domain: Domain, points: Floats) -> tuple[Floats, Floats]:
     """Return diag(β) m K at points (..., D) in physical units, and its Jacobian; of several strokes, the sums.
+
+    With a freeze mask, that is times its m.
 
     Beyond a fixed face, the displacement is that of the nearest point of the face.
     """
@@ -181,6 +214,10 @@ def displacement(step: Step, domain: Domain, points: Floats) -> tuple[Floats, Fl
         k, j = turn(whole[: domain.ndim, : domain.ndim], stroke.brush, stroke.radius, material, r)
     m, slope = support(r, radius_of_support(stroke))
     k, j = m[..., None] * k, m[..., None, None] * j + k[..., :, None] * slope[..., None, :]
+    if domain.freeze is not None:
+        m = freedom(domain.freeze, near / steps)
+        slope = np.stack([freedom(domain.freeze, near / steps, i) for i in range(domain.ndim)], -1) / steps
+        k, j = m[..., None] * k, m[..., None, None] * j + k[..., :, None] * slope[..., None, :]
     for i in range(domain.ndim):
         beta, change = fade(near[..., i] - first[i], last[i] - first[i], width(domain, i), domain.border_profile)
         j[..., i, :] *= beta[..., None]

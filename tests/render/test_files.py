@@ -218,7 +218,7 @@ def test_presets_are_guessed() -> None:
 def test_density_and_transfer(here: Path) -> None:
     stored("in.nii", head(-1000, 900))
     Path("look.json").write_text(PRESETS["ct-bone"].to_json(), encoding="utf-8")
-    given = ["render", "in.nii"]
+    given = ["render", "in.nii", "--distance", "120"]
     assert command([*given, "skin.png"]) == 0
     assert command([*given, "bone.png", "--transfer", "ct-bone"]) == 0
     assert command([*given, "json.png", "--transfer", "look.json"]) == 0
@@ -226,6 +226,23 @@ def test_density_and_transfer(here: Path) -> None:
     seen = {p.stem: (image.read(p).pixels[..., 3] > 128).sum() for p in here.glob("*.png")}
     assert seen["bone"] == seen["json"] < 0.6 * seen["skin"]
     assert seen["inside"] < 0.6 * seen["skin"]
+
+
+def test_a_box_of_it(here: Path) -> None:
+    stored("in.nii", head())
+    strokes = ["--grab", "14,20,10:16,24,12", "--radius", "8", "--border", "none"]
+    assert command(["render", "in.nii", "whole.png", *strokes]) == 0
+    assert command(["render", "in.nii", "open.png", *strokes, "--clip", ":,:,:"]) == 0
+    assert command(["render", "in.nii", "cut.png", *strokes, "--clip", ":, 12.5:,2:20"]) == 0
+    whole, same, cut = (image.read(f"{name}.png").pixels for name in ("whole", "open", "cut"))
+    np.testing.assert_array_equal(same, whole)
+    assert (cut != whole).any()
+    assert (cut[..., 3] > 128).sum() > (whole[..., 3] > 128).sum()  # nearer to the camera
+    options = RenderOptions(clip=((None, None), (12.5, None), (2, 20)))
+    recipe = supple.Recipe(border=None, strokes=(supple.Stroke.grab((14, 20, 10), to=(16, 24, 12), radius=8),))
+    scene = render_file("in.nii", "python.png", recipe, options=options)
+    np.testing.assert_array_equal(image.read("python.png").pixels, cut)
+    assert scene.clip == ((0.0, 27.0), (12.5, 29.0), (2.0, 20.0))
 
 
 def test_series_and_raw(here: Path) -> None:
@@ -255,6 +272,19 @@ BAD: list[tuple[list[str], str]] = [
     (["in.nii", "out.png", "--transfer", "none.json"], "none.json"),
     (["in.nii", "out.png", "--density", "3"], "LO,HI"),
     (["in.nii", "out.png", "--density", "3,1"], "lower one first"),
+    (["in.nii", "out.png", "--clip", "3"], "--clip must be X0:X1,Y0:Y1,Z0:Z1 in voxels, with ends left out"),
+    (["in.nii", "out.png", "--clip", "1:2,3,:"], "found '1:2,3,:'"),
+    (["in.nii", "out.png", "--clip", ":,a:,:"], "--clip must be X0:X1,Y0:Y1,Z0:Z1"),
+    (
+        ["in.nii", "out.png", "--clip", ":,20:10,:"],
+        "--clip must be from a lower to a higher voxel along each axis, found",
+    ),
+    (
+        ["in.nii", "out.png", "--clip", "-3:,:,:"],
+        "--clip must be within the voxels of the volume, 0:27, 0:29, 0:23, found -3:27 along x",
+    ),
+    (["in.nii", "out.png", "--clip", ":,:,:24"], "found 0:24 along z"),
+    (["in.nii", "out.png", "--clip", "nan:,:,:"], "--clip must be numbers of voxels, found nan"),
     (["in.nii", "out.png", "--density", "300,400"], "nothing is seen of in.nii: its values go from 0 to 200"),
     (["in.nii", "out.png", "--size", "big"], "--size"),
     (["in.nii", "out.png", "--size", "0x5"], "from 1 to"),
@@ -321,3 +351,15 @@ def test_points_on_everything(here: Path, capfd: pytest.CaptureFixture[str]) -> 
     assert command(["points", "q.csv", "x.csv", "--on", "photo.png", *flat, "--world"]) == 2
     assert "--world is for volumes" in capfd.readouterr().err
     assert not Path("x.csv").exists()
+
+
+def test_a_recipe_is_not_replaced_by_a_transfer_function(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    head = str(Path(supple.__file__).parent / "examples" / "data" / "head.nii.gz")
+    recipe, look = tmp_path / "r.json", tmp_path / "look.json"
+    recipe.write_text(before := supple.Recipe().to_json(), encoding="utf-8")
+    options = ["--size", "40x40", "--force"]
+    assert command(["render", head, str(tmp_path / "a.png"), "--save-transfer", str(recipe), *options]) == 2
+    assert "r.json is there, and no transfer function: it is not replaced" in capfd.readouterr().err.replace("\n", " ")
+    assert recipe.read_text(encoding="utf-8") == before
+    for _ in range(2):
+        assert command(["render", head, str(tmp_path / "a.png"), "--save-transfer", str(look), *options]) == 0

@@ -23,6 +23,7 @@ Floats = npt.NDArray[np.float64]
 
 SIZE = (30, 36)
 AMBIENT, DIFFUSE, SPECULAR = 0.15, 0.8, 0.2  # of light; the highlight is the cosine to the power of 16
+LAYER = 4  # voxels behind a cut face over which the light of gradients takes over
 SOFT = TransferFunction(((0.2, 1.0, 0.2, 0.1, 0.0), (0.5, 0.9, 0.5, 0.3, 0.2), (1.0, 1.0, 1.0, 1.0, 0.6)))
 HARD = TransferFunction(((0.49, 1.0, 0.8, 0.6, 0.0), (0.5, 1.0, 0.8, 0.6, 1.0), (1.0, 1.0, 0.8, 0.6, 1.0)))
 
@@ -78,13 +79,16 @@ def reference(scene: Scene, camera: Camera, size: tuple[int, int]) -> tuple[Floa
 
     out, depth = np.zeros((*size, 4)), np.full((*size, 2), math.inf)
     n = np.array(volume.shape[::-1]) - 1.0
+    first, last = np.array(scene.clip).T
     for y in range(size[0]):
         for x in range(size[1]):
             direction = view.direction(x, y)
             along = direction / view.spacing
             with np.errstate(divide="ignore"):
-                faces = np.stack([-view.eye / along, (n - view.eye) / along])
+                faces = np.stack([(first - view.eye) / along, (last - view.eye) / along])
             near, far = max(faces.min(axis=0).max(), 0), faces.max(axis=0).min()
+            entered = int(faces.min(axis=0).argmax())
+            cut = first[entered] > 0 if along[entered] > 0 else last[entered] < n[entered]
             if near > far:
                 continue
             ts = np.arange(near, far + 1e-9, scene.step)
@@ -108,7 +112,8 @@ def reference(scene: Scene, camera: Camera, size: tuple[int, int]) -> tuple[Floa
                     else:
                         a = middle
                 start = b
-            ts = np.arange(start, far + 1e-9, scene.step)
+            inside = max(min(start + scene.step / 2, far), start)  # each sample is in the middle of its step
+            ts = np.arange(inside, far + 1e-9, scene.step)
             points = view.eye + ts[:, None] * along
             places, inverse = source(points)
             values = sampled(volume, places)
@@ -125,6 +130,11 @@ def reference(scene: Scene, camera: Camera, size: tuple[int, int]) -> tuple[Floa
                 half /= np.linalg.norm(half)
                 lit = AMBIENT + DIFFUSE * np.where(size_ > 0, abs(normals @ light), 1)
                 shine = SPECULAR * np.where(size_ > 0, abs(normals @ half), 0) ** 16
+                if cut and start == near > 0:
+                    layer = np.clip(1 - (ts - scene.step / 2 - near) / (LAYER * min(view.spacing)), 0, 1)
+                    flat = layer * np.logical_and.accumulate(colours[:, 3] > 0)
+                    lit += flat * (AMBIENT + DIFFUSE * abs(light[entered]) - lit)
+                    shine *= 1 - flat
             total = np.zeros(3)
             for k in range(len(ts) - 1, -1, -1):
                 alpha = colours[k, 3]
@@ -133,7 +143,7 @@ def reference(scene: Scene, camera: Camera, size: tuple[int, int]) -> tuple[Floa
             out[y, x] = *total, gathered[-1]
             depth[y, x, 0] = start
             if (gathered >= 0.9).any():
-                depth[y, x, 1] = ts[np.argmax(gathered >= 0.9)]
+                depth[y, x, 1] = max(ts[np.argmax(gathered >= 0.9)] - scene.step / 2, start)
     return out[..., :3], out[..., 3], depth
 
 
@@ -179,6 +189,28 @@ def test_a_picture_is_the_slow_one(where: str, transfer: TransferFunction, mode:
     away = np.abs(picture.depth[both] - depth[..., 0][both])
     assert away.max() < scene.step / 4 + 1e-6
     assert np.quantile(away, 0.9) < scene.step / 50
+
+
+@pytest.mark.parametrize("mode", ["plain", *MODES])
+@pytest.mark.parametrize("transfer", [SOFT, HARD], ids=["soft", "hard"])
+@pytest.mark.parametrize("where", GEOMETRIES)
+def test_a_picture_of_a_box_is_the_slow_one(where: str, transfer: TransferFunction, mode: str) -> None:
+    geometry = GEOMETRIES[where]
+    volume = cloud()
+    d = None if mode == "plain" else bent(volume.shape, geometry)
+    mode = "lattice" if mode == "plain" else mode
+    for clip in (((None, None), (11.5, None), (None, 16)), ((6, 20.25), (4, 22), (5, 20))):
+        scene = Scene(volume, geometry, deformation=d, transfer=transfer, mode=mode, clip=clip)
+        camera = Camera(35, 20, roll=10)
+        picture = scene.render(camera, SIZE)
+        colours, alpha, depth = reference(scene, camera, SIZE)
+        assert (alpha > 0).sum() > 80
+        assert np.quantile(np.abs(picture.light[..., :3] - colours).max(axis=-1), 0.97) < 0.01
+        assert np.quantile(np.abs(picture.light[..., 3] - alpha), 0.97) < 0.006
+        both = np.isfinite(depth[..., 0]) & np.isfinite(picture.depth)
+        assert (both == np.isfinite(depth[..., 0])).mean() > 0.98
+        away = np.abs(picture.depth[both] - depth[..., 0][both])
+        assert np.quantile(away, 0.9) < scene.step / 50
 
 
 @pytest.mark.parametrize("mode", ["exact", "lattice"])
@@ -411,7 +443,7 @@ def test_a_drag_moves_what_was_picked_to_the_pixel() -> None:
 def test_a_lattice_that_is_not_good_enough_says_so() -> None:
     shape = (30, 30, 30)
     d = supple.Deformation(shape, border=3.0, on_fold="flow").grab((14, 14, 14), by=(6, 5, -6), radius=6, reach=None)
-    with pytest.warns(supple.ToleranceWarning, match='mode "exact"'):
+    with pytest.warns(supple.ToleranceWarning, match="mode='exact' stays within it"):
         scene = Scene(cloud(shape), deformation=d, transfer=HARD, tolerance=1e-4)
     assert scene.error > 1e-4
     assert Scene(cloud(shape), deformation=d, transfer=HARD, tolerance=1e-4, mode="exact").error == 0
@@ -490,6 +522,16 @@ def test_a_camera_inside() -> None:
         ({"transfer": "bone"}, '"ct-bone"'),
         ({"density": (3, 1)}, "the lower one first"),
         ({"density": (1,)}, "2 numbers"),
+        ({"clip": "x"}, "clip must be a range of voxels for each axis"),
+        ({"clip": ((1, 2), (1, 2))}, "clip must be a range of voxels for each axis"),
+        ({"clip": ((1, 2), (1, 2), 3)}, "clip must be a range of voxels for each axis"),
+        ({"clip": ((1, 2), (1, 2), (1, "a"))}, "clip must be numbers of voxels, found 'a'"),
+        ({"clip": ((1, 2), (math.nan, 2), (1, 2))}, "clip must be numbers of voxels, found nan"),
+        ({"clip": ((1, 2), (5, 3), (1, 2))}, "clip must be from a lower to a higher voxel .*, found 5:3 along y"),
+        ({"clip": ((1, 2), (1, 2), (4, 4))}, "found 4:4 along z"),
+        ({"clip": ((1, 2), (7, None), (1, 2))}, "found 7:7 along y"),
+        ({"clip": ((-1, 2), (1, 2), (1, 2))}, "within the voxels of the volume, 0:7, 0:7, 0:7, found -1:2 along x"),
+        ({"clip": ((0, 8), (1, 2), (1, 2))}, "found 0:8 along x"),
         ({"step": 0}, "step must be millimetres, at least 0.001"),
         ({"tolerance": -1}, "tolerance"),
         ({"geometry": 3}, "geometry must be a Geometry, found 3"),

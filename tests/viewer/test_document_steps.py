@@ -14,7 +14,7 @@ from supple.errors import SuppleError
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.editing import Document
 from supple.viewer.document.state import Item, State
-from supple.viewer.document.words import described, sentence, settings, step
+from supple.viewer.document.words import described, listed, sentence, settings, step
 
 SHAPE = (60, 80)
 A = Stroke(at=(20, 20), by=(4, 2), radius=9)
@@ -133,7 +133,7 @@ def test_other_brushes_in_words() -> None:
         (
             Stroke(at=(5, 6), by=(9, 0), radius=9, also=(((1, 2), (0, 0)), ((3, 4), (1, 0)))),
             "Grab at (5, 6)",
-            "by (9, 0) with 1 other and 1 pin",
+            "by (9, 0) with 1 other point and 1 pin",
         ),
         (Stroke(at=(5, 6), by=(9, 0), radius=9, also=(((1, 2), (0, 0)),)), "Grab at (5, 6)", "by (9, 0) with 1 pin"),
         (Stroke(at=(5, 6), by=(9, 0), radius=9, path=((7, 9),)), "Path at (5, 6)", "by (9, 0)"),
@@ -153,6 +153,15 @@ def test_other_brushes_in_words() -> None:
             assert described(brush, None).splitlines()[1:] == [does, "radius 9", "reach: 4 radii"]
 
 
+def test_a_list_says_how_much() -> None:
+    for stroke, said in (
+        (A, "Grab (20, 20), radius 9"),
+        (Stroke(at=(5, 6), radius=37.5, brush="twist", angle=-40.25), "Twist (5, 6) -40.2\u00b0, radius 37.5"),
+        (Stroke(at=(5, 6, 7), radius=9, brush="scale", factor=0.5), "Pucker (5, 6, 7) \u00d70.5, radius 9"),
+    ):
+        assert listed(stroke) == said
+
+
 def test_strokes_that_were_drawn_at_once_are_one_step_in_words() -> None:
     some = [Stroke(at=(k, 6), by=(1, 0), radius=9, name="smooth") for k in range(3)]
     old, new = State((Item.of(A),)), State((Item.of(A), *map(Item.of, some)))
@@ -166,3 +175,33 @@ def test_settings_in_words() -> None:
     assert settings(replace(recipe, border=8, on_fold="error")) == (
         "Where a stroke would fold: refuse the stroke. The border is fixed, over 8."
     )
+
+
+def test_any_step_is_compared_with_whatever_happens_to_it() -> None:
+    d = Document(SHAPE, recipe=Recipe(border=None))
+    for stroke in (A, B, C):
+        d.add(stroke)
+    assert d.compared is None
+    assert d.base.is_identity
+    assert d.compared_step is None
+    d.compare(1)
+    assert d.compared is d.steps[1]
+    assert d.compared_step == 1
+    assert d.base == Document(SHAPE, recipe=Recipe(border=None, strokes=(A,))).deformation
+    base = d.base
+    d.select(0)
+    d.go(1)
+    d.select(None)
+    assert d.compared_step == 1
+    d.go(0)
+    assert d.compared_step == 1
+    d.add(A)  # the step is gone from the history, and this is another one
+    assert d.base is base
+    assert d.compared is not None
+    assert d.compared_step is None
+    d.compare(None)
+    assert d.base.is_identity
+    assert d.compared is None
+    for wrong in (-1, 2, 1.5):
+        with pytest.raises(SuppleError, match="a step must be one of 2, from 0 to 1"):
+            d.compare(wrong)  # type: ignore[arg-type]

@@ -166,6 +166,9 @@ def test_files_are_replaced_only_when_that_is_said(gpu: Gpu, tmp_path: Path) -> 
     hand.drag((240, 300), (220, 310))
     other.write_text("PRECIOUS")
     assert not view.commands.may_close()
+    assert view.commands.asked.offered == ("Save and close", "Replace and close", "Close without saving", "Cancel")
+    view.commands.asked.path = str(tmp_path / "none.json")
+    assert view.commands.asked.offered == ("Save and close", "Close without saving", "Cancel")
     view.commands.asked.path = str(other)
     assert not view.commands.answer("Save and close")
     assert other.read_text() == "PRECIOUS"
@@ -329,13 +332,53 @@ def test_a_recipe_of_another_medium_is_refused_in_a_sentence(gpu: Gpu, tmp_path:
     view.commands.ask("open")
     view.commands.asked.path = str(place)
     assert not view.commands.answer("Open")
-    assert "stroke 1 of the recipe has points of 3 numbers, and this is a picture, with points x, y" in (
-        view.commands.asked.problem
-    )
+    assert "stroke 1 has points of 3 numbers, and this is a picture, with points x, y" in (view.commands.asked.problem)
     view.commands.asked = None
     view.close()
     with pytest.raises(supple.SuppleError, match="and this is a volume, with points x, y, z"):
         opened(DATA / "head.nii.gz", Recipe(border=None, strokes=FLAT))
+    with pytest.raises(supple.SuppleError, match=r"strokes of a clip need X,Y,T: supple warp takes X,Y, for all"):
+        opened(DATA / "bunny.mp4", Recipe(border=None, strokes=FLAT))
+
+
+def test_what_is_not_kept_yet_may_wait(gpu: Gpu) -> None:
+    view, hand = opened(DATA / "coffee.jpg", Recipe(border=None))
+    hand.drag((200, 300), (220, 310))
+    view.close()
+    again, _ = opened(DATA / "coffee.jpg")
+    assert again.commands.asked.choices == ("Restore", "Keep for later")
+    assert again.commands.answer("Keep for later")
+    assert not again.recipe.strokes
+    (place,) = again.commands.autosave.place.parent.glob("*.kept")
+    assert place.name in again.commands.message
+    assert len(json.loads(place.read_text())["recipe"]["strokes"]) == 1
+    again.close()
+
+
+def test_what_an_export_said_is_gone_with_an_undo(gpu: Gpu, tmp_path: Path) -> None:
+    view, hand = opened(DATA / "coffee.jpg", Recipe(border=None))
+    hand.drag((200, 300), (220, 310))
+    view.commands.begin_export(tmp_path / "out.png")
+    assert view.commands.export.join(120)
+    hand.canvas.draw()
+    assert "out.png" in view.commands.message
+    hand.key("z", "Control")
+    assert view.commands.message == ""
+    view.close()
+
+
+def test_a_long_line_is_shortened_at_its_end(gpu: Gpu) -> None:
+    from imgui_bundle import imgui
+
+    from supple.viewer.panels.widgets import shortened
+
+    view, _ = opened(DATA / "coffee.jpg")
+    text = "saved to somewhere; " + 10 * "a word "
+    cut = shortened(text, 200.0)
+    assert text.startswith(cut.removesuffix("\u2026"))
+    assert 150 < imgui.calc_text_size(cut).x <= 200
+    assert shortened("short", 200.0) == "short"
+    view.close()
 
 
 def type_(hand: Hand, text: str) -> None:

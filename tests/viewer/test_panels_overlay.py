@@ -76,7 +76,7 @@ def test_a_damped_stroke_of_a_volume_shows_how_far_it_was_to_go(gpu: Gpu) -> Non
     hand.key("4")  # the rendering, on the whole canvas
     assert missed(view) > 3
     # And nobody is warned elsewhere.
-    assert "the rendering is off by more than a voxel: in mode exact it is not" in status(view)
+    assert "parts of the rendering may be more than a voxel out of place: choose Rendering: exact" in status(view)
     damped = red(hand.canvas.draw())
     assert damped > 20
     view.document.set_on_fold("flow")
@@ -118,13 +118,13 @@ def test_the_frame_that_is_seen_is_certified(gpu: Gpu) -> None:
     for frame in (8, 12):
         view.tools.playback.seek(frame)
         end = time.monotonic() + 60
-        while "certified" not in status(view) and time.monotonic() < end:
+        while "px of the map" not in status(view) and time.monotonic() < end:
             time.sleep(0.05)
         wanted = view.document.deformation.report(plane=frame).error
         assert 0 < wanted < 0.01
-        assert f"error at most {wanted:.2g} px in this frame, certified" in status(view)
+        assert f"pixels read within {wanted:.2g} px of the map in this frame" in status(view)
     hand.key(" ")
-    assert "certified" not in status(view)  # while it plays
+    assert "of the map" not in status(view)  # while it plays
     view.document.mark_saved()
     view.close()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,9 @@ Places = dict[str, tuple[float, float]]
 
 
 @pytest.fixture(autouse=True)
-def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    return tmp_path
 
 
 @pytest.fixture
@@ -144,6 +146,68 @@ def test_the_original_is_seen_while_its_button_is_held(gpu: Gpu, places: Places)
     hand.release(*place)
     hand.canvas.draw()
     assert not view.tools.original
+
+
+@pytest.mark.parametrize("kind", ["photo", "clip", "volume"])
+def test_a_step_is_compared_with_the_present(gpu: Gpu, kind: str, request: Any, places: Places) -> None:
+    """Left of the line is the step that is marked, right of it what is there now, pixel by pixel."""
+    at, by = ((22.0, 40.0, 22.0), (2.0, -3.0, 2.0)) if kind == "volume" else ((280.0, 180.0, 2.0), (20.0, 9.0, 0.0))
+    n = 2 if kind == "photo" else 3
+    strokes = [
+        Stroke(at=at[:n], by=tuple(f * v for v in by[:n]), radius=20 * (1 + (kind == "volume"))) for f in (1, -1)
+    ]
+    view, hand = opened(request.getfixturevalue(kind), Recipe(border=None, strokes=strokes[:1]), size=(1100, 640))
+    if kind == "volume":
+        view.stage.set_mode("exact")
+    view.sections |= dict.fromkeys(("Brush", "Strokes", "Selected stroke", "Volume", "View"), False) | {"History": True}
+    one = view.pixels().astype(int)
+    view.document.add(replace(strokes[1], radius=30))
+    hand.canvas.draw()
+    two = view.pixels().astype(int)
+    hand.canvas.draw()
+    hand.click(places["mark 0"])
+    assert view.tools.split == 0.5
+    assert view.document.compared.items == view.document.steps[0].items
+    both = view.pixels().astype(int)
+    views = view.tools.places.values() if kind == "volume" else [(0, 0, *view.area)]
+    for left, top, width, height in views:
+        rows, middle = slice(int(top) + 2, int(top + height) - 2), left + 0.5 * width
+        for start, end, wanted, other in (
+            (left + 2, middle - 2, one, two),
+            (middle + 2, left + width - 2, two, one),
+        ):
+            part = rows, slice(int(start), int(end))
+            np.testing.assert_array_equal(both[part], wanted[part])
+            assert (both[part] != other[part]).any()
+    view.tools.split, view.tools.original = None, True
+    np.testing.assert_array_equal(view.pixels(), one)
+    hand.canvas.draw()
+    hand.click(places["mark 0"])
+    assert view.document.compared is None
+    assert view.document.base.is_identity
+
+
+def test_a_step_that_has_left_the_history_is_unmarked_by_a_click(gpu: Gpu, places: Places) -> None:
+    view, hand = grey(*FLAT[:1])
+    view.sections |= dict.fromkeys(("Brush", "Strokes", "Selected stroke", "View"), False) | {"History": True}
+    view.document.add(FLAT[1])
+    hand.canvas.draw()
+    assert "Compare with the original" not in places
+    view.document.compare(1)
+    view.document.undo()
+    view.document.add(replace(FLAT[1], radius=40))
+    view.refresh()
+    for _ in range(2):
+        hand.canvas.draw()
+    assert view.document.compared is not None
+    assert view.document.compared_step is None
+    hand.click(places["Compare with the original"])
+    assert view.document.compared is None
+    assert view.document.base.is_identity
+    places.clear()
+    hand.canvas.draw()
+    assert "Compare with the original" not in places
+    view.document.mark_saved()
 
 
 def test_all_of_the_strip_is_seen_in_a_low_window(gpu: Gpu, places: Places) -> None:

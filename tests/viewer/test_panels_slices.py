@@ -188,6 +188,25 @@ def test_a_hidden_rendering_is_not_drawn_and_comes_back(gpu: Gpu) -> None:
     assert view.tools.camera == Camera()
 
 
+def test_a_click_on_the_cube_that_is_drawn_looks_from_there(gpu: Gpu) -> None:
+    view, hand = opened(DATA / "head.nii.gz", size=(1280, 720))
+    view.tools.view = Camera(30, 20)
+    for face in view.tools.cube:
+        hand.move(5, 5)
+        x, y = (np.array(face.middle) + 0.6 * (np.array(face.corners[0]) - face.middle)).astype(int)
+        shade = hand.canvas.draw()[y, x, :3]
+        assert np.ptp(shade) == 0  # grey, and lit
+        assert 100 < shade[0] < 230
+        hand.move(x, y)
+        hovered = hand.canvas.draw()[y, x, :3].astype(int)
+        assert hovered[2] > hovered[0] + 60  # blue under the pointer
+        view.tools.view = Camera(30, 20)
+        hand.click((x, y))
+        assert (view.tools.camera.azimuth, view.tools.camera.elevation) == (face.azimuth, face.elevation)
+        view.tools.view = Camera(30, 20)
+    assert view.document.items == ()
+
+
 def test_the_first_window_holds_most_values(gpu: Gpu) -> None:
     head = volumes.read(DATA / "head.nii.gz")
     low, high = first_window(head, "")

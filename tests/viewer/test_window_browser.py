@@ -18,7 +18,7 @@ from supple.strokes import Stroke
 from supple.viewer.panels.view import BAR, LINE, WIDE
 from tests.clips import decoded
 from tests.viewer.sessions import near, on_canvas, recipe_in, warped
-from tests.viewer.windows import Browser, Pixels, needs, viewing, wait_for
+from tests.viewer.windows import Browser, Pixels, as_in_a_window, needs, viewing, wait_for
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
@@ -96,6 +96,56 @@ def test_a_photograph_in_a_browser(gpu: Gpu, photo: Path, state: Path) -> None:
         assert away(before) > 8
 
 
+def test_hints_and_the_list_of_keys_in_a_browser(gpu: Gpu, photo: Path, state: Path) -> None:
+    with browsing(photo) as browser:
+        x = browser.shown().shape[1] - WIDE + 20
+
+        def there(before: Pixels, left: int, right: int) -> bool:
+            box = np.s_[60:110, left:right]
+            return bool((np.abs(browser.shown()[box].astype(int) - before[box]) > 50).any())
+
+        browser.mouse("mouseMoved", x, 300)
+        time.sleep(1)
+        before = browser.shown()
+        browser.mouse("mouseMoved", x, 60)
+        wait_for(lambda: there(before, x + 30, x + 200), 10)
+        browser.mouse("mouseMoved", 300, 580)
+        wait_for(lambda: not there(before, x + 30, x + 200), 10)
+        before = browser.shown()
+        for kind in ("keyDown", "keyUp"):
+            browser.call("Input.dispatchKeyEvent", type=kind, key="?", text="?", windowsVirtualKeyCode=191, modifiers=8)
+        wait_for(lambda: there(before, 100, 500), 10)
+
+
+def test_a_pen_in_a_browser(gpu: Gpu, photo: Path, state: Path) -> None:
+    saved, made = state / "photo.recipe.json", state / "photo-bent.png"
+    with browsing(photo) as browser:
+        browser.drag((350, 300), (410, 270), pointerType="pen", force=0.5)
+        time.sleep(1)
+        # The greatest pressure is that of a move which is not sent, as the next one follows at once.
+        pen = {"pointerType": "pen", "force": 0.2}
+        browser.mouse("mousePressed", 350, 220, button="left", buttons=1, clickCount=1, **pen)
+        browser.mouse("mouseMoved", 380, 200, button="left", buttons=1, **pen)
+        time.sleep(0.2)
+        browser.call(
+            "Runtime.evaluate",
+            expression='dispatchEvent(new PointerEvent("pointermove", { pointerType: "pen", pressure: 0.5 }))',
+        )
+        browser.mouse("mouseMoved", 410, 190, button="left", buttons=1, **pen)
+        browser.mouse("mouseReleased", 410, 190, button="left", clickCount=1, **pen)
+        time.sleep(1)
+        browser.drag((350, 150), (410, 120))
+        time.sleep(1)
+        browser.key("s", 83, 2)
+        wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=0.5)
+        browser.key("e", 69, 2)
+        wait_for(lambda: browser.key("Enter", 13) or made.exists(), every=0.5)
+    even, peak, mouse = recipe_in(saved).strokes
+    for stroke in (even, peak):
+        np.testing.assert_allclose(stroke.by, 0.75 * np.array(mouse.by), rtol=0.01)
+    np.testing.assert_array_equal(image.read(made).pixels, image.read(warped(photo, "wanted.png", saved)).pixels)
+
+
 def test_a_clip_in_a_browser(gpu: Gpu, clip: Path, state: Path) -> None:
     saved, made = state / "clip.recipe.json", state / "clip-bent.mp4"
     with browsing(clip) as browser:
@@ -131,7 +181,7 @@ def test_a_volume_in_a_browser(gpu: Gpu, volume: Path, state: Path) -> None:
         area = seen.shape[1] - WIDE, seen.shape[0] - LINE
         pictures = []
         for name, recipe in (("bent.png", ["--recipe", str(saved)]), ("plain.png", [])):
-            look = ["--size", f"{area[0]}x{area[1]}", "--background", "#1f1f21"]
+            look = as_in_a_window(volume, *area)
             assert command(["render", str(volume), str(state / name), *recipe, *look]) == 0
             pictures.append(image.read(state / name).pixels[..., :3])
 

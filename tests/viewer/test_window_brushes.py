@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import pytest
 from supple.engines.wgpu.device import Gpu
 from supple.media import image
 from supple.viewer.panels.overlay import status
-from tests.clips import decoded
 from tests.viewer.sessions import recipe_in, warped
 from tests.viewer.windows import Hand, opened, wait_for
 
@@ -89,20 +87,6 @@ def test_a_picture_bent_by_all_brushes(gpu: Gpu, photo: Path) -> None:
     bent, wanted = both(view, photo, "wanted.png")
     np.testing.assert_array_equal(image.read(bent).pixels, image.read(wanted).pixels)
     assert np.abs(image.read(bent).pixels.astype(int) - image.read(photo).pixels).mean() > 2
-
-
-def test_a_clip_is_twisted_in_a_frame(gpu: Gpu, clip: Path) -> None:
-    view, hand = opened(clip)
-    hand.key("t")
-    end = time.monotonic() + 60
-    while not view.painter.ready and time.monotonic() < end:
-        hand.canvas.draw()
-    hand.drag((300, 250), (340, 250))
-    (stroke,) = view.recipe.strokes
-    assert (stroke.brush, stroke.at[2]) == ("twist", 0)
-    bent, wanted = both(view, clip, "wanted.mp4")
-    for one, other in zip(decoded(bent), decoded(wanted), strict=True):
-        np.testing.assert_array_equal(one.to_ndarray(), other.to_ndarray())
 
 
 def test_a_volume_is_twisted_in_a_plane_and_on_the_object(gpu: Gpu, volume: Path) -> None:

@@ -25,8 +25,9 @@ LATER = Stroke.grab((160, 120, 860), by=(0, 0, 30), radius=100)
 
 
 @pytest.fixture(autouse=True)
-def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    return tmp_path
 
 
 def closed(view: Any) -> None:
@@ -245,7 +246,7 @@ def test_coarse_pixels_lie_where_fine_ones_do(gpu: Gpu, coarse: int, monkeypatch
     painter.coarse = coarse
 
     def on_screen(moving: bool) -> np.ndarray:
-        first, _ = painter.paint(Shot(d, size, moving))
+        first, _ = painter.paint(Shot(d, d.without_strokes(), size, moving=moving))
         onto = gpu.device.create_texture(size=(*size, 1), format="rgba8unorm", usage="RENDER_ATTACHMENT|COPY_SRC")
         colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store"}
         encoder = gpu.device.create_command_encoder()
@@ -269,6 +270,60 @@ def test_coarse_pixels_of_a_volume_lie_about_the_middle() -> None:
     assert (top, height) == pytest.approx((0.0, 1.0))
     assert width == pytest.approx(705 / (89 * 401 / 51))
     assert left + 0.5 * width == pytest.approx(0.5)
+
+
+def test_a_compared_step_of_a_volume_is_solved_once(gpu: Gpu, volume: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from supple.render.scene import Scene
+
+    solved: list[Any] = []
+    deformed = Scene.deformed
+    monkeypatch.setattr(Scene, "deformed", lambda scene, made: solved.append(made) or deformed(scene, made))
+    one, two = (Stroke.grab((22, 40, z), by=(2, -3, 2), radius=40) for z in (22, 30))
+    view, hand = opened(volume, Recipe(border=None, strokes=(one,)))
+
+    def rest() -> np.ndarray:
+        """What is seen once nothing is filled, solved or drawn any more."""
+        for _ in range(200):
+            view._changed_at, drawn = -10.0, view._drawn_key
+            hand.canvas.draw()
+            done = view.filled == 1.0 or view.tools.original
+            if done and drawn is not None and view._drawn_key is drawn:
+                break
+        count = len(solved)
+        for _ in range(4):
+            hand.canvas.draw()
+            assert done
+            assert view._drawn_key is drawn
+        assert len(solved) == count
+        return bent_half(view)
+
+    assert view.stage.mode == "hybrid"
+    before = rest()
+    view.document.add(two)
+    after = rest()
+    scene, error = view.stage.scene, view.stage.scene.error
+    view.document.compare(0)
+    rest()
+    solved.clear()
+    view.tools.original = True
+    shown = rest()
+    assert [made is view.document.base for made in solved] == [True]
+    assert np.abs(shown - before).mean() < 0.6 * np.abs(shown - after).mean()
+    assert view.stage.scene is scene  # the panel speaks of the result
+    assert view.stage.scene.error == error
+    view.stage._seconds[False] = 9.0
+    assert not view.stage.is_slow(view.document.base)
+    view.tools.original = False
+    np.testing.assert_array_equal(rest(), after)
+    view.tools.split = 0.5
+    rest()
+    assert len(solved) == 1
+    # What is compared with itself is solved once, too.
+    view.document.compare(1)
+    view.tools.original = True
+    rest()
+    assert len(solved) == 1
+    closed(view)
 
 
 def test_a_gif_that_moves_is_a_clip_at_its_own_times(gpu: Gpu, tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -159,6 +160,60 @@ def test_the_panel_answers_though_it_keeps_events_to_itself(view: tuple[Any, Han
     hand.canvas.draw()
     assert later
     assert min(later) < 0.5
+
+
+@pytest.mark.parametrize("keys", ["/", "?", "-"])
+def test_the_list_of_keys_opens_by_the_character_on_any_layout(view: tuple[Any, Hand], keys: str) -> None:
+    # glfw knows keys by their place, on a US keyboard; Qt and browsers by what is on them.
+    window, hand = view
+
+    def typed(*characters: str) -> None:
+        hand.send("key_down", key="Shift")
+        hand.send("key_down", key=keys)
+        for character in characters:
+            hand.send("char", data=character)
+        hand.send("key_up", key=keys)
+
+    typed("?")
+    assert window.tools.listing
+    typed("?", "?", "?")  # a key that is held
+    assert not window.tools.listing
+    typed("_")
+    assert not window.tools.listing
+
+
+def test_a_hint_is_shown_soon_and_without_drawing_on(view: tuple[Any, Hand], monkeypatch: pytest.MonkeyPatch) -> None:
+    window, hand = view
+    asked: list[bool] = [True]
+    later: list[tuple[float, Callable[[], None]]] = []
+    drawn: list[Pixels] = []
+    monkeypatch.setattr(hand.canvas, "request_draw", lambda *draw: asked.append(True))
+    monkeypatch.setattr(
+        window._waking, "_call_later", lambda seconds, work: later.append((time.perf_counter() + seconds, work))
+    )
+
+    def live(seconds: float) -> None:
+        """Draw when a frame is asked for, as a loop does."""
+        end = time.perf_counter() + seconds
+        while (now := time.perf_counter()) < end:
+            for due in [due for due in later if due[0] <= now]:
+                later.remove(due)
+                due[1]()
+            if asked:
+                asked.clear()
+                drawn.append(np.asarray(hand.canvas.draw())[..., :3].copy())
+            time.sleep(1 / 60)
+
+    live(1.0)
+    hand.move(SIZE[0] - WIDE + 20, 60)
+    # Half a second, and what a loaded machine takes for frames. The hint is beside the tool, over the panel.
+    live(0.05)
+    before = drawn[-1]
+    live(0.9)
+    assert np.abs(before[60:110, 680:].astype(int) - drawn[-1][60:110, 680:]).max() > 50
+    drawn.clear()
+    live(0.5)
+    assert not drawn  # nothing is drawn while nothing happens
 
 
 def test_the_ground_behind_what_is_transparent_stays_while_a_hand_moves(

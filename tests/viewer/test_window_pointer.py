@@ -18,7 +18,7 @@ from supple.viewer.panels.view import BAR, LINE, WIDE
 from supple.viewer.window.launch import SIZE
 from tests.clips import decoded
 from tests.viewer.sessions import near, on_canvas, recipe_in, warped
-from tests.viewer.windows import Mouse, Pixels, a_screen, viewing, wait_for
+from tests.viewer.windows import Mouse, Pixels, a_screen, as_in_a_window, viewing, wait_for
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
@@ -111,7 +111,7 @@ def test_a_volume_by_a_real_pointer(gpu: Gpu, volume: Path, state: Path) -> None
     )
     np.testing.assert_array_equal(made, wanted)
     # The same camera sees the same: of what was exported, of the volume through its recipe, and on the canvas.
-    look = ["--size", f"{AREA[0]}x{AREA[1]}", "--background", "#1f1f21"]
+    look = as_in_a_window(volume, *AREA)
     pictures = {}
     for name, what in {
         "bent": [str(state / "head-bent.nii.gz")],

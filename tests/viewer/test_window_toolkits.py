@@ -29,6 +29,7 @@ QT = next((name for name in ("PySide6", "PyQt6") if find_spec(name) is not None)
 # A drag, a wheel, and a close that asks; what is asked is answered by the key that Qt calls Return.
 IN_QT = """
 import sys
+from imgui_bundle import imgui
 from {qt} import QtCore, QtGui, QtTest, QtWidgets
 from supple.viewer.window import launch
 from supple.viewer.window import qt
@@ -75,11 +76,34 @@ def drive():
         test.qWait(30)
     test.mouseRelease(inner, left, none, place(410, 280))
     until(lambda: len(view.recipe.strokes) == 1 and not view.tools.dragging)
+    pen = QtGui.QPointingDevice.primaryPointingDevice()
+    for kind, x, force in (("TabletPress", 300, 0.5), ("TabletMove", 320, 0.4), ("TabletRelease", 320, 0.0)):
+        at = QtCore.QPointF(x, 200)
+        button = QtCore.Qt.MouseButton.NoButton if kind == "TabletMove" else left
+        held = QtCore.Qt.MouseButton.NoButton if kind == "TabletRelease" else left
+        QtWidgets.QApplication.sendEvent(inner, QtGui.QTabletEvent(
+            getattr(QtCore.QEvent.Type, kind), pen, at, at, force, 0, 0, 0.0, 0.0, 0, none, button, held))
+        mouse = {"TabletPress": "MouseButtonPress", "TabletMove": "MouseMove",
+                 "TabletRelease": "MouseButtonRelease"}[kind]
+        QtWidgets.QApplication.sendEvent(inner, QtGui.QMouseEvent(
+            getattr(QtCore.QEvent.Type, mouse), at, at, button, held, none))
+        test.qWait(60)
+    until(lambda: len(view.recipe.strokes) == 2 and not view.tools.dragging)
+    print("pen", round(view.recipe.strokes[1].by[0] * view.tools.viewport.zoom / 20, 3))
     turn = QtGui.QWheelEvent(QtCore.QPointF(410, 280), QtCore.QPointF(410, 280), place(0, 0), place(0, 120),
                              QtCore.Qt.MouseButton.NoButton, none, QtCore.Qt.ScrollPhase.NoScrollPhase, False)
     QtWidgets.QApplication.sendEvent(inner, turn)
     until(lambda: view.tools.radius > radius)
     print("grown", round(view.tools.radius / radius, 3))
+    shift = QtCore.Qt.KeyboardModifier.ShiftModifier
+    test.keyClick(inner, QtCore.Qt.Key.Key_Question, shift)
+    until(lambda: view.tools.listing)
+    test.keyClick(inner, QtCore.Qt.Key.Key_Question, shift)
+    until(lambda: not view.tools.listing)
+    hints, begin = [], imgui.begin_tooltip
+    imgui.begin_tooltip = lambda: hints.append("one") or begin()
+    test.mouseMove(inner, place(1000 - 328, 60))
+    until(lambda: len(hints) > 1)
     assert not QtWidgets.QWidget.close(canvas)
     until(lambda: view.commands.asked is not None and not view.commands.asked.fresh)
     print("asked", view.commands.asked.name)
@@ -106,10 +130,83 @@ def test_a_window_of_qt_is_dragged_on_and_asks_before_it_closes(gpu: Gpu, tmp_pa
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr
     assert "rror" not in ran.stderr, ran.stderr
-    assert ran.stdout.split("\n")[:3] == ["grown 1.1", "asked close", "closed True 1"], ran.stdout + ran.stderr
-    (stroke,) = Recipe.from_json((tmp_path / "photo.recipe.json").read_text(encoding="utf-8")).strokes
+    assert ran.stdout.split("\n")[:4] == ["pen 0.75", "grown 1.1", "asked close", "closed True 2"], (
+        ran.stdout + ran.stderr
+    )
+    stroke, _ = Recipe.from_json((tmp_path / "photo.recipe.json").read_text(encoding="utf-8")).strokes
     assert stroke.by[0] > 10
     assert stroke.by[1] < -5
+
+
+# Each event of a tablet is followed by the one of a mouse that Qt makes of it; they wait until the loop has its turn.
+PENS = """
+from types import SimpleNamespace
+from {qt} import QtCore, QtGui, QtWidgets
+from rendercanvas.qt import RenderCanvas
+from supple.viewer.window import qt
+
+canvas = RenderCanvas(size=(300, 200))
+qt.attend(canvas, SimpleNamespace())
+inner, found = canvas._subwidget, []
+canvas.add_event_handler(
+    lambda event: found.append((event["event_type"][8:], event.get("pressure"), event.get("peak"))),
+    "pointer_down", "pointer_move", "pointer_up")
+left, none = QtCore.Qt.MouseButton.LeftButton, QtCore.Qt.MouseButton.NoButton
+plain, device = QtCore.Qt.KeyboardModifier.NoModifier, QtGui.QPointingDevice.primaryPointingDevice()
+at = QtCore.QPointF(50, 50)
+kinds = {"Press": ("MouseButtonPress", left, left), "Move": ("MouseMove", none, left),
+         "Release": ("MouseButtonRelease", left, none)}
+
+def mouse(kind):
+    name, button, held = kinds[kind]
+    QtWidgets.QApplication.sendEvent(
+        inner, QtGui.QMouseEvent(getattr(QtCore.QEvent.Type, name), at, at, button, held, plain))
+
+def pen(kind, force):
+    _, button, held = kinds[kind]
+    QtWidgets.QApplication.sendEvent(inner, QtGui.QTabletEvent(
+        getattr(QtCore.QEvent.Type, "Tablet" + kind), device, at, at, force, 0, 0, 0.0, 0.0, 0, plain, button, held))
+    mouse(kind)
+
+def said(what):
+    inner._events.flush()
+    print(what, *(":".join(map(str, event)) for event in found))
+    found.clear()
+
+for force in (0.3, 0.4):
+    pen("Press", force)
+    pen("Release", 0.0)
+said("taps")
+pen("Press", 0.2)
+for force in (0.8, 0.5):
+    pen("Move", force)
+pen("Release", 0.0)
+said("drag")
+pen("Press", 0.2)  # its release is lost
+mouse("Press")
+mouse("Move")
+mouse("Release")
+said("mouse")
+"""
+
+
+@pytest.mark.skipif(QT is None, reason="no Qt is installed")
+def test_each_event_of_qt_has_the_pressure_that_its_pen_had() -> None:
+    pytest.importorskip(f"{QT}.QtWidgets", exc_type=ImportError)
+    ran = subprocess.run(
+        [sys.executable, "-c", PENS.replace("{qt}", str(QT))],
+        env=os.environ | {"QT_QPA_PLATFORM": "offscreen"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert ran.stdout.splitlines() == [
+        "taps down:0.3:0.3 up:0.3:0.3 down:0.4:0.4 up:0.4:0.4",
+        "drag down:0.2:0.2 move:0.5:0.8 up:0.5:0.8",
+        "mouse down:0.2:0.2 down:None:None move:None:None up:None:None",
+    ], ran.stderr
 
 
 def test_what_is_not_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import os
 import re
@@ -24,6 +25,9 @@ import pyvips
 
 import supple
 from supple.media import image
+from supple.media import volume as volumes
+from supple.render.camera import Camera
+from supple.render.scene import Scene
 from tests.children import HEARING
 
 MUST = os.environ.get("SUPPLE_TEST_WINDOW") == "1"
@@ -48,6 +52,25 @@ def wait_for(what: Any, seconds: float = 240.0, every: float = 0.1) -> Any:
             return found
         time.sleep(every)
     raise AssertionError("it took too long")
+
+
+def as_in_a_window(volume: Path, width: int, height: int) -> list[str]:
+    """The options of a rendering that frames a volume as a window does: by its box, and not by what is seen of it."""
+    found = volumes.read(volume)
+    view = Scene(found.samples, found.geometry).view(Camera(), (height, width))
+    target = (np.array(found.sizes) - 1) / 2
+    away = np.linalg.norm((view.eye - target) * found.geometry.spacing)
+    place = ",".join(f"{x:g}" for x in target)
+    return [
+        "--size",
+        f"{width}x{height}",
+        "--background",
+        "#1f1f21",
+        "--target",
+        place,
+        "--distance",
+        repr(float(away)),
+    ]
 
 
 class Hand:
@@ -182,7 +205,20 @@ def a_screen(folder: Path) -> Iterator[Mouse]:
     folder.mkdir()
     read, write = os.pipe()
     server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x800x24", "-nolisten", "tcp", "-fbdir", str(folder)],
+        # Each program that was alone on it would reset it, and a window that comes just then would not survive.
+        [
+            "Xvfb",
+            "-displayfd",
+            str(write),
+            "-noreset",
+            "-screen",
+            "0",
+            "1280x800x24",
+            "-nolisten",
+            "tcp",
+            "-fbdir",
+            str(folder),
+        ],
         pass_fds=[write],
         stderr=subprocess.DEVNULL,
     )
@@ -217,11 +253,7 @@ class Mouse:
         return np.ascontiguousarray(pixels.reshape(rows, line // 4, 4)[:, :columns, 2::-1])
 
     def settled(self, seconds: float = 240.0) -> Pixels:
-        """What is on the screen, once there is something and it stays as it is.
-
-        No window is asked for: the screen begins anew after each program that was alone on it, such as xdotool, and
-        refuses a window that comes just then.
-        """
+        """What is on the screen, once there is something and it stays as it is."""
         last, times = self.shown(), 0
 
         def still() -> bool:
@@ -243,9 +275,13 @@ class Mouse:
 
         What is pressed while the question before is still on the screen would be lost.
         """
-        self.settled()
-        self.do("key", keys)
-        wait_for(lambda: self.enter() or path.exists(), every=0.5)
+        for _ in range(3):  # a window that is slow to draw may lose the keys all the same
+            self.settled()
+            self.do("key", keys)
+            with contextlib.suppress(AssertionError):
+                wait_for(lambda: self.enter() or path.exists(), 60.0, every=0.5)
+                return
+        raise AssertionError(f"{path.name} was not written")
 
     def drag(self, start: tuple[int, int], end: tuple[int, int], button: int = 1, steps: int = 6) -> None:
         self.do("mousemove", *start)
@@ -318,15 +354,16 @@ class Browser:
     def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
 
-    def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 6) -> None:
-        self.mouse("mouseMoved", *start)
+    def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 6, **pen: Any) -> None:
+        """Drag a mouse; or a pen, by what is said of it."""
+        self.mouse("mouseMoved", *start, **pen)
         time.sleep(0.2)
-        self.mouse("mousePressed", *start, button="left", buttons=1, clickCount=1)
+        self.mouse("mousePressed", *start, button="left", buttons=1, clickCount=1, **pen)
         for k in range(1, steps + 1):
             x, y = (a + (b - a) * k / steps for a, b in zip(start, end, strict=True))
-            self.mouse("mouseMoved", x, y, button="left", buttons=1)
+            self.mouse("mouseMoved", x, y, button="left", buttons=1, **pen)
             time.sleep(0.1)
-        self.mouse("mouseReleased", *end, button="left", clickCount=1)
+        self.mouse("mouseReleased", *end, button="left", clickCount=1, **pen)
 
     def key(self, key: str, code: int, modifiers: int = 0) -> None:
         """Press a key; of modifiers, 2 is Control."""

@@ -163,6 +163,9 @@ def needed(
     box: tuple[int, int, int, int],
     freeze: Freeze | None = None,
 ) -> tuple[tuple[int, ...], list[float], float, tuple[int, int, int]]: ...
+def flatten(maps: Sequence[tuple[Floats, Floats, Composite | None, Freeze | None]], base: int) -> bytes: ...
+
+constants: dict[str, float]
 
 # ---- folding
 
@@ -205,6 +208,10 @@ class Look:
         step: float,
         light: Sequence[float],
         shaded: bool,
+        box: Floats,
+        plane: Sequence[float],
+        silhouettes: float,
+        projection: int,
     ) -> None: ...
 
 def draw(
@@ -221,6 +228,7 @@ def draw(
 ) -> None: ...
 def brick_ranges(samples: Array, brick: int, lows: Singles, highs: Singles) -> None: ...
 def brick_distances(seen: npt.NDArray[np.bool_], out: npt.NDArray[np.uint8]) -> None: ...
+def largest_part(seen: npt.NDArray[np.bool_], out: npt.NDArray[np.bool_]) -> None: ...
 def brick_moved(
     lattice: Lattice, seen: npt.NDArray[np.bool_], fine: int, slack: float, out: npt.NDArray[np.bool_]
 ) -> None: ...

@@ -202,5 +202,6 @@ NB_MODULE(SUPPLE_MODULE, m) {
     supple::bind_plans(m);
     supple::bind_folds(m);
     supple::bind_fields(m);
+    supple::bind_flat(m);
     supple::bind_render(m);
 }

@@ -81,6 +81,7 @@ void bind_points(nb::module_& m);
 void bind_plans(nb::module_& m);
 void bind_folds(nb::module_& m);
 void bind_fields(nb::module_& m);
+void bind_flat(nb::module_& m);
 void bind_render(nb::module_& m);
 
 // Plane by plane, for images and for frames: each in a file of its own, to be compiled in parallel.

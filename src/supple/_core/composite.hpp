@@ -3,10 +3,9 @@
 // T is the composition of its parts, the first one first. A point goes through it forwards (T) or backwards (T⁻¹): each
 // part is evaluated where the direction is its own, and solved where it is the opposite one. With the point go its
 // derivatives, by the chain rule; of a solved part, by the implicit function theorem.
+//
+// It uses no std::, allocation or exceptions, so that compilers for GPUs accept this file.
 #pragma once
-#include <memory>
-#include <vector>
-
 #include "newton.hpp"
 #include "sampled.hpp"
 
@@ -17,18 +16,16 @@ enum Kind { STROKES, AFFINE, FIELD };
 struct Part {
     Kind kind;
     bool inverted;
-    std::vector<Stroke> strokes;  // and a list of all of them
-    std::vector<int> list;
+    Chain chain;
     double there[3][4], back[3][4];  // an affine map and its inverse
     Sampled field;
-
-    Chain chain() const { return {strokes.data(), list.data(), (int)list.size()}; }
 };
 
 struct Composite {
-    std::vector<Part> parts;
+    const Part* parts;
+    int count;
+    bool smooth;  // whether cells of several pixels can follow it
     Axis axes[3];
-    bool smooth = true;  // whether cells of several pixels can follow it
 };
 
 // Of the lanes that went through a composite: those solved, those within all fields, those where none folds; and the
@@ -179,12 +176,11 @@ INLINE Passed<V> pass(const Composite& map, bool backwards, Jet<D, TANGENTS, MIX
     typedef typename Masked<V>::type M;
     const M all = splat<V>(0.0) <= 0.0;
     Passed<V> passed{all, all, all, V{}};
-    const int count = (int)map.parts.size();
-    for (int n = 0; n < count; n++) {
-        const Part& part = map.parts[backwards ? count - 1 - n : n];
+    for (int n = 0; n < map.count; n++) {
+        const Part& part = map.parts[backwards ? map.count - 1 - n : n];
         const bool solved = part.inverted != backwards;
         if (part.kind == STROKES)
-            pass_strokes<D>(part.chain(), map.axes, solved, jet, passed);
+            pass_strokes<D>(part.chain, map.axes, solved, jet, passed);
         else if (part.kind == FIELD)
             pass_field<D>(part.field, solved, jet, passed);
         else

@@ -316,9 +316,7 @@ void bind_fields(nb::module_& m) {
         .def(
             "__init__",
             [](AnyComposite* self, int ndim, const Doubles& rows, nb::list parts, nb::object freeze) {
-                auto map = std::make_shared<Composite>();
-                Axes axes = axes_of(rows);
-                std::copy(axes.begin(), axes.end(), map->axes);
+                auto map = std::make_shared<OwnComposite>(axes_of(rows));
                 std::vector<nb::object> kept{freeze};
                 for (nb::handle h : parts) {
                     nb::tuple item = nb::cast<nb::tuple>(h);
@@ -339,10 +337,10 @@ void bind_fields(nb::module_& m) {
                         fill_matrix(nb::cast<Doubles>(both[1]), ndim, ndim + 1, part.back);
                     } else {
                         part.kind = STROKES;
-                        part.strokes = strokes_of(nb::cast<Doubles>(item[1]), map->axes, nb::cast<Masking>(freeze));
-                        for (int i = 0; i < (int)part.strokes.size(); i++) part.list.push_back(i);
+                        part.chain =
+                            map->chain_of(strokes_of(nb::cast<Doubles>(item[1]), map->axes, nb::cast<Masking>(freeze)));
                     }
-                    map->parts.push_back(std::move(part));
+                    map->add(part);
                 }
                 new (self) AnyComposite{ndim, std::move(map), std::move(kept)};
             },

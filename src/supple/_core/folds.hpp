@@ -516,43 +516,93 @@ inline Bounds smallest_strain(const std::vector<Stroke>& strokes, const Axis* ax
     return all;
 }
 
-// An upper bound of |K_β| in a domain, within LOOSE of the largest one unless it takes too many boxes.
-constexpr double LOOSE = 1.5;
+// An upper bound of |K_β| in a domain: within LOOSE of the largest |K|, unless that takes more than MOST_PLACES boxes,
+// as where strong strokes nearly cancel.
+constexpr double LOOSE = 3;
 constexpr int MOST_PLACES = 20'000;
 inline double largest_displacement(const std::vector<Stroke>& strokes, const Axis* axes) {
-    Search search(strokes, axes, -INFINITE, 0, 0);
-    std::vector<Box> waiting = boxes_of(strokes, axes);
-    const auto smaller = [](const Box& a, const Box& b) { return a.bound < b.bound; };
-    for (Box& box : waiting) box.bound = INFINITE;
-    double most = 0;
-    for (int visited = 0; !waiting.empty(); visited++) {
-        std::pop_heap(waiting.begin(), waiting.end(), smaller);
-        Box box = waiting.back();
-        waiting.pop_back();
-        if (box.bound <= LOOSE * most || (visited >= MOST_PLACES && std::isfinite(box.bound))) return box.bound;
+    // Return |K| at the middle of a box, and bound it within. β is not part of it: the bound holds, if it is not as
+    // close near a border.
+    const auto look = [](Search& search, const std::vector<Stroke>& among, Box& box) {
         double across2 = 0;
-        int widest = 0;
         Jet<3, 0, false, double> at, moved{};
         for (int i = 0; i < 3; i++) {
             const double width = box.high[i] - box.low[i];
             across2 += 0.25 * width * width;
-            if (width > box.high[widest] - box.low[widest]) widest = i;
             at.x[i] = 0.5 * (box.low[i] + box.high[i]);
         }
         const Derivatives n = search.sum_in(box);
         const Axis free[3] = {{0, 0, -1, 1, QUARTIC}, {0, 0, -1, 1, QUARTIC}, {0, 0, -1, 1, QUARTIC}};
-        for (int s : search.near) add(strokes[s], free, at, moved);
+        for (int s : search.near) add(among[s], free, at, moved);
         const double here = std::sqrt(dot<3>(moved.x, moved.x));
-        box.bound = std::min(n[0], here + n[1] * std::sqrt(across2)) * (1 + 1e-12);
-        // β is not part of it: the bound holds, if it is not as close near a border.
-        most = std::max(most, here);
-        Box other = box;
-        box.high[widest] = other.low[widest] = at.x[widest];
-        for (const Box& half : {box, other}) {
-            waiting.push_back(half);
-            std::push_heap(waiting.begin(), waiting.end(), smaller);
-        }
+        box.bound = std::min({box.bound, n[0], here + n[1] * std::sqrt(across2)}) * (1 + 1e-12);
+        return here;
+    };
+    // With the strokes that reach it alone, each box is cheap to look at.
+    struct Part {
+        std::vector<Stroke> near;
+        Box box;
+        double here;  // |K| somewhere in it, or elsewhere
+        std::vector<Box> waiting;
+    };
+    std::vector<Part> parts;
+    for (const Box& box : boxes_of(strokes, axes)) parts.push_back({{}, box, 0, {}});
+    parallel((int)parts.size(), [&](int i, int) {
+        Part& part = parts[i];
+        part.near = Search(strokes, axes, -INFINITE, 0, 0).those_in(part.box);
+        part.box.bound = INFINITE;
+        Search search(part.near, axes, -INFINITE, 0, 0);
+        part.here = look(search, part.near, part.box);
+    });
+    // Pivots are where most is moved.
+    std::vector<double> there(strokes.size());
+    parallel((int)strokes.size(), [&](int i, int) {
+        Box box;
+        for (int k = 0; k < 3; k++)
+            box.low[k] = box.high[k] = std::clamp(strokes[i].pivot[k], axes[k].first, axes[k].last);
+        Search search(strokes, axes, -INFINITE, 0, 0);
+        there[i] = look(search, strokes, box);
+    });
+    double known = 0;
+    for (double here : there) known = std::max(known, here);
+    for (const Part& part : parts) known = std::max(known, part.here);
+    for (Part& part : parts) part.waiting = {part.box};
+    // What parts leave of the places is for those that are not done: the same ones, whatever the threads.
+    const auto smaller = [](const Box& a, const Box& b) { return a.bound < b.bound; };
+    std::vector<Part*> open;
+    for (Part& part : parts) open.push_back(&part);
+    for (int left = MOST_PLACES; !open.empty();) {
+        const int each = std::max(left / (int)open.size(), 1);
+        std::vector<int> used(open.size());
+        parallel((int)open.size(), [&](int i, int) {
+            Part& part = *open[i];
+            Search search(part.near, axes, -INFINITE, 0, 0);
+            part.here = std::max(part.here, known);
+            while (part.waiting.front().bound > LOOSE * part.here &&
+                   (used[i] < each || !std::isfinite(part.waiting.front().bound))) {
+                std::pop_heap(part.waiting.begin(), part.waiting.end(), smaller);
+                Box box = part.waiting.back();
+                part.waiting.pop_back();
+                int widest = 0;
+                for (int k = 1; k < 3; k++)
+                    if (box.high[k] - box.low[k] > box.high[widest] - box.low[widest]) widest = k;
+                Box other = box;
+                box.high[widest] = other.low[widest] = 0.5 * (box.low[widest] + box.high[widest]);
+                for (Box* half : {&box, &other}) {
+                    part.here = std::max(part.here, look(search, part.near, *half));
+                    part.waiting.push_back(*half);
+                    std::push_heap(part.waiting.begin(), part.waiting.end(), smaller);
+                }
+                used[i]++;
+            }
+        });
+        for (int some : used) left -= some;
+        for (const Part* part : open) known = std::max(known, part->here);
+        std::erase_if(open, [&](const Part* part) { return part->waiting.front().bound <= LOOSE * known; });
+        if (left < (int)open.size()) break;
     }
+    double most = 0;
+    for (const Part& part : parts) most = std::max(most, part.waiting.front().bound);
     return most;
 }
 

@@ -139,7 +139,7 @@ constexpr double CLOSE = 0.03;        // the largest |(∂T/∂p) m - I| of an m
 // Solve T(p) = q from the guess in `found.p`, until a step is shorter than `tolerance`, from a residual of at most
 // `residual`: where T is very steep, short steps alone do not imply convergence.
 template <int D, class V>
-INLINE void newton(const Chain& chain, const Axis* axes, const V* q, double tolerance, int limit, Solution<D, V>& found,
+CALLED void newton(const Chain& chain, const Axis* axes, const V* q, double tolerance, int limit, Solution<D, V>& found,
                    double residual = 1e150) {
     typedef typename Masked<V>::type M;
     V base[D], step[D], error = splat<V>(1e300), part = splat<V>(1.0);
@@ -247,7 +247,7 @@ NOINLINE void undo(const Chain& chain, const Axis* axes, const V* q, double tole
 // ∂²p/∂q₀∂q₁ = -m T''(m₀, m₁); it is done if that step is shorter than `tolerance`, the residual
 // than STEEP times that, and m was close. `smooth2`: how far the map stays as it is here along q₀ and q₁, squared.
 template <int D, class V>
-INLINE void polish(const Chain& chain, const Axis* axes, const V* q, double tolerance, Solution<D, V>& found, V* mixed,
+CALLED void polish(const Chain& chain, const Axis* axes, const V* q, double tolerance, Solution<D, V>& found, V* mixed,
                    V* smooth2) {
     Jet<D, D, true, V> jet;
     for (int i = 0; i < D; i++) {
@@ -276,6 +276,61 @@ INLINE void polish(const Chain& chain, const Axis* axes, const V* q, double tole
     found.steps += 1.0;
     for (int i = 0; i < D; i++)
         for (int j = 0; j < D; j++) found.m[j][i] = better[j][i];
+}
+
+// T⁻¹(q) at a node, with its derivatives.
+template <int D, class V>
+struct Solved {
+    Solution<D, V> at;
+    V mixed[D], smooth2[2];  // as `polish` has them
+};
+
+enum class Guess { NONE, POINT, PATCH };  // of a node: nothing; p; p and its derivatives
+
+// Solve T(p) = q at a node, from a guess in `found`; `finest` is the least spacing, and `tolerance` is in pixels.
+template <int D, class V>
+INLINE Solved<D, V> solved(const Chain& chain, const Axis* axes, const V* q, double finest, double tolerance,
+                           Guess guess, Solution<D, V> found) {
+    typedef typename Masked<V>::type M;
+    // A step that short is applied, and another after it: the error left is of the order of its fourth power.
+    const double enough = finest * least(0.02, 0.2 * root(tolerance));
+    const M all = splat<V>(0.0) <= 0.0;
+    auto polished = [&](const Solution<D, V>& s, double tolerance) {
+        Solved<D, V> made{s, {}, {}};
+        polish<D>(chain, axes, q, tolerance, made.at, made.mixed, made.smooth2);
+        return made;
+    };
+    auto merged = [&](const Solved<D, V>& a, const Solved<D, V>& b) {
+        Solved<D, V> made{choose(a.at.done, a.at, b.at), {}, {}};
+        for (int d = 0; d < D; d++) made.mixed[d] = choose(a.at.done, a.mixed[d], b.mixed[d]);
+        for (int d = 0; d < 2; d++) made.smooth2[d] = choose(a.at.done, a.smooth2[d], b.smooth2[d]);
+        return made;
+    };
+    found.done = without(all, all);
+    Solved<D, V> known{found, {}, {}};
+    // Of a step a fourth as long, the square is left.
+    if (guess == Guess::PATCH) known = polished(found, enough / 4);
+    if (any(without(all, known.at.done))) {
+        if (guess != Guess::NONE) newton<D>(chain, axes, q, enough, 12, found, STEEP * enough);
+        if (any(without(all, found.done))) {
+            Solution<D, V> anew;
+            undo<D>(chain, axes, q, enough, anew);
+            anew.steps += found.steps;
+            found = choose(found.done, found, anew);
+        }
+        Solved<D, V> more = polished(found, enough);
+        more.at.done = both(more.at.done, found.done);
+        if (any(without(all, either(known.at.done, more.at.done)))) {
+            // The map varies over the last step: continue Newton's method to the end.
+            newton<D>(chain, axes, q, finest * least(1e-6, 1e-4 * tolerance), 20, found, STEEP * enough);
+            Solved<D, V> last = polished(found, enough);
+            last.at.done = found.done;
+            more = merged(more, last);
+        }
+        more.at.steps += known.at.steps;
+        known = merged(known, more);
+    }
+    return known;
 }
 
 }  // namespace supple

@@ -18,20 +18,16 @@
 #include <limits>
 #include <vector>
 
-#include "composite.hpp"
+#include "patch.hpp"
 #include "table.hpp"
 #include "threads.hpp"
 
 namespace supple {
 
-constexpr int ROOT = 32;           // pixels along the side of a root cell
-constexpr int SMALL = 4;           // a side of up to as many pixels is split into single ones at once
-constexpr int BAND = 4;            // rows of roots that are solved in order, each from the one before
-constexpr double RESERVE = 1.75;   // nine points miss a part of the largest error of a cell,
-constexpr double ROUGH = 2.5;      // and of splines, whose derivatives jump, a larger one
-constexpr double COARSEST = 0.25;  // of tolerances: beyond, the slopes of a patch bound the distance less well
-constexpr double FAR = 4096;       // pixels: the longest way to a source point that is not solved
-constexpr int STRIDE = 48;         // pixels of a row of a root, and padding for whole vectors
+constexpr int ROOT = 32;    // pixels along the side of a root cell
+constexpr int SMALL = 4;    // a side of up to as many pixels is split into single ones at once
+constexpr int BAND = 4;     // rows of roots that are solved in order, each from the one before
+constexpr int STRIDE = 48;  // pixels of a row of a root, and padding for whole vectors
 
 // Samples that lie `step` pixels apart, the first at `offset`; `size` of them: the pixels themselves, or chroma.
 struct Grid {
@@ -56,15 +52,6 @@ struct Row {
     bool same[STRIDE];                         // true outside the balls of all strokes, and where it is frozen
     bool some_same, idle;                      // whether any is the same; whether all are, so that nothing else is set
     int count;                                 // of the samples of its root
-};
-
-// A bicubic patch: coordinate k at (s, t) from (x, y) is anchor[k] + Σ c[k][4j + i] sⁱ tʲ.
-template <int D>
-struct Leaf {
-    int x, y, w, h;
-    int anchor[D];
-    float c[D][16];
-    float depth[4];  // ∂p_z/∂z = depth[0] + depth[1] s + depth[2] t + depth[3] st
 };
 
 // Bounds of source points: of each coordinate; of the distance to q; of |∂p/∂x|² + |∂p/∂y|² in the plane; of |∂p_z/∂q|.
@@ -129,16 +116,11 @@ public:
     void measure(double finest, double& worst, long& unknown) const;
 
 private:
-    struct Node {
-        double p[D], m[D][D], mixed[D];
-        double smooth[2];  // the length scale of the map along x and y
-    };
     struct Cell {
         int root, x0, y0, x1, y1;
         int corner[4];
     };
-    enum Guess { NONE, POINT, PATCH };  // of a node: nothing; p; p and its derivatives, from the parent cell
-    struct Ask {                        // a node to solve, and guesses
+    struct Ask {  // a node to solve, and guesses
         double q[2], p[D], m[D][D];
         int node, root;
     };
@@ -167,7 +149,7 @@ private:
     };
     struct Work {  // the scratch data of a band
         Band* band;
-        std::vector<Node> nodes;
+        std::vector<Node<D>> nodes;
         std::vector<Cell> cells, split;
         std::vector<Ask> asks;
         std::vector<int> list;         // of the strokes that reach some roots, one for each lane
@@ -188,7 +170,7 @@ private:
     void keep(Work& w, const Solution<D, Lanes>& found, const Lanes (&mixed)[D], const Lanes (&smooth2)[2], int start);
     void check(Work& w);
     void split(Work& w, const Cell& cell, const Checked& found);
-    void emit(Work& w, int root, int x, int y, int width, int height, const double (*c)[16], const double* depth);
+    void emit(Work& w, int root, int x, int y, int width, int height, const double (*c)[16], const float* depth);
     void fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left, bool slopes, Row<D>& row) const;
     void widen(const Leaf<D>& leaf, Extent<D>& e) const;
     void mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const;
@@ -422,7 +404,7 @@ void Plan<D>::keep(Work& w, const Solution<D, Lanes>& found, const Lanes (&mixed
                    int start) {
     const Lanes determinant = determinant_of(found.m);
     for (int i = 0; i < LANES && start + i < (int)w.asks.size(); i++) {
-        Node& node = w.nodes[w.asks[start + i].node];
+        Node<D>& node = w.nodes[w.asks[start + i].node];
         for (int d = 0; d < D; d++) {
             node.p[d] = found.p[d][i] / axes[d].spacing;
             node.mixed[d] = mixed[d][i] * axes[0].spacing * axes[1].spacing / axes[d].spacing;
@@ -438,8 +420,6 @@ void Plan<D>::keep(Work& w, const Solution<D, Lanes>& found, const Lanes (&mixed
 template <int D>
 void Plan<D>::solve(Work& w, Guess guess) {
     const double finest = this->finest();
-    // A step that short is applied, and another after it: the error left is of the order of its fourth power.
-    const double enough = finest * std::min(0.02, 0.2 * sqrt(tolerance));
     int count = (int)w.asks.size();
     for (int start = 0; start < count; start += LANES) {
         auto ask = [&](int i) -> Ask& { return w.asks[std::min(start + i, count - 1)]; };
@@ -449,19 +429,14 @@ void Plan<D>::solve(Work& w, Guess guess) {
             const Ask& a = ask(i);
             for (int d = 0; d < D; d++) {
                 q[d][i] = (d < 2 ? a.q[d] : z) * axes[d].spacing;
-                found.p[d][i] = guess == NONE ? q[d][i] : a.p[d] * axes[d].spacing;
+                found.p[d][i] = guess == Guess::NONE ? q[d][i] : a.p[d] * axes[d].spacing;
                 for (int e = 0; e < D; e++) found.m[e][d][i] = a.m[e][d] * axes[d].spacing / axes[e].spacing;
             }
         }
-        const Mask all = Mask{} == 0;
-        struct Solved {
-            Solution<D, Lanes> at;
-            Lanes mixed[D], smooth2[2];
-        };
-        Solved known{found, {}, {}};
         if (map) {
             Jet<D, D, true, Lanes> jet;
             Passed<Lanes> passed = solve_composite(q, jet);
+            Solved<D, Lanes> known{};
             for (int d = 0; d < D; d++) {
                 known.at.p[d] = jet.x[d];
                 known.mixed[d] = jet.mixed[d];
@@ -477,42 +452,8 @@ void Plan<D>::solve(Work& w, Guess guess) {
             keep(w, known.at, known.mixed, known.smooth2, start);
             continue;
         }
-        Chain chain = chain_of(w, [&](int i) { return ask(i).root; });
-        auto polished = [&](const Solution<D, Lanes>& s, double tolerance) {
-            Solved made{s, {}, {}};
-            polish<D>(chain, axes, q, tolerance, made.at, made.mixed, made.smooth2);
-            return made;
-        };
-        auto merged = [&](const Solved& a, const Solved& b) {
-            Solved made{choose(a.at.done, a.at, b.at), {}, {}};
-            for (int d = 0; d < D; d++) made.mixed[d] = choose(a.at.done, a.mixed[d], b.mixed[d]);
-            for (int d = 0; d < 2; d++) made.smooth2[d] = choose(a.at.done, a.smooth2[d], b.smooth2[d]);
-            return made;
-        };
-        found.done = without(all, all);
-        known = {found, {}, {}};
-        // Of a step a fourth as long, the square is left.
-        if (guess == PATCH) known = polished(found, enough / 4);
-        if (any(without(all, known.at.done))) {
-            if (guess != NONE) newton<D>(chain, axes, q, enough, 12, found, STEEP * enough);
-            if (any(without(all, found.done))) {
-                Solution<D, Lanes> anew;
-                undo<D>(chain, axes, q, enough, anew);
-                anew.steps += found.steps;
-                found = choose(found.done, found, anew);
-            }
-            Solved more = polished(found, enough);
-            more.at.done = both(more.at.done, found.done);
-            if (any(without(all, either(known.at.done, more.at.done)))) {
-                // The map varies over the last step: continue Newton's method to the end.
-                newton<D>(chain, axes, q, finest * std::min(1e-6, 1e-4 * tolerance), 20, found, STEEP * enough);
-                Solved last = polished(found, enough);
-                last.at.done = found.done;
-                more = merged(more, last);
-            }
-            more.at.steps += known.at.steps;
-            known = merged(known, more);
-        }
+        const Chain chain = chain_of(w, [&](int i) { return ask(i).root; });
+        const Solved<D, Lanes> known = solved<D>(chain, axes, q, finest, tolerance, guess, found);
         keep(w, known.at, known.mixed, known.smooth2, start);
     }
     w.asks.clear();
@@ -520,51 +461,16 @@ void Plan<D>::solve(Work& w, Guess guess) {
 
 // ---- cells ----------------------------------------------------------------------------------------------------------
 
-// The cubic with the values v0, v1 and the slopes d0, d1 at the ends of [0, 1/inverse], as powers, `step` apart.
-template <class V>
-INLINE void hermite(V v0, V d0, V v1, V d1, V inverse, V* c, int step) {
-    V rise = (v1 - v0) * inverse;
-    c[0] = v0;
-    c[step] = d0;
-    c[2 * step] = (3.0 * rise - 2.0 * d0 - d1) * inverse;
-    c[3 * step] = (d0 + d1 - 2.0 * rise) * inverse * inverse;
-}
-
-// A patch and its slopes at (s, t).
-template <class V>
-INLINE V at(const V* c, V s, V t, V& ds, V& dt) {
-    V r[4], rt[4];
-    for (int i = 0; i < 4; i++) {
-        const V* b = c + i;
-        r[i] = b[0] + t * (b[4] + t * (b[8] + t * b[12]));
-        rt[i] = b[4] + t * (2.0 * b[8] + 3.0 * t * b[12]);
-    }
-    ds = r[1] + s * (2.0 * r[2] + 3.0 * s * r[3]);
-    dt = rt[0] + s * (rt[1] + s * (rt[2] + s * rt[3]));
-    return r[0] + s * (r[1] + s * (r[2] + s * r[3]));
-}
-
 template <int D>
-void Plan<D>::emit(Work& w, int root, int x, int y, int wide, int high, const double (*c)[16], const double* depth) {
+void Plan<D>::emit(Work& w, int root, int x, int y, int wide, int high, const double (*c)[16], const float* depth) {
     Leaf<D> leaf{};
     leaf.x = x;
     leaf.y = y;
     leaf.w = wide;
     leaf.h = high;
-    for (int d = 0; d < D; d++) {
-        double base = floor(c[d][0]);
-        leaf.anchor[d] = (int)std::clamp(base, -1e9, 1e9);
-        leaf.c[d][0] = (float)std::clamp(c[d][0] - leaf.anchor[d], -1e9, 1e9);
-        for (int i = 1; i < 16; i++) leaf.c[d][i] = (float)c[d][i];
-    }
-    for (int i = 0; i < 4; i++) leaf.depth[i] = (float)depth[i];
-    // The rounding error of float32 where steep powers cancel, at the far ends of the patch.
-    for (int d = 0; d < D; d++)
-        for (int n = 1; n < 4; n++) {
-            float s = n & 1 ? wide - (x + wide == size[0]) : 0, t = n & 2 ? high - (y + high == size[1]) : 0, fs, ft;
-            double ds, dt, off = leaf.anchor[d] + (double)at(leaf.c[d], s, t, fs, ft) - at<double>(c[d], s, t, ds, dt);
-            w.band->rounding = std::max(w.band->rounding, fabs(off));
-        }
+    std::copy(depth, depth + 4, leaf.depth);
+    const double far_x = wide - (x + wide == size[0]), far_y = high - (y + high == size[1]);
+    w.band->rounding = std::max(w.band->rounding, round_patch<D>(c, far_x, far_y, leaf));
     Root& r = roots[root];
     w.band->leaves.push_back(leaf);
     w.band->next.push_back(r.first);
@@ -604,17 +510,17 @@ void Plan<D>::solve_band(int index) {
             a.node = (j - first) * (across + 1) + i;
             a.root = std::min(j, end - 1) * across + std::min(i, across - 1);
             if (j > first) {
-                const Node& above = w.nodes[a.node - across - 1];
+                const Node<D>& above = w.nodes[a.node - across - 1];
                 double h = line(j) - line(j - 1);
                 for (int d = 0; d < D; d++) a.p[d] = above.p[d] + h * above.m[1][d];
                 if (j > first + 1) {
-                    const Node& before = w.nodes[a.node - 2 * (across + 1)];
+                    const Node<D>& before = w.nodes[a.node - 2 * (across + 1)];
                     for (int d = 0; d < D; d++) a.p[d] += 0.5 * h * (above.m[1][d] - before.m[1][d]);
                 }
             }
             w.asks.push_back(a);
         }
-        solve(w, j > first ? POINT : NONE);
+        solve(w, j > first ? Guess::POINT : Guess::NONE);
     }
     for (int j = top; j < bottom; j++)
         for (int i = left; i < right; i++) {
@@ -710,8 +616,6 @@ void Plan<D>::solve_pixels(int index) {
 // Keep the good cells, split the others.
 template <int D>
 void Plan<D>::check(Work& w) {
-    static constexpr double AT[9][2] = {{.5, .5},   {.5, 0},    {.5, 1},    {0, .5},   {1, .5},
-                                        {.25, .25}, {.75, .25}, {.25, .75}, {.75, .75}};
     const double allowed = pow(std::min(tolerance, COARSEST) / reserve(), 2);
     int count = (int)w.cells.size();
     for (int start = 0; start < count; start += LANES) {
@@ -719,7 +623,7 @@ void Plan<D>::check(Work& w) {
         Chain chain{};
         if (!map) chain = chain_of(w, [&](int i) { return cell(i).root; });
         // Of each corner: p, ∂p/∂x, ∂p/∂y, the twist; and the mean of ∂p/∂z.
-        Lanes x0, y0, h, k, value[4][D], slope[4][2][D], twist[4][D], across_plane[D] = {};
+        Lanes x0, y0, h, k, value[D][4], slope[2][D][4], twist[D][4], across_plane[D] = {};
         Lanes smooth[2] = {splat<Lanes>(1e300), splat<Lanes>(1e300)}, c[D][16], worst{};
         for (int i = 0; i < LANES; i++) {
             const Cell& e = cell(i);
@@ -728,61 +632,39 @@ void Plan<D>::check(Work& w) {
             h[i] = e.x1 - e.x0;
             k[i] = e.y1 - e.y0;
             for (int v = 0; v < 4; v++) {
-                const Node& node = w.nodes[e.corner[v]];
+                const Node<D>& node = w.nodes[e.corner[v]];
                 for (int d = 0; d < D; d++) {
-                    value[v][d][i] = node.p[d];
-                    slope[v][0][d][i] = node.m[0][d];
-                    slope[v][1][d][i] = node.m[1][d];
-                    twist[v][d][i] = node.mixed[d];
+                    value[d][v][i] = node.p[d];
+                    slope[0][d][v][i] = node.m[0][d];
+                    slope[1][d][v][i] = node.m[1][d];
+                    twist[d][v][i] = node.mixed[d];
                     if constexpr (D == 3) across_plane[d][i] += 0.25 * node.m[2][d];
                 }
                 for (int j = 0; j < 2; j++) smooth[j][i] = std::min(smooth[j][i], node.smooth[j]);
             }
         }
         Lanes per_h = 1.0 / h, per_k = 1.0 / k;
-        for (int d = 0; d < D; d++) {
-            Lanes left[4], left_x[4], right[4], right_x[4];
-            hermite(value[0][d], slope[0][1][d], value[2][d], slope[2][1][d], per_k, left, 1);
-            hermite(slope[0][0][d], twist[0][d], slope[2][0][d], twist[2][d], per_k, left_x, 1);
-            hermite(value[1][d], slope[1][1][d], value[3][d], slope[3][1][d], per_k, right, 1);
-            hermite(slope[1][0][d], twist[1][d], slope[3][0][d], twist[3][d], per_k, right_x, 1);
-            for (int j = 0; j < 4; j++) hermite(left[j], left_x[j], right[j], right_x[j], per_h, c[d] + 4 * j, 1);
-        }
+        for (int d = 0; d < D; d++) patch_of(value[d], slope[0][d], slope[1][d], twist[d], per_h, per_k, c[d]);
         // Of a cell a pixel wide or high, only the sides are sampled.
         Lanes step[5][D], side[2] = {};
         Mask thin[2] = {h <= 1.0, k <= 1.0}, single = both(thin[0], thin[1]);
-        Mask coarse[2] = {without(h > 0.5 * smooth[0], thin[0]), without(k > 0.5 * smooth[1], thin[1])};
-        for (int n = 0; n < 9; n++) {
+        Mask coarse[2] = {without(h > RESOLVED * smooth[0], thin[0]), without(k > RESOLVED * smooth[1], thin[1])};
+        for (int n = 0; n < SEEN; n++) {
             if (!any(without(Mask{} == 0, single))) break;  // single pixels are exact
             if (n == 5 && !any(without(worst <= allowed, either(coarse[0], coarse[1])))) break;  // all are split
 
-            Lanes x[D], ds[D], dt[D], e[D], off{};
-            Lanes s = choose(thin[0], splat<Lanes>(AT[n][0] > 0.5), AT[n][0] * h);
-            Lanes t = choose(thin[1], splat<Lanes>(AT[n][1] > 0.5), AT[n][1] * k);
-            for (int d = 0; d < D; d++) x[d] = at(c[d], s, t, ds[d], dt[d]) * axes[d].spacing;
-            if (map) {  // the distance to the solution itself
-                Jet<D, 0, false, Lanes> jet;
-                jet.x[0] = (x0 + s) * axes[0].spacing;
-                jet.x[1] = (y0 + t) * axes[1].spacing;
-                if constexpr (D == 3) jet.x[2] = splat<Lanes>(z * axes[2].spacing);
-                Passed<Lanes> passed = pass<D>(*map, true, jet);
-                for (int i = 0; i < LANES && start + i < count; i++) w.band->evaluations += passed.steps[i];
-                for (int d = 0; d < D; d++) e[d] = (x[d] - jet.x[d]) / axes[d].spacing;
-            } else {
-                apply<D>(chain, axes, x);
-                e[0] = x[0] / axes[0].spacing - (x0 + s);
-                e[1] = x[1] / axes[1].spacing - (y0 + t);
-                if constexpr (D == 3) e[2] = x[2] / axes[2].spacing - z;
-            }
-            for (int d = 0; d < D; d++) {
-                Lanes g = e[d];
-                if (!map) {
-                    g = ds[d] * e[0] + dt[d] * e[1];
-                    if constexpr (D == 3) g += across_plane[d] * e[2];
-                }
-                if (n < 5) step[n][d] = g;
-                off += g * g;
-            }
+            Lanes q[D], g[D], off, steps{};
+            const Lanes s = choose(thin[0], splat<Lanes>(SEEN_X[n] > 0.5), SEEN_X[n] * h);
+            const Lanes t = choose(thin[1], splat<Lanes>(SEEN_Y[n] > 0.5), SEEN_Y[n] * k);
+            q[0] = x0 + s;
+            q[1] = y0 + t;
+            if constexpr (D == 3) q[2] = splat<Lanes>(z);
+            if (map) {
+                off = off_composite<D>(*map, axes, c, s, t, q, g, steps);
+                for (int i = 0; i < LANES && start + i < count; i++) w.band->evaluations += steps[i];
+            } else
+                off = off_chain<D>(chain, axes, c, s, t, q, across_plane, g);
+            for (int d = 0; n < 5 && d < D; d++) step[n][d] = g[d];
             off = choose(off == off, off, splat<Lanes>(1e300));
             worst = most(worst, off);
             // Along an edge of the cell, only its length counts.
@@ -806,20 +688,17 @@ void Plan<D>::check(Work& w) {
             double own[D][16];
             for (int d = 0; d < D; d++)
                 for (int n = 0; n < 16; n++) own[d][n] = c[d][n][i];
-            double depth[4] = {1, 0, 0, 0};
-            if constexpr (D == 3) {  // bilinear
+            float depth[4] = {1, 0, 0, 0};
+            if constexpr (D == 3) {
                 double v[4];
                 for (int n = 0; n < 4; n++) v[n] = w.nodes[e.corner[n]].m[2][2];
-                depth[0] = v[0];
-                depth[1] = (v[1] - v[0]) / (e.x1 - e.x0);
-                depth[2] = (v[2] - v[0]) / (e.y1 - e.y0);
-                depth[3] = (v[3] - v[2] - v[1] + v[0]) / ((double)(e.x1 - e.x0) * (e.y1 - e.y0));
+                bilinear_of(v, e.x1 - e.x0, e.y1 - e.y0, depth);
             }
             emit(w, e.root, e.x0, e.y0, past(0, e.x1) - e.x0, past(1, e.y1) - e.y0, own, depth);
             if (!single[i]) w.band->worst = std::max(w.band->worst, worst[i]);
         }
     }
-    solve(w, PATCH);
+    solve(w, Guess::PATCH);
 }
 
 // Split a cell along each side that is too long, in halves or into single pixels; the guesses of the new nodes are from
@@ -852,7 +731,8 @@ void Plan<D>::split(Work& w, const Cell& e, const Checked& found) {
             // The nearest checked point.
             int near = v == 0 ? 1 : v == ny ? 2 : u == 0 ? 3 : u == nx ? 4 : 0;
             for (int d = 0; d < D; d++) {
-                a.p[d] = at<double>(found.c[d], xs[u] - e.x0, ys[v] - e.y0, a.m[0][d], a.m[1][d]) - found.step[near][d];
+                a.p[d] = at(found.c[d], double(xs[u] - e.x0), double(ys[v] - e.y0), a.m[0][d], a.m[1][d]) -
+                         found.step[near][d];
                 if (D == 3) a.m[D - 1][d] = found.across_plane[d];
             }
             w.asks.push_back(a);

@@ -3,7 +3,8 @@
 // The paper's Algorithm 3: the entry of a ray into the box, its first sample above a threshold, the surface before that
 // by bisection, and samples from there on through a transfer function, composited front to back by
 // c ← c + (1 - α) α_v c_v and α ← α + (1 - α) α_v: equal to the paper's back to front, with an early end. A deformed
-// volume is sampled at p = T⁻¹(q), and its gradient is (∂p/∂q)ᵀ ∇f.
+// volume is sampled at p = T⁻¹(q), and its gradient is (∂p/∂q)ᵀ ∇f. Rays are clipped against a box; what it cuts
+// through is lit as the plane that it is, since gradients within a body point anywhere.
 #pragma once
 #include <cmath>
 #include <limits>
@@ -16,6 +17,7 @@ constexpr int BRICK = 4;          // voxels; a brick holds one more along each a
 constexpr int BISECTIONS = 2;     // before the surface is found by a straight line between two values
 constexpr double EXACT = 1e-3;    // the last Newton step at a sample that is inverted, in voxels
 constexpr float OPAQUE = 0.995f;  // the opacity at the end of a ray
+constexpr double LAYER = 4;       // voxels behind a cut face over which the light of gradients takes over
 constexpr float AMBIENT = 0.15f, DIFFUSE = 0.8f, SPECULAR = 0.2f;  // and the highlight's power is 16
 constexpr int TILE = 8;                                            // pixels along a tile's side
 constexpr double NEVER = std::numeric_limits<double>::infinity();
@@ -24,7 +26,9 @@ constexpr double NEVER = std::numeric_limits<double>::infinity();
 // except for the eye, in voxels.
 struct Look {
     Double4 eye, spacing, ahead, right, down;  // the ray of a pixel (x, y): ahead + x right + y down
+    Double4 first, last;                       // the corners of the box that is seen, in voxels
     double step, per_step;                     // millimetres from sample to sample; 1 / that
+    double per_layer;                          // 1 / the millimetres of LAYER
     Float4 lamp, per_voxel;                    // the position of the light; 1 / spacing, and 1
     bool shaded;
     std::vector<uint8_t> skips;  // the distance in bricks to the next visible one
@@ -35,6 +39,9 @@ struct Look {
     float last_entry;
     float threshold;    // the least value of the first surface
     float bottom, top;  // the visible range
+    Double4 plane;      // what lies beyond it is cut away: its normal, and its distance from the first voxel
+    float silhouettes;  // by how much surfaces darken that are seen from the side
+    enum { COMPOSITED, MAXIMUM, MINIMUM, AVERAGE } projection;
 
     Float4 colour(float value) const {
         float entry = least(most((value - low) * scale, 0.0f), last_entry);
@@ -48,7 +55,7 @@ struct Look {
 struct Ray {
     Double4 origin, way;                     // voxels, and voxels a millimetre
     Double4 along;                           // millimetres a millimetre
-    double near, far;                        // where it enters and leaves the box between the outermost voxels' centres
+    double near, far;                        // where it enters and leaves the box
     double t;                                // the next sample; beyond `far` when the ray has ended
     double from = NEVER, to = -NEVER;        // the range in which strokes reach it
     double surface = NEVER, opaque = NEVER;  // the first surface, and where opacity passes 0.9
@@ -58,23 +65,29 @@ struct Ray {
     double shift[3] = {};  // millimetres from the last sample to its source
     bool within = false;   // whether the next sample, if visible, needs its gradient
 
-    Ray(const Look& look, Int4 last, double x, double y) : origin(look.eye) {
+    // `end` is the last voxel of the volume.
+    Ray(const Look& look, Int4 end, double x, double y) : origin(look.eye) {
         along = look.ahead + x * look.right + y * look.down;
         along *= 1.0 / root(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
         way = along / look.spacing;
         Double4 over = 1.0 / (magnitude(way) > 1e-12 ? way : Double4{} + 1e-12);
-        Double4 a = -origin * over, b = (doubles(last) - origin) * over, low = least(a, b), high = most(a, b);
+        Double4 a = (look.first - origin) * over, b = (look.last - origin) * over, low = least(a, b), high = most(a, b);
         t = near = most(most(low[0], low[1]), most(low[2], 0.0));
         far = least(least(high[0], high[1]), high[2]);
+        cut(look);
         if (!live()) return;
+        for (int i = 0; i < 3 && near > 0; i++) {
+            bool moved = way[i] > 0 ? look.first[i] > 0 : look.last[i] < end[i];
+            if (moved && low[i] == near) face = __builtin_fabsf(look.lamp[i]);
+        }
         half = look.lamp - floats(along);
         half *= 1.0f / most(__builtin_sqrtf(dot3(half, half)), 1e-6f);
         per_voxel = floats(over);
         sides = per_voxel > 0 ? Float4{} + BRICK : Float4{} - BRICK;
         back = per_voxel > 0 ? Float4{} : Float4{} + BRICK;
         if (look.threshold != -std::numeric_limits<float>::infinity()) return;
-        phase = BEHIND;
         surface = t;
+        enter(look);
     }
 
     bool live() const { return t <= far; }
@@ -91,6 +104,7 @@ struct Ray {
         Float4 left = (float(BRICK) * floats(brick) + back + away * sides - q) * per_voxel;  // to each side of these
         double leave = least(left[0], least(left[1], left[2]));
         if (t < from) leave = least(leave, from - t);
+        face = -1;
         t += look.step * most(1.0, __builtin_ceil(leave * look.per_step - 1e-3));
         return true;
     }
@@ -99,8 +113,14 @@ struct Ray {
     INLINE void take(const Look& look, Float4 sample) {
         float value = sample[3];
         samples++;
+        if (look.projection) {
+            project(look, value);
+            t += look.step;
+            return;
+        }
         if (phase == BEFORE) {
             if (!look.solid(value)) {
+                face = -1;
                 t += look.step;
                 return;
             }
@@ -118,10 +138,14 @@ struct Ray {
             (inner ? above : before) = value;
             t = 0.5 * (low + high);
             if (++turn < BISECTIONS) return;
+            if (turn == BISECTIONS && low < high && before == -std::numeric_limits<float>::infinity()) {
+                t = low;  // the value there, which may have been skipped: without it, surfaces have steps
+                return;
+            }
             bool known = std::isfinite(before) && before < look.threshold;
             surface = t = low + (high - low) * (known ? (look.threshold - before) / (above - before) : 1.0f);
-            phase = BEHIND;
             within = true;
+            enter(look);
         } else {
             Float4 colour = look.colour(value);
             bool seen = look.seen(value) && colour[3] > 0;
@@ -130,18 +154,63 @@ struct Ray {
                 return;
             }
             within = seen;
-            if (seen) gather(look, colour, sample);
+            if (seen)
+                gather(look, colour, sample);
+            else
+                face = -1;
             t += look.step;
         }
+    }
+
+    // The colour of a projection, once the ray has ended.
+    void finish(const Look& look) {
+        if (!look.projection || samples == 0) return;
+        light = look.colour(look.projection == Look::AVERAGE ? float(projected / double(samples)) : float(projected));
+        surface = look.projection == Look::AVERAGE ? near : opaque;
     }
 
 private:
     enum { BEFORE, BISECT, BEHIND } phase = BEFORE;
     int turn;
+    double projected = 0;  // the extreme value, or the sum
     double low, high;
     float before, above;
-    Float4 half;                    // between the lamp and the eye
+    float face = -1;  // the cosine of the lamp's angle to the cut face, as long as it is seen from there on
+    Float4 half;      // between the lamp and the eye
     Float4 per_voxel, back, sides;  // to leave bricks
+
+    // Go on behind the surface: samples stand for the steps that they are in the middle of.
+    INLINE void enter(const Look& look) {
+        phase = BEHIND;
+        t = most(least(t + 0.5 * look.step, far), t);
+    }
+
+    // Cut away what lies beyond the plane; where the ray enters through it, that is a cut face.
+    void cut(const Look& look) {
+        double away = -look.plane[3], rate = 0, lamp = 0;
+        for (int i = 0; i < 3; i++) {
+            away += look.plane[i] * origin[i] * look.spacing[i];
+            rate += look.plane[i] * along[i];
+            lamp += look.plane[i] * look.lamp[i];
+        }
+        if (rate > 0)
+            far = least(far, -away / rate);
+        else if (away > 0 && rate == 0)
+            far = -1;
+        else if (rate < 0 && -away / rate > near) {
+            t = near = -away / rate;
+            face = float(std::abs(lamp));
+        }
+    }
+
+    INLINE void project(const Look& look, float value) {
+        if (look.projection == Look::AVERAGE) {
+            projected += value;
+        } else if (samples == 1 || (look.projection == Look::MAXIMUM ? value > projected : value < projected)) {
+            projected = value;
+            opaque = t;
+        }
+    }
 
     // Ambient and diffuse light, and the highlight, of a surface with a gradient; both of its sides are lit.
     INLINE void gather(const Look& look, Float4 colour, Float4 gradient) {
@@ -153,12 +222,24 @@ private:
                 lit = AMBIENT + DIFFUSE * __builtin_fabsf(dot3(gradient, look.lamp) * over);
                 shine = dot3(gradient, half) * over;
                 for (int i = 0; i < 4; i++) shine *= shine;
+                if (look.silhouettes > 0) {
+                    float aside = most(1 - __builtin_fabsf(dot3(gradient, floats(along)) * over), 0.0f);
+                    float left = 1 - look.silhouettes * aside * aside;
+                    lit *= left;
+                    shine *= left;
+                }
+            }
+            if (face >= 0) {
+                float deep = float((t - 0.5 * look.step - near) * look.per_layer),
+                      flat = 1 - least(most(deep, 0.0f), 1.0f);
+                lit = mix(flat, lit, AMBIENT + DIFFUSE * face);
+                shine *= 1 - flat;
             }
             colour = colour * lit + SPECULAR * shine;
         }
         colour[3] = 1;
         light += part * colour;
-        if (opaque == NEVER && light[3] >= 0.9f) opaque = t;
+        if (opaque == NEVER && light[3] >= 0.9f) opaque = most(t - 0.5 * look.step, surface);  // where its step begins
         if (light[3] > OPAQUE) t = NEVER;
     }
 };
@@ -345,6 +426,36 @@ inline void distances(const bool* seen, const int64_t* n, uint8_t* out) {
                 out[at] = uint8_t(least(int(out[at]), out[(z * n[1] + y) * n[0] + x] + 1));
             }
         }
+}
+
+// The largest part of what is seen, of voxels that touch by their faces; of equal ones, the first.
+inline void largest(const bool* seen, const int64_t* n, bool* out) {
+    const int64_t strides[3] = {1, n[0], n[0] * n[1]}, total = strides[2] * n[2];
+    std::vector<int64_t> parts(total), todo;  // of each voxel, its part
+    int64_t count = 0, best = 0, most_voxels = 0;
+    for (int64_t first = 0; first < total; first++) {
+        if (!seen[first] || parts[first]) continue;
+        int64_t voxels = 0;
+        parts[first] = ++count;
+        todo.push_back(first);
+        while (!todo.empty()) {
+            const int64_t at = todo.back();
+            todo.pop_back();
+            voxels++;
+            for (int axis = 0; axis < 3; axis++) {
+                const int64_t place = at / strides[axis] % n[axis];
+                for (int way : {-1, 1}) {
+                    if (place + way < 0 || place + way >= n[axis]) continue;
+                    const int64_t next = at + way * strides[axis];
+                    if (!seen[next] || parts[next]) continue;
+                    parts[next] = count;
+                    todo.push_back(next);
+                }
+            }
+        }
+        if (voxels > most_voxels) best = count, most_voxels = voxels;
+    }
+    for (int64_t i = 0; i < total; i++) out[i] = parts[i] && parts[i] == best;
 }
 
 // The bricks of the deformed volume that show any visible one of the original, by bounds of their displacement. Bricks

@@ -96,17 +96,25 @@ void look_up(Samples samples, Array<const float, 2> points, Array<float, 2> out)
 
 Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Array<const float, 2> table, float low,
                 float scale, float threshold, std::pair<float, float> window, double step, std::array<float, 3> lamp,
-                bool shaded) {
+                bool shaded, Array<const double, 2> box, std::array<double, 4> plane, float silhouettes,
+                int projection) {
     if (camera.shape(0) != 5 || camera.shape(1) != 3) throw nb::value_error("a camera must be 5 rows of 3 numbers");
+    if (box.shape(0) != 2 || box.shape(1) != 3) throw nb::value_error("a box must be 2 rows of 3 numbers");
     if (table.shape(0) < 1 || table.shape(1) != 4) throw nb::value_error("a table must be rows of 4 numbers");
     auto* look = new Look;
     Double4* rows[] = {&look->eye, &look->spacing, &look->ahead, &look->right, &look->down};
     for (int k = 0; k < 5; k++) *rows[k] = Double4{camera(k, 0), camera(k, 1), camera(k, 2), k == 1 ? 1.0 : 0.0};
     look->per_voxel = floats(Double4(1.0 / look->spacing));
+    look->first = Double4{box(0, 0), box(0, 1), box(0, 2), 0};
+    look->last = Double4{box(1, 0), box(1, 1), box(1, 2), 0};
     look->step = step;
     look->per_step = 1 / step;
+    look->per_layer = 1 / (LAYER * least(camera(1, 0), least(camera(1, 1), camera(1, 2))));
     look->lamp = point_of(lamp.data());
     look->shaded = shaded;
+    look->plane = Double4{plane[0], plane[1], plane[2], plane[3]};
+    look->silhouettes = silhouettes;
+    look->projection = decltype(look->projection)(projection);
     auto [x, y, z] = sizes(skips);
     look->skips.assign(skips.data(), skips.data() + skips.size());
     look->row = int(x);
@@ -149,6 +157,7 @@ void draw(Samples samples, const Look& look, const SolidLattice* lattice, int ce
                 march(voxels, look, rays, [&](const Ray& ray) { return Cubics(*lattice, cells, ray); });
             else
                 march(voxels, look, rays, [](const Ray&) { return Still(); });
+            for (Ray& ray : rays) ray.finish(look);
             const Ray* ray = rays.data();
             for (int y = top; y < bottom; y++)
                 for (int x = left; x < right; x++, ray++) {
@@ -183,6 +192,11 @@ void brick_distances(Array<const bool, 3> seen, Array<uint8_t, 3> out) {
     distances(seen.data(), sizes(seen).data(), out.data());
 }
 
+void largest_part(Array<const bool, 3> seen, Array<bool, 3> out) {
+    if (sizes(seen) != sizes(out)) throw nb::value_error("out must be of the shape of seen");
+    unlocked([&] { largest(seen.data(), sizes(seen).data(), out.data()); });
+}
+
 void brick_moved(SolidLattice& lattice, Array<const bool, 3> seen, int fine, float slack, Array<bool, 3> out) {
     moved(lattice, seen.data(), sizes(seen).data(), fine, slack, sizes(out).data(), out.data());
 }
@@ -199,15 +213,17 @@ void bind_render(nb::module_& m) {
         .def("solve", &solve, "strokes"_a, "Solve the nodes; return the evaluations and the shortest length.")
         .def("error", &error, "strokes"_a, "Return the largest error, in voxels, that is seen between nodes.")
         .def("between", &between, "points"_a, "out"_a, "Interpolate the displacement and the columns of ∂p/∂q.");
-    nb::class_<Look>(m, "Look", "How a volume is seen: a camera, what its rays may skip, a transfer function, a lamp.")
+    nb::class_<Look>(m, "Look",
+                     "How a volume is seen: a camera, what its rays may skip, a transfer function, a lamp, a box.")
         .def(nb::new_(&make_look), "camera"_a, "skips"_a, "table"_a, "low"_a, "scale"_a, "threshold"_a, "window"_a,
-             "step"_a, "light"_a, "shaded"_a);
+             "step"_a, "light"_a, "shaded"_a, "box"_a, "plane"_a, "silhouettes"_a, "projection"_a);
     m.def("draw", &draw, "samples"_a, "look"_a, "lattice"_a.none(), "cells"_a, "strokes"_a.none(), "columns"_a,
           "rows"_a, "light"_a, "depth"_a, "work"_a,
           "See a volume along the rays of pixels: as it is, through a lattice, or through strokes.");
     m.def("brick_ranges", &brick_ranges, "samples"_a, "brick"_a, "lows"_a, "highs"_a,
           "Find the smallest and the largest sample of bricks.");
     m.def("brick_distances", &brick_distances, "seen"_a, "out"_a, "Find how many bricks away the next seen one is.");
+    m.def("largest_part", &largest_part, "seen"_a, "out"_a, "Find the largest part of what is seen that is connected.");
     m.def("brick_moved", &brick_moved, "lattice"_a, "seen"_a, "fine"_a, "slack"_a, "out"_a,
           "Find the bricks of a deformed volume that show what is seen of the volume.");
     m.def("look_up", &look_up, "samples"_a, "points"_a, "out"_a, "Sample a volume and its gradient at points.");

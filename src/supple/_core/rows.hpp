@@ -257,15 +257,15 @@ NOINLINE void sample_footprints(const Frames<T>& given, const Pyramid<N>& pyrami
                 return spot_at<N, C, 1>(taps, r, across, left, right);
             }
         };
-        if (prints.kind[k] == Prints::PLAIN)
+        if (prints.kind[k] == PLAIN)
             put(k, inside ? within<N, C, SEVERAL>(f, mix, places.at[k], cubic)
                           : around<N, C, 1, 2, SEVERAL>(f, mix, x[k], y[k], cubic));
-        else if (prints.kind[k] == Prints::SPOT)
+        else if (prints.kind[k] == SPOT)
             put(k, inside ? within<N, C, SEVERAL>(f, mix, prints.y[k] * f.row + prints.x[k] * C, spot)
                           : around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[k], prints.y[k], spot));
         else
-            put(k, wide<N, C, SEVERAL>(f, pyramid, mix, (N)x[k] + fx, (N)y[k] + fy, (N)prints.xx[k], (N)prints.xy[k],
-                                       (N)prints.yy[k]));
+            put(k, wide<Pixel<N>>(Levels<N, C, SEVERAL, T>{f, pyramid, mix}, (N)x[k] + fx, (N)y[k] + fy,
+                                  (N)prints.xx[k], (N)prints.xy[k], (N)prints.yy[k]));
     }
 }
 
@@ -288,12 +288,12 @@ INLINE void sample_row(const Frames<T>& f, const Pyramid<N>& pyramid, int filter
         // The positions of blocks in a root do not depend on the wanted part.
         for (int k = from & -BLOCK; k < end; k += BLOCK) {
             int n = std::min(BLOCK, row.count - k);
-            int kind = prints.any && filter == AUTO ? most_of(first_of(prints.kind + k, n)) : Prints::PLAIN;
+            int kind = prints.any && filter == AUTO ? most_of(first_of(prints.kind + k, n)) : PLAIN;
             Eight v[C];
-            bool done = kind == Prints::WIDE   ? false
-                        : kind == Prints::SPOT ? sample_block<AUTO, C, SEVERAL>(f, row, prints, k, n, mix_of, v)
-                        : filter == LINEAR     ? sample_block<LINEAR, C, SEVERAL>(f, row, prints, k, n, mix_of, v)
-                                               : sample_block<CUBIC, C, SEVERAL>(f, row, prints, k, n, mix_of, v);
+            bool done = kind == WIDE       ? false
+                        : kind == SPOT     ? sample_block<AUTO, C, SEVERAL>(f, row, prints, k, n, mix_of, v)
+                        : filter == LINEAR ? sample_block<LINEAR, C, SEVERAL>(f, row, prints, k, n, mix_of, v)
+                                           : sample_block<CUBIC, C, SEVERAL>(f, row, prints, k, n, mix_of, v);
             int first = std::max(k, from), last = std::min(k + BLOCK, end);
             if (done)
                 put(k, first, last, v);

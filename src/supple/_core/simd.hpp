@@ -2,47 +2,37 @@
 //
 // The whole module is compiled once for each instruction set, so nothing here chooses at run time. A vector wider
 // than a register is two halves (`Pair`). Code that is a template over its number (`double` or `Lanes`) uses only
-// the primitives `root`, `least`, `most`, `choose`, `any`, `both`, `without` and `splat`.
+// the primitives `root`, `least`, `most`, `choose`, `any`, `both`, `without` and `splat`. Compiled by NVRTC for a GPU,
+// whose threads are its lanes, there are no vectors.
 #pragma once
+#if defined(__CUDACC_RTC__)
+typedef signed char int8_t;
+typedef short int16_t;
+typedef int int32_t;
+typedef long long int64_t;
+typedef unsigned char uint8_t;
+typedef unsigned short uint16_t;
+typedef unsigned int uint32_t;
+typedef unsigned long long uint64_t;
+#define INLINE __forceinline__
+#define NOINLINE __noinline__
+#define CALLED __noinline__
+#define INLINE_LAMBDA
+#else
 #include <stdint.h>
 #include <string.h>
 #if defined(__x86_64__) || defined(_M_X64)
 #include <immintrin.h>
 #endif
-
 #define INLINE inline __attribute__((always_inline))
 #define NOINLINE __attribute__((noinline))
+#define CALLED inline __attribute__((always_inline))  // a call on GPUs, for which it is compiled at the first need
 #define INLINE_LAMBDA __attribute__((always_inline))
+#endif
 
 namespace supple {
 
 // ---- doubles: points and strokes ----------------------------------------------------------------------------------
-
-#if defined(__AVX512F__)
-constexpr int LANES = 8;
-#elif defined(__AVX__)
-constexpr int LANES = 4;
-#else
-constexpr int LANES = 2;
-#endif
-typedef double Lanes __attribute__((vector_size(8 * LANES)));
-typedef int64_t Mask __attribute__((vector_size(8 * LANES)));
-
-INLINE double root(double x) { return __builtin_sqrt(x); }
-INLINE Lanes root(Lanes x) {
-#if defined(__AVX512F__)
-    return (Lanes)_mm512_sqrt_pd((__m512d)x);
-#elif defined(__AVX__)
-    return (Lanes)_mm256_sqrt_pd((__m256d)x);
-#elif defined(__SSE2__)
-    return (Lanes)_mm_sqrt_pd((__m128d)x);
-#else
-    for (int i = 0; i < LANES; i++) x[i] = __builtin_sqrt(x[i]);
-    return x;
-#endif
-}
-INLINE double floored(double x) { return __builtin_floor(x); }
-INLINE float floored(float x) { return __builtin_floorf(x); }
 
 template <class V>
 INLINE V splat(double x) {
@@ -60,20 +50,25 @@ template <class V>
 INLINE V magnitude(V a) {
     return most(a, V(-a));
 }
+#if defined(__CUDACC_RTC__)
+INLINE double root(double x) { return sqrt(x); }
+INLINE float root(float x) { return sqrtf(x); }
+INLINE double floored(double x) { return floor(x); }
+INLINE float floored(float x) { return floorf(x); }
+#else
+INLINE double root(double x) { return __builtin_sqrt(x); }
+INLINE float root(float x) { return __builtin_sqrtf(x); }
+INLINE double floored(double x) { return __builtin_floor(x); }
+INLINE float floored(float x) { return __builtin_floorf(x); }
+#endif
 INLINE double choose(bool m, double a, double b) { return m ? a : b; }
-INLINE Lanes choose(Mask m, Lanes a, Lanes b) { return m ? a : b; }
 INLINE bool any(bool m) { return m; }
-INLINE bool any(Mask m) {
-    int64_t r = 0;
-    for (int i = 0; i < LANES; i++) r |= m[i];
-    return r != 0;
-}
 INLINE bool both(bool a, bool b) { return a && b; }
-INLINE Mask both(Mask a, Mask b) { return a & b; }
 INLINE bool either(bool a, bool b) { return a || b; }
-INLINE Mask either(Mask a, Mask b) { return a | b; }
 INLINE bool without(bool a, bool b) { return a && !b; }
-INLINE Mask without(Mask a, Mask b) { return a & ~b; }
+INLINE double lane(double x, int) { return x; }
+INLINE bool lane(bool x, int) { return x; }
+INLINE void set_lane(double& x, int, double v) { x = v; }
 
 template <class V>
 struct Masked;
@@ -82,6 +77,39 @@ struct Masked<double> {
     typedef bool type;
     static constexpr int lanes = 1;
 };
+
+#if !defined(__CUDACC_RTC__)
+#if defined(__AVX512F__)
+constexpr int LANES = 8;
+#elif defined(__AVX__)
+constexpr int LANES = 4;
+#else
+constexpr int LANES = 2;
+#endif
+typedef double Lanes __attribute__((vector_size(8 * LANES)));
+typedef int64_t Mask __attribute__((vector_size(8 * LANES)));
+
+INLINE Lanes root(Lanes x) {
+#if defined(__AVX512F__)
+    return (Lanes)_mm512_sqrt_pd((__m512d)x);
+#elif defined(__AVX__)
+    return (Lanes)_mm256_sqrt_pd((__m256d)x);
+#elif defined(__SSE2__)
+    return (Lanes)_mm_sqrt_pd((__m128d)x);
+#else
+    for (int i = 0; i < LANES; i++) x[i] = __builtin_sqrt(x[i]);
+    return x;
+#endif
+}
+INLINE Lanes choose(Mask m, Lanes a, Lanes b) { return m ? a : b; }
+INLINE bool any(Mask m) {
+    int64_t r = 0;
+    for (int i = 0; i < LANES; i++) r |= m[i];
+    return r != 0;
+}
+INLINE Mask both(Mask a, Mask b) { return a & b; }
+INLINE Mask either(Mask a, Mask b) { return a | b; }
+INLINE Mask without(Mask a, Mask b) { return a & ~b; }
 template <>
 struct Masked<Lanes> {
     typedef Mask type;
@@ -92,11 +120,9 @@ INLINE Lanes loaded(const double* from) {
     memcpy(&v, from, sizeof v);
     return v;
 }
-INLINE double lane(double x, int) { return x; }
 INLINE double lane(Lanes x, int i) { return x[i]; }
-INLINE bool lane(bool x, int) { return x; }
 INLINE bool lane(Mask x, int i) { return x[i] != 0; }
-INLINE void set_lane(double& x, int, double v) { x = v; }
 INLINE void set_lane(Lanes& x, int l, double v) { x[l] = v; }
+#endif
 
 }  // namespace supple

@@ -7,12 +7,9 @@
 #include <memory>
 
 #include "rows.hpp"
+#include "samples.hpp"
 
 namespace supple {
-
-enum Type { U8, U16, I16, F32, F64, I8, I32, U32, I64, U64 };
-enum Between { BETWEEN_NEAREST, BETWEEN_LINEAR, BETWEEN_CUBIC };
-constexpr double LONGEST = 64;  // the longest time average of a pixel, in frames
 
 inline int bytes_of(int type) {
     static const int bytes[] = {1, 2, 2, 4, 8, 1, 4, 4, 8, 8};
@@ -54,54 +51,14 @@ struct Job {
     }
 };
 
-// ---- time
-// -------------------------------------------------------------------------------------------------------------
+// ---- time ----------------------------------------------------------------------------------------------------------
 
-// The integral of the tent, or of Catmull and Rom's cubic, from 0 to t.
-inline double integral(int between, double t) {
-    double x = std::min(fabs(t), 2.0), value;
-    if (between == BETWEEN_CUBIC)
-        value = x <= 1 ? x - 5.0 / 6 * x * x * x + 3.0 / 8 * x * x * x * x
-                       : 2 * x - 2 * x * x + 5.0 / 6 * x * x * x - x * x * x * x / 8 - 1.0 / 6;
-    else {
-        x = std::min(x, 1.0);
-        value = x - 0.5 * x * x;
-    }
-    return t > 0 ? value : -value;
-}
 // The weights of the frames first, first + 1, … for a pixel that covers `width` frames more than its own.
 template <class N>
 inline int time_weights(int between, double t, double width, int& first, N* weight) {
-    double base = floor(t), f = t - base;
-    if (between == BETWEEN_NEAREST) {
-        first = (int)floor(t + 0.5);
-        weight[0] = 1;
-        return 1;
-    }
-    if (width > 1e-3) {
-        double radius = (between == BETWEEN_CUBIC ? 2 : 1) + width / 2;
-        first = (int)floor(t - radius) + 1;
-        int n = std::min((int)ceil(t + radius) - first, (int)LONGEST + 6);
-        for (int k = 0; k < n; k++) {
-            double d = first + k - t;
-            weight[k] = (N)((integral(between, d + width / 2) - integral(between, d - width / 2)) / width);
-        }
-        return n;
-    }
-    first = (int)base;
-    weight[0] = 1;
-    if (f == 0) return 1;
-    if (between == BETWEEN_LINEAR) {
-        weight[0] = (N)(1 - f);
-        weight[1] = (N)f;
-        return 2;
-    }
-    first -= 1;
-    weight[0] = (N)(0.5 * f * (f * (2 - f) - 1));
-    weight[1] = (N)(0.5 * (f * f * (3 * f - 5) + 2));
-    weight[2] = (N)(0.5 * f * (f * (4 - 3 * f) + 1));
-    weight[3] = (N)(0.5 * f * f * (f - 1));
-    return 4;
+    const int n = frames_at(between, t, width, first);
+    for (int k = 0; k < n; k++) weight[k] = (N)time_weight(between, t, width, first, k);
+    return n;
 }
 
 // The frames that samples of a plane may read, from bounds of their times. Beyond a clip's ends, a constant or an edge
@@ -122,9 +79,6 @@ inline Span frames_of(const Job& job, double low, double high, double rate) {
 
 // ---- numbers
 // ------------------------------------------------------------------------------------------------------------
-
-inline double to_light(double u) { return u <= 0.04045 ? u / 12.92 : pow((u + 0.055) / 1.055, 2.4); }
-inline double from_light(double u) { return u <= 0.0031308 ? 12.92 * u : 1.055 * pow(u, 1 / 2.4) - 0.055; }
 
 // Samples as numbers, in groups of LANES_ channels: colours weighted by opacity, which comes last; linear light.
 template <class N>
@@ -417,11 +371,7 @@ struct Mixing {
             weight[1] = f;
             return {row.whole[2][k] - span.first, f == 0 ? 1 : 2, weight, 0};
         } else {
-            double t = row.whole[2][k] + (double)row.part[2][k], width = 0;
-            if (job.average) {
-                double d2 = row.depth2[k] - 1.0;
-                width = d2 > 0 ? std::min(sqrt(d2), LONGEST) : 0;
-            }
+            double t = row.whole[2][k] + (double)row.part[2][k], width = job.average ? covered(row.depth2[k]) : 0;
             if (job.rule != REFLECT) t = std::clamp(t, -3.0 - LONGEST / 2, job.count + 2.0 + LONGEST / 2);
             int first, n = time_weights(job.between, t, width, first, weight);
             first -= span.first;

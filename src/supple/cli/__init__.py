@@ -162,6 +162,8 @@ def _advised(text: str) -> str:
         return "--device cuda is for warp, of pictures and volumes: here it is cpu, gpu or auto"
     if left_out := _LEFT_OUT.fullmatch(wrong):
         return f"give {left_out[1]} FILE"
+    if "option: --restore" in wrong or "option: --smooth" in wrong:
+        return f"{wrong} Restoring and smoothing are for Python (Deformation.restore) and for the window (supple view)"
     if "option: --device" in wrong:
         return f"{wrong} It is for warp, render and demo"
     return text

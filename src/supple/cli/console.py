@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from supple.errors import ScaleWarning, SuppleError
 
 if TYPE_CHECKING:
-    from supple.deformation import Deformation
+    from supple.deformation import Arrival, Deformation
     from supple.geometry import Geometry
 
 DONE, FAULT, REFUSED = 0, 1, 2
@@ -41,8 +41,8 @@ _ASIDE = re.compile(rf" \((?:{_NAMES})={_VALUE}\)")  # --force (force=True)
 _GIVEN = re.compile(rf"(?<![\w-])({_NAMES})={_VALUE}")  # on_fold='flow'
 # Also common words, which are options only at the beginning of a message.
 _WORDS = (
-    "clamp|crop|density|distance|elevation|error|map|resample|roll|shape|size|status|step|supersampling|target|to|transfer|"
-    "turntable|up"
+    "annotate|clamp|clip|crop|density|distance|elevation|error|map|resample|roll|shape|size|status|step|supersampling|"
+    "target|to|transfer|turntable|up"
 )
 _FIRST = re.compile(rf"^((?:--(?:grab|twist|scale|pinch) \S+: )?)({_NAMES}|{_WORDS})(?= is for | must be | needs )")
 _WORD = re.compile(rf"(?<![\w/.-])({_UNDERSCORED})(?![\w/.-])")
@@ -245,11 +245,15 @@ def told(*deformations: Deformation) -> dict[str, Any]:
     """Return what became of the strokes, as JSON holds it: of those that move, the worst of all frames."""
     each = [deformation.resolution() for deformation in dict.fromkeys(deformations)]
     arrivals = zip(*(made["arrivals"] for made in each), strict=True)
+
+    def miss(arrival: Arrival) -> float:
+        return max(point.miss for point in (arrival, *arrival.also))
+
     return {
         "strokes": each[0]["strokes"],
         "applied": max(made["applied"] for made in each),
         "damping": tuple(map(min, zip(*(made["damping"] for made in each), strict=True))),
-        "arrivals": [asdict(max(some, key=lambda arrival: arrival.miss)) for some in arrivals],
+        "arrivals": [asdict(max(some, key=miss)) for some in arrivals],
         "margin": min(made["margin"] for made in each),
     }
 

@@ -314,6 +314,7 @@ def _action(stroke: Stroke) -> str:
         return "grab " + ", ".join(
             f"{start}{way} to {end}" if moved or way else f"{start} pinned" for start, end, moved in ends
         )
+    axis = "" if stroke.axis is None else told([round(x / math.hypot(*stroke.axis), 4) + 0.0 for x in stroke.axis])
     amount = f"{stroke.angle:g}°" if stroke.brush == "twist" else f"{stroke.factor:g}"
     along = {"twist": "about", "pinch": "along"}.get(stroke.brush, "")
-    return f"{stroke.brush} {told(stroke.at)} by {amount}" + (f" {along} {told(stroke.axis)}" if stroke.axis else "")
+    return f"{stroke.brush} {told(stroke.at)} by {amount}" + (f" {along} {axis}" if axis else "")

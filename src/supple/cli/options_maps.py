@@ -49,7 +49,7 @@ class MapOptions:
         Apply the inverse of the --field or --affine before it.
     convention
         The convention of the file of the --field or --affine before it: itk, fsl-relative, … (default: the one that
-        the file shows).
+        the file shows). Of tables of the --pull before it: LPS or RAS in millimetres, or index, which is voxels.
     reference
         Write the result on the grid of another image: of a volume, its place in space; of a picture, its size.
     crop
@@ -81,6 +81,11 @@ class MapOptions:
         """Return whether there is something said of maps, but no map."""
         return bool(self.inverse or self.convention) and not (self.field or self.affine)
 
+    @property
+    def conventions(self) -> dict[str, list[str]]:
+        """The values of --convention, and of the options here that one may be about."""
+        return {"--field": self.field, "--affine": self.affine, "--convention": self.convention}
+
     def to_grid(self) -> GridOptions | None:
         """Return the grid of the output as the library takes it."""
         from supple.cli.options import parse_integer, parse_number
@@ -111,19 +116,22 @@ class MapOptions:
         """
         from supple.cli.options_strokes import in_order
 
-        given = {"--field": self.field, "--affine": self.affine, "--convention": self.convention}
-        found = in_order(arguments, {**given, **strokes})
+        found = in_order(arguments, {**self.conventions, **strokes})
         entries: list[_Entry] = []
-        before, seen = 0, False
+        before, seen, pull = 0, False, False
         for option, value in found:
+            pull = option == "--pull" or (pull and option not in ("--field", "--affine"))
             if option == "--recipe" or (option in strokes and not seen):
                 before, seen = before + recipe * (not seen), True
             if option in strokes:
                 before += 1
             elif option in ("--field", "--affine"):
                 entries.append(_Entry(option, value, before))
+            elif option == "--convention" and pull:
+                continue  # of the points
             elif option in ("--inverse", "--convention") and not entries:
-                raise SuppleError(f"{option} is for the --field or --affine before it, and there is none: give one")
+                what = "--field, --affine or --pull" if option == "--convention" else "--field or --affine"
+                raise SuppleError(f"{option} is for the {what} before it, and there is none: give one")
             elif option == "--inverse":
                 if entries[-1].inverse:
                     raise SuppleError(f"{entries[-1].told} has two --inverse: leave out one, or both")

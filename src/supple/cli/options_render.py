@@ -13,6 +13,7 @@ from supple.errors import SuppleError
 
 if TYPE_CHECKING:
     from supple.files.renders import RenderOptions
+    from supple.render.box import Clip, Plane
     from supple.render.camera import Camera
 
 CAMERA = Group("Camera", sort_key=2)
@@ -31,13 +32,13 @@ class CameraOptions:
     elevation
         Angle above the horizon in degrees, from -90 to 90.
     distance
-        Distance from the target in millimetres (default: the whole volume is in view).
+        Distance from the target in millimetres (default: all that is shown is in view).
     field_of_view
         Angle of view across the shorter side of the picture, in degrees.
     roll
         Turn the camera clockwise, in degrees.
     target
-        Voxel at which the camera looks (default: the centre of the volume).
+        Voxel at which the camera looks (default: the centre of what is shown).
     up
         Direction that is up in the picture, in LPS coordinates; 0,0,1 points to the head.
     """
@@ -76,20 +77,38 @@ class LookOptions:
     Parameters
     ----------
     transfer
-        Transfer function (colours and opacity): ct-bone, ct-skin, mr-head, grey, or a JSON file (default:
-        chosen by the values).
+        Transfer function (colours and opacity): ct-bone, ct-skin, ct-muscle, ct-lung, ct-vessels, mr-head, mr-brain,
+        grey, or a file: JSON, or a volume property of 3D Slicer (.vp) (default: chosen by the values).
+    save_transfer
+        Write the transfer function that is used to this file: JSON, or .vp for 3D Slicer.
     density
         Show only values from LO to HI.
+    clip
+        Show only a box of the deformed volume, from voxel X0 to voxel X1 and so on, and cut the rest away. Ends may be
+        left out: --clip :,60:,: cuts away what is before y = 60.
+    plane
+        Cut away what lies beyond a plane of the deformed volume: a voxel on it, and the direction in which all is cut
+        away, in LPS. --plane 45,60,45:0,-1,0 cuts away what is in front of y = 60.
+    largest
+        Of what is visible, show only the largest part that is connected: without the head holder of a CT, or specks.
+    projection
+        Instead of surfaces, the maximum, minimum or average value along each ray, in grey: black at the lower end of
+        --density and white at the upper one (default: the smallest and the largest value).
+    silhouettes
+        By how much surfaces darken towards where they are seen from the side, from 0 to 1.
     size
         Width and height of the picture in pixels.
     step
-        Distance between samples along a ray, in millimetres (default: the smallest spacing).
+        Distance between samples along a ray, in millimetres (default: the smallest spacing; half of it in
+        projections).
     mode
         How the deformed volume is sampled. lattice (default): inverse map interpolated from a lattice, with an
         error bound. exact: inverse solved at each sample. buffered: the volume is warped first. hybrid: lattice
         until the GPU has warped the volume.
     flat
         Render without shading.
+    annotate
+        Draw a scale bar, for what is as far away as the target, and letters for the patient's sides.
     background
         Background colour (default: transparent; black in formats and videos without opacity).
     smooth
@@ -108,11 +127,18 @@ class LookOptions:
     """
 
     transfer: Annotated[str | None, Parameter(metavar="NAME|FILE")] = None
+    save_transfer: Annotated[str | None, Parameter(metavar="FILE")] = None
     density: Annotated[str | None, Parameter(metavar="LO,HI", allow_leading_hyphen=True)] = None
+    clip: Annotated[str | None, Parameter(metavar="X0:X1,Y0:Y1,Z0:Z1", allow_leading_hyphen=True)] = None
+    plane: Annotated[str | None, Parameter(metavar="X,Y,Z:DX,DY,DZ", allow_leading_hyphen=True)] = None
+    largest: bool = False
+    projection: Literal["none", "maximum", "minimum", "average"] = "none"
+    silhouettes: Annotated[str, Parameter(metavar="S", allow_leading_hyphen=True)] = "0"
     size: Annotated[str, Parameter(metavar="WxH", allow_leading_hyphen=True)] = "512x512"
     step: Annotated[str | None, Parameter(metavar="MM", allow_leading_hyphen=True)] = None
     mode: Literal["lattice", "exact", "buffered", "hybrid"] = "lattice"
     flat: bool = False
+    annotate: bool = False
     background: Annotated[str | None, Parameter(metavar="#RRGGBB")] = None
     smooth: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 1
     turntable: Annotated[int | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
@@ -127,12 +153,19 @@ class LookOptions:
 
         return RenderOptions(
             transfer=self.transfer,
+            save_transfer=self.save_transfer,
             density=None if self.density is None else parse_numbers("--density", self.density, 2, "two values LO,HI"),  # type: ignore[arg-type]
+            clip=None if self.clip is None else _clip(self.clip),
+            plane=None if self.plane is None else _plane(self.plane),
+            largest=self.largest,
+            projection=self.projection,
+            silhouettes=parse_number("--silhouettes", self.silhouettes, "a number from 0 to 1"),
             camera=camera,
             size=_size(self.size),
             step=None if self.step is None else parse_number("--step", self.step, "a number of millimetres"),
             mode=self.mode,
             shaded=not self.flat,
+            annotate=self.annotate,
             background=None if self.background is None else _colour(self.background),
             supersampling=self.smooth,
             turntable=self.turntable,
@@ -141,6 +174,23 @@ class LookOptions:
             time=self.time,
             device=self.device,
         )
+
+
+def _clip(text: str) -> Clip:
+    """A box; None where an end is left out."""
+    wanted = "X0:X1,Y0:Y1,Z0:Z1 in voxels, with ends left out where nothing is cut away"
+    ranges = [part.split(":") for part in text.split(",")]
+    if len(ranges) != 3 or any(len(ends) != 2 for ends in ranges):
+        raise SuppleError(f"--clip must be {wanted}, found {text!r}")
+    ends = [[parse_number("--clip", end, wanted) if end.strip() else None for end in pair] for pair in ranges]
+    return [(low, high) for low, high in ends]
+
+
+def _plane(text: str) -> Plane:
+    voxel, colon, way = text.partition(":")
+    if not colon:
+        raise SuppleError(f"--plane must be a voxel and a direction, X,Y,Z:DX,DY,DZ, found {text!r}")
+    return parse_three("--plane", voxel), parse_three("--plane", way)
 
 
 def _size(text: str) -> tuple[int, int]:

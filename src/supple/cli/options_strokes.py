@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -12,12 +12,14 @@ from cyclopts import Group, Parameter
 
 from supple.cli.console import current
 from supple.cli.options import parse_number
-from supple.errors import SuppleError
+from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
     from supple.domain import Border
     from supple.freezing import Freeze
     from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke
+
+Place = Callable[[], str | None]
 
 STROKES = Group("Strokes", sort_key=1)
 
@@ -86,8 +88,9 @@ class StrokeOptions:
         across the axis by as much; above 1, the other way round.
     pull
         Drag many points at once: those of a file to those of another, CSV, .fcsv or .mrk.json. Points with labels are
-        matched by these, others in order; a point that is the same in both is a pin. Points in millimetres go by
-        their own coordinate system.
+        matched by these, others in order; a point that is the same in both is a pin. Files in millimetres (LPS or
+        RAS) are taken as they say; give --world if other strokes are in millimetres too. For a volume, a table that
+        does not say what its numbers are needs --convention LPS, RAS or index (voxels).
     radius
         Radius of the brush: in pixels, in volumes in millimetres. Give --radius, --poisson and --reach once for all
         strokes, or once for each; --scales once for all grabs, or once for each.
@@ -110,11 +113,12 @@ class StrokeOptions:
     border_profile
         How movement fades towards the border: quartic (default), or sine as in the paper.
     freeze
-        Where nothing moves, whatever the strokes: a picture, white where it is frozen, or a volume, all but 0; with
-        :LABEL, what has this label. Frozen pixels stay as they are. In a video, it is the same in each frame.
+        Mask of what no stroke moves: a picture of the same size, in which white is frozen, black moves and grey moves
+        in part; or a volume, in which all but 0 is frozen. FILE:LABEL freezes one label, a number. Frozen pixels keep
+        their values. In a video, the mask holds for all frames.
     freeze_width
         Width over which movement fades to 0 beside what is frozen, in pixels, in a volume in millimetres (default: a
-        32nd of the shortest side).
+        32nd of the shortest side). It must be at least 4 pixels.
     on_fold
         What to do with a stroke that would fold the picture or that the border holds back. flow (default): carry
         all of it out, in smaller steps. damp: weaken it. error: stop.
@@ -175,15 +179,39 @@ class StrokeOptions:
             raise SuppleError(f"--amount is for strokes, and there are none: {_ONE_OF}, a --recipe, or leave it out")
         return self.fit
 
-    def to_recipe(self, *, world: bool = False, empty: bool = False, others: str = "") -> Recipe:
+    def to_recipe(
+        self,
+        *,
+        world: bool = False,
+        empty: bool = False,
+        others: str = "",
+        place: Place = lambda: None,
+        convention: str | None = None,
+        ordered: Mapping[str, Sequence[str]] | None = None,
+    ) -> Recipe:
         """Read the recipe file, if one is given, and add the strokes.
 
-        ``world`` says that these are in millimetres; ``empty``, that there is something to do without strokes;
-        ``others`` are the options that would do, too.
+        Parameters
+        ----------
+        world : bool
+            Whether the strokes are in millimetres.
+        empty : bool
+            Whether there is something to do without strokes.
+        others : str
+            The options that would do, too.
+        place : function
+            Returns the convention of the volume that the strokes are for, as `Geometry` has it; None without one.
+        convention : str, optional
+            That of tables of points that do not say it.
+        ordered : mapping from str to sequence of str, optional
+            Instead, the values of --convention, each of which is about what stands before it, and of the other
+            options that it may be about.
         """
         from supple.strokes import Recipe
 
-        strokes, space = self._strokes()
+        found = self._strokes(world, place, convention, ordered)
+        strokes = [one.stroke for one in found]
+        space = next((one.space for one in found if one.space is not None), None)
         if not strokes and self.recipe is None and not empty:
             raise SuppleError(f"nothing to do: give --grab X,Y:X,Y --radius R, {others or 'or '}--recipe FILE")
         if self.recipe is None:
@@ -192,7 +220,7 @@ class StrokeOptions:
             from supple.files import read_recipe
 
             made = read_recipe(self.recipe)
-            if strokes and made.is_world and not world and space != made.space:
+            if strokes and made.is_world and not world and space is None:
                 option = next(option for option, values in self.given.items() if values)
                 raise SuppleError(
                     f"{self.recipe} is in {made.space} millimetres, and {option} in voxels: give --world if it is in "
@@ -200,8 +228,12 @@ class StrokeOptions:
                 )
             if world and made.space == "pixels":
                 raise SuppleError(f"--world is for points in millimetres, and {self.recipe} is in pixels: leave it out")
-        if space is not None and made.strokes and made.space != space:
-            raise SuppleError(f"--pull is in {space} millimetres, and {self.recipe} is in {made.space or 'pixels'}")
+        if space is not None:
+            if made.strokes and not made.is_world:
+                raise SuppleError(f"--pull is in {space} millimetres, and {self.recipe} is in {made.space or 'pixels'}")
+            known = place() if world else None
+            space = made.space if made.strokes else known if known in ("LPS", "RAS") else space  # type: ignore[assignment]
+            strokes = [one.in_space(space) for one in found]
         made = replace(made, strokes=(*made.strokes, *strokes), space=space or made.space)
         if self.border is not None:
             made = replace(made, border=_border(self.border))
@@ -215,16 +247,20 @@ class StrokeOptions:
             made = replace(made, border_profile=self.border_profile)
         return made if self.on_fold is None else replace(made, on_fold=self.on_fold)
 
-    def _strokes(self) -> tuple[list[Stroke], CoordinateSpace | None]:
-        """Return the strokes, and the space of a pull's points if they are in millimetres."""
+    def _strokes(
+        self, world: bool, place: Place, convention: str | None, others: Mapping[str, Sequence[str]] | None
+    ) -> list[_Given]:
+        """Return the strokes, in order."""
         from supple.strokes import REACH
 
         if not self.count:
             loose = [name for name in ("radius", "poisson", "scales", "reach") if getattr(self, name)]
             if loose:
                 raise SuppleError(f"--{loose[0]} is for strokes given beside it: {_ONE_OF}, or leave it out")
-            return [], None
-        found = [one for one in in_order(current().arguments, self.given) if one[0] in BRUSHES]
+            return []
+        ordered = in_order(current().arguments, {**self.given, **(others or {})})
+        found = [one for one in ordered if one[0] in BRUSHES]
+        asked = iter([convention] * len(self.pull) if others is None else _conventions(ordered))
         if not self.radius:
             raise SuppleError(f"{found[0][0]} needs a --radius: how far it is felt, in pixels or millimetres")
         count = len(found)
@@ -238,25 +274,65 @@ class StrokeOptions:
             texts = ["inf" if x.strip().lower() == "none" else x for x in self.reach]
             read = _spread("--reach", texts, count, "a number of radii from 1, or none")
             reaches = [None if x == math.inf else x for x in read]
-        strokes: list[Stroke] = []
-        spaces: set[CoordinateSpace | None] = set()
+        made: list[_Given] = []
         for (option, text), radius, ratio, reach in zip(found, radii, ratios, reaches, strict=True):
             if option == "--pull":
-                stroke, space = _pull(text, radius=radius, poisson=ratio, reach=reach)
+                stroke, space = _pull(text, next(asked), place, world, radius=radius, poisson=ratio, reach=reach)
             else:
                 scale = next(scales) if option == "--grab" else 1
                 stroke, space = _stroke(option, text, radius=radius, poisson=ratio, reach=reach, scales=scale), None
-            strokes.append(stroke)
-            spaces.add(space)
-        if len(spaces) > 1:
+            made.append(_Given(f"{option} {text}", stroke, space))
+        placed = next((one for one in made if one.space is not None), None)
+        other = next((one for one in made if one.space is None), None)
+        if placed is not None and other is not None and not world:
             raise SuppleError(
-                "the points of --pull are in millimetres, and others are not, or differently: give one --pull by "
-                "itself, and the others in a recipe in millimetres"
+                f"{placed.told} is in millimetres, and {other.told} is in voxels: give all points in millimetres, and "
+                "--world"
             )
-        return strokes, spaces.pop()
+        return made
 
 
-def _pull(text: str, **brush: float | None) -> tuple[Stroke, CoordinateSpace | None]:
+@dataclass(frozen=True)
+class _Given:
+    """A stroke of the command line, and its space if it says by itself that it is in millimetres."""
+
+    told: str
+    stroke: Stroke
+    space: CoordinateSpace | None
+
+    def in_space(self, space: CoordinateSpace | None) -> Stroke:
+        """Return the stroke in LPS or RAS."""
+        if self.space in (None, space):
+            return self.stroke
+
+        def turned(v: tuple[float, ...]) -> tuple[float, ...]:
+            return (-v[0], -v[1], v[2])
+
+        return self.stroke.mapped(turned, turned)
+
+
+def _conventions(found: Sequence[tuple[str, str]]) -> list[str | None]:
+    """Return the --convention of each --pull: the one after it, unless it is about a --field or an --affine between."""
+    made: list[str | None] = []
+    about = False
+    for option, value in found:
+        if option == "--pull":
+            made.append(None)
+            about = True
+        elif option in ("--field", "--affine"):
+            about = False
+        elif option == "--convention" and about:
+            if made[-1] is not None:
+                raise SuppleError("a --pull has two --convention: leave out one")
+            if value not in ("LPS", "RAS", "index"):
+                raise SuppleError(f"--convention of a --pull must be LPS, RAS or index, found {value!r}")
+            made[-1] = value
+    return made
+
+
+def _pull(
+    text: str, convention: str | None, place: Place, world: bool, **brush: float | None
+) -> tuple[Stroke, CoordinateSpace | None]:
     """Read a pull from two files, named with a colon between them."""
     from supple.files.landmarks import read_pull
 
@@ -266,7 +342,7 @@ def _pull(text: str, **brush: float | None) -> tuple[Stroke, CoordinateSpace | N
     if not both or not all(both[-1]):
         raise SuppleError(f"--pull must be FROM:TO, two files of points (before.csv:after.csv, say), found {text!r}")
     try:
-        return read_pull(*both[-1], **brush)  # type: ignore[arg-type]
+        return read_pull(*both[-1], convention=convention, place=place(), world=world, **brush)  # type: ignore[arg-type]
     except SuppleError as error:
         raise SuppleError(f"--pull {text}: {error}") from None
 
@@ -288,6 +364,8 @@ def _stroke(option: str, text: str, *, scales: float, **brush: float | None) -> 
         "--scale": [[n, 1]],
         "--pinch": [[n, 1], [n, 1, n]],
     }
+    if option == "--twist" and n == 2 and len(parts) == 3:
+        raise SuppleError(f"--twist {text}: a twist in a picture has no axis: leave it out (X,Y:ANGLE)")
     if n not in (2, 3) or parts not in shapes[option]:
         raise wrong
     known = {**brush, "scales": int(scales) if float(scales).is_integer() else scales}
@@ -317,10 +395,17 @@ def _freeze(text: str, width: str | None) -> Freeze:
     from supple.files.freezing import read_freeze
 
     name, colon, last = text.rpartition(":")
-    labelled = bool(colon and name) and last.lstrip("-").isdigit() and not os.path.exists(text)
+    labelled = (
+        bool(colon and name) and not os.path.exists(text) and (last.lstrip("-").isdigit() or os.path.exists(name))
+    )
+    if labelled and not last.lstrip("-").isdigit():
+        raise SuppleError(f"--freeze FILE:LABEL needs the number of a label ({shown(name)}:3, say), found {last!r}")
     path, label = (name, int(last)) if labelled else (text, None)
     wide = None if width is None else parse_number("--freeze-width", width, "a number of pixels or millimetres above 0")
-    return read_freeze(path, label=label, width=wide)
+    try:
+        return read_freeze(path, label=label, width=wide)
+    except SuppleError as error:
+        raise SuppleError(str(error).replace("the freeze mask's width", "--freeze-width")) from None
 
 
 def _amount(text: str) -> float:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import glob
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
+from supple.cli.console import STREAM
 from supple.cli.options import parse_number
 from supple.errors import SuppleError
 
@@ -24,7 +27,7 @@ class VolumeArguments:
     Parameters
     ----------
     world
-        Points of --grab are in millimetres in the file's coordinate system (NIfTI: RAS; DICOM, NRRD and
+        Points of strokes are in millimetres in the file's coordinate system (NIfTI: RAS; DICOM, NRRD and
         MetaImage: LPS) instead of voxels.
     series
         Which series to read from a DICOM folder with several: its number in the list, or its UID.
@@ -57,6 +60,22 @@ class VolumeArguments:
             spacing = (1.0, 1.0, 1.0) if self.spacing is None else parse_three("--spacing", self.spacing)
             layout = RawLayout(sizes, self.dtype, spacing)  # type: ignore[arg-type]
         return Reading(world=self.world, labels=labels, save_field=save_field, layout=layout, series=self.series)
+
+    def place_of(self, path: str) -> str | None:
+        """Return the convention of a volume, as `Geometry` has it; None of anything else.
+
+        Of several files, it is that of the first one; of standard input, which cannot be read twice, that of DICOM.
+        """
+        from supple.files.volumes import ONE_FILE, holds_volumes, place_of
+        from supple.media.volume import suffix_of
+
+        if path == STREAM:
+            return "LPS"
+        if glob.has_magic(path) and not os.path.exists(path):
+            path = min(glob.glob(path, recursive=True), default=path)
+        elif holds_volumes(path):
+            path = os.path.join(path, min(name for name in os.listdir(path) if suffix_of(name) in ONE_FILE))
+        return place_of(path, self.to_reading())
 
 
 def parse_numbers(name: str, text: str, count: int, wanted: str) -> tuple[float, ...]:

@@ -227,7 +227,10 @@ def plan(
 
     console = current()
     console.started(quiet=quiet, threads=threads, file=source)
-    recipe = strokes.to_recipe(world=volume.world, empty=maps.any or maps.dangling, others=OTHERS)
+    recipe = strokes.to_recipe(
+        world=volume.world, empty=maps.any or maps.dangling, others=OTHERS, place=lambda: volume.place_of(source),
+        ordered=maps.conventions,
+    )  # fmt: skip
     elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given)
     if fill is not None and outside != "constant":
         raise SuppleError(f"--fill is the constant of --outside constant, and --outside is {outside}: give both")

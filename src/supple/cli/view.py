@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -46,7 +46,7 @@ def view(
     points
         Landmarks to show: CSV, or 3D Slicer's .fcsv and .mrk.json.
     convention
-        Coordinates of a table of landmarks that does not name them: LPS or RAS in millimetres, or index.
+        Coordinates of tables, of landmarks and of --pull, that do not name them: LPS or RAS in millimetres, or index.
     """
     from supple.viewer.window.launch import ViewOptions, show
     from supple.viewer.window.launch import serve as serve_it
@@ -55,7 +55,8 @@ def view(
     loose = [n for n in ("radius", "poisson", "scales", "reach") if getattr(strokes, n) and not strokes.any]
     if loose:
         raise SuppleError(f"--{loose[0]} is for a stroke, such as --grab: give one, or set the brush in the window")
-    recipe = strokes.to_recipe(world=volume.world) if strokes.any else None
+    given: dict[str, Any] = {"world": volume.world, "place": lambda: volume.place_of(source), "convention": convention}
+    recipe = strokes.to_recipe(**given) if strokes.any else None
     if volume.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
     scale = time.to_scale() or (recipe and recipe.time_scale) or 1.0

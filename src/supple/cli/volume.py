@@ -14,7 +14,7 @@ from supple.cli.console import STREAM, current, say_convention, told, warn_of_so
 from supple.cli.options import RunOptions, VideoOptions
 from supple.cli.options_render import CameraOptions, LookOptions
 from supple.cli.options_strokes import StrokeOptions
-from supple.cli.options_volume import VolumeArguments
+from supple.cli.options_volume import VOLUME, VolumeArguments
 from supple.engines.workers import workers
 from supple.errors import SuppleError
 
@@ -36,6 +36,7 @@ def render(
     strokes: StrokeOptions = _STROKES,
     camera: CameraOptions = _CAMERA,
     look: LookOptions = _LOOK,
+    convention: Annotated[Literal["LPS", "RAS", "index"] | None, Parameter(group=VOLUME)] = None,
     volume: VolumeArguments = _VOLUME,
     options: RunOptions = _RUN,
 ) -> None:
@@ -47,6 +48,8 @@ def render(
         A volume: NIfTI, NRRD, MetaImage, a DICOM folder, a TIFF stack, .dat, or a file without a header.
     target
         A picture (PNG and TIFF keep opacity); with --turntable, a video or a name with a number.
+    convention
+        Coordinates of tables of --pull that do not name them: LPS or RAS in millimetres, or index.
     """
     console = current()
     from supple.files.renders import render_file
@@ -54,7 +57,8 @@ def render(
 
     console.started(**options.asked(), file=source)
     warn_of_software(console, look.device)
-    recipe, fit = strokes.to_recipe(world=volume.world) if strokes.any else None, strokes.to_fit()
+    given: dict[str, Any] = {"world": volume.world, "place": lambda: volume.place_of(source), "convention": convention}
+    recipe, fit = strokes.to_recipe(**given) if strokes.any else None, strokes.to_fit()
     render, reading = look.to_render(camera.to_camera()), volume.to_reading()
     if reading.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
@@ -97,12 +101,13 @@ def points(
     video: VideoOptions = _VIDEO,
     options: RunOptions = _RUN,
 ) -> None:
-    """Move landmarks by the deformation of the strokes.
+    """Move landmarks, a mesh or contours by the deformation of the strokes.
 
     Parameters
     ----------
     source
-        Points to read: CSV, or 3D Slicer's .fcsv and .mrk.json.
+        Points to read: CSV, or 3D Slicer's .fcsv and .mrk.json; or a mesh: STL, OBJ, PLY, VTK PolyData (.vtk, .vtp);
+        or contours: a structure set of DICOM (.dcm).
     target
         File to write, of the same kind.
     on
@@ -110,8 +115,8 @@ def points(
     inverse
         Apply the inverse: from the deformed volume back to the original.
     convention
-        Coordinates of a table that does not name them: LPS or RAS in millimetres, or index. A table without a header
-        needs it, for a volume with a place in space.
+        Coordinates of tables, IN and those of --pull, and of meshes, that do not name them: LPS or RAS in millimetres,
+        or index. A table without a header, and a mesh, need it for a volume with a place in space.
     """
     console = current()
     from supple.cli.jobs import piped
@@ -120,8 +125,8 @@ def points(
     console.started(**options.asked(), file=source)
     if options.json and target == STREAM:
         raise SuppleError("--json writes to standard output, and so does -: leave one out")
-    recipe = strokes.to_recipe(world=volume.world)
-    deformation, geometry = _deformation(on, recipe, volume.to_reading(), video, strokes.to_fit())
+    recipe = strokes.to_recipe(world=volume.world, place=lambda: volume.place_of(on), convention=convention)
+    deformation, geometry = _deformation(on, recipe, volume.to_reading(), video, strokes.to_fit(), source)
     with piped((source, target), console, ".csv") as (read, written):
         moved = move_points(
             read, written, deformation, geometry, inverse=inverse, convention=convention, force=options.force
@@ -141,12 +146,13 @@ def points(
 
 
 def _deformation(
-    on: str, recipe: Recipe, reading: Reading, video: VideoOptions, fit: Fit | None
+    on: str, recipe: Recipe, reading: Reading, video: VideoOptions, fit: Fit | None, points: str = ""
 ) -> tuple[Deformation, Geometry | None]:
     """The strokes on a volume, a picture or a clip; and where a volume's voxels lie."""
     from supple.deformation import Deformation
     from supple.files.clip_work import deformation_of as on_clip
     from supple.files.clips import is_clip, open_clip, refuse_places
+    from supple.files.landmarks import warn_of_frame
     from supple.files.volumes import deformation_of as on_volume
     from supple.files.volumes import is_volume_job, open_volume
     from supple.media.stores import is_store
@@ -159,6 +165,7 @@ def _deformation(
         return warp_on(medium, recipe, options=reading, fit=fit).deformation, medium.geometry
     if is_volume_job(on, "", recipe, reading):
         volume = open_volume(on, reading)
+        warn_of_frame(points, volume)
         return on_volume(recipe, volume, world=reading.world, fit=fit), volume.geometry
     if reading.world:
         raise SuppleError(f"--world is for volumes, and {on} is none: leave it out")

@@ -139,7 +139,10 @@ def warp(
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
     console.started(**options.asked(), file=paths[0] if len(paths) == 2 else "")
     check_filter(filter)
-    recipe = strokes.to_recipe(world=volume.world, empty=maps.any or maps.dangling, others=OTHERS)
+    recipe = strokes.to_recipe(
+        world=volume.world, empty=maps.any or maps.dangling, others=OTHERS, place=lambda: volume.place_of(paths[0]),
+        ordered=maps.conventions,
+    )  # fmt: skip
     recipe = tracks.followed(recipe, strokes.count, paths[0])
     elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given)
     if maps.any:

@@ -15,6 +15,7 @@ from supple import _core
 from supple.domain import choice, colours_hint, flag, number, refuse
 from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
 from supple.geometry import Grid
+from supple.strain import Mask
 
 Array = npt.NDArray[Any]
 
@@ -24,7 +25,7 @@ BETWEEN = {"nearest": 0, "linear": 1, "cubic": 2}
 OUTSIDE = {"edge": 0, "constant": 1, "reflect": 2}
 
 SUPPORT = {"nearest": 1, "linear": 1, "cubic": 2}
-LONGEST = 64.0  # frames: the longest time average of a pixel
+LONGEST = _core.constants["LONGEST"]  # frames: the longest time average of a pixel
 SLACK = 1e-3  # frames
 FINEST = 3e-4
 """The approximate accuracy of a source point in float32, in pixels."""
@@ -130,7 +131,7 @@ class Space:
         The whole map, if there is more to it than strokes: affine maps, fields, or another grid of the output.
     grid : Grid, optional
         The grid of the output, if it is not that of the input.
-    freeze : _core.Freeze, optional
+    freeze : Mask, optional
         The freeze mask that the strokes are subject to; that of a composite map's is its own, too.
     """
 
@@ -141,7 +142,7 @@ class Space:
     shape: tuple[int, int]
     composite: _core.Composite | None = None
     grid: Grid | None = None
-    freeze: _core.Freeze | None = None
+    freeze: Mask | None = None
 
     @property
     def whole(self) -> tuple[int, ...]:
@@ -159,16 +160,19 @@ class Space:
         return self.composite is None and self.grid is None
 
     @property
-    def is_common(self) -> bool:
-        """Return whether every engine supports the map: plain, and without a freeze mask."""
-        return self.is_plain and self.freeze is None
-
-    @property
     def out(self) -> tuple[int, ...]:
         """The shape of the output arrays."""
         if self.grid is None:
             return self.whole
         return self.grid.shape if self.ndim == 3 or self.count == 1 else (self.count, *self.grid.shape)
+
+    @property
+    def planes(self) -> tuple[int, int, int]:
+        """The number of planes of the output, and the rows and columns of each."""
+        if self.grid is None:
+            return (self.count, *self.shape)
+        width, height, *depth = self.grid.sizes
+        return depth[0] if depth else self.count, height, width
 
     def planned(self, step: tuple[int, int]) -> tuple[int, int]:
         """Return the rows and columns of a plan that covers samples up to ``step`` pixels apart."""
@@ -444,8 +448,11 @@ class Engine(Protocol):
     def taken(self, value: Any, name: str) -> Any:
         """Return an array in the form the engine holds it, with a shape and a dtype; SuppleError if unsupported."""
 
-    def result(self, out: Any, held: Any) -> Any:
-        """Return the destination: ``out`` if it fits the held array (SuppleError if not), or a new array."""
+    def result(self, out: Any, held: Any, shape: tuple[int, ...] | None = None) -> Any:
+        """Return the destination: ``out`` if it fits (SuppleError if not), or a new array.
+
+        It is of the type of the held array, and of its shape or the given one.
+        """
 
     def check(self, work: Work) -> None:
         """Raise SuppleError for unsupported work."""
@@ -484,15 +491,6 @@ class Engine(Protocol):
 
     def inverse_map(self, space: Space, tolerance: float, like: Any = None) -> tuple[Any, Certificate]:
         """Return the source point of every pixel, float32 (*shape, D), stored like ``like``, and the certificate."""
-
-
-def check_plain(space: Space) -> None:
-    """Raise SuppleError for a map that only the native engine supports."""
-    if not space.is_common:
-        raise SuppleError(
-            "fields, affine maps, output grids and freeze masks are for the CPU, with arrays in host memory: leave the "
-            "device out"
-        )
 
 
 def frames_needed(first: int, last: int, count: int, outside: str) -> tuple[int, int]:

@@ -37,10 +37,10 @@ def check_device(device: str, what: str = "") -> None:
 
 def check_host(device: str) -> None:
     """Raise SuppleError for a device that warps by strokes alone."""
-    if device in ("gpu", "cuda"):
+    if device == "gpu":
         refuse(
             "device",
-            '"cpu" or "auto" for fields, affine maps, output grids and freeze masks, which the CPU warps',
+            '"cpu", "cuda" or "auto" for fields, affine maps and output grids, which it does not know',
             device,
         )
 
@@ -73,13 +73,13 @@ def engine_for(device: str, work: Work) -> Engine:
     SuppleError
         If the user names a device that does not exist, or does not support this work.
     """
-    if not work.space.is_common:
-        check_host(device)
-        return NATIVE
     if device == "cuda":
         cuda = _cuda()
         cuda.check(work)
         return cuda
+    if not work.space.is_plain:
+        check_host(device)
+        return NATIVE
     gpu = gpu_of(device)
     if gpu is None:
         return NATIVE

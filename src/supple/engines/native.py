@@ -95,13 +95,20 @@ def needed(space: Space, sampling: Sampling) -> tuple[tuple[int, ...], list[floa
         The accuracy of the map there.
     """
     assert space.grid is not None
-    planes, box = _part(space.grid)
+    return needed_by(space, sampling, *_part(space.grid))
+
+
+def needed_by(
+    space: Space, sampling: Sampling, planes: range, box: tuple[int, int, int, int]
+) -> tuple[tuple[int, ...], list[float], Certificate]:
+    """Return what some planes of the output read, in a box (x0, x1, y0, y1) of each; see `needed`."""
+    height, width = space.shape if space.grid is None else space.grid.whole[-2:]
     part, moved, error, found = _core.needed(
         numbers(space.table),
         space.axes,
         space.ndim,
-        space.grid.whole[-2],
-        space.grid.whole[-1],
+        height,
+        width,
         list(planes),
         sampling.tolerance,
         space.count,

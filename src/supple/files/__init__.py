@@ -111,7 +111,8 @@ def warp_file(
         in NIfTI, NRRD, MetaImage, a stack of TIFF pages, ``.dat``, or a folder of DICOM slices.
     target : str or os.PathLike
         The output; its suffix determines the format: one of those of images, except GIF; for clips, MP4, MOV, MKV,
-        WebM, AVI or GIF, or a pattern or a folder for images; for volumes, NIfTI, NRRD, MetaImage or TIFF.
+        WebM, AVI or GIF, or a pattern or a folder for images; for volumes, NIfTI, NRRD, MetaImage or TIFF;
+        for DICOM, also DICOM: a folder for slices, or a ``.dcm`` for a file of many frames.
     recipe : Recipe
         The strokes, the border and the fold policy. Strokes with a time, x, y and t in frames, warp the clip; strokes
         without one warp each frame alike, and each page of a TIFF; those with keys move from frame to frame. In
@@ -306,7 +307,8 @@ def check_job(
             given = [name for name, asked in flags.items() if asked]
             asked = _named(given) if given else _asked(clip, ClipOptions())
             raise SuppleError(f"{shown(source)} is a volume, and {asked} for pictures or videos: leave that out")
-        _spare(source, target, "volume", force)
+        if not os.path.isdir(target):  # which is not replaced
+            _spare(source, target, "volume", force)
         check_volume_target(source, target, volume or VolumeOptions(), force=force)
         return "volume"
     refuse_places(recipe, source)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import warnings
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, shown
+from supple.errors import FreezeWarning, SuppleError, shown
 from supple.freezing import Freeze
 from supple.media import image, volume
 
@@ -32,6 +33,11 @@ def read_freeze(path: PathLike, *, label: int | None = None, width: float | None
     ------
     SuppleError
         If it cannot be read, has colours, or does not hold the label.
+
+    Warns
+    -----
+    FreezeWarning
+        If nothing is frozen in it.
     """
     if volume.is_volume(path):
         held = volume.read(path)
@@ -43,7 +49,16 @@ def read_freeze(path: PathLike, *, label: int | None = None, width: float | None
         spacing = grid.spacing
     else:
         samples, whole, place, spacing = _grey(path), False, (), (1.0, 1.0)
-    return Freeze.of(_frozen(samples, label, path, whole=whole), width=width, spacing=spacing, place=place)
+    mask = _frozen(samples, label, path, whole=whole)
+    made = Freeze.of(mask, width=width, spacing=spacing, place=place, name=os.fspath(path))
+    if made.is_free:
+        seen, frozen = ("0", "all but 0") if whole else ("black", "white")
+        warnings.warn(
+            f"nothing is frozen in {shown(path)}: all of it is {seen}, and {frozen} is frozen",
+            FreezeWarning,
+            stacklevel=2,
+        )
+    return made
 
 
 def _grey(path: PathLike) -> npt.NDArray[np.generic]:

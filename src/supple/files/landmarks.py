@@ -1,10 +1,11 @@
-"""Landmarks: points of a file, mapped with an image, a clip or a volume, or back."""
+"""Landmarks and meshes: points of a file, mapped with an image, a clip or a volume, or back."""
 
 from __future__ import annotations
 
 import os
 import warnings
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,9 @@ from supple.domain import choice
 from supple.errors import OutsideWarning, SuppleError, ToleranceWarning, VolumeWarning, shown
 from supple.geometry import Geometry
 from supple.media.files import check_output
-from supple.media.points import PointFile, check_target, read_points, write_points
+from supple.media.points import FLIP, PointFile, check_target, read_points, write_points
+from supple.media.volume import Volume
+from supple.media.volume.dicom import frame_of_reference
 from supple.strokes import REACH, CoordinateSpace, Stroke
 
 Floats = npt.NDArray[np.float64]
@@ -74,8 +77,9 @@ def move_points(
     Parameters
     ----------
     source, target : str or os.PathLike
-        Of one kind: .csv, .tsv, .txt; .fcsv; or .mrk.json. All but the coordinates is kept; a table also gets a column
-        ``residual``, in the units of `Moved`.
+        Of one kind: .csv, .tsv, .txt; .fcsv; .mrk.json; or a mesh: .stl, .obj, .ply, .vtk (PolyData), .vtp; or
+        contours, a structure set .dcm. All but the coordinates is kept; a table also gets a column ``residual``, in the
+        units of `Moved`; normals of a mesh turn with its surface.
     deformation : Deformation
         A deformation of an image, for which only x and y are mapped, of a clip, or of a volume.
     geometry : Geometry, optional
@@ -85,7 +89,8 @@ def move_points(
     convention : str, optional
         The coordinates of a table without a convention of its own: ``"LPS"`` or ``"RAS"``, in millimetres, or
         ``"index"``, in pixels, frames or voxels from 0. It must agree with that of the file, if there is one. By
-        default, indices; required for a table without a header if ``geometry`` has a position in space.
+        default, indices; required for a table without a header, and for a mesh that does not say it as 3D Slicer's
+        do, if ``geometry`` has a position in space.
     force : bool
         Whether to replace an existing file.
 
@@ -105,8 +110,8 @@ def move_points(
     if geometry is not None and deformation.ndim != 3:
         raise SuppleError(f"a geometry is of a volume, and shape {deformation.shape} has two axes")
     check_output(target, force=force)
-    read = read_points(source)
-    known = _convention(read, convention, geometry)
+    read = read_points(source, mesh=True)
+    known = _convention(read, convention, None if geometry is None else geometry.convention)
     if read.points.shape[1] < deformation.ndim:
         raise SuppleError(
             f"cannot move {read.name}: it has x and y, and shape {deformation.shape} needs a third column"
@@ -136,9 +141,48 @@ def move_points(
     if lost:
         text = f"{lost} of {len(made)} points did not converge: see their residuals"
         warnings.warn(text, ToleranceWarning, stacklevel=2)
-    write_points(target, made, read, residual=residual, force=force)
+    axes = (
+        np.eye(3)
+        if geometry is None or known == "index"
+        else geometry.to_world(np.eye(3), known) - geometry.to_world(np.zeros(3), known)
+    )
+    normals = _turned(read, deformation, solved.points if inverse else start, axes.T, inverse)
+    write_points(target, made, read, residual=residual, normals=normals, force=force)
     moved_by = np.asarray(np.linalg.norm((end - start) * steps, axis=1))
     return Moved(Path(source), Path(target), len(made), moved_by, np.asarray(residual), len(beyond), first, lost)
+
+
+def warn_of_frame(source: PathLike, volume: Volume) -> None:
+    """Warn if contours of DICOM are of another frame of reference than a series: their millimetres are not the same."""
+    if Path(source).suffix.lower() != ".dcm" or volume.format != "DICOM" or not volume.header:
+        return
+    slices = volume.header if isinstance(volume.header, tuple) else (volume.header,)
+    one, other = frame_of_reference(os.fspath(source)), frame_of_reference(os.fspath(slices[0]))
+    if one and other and one != other:
+        told = f"{shown(source)} is of another frame of reference ({one}) than {volume.name} ({other})"
+        warnings.warn(f"{told}: its points may not lie where they seem to", VolumeWarning, stacklevel=2)
+
+
+def _turned(read: PointFile, deformation: Deformation, points: Floats, axes: Floats, inverse: bool) -> Floats:
+    """Return the normals of a mesh after T, or T⁻¹: by the inverse transpose of its Jacobian, and as long as before.
+
+    ``points`` are those of the mesh before T, in indices; the columns of ``axes`` are the steps of indices in the
+    convention of the mesh.
+    """
+    normals = read.normals
+    if not len(normals) or deformation.is_identity:
+        return normals
+    matrices = deformation.jacobian(points[read.normals_at])
+    n = deformation.ndim
+    moved = np.flatnonzero((matrices != np.eye(n)).any(axis=(1, 2)))  # the others keep every bit
+    full = np.tile(np.eye(3), (len(moved), 1, 1))
+    full[:, :n, :n] = matrices[moved]
+    turn: Floats = axes @ full @ np.linalg.inv(axes) if inverse else axes @ np.linalg.inv(full) @ np.linalg.inv(axes)
+    made = np.einsum("kji,kj->ki", turn, normals[moved])
+    length, before = (np.linalg.norm(v, axis=1, keepdims=True) for v in (made, normals[moved]))
+    turned = normals.copy()
+    turned[moved] = made * before / np.where(length > 0, length, 1)
+    return turned
 
 
 def read_landmarks(
@@ -163,7 +207,7 @@ def read_landmarks(
     if convention is not None:
         choice("convention", convention, ("LPS", "RAS", "index"))
     read = read_points(path)
-    known = _convention(read, convention, geometry)
+    known = _convention(read, convention, geometry.convention)
     if read.points.shape[1] != 3:
         raise SuppleError(f"the points of {read.name} are of two numbers, and those of a volume have three")
     names = tuple(label or str(k) for k, label in enumerate(read.labels, 1))
@@ -171,7 +215,15 @@ def read_landmarks(
 
 
 def read_pull(
-    source: PathLike, target: PathLike, *, radius: float, poisson: float | None = None, reach: float | None = REACH
+    source: PathLike,
+    target: PathLike,
+    *,
+    radius: float,
+    poisson: float | None = None,
+    reach: float | None = REACH,
+    convention: str | None = None,
+    place: str | None = None,
+    world: bool = False,
 ) -> tuple[Stroke, CoordinateSpace | None]:
     """Return the stroke that pulls the points of a file to those of another, and their space if it is of millimetres.
 
@@ -179,9 +231,15 @@ def read_pull(
     ----------
     source, target : str or os.PathLike
         As `move_points` reads them. If all points of both have different labels, they are matched by these; otherwise
-        in order.
+        in order. If one is in LPS and the other in RAS, the stroke is in the first one's.
     radius, poisson, reach
         As in `supple.Deformation.pull`. A point that is the same in both files is a pin.
+    convention : str, optional
+        As in `move_points`; it is for those of the files that do not say it.
+    place : str, optional
+        The convention of the volume that the points are for, as in `Geometry`; None for images and clips.
+    world : bool
+        Whether all strokes are in millimetres: a table that does not say of which convention is then refused.
 
     Raises
     ------
@@ -189,11 +247,19 @@ def read_pull(
         If a file cannot be read, or the two do not fit each other.
     """
     start, end = read_points(source), read_points(target)
-    if start.convention != end.convention:
-        raise SuppleError(f"{start.name} is in {start.convention}, and {end.name} in {end.convention}")
     if start.points.shape[1] != end.points.shape[1]:
         found = " and ".join(str(x.points.shape[1]) for x in (start, end))
         raise SuppleError(f"points of {start.name} and {end.name} must have as many numbers, found {found}")
+    said = "index" not in (start.convention, end.convention)  # a convention is then for neither, and must agree
+    space, other = (
+        _space(read, convention if said or read.convention == "index" else None, place, world) for read in (start, end)
+    )
+    places = end.points
+    if space != other:
+        if "index" in (space, other):
+            millimetres, voxels = (start, end) if other == "index" else (end, start)
+            raise SuppleError(f"{millimetres.name} is in millimetres, and {voxels.name} in voxels: give both in one")
+        places = places * FLIP
     order = list(range(len(end.points)))
     if all(all(x.labels) and len(set(x.labels)) == len(x.labels) for x in (start, end)) and start.labels:
         missing = [label for label in start.labels if label not in end.labels]
@@ -201,17 +267,40 @@ def read_pull(
         if missing:
             raise SuppleError(f"{start.name} and {end.name} do not both have the point {shown(missing[0])}")
         order = [end.labels.index(label) for label in start.labels]
+    unit = "" if space == "index" else f" mm in {space}"
+    known: dict[tuple[float, ...], int] = {}
+    for k, at in enumerate(map(tuple, start.points.tolist())):
+        if (first := known.setdefault(at, k)) != k:
+            one, two = (shown(start.labels[i]) if start.labels[i] else f"point {i + 1}" for i in (first, k))
+            raise SuppleError(f"{start.name} has two points at {_listed(at)}{unit}, {one} and {two}: leave one out")
     if len(start.points) != len(end.points):
         raise SuppleError(
             f"{start.name} has {len(start.points)} points, and {end.name} has {len(end.points)}: give as many in both"
         )
-    stroke = Stroke.pull(start.points, to=end.points[order], radius=radius, poisson=poisson, reach=reach)
-    return stroke, None if start.convention == "index" else start.convention  # type: ignore[return-value]
+    stroke = Stroke.pull(start.points, to=places[order], radius=radius, poisson=poisson, reach=reach)
+    stroke = replace(stroke, name=f"{start.name}:{end.name}")
+    return stroke, None if space == "index" else space  # type: ignore[return-value]
+
+
+def _space(read: PointFile, asked: str | None, place: str | None, world: bool) -> str:
+    """Return the convention of a file of a pull."""
+    if read.points.shape[1] == 2:  # of a picture, or of each plane alike
+        return _convention(read, asked, None)
+    if world and asked is None and read.told in ("", "names"):
+        read = replace(read, told="world")
+    space = _convention(read, asked, place)
+    if world and space == "index":
+        raise SuppleError(f"{read.name} is in voxels, and --world is for points in millimetres: leave it out")
+    return space
+
+
+def _listed(point: Iterable[float]) -> str:
+    return f"({', '.join(f'{x:g}' for x in point)})"
 
 
 def _spoken(read: PointFile, k: int) -> str:
     name = shown(read.labels[k]) if read.labels[k] else f"point {k + 1}"
-    return f"{name} at ({', '.join(f'{x:g}' for x in read.points[k])})"
+    return f"{name} at {_listed(read.points[k])}"
 
 
 def _check_told(read: PointFile) -> None:
@@ -223,12 +312,16 @@ def _check_told(read: PointFile) -> None:
             VolumeWarning,
             stacklevel=5,
         )
-    elif read.told != "said":
-        found = (
-            "its columns are in mm, but not said to be LPS or RAS"
-            if read.told
-            else "no header says what its numbers are"
+    elif read.told == "mesh":
+        raise SuppleError(
+            f"cannot place {read.name}: nothing in it says LPS or RAS, as what 3D Slicer saves does: "
+            "give --convention LPS or RAS (millimetres), or index (voxels from 0)"
         )
+    elif read.told != "said":
+        found = {
+            "mm": "its columns are in mm, but not said to be LPS or RAS",
+            "world": "its columns are not said to be LPS or RAS",
+        }.get(read.told, "no header says what its numbers are")
         choices = "LPS or RAS" if read.told else "index (voxels from 0), LPS or RAS (millimetres)"
         names = "l,p,s or r,a,s" if read.told else "i,j,k, l,p,s or r,a,s"
         raise SuppleError(
@@ -236,21 +329,22 @@ def _check_told(read: PointFile) -> None:
         )
 
 
-def _convention(read: PointFile, asked: str | None, geometry: Geometry | None) -> str:
+def _convention(read: PointFile, asked: str | None, place: str | None) -> str:
+    """Return the convention of the points of a file, for a volume of the convention ``place``; None without one."""
     if asked not in (None, read.convention) and read.convention != "index":
         raise SuppleError(
             f"cannot place {read.name}: it says that it is in {read.convention}, and {asked} was asked for: "
             "leave that out"
         )
     known = asked or read.convention
-    if asked is None and geometry is not None and geometry.convention != "array":
+    if asked is None and place not in (None, "array"):
         _check_told(read)
-    if known != "index" and geometry is None:
+    if known != "index" and place is None:
         raise SuppleError(
             f"cannot place {read.name}: it is in {known}, and only volumes have a place in space: "
             "give pixels in a table with x and y"
         )
-    if known != "index" and geometry is not None and geometry.convention == "array":
+    if known != "index" and place == "array":
         raise SuppleError(
             f"cannot place {read.name}: it is in {known}, and the volume does not know where it lies in space: "
             "give indices in a table with x, y and z"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,15 +14,18 @@ import numpy.typing as npt
 
 from supple.domain import choice, integer, number, point
 from supple.engines.choice import check_device
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, VolumeWarning, shown
 from supple.files.volumes import VolumeOptions, deformation_of, open_volume
 from supple.media import image, turntable
-from supple.media.files import check_output, check_outputs, replacing_all
+from supple.media.files import check_output, check_outputs, check_suffix, replacing, replacing_all
 from supple.media.numbering import has_number, spelling
 from supple.media.volume import Volume
 from supple.pipeline import Tell
+from supple.render.appearance import PROJECTIONS, largest
+from supple.render.box import Clip, Plane
 from supple.render.camera import Camera
 from supple.render.scene import MODES, Scene
+from supple.render.transfer import SUFFIXES as TRANSFERS
 from supple.render.transfer import TransferFunction, transfer_of
 from supple.strokes import Fit, Recipe
 
@@ -39,10 +43,17 @@ class RenderOptions:
     Parameters
     ----------
     transfer : str or TransferFunction, optional
-        A preset's name or a JSON file; by default, the preset that fits the values.
+        A preset's name, or a file: JSON, or 3D Slicer's (``.vp``); by default, the preset that fits the values.
     density : (float, float), optional
         The visible range of values.
+    clip : three of (float, float), optional
+        The voxels that are rendered, as in `supple.render.scene.Scene`.
+    plane, projection, silhouettes
+        As in `supple.render.scene.Scene`.
+    largest : bool
+        Whether only the largest connected part of what is visible is rendered (`supple.render.appearance.largest`).
     camera : Camera
+        By default, all that is visible is in view.
     size : (int, int)
         Rows and columns of the image.
     step : float, optional
@@ -50,6 +61,8 @@ class RenderOptions:
     mode : str
         ``"lattice"``, ``"exact"``, ``"buffered"`` or ``"hybrid"``: see `supple.render.scene`.
     shaded : bool
+    annotate : bool
+        Whether a scale bar and the letters of the patient's sides are drawn: `supple.plot.annotate.annotated`.
     background : (float, float, float), optional
         sRGB from 0 to 1; by default, images are transparent where they are empty, and videos black.
     supersampling : int
@@ -64,15 +77,23 @@ class RenderOptions:
         The volume of a series, from 0.
     device : str
         ``"cpu"``, ``"gpu"`` or ``"auto"``; see `supple.render.scene.Scene`.
+    save_transfer : str or os.PathLike, optional
+        The file for the transfer function that is used: ``.json``, or ``.vp`` for 3D Slicer.
     """
 
     transfer: TransferFunction | PathLike | None = None
     density: tuple[float, float] | None = None
+    clip: Clip | None = None
+    plane: Plane | None = None
+    largest: bool = False
+    projection: str = "none"
+    silhouettes: float = 0.0
     camera: Camera = field(default_factory=Camera)
     size: tuple[int, int] = (512, 512)
     step: float | None = None
     mode: str = "lattice"
     shaded: bool = True
+    annotate: bool = False
     background: tuple[float, float, float] | None = None
     supersampling: int = 1
     turntable: int | None = None
@@ -80,11 +101,21 @@ class RenderOptions:
     what: str = "picture"
     time: int = 0
     device: str = "cpu"
+    save_transfer: PathLike | None = None
 
     def __post_init__(self) -> None:
         check_device(self.device, "a volume that is seen")
         choice("mode", self.mode, MODES)
         choice("what", self.what, WHATS)
+        choice("projection", self.projection, PROJECTIONS)
+        number("silhouettes", self.silhouettes, "a number from 0 to 1", 0.0, 1.0)
+        if self.projection != "none" and (self.transfer is not None or self.save_transfer is not None):
+            raise SuppleError(
+                f"a projection ({self.projection}) is grey, between the values of density, and has no transfer "
+                "function: leave it out"
+            )
+        if self.silhouettes and (self.projection != "none" or not self.shaded):
+            raise SuppleError("silhouettes are of shaded surfaces: leave flat and projection out, or silhouettes")
         for name, pixels in zip(("height", "width"), self.size, strict=True):
             integer(name, pixels, "a number of pixels from 1 to 16384", 1, 16384)
         integer("supersampling", self.supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
@@ -96,6 +127,8 @@ class RenderOptions:
         number("rate", self.rate, "a number of pictures a second above 0", 1e-3, 1e4)
         if self.what == "inversions" and self.turntable:
             raise SuppleError("inversions are drawn as one picture: leave the turntable out")
+        if self.what == "inversions" and self.annotate:
+            raise SuppleError("inversions are drawn as a plot, with axes in pixels: leave annotate out")
         if self.what == "inversions" and self.background is not None:
             raise SuppleError("inversions are drawn as a plot, on white: leave the background out")
 
@@ -150,12 +183,18 @@ def scene_of(
     deformation = None if recipe is None else deformation_of(recipe, volume, world=world, fit=fit)
     given = known.transfer if known.transfer is not None else default_transfer(volume)
     transfer = given if isinstance(given, TransferFunction) else transfer_of(given)
+    if known.largest:
+        samples = largest(samples, transfer, known.density)
     return Scene(
         samples,
         volume.geometry,
         deformation=deformation,
         transfer=transfer,
         density=known.density,
+        clip=known.clip,
+        plane=known.plane,
+        projection=known.projection,
+        silhouettes=known.silhouettes,
         mode=known.mode,
         step=known.step,
         shaded=known.shaded,
@@ -219,6 +258,8 @@ def render_file(
     suffix = Path(target).suffix.lower()
     many = known.turntable is not None
     _check_target(target, suffix, known, force)
+    if known.save_transfer is not None:
+        _check_transfer(known.save_transfer, force)
     given = open_volume(source, reading)
     scene = scene_of(given, recipe, known, world=reading.world, fit=fit)
     if given.samples.dtype.kind == "f" and not np.isfinite(given.samples).any():
@@ -229,13 +270,31 @@ def render_file(
             f"nothing is seen of {given.name}: its values go from {low:g} to {high:g}, and the transfer function and "
             "density leave all of them out: choose others"
         )
+    if known.save_transfer is not None:
+        to_slicer = Path(known.save_transfer).suffix.lower() == ".vp"
+        used = scene.transfer if known.density is None else scene.transfer.within(scene.density, *scene.range)
+        text = used.to_vp(*scene.range) if to_slicer else used.to_json()
+        with replacing(known.save_transfer, force=force) as place:
+            place.write_text(text, encoding="utf-8")
+    camera = scene.framed(known.camera, known.size)
+
+    def marked(pixels: npt.NDArray[np.uint8], seen: Camera) -> npt.NDArray[np.uint8]:
+        if not known.annotate:
+            return pixels
+        from supple.plot.annotate import annotated
+
+        return annotated(pixels, scene.view(seen, known.size), scene.geometry)
+
     if not many:
         picture = scene.render(
-            known.camera,
+            camera,
             known.size,
             supersampling=known.supersampling,
             tell=lambda rows: tell("render", rows, known.size[0]),
         )
+        if not picture.light[..., 3].any():
+            told = "what is cut away, or where the camera looks, leaves it out"
+            warnings.warn(f"nothing is seen of {given.name}: {told}", VolumeWarning, stacklevel=3)
         if known.what == "inversions":
             from supple.plot.rays import draw_inversions
 
@@ -243,7 +302,7 @@ def render_file(
             draw_inversions(picture.samples, target, what="inversions" if inverted else "samples", force=force)
         else:
             behind = known.background if suffix in LIGHTLESS else known.background or (0.0, 0.0, 0.0)
-            image.write(target, picture.pixels(behind), force=force)
+            image.write(target, marked(picture.pixels(behind), camera), force=force)
         return scene
     count = known.turntable or 0
 
@@ -251,9 +310,9 @@ def render_file(
         behind = known.background or ((0.0, 0.0, 0.0) if opaque else None)
         for k in range(count):
             # No buffer is filled here, since its progress, which is visible, depends on the machine.
-            camera = scene.turned(known.camera, k, count)
-            picture = scene.render(camera, known.size, supersampling=known.supersampling)
-            yield picture.pixels(behind)
+            turned = scene.turned(camera, k, count)
+            picture = scene.render(turned, known.size, supersampling=known.supersampling)
+            yield marked(picture.pixels(behind), turned)
             tell("render", k + 1, count)
 
     if suffix in turntable.SUFFIXES:
@@ -268,8 +327,25 @@ def render_file(
     return scene
 
 
+def _check_transfer(path: PathLike, force: bool) -> None:
+    """Raise SuppleError for a name that no transfer function is written under, or of something else."""
+    advice = f"use {' or '.join(TRANSFERS)}"
+    check_suffix(path, Path(path).suffix, TRANSFERS, "is none of a transfer function", advice)
+    check_output(path, force=force)
+    if os.path.exists(path):
+        try:
+            TransferFunction.read(path)
+        except SuppleError:  # a recipe, say
+            told = f"{shown(path)} is there, and no transfer function"
+            raise SuppleError(f"{told}: it is not replaced; give another name") from None
+
+
 def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bool) -> None:
     name, many = shown(target), known.turntable is not None
+    if known.annotate:
+        from supple.plot.annotate import check_annotated
+
+        check_annotated(known.size)
     if many and suffix in turntable.SUFFIXES:
         turntable.check_turntable(target, known.size, known.rate)
         check_output(target, force=force)
@@ -279,6 +355,8 @@ def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bo
             f"a turntable is many pictures, and {name} is one: name a video ({', '.join(turntable.SUFFIXES)}) "
             "or a pattern, such as turn-%03d.png"
         )
+    if not many and has_number(target):
+        raise SuppleError(f"{name} names many pictures: give --turntable with their number, or a name without one")
     if not many and suffix in turntable.SUFFIXES:
         raise SuppleError(f"{name} is a video: give --turntable with the number of its pictures")
     if known.what == "inversions":

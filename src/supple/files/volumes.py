@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import shutil
 import warnings
@@ -31,12 +32,15 @@ from supple.media.volume import (
     RawLayout,
     Volume,
     check_target,
+    derived,
     has_pages,
+    is_dicom,
     is_volume,
     read,
     suffix_of,
     write,
 )
+from supple.media.volume import place_of as volume_place
 from supple.pipeline import Tell
 from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke, fit_recipe
 
@@ -157,6 +161,26 @@ def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volum
     return volume
 
 
+def place_of(path: PathLike, options: VolumeOptions | None = None) -> str | None:
+    """Return the convention of what points of three numbers are for: of a volume, as in `Geometry`; None of a clip.
+
+    Raises
+    ------
+    SuppleError
+        If it cannot be read.
+    """
+    from supple.media.stores import is_store, open_image
+
+    if is_store(path):
+        image = open_image(path)
+        return None if len(image.spatial) < 3 else "LPS" if image.placed else "array"
+    known = options or VolumeOptions()
+    solid = Recipe(strokes=(Stroke(at=(0, 0, 0), by=(0, 0, 0), radius=1),))
+    if not is_volume_job(path, "", solid, known):
+        return None
+    return volume_place(path, raw=known.layout, series=known.series)[0].convention
+
+
 def deformation_of(
     recipe: Recipe, volume: Volume, *, world: bool = False, fit: Fit | None = None, maps: Sequence[Placed] = ()
 ) -> Deformation:
@@ -174,7 +198,16 @@ def deformation_of(
         if stroke.ndim != 3 and not stroke.hidden:
             which = f"stroke {i + 1} of {len(recipe.strokes)}: " if len(recipe.strokes) > 1 else ""
             raise SuppleError(f"{which}a volume's points have three numbers, x, y and z, and {stroke.at} has two")
-    known = fit_recipe(in_space(recipe, volume.geometry, volume.name, world), volume.sizes, fit, volume.name)
+    placed = in_space(recipe, volume.geometry, volume.name, world)
+    if placed.space in ("LPS", "RAS") and placed.border == "auto" and placed.size not in (None, volume.sizes):
+        made_for = " x ".join(map(str, placed.size or ()))
+        warnings.warn(
+            f"the recipe is of a volume of {made_for} voxels, and its border, a tenth of each axis, is elsewhere in "
+            f"{volume.name}: the map is another one; the field of the first volume (--save-field, --field) is the same",
+            VolumeWarning,
+            stacklevel=4,
+        )
+    known = fit_recipe(placed, volume.sizes, fit, volume.name)
     made = indexed(known, volume.geometry, volume.name)
     unplaced = volume.geometry.convention == "array" and volume.geometry.spacing == (1.0, 1.0, 1.0)
     warn_of_lengths(made, volume.grid, volume.name, "voxels" if unplaced else "mm")
@@ -341,6 +374,7 @@ def warp_volume(
             place = stack.enter_context(replacing(known.save_field, force=force))
             write_transform(place, deformation, like.geometry, tolerance=tolerance, force=True, grid=regrid, warn=False)
         found = _written(volume, like, source, target, space, sampling, clamp, device, force, tell, maps)
+    _copy_sidecar(source, target)
     count = len(volume.samples) if volume.series else 1
     made = Path(source), Path(target), deformation, volume.geometry, tolerance, found.error, count, regrid
     return WarpedVolume(*made, found.folded, found.outside, found.unknown)
@@ -363,8 +397,13 @@ def check_volume_target(source: PathLike, target: PathLike, options: VolumeOptio
     SuppleError
         If one of them has a wrong suffix, or cannot be written; or if two are the same.
     """
-    check_output(target, force=force)
-    check_target(target, force=force)
+    if os.path.isdir(source) and Path(os.path.realpath(source)) in Path(os.path.realpath(target)).parents:
+        raise SuppleError(f"{shown(target)} is within {shown(source)}, and would be read with it: write elsewhere")
+    if suffix_of(target) in derived.SUFFIXES and options.layout is None and is_dicom(source):
+        derived.check(target, force=force)
+    else:
+        check_output(target, force=force)
+        check_target(target, force=force)
     if options.save_field is not None:
         transforms.check_target(options.save_field)
         check_output(options.save_field, force=force)
@@ -484,7 +523,30 @@ def _written(
     return certificate
 
 
+def _copy_sidecar(source: PathLike, target: PathLike) -> None:
+    """Copy the sidecar of BIDS (JSON) of a NIfTI to its result; one that is there already stays as it is."""
+    if not (suffix_of(source).startswith(".nii") and suffix_of(target).startswith(".nii")):
+        return
+    theirs, ours = (Path(f"{os.fspath(path)[: -len(suffix_of(path))]}.json") for path in (source, target))
+    try:
+        text = theirs.read_text(encoding="utf-8")
+        known = json.loads(text)
+        if not isinstance(known, dict) or "strokes" in known or (ours.exists() and ours.read_text("utf-8") == text):
+            return
+    except (OSError, ValueError, RecursionError):  # none, or something else
+        return
+    if os.path.lexists(ours):
+        told = f"{shown(ours)} is there already, and stays as it is: {shown(theirs)} is not copied to it"
+        warnings.warn(told, VolumeWarning, stacklevel=4)
+        return
+    try:
+        with replacing(ours) as place:
+            place.write_text(text, encoding="utf-8")
+    except SuppleError as error:  # the volume itself is there
+        warnings.warn(str(error), VolumeWarning, stacklevel=4)
+
+
 def _alone(source: PathLike, target: PathLike) -> bool:
-    """Return whether the job is to copy one file."""
+    """Return whether the job is to copy one file; a DICOM file that is written is a derived one, with its own UIDs."""
     suffix = suffix_of(source)
-    return suffix == suffix_of(target) and suffix not in (".mhd", ".nhdr", ".hdr", ".img")
+    return bool(suffix) and suffix == suffix_of(target) and suffix not in (".mhd", ".nhdr", ".hdr", ".img", ".dcm")

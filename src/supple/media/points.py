@@ -1,4 +1,4 @@
-"""Landmark files: tables of points (CSV), and 3D Slicer's ``.fcsv`` and ``.mrk.json``."""
+"""Files of points: tables (CSV), 3D Slicer's ``.fcsv`` and ``.mrk.json``, and meshes."""
 
 from __future__ import annotations
 
@@ -14,14 +14,18 @@ import numpy.typing as npt
 
 from supple.domain import LARGEST, value_shown
 from supple.errors import SuppleError, shown
+from supple.media import meshes
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable
+from supple.media.meshes.base import Ints, Mesh
 from supple.media.tables import Table, parsed
 
 Floats = npt.NDArray[np.float64]
 
 KINDS = {".csv": "CSV", ".tsv": "CSV", ".txt": "CSV", ".fcsv": "fcsv", ".json": "JSON"}
 _GIVE = "give a .csv, .tsv, .txt, .fcsv or .mrk.json file"
-_FLIP = np.array([-1.0, -1.0, 1.0])
+_MESHES = f"{_GIVE}, or a mesh: {', '.join(meshes.KINDS)}"
+FLIP = np.array([-1.0, -1.0, 1.0])
+"""Between LPS and RAS."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,10 +44,14 @@ class PointFile:
     name : str
         The name for messages.
     kind : str
-        ``"CSV"``, ``"fcsv"`` or ``"JSON"``.
+        ``"CSV"``, ``"fcsv"`` or ``"JSON"``; or, of a mesh, one of `supple.media.meshes.KINDS`.
     told : str
         The source of the convention: ``"said"`` (the file), ``"mm"`` or ``"names"`` (columns x, y and z, with that unit
         or without one), or ``""``.
+    normals : float64 array, shape (M, 3)
+        Normals of a mesh, in the convention of its points.
+    normals_at : int array, shape (M,)
+        The point of each normal.
     """
 
     points: Floats
@@ -53,6 +61,8 @@ class PointFile:
     kind: str
     _as_read: Any = field(repr=False)
     told: str = "said"
+    normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    normals_at: Ints = field(default_factory=lambda: np.zeros(0, np.intp))
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +78,11 @@ def check_target(path: PathLike, source: PathLike) -> None:
     """Raise SuppleError for a name of another kind of file than ``source``."""
     kind = _kind("read", source)
     if _kind("write", path) != kind:
-        suffixes = " or ".join(suffix for suffix, known in KINDS.items() if known == kind)
+        suffixes = " or ".join(suffix for suffix, known in {**KINDS, **meshes.KINDS}.items() if known == kind)
         raise SuppleError(f"cannot write {shown(path)}: {shown(source)} is of another kind: give a name in {suffixes}")
 
 
-def read_points(path: PathLike) -> PointFile:
+def read_points(path: PathLike, *, mesh: bool = False) -> PointFile:
     """Read a file of points.
 
     A table (.csv, .tsv, .txt) is separated by commas, semicolons or tabs. A header, which may be a comment, names its
@@ -84,6 +94,8 @@ def read_points(path: PathLike) -> PointFile:
     ----------
     path : str or os.PathLike
         A .csv, .tsv, .txt, .fcsv or .mrk.json file.
+    mesh : bool
+        Whether it may be a mesh as well (.stl, .obj, .ply, .vtk, .vtp): its vertices are the points.
 
     Returns
     -------
@@ -97,7 +109,12 @@ def read_points(path: PathLike) -> PointFile:
         If the file cannot be read, is damaged, or holds no points; a coordinate is not a finite number; a row has more
         or fewer cells than the first; or the coordinate system is unknown.
     """
-    name, kind = shown(path), _kind("read", path)
+    name, kind = shown(path), _kind("read", path, mesh=mesh)
+    if kind in meshes.KINDS.values():
+        found = meshes.read_mesh(path, kind)
+        said, none = found.convention, ("",) * len(found.points)
+        told = "said" if said else "mesh"
+        return PointFile(found.points, said or "index", none, name, kind, found, told, found.normals, found.at)
     text = _text(path)
     if kind == "JSON":
         return _from_json(name, text)
@@ -111,6 +128,7 @@ def write_points(
     like: PointFile,
     *,
     residual: npt.ArrayLike | None = None,
+    normals: Floats | None = None,
     force: bool = False,
 ) -> None:
     """Write points into a copy of the file that they came from; it appears whole or not at all.
@@ -128,6 +146,8 @@ def write_points(
         The points that were read.
     residual : array_like, shape (N,), optional
         For a CSV: the last column of the file, or an existing column ``residual``.
+    normals : float64 array, shape as ``like.normals``, optional
+        For a mesh; by default, those of ``like``.
     force : bool
         Whether to replace an existing file.
 
@@ -136,26 +156,31 @@ def write_points(
     SuppleError
         If the points are not finite or not as many, the suffix is of another kind, or the file cannot be written.
     """
-    check_target(path, f"x{next(suffix for suffix, kind in KINDS.items() if kind == like.kind)}")
+    kinds = {**KINDS, **meshes.KINDS}
+    check_target(path, f"x{next(suffix for suffix, kind in kinds.items() if kind == like.kind)}")
     made = np.asarray(points, np.float64)
     if made.shape != like.points.shape or not np.isfinite(made).all():
         wanted = f"an array of finite numbers of shape {like.points.shape}"
         raise SuppleError(f"cannot write {shown(path)}: points must be {wanted}, as in {like.name}")
-    if isinstance(like._as_read, Table):
-        notes = (
-            None if residual is None or like.kind != "CSV" else [f"{r:.3g}" for r in np.asarray(residual, np.float64)]
-        )
-        text = like._as_read.written(made, like.points, notes)
+    if isinstance(like._as_read, Mesh):
+        data = like._as_read.rewritten(made, like.normals if normals is None else normals)
     else:
-        text = _to_json(like._as_read, made, like.points)
+        data = _written(like, made, residual).encode("utf-8", "surrogateescape")
     with replacing(path, force=force) as temporary:
-        temporary.write_bytes(text.encode("utf-8", "surrogateescape"))
+        temporary.write_bytes(data)
 
 
-def _kind(verb: str, path: PathLike) -> str:
-    suffix = Path(path).suffix
-    check_suffix(path, suffix, KINDS, "is of no file of points", _GIVE, verb)
-    return KINDS[suffix.lower()]
+def _written(like: PointFile, made: Floats, residual: npt.ArrayLike | None) -> str:
+    if not isinstance(like._as_read, Table):
+        return _to_json(like._as_read, made, like.points)
+    notes = None if residual is None or like.kind != "CSV" else [f"{r:.3g}" for r in np.asarray(residual, np.float64)]
+    return like._as_read.written(made, like.points, notes)
+
+
+def _kind(verb: str, path: PathLike, *, mesh: bool = True) -> str:
+    suffix, known = Path(path).suffix, {**KINDS, **meshes.KINDS} if mesh else KINDS
+    check_suffix(path, suffix, known, "is of no file of points", _MESHES if mesh else _GIVE, verb)
+    return known[suffix.lower()]
 
 
 def _text(path: PathLike) -> str:
@@ -207,7 +232,7 @@ def _from_json(name: str, text: str) -> PointFile:
                 )
                 refuse(where, found, f"give three numbers from {-LARGEST:g} to {LARGEST:g}")
             places.append((m, k, convention != first))
-            points.append(position * _FLIP if convention != first else position)
+            points.append(position * FLIP if convention != first else position)
             labels.append(str(control.get("label") or ""))
     if not points:
         refuse("", "it holds no points that are placed", "place some")
@@ -226,7 +251,7 @@ def _to_json(markups: _Markups, points: Floats, before: Floats) -> str:
     data = copy.deepcopy(markups.data)
     for (m, k, flipped), new, old in zip(markups.places, points, before, strict=True):
         position = data["markups"][m]["controlPoints"][k]["position"]
-        signs = _FLIP if flipped else np.ones(3)
+        signs = FLIP if flipped else np.ones(3)
         for i in np.flatnonzero(new != old):
             position[i] = float(new[i] * signs[i])
     text = markups.text

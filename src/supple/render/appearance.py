@@ -10,7 +10,9 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.domain import choice, point, refuse
+from supple.errors import SuppleError
 from supple.render.camera import Projection
+from supple.render.colour import linear_light
 from supple.render.transfer import ENTRIES, PRESETS, TransferFunction
 
 Array = npt.NDArray[Any]
@@ -19,19 +21,14 @@ Floats = npt.NDArray[np.float64]
 FINE = 2  # voxels of a brick of visible voxels, if a lattice displaces them into bricks of `_core.BRICK` voxels
 MOST = 1e18  # of samples: float32 holds the squares of their gradients
 _TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32)
+PROJECTIONS = ("none", "maximum", "minimum", "average")
 
 
 def skipped(known: dict[str, Any]) -> npt.NDArray[np.uint8]:
     """Return the distance in bricks to the next visible one."""
-    table, (low, high), (bottom, top) = known["_table"], known["range"], known["density"]
-    visible = np.concatenate([[0], np.cumsum(table[:, 3] > 0)])  # visible entries before each
-    lows, highs = np.maximum(known["_lows"], np.float32(bottom)), np.minimum(known["_highs"], np.float32(top))
-
-    def entry(values: Array) -> npt.NDArray[np.intp]:
-        places = np.rint((values - np.float32(low)) * np.float32(entries(low, high)))
-        return np.asarray(np.clip(places, 0, ENTRIES - 1), np.intp)
-
-    seen = (lows <= highs) & (visible[entry(highs) + 1] > visible[entry(lows)])
+    if known["projection"] != "none":  # of all that is along a ray
+        return np.zeros(brick_counts(known["samples"].shape, _core.BRICK), np.uint8)
+    seen = visible(known, known["_lows"], known["_highs"])
     if known["_solid"] is not None:
         moved = np.empty(brick_counts(known["samples"].shape, _core.BRICK), np.bool_)
         # Along rays, points are off the lattice by less than its error, which includes a reserve.
@@ -43,6 +40,30 @@ def skipped(known: dict[str, Any]) -> npt.NDArray[np.uint8]:
     return skips
 
 
+def ranged(samples: Array, brick: int, known: dict[int, tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Return the smallest and the largest sample of each brick, unless they are known."""
+    if brick not in known:
+        lows, highs = (np.empty(brick_counts(samples.shape, brick), np.float32) for _ in range(2))
+        _core.brick_ranges(samples, brick, lows, highs)
+        known[brick] = lows, highs
+    return known[brick]
+
+
+def visible(known: dict[str, Any], lows: Array, highs: Array) -> npt.NDArray[np.bool_]:
+    """Return which bricks are visible, of values between two for each."""
+    if known["projection"] != "none":
+        return np.ones(lows.shape, np.bool_)
+    table, (low, high), (bottom, top) = known["_table"], known["range"], known["density"]
+    before = np.concatenate([[0], np.cumsum(table[:, 3] > 0)])  # visible entries before each
+    lows, highs = np.maximum(lows, np.float32(bottom)), np.minimum(highs, np.float32(top))
+
+    def entry(values: Array) -> npt.NDArray[np.intp]:
+        places = np.rint((values - np.float32(low)) * np.float32(entries(low, high)))
+        return np.asarray(np.clip(places, 0, ENTRIES - 1), np.intp)
+
+    return np.asarray((lows <= highs) & (before[entry(highs) + 1] > before[entry(lows)]), np.bool_)
+
+
 def transfer_function(given: TransferFunction | str) -> TransferFunction:
     """Return a transfer function, or the preset of a name."""
     if isinstance(given, TransferFunction):
@@ -52,9 +73,16 @@ def transfer_function(given: TransferFunction | str) -> TransferFunction:
 
 
 def seen_through(
-    transfer: TransferFunction, density: tuple[float, float] | None, values: tuple[float, float], step: float
+    transfer: TransferFunction,
+    density: tuple[float, float] | None,
+    values: tuple[float, float],
+    step: float,
+    projection: str = "none",
 ) -> dict[str, Any]:
-    """Return the colours and opacities of a transfer function and a window of values, for samples of some range."""
+    """Return the colours and opacities of a transfer function and a window of values, for samples of some range.
+
+    Of a projection, they are grey and opaque, from black at the window's lower end to white at its upper one.
+    """
     low, high = values
     if density is None:
         window = (-math.inf, math.inf)
@@ -63,6 +91,12 @@ def seen_through(
         if bounds[0] >= bounds[1]:
             refuse("density", "two values LO,HI, the lower one first", density)
         window = (bounds[0], bounds[1])
+    if projection != "none":
+        black, white = window if density is not None else values
+        shades = np.clip((np.linspace(low, high, ENTRIES) - black) / ((white - black) or 1.0), 0.0, 1.0)
+        grey = linear_light(np.stack([shades] * 3, axis=1), 1.0)
+        table = np.concatenate([grey, np.ones((ENTRIES, 1))], axis=1).astype(np.float32)
+        return {"density": window, "_table": table, "_threshold": -math.inf}
     table = transfer.table(low, high, step)
     values_ = np.linspace(low, high, ENTRIES)
     seen = (table[:, 3] > 0) & (values_ >= window[0]) & (values_ <= window[1])
@@ -75,6 +109,36 @@ def seen_through(
     else:
         threshold = max(window[0], float(values_[first]) - 0.5 * (high - low) / (ENTRIES - 1))
     return {"density": window, "_table": table, "_threshold": threshold}
+
+
+def largest(samples: Array, transfer: TransferFunction | str, density: tuple[float, float] | None = None) -> Array:
+    """Return a volume in which only the largest part of what is visible is left, of voxels that touch by their faces.
+
+    Other visible voxels get the highest value that is not visible, below those that are.
+
+    Parameters
+    ----------
+    samples : array (Z, H, W)
+    transfer, density
+        What is visible, as in `supple.render.scene.Scene`.
+
+    Raises
+    ------
+    SuppleError
+        If the smallest value is visible, so that no value hides a voxel.
+    """
+    ready = prepared(np.asarray(samples))[tuple(map(slice, samples.shape))]
+    low, high = float(ready.min()), float(ready.max())
+    known = seen_through(transfer_function(transfer), density, (low, high), 1.0)
+    threshold = known["_threshold"]
+    if threshold == -math.inf:
+        raise SuppleError("all is visible, down to the smallest value, and nothing detached: choose a higher density")
+    known |= {"range": (low, high), "projection": "none"}
+    seen = np.stack([visible(known, slab, slab) for slab in ready])
+    kept = np.empty(seen.shape, np.bool_)
+    _core.largest_part(seen, kept)
+    hidden = ready[ready < threshold].max(initial=low)
+    return np.where(seen & ~kept, np.asarray(hidden, ready.dtype), ready)
 
 
 def entries(low: float, high: float) -> float:

@@ -74,10 +74,13 @@ class Projection:
         steps to the pixels to the right and below, at a distance of a millimetre.
     size : (int, int)
         Rows and columns of the image.
+    distance : float
+        From the eye to the target, in millimetres.
     """
 
     packed: Floats
     size: tuple[int, int]
+    distance: float
 
     @property
     def eye(self) -> Floats:
@@ -116,8 +119,13 @@ def camera_of(given: object) -> Camera:
     return given
 
 
-def view_of(camera: Camera, shape: tuple[int, ...], geometry: Geometry, size: tuple[int, int]) -> Projection:
-    """Return the projection of a camera before a volume of ``shape`` (Z, H, W), for ``size`` (rows, columns)."""
+def view_of(
+    camera: Camera, shape: tuple[int, ...], geometry: Geometry, size: tuple[int, int], points: Floats | None = None
+) -> Projection:
+    """Return the projection of a camera before a volume of ``shape`` (Z, H, W), for ``size`` (rows, columns).
+
+    By default, all ``points`` (N, 3), in voxels, are in view, or else all of the volume.
+    """
     given: object = size  # user input of any type
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
         refuse("size", "two numbers of pixels, rows and columns", given)
@@ -126,8 +134,9 @@ def view_of(camera: Camera, shape: tuple[int, ...], geometry: Geometry, size: tu
         for name, n in zip(("height", "width"), size, strict=True)
     )
     spacing = np.array(geometry.spacing)
-    extent = np.array([n - 1.0 for n in reversed(shape)])
-    target = extent / 2 if camera.target is None else np.array(camera.target)
+    if points is None:
+        points = np.array(list(itertools.product(*((0.0, n - 1.0) for n in reversed(shape)))))
+    target = (points.min(axis=0) + points.max(axis=0)) / 2 if camera.target is None else np.array(camera.target)
     half = math.radians(camera.field_of_view) / 2
     up = np.array(camera.up) / np.linalg.norm(camera.up)
     # The front is -y; if that is up, use another direction.
@@ -153,7 +162,7 @@ def view_of(camera: Camera, shape: tuple[int, ...], geometry: Geometry, size: tu
     distance = camera.distance
     if distance is None:
         # From any direction, so that the size of a turning volume does not change.
-        corners = (np.array(list(itertools.product((0, 1), repeat=3))) * extent - target) * spacing
+        corners = (points - target) * spacing
         reach = np.array([width, height]) / min(width, height) * math.tan(half)
         distance = float(spacing.max())
         for azimuth in np.linspace(0, 2 * math.pi, 24, endpoint=False):
@@ -162,4 +171,4 @@ def view_of(camera: Camera, shape: tuple[int, ...], geometry: Geometry, size: tu
             distance = max(distance, float((sides + towards).max()))
     eye = target + outward * distance / spacing
     pixel = 2 * math.tan(half) / min(height, width)
-    return Projection(np.stack([eye, spacing, -outward, pixel * right, -pixel * above]), (height, width))
+    return Projection(np.stack([eye, spacing, -outward, pixel * right, -pixel * above]), (height, width), distance)

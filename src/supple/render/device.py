@@ -98,7 +98,7 @@ def held_scene(
             volume, hold_strokes(gpu, np.zeros(0, STROKE_DTYPE), _still(spacing)), PLAIN, None, Pace(RAYS)
         ), None
     if mode == "exact":
-        return Held(volume, hold_strokes(gpu, space.table, space.axes), EXACT, None, Pace(RAYS)), None
+        return Held(volume, hold_strokes(gpu, space.table, space.axes, space.freeze), EXACT, None, Pace(RAYS)), None
     solid, lattice = lattice_of(gpu, space, tolerance)
     if not twice:
         return Held(volume, lattice, LATTICE, None, Pace(RAYS)), solid
@@ -118,7 +118,7 @@ def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> tuple[Solid, Lattice
     shape = (space.count, *space.shape)
 
     def attempt(step: int) -> tuple[Solid, float]:
-        lattice, nodes, error, smooth = solve(gpu, space.table, space.axes, shape, step)
+        lattice, nodes, error, smooth = solve(gpu, space.table, space.axes, shape, step, space.freeze)
         made[:] = [lattice]
         tries[:] = [(Solid(nodes, step, error, 0.0), smooth)]
         return tries[0]

@@ -23,15 +23,18 @@ from supple.errors import SuppleError, ToleranceWarning
 from supple.geometry import Geometry
 from supple.render.appearance import (
     FINE,
-    brick_counts,
+    PROJECTIONS,
     entries,
     lamp,
     prepared,
+    ranged,
     seen_through,
     skipped,
     transfer_function,
     triple,
+    visible,
 )
+from supple.render.box import Box, Clip, Plane, box_of, plane_of, seen_points, within
 from supple.render.camera import Camera, Projection, camera_of, view_of
 from supple.render.device import held_scene, order_of, tried, unseen_blocks
 from supple.render.picture import Array, Pick, Rendering, light_of
@@ -58,15 +61,25 @@ class Scene:
     deformation : Deformation, optional
         A deformation of the same shape and spacing.
     transfer : TransferFunction or str
-        A transfer function, or the name of a preset: ``"ct-bone"``, ``"ct-skin"``, ``"mr-head"`` or ``"grey"``.
+        A transfer function, or the name of a preset (`supple.render.transfer.PRESETS`).
     density : (float, float), optional
         The visible range of values, to show hard structures inside.
+    clip : three of (float, float), optional
+        For each axis, x first, the voxels of the deformed volume from which and to which it is rendered, with None
+        where nothing is cut away: a box, whose faces show what is inside.
+    plane : ((float, float, float), (float, float, float)), optional
+        A voxel of the deformed volume, and the direction, in LPS, in which all beyond the plane there is cut away.
+    projection : str
+        ``"none"``, or the ``"maximum"``, ``"minimum"`` or ``"average"`` value along each ray: opaque and grey, black at
+        the lower end of ``density`` and white at the upper one, and by default at the smallest and largest value.
+    silhouettes : float
+        By how much surfaces darken towards where they are seen from the side, from 0 to 1.
     mode : str
         The evaluation of the deformation: by a certified ``"lattice"`` of inverse displacements, ``"exact"`` inversion
         of every sample along every ray, ``"buffered"``, which warps the volume first, or ``"hybrid"``: the lattice,
         until `fill` has filled the buffer on the GPU, in parts. On the CPU, that is the lattice.
     step : float, optional
-        The step along a ray, in millimetres; by default, the smallest spacing.
+        The step along a ray, in millimetres; by default, the smallest spacing, and half of it in projections.
     shaded : bool
         Whether surfaces are shaded by their gradient.
     tolerance : float
@@ -94,6 +107,12 @@ class Scene:
     deformation: Deformation | None
     transfer: TransferFunction
     density: tuple[float, float]
+    clip: Box
+    """The box that is rendered, in voxels of the deformed volume, x first."""
+    plane: tuple[float, float, float, float]
+    """The plane's unit normal along the volume's axes, and its distance from the first voxel, in millimetres."""
+    projection: str
+    silhouettes: float
     mode: str
     step: float
     shaded: bool
@@ -127,6 +146,10 @@ class Scene:
         deformation: Deformation | None = None,
         transfer: TransferFunction | str = "grey",
         density: tuple[float, float] | None = None,
+        clip: Clip | None = None,
+        plane: Plane | None = None,
+        projection: str = "none",
+        silhouettes: float = 0.0,
         mode: str = "lattice",
         step: float | None = None,
         shaded: bool = True,
@@ -134,17 +157,18 @@ class Scene:
         device: str = "cpu",
     ) -> None:
         choice("mode", mode, MODES)
+        choice("projection", projection, PROJECTIONS)
         check_device(device, "a volume that is seen")
         places: object = Geometry() if geometry is None else geometry
         if not isinstance(places, Geometry):
             refuse("geometry", "a Geometry", geometry)
         given = np.asarray(samples)
         if given.ndim != 3 or 0 in given.shape or given.dtype.kind not in "biuf":
-            refuse("samples", "a volume of numbers, (Z, H, W)", f"{given.dtype} of shape {given.shape}")
+            refuse("samples", "a volume of numbers, (Z, H, W)", told=f"{given.dtype} of shape {given.shape}")
         known = transfer_function(transfer)
         finest = min(places.spacing)
         step = (
-            finest
+            finest * (1.0 if projection == "none" else 0.5)  # the extremes lie between samples
             if step is None
             else number("step", step, f"millimetres, at least {finest * 1e-3:g}", finest * 1e-3, 1e9)
         )
@@ -155,6 +179,10 @@ class Scene:
             "shape": given.shape,
             "geometry": places,
             "transfer": known,
+            "clip": box_of(clip, given.shape),
+            "plane": plane_of(plane, places),
+            "projection": projection,
+            "silhouettes": number("silhouettes", silhouettes, "a number from 0 to 1", 0.0, 1.0),
             "mode": mode,
             "step": step,
             "shaded": bool(shaded),
@@ -163,7 +191,7 @@ class Scene:
             "device": device,
             "_original": ready,
             "_ranges": {},
-            **seen_through(known, density, (low, high), step),
+            **seen_through(known, density, (low, high), step, projection),
         }
         self._set(values | _deformed(values, deformation, None))
 
@@ -190,8 +218,14 @@ class Scene:
         """Return this scene with another transfer function, without inverting or warping again."""
         made = object.__new__(type(self))
         values, known = self._known(), transfer_function(transfer)
-        values |= {"transfer": known, **seen_through(known, density, self.range, self.step)}
+        values |= {"transfer": known, **seen_through(known, density, self.range, self.step, self.projection)}
         made._set(values | _skipping(values))
+        return made
+
+    def clipped(self, clip: Clip | None, plane: Plane | None = None) -> Scene:
+        """Return this scene, within another box and before another plane, without inverting or warping again."""
+        made = object.__new__(type(self))
+        made._set(self._known() | {"clip": box_of(clip, self.shape), "plane": plane_of(plane, self.geometry)})
         return made
 
     @property
@@ -202,6 +236,19 @@ class Scene:
     def view(self, camera: Camera | None, size: tuple[int, int]) -> Projection:
         """Return the projection of a camera before this scene, for an image of ``size`` (rows, columns)."""
         return view_of(camera_of(camera), self.samples.shape, self.geometry, size)
+
+    def framed(self, camera: Camera | None = None, size: tuple[int, int] = (512, 512)) -> Camera:
+        """Return a camera that has all that is visible in view, where its target and distance are not given."""
+        known = camera_of(camera)
+        # Bricks of the original, moved: the same in all modes.
+        ranges = ranged(self._original, _core.BRICK, self._ranges)
+        points = seen_points(visible(self._known(), *ranges), _core.BRICK, self._original.shape)
+        if self.deformation is not None and len(points):
+            points = self.deformation.forward(points)
+        points = within(points, self.clip, self.plane, self.geometry.spacing, _core.BRICK)
+        view = view_of(known, self.samples.shape, self.geometry, size, points)
+        target = known.target or triple((points.min(axis=0) + points.max(axis=0)) / 2)
+        return replace(known, target=target, distance=float(np.linalg.norm((view.eye - target) * view.spacing)))
 
     def render(
         self,
@@ -295,15 +342,15 @@ class Scene:
             refuse("texture", "a texture of the GPU", type(texture).__name__)
         gpu = held.volume.gpu
         if getattr(texture, "_device", gpu.device) is not gpu.device:
-            refuse("texture", "made by scene.gpu.device", "one of another device")
+            refuse("texture", "made by scene.gpu.device", told="one of another device")
         width, height = texture.size[:2]
         view = self.view(camera, size or (height, width))
         rows, columns = view.size
         if texture.format != "rgba8unorm" or rows > height or columns > width:
             wanted = f"rgba8unorm, of {columns} x {rows} pixels or more"
-            refuse("texture", wanted, f"{texture.format} of {width} x {height}")
+            refuse("texture", wanted, told=f"{texture.format} of {width} x {height}")
         if not texture.usage & _STORAGE:
-            refuse("texture", "of usage STORAGE_BINDING, so that it can be drawn into", "one without")
+            refuse("texture", "of usage STORAGE_BINDING, so that it can be drawn into", told="one without")
         colour = tuple(
             number("background", c, "three numbers from 0 to 1", 0.0, 1.0)
             for c in point("background", background, (3,))
@@ -373,11 +420,15 @@ class Scene:
             self._table,
             low,
             entries(low, high),
-            self._threshold,
+            self._threshold if self.projection == "none" else math.inf,
             self.density,
             self.step,
             lamp(view),
             self.shaded,
+            np.array(self.clip).T,
+            self.plane,
+            self.silhouettes,
+            PROJECTIONS.index(self.projection),
         )
 
     def _marcher(self, view: Projection) -> Callable[..., None]:
@@ -399,6 +450,10 @@ class Scene:
             look.step,
             triple(look.light),
             look.shaded,
+            np.ascontiguousarray(look.box),
+            look.plane,
+            look.silhouettes,
+            look.projection,
         )
 
         def march(columns: Array, rows: Array, light: Array, depth: Array, work: Array) -> None:
@@ -483,7 +538,7 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
         if not isinstance(given, Deformation):
             refuse("deformation", "a Deformation", given)
         if deformation.shape != shape:
-            refuse("the deformation", f"one of shape {shape}, as the volume", f"shape {deformation.shape}")
+            refuse("the deformation", f"one of shape {shape}, as the volume", told=f"shape {deformation.shape}")
         if deformation.maps:
             raise SuppleError("a scene is bent by strokes alone, found fields or affine maps: warp the volume first")
         spacing = known["geometry"].spacing
@@ -491,10 +546,6 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
             refuse("the deformation", f"one of spacing {spacing}", deformation.domain.spacing)
         deformation = None if deformation.is_identity else deformation
     space = deformation.space if deformation is not None else None
-    if gpu is not None and space is not None and space.freeze is not None:
-        if known["device"] == "gpu":
-            refuse("device", '"cpu" or "auto" for a freeze mask, which the CPU renders', "gpu")
-        gpu = None
     error = 0.0
     held: shading.Held | None = None
     solid: Solid | None = None
@@ -511,7 +562,7 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
             off = f"by {error:.2g} voxels" if math.isfinite(error) else "by more than a voxel"
             warnings.warn(
                 f"the lattice may be off {off} somewhere, beyond the tolerance {tolerance:g}: "
-                'mode "exact" or "buffered" is not',
+                "mode='exact' stays within it, and so does mode='buffered'",
                 ToleranceWarning,
                 stacklevel=4,
             )
@@ -519,18 +570,15 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
         error = tolerance
     brick = _core.BRICK if solid is None else FINE
     ranges: dict[int, tuple[Array, Array]] = known["_ranges"] if ready is known["_original"] else {}
-    if brick not in ranges:
-        lows, highs = (np.empty(brick_counts(ready.shape, brick), np.float32) for _ in range(2))
-        _core.brick_ranges(ready, brick, lows, highs)
-        ranges[brick] = lows, highs
+    lows, highs = ranged(ready, brick, ranges)
     values = {
         "deformation": deformation,
         "samples": ready,
         "error": error,
         "_solid": solid,
         "_coarse": mode == "buffered" and solid is not None and solid.error > tolerance,
-        "_lows": ranges[brick][0],
-        "_highs": ranges[brick][1],
+        "_lows": lows,
+        "_highs": highs,
         "gpu": held.volume.gpu if held is not None else None,
         "_held": held,
     }

@@ -79,6 +79,27 @@ class TransferFunction:
         opacity = 1 - (1 - seen[:, 3]) ** (step / self.unit)
         return np.ascontiguousarray(np.concatenate([linear, opacity[:, None]], axis=1), np.float32)
 
+    def within(self, window: tuple[float, float], low: float, high: float) -> TransferFunction:
+        """Return the same for values from ``window[0]`` to ``window[1]``, beyond which nothing is seen.
+
+        ``low`` and ``high`` are the range of the volume's values, of which relative ones are fractions.
+        """
+        span = (high - low) or 1.0
+        first, last = (((x - low) / span if self.relative else x) for x in (max(window[0], low), min(window[1], high)))
+        known = np.array(self.points)
+
+        def at(value: float) -> Point:
+            red, green, blue, opacity = (float(np.interp(value, known[:, 0], known[:, c])) for c in (1, 2, 3, 4))
+            return value, red, green, blue, opacity
+
+        points = [at(first), *(p for p in self.points if first < p[0] < last), at(last)]
+        step = 1e-6 * (1.0 if self.relative else span)  # a step of no width is none in 3D Slicer
+        if window[0] > low:
+            points.insert(0, (first - step, *points[0][1:4], 0.0))
+        if window[1] < high:
+            points.append((last + step, *points[-1][1:4], 0.0))
+        return TransferFunction(tuple(points), self.unit, self.relative)
+
     def to_json(self) -> str:
         """Return the JSON text for `from_json`."""
         made = {
@@ -116,6 +137,86 @@ class TransferFunction:
         except SuppleError as error:
             raise SuppleError(f"{name}: {error}") from None
 
+    def to_vp(self, low: float, high: float) -> str:
+        """Return the text of a volume property of 3D Slicer (``.vp``), for `from_vp`.
+
+        Parameters
+        ----------
+        low, high : float
+            The range of the volume's values, of which relative ones are fractions. Opacities are those of a millimetre.
+        """
+        places = [low + p[0] * ((high - low) or 1.0) if self.relative else p[0] for p in self.points]
+        opacities = [1 - (1 - p[4]) ** (1 / self.unit) for p in self.points]
+        tables = [
+            [x for pair in zip(places, opacities, strict=True) for x in pair],
+            [low, 1.0, high if high > low else low + 1.0, 1.0],
+            [x for place, p in zip(places, self.points, strict=True) for x in (place, *p[1:4])],
+        ]
+        lines = [f"{x:g}" for x in _SLICER] + [" ".join(f"{x:.9g}" for x in (len(t), *t)) for t in tables]
+        return "\n".join(lines) + "\n"
+
+    @classmethod
+    def from_vp(cls, text: str, name: str = "the volume property") -> TransferFunction:
+        """Read a volume property of 3D Slicer (``.vp``): its opacity and its colours.
+
+        Its light and its opacity by gradients are left out, which this renderer has its own of, or none.
+
+        Raises
+        ------
+        SuppleError
+            If the text is invalid; the message begins with ``name``.
+        """
+        lines = [line.split() for line in text.splitlines() if line.strip()]
+        try:
+            opacity, colours = (_control_points(lines[k], each) for k, each in ((6, 2), (8, 4)))
+        except (IndexError, ValueError):
+            raise SuppleError(
+                f"{name} is no volume property of 3D Slicer: six numbers, and then points of opacity, of opacity by "
+                "gradient, and of colour, each in a line that begins with how many numbers follow"
+            ) from None
+        # Both are piecewise linear, and so are they at the values of both.
+        values = np.union1d(opacity[:, 0], colours[:, 0])
+        seen = [np.interp(values, colours[:, 0], colours[:, c]) for c in (1, 2, 3)]
+        seen.append(np.interp(values, opacity[:, 0], opacity[:, 1]))
+        try:
+            return cls(tuple(map(tuple, np.stack([values, *seen], axis=1).tolist())))
+        except SuppleError as error:
+            raise SuppleError(f"{name}: {error}") from None
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> TransferFunction:
+        """Read a file: JSON, or a volume property of 3D Slicer (``.vp``).
+
+        Raises
+        ------
+        SuppleError
+            If it cannot be read, or is invalid.
+        """
+        name, suffix = os.fspath(path), Path(path).suffix.lower()
+        if suffix not in SUFFIXES:
+            refuse("a transfer function", f"a file ({', '.join(SUFFIXES)}), or one of {', '.join(PRESETS)}", name)
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
+            kinds = " or ".join(SUFFIXES)
+            raise SuppleError(f"cannot read {name!r}: {reason}: name a transfer function ({kinds})") from None
+        return cls.from_vp(text, name) if suffix == ".vp" else cls.from_json(text, name)
+
+
+SUFFIXES = (".json", ".vp")
+# Linear, shaded; diffuse, ambient and specular light, and its power: as in raymarch.hpp.
+_SLICER = (1, 1, 0.8, 0.15, 0.2, 16)
+
+
+def _control_points(words: list[str], each: int) -> npt.NDArray[np.float64]:
+    """Return control points (N, each) in order; ValueError if they are not as their count says."""
+    count, *numbers = words
+    found = np.array([float(x) for x in numbers]).reshape(-1, each)
+    if int(count) != found.size or not found.size or not np.isfinite(found).all():
+        raise ValueError
+    return found[np.argsort(found[:, 0], kind="stable")]
+
 
 PRESETS = {
     # Hounsfield units: water is 0, and compact bone from 300 on.
@@ -136,6 +237,36 @@ PRESETS = {
             (400.0, 1.0, 0.95, 0.88, 0.98),
         )
     ),
+    # Muscle from 40 to 70; fat, below 0, is not seen.
+    "ct-muscle": TransferFunction(
+        (
+            (-10.0, 0.42, 0.12, 0.10, 0.0),
+            (30.0, 0.60, 0.20, 0.16, 0.15),
+            (70.0, 0.76, 0.33, 0.26, 0.5),
+            (150.0, 0.88, 0.64, 0.50, 0.7),
+            (400.0, 1.0, 0.96, 0.90, 0.9),
+        )
+    ),
+    # Lungs are about -850 where they are full of air, and denser around vessels and airways.
+    "ct-lung": TransferFunction(
+        (
+            (-920.0, 0.30, 0.42, 0.62, 0.0),
+            (-850.0, 0.45, 0.58, 0.78, 0.008),
+            (-700.0, 0.86, 0.66, 0.62, 0.06),
+            (-500.0, 0.95, 0.78, 0.70, 0.12),
+            (-300.0, 0.95, 0.78, 0.70, 0.0),
+        )
+    ),
+    # Blood with a contrast medium, from 150 to 450 as a rule; bone is denser, or as dense where it is spongy.
+    "ct-vessels": TransferFunction(
+        (
+            (130.0, 0.55, 0.06, 0.06, 0.0),
+            (200.0, 0.78, 0.12, 0.09, 0.35),
+            (400.0, 0.92, 0.30, 0.18, 0.75),
+            (600.0, 0.97, 0.84, 0.70, 0.8),
+            (1300.0, 1.0, 0.98, 0.94, 0.92),
+        )
+    ),
     # Fractions of the range: magnetic resonance has no units.
     "mr-head": TransferFunction(
         (
@@ -147,6 +278,17 @@ PRESETS = {
         ),
         relative=True,
     ),
+    # Where all but the brain is 0.
+    "mr-brain": TransferFunction(
+        (
+            (0.12, 0.42, 0.26, 0.25, 0.0),
+            (0.30, 0.70, 0.50, 0.46, 0.3),
+            (0.55, 0.88, 0.74, 0.68, 0.75),
+            (0.80, 0.97, 0.91, 0.86, 0.9),
+            (1.0, 1.0, 0.98, 0.96, 0.95),
+        ),
+        relative=True,
+    ),
     "grey": TransferFunction(
         ((0.02, 0.0, 0.0, 0.0, 0.0), (0.2, 0.3, 0.3, 0.3, 0.05), (1.0, 1.0, 1.0, 1.0, 0.6)), relative=True
     ),
@@ -154,15 +296,7 @@ PRESETS = {
 
 
 def transfer_of(name: str | os.PathLike[str]) -> TransferFunction:
-    """Return a preset by its name, or a transfer function from a JSON file."""
+    """Return a preset by its name, or a transfer function from a file: JSON, or 3D Slicer's."""
     if isinstance(name, str) and name in PRESETS:
         return PRESETS[name]
-    path = Path(name)
-    if path.suffix.lower() != ".json":
-        refuse("a transfer function", f"a JSON file, or one of {', '.join(PRESETS)}", os.fspath(name))
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
-        raise SuppleError(f"cannot read {os.fspath(name)!r}: {reason}: name a transfer function in JSON") from None
-    return TransferFunction.from_json(text, os.fspath(name))
+    return TransferFunction.read(name)

@@ -145,7 +145,7 @@ class Stroke:
             refuse("path", "a sequence of points", given)
         made = tuple(point(f"path[{i}]", p, (ndim,)) for i, p in enumerate(given))
         if made and (self.brush != "grab" or self.also):
-            refuse("path", f"left out for a {'pull' if self.also else self.brush}", f"{len(made)} points")
+            refuse("path", f"left out for a {'pull' if self.also else self.brush}", told=f"{len(made)} points")
         return made
 
     def _checked_shape(self, ndim: int) -> dict[str, object]:
@@ -184,6 +184,7 @@ class Stroke:
         poisson: float | None = None,
         scales: int = 1,
         reach: float | None = REACH,
+        strength: float = 1.0,
     ) -> Self:
         """Return a stroke that drags the point ``at`` ``to`` another, or ``by`` a distance, or along a ``path``."""
         start = point("at", at)
@@ -196,7 +197,45 @@ class Stroke:
             drag = tuple(b - a for a, b in zip(start, end, strict=True))
         else:
             raise SuppleError(f"a grab takes one of to and by, found {'neither' if to is None else 'both'}")
-        return cls(at=start, by=drag, path=path, radius=radius, poisson=poisson, scales=scales, reach=reach)  # type: ignore[arg-type]
+        known: dict[str, Any] = {"poisson": poisson, "scales": scales, "reach": reach, "strength": strength}
+        return cls(at=start, by=drag, path=path, radius=radius, **known)  # type: ignore[arg-type]
+
+    @classmethod
+    def twist(
+        cls,
+        at: Point,
+        *,
+        angle: float,
+        radius: float,
+        axis: Point | None = None,
+        reach: float | None = REACH,
+        strength: float = 1.0,
+    ) -> Self:
+        """Return a stroke that turns what is around a point; see `supple.Deformation.twist`."""
+        return cls(brush="twist", at=at, angle=angle, axis=axis, radius=radius, reach=reach, strength=strength)  # type: ignore[arg-type]
+
+    @classmethod
+    def scale(
+        cls, at: Point, *, factor: float, radius: float, reach: float | None = REACH, strength: float = 1.0
+    ) -> Self:
+        """Return a stroke that magnifies what is around a point; see `supple.Deformation.scale`."""
+        return cls(brush="scale", at=at, factor=factor, radius=radius, reach=reach, strength=strength)  # type: ignore[arg-type]
+
+    @classmethod
+    def pinch(
+        cls,
+        at: Point,
+        *,
+        factor: float,
+        radius: float,
+        axis: Point | None = None,
+        poisson: float | None = None,
+        reach: float | None = REACH,
+        strength: float = 1.0,
+    ) -> Self:
+        """Return a stroke that squeezes what is around a point; see `supple.Deformation.pinch`."""
+        known: dict[str, Any] = {"axis": axis, "poisson": poisson, "reach": reach, "strength": strength}
+        return cls(brush="pinch", at=at, factor=factor, radius=radius, **known)  # type: ignore[arg-type]
 
     @classmethod
     def pull(
@@ -209,26 +248,29 @@ class Stroke:
         radius: float,
         poisson: float | None = None,
         reach: float | None = REACH,
+        strength: float = 1.0,
     ) -> Self:
         """Return a stroke that drags many points at once; see `supple.Deformation.pull`."""
         start = _points("points", points)
         if (to is None) == (by is None):
             raise SuppleError(f"a pull takes one of to and by, found {'neither' if to is None else 'both'}")
-        given = _points("by" if to is None else "to", by if to is None else to)
+        which = "by" if to is None else "to"
+        given, stay = _points(which, by if to is None else to), _points("pins", pins)
         if len(given) != len(start):
-            refuse("by" if to is None else "to", f"{len(start)} points, one for each of points", f"{len(given)}")
+            refuse(which, f"{len(start)} points, one for each of points", len(given))
+        for name, some in ((which, given), ("pins", stay)):
+            if start and some and len(some[0]) != len(start[0]):
+                refuse(name, f"points of {len(start[0])} numbers, as the dragged ones", told=f"{len(some[0])} numbers")
         drags = given
         if to is not None:
-            pairs_given = zip(start, given, strict=True)
-            drags = [[b - a for a, b in zip(p, q, strict=False)] for p, q in pairs_given]
-        stay = _points("pins", pins)
+            drags = [[b - a for a, b in zip(p, q, strict=True)] for p, q in zip(start, given, strict=True)]
         pairs = [*zip(start, drags, strict=True), *((p, [0.0] * len(p)) for p in stay)]
         if not start:
             refuse("points", "one point at least", points)
         if len(pairs) > MOST_HANDLES:
             refuse("points", f"at most {MOST_HANDLES} points, pins among them", len(pairs))
         (at, drag), *also = pairs
-        return cls(at=at, by=drag, also=also, radius=radius, poisson=poisson, reach=reach)  # type: ignore[arg-type]
+        return cls(at=at, by=drag, also=also, radius=radius, poisson=poisson, reach=reach, strength=strength)  # type: ignore[arg-type]
 
     @property
     def ndim(self) -> int:
@@ -395,7 +437,7 @@ def _points(name: str, values: object) -> list[list[float]]:
     if made.size == 0:
         return []
     if made.ndim != 2 or made.shape[1] not in (2, 3):
-        refuse(name, "points of 2 or 3 numbers each, x first", f"an array of shape {made.shape}")
+        refuse(name, "points of 2 or 3 numbers each, x first", told=f"an array of shape {made.shape}")
     return made.tolist()  # type: ignore[no-any-return]
 
 

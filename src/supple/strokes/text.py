@@ -7,13 +7,13 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
-from typing import Any, NoReturn
+from typing import Any, NoReturn, get_args
 
-from supple.domain import integer, point, refuse, value_shown
+from supple.domain import choice, integer, point, refuse, value_shown
 from supple.errors import SuppleError
 from supple.freezing import Freeze
 from supple.keys import Key
-from supple.strokes.stroke import Stroke
+from supple.strokes.stroke import Brush, Stroke
 from supple.strokes.table import POISSON
 
 VERSION = 2
@@ -130,6 +130,8 @@ def _stroke(where: str, entry: object, version: int) -> Stroke:
         _known([field.name for field in fields(Stroke)], version),
         "to" if "to" in entry and version > 1 else "by",
     )
+    if "brush" in entry:
+        choice(f"{where}: brush", entry["brush"], get_args(Brush))
     needed = {"twist": "angle", "scale": "factor", "pinch": "factor"}.get(str(entry.get("brush")), end)
     _check_keys(where, entry, [*known, "to"] if version > 1 else known, ["brush", "at", needed, "radius"])
     if end == "to":

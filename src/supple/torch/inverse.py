@@ -156,12 +156,12 @@ def _checked(values: object) -> tuple[torch.Tensor, bool]:
     if not isinstance(values, torch.Tensor):
         refuse("values", f"{wanted} (Field.invert takes arrays)", values)
     if values.dtype not in (torch.float32, torch.float64) or values.layout != torch.strided:
-        refuse("values", "a dense tensor of float32 or float64", f"{values.dtype}, {values.layout}")
+        refuse("values", "a dense tensor of float32 or float64", told=f"{values.dtype}, {values.layout}")
     shape = tuple(values.shape)
     batch = len(shape) == 5 or (len(shape) == 4 and shape[1] == 2)
     axes = len(shape) - 1 - batch
     if axes not in (2, 3) or shape[batch] != axes or 0 in shape[batch:]:
-        refuse("values", f"{wanted}, x first", f"shape {shape}")
+        refuse("values", f"{wanted}, x first", told=f"shape {shape}")
     if not torch.isfinite(values.detach()).all():
         raise SuppleError("the field holds NaN or infinity")
     return (values if batch else values[None]), not batch

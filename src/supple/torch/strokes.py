@@ -12,6 +12,7 @@ import torch
 from supple.deformation import Deformation
 from supple.domain import refuse
 from supple.engines.torch.field import Kind, Strokes, axes_of
+from supple.engines.torch.freedom import Freedom
 from supple.errors import FoldWarning, MissWarning, SuppleError
 from supple.strokes import Stroke, matrix_of, poisson_of
 
@@ -62,7 +63,8 @@ class Item:
             for given, known in zip((self.at, self.by, self.radius), numbers, strict=True)
         )
         kinds = [_kind(stroke, part, d) for part, stroke in zip(d.resolution()["damping"], d.strokes, strict=True)]
-        return Strokes(at, by, radius, kinds, axes_of(d.space), flows)
+        freedom = Freedom.of(d.space.freeze, dtype, device)
+        return Strokes(at, by, radius, kinds, axes_of(d.space), flows, freedom)
 
 
 def _kind(stroke: Stroke, part: float, d: Deformation) -> Kind:
@@ -138,7 +140,7 @@ def _check(name: str, tensor: object, axes: int, many: Sequence[Deformation]) ->
     if not isinstance(tensor, torch.Tensor):
         refuse(name, wanted, tensor)
     if tensor.ndim not in (axes, axes + 1) or list(tensor.shape[-axes:]) != sizes or tensor.is_complex():
-        refuse(name, wanted, f"{tensor.dtype} of shape {tuple(tensor.shape)}")
+        refuse(name, wanted, told=f"{tensor.dtype} of shape {tuple(tensor.shape)}")
 
 
 def _rebuilt(

@@ -42,6 +42,7 @@ class Job:
 
 
 _ROOM = 1 << 23  # the numbers in memory for points processed at once, mostly for gradients of T
+_OF_MASKS = 8  # as many terms of a stroke need as much room as the freeze mask's
 
 
 def warp(
@@ -184,9 +185,9 @@ def forward(
     if not isinstance(points, torch.Tensor):
         refuse("points", f"a tensor of shape (..., {n})", points)
     if not points.is_floating_point() or points.ndim == 0 or points.shape[-1] != n:
-        refuse("points", f"floats of shape (..., {n}), x first", f"{points.dtype} of shape {tuple(points.shape)}")
+        refuse("points", f"floats of shape (..., {n}), x first", told=f"{points.dtype} of shape {tuple(points.shape)}")
     if batch and (points.ndim < 2 or len(points) != len(given)):
-        refuse("points", f"of shape ({len(given)}, ..., {n}), as the batch is", f"shape {tuple(points.shape)}")
+        refuse("points", f"of shape ({len(given)}, ..., {n}), as the batch is", told=f"shape {tuple(points.shape)}")
     made = []
     for part, item in zip(points if batch else [points], given, strict=True):
         strokes = item.strokes(working(points), points.device)
@@ -199,14 +200,14 @@ def _check(tensor: object, shape: tuple[int, ...], count: int | None) -> None:
         refuse("tensor", "a PyTorch tensor (Deformation.warp takes arrays)", tensor)
     if tensor.is_complex() or tensor.is_quantized or tensor.layout != torch.strided or _odd(tensor.dtype):
         wanted = "dense, of bool, integers or floats of 16 to 64 bits"
-        refuse("tensor", wanted, f"{tensor.dtype}, {tensor.layout}")
+        refuse("tensor", wanted, told=f"{tensor.dtype}, {tensor.layout}")
     sizes, axes = ", ".join(map(str, shape)), len(shape)
     if tuple(tensor.shape[-axes:]) != shape or tensor.ndim > axes + 2:
         wanted = f"of shape ({sizes}), (C, {sizes}) or (N, C, {sizes}), as the deformation is"
-        refuse("tensor", wanted, f"shape {tuple(tensor.shape)}")
+        refuse("tensor", wanted, told=f"shape {tuple(tensor.shape)}")
     if count is not None and (tensor.ndim != axes + 2 or len(tensor) != count):
         wanted = f"of shape ({count}, C, {sizes}), as there are {count} deformations or sets of strokes"
-        refuse("tensor", wanted, f"shape {tuple(tensor.shape)}")
+        refuse("tensor", wanted, told=f"shape {tuple(tensor.shape)}")
 
 
 def _odd(dtype: torch.dtype) -> bool:
@@ -297,6 +298,9 @@ def _places(offsets: torch.Tensor, start: int, stop: int, how: Filter) -> tuple[
 
 
 def _chunks(offsets: torch.Tensor, job: Job) -> list[tuple[int, int]]:
-    terms = sum(kind.scales for kind in job.strokes.kinds) if job.strokes is not None else 0
+    terms = 0
+    if job.strokes is not None:
+        frozen = _OF_MASKS if job.strokes.freedom is not None else 0
+        terms = sum(kind.scales + frozen for kind in job.strokes.kinds)
     size, total = max(1, _ROOM // (len(job.work.fills[0]) + 16 * (terms + 1))), len(offsets)
     return [(start, min(start + size, total)) for start in range(0, total, size)]

@@ -178,6 +178,7 @@ def test_a_batch_has_strokes_of_its_own() -> None:
     assert torch.equal(seen, torch.stack([bending.forward(points[i], two[i]) for i in range(2)]))
 
 
+@pytest.mark.filterwarnings("ignore::supple.OutsideWarning")
 @pytest.mark.parametrize("shape", [(9, 11), (5, 6, 7), (1, 9), (1, 5, 6)])
 @pytest.mark.parametrize("border", [None, 4.0])
 def test_forward_is_the_engines(shape: tuple[int, ...], border: float | None) -> None:
@@ -320,6 +321,7 @@ def test_damping_is_constant_in_the_gradient() -> None:
     assert torch.allclose(given["radius"].grad, plain["radius"].grad)
 
 
+@pytest.mark.filterwarnings("ignore::supple.OutsideWarning")
 def test_strokes_that_flow() -> None:
     d = supple.Deformation((20, 24), border=8.0, on_fold="flow").grab(
         (3.3, 5.2), by=(0.8, -0.6), radius=6.0, reach=None

@@ -272,7 +272,7 @@ FLAT = torch.zeros(2, 6, 7)
             "values must be a dense tensor of float32 or float64, found",
         ),
         (lambda: bending.invert(FLAT.to_sparse()), "values must be a dense tensor of float32 or float64, found"),
-        (lambda: bending.invert(FLAT.movedim(0, -1)), "or (N, 3, Z, H, W), x first, found 'shape (6, 7, 2)'"),
+        (lambda: bending.invert(FLAT.movedim(0, -1)), "or (N, 3, Z, H, W), x first, found shape (6, 7, 2)"),
         (lambda: bending.invert(FLAT[0]), "or (N, 3, Z, H, W), x first"),
         (lambda: bending.invert(torch.zeros(1, 2, 4, 4, 4)), "or (N, 3, Z, H, W), x first"),
         (lambda: bending.invert(torch.zeros(2, 0, 4)), "or (N, 3, Z, H, W), x first"),

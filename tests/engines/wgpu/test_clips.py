@@ -93,6 +93,37 @@ def test_clips_are_bent_in_time(gpu: Gpu, kind: str) -> None:
     agree(bent().space, LAYOUTS[kind], noise(LAYOUTS[kind]))
 
 
+@pytest.mark.parametrize(("step", "offset"), [((2, 2), (0.5, 0.5)), ((4, 1), (1.5, 0.0))])
+@pytest.mark.parametrize("timed", [False, True])
+@pytest.mark.filterwarnings("ignore::supple.MissWarning")
+def test_every_component_knows_what_is_frozen(
+    gpu: Gpu, step: tuple[int, int], offset: tuple[float, float], timed: bool
+) -> None:
+    mask = np.zeros(SHAPE, bool)
+    mask[12:30, 20:38] = True
+    size = (6, *SHAPE) if timed else SHAPE
+    d = Deformation(size, time=timed, freeze=supple.Freeze.of(mask, width=6.0))
+    d = d.grab((42, 25, 3) if timed else (42, 25), by=(12, -6, 0.0) if timed else (12, -6), radius=14, reach=None)
+    layout = layout_of(step, offset, "f4", 1.0)
+    places = []  # of the samples of each group, which are what is warped
+    for group in layout.groups:
+        y, x = (group.step[1 - k] * np.arange(n) + group.offset[1 - k] for k, n in enumerate(group.shape))
+        places.append(np.stack(np.meshgrid(x, y), -1))
+    arrays = [
+        np.broadcast_to(at[..., : group.channels], (6, *group.shape, group.channels)).astype(np.float32)
+        for group, at in zip(layout.groups, places, strict=True)
+    ]
+    found, _ = streamed("gpu", of_frames(d, 6), layout, arrays)
+    for at, made, source in zip(places, found, arrays, strict=True):
+        still = ((at >= (20, 12)) & (at <= (37, 29))).all(axis=-1)
+        np.testing.assert_array_equal(made[:, still], source[:, still])
+        points = d.inverse(np.concatenate([at, np.full((*at.shape[:2], 1), 2.0)], -1)[..., : d.ndim]).points[..., :2]
+        within = ((points >= at[0, 0]) & (points <= at[-1, -1])).all(axis=-1)
+        away = np.abs(made[2] - points[..., : made.shape[-1]])[within]
+        assert away.max() < 0.01
+        assert np.abs(points - at).max() > 2
+
+
 @pytest.mark.parametrize("kind", ["4:2:0", "4:4:4 of 12 bits"])
 def test_every_frame_is_bent_alike(gpu: Gpu, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     solved: list[object] = []

@@ -8,6 +8,7 @@ import numpy as np
 
 from supple.engines.wgpu.buffers import Bound, Kept
 from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.field import FIELD
 from supple.engines.wgpu.kernel import READ, WRITE, bound, download, pipeline, room, run, upload
 
 
@@ -53,10 +54,9 @@ def test_what_a_shader_reads_is_what_is_held(gpu: Gpu) -> None:
 
 
 def test_a_group_is_made_anew_for_other_things(gpu: Gpu) -> None:
-    layout = pipeline(
-        gpu, ("field", "newton", "points", "turns"), "forward", ("uniform",) * 2 + (READ,) * 3 + (WRITE,)
-    )[1]
-    one, other = ([upload(gpu, np.zeros(64, np.float32), k) for k in ("uniform",) * 2 + (READ,) * 4] for _ in range(2))
+    kinds = ("uniform", "uniform", READ, READ, READ, WRITE, READ)
+    layout = pipeline(gpu, (*FIELD, "points", "turns"), "forward", kinds)[1]
+    one, other = ([upload(gpu, np.zeros(64, np.float32), k) for k in kinds] for _ in range(2))
     kept, made = Bound(), 0
 
     def make(things: Any) -> Any:
@@ -66,5 +66,5 @@ def test_a_group_is_made_anew_for_other_things(gpu: Gpu) -> None:
 
     first = kept.group(one, lambda: make(one))
     assert kept.group(list(one), lambda: make(one)) is first
-    assert kept.group([*one[:5], other[5]], lambda: make([*one[:5], other[5]])) is not first
+    assert kept.group([*one[:6], other[6]], lambda: make([*one[:6], other[6]])) is not first
     assert made == 2

@@ -23,9 +23,10 @@ AWAY = Limits(most=0.03, mean=2e-3, margin=0.01)
 ROWS = [
     *(row for row in rows(["image"], TYPES, few=True) if row.filter == "linear" and row.dtype != "f4"),
     *rows(["image"], ("f4",)),
-    *rows(["image, squeezed", "image, local", "image, turned"], ("u1",), few=True),
+    *rows(["image, squeezed", "image, local", "image, turned", "image, frozen"], ("u1",), few=True),
     *rows(["clip"], ("u1", "u2"), few=True),
-    *(row for row in rows(["volume", "volume, turned"], ("f2",), few=True) if not row.average),
+    *rows(["clip, frozen"], ("u1",), few=True),
+    *(row for row in rows(["volume", "volume, turned", "volume, frozen"], ("f2",), few=True) if not row.average),
     *rows(["image"], ("u1",), KINDS, few=True),
     *(row for row in rows(["clip"], ("u1",), ["opacity and light"], few=True) if row.filter != "linear"),
 ]

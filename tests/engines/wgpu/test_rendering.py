@@ -42,6 +42,33 @@ def test_a_picture_is_the_cpu_s(gpu: Gpu, cloud: np.ndarray, bent: supple.Deform
         assert (one.evaluations.sum() > 0) == (other.evaluations.sum() > 0) == (mode == "exact")
 
 
+@pytest.mark.parametrize("mode", ["plain", *MODES])
+def test_projections_planes_and_silhouettes_are_the_cpu_s(
+    gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, mode: str
+) -> None:
+    given: dict[str, Any] = {"transfer": SOFT, "tolerance": 0.05}
+    if mode != "plain":
+        given |= {"deformation": bent, "mode": mode}
+    camera = Camera(azimuth=25, elevation=20)
+    plain = Scene(cloud, GEOMETRY, **given).render(camera, SIZE)
+    for options in (
+        {"projection": "maximum", "density": (0.2, 0.9)},
+        {"projection": "minimum", "plane": ((13, 14, 11), (0.3, -1, 0.5))},
+        {"projection": "average", "clip": ((3, 20), (None, None), (None, 15))},
+        {"plane": ((13, 14, 11), (0.3, -1, 0.5)), "silhouettes": 0.4},
+        {"plane": ((13, 14, 11), (-0.3, 1, 0.5)), "silhouettes": 1.0},
+    ):
+        one, other = (
+            Scene(cloud, GEOMETRY, device=device, **given, **options).render(camera, SIZE) for device in ("cpu", "gpu")
+        )
+        assert np.ptp(one.pixels((0.1, 0.2, 0.3))) > 60
+        assert apart(one, plain) < 35
+        assert apart(one, other) > 48
+        both = np.isfinite(one.depth) & np.isfinite(other.depth)
+        assert np.quantile(abs(one.depth[both] - other.depth[both]), 0.95) < 0.01
+        assert (np.isfinite(one.depth) != np.isfinite(other.depth)).mean() < 4e-3
+
+
 @pytest.mark.parametrize("mode", ["exact", "buffered"])
 @pytest.mark.parametrize("profile", ["quartic", "sine"])
 def test_strokes_with_a_reach_are_seen(gpu: Gpu, cloud: np.ndarray, mode: str, profile: str) -> None:

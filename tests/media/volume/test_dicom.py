@@ -155,7 +155,8 @@ class TestDICOM:
         np.testing.assert_array_equal(known.samples, samples)
         wanted = Geometry(SPACING, ORIGIN, turned(flipped=False), "LPS")
         np.testing.assert_allclose(known.geometry.matrix, wanted.matrix, atol=1e-5)
-        assert (known.format, known.geometry.convention, known.header) == ("DICOM", "LPS", None)
+        assert (known.format, known.geometry.convention) == ("DICOM", "LPS")
+        assert known.header == tuple(map(str, sorted((tmp_path / "in").iterdir())))
 
     def test_others_see_the_same_places(self, tmp_path):
         folder = slices(tmp_path / "in", noise("i2", *SHAPE))
@@ -311,6 +312,22 @@ class TestDICOM:
         sitk.WriteImage(made, str(tmp_path / "in.dcm"))
         np.testing.assert_array_equal(read(tmp_path / "in.dcm").samples, samples)
         assert read(tmp_path / "in.dcm").sizes == (6, 5, 4)
+
+    def test_what_lies_beside_a_named_slice(self, tmp_path):
+        samples = noise("i2", *SHAPE)
+        folder = slices(tmp_path / "in", samples)
+        (folder / "odd.dcm").write_bytes(b"not DICOM at all")
+        assert "odd.dcm" in refused(read, folder)
+        with pytest.warns(VolumeWarning, match=r"odd\.dcm \(not readable\) in"):
+            np.testing.assert_array_equal(read(folder / "1.2.3.4-0.dcm").samples, samples)
+
+    def test_files_without_a_picture_are_named(self, tmp_path):
+        no_image(tmp_path / "rs.dcm", "481.3", "RTSTRUCT")
+        assert "DICOM without a picture (RTSTRUCT): supple points moves its contours" in refused(
+            read, tmp_path / "rs.dcm"
+        )
+        no_image(tmp_path / "sr.dcm", "88.11", "SR")
+        assert "DICOM without a picture (SR)" in refused(read, tmp_path / "sr.dcm")
 
     def test_folders_without(self, tmp_path):
         assert not is_volume(tmp_path)

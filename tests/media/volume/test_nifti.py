@@ -8,12 +8,15 @@ import nibabel
 import numpy as np
 import pytest
 import SimpleITK as sitk  # noqa: N813
+from nibabel.processing import resample_to_output
 
+import supple
 from supple.errors import VolumeWarning
 from supple.media.volume import (
     read,
     write,
 )
+from supple.strokes import Recipe, Stroke
 from tests.media.volume.volumes import (
     ORIGIN,
     SHAPE,
@@ -244,3 +247,58 @@ class TestNIfTI:
         stored[-20] ^= 1
         path.write_bytes(stored)
         assert "damaged" in refused(read, path)
+
+
+class TestWarped:
+    """Files of nibabel's, warped as a whole and one by one."""
+
+    RECIPE = Recipe(strokes=(Stroke.grab((3, 3, 3), by=(1, 0.5, -0.5), radius=4),))
+    AFFINE = np.array([[-2, 0, 0, 30], [0, 2.25, 0, -20], [0, 0, 2.5, 5], [0, 0, 0, 1.0]])
+
+    def alone(self, values):
+        nibabel.Nifti1Image(values, self.AFFINE).to_filename("one.nii")
+        supple.warp_file("one.nii", "one-out.nii", self.RECIPE, force=True, clamp=False)
+        return np.asanyarray(nibabel.load("one-out.nii").dataobj)
+
+    @pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".nrrd", ".mha"])
+    def test_a_series_in_time(self, tmp_path, monkeypatch, suffix):
+        monkeypatch.chdir(tmp_path)
+        times = noise("i2", 8, 7, 6, 3)
+        known = nibabel.Nifti1Image(times, self.AFFINE)
+        known.header.set_zooms((2, 2.25, 2.5, 1.75))
+        known.header.set_xyzt_units("mm", "sec")
+        known.header["toffset"], known.header["slice_duration"] = 3.5, 0.125
+        known.to_filename("in.nii.gz")
+        supple.warp_file("in.nii.gz", f"out{suffix}", self.RECIPE, clamp=False)
+        made = read(f"out{suffix}")
+        assert (made.series, made.interval, made.geometry.spacing) == (True, 1.75, (2, 2.25, 2.5))
+        for t in range(3):
+            np.testing.assert_array_equal(made.samples[t].T, self.alone(times[..., t]))
+        if suffix.startswith(".nii"):
+            header = nibabel.load(f"out{suffix}").header
+            assert header.get_zooms() == (2, 2.25, 2.5, 1.75)
+            assert (header["toffset"], header["slice_duration"]) == (3.5, 0.125)
+
+    @pytest.mark.parametrize("suffix", [".nii.gz", ".nrrd", ".mha", ".tif"])
+    def test_colours(self, tmp_path, monkeypatch, suffix):
+        monkeypatch.chdir(tmp_path)
+        colours = noise("u1", 8, 7, 6, 3)
+        packed = colours.view([("R", "u1"), ("G", "u1"), ("B", "u1")]).reshape(8, 7, 6)
+        nibabel.Nifti1Image(packed, self.AFFINE).to_filename("in.nii.gz")
+        supple.warp_file("in.nii.gz", f"out{suffix}", self.RECIPE, clamp=False)
+        made = read(f"out{suffix}")
+        for c in range(3):
+            np.testing.assert_array_equal(made.samples[..., c].T, self.alone(np.ascontiguousarray(colours[..., c])))
+        if suffix == ".nii.gz":
+            assert nibabel.load("out.nii.gz").get_data_dtype() == packed.dtype
+
+    def test_sheared_axes_are_refused_until_they_are_resampled(self, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        sheared = self.AFFINE.copy()
+        sheared[1, 2] = 0.75
+        known = nibabel.Nifti1Image(noise("i2", 8, 7, 6).astype("f4"), sheared)
+        known.to_filename("in.nii")
+        assert "right angles" in refused(read, "in.nii")
+        resample_to_output(known).to_filename("upright.nii")
+        supple.warp_file("upright.nii", "out.nii", self.RECIPE)
+        assert read("out.nii").sizes == read("upright.nii").sizes

@@ -1,1 +1,1 @@
-"""The engine for NVIDIA GPUs: kernels in Python, compiled by Numba, a thread for each point."""
+"""The CUDA engine: the core's arithmetic, compiled by NVRTC for NVIDIA GPUs."""

@@ -12,10 +12,50 @@ import numpy.typing as npt
 
 from supple.domain import refuse
 from supple.engines.base import check_gradients
-from supple.engines.cuda.device import CudaDevice, open_device, simulated
+from supple.engines.cuda.device import CudaDevice, Memory, Stream, open_device
 from supple.errors import SuppleError
 
 _CUDA = (2, 13)  # DLPack's device types: GPU memory, and memory shared with the host
+
+
+class CudaArray:
+    """A result on a GPU for arrays of libraries that Supple does not know, with the interfaces that all of them take.
+
+    Parameters
+    ----------
+    shape : tuple of int
+    dtype : numpy.dtype
+    gpu : CudaDevice
+    stream : Stream
+        The stream that its memory belongs to.
+    """
+
+    def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any], gpu: CudaDevice, stream: Stream) -> None:
+        self.shape, self.dtype, self._gpu = shape, dtype, gpu
+        self._memory = Memory(int(np.prod(shape, dtype=np.int64)) * dtype.itemsize, stream)
+
+    @property
+    def __cuda_array_interface__(self) -> dict[str, Any]:
+        return {
+            "shape": self.shape,
+            "strides": None,
+            "typestr": self.dtype.str,
+            "data": (self._memory.pointer, False),
+            "stream": self._memory.stream.handle or 1,
+            "version": 3,
+        }
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        return _CUDA[0], self._gpu.number
+
+    def __dlpack__(self, **options: Any) -> Any:
+        from cuda.core import Buffer
+        from cuda.core.utils import StridedMemoryView
+
+        self._memory.stream.synchronize()  # whatever stream they ask for
+        held = Buffer.from_handle(self._memory.pointer, self._memory.size, owner=self)
+        options.pop("stream", None)
+        return StridedMemoryView.from_buffer(held, self.shape, dtype=self.dtype).__dlpack__(**options)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,15 +67,15 @@ class DeviceArray:
     given : object
         The library's array.
     kind : str
-        "torch", "cupy" or "numba": the library of new arrays.
+        "torch", "cupy", "numba" or "other": the library of new arrays.
     shape, strides : tuple of int
         In samples.
     dtype : numpy.dtype
     pointer : int
         The address of the first sample.
     gpu : CudaDevice
-    stream : object
-        Numba's object for the current stream of the library.
+    stream : Stream
+        The current stream of the library.
     writable : bool
     """
 
@@ -46,7 +86,7 @@ class DeviceArray:
     dtype: np.dtype[Any]
     pointer: int
     gpu: CudaDevice
-    stream: Any
+    stream: Stream
     writable: bool = True
 
     @property
@@ -55,40 +95,22 @@ class DeviceArray:
         return len(self.shape)
 
     @property
-    def below(self) -> int:
-        """The number of samples before the first one in memory, where strides are negative."""
-        return sum((n - 1) * -s for n, s in zip(self.shape, self.strides, strict=True) if s < 0)
-
-    @property
-    def span(self) -> int:
-        """The number of samples from the first to the last in memory."""
-        if 0 in self.shape:
-            return 0
-        return 1 + sum((n - 1) * abs(s) for n, s in zip(self.shape, self.strides, strict=True))
-
-    def flat(self) -> Any:
-        """Return the memory of the array, as Numba's array of one axis; it begins ``below`` samples before that."""
-        kind = np.dtype(np.uint8) if self.dtype == np.bool_ else self.dtype
-        if simulated():
-            return _flat_in_simulator(self, kind)
-        from numba import cuda
-
-        described = {
-            "shape": (self.span,),
-            "strides": None,
-            "typestr": kind.str,
-            "data": (self.pointer - self.below * kind.itemsize, False),
-            "version": 3,
-        }
-        return cuda.from_cuda_array_interface(described, owner=self.given, sync=False)
+    def size(self) -> int:
+        """The number of samples."""
+        return int(np.prod(self.shape, dtype=np.int64))
 
     def overlaps(self, other: DeviceArray) -> bool:
         """Return whether two arrays may share memory."""
-        first, second = (
-            (a.pointer - a.below * a.dtype.itemsize, a.pointer + (a.span - a.below) * a.dtype.itemsize)
-            for a in (self, other)
-        )
-        return self.gpu.number == other.gpu.number and first[0] < second[1] and second[0] < first[1]
+        if self.size == 0 or other.size == 0 or self.gpu.number != other.gpu.number:
+            return False
+        first, second = (a._bounds() for a in (self, other))
+        return first[0] < second[1] and second[0] < first[1]
+
+    def _bounds(self) -> tuple[int, int]:
+        """Return the addresses of the first byte, and of that after the last."""
+        steps = [(n - 1) * s for n, s in zip(self.shape, self.strides, strict=True)]
+        below, above = sum(min(s, 0) for s in steps), sum(max(s, 0) for s in steps)
+        return self.pointer + below * self.dtype.itemsize, self.pointer + (above + 1) * self.dtype.itemsize
 
 
 def is_on_device(value: object) -> bool:
@@ -114,9 +136,13 @@ def _is_tensor(value: object) -> bool:
     return torch is not None and isinstance(value, torch.Tensor)
 
 
-def _is_cupy(value: object) -> bool:
+def _kind_of(value: object) -> str:
     cupy = sys.modules.get("cupy")
-    return cupy is not None and isinstance(value, cupy.ndarray)
+    if _is_tensor(value):
+        return "torch"
+    if cupy is not None and isinstance(value, cupy.ndarray):
+        return "cupy"
+    return "numba" if hasattr(value, "__cuda_ndarray__") and "numba.cuda" in sys.modules else "other"
 
 
 def taken(value: Any, name: str) -> DeviceArray:
@@ -130,31 +156,33 @@ def taken(value: Any, name: str) -> DeviceArray:
     if not is_on_device(value):
         refuse(name, "an array on a GPU", value)
     check_gradients(value, name)
-    if simulated():
-        open_device()
-        return _in_simulator(value)
-    kind = "torch" if _is_tensor(value) else "cupy" if _is_cupy(value) else "numba"
+    kind = _kind_of(value)
     gpu = open_device(_number_of(value, kind))  # before any call that needs the driver
-    from cuda.core.utils import StridedMemoryView
-
-    own = kind != "numba" or hasattr(value, "__cuda_ndarray__")
     try:
         with gpu.current():  # some libraries export only arrays on the current device
-            view = StridedMemoryView.from_any_interface(value, stream_ptr=-1 if own else 1)
-        # Known libraries work in the order of their stream; for others, wait for the default stream.
-        if not view.is_device_accessible:
-            raise BufferError("its memory is not a GPU's")
+            view = _viewed(value, kind)
         shape = tuple(int(n) for n in view.shape)
         dtype = np.dtype(view.dtype)
     except Exception as error:  # every library has errors of its own
         refuse(
             name, "an array on a GPU, of bool, integers or floats of 16 to 64 bits", " ".join(str(error).split())[:80]
         )
-    strides = tuple(view.strides) if view.strides is not None else _dense(shape)
+    strides = tuple(view.strides) if view.strides is not None else dense(shape)
     if int(view.device_id) != gpu.number:
         gpu = open_device(int(view.device_id))
     return DeviceArray(value, kind, shape, tuple(int(s) for s in strides), dtype, int(view.ptr), gpu,
-                  stream_of(value, kind, gpu), not view.readonly)  # fmt: skip
+                       stream_of(value, kind), not view.readonly)  # fmt: skip
+
+
+def _viewed(value: Any, kind: str) -> Any:
+    """Return the description of an array; CudaArray and tests have one of their own."""
+    from cuda.core.utils import StridedMemoryView
+
+    # Known libraries work in the order of their stream; others wait until what makes the array is done.
+    view = StridedMemoryView.from_any_interface(value, stream_ptr=1 if kind == "other" else -1)
+    if not view.is_device_accessible:
+        raise BufferError("its memory is not a GPU's")
+    return view
 
 
 def plain(value: Any) -> Any:
@@ -171,53 +199,38 @@ def _number_of(value: Any, kind: str) -> int:
     return int(value.device.id) if kind == "cupy" else 0
 
 
-def _dense(shape: Sequence[int]) -> tuple[int, ...]:
+def dense(shape: Sequence[int]) -> tuple[int, ...]:
+    """Return the strides of a contiguous array, in samples."""
     return tuple(int(np.prod(shape[k + 1 :], dtype=np.int64)) for k in range(len(shape)))
 
 
-def stream_of(value: Any, kind: str, gpu: CudaDevice) -> Any:
+def stream_of(value: Any, kind: str) -> Stream:
     """Return the current stream of a library."""
-    if simulated():
-        return 0
-    with gpu.current():
-        pointer = 0
-        if kind == "torch":
-            pointer = int(sys.modules["torch"].cuda.current_stream(value.device).cuda_stream)
-        elif kind == "cupy":
-            with value.device:
-                pointer = int(sys.modules["cupy"].cuda.get_current_stream().ptr)
-        elif hasattr(value, "__cuda_ndarray__") and value.stream:
-            return value.stream
-        return known_stream(gpu, pointer)
+    if kind == "torch":
+        return Stream(int(sys.modules["torch"].cuda.current_stream(value.device).cuda_stream))
+    if kind == "cupy":
+        with value.device:
+            return Stream(int(sys.modules["cupy"].cuda.get_current_stream().ptr))
+    own = getattr(value, "stream", None) if kind == "numba" else None
+    return as_stream(own) if own else Stream(0)
 
 
-_streams: dict[tuple[int, int], Any] = {}
-
-
-def known_stream(gpu: CudaDevice, pointer: int) -> Any:
-    """Return Numba's object for a stream, cached, so that prepared launches are found again."""
-    from numba import cuda
-
-    key = (gpu.number, pointer)
-    if key not in _streams:
-        if len(_streams) > 256:
-            _streams.clear()
-        _streams[key] = cuda.external_stream(pointer) if pointer else cuda.legacy_default_stream()
-    return _streams[key]
-
-
-def as_stream(value: Any, gpu: CudaDevice) -> Any:
-    """Return a stream of any library as Numba's; SuppleError if it is not a stream."""
-    if simulated() and hasattr(value, "synchronize"):
+def as_stream(value: Any) -> Stream:
+    """Return a stream of any library; SuppleError if it is not a stream."""
+    if isinstance(value, Stream):
         return value
-    for name in ("cuda_stream", "ptr"):  # PyTorch's, and CuPy's
-        if isinstance(getattr(value, name, None), int):
-            return known_stream(gpu, getattr(value, name))
-    if hasattr(value, "handle") and hasattr(value, "auto_synchronize"):  # Numba's
-        return value
+    for name in ("cuda_stream", "ptr", "handle"):  # PyTorch's, CuPy's, and Numba's or NVIDIA's own
+        known = getattr(value, name, None)
+        if known is not None and not isinstance(value, np.ndarray):
+            with_value = getattr(known, "value", known)
+            try:
+                return Stream(int(with_value or 0))
+            except (TypeError, ValueError):
+                continue
     if not hasattr(value, "__cuda_stream__"):
         refuse("stream", "a stream of PyTorch, CuPy or Numba, or left out", value)
-    return known_stream(gpu, int(value.__cuda_stream__()[1]))
+    said = value.__cuda_stream__
+    return Stream(int((said() if callable(said) else said)[1]))
 
 
 def made_like(
@@ -225,36 +238,34 @@ def made_like(
 ) -> DeviceArray:
     """Return a new array of the same library and GPU; ``as_it_lies``: with the same strides, for an equal shape."""
     with source.gpu.current():
-        return _made_like(source, shape, np.dtype(dtype), as_it_lies)
+        return taken(_made_like(source, tuple(shape), np.dtype(dtype), as_it_lies), "the result")
 
 
-def _made_like(source: DeviceArray, shape: Sequence[int], kind: np.dtype[Any], as_it_lies: bool) -> DeviceArray:
+def _made_like(source: DeviceArray, shape: tuple[int, ...], kind: np.dtype[Any], as_it_lies: bool) -> Any:
     if source.kind == "torch":
         torch = sys.modules["torch"]
         if as_it_lies:
-            given = torch.empty_like(source.given, memory_format=torch.preserve_format)
-        else:
-            given = torch.empty(tuple(shape), dtype=getattr(torch, kind.name), device=source.given.device)
-    elif source.kind == "cupy":
+            return torch.empty_like(source.given, memory_format=torch.preserve_format)
+        return torch.empty(shape, dtype=getattr(torch, kind.name), device=source.given.device)
+    if source.kind == "cupy":
         cupy = sys.modules["cupy"]
         with source.given.device:
-            given = cupy.empty_like(source.given, order="K") if as_it_lies else cupy.empty(tuple(shape), kind)
-    else:
-        from numba import cuda
-
+            return cupy.empty_like(source.given, order="K") if as_it_lies else cupy.empty(shape, kind)
+    if source.kind == "numba":
         # Bound to a stream only if the source is: arrays bound to the default stream cannot be exported.
-        bound = getattr(source.given, "stream", 0) if hasattr(source.given, "__cuda_ndarray__") else 0
-        given = cuda.device_array(tuple(shape), kind, stream=bound or 0)
-    return taken(given, "the result")
+        return sys.modules["numba.cuda"].device_array(shape, kind, stream=getattr(source.given, "stream", 0) or 0)
+    return CudaArray(shape, kind, source.gpu, source.stream)
 
 
-def checked_out(out: Any, source: DeviceArray) -> DeviceArray:
-    """Return a user's array for a result; SuppleError if it does not fit the source."""
-    wanted = f"an array on the source's GPU, of {source.dtype} and shape {source.shape}, as the source is"
+def checked_out(out: Any, source: DeviceArray, shape: tuple[int, ...]) -> DeviceArray:
+    """Return a user's array for a result; SuppleError if it does not fit the source, or a shape."""
+    wanted = f"an array on the source's GPU, of {source.dtype} and shape {shape}, as the source is"
+    if shape != source.shape:
+        wanted = f"an array on the source's GPU, of {source.dtype} and shape {shape}, as the grid is"
     if not is_on_device(out):
         refuse("out", wanted, out)
     target = taken(out, "out")
-    if target.shape != source.shape or target.dtype != source.dtype or target.gpu.number != source.gpu.number:
+    if target.shape != shape or target.dtype != source.dtype or target.gpu.number != source.gpu.number:
         refuse("out", wanted, f"{target.dtype} of shape {target.shape} on GPU {target.gpu.number}")
     if not target.writable:
         raise SuppleError("out must be an array that can be written, found a read-only one")
@@ -267,29 +278,10 @@ def checked_out(out: Any, source: DeviceArray) -> DeviceArray:
 
 def contiguous(source: DeviceArray) -> DeviceArray:
     """Return a contiguous copy; SuppleError if the library has none."""
-    if source.strides == _dense(source.shape) or source.span <= 1:
+    if source.size <= 1 or source.strides == dense(source.shape):
         return source
     if source.kind == "torch":
         return taken(source.given.contiguous(), "the array")
     if source.kind == "cupy":
         return taken(sys.modules["cupy"].ascontiguousarray(source.given), "the array")
     raise SuppleError(f"points must lie one after the other in memory, found strides {source.strides}")
-
-
-def _in_simulator(value: Any) -> DeviceArray:
-    array = value._ary if hasattr(value, "_ary") else np.asarray(value)
-    strides = tuple(s // array.itemsize for s in array.strides)
-    pointer = array.__array_interface__["data"][0]
-    return DeviceArray(
-        value, "numba", array.shape, strides, array.dtype, pointer, open_device(), 0, array.flags.writeable
-    )
-
-
-def _flat_in_simulator(array: DeviceArray, kind: np.dtype[Any]) -> Any:
-    import ctypes
-
-    from numba.cuda.simulator.cudadrv.devicearray import FakeCUDAArray
-
-    size = array.span * kind.itemsize
-    memory = (ctypes.c_ubyte * size).from_address(array.pointer - array.below * kind.itemsize)
-    return FakeCUDAArray(np.frombuffer(memoryview(memory), kind))

@@ -1,19 +1,51 @@
-"""The NVIDIA GPU, and the error messages where there is none."""
+"""The NVIDIA GPU through its driver: devices, streams, events and memory, and the errors where there is none."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
-import importlib.util
+import importlib
 import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from supple.errors import SuppleError
 
 INSTALL = 'pip install "supple[cuda12]" or "supple[cuda13]", for drivers from 525 or 580 on'
-OLDEST = ((6, 0), (7, 5))  # compute capability, for CUDA 12 and 13: the least that kernels are compiled for
+OLDEST = 75  # compute capability 7.5: the least that CUDA 13 compiles for
+
+Array = npt.NDArray[Any]
+
+
+class CudaError(RuntimeError):
+    """A call of the driver, or of its compiler, that failed."""
+
+
+@functools.cache
+def driver() -> Any:
+    """Return the bindings of NVIDIA's driver; tests put a driver in memory in their place."""
+    try:
+        return importlib.import_module("cuda.bindings.driver")
+    except ImportError:
+        raise SuppleError(f"CUDA needs the package cuda-bindings, which is not installed: {INSTALL}") from None
+
+
+def call(name: str, *arguments: Any) -> Any:
+    """Call a function of the driver, and return its results: one, several, or None.
+
+    Raises
+    ------
+    CudaError
+        If it fails; the message has the function and the driver's own name of the error.
+    """
+    status, *results = getattr(driver(), name)(*arguments)
+    if int(status) != 0:
+        raise CudaError(f"{name}: {getattr(status, 'name', status)}")
+    return results[0] if len(results) == 1 else results or None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,60 +57,145 @@ class CudaDevice:
     number : int
         The number of the device in CUDA.
     name : str
-    processors : int
-        Streaming multiprocessors.
+    arch : int
+        Its compute capability: 90 for 9.0.
     context : object
-        Numba's context.
+        The driver's primary context, which other libraries use, too.
     """
 
     number: int
     name: str
-    processors: int
+    arch: int
     context: Any
 
     @contextlib.contextmanager
     def current(self) -> Iterator[None]:
         """Make it the current device of this thread."""
-        with self.context:
+        call("cuCtxPushCurrent", self.context)
+        try:
             yield
+        finally:
+            call("cuCtxPopCurrent")
 
-    def stream(self) -> Any:
-        """Return a new stream that does not synchronize with the default stream, unlike Numba's own."""
-        cuda = _numba()
-        if simulated():
-            return cuda.stream()
-        from cuda.bindings import driver
-
+    def stream(self) -> Stream:
+        """Return a new stream that does not wait for the default stream."""
         with self.current():
-            status, handle = driver.cuStreamCreate(driver.CUstream_flags.CU_STREAM_NON_BLOCKING.value)
-            if status != driver.CUresult.CUDA_SUCCESS:
-                raise SuppleError(f"{self.name} has no room for another stream ({status.name})")
-            made = cuda.external_stream(int(handle))
-        weakref.finalize(made, driver.cuStreamDestroy, handle)
+            handle = int(call("cuStreamCreate", int(driver().CUstream_flags.CU_STREAM_NON_BLOCKING)))
+        made = Stream(handle)
+        weakref.finalize(made, _ended, "cuStreamDestroy", handle)
         return made
 
     @property
     def free(self) -> int:
         """Return the free memory in bytes."""
         with self.current():
-            found = _numba().current_context().get_memory_info().free
-        return int(min(found, 1 << 62))
+            return int(call("cuMemGetInfo")[0])
 
 
-def simulated() -> bool:
-    """Return whether Numba simulates a GPU, as in tests."""
-    from numba.core import config
+@dataclass(frozen=True, slots=True, weakref_slot=True)
+class Stream:
+    """A stream of a device: work in order. 0 is the default stream of the device."""
 
-    return bool(getattr(config, "ENABLE_CUDASIM", 0))
+    handle: int
+
+    def synchronize(self) -> None:
+        """Wait until all work is done."""
+        call("cuStreamSynchronize", self.handle)
+
+    def record(self) -> Event:
+        """Return an event at the end of the work so far."""
+        handle = int(call("cuEventCreate", int(driver().CUevent_flags.CU_EVENT_DISABLE_TIMING)))
+        made = Event(handle)
+        weakref.finalize(made, _ended, "cuEventDestroy", handle)
+        call("cuEventRecord", handle, self.handle)
+        return made
+
+    def wait(self, event: Event) -> None:
+        """Make later work wait for an event."""
+        call("cuStreamWaitEvent", self.handle, event.handle, 0)
 
 
-def _numba() -> Any:
-    """Return Numba's interface to CUDA; SuppleError if it is missing."""
-    if importlib.util.find_spec("numba_cuda") is None:
-        raise SuppleError(f"CUDA needs the package numba-cuda, which is not installed: {INSTALL}")
-    from numba import cuda
+@dataclass(frozen=True, slots=True, weakref_slot=True)
+class Event:
+    """A place in the work of a stream."""
 
-    return cuda
+    handle: int
+
+    def done(self) -> bool:
+        """Return whether the work before it is done, without waiting; CudaError if the device failed."""
+        status = driver().cuEventQuery(self.handle)[0]
+        if int(status) not in (0, int(driver().CUresult.CUDA_ERROR_NOT_READY)):
+            raise CudaError(f"cuEventQuery: {getattr(status, 'name', status)}")
+        return int(status) == 0
+
+    def synchronize(self) -> None:
+        """Wait for it."""
+        call("cuEventSynchronize", self.handle)
+
+
+class Memory:
+    """Memory of a device, which belongs to a stream: it is freed after the work that is on the stream by then.
+
+    Parameters
+    ----------
+    size : int
+        Bytes.
+    stream : Stream
+    """
+
+    def __init__(self, size: int, stream: Stream) -> None:
+        self.size, self.stream = size, stream
+        self.pointer = int(call("cuMemAllocAsync", max(size, 16), stream.handle))
+        self._free = weakref.finalize(self, _ended, "cuMemFreeAsync", self.pointer, stream.handle)
+
+    def close(self) -> None:
+        """Free it, after what its stream has to do so far."""
+        self._free()
+
+    def upload(self, array: Array, start: int = 0) -> None:
+        """Copy a contiguous host array to it, from a byte on; what the array holds may change on return."""
+        if array.nbytes:
+            call("cuMemcpyHtoDAsync", self.pointer + start, array.ctypes.data, array.nbytes, self.stream.handle)
+
+    def download(self, array: Array, start: int = 0) -> None:
+        """Copy from it to a contiguous host array; the array is complete when the stream gets there."""
+        if array.nbytes:
+            call("cuMemcpyDtoHAsync", array.ctypes.data, self.pointer + start, array.nbytes, self.stream.handle)
+
+    def clear(self, start: int, size: int) -> None:
+        """Set bytes to 0."""
+        call("cuMemsetD8Async", self.pointer + start, 0, size, self.stream.handle)
+
+
+class Pinned:
+    """Host memory that a device copies from and to by itself.
+
+    Parameters
+    ----------
+    size : int
+        Bytes.
+
+    Attributes
+    ----------
+    bytes : uint8 array
+    """
+
+    def __init__(self, size: int) -> None:
+        import ctypes
+
+        pointer = int(call("cuMemHostAlloc", max(size, 1), int(driver().CU_MEMHOSTALLOC_PORTABLE)))
+        memory = (ctypes.c_ubyte * size).from_address(pointer)
+        self.bytes: npt.NDArray[np.uint8] = np.frombuffer(memoryview(memory), np.uint8)
+        self._free = weakref.finalize(self, _ended, "cuMemFreeHost", pointer)
+
+
+def _ended(name: str, *arguments: Any) -> None:
+    """Destroy something of the driver; when Python ends, the driver may be gone before."""
+    with contextlib.suppress(Exception):
+        call(name, *arguments)
+
+
+_opened: dict[int, CudaDevice] = {}
 
 
 def open_device(number: int = 0) -> CudaDevice:
@@ -87,92 +204,73 @@ def open_device(number: int = 0) -> CudaDevice:
     Raises
     ------
     SuppleError
-        If Numba's package for CUDA, the driver or the GPU is missing, or too old; the message names a remedy.
+        If NVIDIA's packages, the driver or the GPU are missing, or too old; the message names a remedy.
     """
-    cuda = _numba()
-    if simulated():
-        return CudaDevice(number, "the simulator", 1, cuda.gpus[number])
-    return _opened(number)
+    if number not in _opened:
+        _opened[number] = _ready(number)
+    return _opened[number]
 
 
-@functools.lru_cache(maxsize=64)
-def _opened(number: int) -> CudaDevice:
-    cuda = _numba()
-    reason = _broken(cuda)
-    if reason:
-        raise SuppleError(reason)
-    count = len(cuda.gpus)
+def _ready(number: int) -> CudaDevice:
+    driver()
+    try:
+        call("cuInit", 0)
+        version, count = int(call("cuDriverGetVersion")), int(call("cuDeviceGetCount"))
+    except Exception as error:  # the bindings raise errors of their own where there is no library
+        raise SuppleError(_broken(error)) from None
+    needed = toolkit()
+    if needed and version < 1000 * needed:
+        older = ', or pip install "supple[cuda12]"' if version >= 12000 else ""
+        raise SuppleError(
+            f"NVIDIA's driver is too old: it knows CUDA {version // 1000}.{version % 1000 // 10}, and what is "
+            f"installed needs {needed}: update the driver{older}"
+        )
+    if not count:
+        raise SuppleError("no NVIDIA GPU was found: the driver sees none; device cpu needs none")
     if number >= count:
         raise SuppleError(f"GPU {number} is not there: CUDA sees {count} of them, counted from 0")
-    device = cuda.gpus[number]._device if hasattr(cuda.gpus[number], "_device") else cuda.gpus[number]
-    name = device.name.decode() if isinstance(device.name, bytes) else str(device.name)
-    found, oldest = tuple(device.compute_capability), OLDEST[toolkit() >= 13]
-    if found < oldest:
-        raise SuppleError(
-            f"{name} is too old: its compute capability is {found[0]}.{found[1]}, and {oldest[0]}.{oldest[1]} is needed"
-            "; device cpu needs no GPU"
-        )
     try:
-        from numba.cuda.cudadrv import nvvm
+        device = call("cuDeviceGet", number)
+        name = call("cuDeviceGetName", 256, device).split(b"\0")[0].decode(errors="replace")
+        about = driver().CUdevice_attribute
+        major, minor = (
+            int(call("cuDeviceGetAttribute", getattr(about, f"CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_{part}"), device))
+            for part in ("MAJOR", "MINOR")
+        )
+        if 10 * major + minor < OLDEST:
+            raise SuppleError(
+                f"{name} is too old: its compute capability is {major}.{minor}, and {OLDEST / 10:.1f} is needed; "
+                "device cpu needs no GPU"
+            )
+        context = call("cuDevicePrimaryCtxRetain", device)
+        made = CudaDevice(number, name, 10 * major + minor, context)
+        made.free  # noqa: B018 - it fails here, and not during a warp
+    except CudaError as error:
+        raise SuppleError(f"GPU {number} cannot be opened ({_short(error)}); device cpu needs no GPU") from None
+    return made
 
-        nvvm.NVVM()
-    except Exception as error:
-        raise SuppleError(f"CUDA's compiler is not there ({_short(error)}): {INSTALL}") from None
-    context = cuda.gpus[number]
-    with context:  # fails here, and not during a warp
-        try:
-            cuda.current_context().get_memory_info()
-        except Exception as error:  # drivers fail in many ways
-            raise SuppleError(f"{name} cannot be opened ({_short(error)}); device cpu needs no GPU") from None
-    return CudaDevice(number, name, int(device.MULTIPROCESSOR_COUNT), context)
+
+def _broken(error: Exception) -> str:
+    """Return the reason why CUDA does not work, in one sentence."""
+    said = _short(error)
+    if "NO_DEVICE" in said:
+        return "no NVIDIA GPU was found: the driver sees none; device cpu needs none"
+    if isinstance(error, CudaError):
+        return f"NVIDIA's driver does not work ({said}); device cpu needs none"
+    return "CUDA needs NVIDIA's driver, which is not installed; device cpu needs none"
 
 
 def failures() -> tuple[type[Exception], ...]:
-    """Return the exception types of a GPU that fails, is full, or has no compiled kernel."""
-    from numba.cuda.cudadrv import error
-
-    kinds: list[type[Exception]] = [RuntimeError, MemoryError, ArithmeticError, ImportError, OSError]
-    kinds += [getattr(error, name) for name in ("CudaDriverError", "NvvmError", "NvrtcError") if hasattr(error, name)]
-    with contextlib.suppress(ImportError, AttributeError):
-        from cuda.core._utils.cuda_utils import CUDAError
-
-        kinds.append(CUDAError)
-    return tuple(kinds)
+    """Return the types of exceptions of a GPU that fails, is full, or has no compiled kernel."""
+    return CudaError, MemoryError, OSError
 
 
 def _short(error: object) -> str:
     return " ".join(str(error).split())[:150]
 
 
-def _broken(cuda: Any) -> str:
-    """Return the reason why CUDA does not work, in one sentence; "" if it works."""
-    from numba.cuda.cudadrv import driver
-
-    try:
-        version = driver.driver.get_version()
-    except Exception as error:  # an old driver lacks functions
-        said = _short(error)
-        if "cannot be found" in said or "not found" in said:
-            return "CUDA needs NVIDIA's driver, which is not installed; device cpu needs none"
-        if "NO_DEVICE" in said or "no CUDA-capable device" in said:
-            return "no NVIDIA GPU was found: the driver sees none; device cpu needs none"
-        return f"NVIDIA's driver does not work ({said}); device cpu needs none"
-    needed = toolkit()
-    older = ', or pip install "supple[cuda12]"' if version[0] == 12 else ""
-    if needed and tuple(version) < (needed, 0):
-        return (
-            f"NVIDIA's driver is too old: it knows CUDA {version[0]}.{version[1]}, and what is installed needs {needed}"
-            f": update the driver{older}"
-        )
-    try:
-        count = len(cuda.gpus)
-    except Exception as error:
-        return f"no NVIDIA GPU can be used ({_short(error)}); device cpu needs none"
-    return "" if count else "no NVIDIA GPU was found: the driver sees none; device cpu needs none"
-
-
 def toolkit() -> int:
-    """Return the major version of CUDA that is installed for Numba; 0 if unknown."""
+    """Return the major version of CUDA that is installed; 0 if unknown."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from supple.domain import refuse
-from supple.engines.base import SLACK, Certificate, EngineError, Planes, Space, Steps, Work, check_plain
+from supple.engines.base import SLACK, Certificate, EngineError, Planes, Space, Steps, Work
 from supple.engines.cuda import arrays
 from supple.engines.cuda.device import CudaDevice, failures, open_device
 from supple.engines.native import NATIVE
@@ -18,7 +18,7 @@ from supple.engines.native import NATIVE
 if TYPE_CHECKING:
     from supple.engines.cuda.job import Warping
 
-# Kernels are compiled, and Numba is imported, only if there is a device.
+# Kernels are compiled, and NVIDIA's packages are imported, only if there is a device.
 
 
 def open_cuda(number: int = 0) -> Cuda:
@@ -43,9 +43,7 @@ class Cuda:
         return SLACK
 
     def check(self, work: Work) -> None:
-        """Raise SuppleError for types that kernels do not support, and for maps other than strokes."""
-        for space in work.items or (work.space,):
-            check_plain(space)
+        """Raise SuppleError for types that kernels do not support."""
         dtype = work.layout.dtype
         if dtype.kind == "f" and dtype.itemsize not in (2, 4, 8):
             refuse("source", "an array of bool, integers or floats of 16, 32 or 64 bits", f"dtype {dtype}")
@@ -54,13 +52,14 @@ class Cuda:
         """Return a CUDA array of any library as `DeviceArray`, and a host array as NumPy's."""
         return arrays.taken(value, name) if arrays.is_on_device(value) else NATIVE.taken(value, name)
 
-    def result(self, out: Any, held: Any) -> Any:
+    def result(self, out: Any, held: Any, shape: tuple[int, ...] | None = None) -> Any:
         """See `Engine.result`; the result is where the source is."""
         if not isinstance(held, arrays.DeviceArray):
-            return NATIVE.result(out, held)
+            return NATIVE.result(out, held, shape)
+        shape = held.shape if shape is None else shape
         if out is not None:
-            return arrays.checked_out(out, held)
-        return arrays.made_like(held, held.shape, held.dtype, as_it_lies=True)
+            return arrays.checked_out(out, held, shape)
+        return arrays.made_like(held, shape, held.dtype, as_it_lies=shape == held.shape)
 
     def working_dtype(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
         """See `Engine.working_dtype`."""
@@ -79,16 +78,11 @@ class Cuda:
             return
         from supple.engines.cuda.large import warp_host
 
-        worst = 0.0
         try:
             with closing(warp_host(self.gpu, frames[0], outs[0], work)) as made:
-                for done, known in made:
-                    worst = max(worst, known.error)
-                    yield done, known
+                yield from made
         except failures() as error:
             raise EngineError(" ".join(str(error).split())[:120] or type(error).__name__) from error
-        if np.isinf(worst):
-            raise EngineError("some points could not be solved to the tolerance", lost=False)
 
     def start(
         self, work: Work, held: arrays.DeviceArray, result: arrays.DeviceArray, *, slab: int | None, stream: Any

@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 
 from supple.domain import refuse
-from supple.engines.base import Certificate, Space, check_plain
-from supple.engines.cuda import field, newton
+from supple.engines.base import Certificate, Space, warn_of
 from supple.engines.cuda.arrays import DeviceArray, contiguous, made_like, plain, taken
-from supple.engines.cuda.colour import FILTERS, NOTHING
-from supple.engines.cuda.kernel import THREADS, blocks, launched
-from supple.engines.cuda.sample import Way
-from supple.engines.cuda.warp import Colours, Frames, Pieces, held, lattice_of, make_planes, told_of
+from supple.engines.cuda.layout import SOME
+from supple.engines.cuda.programs import Program, blocks, launch
+from supple.engines.cuda.warp import Planes, Told, lattice_of, mapper, paint
+from supple.engines.native import CONVERGED
 
 
 def _columns(points: Any, ndim: int) -> DeviceArray:
@@ -25,52 +24,59 @@ def _columns(points: Any, ndim: int) -> DeviceArray:
     return contiguous(given)
 
 
-def _known(space: Space, given: DeviceArray) -> tuple[Any, Any]:
-    check_plain(space)
-    known, spans = field.packed([space.table], [space.axes])
-    return held(given.gpu, known), held(given.gpu, spans)
+def _moved(space: Space, given: DeviceArray, results: dict[str, DeviceArray], *, back: bool) -> Certificate:
+    """Map points, and write what is asked for; it waits only for what is known of a composite map."""
+    count = given.size // space.ndim
+    if not count:
+        return Certificate(0.0, 0.0)
+    gpu, stream = given.gpu, given.stream
+    with gpu.current():
+        lattice, told, job = lattice_of(gpu, (space,)), Told.on(stream), np.zeros(1, SOME)
+        job["map"], job["points"], job["told"] = lattice.memory.pointer, given.pointer, told.there.pointer
+        for name, array in results.items():
+            job[name] = array.pointer
+        job["count"], job["tolerance"] = count, CONVERGED
+        job["wide"], job["back"] = given.dtype == np.float64, back
+        launch(gpu, Program("points", space.ndim, space.composite is not None), blocks(count), job, stream)
+        told.send()
+        # An unknown library may not keep an array alive until it is read.
+        if space.composite is None and given.kind != "other":
+            _kept_until_read(stream, told, lattice, given)
+            return Certificate(0.0, 0.0)
+        stream.synchronize()
+    return told.certificate(space)
+
+
+_reading: list[tuple[Any, ...]] = []
+
+
+def _kept_until_read(stream: Any, *held: Any) -> None:
+    """Keep objects alive until a stream gets here."""
+    _reading[:] = [each for each in _reading if not each[0].done()]
+    _reading.append((stream.record(), *held))
 
 
 def forward(space: Space, points: Any, *, matrices: bool) -> Any:
     """Return T of points (..., D), or ∂T/∂p (..., D, D), in pixels and float64, in the library of the points."""
     given = _columns(points, space.ndim)
-    moved = made_like(given, given.shape, np.float64)
-    found = made_like(given, (*given.shape, space.ndim), np.float64) if matrices else None
-    n = given.span // space.ndim
-    with given.gpu.current():
-        known, spans = _known(space, given)
-        nothing = held(given.gpu, np.zeros(0))
-        if n:
-            launched(field.forward, blocks(n), THREADS, given.stream)(
-                known, spans, space.ndim, given.flat(), moved.flat(), found.flat() if found else nothing
-            )
-            _wait_for(given)
-    return found.given if found else moved.given
-
-
-def _wait_for(given: DeviceArray) -> None:
-    """Wait, if the library does not keep an array alive until it is read."""
-    if given.kind == "numba" and not hasattr(given.given, "__cuda_ndarray__"):
-        given.stream.synchronize()
+    results = {"to": made_like(given, given.shape, np.float64)}
+    if matrices:
+        results["matrices"] = made_like(given, (*given.shape, space.ndim), np.float64)
+    certificate = _moved(space, given, results, back=False)
+    if space.composite is not None:
+        warn_of(certificate, 1.0, 4)
+    return results["matrices" if matrices else "to"].given
 
 
 def inverse(space: Space, points: Any) -> tuple[Any, Any, Any, Any]:
     """Return T⁻¹ of points (..., D), with the values of `supple.Inverse`, in the library of the points."""
-    finest = float(space.axes[: space.ndim, 3].min())
     given = _columns(points, space.ndim)
-    found = made_like(given, given.shape, np.float64)
-    kinds = (np.float64, np.int64, np.bool_)
-    residual, steps, converged = (made_like(given, given.shape[:-1], dtype) for dtype in kinds)
-    n = given.span // space.ndim
-    with given.gpu.current():
-        known, spans = _known(space, given)
-        if n:
-            launched(newton.inverse, blocks(n), THREADS, given.stream)(
-                known, spans, space.ndim, given.flat(), finest,
-                found.flat(), residual.flat(), steps.flat(), converged.flat(),
-            )  # fmt: skip
-            _wait_for(given)
-    return found.given, residual.given, steps.given, converged.given
+    results = {"to": made_like(given, given.shape, np.float64)}
+    for name, dtype in (("residual", np.float64), ("steps", np.int64), ("done", np.bool_)):
+        results[name] = made_like(given, given.shape[:-1], dtype)
+    _moved(space, given, results, back=True)
+    found, residual, steps, done = (array.given for array in results.values())
+    return found, residual, steps, done
 
 
 def inverse_map(space: Space, like: Any, tolerance: float, *, offsets: bool = False) -> tuple[Any, Certificate]:
@@ -78,20 +84,13 @@ def inverse_map(space: Space, like: Any, tolerance: float, *, offsets: bool = Fa
 
     With ``offsets``, displacements from the pixels, which float32 stores more accurately.
     """
-    check_plain(space)
     given = taken(plain(like), "like")
-    out = made_like(given, (*space.whole, space.ndim), np.float32)
-    gpu, stream = given.gpu, given.stream
-    strides = out.strides if space.ndim == 3 else (0, *out.strides)
-    with gpu.current():
-        lattice = lattice_of(gpu, (space,))
-        pieces = Pieces(out, [lattice], space.count)
-        nothing = held(gpu, np.zeros(1, np.float32))
-        way = Way(FILTERS["offsets" if offsets else "map"], NOTHING)
-        colours = Colours(way, nothing, (-1, 0, 0), (0.0, 0.0, 1.0))
-        source = Frames(nothing, (space.count, *space.shape, space.ndim, 0, 0, 0, 0, 0, 0, space.count, 0, space.count))
-        into = Frames(out.flat(), (space.count, *space.shape, space.ndim, *strides, 0, 0, space.count, 0, space.count))
-        make_planes(
-            gpu, stream, lattice, pieces, colours, space.shape, (0, space.count), source, into, tolerance=tolerance
-        )
-        return out.given, told_of(pieces, stream)
+    out = made_like(given, (*space.out, space.ndim), np.float32)
+    with given.gpu.current():
+        made, told = mapper(given.gpu, space, tolerance, offsets=offsets), Told.on(given.stream)
+        plane, row, column, channel = out.strides if out.ndim == 4 else (0, *out.strides)
+        planes = space.planes[0] if space.ndim == 3 else 1
+        paint(made, given.stream, None, Planes(out.pointer, (plane, row, column, channel)), (0, planes), told)
+        told.send()
+        given.stream.synchronize()
+    return out.given, told.certificate(space)

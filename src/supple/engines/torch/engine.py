@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from supple.domain import refuse
-from supple.engines.base import SLACK, Certificate, Layout, Planes, Space, Steps, Work, warn_of
+from supple.engines.base import SLACK, Certificate, Engine, Layout, Planes, Space, Steps, Work, warn_of
 from supple.engines.choice import engine_at
 from supple.engines.native import NATIVE
 from supple.engines.torch.field import Columns, Strokes, moved
@@ -40,8 +40,10 @@ class Torch:
             refuse(name, "a PyTorch tensor (Deformation.warp takes arrays)", value)
         return value.detach()
 
-    def result(self, out: torch.Tensor | None, held: torch.Tensor) -> torch.Tensor:
-        """See `Engine.result`."""
+    def result(
+        self, out: torch.Tensor | None, held: torch.Tensor, shape: tuple[int, ...] | None = None
+    ) -> torch.Tensor:
+        """See `Engine.result`; it has the shape of the source."""
         return torch.empty_like(held, memory_format=torch.contiguous_format) if out is None else out
 
     def check(self, work: Work) -> None:
@@ -58,9 +60,9 @@ class Torch:
     def warp(self, work: Work, frames: Sequence[torch.Tensor], outs: Sequence[torch.Tensor]) -> Steps:
         """See `Engine.warp`; a tensor (K, *shape) is all frames. The values are those of the engine of its device."""
         (tensor,), (out,) = frames, outs
-        engine = engine_at(tensor)
+        engine = _engine_of(work.space, tensor)
         # NumPy has no bfloat16, and the core processes half precision in single precision.
-        halves = (torch.bfloat16,) if tensor.is_cuda else (torch.bfloat16, torch.float16)
+        halves = (torch.bfloat16, torch.float16) if engine is NATIVE else (torch.bfloat16,)
         held: Any = (tensor.float() if tensor.dtype in halves else tensor).movedim(0, -1)
         if engine is NATIVE:
             array = np.ascontiguousarray(held.numpy(force=True))
@@ -92,19 +94,26 @@ class Torch:
     def inverse(self, space: Space, points: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """See `Engine.inverse`; the engine of the points' device solves for them."""
         held: Any = points.detach().double()
-        found = engine_at(held).inverse(space, held if held.is_cuda else held.cpu().numpy())
+        engine = _engine_of(space, held)
+        found = engine.inverse(space, held.cpu().numpy() if engine is NATIVE else held)
         return tuple(torch.as_tensor(x).to(points.device) for x in found)
 
     def inverse_map(self, space: Space, tolerance: float, like: Any = None) -> tuple[torch.Tensor, Certificate]:
         """See `Engine.inverse_map`; it is a tensor on the device of ``like``."""
-        if like.is_cuda:
-            found, certificate = engine_at(like).inverse_map(space, tolerance, like)
+        engine = _engine_of(space, like)
+        if engine is not NATIVE:
+            found, certificate = engine.inverse_map(space, tolerance, like)
             return torch.as_tensor(found), certificate
         found, certificate = NATIVE.inverse_map(space, tolerance)
         return torch.from_numpy(found).to(like.device), certificate
 
 
 TORCH = Torch()
+
+
+def _engine_of(space: Space, tensor: Any) -> Engine:
+    """Return the engine of a tensor's device, or the native one for freeze masks."""
+    return engine_at(tensor) if space.freeze is None else NATIVE
 
 
 def _on(work: Work, held: Any) -> Work:
@@ -124,14 +133,14 @@ def seen_at(points: torch.Tensor, strokes: Strokes) -> torch.Tensor:
 def offsets_of(like: torch.Tensor, space: Space, tolerance: float) -> torch.Tensor:
     """Return T⁻¹(q) - q of all output pixels q, in pixels: (M, D), on the device of ``like``, in its working type.
 
-    Offsets are small: float32 holds them to their accuracy, for images of any size.
+    Offsets are small: float32 holds them to their accuracy, for images of any size. Where T moves nothing, they are 0.
     """
     dtype, sizes = working(like), space.whole[::-1]
     where = like.device if like.is_cuda else torch.device("cpu")
     made = torch.zeros(math.prod(sizes), len(sizes), dtype=dtype, device=where)
     if space.is_identity:
         return made.to(like.device)
-    if dtype == torch.float32 and like.is_cuda:
+    if dtype == torch.float32 and like.is_cuda and space.freeze is None:
         from supple.engines.cuda.points import inverse_map
 
         found, certificate = inverse_map(space, like.detach(), tolerance, offsets=True)
@@ -142,11 +151,13 @@ def offsets_of(like: torch.Tensor, space: Space, tolerance: float) -> torch.Tens
         warn_of(certificate, tolerance, 3)
         pixels = torch.stack(grid(torch.arange(len(made)), sizes), -1)
         return (torch.from_numpy(sources).reshape(made.shape) - pixels).to(like.device)
-    lost = 0
+    lost, steps = 0, torch.tensor(space.axes[: space.ndim, 3], device=where)
     for start in range(0, len(made), _SOLVED):
         points = torch.stack(grid(torch.arange(start, min(start + _SOLVED, len(made)), device=where), sizes), -1)
         solved, _, _, converged = TORCH.inverse(space, points)
-        made[start : start + len(points)] = solved - points
+        # Engines solve in physical units: of a point that stays, they return the pixel there and back.
+        stays = solved == points * steps / steps
+        made[start : start + len(points)] = torch.where(stays, 0.0, solved - points)
         lost += len(points) - int(converged.sum())
     if lost:
         text = f"{lost} of {len(made)} source points did not converge: what is shown there is a guess"

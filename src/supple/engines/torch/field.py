@@ -4,7 +4,8 @@ Of one stroke, in physical units, with r = p - pivot, s = |r|² and p taken into
 
     K(p) = diag(β) m(√s/R) [A(s) v + B(s) (r·v) r],    m(t) = (1-t)³ (1 + 3t + 6t²) for t < 1, 0 beyond,
 
-where v is the force f of a grab, or M r. Strokes that act at once move one point, and their displacements are added.
+times the m of a freeze mask (`freedom`), where v is the force f of a grab, or M r. Strokes that act at once move one
+point, and their displacements are added.
 
 An image is the plane z = 0 of a volume, without displacement along z.
 
@@ -25,6 +26,7 @@ import torch
 
 from supple.domain import PROFILE_CODES
 from supple.engines.base import Space
+from supple.engines.torch.freedom import Freedom
 from supple.errors import SuppleError
 
 # For one, two and three scales: the weights of a stroke's terms, and their radii over ε.
@@ -81,6 +83,8 @@ class Strokes:
         in `Domain.packed`.
     flows : bool
         Whether strokes are corrected for a fixed border, so that they reach their targets.
+    freedom : Freedom, optional
+        The freeze mask, which has no gradients.
     """
 
     at: torch.Tensor
@@ -89,14 +93,15 @@ class Strokes:
     kinds: Sequence[Kind]
     axes: Sequence[Axis]
     flows: bool = False
+    freedom: Freedom | None = None
 
     @classmethod
     def of(cls, space: Space, dtype: torch.dtype, device: torch.device) -> Strokes:
         """Return the strokes of a space as engines apply them, row by row; SuppleError if it has other maps."""
-        if not space.is_common:
+        if not space.is_plain:
             raise SuppleError(
-                "supple.torch.forward is for strokes alone, found a deformation with fields, affine maps or a freeze "
-                "mask: Deformation.forward takes it, without gradients"
+                "supple.torch.forward is for strokes alone, found a deformation with fields or affine maps: "
+                "Deformation.forward takes it, without gradients"
             )
         table, n = space.table, space.ndim
         columns = [table[name][:, :n] / space.axes[:n, 3] for name in ("pivot", "force")]
@@ -119,7 +124,8 @@ class Strokes:
             )
             for row, ratio, scales, reach in zip(table, *(column.tolist() for column in columns), strict=True)
         ]
-        return cls(at, by, radius, kinds, axes_of(space))
+        freedom = Freedom.of(space.freeze, dtype, device)
+        return cls(at, by, radius, kinds, axes_of(space), freedom=freedom)
 
 
 def axes_of(space: Space) -> list[Axis]:
@@ -145,6 +151,9 @@ def moved(points: Columns, strokes: Strokes) -> Columns:
         a, b = _profiles(s, strokes.radius[k], kind)
         if kind.reach < math.inf:
             m = _support(s / (strokes.radius[k] * kind.reach) ** 2)
+            a, b = m * a, m * b
+        if strokes.freedom is not None:
+            m = strokes.freedom.at(near)
             a, b = m * a, m * b
         b = b * _dot(r, v)
         points = [x + weight * (a * w + b * d) for x, weight, w, d in zip(points, beta, v, r, strict=True)]

@@ -168,7 +168,7 @@ def clip_on(
         The number of planes in progress.
     """
     with contextlib.ExitStack() as stack:
-        strokes = strokes_on(stack, gpu, space.table, space.axes, space.shape, step)
+        strokes = strokes_on(stack, gpu, space.table, space.axes, space.freeze, space.shape, step)
         slots = len(windows[0])
         if not fits_whole(gpu, strokes, pictures, slots):
             yield None

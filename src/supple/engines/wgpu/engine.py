@@ -93,9 +93,9 @@ class Wgpu:
         """See `Engine.taken`."""
         return NATIVE.taken(value, name)
 
-    def result(self, out: Array | None, held: Array) -> Array:
+    def result(self, out: Array | None, held: Array, shape: tuple[int, ...] | None = None) -> Array:
         """See `Engine.result`."""
-        return NATIVE.result(out, held)
+        return NATIVE.result(out, held, shape)
 
     def working_dtype(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
         """See `Engine.working_dtype`: conversion is part of the upload."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy.typing as npt
 
 from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.kernel import READ, TURNS, UNIFORM, WRITE, download, pipeline, room, run, spread, upload
+from supple.strain import Mask
 
 Floats = npt.NDArray[np.float64]
 
@@ -27,7 +29,12 @@ STROKE = np.dtype(
         ("joined", np.uint32, 4),
     ]
 )
-_POINTS = ("field", "newton", "points", "turns")
+FIELD = ("field", "freeze", "newton")
+"""The shaders of T and T⁻¹."""
+
+_POINTS = (*FIELD, "points", "turns")
+_EXACT = 9  # bits of a step: a multiple of it by up to 2¹⁵ is exact in float32
+_CALM = 8  # powers of 2
 
 
 def packed(table: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
@@ -50,9 +57,10 @@ def packed(table: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
     return out
 
 
-def constants(table: npt.NDArray[np.void]) -> dict[str, int]:
-    """Return the constants of shaders for a table: software adapters run both sides of a branch."""
-    return {"GRABS": int(bool((table["power"] == 1).all() and not table["joined"].any()))}
+def constants(table: npt.NDArray[np.void], freeze: Mask | None) -> dict[str, int]:
+    """Return the constants of shaders for a map: software adapters run both sides of a branch."""
+    grabs = bool((table["power"] == 1).all() and not table["joined"].any())
+    return {"GRABS": int(grabs), "FROZEN": int(freeze is not None)}
 
 
 def fits(table: npt.NDArray[np.void]) -> bool:
@@ -73,38 +81,118 @@ def reached(table: npt.NDArray[np.void], axes: Floats, planes: tuple[int, int]) 
     return np.asarray((np.abs(z - table["pivot"][:, 2]) < table["reach"]).any(axis=1))
 
 
-def domain(axes: Floats) -> npt.NDArray[np.float32]:
+def domain(axes: Floats, freeze: Mask | None = None) -> npt.NDArray[np.float32]:
     """Return a packed domain (`Domain.packed`) in the layout of the shaders.
 
-    Its rows are the first and last faces of the three axes, the widths of the border, the spacing and the profiles.
+    Its rows are the first and last faces of the three axes, the widths of the border, the spacing and the profiles,
+    and where the coefficients of the freeze mask lie, if there is one.
     The fourth spacing is the unit of errors: the least spacing of the axes along which points move. An image has no
     displacement along its third axis.
     """
-    out = np.zeros((5, 4), np.float32)
-    out[:, :3] = axes.T
+    out = np.zeros((11, 4), np.float32)
+    out[:5, :3] = axes.T
     moving = (axes[:, 1] != axes[:, 0]) | (axes[:, 2] != 0.0)
     out[3, 3] = axes[moving if moving.any() else ..., 3].min()
+    if freeze is not None:
+        size = np.array(freeze.coefficients.shape[::-1])
+        several = size > 1
+        parts, powers = np.frexp(freeze.step)
+        step = np.ldexp(np.round(parts * 2**_EXACT), powers - _EXACT)
+        out[5, :3], out[5, 3] = size, freeze.step[several].min(initial=np.inf)
+        out[6, :3], out[7, :3] = freeze.first, step
+        out[8, :3], out[9, :3] = freeze.first - out[6, :3].astype(np.float64), freeze.step - step
+        out[10, :3] = several / freeze.step
     return out
 
 
+def packed_mask(gpu: Gpu, freeze: Mask | None) -> npt.NDArray[np.uint16]:
+    """Return the coefficients of a freeze mask, if there is one, in the layout of the shaders (freeze.wgsl).
+
+    Raises
+    ------
+    MemoryError
+        If they exceed the largest binding.
+    """
+    if freeze is None:
+        return np.zeros(0, np.uint16)
+    size = 2 * freeze.coefficients.size
+    if size > gpu.binding:
+        raise MemoryError(f"{size >> 20} MB of a freeze mask are more than a shader takes")
+    return _calmed(freeze)
+
+
+@lru_cache(maxsize=4)
+def _calmed(freeze: Mask) -> npt.NDArray[np.uint16]:
+    low = high = freeze.coefficients
+    for axis in range(3):
+        if low.shape[axis] > 1:  # over the four coefficients around each cell
+            low = np.minimum.reduce([_shifted(low, axis, k) for k in range(-1, 3)])
+            high = np.maximum.reduce([_shifted(high, axis, k) for k in range(-1, 3)])
+    near, calm = low != high, np.zeros(low.shape, np.uint16)
+    for power in range(_CALM):  # what is farther than 2ⁿ - 1 cells from any in which m varies
+        calm[~near] = 1 << power
+        if not near.any():
+            calm[...] = 1 << (_CALM - 1)
+            break
+        for axis in range(3):
+            near = near | _shifted(near, axis, 1 << power) | _shifted(near, axis, -1 << power)
+    made = np.asarray(calm << 8 | freeze.coefficients, np.uint16).reshape(-1)
+    return np.pad(made, (0, made.size % 2))  # to whole words
+
+
+def _shifted(values: npt.NDArray[Any], axis: int, by: int) -> npt.NDArray[Any]:
+    """Return the values of the places farther on along an axis by some; beyond the end, those of the last."""
+    n = values.shape[axis]
+    return np.take(values, np.clip(np.arange(n) + by, 0, n - 1), axis)
+
+
+def uploaded(gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None) -> tuple[Any, Any, Any]:
+    """Return buffers of a domain, of strokes, and of the freeze mask that they are subject to, if any.
+
+    Raises
+    ------
+    MemoryError
+        If the mask exceeds the largest binding.
+    """
+    mask = packed_mask(gpu, freeze)
+    return upload(gpu, domain(axes, freeze), UNIFORM), upload(gpu, packed(table)), upload(gpu, mask)
+
+
 def forward(
-    gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, anchors: Floats, offsets: Floats
+    gpu: Gpu,
+    table: npt.NDArray[np.void],
+    axes: Floats,
+    anchors: Floats,
+    offsets: Floats,
+    freeze: Mask | None = None,
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Return T(p) - anchor (N, 3) and ∂T/∂p (N, 3, 3) of points p = ``anchors + offsets`` (N, 3), in physical units."""
-    found = _points(gpu, "forward", table, axes, anchors, offsets, 0.0)
+    found = _points(gpu, "forward", table, axes, anchors, offsets, 0.0, freeze)
     return found[:, 0, :3], np.moveaxis(found[:, 1:, :3], 1, 2)
 
 
 def inverse(
-    gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, anchors: Floats, tolerance: float
+    gpu: Gpu,
+    table: npt.NDArray[np.void],
+    axes: Floats,
+    anchors: Floats,
+    tolerance: float,
+    freeze: Mask | None = None,
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Return T⁻¹(q) - q of points q (N, 3), in physical units, the residual |T(p) - q| and the evaluations of T."""
-    found = _points(gpu, "inverse", table, axes, anchors, np.zeros_like(anchors), tolerance)
+    found = _points(gpu, "inverse", table, axes, anchors, np.zeros_like(anchors), tolerance, freeze)
     return found[:, 0, :3], found[:, 0, 3], found[:, 1, 3]
 
 
 def _points(
-    gpu: Gpu, entry: str, table: npt.NDArray[np.void], axes: Floats, anchors: Floats, offsets: Floats, tolerance: float
+    gpu: Gpu,
+    entry: str,
+    table: npt.NDArray[np.void],
+    axes: Floats,
+    anchors: Floats,
+    offsets: Floats,
+    tolerance: float,
+    freeze: Mask | None,
 ) -> npt.NDArray[np.float32]:
     n = len(anchors)
     settings = np.zeros(1, [("strokes", "u4"), ("count", "u4"), ("tolerance", "f4"), ("turns", "u4")])
@@ -115,14 +203,9 @@ def _points(
         return upload(gpu, np.pad(values, ((0, 0), (0, 1))).astype(np.float32))
 
     results = room(gpu, n * 64)
-    buffers = [
-        upload(gpu, settings, UNIFORM),
-        upload(gpu, domain(axes), UNIFORM),
-        upload(gpu, packed(table)),
-        four(anchors),
-        four(offsets),
-        results,
-    ]
-    made = pipeline(gpu, _POINTS, entry, (UNIFORM, UNIFORM, READ, READ, READ, WRITE), constants(table))
+    places, strokes, mask = uploaded(gpu, table, axes, freeze)
+    buffers = [upload(gpu, settings, UNIFORM), places, strokes, four(anchors), four(offsets), results, mask]
+    kinds = (UNIFORM, UNIFORM, READ, READ, READ, WRITE, READ)
+    made = pipeline(gpu, _POINTS, entry, kinds, constants(table, freeze))
     run(gpu, [(made, buffers, spread(n, 64))])
     return download(gpu, results, np.float32, n * 16).reshape(n, 4, 4).copy()

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from supple.engines.wgpu.field import FIELD
 from supple.engines.wgpu.kernel import (
     FILLED,
     READ,
@@ -29,7 +30,7 @@ from supple.engines.wgpu.solid import Lattice
 from supple.engines.wgpu.volume import Volume
 
 BLOCK = 16  # voxels along a brick's side
-_NAMES = ("fill", "volume", "solid", "blend", "smooth", "field", "newton", "turns")
+_NAMES = ("fill", "volume", "solid", "blend", "smooth", *FIELD, "turns")
 
 _SETTINGS = np.dtype(
     [
@@ -69,7 +70,7 @@ class Filling:
         self._made = np.zeros(self._blocks, np.bool_)
         self._pace = Pace(1)
         self._key = object()  # not ``self``: a reference cycle would hold the device's memory
-        kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, READ, WRITE, FILLED)
+        kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, READ, WRITE, FILLED, READ)
         chosen = lattice.constants | {"POLISHED": int(polished)}
         self._work = pipeline(volume.gpu, (*_NAMES, volume.reader), "fill", kinds, chosen)
         self._target = volume.warped.create_view()
@@ -136,7 +137,8 @@ class Filling:
             told, some = owned(own, upload(gpu, settings, UNIFORM), upload(gpu, wanted))
             # No buffer is read here; any other texture stands in its place.
             read = [lattice.domain, lattice.strokes, lattice.nodes, volume.view, lattice.nodes]
-            run(gpu, [(self._work, [told, *read, some, lost, self._target], (*spread(wanted.size, 1), 1))])
+            buffers = [told, *read, some, lost, self._target, lattice.mask]
+            run(gpu, [(self._work, buffers, (*spread(wanted.size, 1), 1))])
 
     def _tell(self) -> None:
         """Upload the map of readable bricks: interpolated samples and slopes read their neighbours too."""

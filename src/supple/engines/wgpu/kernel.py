@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from supple import _core
 from supple.engines.wgpu.device import CLOCK, Gpu, forget
 
 Array = npt.NDArray[Any]
@@ -91,9 +92,10 @@ def failures() -> tuple[type[Exception], ...]:
 
 
 def source(*names: str) -> str:
-    """Return the source of some shaders, concatenated; WGSL allows any order."""
+    """Return the source of some shaders, concatenated, with the core's constants; WGSL allows any order."""
     folder = resources.files("supple.engines.wgpu") / "shaders"
-    return "\n".join((folder / f"{name}.wgsl").read_text(encoding="utf-8") for name in names)
+    constants = [f"const {name} = {float(np.float32(value))!r};" for name, value in _core.constants.items()]
+    return "\n".join([*constants, *((folder / f"{name}.wgsl").read_text(encoding="utf-8") for name in names)])
 
 
 def pipeline(

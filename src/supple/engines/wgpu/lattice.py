@@ -10,19 +10,21 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.field import constants, domain, local, packed
-from supple.engines.wgpu.kernel import LAYERS, READ, TURNS, UNIFORM, WRITE, download, owned, pipeline, room, run, upload
+from supple.engines.wgpu.field import FIELD, constants, local, uploaded
+from supple.engines.wgpu.kernel import LAYERS, READ, TURNS, UNIFORM, WRITE, download, owned, pipeline, room, run
 from supple.engines.wgpu.samples import STEP
 from supple.engines.wgpu.texels import copy_in, plane_layers, view_of
+from supple.strain import Mask
 
 Floats = npt.NDArray[np.float64]
 Range = tuple[int, int]
 
 NODE = 64  # bytes
-PARTS = ("warp", "field", "newton", "lattice", "smooth", "sample", "light", "levels", "footprint", "turns")
+PARTS = (*FIELD, "warp", "lattice", "smooth", "sample", "light", "levels", "footprint", "turns")
 _NAMES = (*PARTS, "texels_whole")
 _SOLVE = (UNIFORM, UNIFORM, READ, WRITE, WRITE, WRITE, WRITE)
 CHECK = (*_SOLVE, LAYERS)
+_ALONE = (None, None, None)  # in place of the resources of planes, which planes.py has
 
 SETTINGS = np.dtype(
     [
@@ -58,7 +60,7 @@ SETTINGS = np.dtype(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strokes:
-    """Strokes and their domain on the device.
+    """Strokes, their domain and their freeze mask on the device.
 
     ``cells`` is the number of cells of a plane, across and down; ``limited`` is true if all strokes have a limited
     reach; ``constants`` are those with which shaders are compiled for them.
@@ -67,6 +69,7 @@ class Strokes:
     gpu: Gpu
     table: Any
     axes: Any
+    mask: Any
     count: int
     cells: tuple[int, int]
     limited: bool
@@ -78,13 +81,15 @@ def strokes_on(
     gpu: Gpu,
     table: npt.NDArray[np.void],
     axes: Floats,
+    freeze: Mask | None,
     shape: tuple[int, int],
     step: tuple[int, int] = (1, 1),
 ) -> Strokes:
     """Upload strokes until the stack is left; the lattice covers samples up to ``step`` pixels apart."""
-    held, places = owned(stack, upload(gpu, packed(table)), upload(gpu, domain(axes), UNIFORM))
+    places, held, mask = owned(stack, *uploaded(gpu, table, axes, freeze))
     height, width = (-(-n // k) * k for n, k in zip(shape, reversed(step), strict=True))
-    return Strokes(gpu, held, places, int(table.size), (_cells(width), _cells(height)), local(table), constants(table))
+    cells = _cells(width), _cells(height)
+    return Strokes(gpu, held, places, mask, int(table.size), cells, local(table), constants(table, freeze))
 
 
 def _cells(size: int) -> int:
@@ -131,7 +136,7 @@ class Lattice:
 
     def solve(self, part: Part, tolerance: float) -> None:
         """Solve the lattice of a part of the allocated size."""
-        gpu = self.strokes.gpu
+        gpu, mask = self.strokes.gpu, self.strokes.mask
         assert (part.count, part.tall) == (self.part.count, self.part.tall)
         self.part, self.solved = part, None
         count, down, across = self.shape
@@ -139,11 +144,11 @@ class Lattice:
         gpu.device.queue.write_buffer(self.buffers[0], 0, told)
         gpu.device.queue.write_buffer(self.stats, 0, np.zeros(4, np.uint32))
         chosen = self.strokes.constants
-        solving = pipeline(gpu, _NAMES, "solve", _SOLVE, chosen)
-        run(gpu, [(solving, self.buffers, (-(-across // 8), -(-down // 8), count))])
+        solving = pipeline(gpu, _NAMES, "solve", (*_SOLVE, None, *_ALONE, READ), chosen)
+        run(gpu, [(solving, (*self.buffers, None, *_ALONE, mask), (-(-across // 8), -(-down // 8), count))])
         copy_in(gpu, self.buffers[3], pitch_of(across), self.read, 0, 4 * count)
-        buffers = (*self.buffers, self.view)
-        checking, counting = (pipeline(gpu, _NAMES, entry, CHECK, chosen) for entry in ("check", "count"))
+        buffers, kinds = (*self.buffers, self.view, *_ALONE, mask), (*CHECK, *_ALONE, READ)
+        checking, counting = (pipeline(gpu, _NAMES, entry, kinds, chosen) for entry in ("check", "count"))
         run(
             gpu,
             [

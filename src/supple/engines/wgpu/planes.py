@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.engines.wgpu.kernel import LAYERS, WHOLE_LAYERS, WRITE, Array, pipeline, run
+from supple.engines.wgpu.kernel import LAYERS, READ, WHOLE_LAYERS, WRITE, Array, pipeline, run
 from supple.engines.wgpu.lattice import CHECK, PARTS, Lattice, Range, settings_of
 from supple.engines.wgpu.pyramid import Pyramid
 from supple.engines.wgpu.samples import STEP, GpuGroup
@@ -97,11 +97,12 @@ def colour(
     }.items():
         settings[name] = value
     settings["fill"][0, : picture.channels] = wanted.fill
-    buffers = (told, *lattice.buffers[1:], lattice.view, held.samples.view, target, held.pyramid.buffer)
+    mask = lattice.strokes.mask
+    buffers = (told, *lattice.buffers[1:], lattice.view, held.samples.view, target, held.pyramid.buffer, mask)
     constants = lattice.strokes.constants | picture.constants() | {"FOLDED": int(held.samples.blocks != (1, 1))}
     whole = np.dtype(form.dtype).kind == "u"
     names = (*PARTS, "texels_whole" if whole else "texels_float")
-    kinds = (*CHECK, WHOLE_LAYERS if whole else LAYERS, WRITE, WRITE)
+    kinds = (*CHECK, WHOLE_LAYERS if whole else LAYERS, WRITE, WRITE, READ)
     known, rough = (pipeline(gpu, names, entry, kinds, constants) for entry in ("warp", "solve_and_warp"))
     across = -(-picture.shape[1] * picture.step[0] // STEP)
     down = -(-(end - top) // picture.rows)

@@ -11,19 +11,20 @@ import numpy.typing as npt
 
 from supple.engines.wgpu.buffers import Bound, Kept
 from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.field import constants, domain, packed
+from supple.engines.wgpu.field import FIELD, constants, domain, packed, packed_mask
 from supple.engines.wgpu.kernel import PICTURE, READ, TEXTURE, UNIFORM, WRITE, bound, pipeline, room
+from supple.strain import Mask
 
 Floats = npt.NDArray[np.float64]
 Box = tuple[float, float, float, float]  # x0, y0, and x1, y1
 
-CELL, FINE = 16, 4  # pixels of the window from node to node: solved here, and given
+CELL = 16  # pixels of the window from node to node
 BACK = (0.12, 0.12, 0.13)  # the sRGB background
 OVERLAYS = {"": 0, "grid": 1, "stretch": 2, "residual": 3, "inversions": 4}
 NOWHERE: Box = (math.inf, math.inf, -math.inf, -math.inf)
 EVERYWHERE: Box = (-math.inf, -math.inf, math.inf, math.inf)
-_NAMES = ("plate", "warm", "blend", "field", "newton")
-_COMMON = (UNIFORM, UNIFORM, READ, WRITE)
+_NAMES = ("plate", "warm", "blend", *FIELD)
+_COMMON = (UNIFORM, UNIFORM, READ, WRITE, READ)
 
 _SETTINGS = np.dtype(
     [
@@ -44,11 +45,10 @@ _SETTINGS = np.dtype(
         ("overlay", "u4"),
         ("every", "f4"),
         ("corner", "f4", 2),
-        ("step", "f4"),
-        ("cell", "u4"),
-        ("back", "f4", 4),
         ("first", "u4", 2),
-        ("unused", "u4", 2),
+        ("back", "f4", 4),
+        ("step", "f4"),
+        ("unused", "u4", 3),
     ]
 )
 
@@ -68,7 +68,8 @@ class Sight:
     time : float
         The frame, of a clip.
     solved : bool
-        Whether T⁻¹ is solved at every pixel, or interpolated between every 16th: faster, for dragging.
+        Whether T⁻¹ is solved at every pixel, or, unless something is frozen, interpolated between every 16th: faster,
+        for dragging.
     overlay : str
         One of `OVERLAYS`.
     every : float
@@ -90,9 +91,9 @@ class Sight:
     square: float = 8.0
 
 
-def nodes_of(size: tuple[int, int], cell: int = CELL) -> tuple[int, int]:
+def _nodes_of(size: tuple[int, int]) -> tuple[int, int]:
     """Return how many columns and rows of nodes T⁻¹ is interpolated between, for a window of columns and rows."""
-    columns, rows = (max(1, -(-(n - 1) // cell)) + 1 for n in size)
+    columns, rows = (max(1, -(-(n - 1) // CELL)) + 1 for n in size)
     return columns, rows
 
 
@@ -100,30 +101,38 @@ class _Sheet:
     """The buffers for drawing into one texture, and what is drawn there."""
 
     def __init__(self, gpu: Gpu, texture: Any) -> None:
-        self.texture, self.view = texture, texture.create_view()
+        self.gpu, self.texture, self.view = gpu, texture, texture.create_view()
         self.settings, self.domain, self.strokes = Kept(gpu, UNIFORM), Kept(gpu, UNIFORM), Kept(gpu)
+        self.mask = Kept(gpu)
         self.bound = Bound()
         self.stale: Box = NOWHERE  # of pixels put since the last draw
         self._table: Any = None
         self._axes: Any = None
+        self._freeze: Mask | None = None
         self._settings = np.zeros(1, _SETTINGS)
         self._told: Any = None
 
-    def tell(self, table: npt.NDArray[np.void], axes: Floats, settings: dict[str, Any]) -> bool:
-        """Take what to draw; return whether it is as it was at the last draw. Tables are told apart by identity."""
-        if self._table is table and self._told == settings and np.array_equal(self._axes, axes):
+    def tell(self, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None, settings: dict[str, Any]) -> bool:
+        """Take what to draw; return whether it is as it was at the last draw.
+
+        Tables and masks are told apart by identity.
+        """
+        same = self._table is table and self._freeze is freeze and self._told == settings
+        if same and np.array_equal(self._axes, axes):
             return True
         for name, value in settings.items():
             self._settings[name] = value
-        self._table, self._axes, self._told = table, axes, settings
-        self.domain.hold(domain(axes))
+        self.domain.hold(domain(axes, freeze))
         self.strokes.hold(packed(table))
+        if self._freeze is not freeze or self._table is None:
+            self.mask.hold(packed_mask(self.gpu, freeze))
+        self._table, self._axes, self._freeze, self._told = table, axes, freeze, settings
         return False
 
     def held(self, first: tuple[int, int]) -> tuple[Any, ...]:
-        """Return the buffers of settings, of a domain and of strokes; the first pixel is that to draw."""
+        """Return the buffers of settings, a domain, strokes and a mask; the first pixel is that to draw."""
         self._settings["first"] = first
-        return self.settings.hold(self._settings), self.domain.buffer, self.strokes.buffer
+        return self.settings.hold(self._settings), self.domain.buffer, self.strokes.buffer, self.mask.buffer
 
 
 class _Drawn:
@@ -157,7 +166,7 @@ class _Drawn:
         axes: Floats,
         texture: Any,
         encoder: Any = None,
-        nodes: npt.NDArray[np.float32] | None = None,
+        freeze: Mask | None = None,
     ) -> None:
         """Draw the visible part, warped by strokes, into a texture of format rgba8unorm.
 
@@ -169,32 +178,31 @@ class _Drawn:
         texture : wgpu.GPUTexture
         encoder : wgpu.GPUCommandEncoder, optional
             The encoder to record into; by default, the work is submitted at once.
-        nodes : float32 array, shape (*nodes_of(sight.size, FINE)[::-1], 3, 4), optional
-            T⁻¹ at every fourth pixel, which is interpolated at the others; by default, it is solved here. Of each: the
-            source point's offset and the residual, ∂p/∂q with respect to x and the evaluations of T, and to y and 0, in
-            physical units.
+        freeze : Mask, optional
+            The freeze mask that the strokes are subject to.
         """
-        gpu = self.gpu
-        cells = nodes_of(sight.size, CELL if nodes is None else FINE)
+        gpu, cells = self.gpu, _nodes_of(sight.size)
         if self._nodes[0] < cells[0] * cells[1]:
             self._nodes = cells[0] * cells[1], room(gpu, 48 * cells[0] * cells[1])
-        if nodes is not None:
-            gpu.device.queue.write_buffer(self._nodes[1], 0, np.ascontiguousarray(nodes))
+        if not table.size:
+            freeze = None
         sheet = self._sheet(texture)
-        settings = self._settings(sight, cells, table.size, nodes is not None)
-        x0, y0, x1, y1 = self._box(sheet, sight, sheet.tell(table, axes, settings))
+        settings = self._settings(sight, cells, table.size)
+        x0, y0, x1, y1 = self._box(sheet, sight, sheet.tell(table, axes, freeze, settings))
         sheet.stale = NOWHERE
         if x0 >= x1 or y0 >= y1:
             return
-        resources = (*sheet.held((x0, y0)), self._nodes[1], *self._held(sheet.view))
-        chosen = {"BENT": bool(table.size), "SINGLE": not settings["solved"], **constants(table)}
+        *told, mask = sheet.held((x0, y0))
+        resources = (*told, self._nodes[1], mask, *self._held(sheet.view))
+        known = constants(table, freeze)
+        chosen = {"BENT": bool(table.size), "SINGLE": not settings["solved"], **known}
         paint, layout = pipeline(gpu, _NAMES, self._entry, self._kinds, {name: chosen[name] for name in self._chosen})
         group = sheet.bound.group(resources, lambda: bound(gpu, layout, resources))
         commands = encoder or gpu.device.create_command_encoder()
         step = commands.begin_compute_pass()
         step.set_bind_group(0, group)
-        if table.size and nodes is None:
-            step.set_pipeline(pipeline(gpu, _NAMES, "solve", self._kinds, constants(table))[0])
+        if table.size:
+            step.set_pipeline(pipeline(gpu, _NAMES, "solve", self._kinds, known)[0])
             step.dispatch_workgroups(-(-cells[0] // 8), -(-cells[1] // 8), 1)
         step.set_pipeline(paint)
         step.dispatch_workgroups(-(-(x1 - x0) // 8), -(-(y1 - y0) // 8), 1)
@@ -210,7 +218,7 @@ class _Drawn:
         self._sheets = [*self._sheets[-3:], _Sheet(self.gpu, texture)]
         return self._sheets[-1]
 
-    def _settings(self, sight: Sight, cells: tuple[int, int], strokes: int, given: bool) -> dict[str, Any]:
+    def _settings(self, sight: Sight, cells: tuple[int, int], strokes: int) -> dict[str, Any]:
         return {
             "size": sight.size,
             "nodes": cells,
@@ -220,7 +228,6 @@ class _Drawn:
             "source": self.size,
             "strokes": strokes,
             "solved": sight.solved or sight.overlay in ("residual", "inversions"),
-            "cell": FINE if given else CELL,
             "overlay": OVERLAYS[sight.overlay],
             "every": sight.every,
             "back": (*sight.back, max(sight.square, 1.0)),
@@ -231,7 +238,7 @@ class _Drawn:
 class Laid(_Drawn):
     """A part of an image at one size, which is warped already: strokes are for the overlay only."""
 
-    _entry, _kinds, _chosen = "lay", (*_COMMON, None, TEXTURE, PICTURE), ("BENT", "GRABS", "SINGLE")
+    _entry, _kinds, _chosen = "lay", (*_COMMON, None, TEXTURE, PICTURE), ("BENT", "GRABS", "FROZEN", "SINGLE")
 
     def __init__(self, gpu: Gpu, size: tuple[int, int]) -> None:
         super().__init__(gpu, size)
@@ -303,7 +310,7 @@ class Plate(_Drawn):
         If they exceed the largest binding.
     """
 
-    _entry, _kinds, _chosen = "paint", (*_COMMON, READ, TEXTURE), ("BENT", "GRABS")
+    _entry, _kinds, _chosen = "paint", (*_COMMON, READ, TEXTURE), ("BENT", "GRABS", "FROZEN")
 
     def __init__(self, gpu: Gpu, size: tuple[int, int], frames: int = 1, slots: int = 1) -> None:
         super().__init__(gpu, size)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from supple.engines.wgpu.field import FIELD
 from supple.engines.wgpu.fill import BLOCK, Filling
 from supple.engines.wgpu.kernel import (
     LAYERS,
@@ -40,7 +41,7 @@ RAYS = 1 << 16  # initial number of rays, before their time is known
 LONGEST = 8  # samples
 # A stretch of samples is read from the buffer if it begins in a brick with filled neighbours: it ends in one of these.
 FARTHEST = BLOCK - 4  # voxels
-_NAMES = ("raymarch", "volume", "solid", "blend", "field", "newton", "turns")
+_NAMES = ("raymarch", "volume", "solid", "blend", *FIELD, "turns")
 
 SETTINGS = np.dtype(
     [
@@ -57,6 +58,9 @@ SETTINGS = np.dtype(
         ("right", "f4", 4),
         ("below", "f4", 4),
         ("light", "f4", 4),
+        ("box_first", "f4", 4),
+        ("box_last", "f4", 4),
+        ("plane", "f4", 4),
         ("step", "f4"),
         ("low", "f4"),
         ("scale", "f4"),
@@ -68,7 +72,9 @@ SETTINGS = np.dtype(
         ("rows", "u4"),
         ("stretch", "u4"),
         ("turns", "u4"),
-        ("unused", "u4"),
+        ("projection", "u4"),
+        ("silhouettes", "f4"),
+        ("unused", "u4", 3),
     ]
 )
 _PAINT = np.dtype(
@@ -116,6 +122,10 @@ class Look:
     step: float
     light: npt.NDArray[np.float32]
     shaded: bool
+    box: Floats
+    plane: tuple[float, float, float, float]
+    silhouettes: float
+    projection: int
 
 
 def march(
@@ -230,6 +240,9 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         "fine": fine,
         "stretch": _stretch(mode, lattice.cells * lattice.spread, look.step / finest),
         "turns": TURNS,
+        "plane": look.plane,
+        "silhouettes": look.silhouettes,
+        "projection": look.projection,
     }.items():
         settings[name] = value
     for name, row in {
@@ -238,6 +251,8 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         "right": view[3],
         "below": view[4],
         "light": look.light,
+        "box_first": look.box[0],
+        "box_last": look.box[1],
     }.items():
         settings[name][0, :3] = row
     # Whole rows of pixels, as many as there is room for.
@@ -259,7 +274,8 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
                 (told,) = owned(own, upload(gpu, settings, UNIFORM))
                 finished = filling.finished if filling is not None else lattice.strokes
                 read = _read(held, skips.create_view(), colours.view)
-                run(gpu, [(made, [told, *read, seen, finished], (-(-width // 8), -(-count * fine // 8), 1))])
+                buffers = [told, *read, seen, finished, lattice.mask]
+                run(gpu, [(made, buffers, (-(-width // 8), -(-count * fine // 8), 1))])
             yield first * fine, count * fine, seen
             pace.count = min(pace.count, most)
     held.pace.count = pace.count * row_
@@ -274,7 +290,7 @@ def _read(held: Held, skips: Any, colours: Any) -> list[Any]:
 
 def _marching(held: Held, mode: int, buffer: bool) -> Any:
     volume = held.volume
-    kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, WHOLE_SOLID, LAYERS, WRITE, READ)
+    kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, WHOLE_SOLID, LAYERS, WRITE, READ, READ)
     sampled = {PLAIN: 1, HYBRID: 2}.get(mode, 0) if buffer else 0
     chosen = held.lattice.constants | {"MODE": mode, "SAMPLED": sampled}
     return pipeline(volume.gpu, (*_NAMES, volume.reader), "march", kinds, chosen)
@@ -287,7 +303,7 @@ def prepare(held: Held, filling: Filling) -> None:
         told, seen = owned(stack, upload(volume.gpu, np.zeros(1, SETTINGS), UNIFORM), room(volume.gpu, 32))
         skips, colours = solid(volume.gpu, (1, 1, 1), np.uint8), layers(volume.gpu, (1, 1), 1, np.float32, 4)
         owned(stack, skips, colours)
-        buffers = [told, *_read(held, skips.create_view(), colours.view), seen, filling.finished]
+        buffers = [told, *_read(held, skips.create_view(), colours.view), seen, filling.finished, held.lattice.mask]
         run(volume.gpu, [(_marching(held, mode, True), buffers, (1, 1, 1)) for mode in (LATTICE, HYBRID, PLAIN)])
         filling.prepare()
         download(volume.gpu, seen, np.float32, 8)  # waits

@@ -8,17 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from supple import _core
 from supple.engines.base import LONGEST
 from supple.engines.wgpu.lattice import Range
 from supple.engines.wgpu.samples import STEP, GpuGroup
 
 Floats = npt.NDArray[np.float64]
 
-# Constants of footprint.wgsl.
-LONG = 400.0
-FADED = 3.2
-SPOT = 1.7
-MOST_SPOTS = 16
+LONG, SQUARE, PER_SPOT, MOST_SPOTS = (_core.constants[name] for name in ("LONG", "SQUARE", "PER_SPOT", "MOST_SPOTS"))
 
 SUPPORT = {"nearest": 1, "linear": 1, "cubic": 2, "nothing": 1}
 
@@ -90,8 +87,8 @@ def reach_of(nodes: npt.NDArray[np.float32], first: int, origin: int, step: tupl
     half, apart = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     major, minor = half + apart, half - apart
     want = np.maximum(minor, major / LONG)
-    coarse = np.where(want > 0.8 * FADED, 2 * np.sqrt(want), 1.0)
-    spots = np.clip(np.sqrt(major / np.maximum(want / 4, 1)) / SPOT, 1, MOST_SPOTS)
+    coarse = np.where(want > 0.8 * SQUARE, 2 * np.sqrt(want), 1.0)
+    spots = np.clip(np.sqrt(major / np.maximum(want / 4, 1)) / PER_SPOT, 1, MOST_SPOTS)
     return Reach(
         both(z + u[..., 2], -1) - bend[..., 2],
         both(z + u[..., 2], 1) + bend[..., 2],

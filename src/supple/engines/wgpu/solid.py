@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.field import constants, domain, packed
+from supple.engines.wgpu.field import FIELD, constants, uploaded
 from supple.engines.wgpu.kernel import (
     CUT,
     READ,
@@ -28,11 +28,12 @@ from supple.engines.wgpu.kernel import (
     upload,
 )
 from supple.engines.wgpu.texels import copy_in, solid
+from supple.strain import Mask
 
 Floats = npt.NDArray[np.float64]
 
-_NAMES = ("nodes", "smooth", "solid", "blend", "field", "newton", "turns")
-_KINDS = (UNIFORM, UNIFORM, READ, SOLID, WRITE, WRITE)
+_NAMES = ("nodes", "smooth", "solid", "blend", *FIELD, "turns")
+_KINDS = (UNIFORM, UNIFORM, READ, SOLID, WRITE, WRITE, READ)
 _NODE = 64  # bytes
 _FIRST = 4096  # initial number of nodes, before their time is known
 _LOST, _CUT = np.float32(1e30), np.float32(2e30)  # codes in place of errors, as in nodes.wgsl
@@ -52,7 +53,7 @@ class Lattice:
     gpu : Gpu
     nodes : wgpu.GPUTextureView
         The nodes of the lattice, in the layout of solid.wgsl.
-    strokes, domain
+    domain, strokes, mask
         Buffers.
     shape : (int, int, int)
         Nodes, x first.
@@ -68,8 +69,9 @@ class Lattice:
 
     gpu: Gpu
     nodes: Any
-    strokes: Any
     domain: Any
+    strokes: Any
+    mask: Any
     shape: tuple[int, int, int]
     spread: float
     count: int
@@ -77,22 +79,26 @@ class Lattice:
     cells: int = 1
 
 
-def hold_strokes(gpu: Gpu, table: npt.NDArray[np.void], axes: Floats) -> Lattice:
+def hold_strokes(gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None = None) -> Lattice:
     """Return strokes on the device without a lattice; its nodes are placeholders."""
     return Lattice(
         gpu,
         solid(gpu, (4, 4, 2), np.float32, 4).create_view(),
-        upload(gpu, packed(table)),
-        upload(gpu, domain(axes), UNIFORM),
+        *uploaded(gpu, table, axes, freeze),
         (2, 2, 2),
         0.0,
         table.size,
-        constants(table),
+        constants(table, freeze),
     )
 
 
 def solve(
-    gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, shape: tuple[int, ...], step: int
+    gpu: Gpu,
+    table: npt.NDArray[np.void],
+    axes: Floats,
+    shape: tuple[int, ...],
+    step: int,
+    freeze: Mask | None = None,
 ) -> tuple[Lattice, npt.NDArray[np.float32], float, float]:
     """Solve for T⁻¹ at nodes ``step`` voxels apart, in a volume of ``shape`` (Z, H, W).
 
@@ -125,12 +131,11 @@ def solve(
     made = Lattice(
         gpu,
         texture.create_view(),
-        upload(gpu, packed(table)),
-        upload(gpu, domain(axes), UNIFORM),
+        *uploaded(gpu, table, axes, freeze),
         (across, down, deep),
         float(step),
         table.size,
-        constants(table),
+        constants(table, freeze),
     )
     nodes = np.empty((deep, down, across, 16), np.float32)
     settings = np.zeros(1, _SETTINGS)
@@ -147,7 +152,8 @@ def solve(
                 with contextlib.ExitStack() as own:
                     (told,) = owned(own, upload(gpu, settings, UNIFORM))
                     groups = tuple(-(-n // 4) for n in (across, down, count))
-                    run(gpu, [(work, [told, made.domain, made.strokes, made.nodes, some, stats], groups)])
+                    buffers = [told, made.domain, made.strokes, made.nodes, some, stats, made.mask]
+                    run(gpu, [(work, buffers, groups)])
                     if entry == "solve":
                         copy_in(gpu, some, pitch, texture, 2 * first, 2 * count)
                         found = download(gpu, some, np.float32, count * layer // 4)

@@ -231,7 +231,7 @@ def warp(
     """
     frames = space.count if space.ndim == 3 else 1
     with contextlib.ExitStack() as stack:
-        strokes = strokes_on(stack, gpu, space.table, space.axes, space.shape, step)
+        strokes = strokes_on(stack, gpu, space.table, space.axes, space.freeze, space.shape, step)
         work = _Work(strokes, picture, frames, planes[0], there or (0, frames), source, target)
         stack.callback(work.close)
         across, down = strokes.cells

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from supple.errors import SuppleError
 from supple.geometry import Geometry, Grid
 from supple.media.files import PathLike, check_output, check_suffix, head_of, unreadable, unwritable
+from supple.media.volume import derived, raw
 from supple.media.volume import pages as stack
-from supple.media.volume import raw
 from supple.media.volume.data import (
     DTYPES,
     Array,
@@ -33,8 +33,10 @@ __all__ = [
     "grid_of",
     "has_pages",
     "info",
+    "is_dicom",
     "is_volume",
     "outline_of",
+    "place_of",
     "read",
     "suffix_of",
     "write",
@@ -82,6 +84,11 @@ def is_volume(path: PathLike) -> bool:
     from supple.media.volume import dicom
 
     return dicom.is_slice(path)
+
+
+def is_dicom(path: PathLike) -> bool:
+    """Return whether a volume is DICOM."""
+    return _format(path) == "DICOM"
 
 
 def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> Volume:
@@ -206,13 +213,14 @@ def check_target(
     Parameters
     ----------
     path : str or os.PathLike
-        The file to write; see `check_output`, too.
+        The file to write; see `check_output`, too. Of DICOM slices, also a folder, without a suffix; of a DICOM file
+        of many frames, also a ``.dcm``.
     like : Volume, optional
         A volume of the shape to be written; without it, only the name is checked.
     dtype : dtype, optional
         The type to be written, if it differs.
     force : bool
-        Whether an existing ``.raw`` beside a ``.mhd`` may be replaced.
+        Whether an existing ``.raw`` beside a ``.mhd``, or a ``.dcm``, may be replaced.
 
     Raises
     ------
@@ -220,7 +228,12 @@ def check_target(
         If the suffix is not in `SUFFIXES_OUT`; a ``.raw`` exists; or the format cannot hold such a volume.
     """
     suffix = suffix_of(path)
+    if suffix in derived.SUFFIXES and like is not None and like.format == "DICOM":
+        derived.check(path, like, force=force)
+        return
     advice = f"use {', '.join(SUFFIXES_OUT)}"
+    if _FORMATS.get(suffix) == "DICOM":
+        advice = f"give a folder for slices, which is a name without suffix, or {advice}"
     check_suffix(path, suffix, SUFFIXES_OUT, "is no format that volumes are written in", advice)
     if suffix == ".mhd":
         check_output(Path(os.path.realpath(path)).with_suffix(".raw"), force=force)
@@ -241,7 +254,8 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     Parameters
     ----------
     path : str or os.PathLike
-        One of `SUFFIXES_OUT`. The data of a ``.mhd`` are written to a ``.raw`` of the same name.
+        One of `SUFFIXES_OUT`; or, for a series of DICOM slices, a folder, which gets a derived series; or, for a DICOM
+        file of many frames, a ``.dcm``. The data of a ``.mhd`` are written to a ``.raw`` of the same name.
     samples : ndarray
         An array of the shape of ``like.samples``, with ``like.scaling``. It may be mapped from a file. Formats other
         than NIfTI have no scaling, and hold scaled values in float32 or float64.
@@ -256,11 +270,15 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
         If the format cannot hold it, or the file cannot be written.
     """
     check_target(path, like, samples.dtype, force=force)
-    check_output(path, force=force)
+    if suffix_of(path):
+        check_output(path, force=force)
     if samples.shape != like.samples.shape:
         what = f"the samples are of {samples.shape}, and {like.name} is of {like.samples.shape}"
         raise unwritable(path, what, "make them alike")
     suffix = suffix_of(path)
+    if suffix in derived.SUFFIXES:
+        derived.write(path, samples, like, force=force)
+        return
     if suffix.startswith(".nii"):
         from supple.media.volume import nifti
 

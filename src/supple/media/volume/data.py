@@ -39,7 +39,8 @@ class Volume:
     series : bool
         Whether the first axis is time.
     header : object
-        The header in the file's own format, for writing the file again.
+        The header in the file's own format, for writing the file again; of DICOM, the path of the file of many
+        frames, or those of the slices, in order.
     scaling : (float, float)
         Slope and intercept: the values are ``slope * samples + intercept``.
     interval : float

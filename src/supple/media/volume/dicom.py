@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import VolumeWarning, shown
+from supple.errors import VolumeWarning, need, shown
 from supple.media.files import PathLike, head_of, unreadable
 from supple.media.volume.data import Array, Volume, check_spacing, located
+from supple.media.volume.frames import frames_of
 from supple.media.volume.itk import check_voxels, failing, geometry_of, imported, silence
 
 _UID, _NUMBER, _TEXT, _PIXEL_SPACING = "0020|000e", "0020|0011", "0008|103e", "0028|0030"
-_THICKNESS, _BETWEEN, _BITS = "0018|0050", "0018|0088", "0028|0100"
+_THICKNESS, _BETWEEN, _BITS, _DOSE = "0018|0050", "0018|0088", "0028|0100", "3004|000e"
 _SUFFIXES = {".dcm", ".dicom", ".ima"}
 _ASIDE = 0.25  # of a pixel: the largest sideways offset of slices
 _ALONG = 0.1  # of a step: the largest deviation from even steps
@@ -91,7 +92,7 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
     """Return the series of images in a folder and its subfolders, by number; SuppleError if there are none.
 
     Objects that are not images, or are derived from images in the folder (a dose, a segmentation), are left out with a
-    warning.
+    warning; files that cannot be read, too, if a slice beside them was named, and not the folder (``nested``).
     """
     sitk, beside = imported(), []
     images: list[tuple[str, Any]] = []
@@ -103,6 +104,8 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
         if os.path.basename(file).upper() == "DICOMDIR" or not os.path.isfile(file) or not (named or is_slice(file)):
             continue
         reader, kind = _reader(sitk, file), _kind_beside(file)
+        if reader is None and not kind and not nested:
+            kind = "not readable"
         if reader is None and not kind:  # a missing last slice would not be noticed
             advice = "give a whole copy of it, or take it out"
             raise unreadable(file, "it is damaged, or no slice of any series", advice)
@@ -147,6 +150,19 @@ def _kind_beside(path: str) -> str:
     return _BESIDE.get(".".join(parts[:2])) or _BESIDE.get(parts[0], "")
 
 
+def frame_of_reference(path: str) -> str:
+    """Return the UID of the frame of reference of a DICOM file: an image's, or of contours; "" if it says none."""
+    need("volume", "contours of DICOM", "pydicom")
+    import pydicom
+
+    try:
+        head = pydicom.dcmread(path, stop_before_pixels=True)
+    except Exception:  # what is wrong with it is told by who reads it
+        return ""
+    parts = [head, *(head.get("ReferencedFrameOfReferenceSequence") or ())]
+    return next((str(part.FrameOfReferenceUID) for part in parts if part.get("FrameOfReferenceUID")), "")
+
+
 def described(found: list[Series]) -> str:
     """Return a list of series in one line."""
     parts = []
@@ -167,10 +183,17 @@ def read(path: PathLike, series: str | None = None) -> Volume:
     sitk, file = imported(), Path(path)
     if not file.is_dir():
         head_of(path, 1)
-        with failing(path, "DICOM"):
-            reader = _informed(sitk, os.fspath(path))
+        reader = _reader(sitk, os.fspath(path))
+        if reader is None:
+            if kind := _kind_beside(os.fspath(path)):
+                advice = (
+                    "supple points moves its contours" if kind == "RTSTRUCT" else "give slices, or a file of frames"
+                )
+                raise unreadable(path, f"it is DICOM without a picture ({kind})", advice)
+            with failing(path, "DICOM"):  # which says why
+                reader = _informed(sitk, os.fspath(path))
         if reader.GetSize()[2:3] > (1,):
-            return _frames(path, sitk, reader)
+            return _frames(path, sitk, reader, path)
         found = listed(file.parent, nested=False)
         return _stacked(path, sitk, _chosen(found, path, series or _tag(reader, _UID)))
     return _stacked(path, sitk, _chosen(listed(file), path, series))
@@ -224,18 +247,43 @@ def _thickness(reader: Any) -> float:
     return float(reader.GetSpacing()[2])
 
 
-def _frames(path: PathLike, sitk: Any, reader: Any) -> Volume:
-    """Read one file that holds all slices."""
+def _frames(path: PathLike, sitk: Any, reader: Any, file: PathLike) -> Volume:
+    """Read one file that holds all slices; ``path`` is for messages."""
     check_voxels(path, sitk, reader)
     _check_pixels(path, reader)
-    geometry = geometry_of(path, reader)
+    known, order = frames_of(file), None
+    if known.places is None:
+        geometry = geometry_of(path, reader)
+    else:
+        names = [f"frame {k + 1}" for k in range(len(known.places))]
+        order, step = _ordered(path, names, known.places, known.direction, min(known.spacing))
+        geometry = located(path, [*known.spacing, step], known.places[order[0]].tolist(), known.direction, "LPS")
     with failing(path, "DICOM", tuple(reader.GetSize())):
-        samples = sitk.GetArrayFromImage(reader.Execute())
-    return Volume(_narrowed(samples, [reader]), geometry, shown(path), "DICOM")
+        samples = known.rescaled(sitk.GetArrayFromImage(reader.Execute()))
+    if order is not None and (np.diff(order) != 1).any():
+        samples = samples[order]
+    scaling, name = _dose(path, reader), os.path.abspath(file)
+    return Volume(_narrowed(samples, [reader]), geometry, shown(path), "DICOM", header=name, scaling=scaling)
+
+
+def _dose(path: PathLike, reader: Any) -> tuple[float, float]:
+    """Return the scaling of a dose to Gy, which GDCM does not apply; that of all else is 1."""
+    text = _tag(reader, _DOSE)
+    try:
+        scale = float(text) if text else 1.0
+    except ValueError:
+        scale = 0.0
+    if not 0 < scale < np.inf:
+        raise unreadable(
+            path, f"its dose grid scaling is {shown(text)}, and not a number above 0", "correct its header"
+        )
+    return scale, 0.0
 
 
 def _narrowed(samples: Array, readers: list[Any]) -> Array:
-    """Return 16-bit values in 16 bits: GDCM uses 32 if there is an intercept, such as CT's -1024."""
+    """Return values as they are meant: 16-bit ones in 16 bits (GDCM uses 32 for an intercept, such as CT's -1024)."""
+    if all(_tag(reader, _BITS) == "1" for reader in readers):
+        return samples // 255  # GDCM makes 255 of a bit, as of a segmentation's
     if samples.dtype != np.int32 or not all(_tag(reader, _BITS) in ("8", "12", "16") for reader in readers):
         return samples
     known = np.iinfo(np.int16)
@@ -251,20 +299,21 @@ def _stacked(path: PathLike, sitk: Any, series: Series) -> Volume:
         _check_pixels(name, readers[-1])
     first = readers[0]
     if len(readers) == 1 and first.GetSize()[2:3] > (1,):
-        return _frames(path, sitk, first)
+        return _frames(path, sitk, first, series.paths[0])
+    for name, reader in zip(series.paths, readers, strict=True):
+        if reader.GetSize()[2:3] > (1,):
+            raise unreadable(path, f"{shown(Path(name).name)} is one of several files of many frames", "name that file")
     for name, reader in zip(series.paths, readers, strict=True):
         _require_alike(path, (series.paths[0], first), (name, reader))
     direction = np.array(first.GetDirection()).reshape(3, 3)
     places = np.array([reader.GetOrigin() for reader in readers])
-    along = (places - places[0]) @ direction[:, 2]
-    order = np.argsort(along, kind="stable")
+    if len(readers) > 1:
+        told = [shown(Path(name).name) for name in series.paths]
+        order, step = _ordered(path, told, places, direction, min(first.GetSpacing()[:2]))
+    else:
+        order, step = np.zeros(1, np.intp), _thickness(first)
     names = [series.paths[k] for k in order]
-    step = _check_steps(path, names, along[order]) if len(names) > 1 else _thickness(first)
-    aside = places[order] - places[order][0] - np.outer(along[order] - along[order][0], direction[:, 2])
-    if np.abs(aside).max() > _ASIDE * min(first.GetSpacing()[:2]):
-        told = "its slices are not stacked at right angles (a tilted gantry, for one)"
-        raise unreadable(path, told, "resample it first")
-    spacing = [*first.GetSpacing()[:2], float(step)]
+    spacing = [*first.GetSpacing()[:2], step]
     geometry = located(path, spacing, places[order][0].tolist(), direction, "LPS")
     reader = sitk.ImageSeriesReader()
     reader.SetImageIO("GDCMImageIO")
@@ -274,7 +323,22 @@ def _stacked(path: PathLike, sitk: Any, series: Series) -> Volume:
         reader.SetOutputPixelType(sitk.sitkFloat64 if floats else sitk.sitkInt32)
     with failing(path, "DICOM", (*first.GetSize()[:2], len(names))):
         samples = sitk.GetArrayFromImage(reader.Execute())
-    return Volume(_narrowed(samples, readers), geometry, shown(path), "DICOM")
+    if len(scalings := {_dose(name, one) for name, one in zip(series.paths, readers, strict=True)}) > 1:
+        raise unreadable(path, "its slices have several dose grid scalings", "give one file of many frames")
+    made = _narrowed(samples, readers), geometry, shown(path), "DICOM"
+    return Volume(*made, header=tuple(os.path.abspath(name) for name in names), scaling=scalings.pop())
+
+
+def _ordered(path: PathLike, names: list[str], places: Array, direction: Array, pixel: float) -> tuple[Array, float]:
+    """Return the order of slices along their normal, and the step; SuppleError if they are not evenly stacked."""
+    along = (places - places[0]) @ direction[:, 2]
+    order = np.argsort(along, kind="stable")
+    step = _check_steps(path, [names[k] for k in order], along[order])
+    aside = places[order] - places[order][0] - np.outer(along[order] - along[order][0], direction[:, 2])
+    if np.abs(aside).max() > _ASIDE * pixel:
+        told = "its slices are not stacked at right angles (a tilted gantry, for one)"
+        raise unreadable(path, told, "resample it first")
+    return order, step
 
 
 def _require_alike(path: PathLike, first: tuple[str, Any], other: tuple[str, Any]) -> None:
@@ -297,7 +361,7 @@ def _check_steps(path: PathLike, names: list[str], along: Array) -> float:
     even = float((along[-1] - along[0]) / len(steps))
 
     def between(k: int) -> str:
-        return f"{shown(Path(names[k]).name)} and {shown(Path(names[k + 1]).name)}"
+        return f"{names[k]} and {names[k + 1]}"
 
     if ((closest := int(steps.argmin())) >= 0 and steps[closest] < _ALONG * usual) or usual <= 0:
         told = f"{between(closest)} lie at the same place"

@@ -50,6 +50,8 @@ class Document:
         self._now = self._solved(self._state(recipe or Recipe()), None)
         self._history = History(self._now.state)
         self._saved = self._now.state.content
+        self._plain = self.deformation.without_strokes()
+        self._base: tuple[State, Deformation] | None = None
 
     @property
     def state(self) -> State:
@@ -105,11 +107,11 @@ class Document:
     def tracks(self) -> list[tuple[int, Track]]:
         """Return the strokes that have handles on screen, and their indices: no hidden ones.
 
-        Of those of a painting, which are many, only the selected one has handles.
+        Of those of a painting, which are many, only the selected one has handles; during a drag, only what is dragged.
         """
         visible = (i for i, item in enumerate(self.items) if not item.hidden)
-        pairs, chosen = zip(visible, self._now.tracks, strict=True), self.selected
-        return [(i, track) for i, track in pairs if i == chosen or track.stroke.name not in PAINTINGS]
+        pairs, chosen, lone = zip(visible, self._now.tracks, strict=True), self.selected, self.dragging
+        return [(i, track) for i, track in pairs if i == chosen or not (lone or track.stroke.name in PAINTINGS)]
 
     def beneath(self, i: int, point: tuple[float, ...]) -> tuple[float, ...]:
         """Return where the material that is seen at a point was before a stroke, which is not hidden."""
@@ -201,13 +203,18 @@ class Document:
                     f"stroke {k} of the recipe moves from frame to frame, which the window does not show: supple warp "
                     "carries it out"
                 )
+            if self.kind == "video" and count == 3 and len(stroke.at) == 2:
+                raise SuppleError(
+                    f"stroke {k} has a point of 2 numbers, and in the window strokes of a clip need X,Y,T: supple warp "
+                    "takes X,Y, for all frames"
+                )
             if len(stroke.at) != count:
                 what = {"image": "a picture, with points x, y", "video": "a clip, with points x, y, t"}.get(
                     self.kind or ("image" if count == 2 else ""), "a volume, with points x, y, z"
                 )
                 raise SuppleError(
-                    f"stroke {k} of the recipe has points of {len(stroke.at)} numbers, and this is {what}: "
-                    "open one of its kind"
+                    f"stroke {k} has points of {len(stroke.at)} numbers, and this is {what}: "
+                    "give as many, or open a file of that kind"
                 )
         size = self.shape[::-1]
         fitted = recipe.fitted(size, time=self.kind == "video")
@@ -267,6 +274,36 @@ class Document:
         while self.step < step:
             state = self._history.redo()
         self._show(self._solved(state, self._now))
+
+    @property
+    def compared(self) -> State | None:
+        """The state that the present one is compared with; None if that is the original."""
+        return None if self._base is None else self._base[0]
+
+    @property
+    def compared_step(self) -> int | None:
+        """The index of `compared` among `steps`; None for the original, and for a step that has left the history."""
+        known = self.compared
+        if known is None:
+            return None
+        # Two steps may be equal, and a selection makes another state of the same step.
+        same = (k for k, state in enumerate(self.steps) if state.items is known.items and state.rest is known.rest)
+        return next(same, None)
+
+    @property
+    def base(self) -> Deformation:
+        """The deformation of what the present state is compared with; that of the original moves nothing."""
+        return self._plain if self._base is None else self._base[1]
+
+    def compare(self, step: int | None) -> None:
+        """Compare with one of `steps`, whatever is undone later; or with the original again."""
+        if step is None:
+            self._base = None
+        else:
+            count = len(self.steps)
+            state = self.steps[integer("a step", step, f"one of {count}, from 0 to {count - 1}", 0, count - 1)]
+            self._base = state, self._solved(state, self._now).chain[-1]
+        self._tell()
 
     def undo(self) -> None:
         """Undo the last step, or the current drag."""

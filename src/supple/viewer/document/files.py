@@ -43,6 +43,13 @@ class Question:
     problem: str = ""
     fresh: bool = True  # not drawn yet
 
+    @property
+    def offered(self) -> tuple[str, ...]:
+        """The choices, without those that replace a file where there is none."""
+        path = self.path or ""
+        there = "%" in path or os.path.exists(path)  # a pattern of frames may name some that are there
+        return tuple(choice for choice in self.choices if there or not choice.startswith("Replace"))
+
 
 class Dialog(Protocol):
     """A dialog of the system for a file, which is open beside the window."""
@@ -85,7 +92,11 @@ class FileCommands:
                 text += "\nThe file has changed since then."
             if not self._left.read_alike(self.document):
                 text += "\nIt was read otherwise then: by another --time-scale, --series, --shape or --spacing."
-            self.asked = Question("restore", "Restore?", text, ("Restore", "Leave"))
+            text += (
+                "\nRestore brings that back; Keep for later opens the file without it, and keeps it in a file that is "
+            )
+            text += "named then."
+            self.asked = Question("restore", "Restore?", text, ("Restore", "Keep for later"))
 
     def tick(self) -> None:
         """Save the autosave if it is time to; and report the end of an export, or of a dialog."""
@@ -177,8 +188,8 @@ class FileCommands:
                 if self.autosave is not None and not self.autosave.keep():
                     raise SuppleError(f"it is restored, but cannot be kept again: {self.autosave.trouble}: save it")
             place = self._left.set_aside()
-            if choice == "Leave":
-                self.message = f"they are kept in {shown(place)}"
+            if choice == "Keep for later":
+                self.message = f"the strokes are in {shown(place)}"
             self._left = None
         elif asked.name == "save":
             self.save(path, force=force)

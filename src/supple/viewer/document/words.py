@@ -41,6 +41,16 @@ def named(stroke: Stroke) -> str:
     return "Path" if stroke.path else stroke.brush.capitalize()
 
 
+def listed(stroke: Stroke) -> str:
+    """Return a stroke in a line of a list."""
+    said = f"{named(stroke)} {place(stroke.at)}"
+    if stroke.angle is not None:
+        said += f" {stroke.angle:.3g}\u00b0"
+    elif stroke.factor is not None:
+        said += f" \u00d7{stroke.factor:.3g}"
+    return f"{said}, radius {stroke.radius:.3g}"
+
+
 def done(stroke: Stroke, digits: int = 0) -> str:
     """Return what a stroke does at its pivot."""
     if stroke.angle is not None:
@@ -57,7 +67,7 @@ def others(stroke: Stroke) -> str:
     """Return how many other points a stroke has."""
     pins = sum(not any(by) for _, by in stroke.also)
     more = len(stroke.also) - pins
-    return " and ".join(_counted(n, what) for n, what in ((more, "other"), (pins, "pin")) if n)
+    return " and ".join(_counted(n, what) for n, what in ((more, "other point"), (pins, "pin")) if n)
 
 
 def _counted(count: int, what: str) -> str:

@@ -12,6 +12,10 @@ from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import REST, hint, listing, section, wrapped
 
+_MARK = "Click to compare what you see with this step (A), side by side"
+_MARKED = "Before and after, and the original, show this step: click to compare with the original again"
+_BACK = "Before and after, and the original, show step A, even once it has left the history"
+
 
 def draw(view: View) -> None:
     """Draw both sections."""
@@ -31,8 +35,16 @@ def _history(view: View) -> None:
         imgui.set_scroll_y(row * (now + 0.5) - 0.5 * imgui.get_window_height())
     clipper = imgui.ListClipper()
     clipper.begin(len(steps))
+    wide, compared = imgui.calc_text_size("A").x, document.compared_step
     while clipper.step():
         for k in range(clipper.display_start, clipper.display_end):
+            marked = k == compared
+            imgui.push_style_color(imgui.Col_.text, theme.TEXT if marked else theme.FAINT)
+            if imgui.selectable(f"A###mark {k}", marked, size=(wide, 0))[0] and not document.dragging:
+                view.attempt(partial(_compare, view, None if marked else k))
+            imgui.pop_style_color()
+            hint(_MARKED if marked else _MARK)
+            imgui.same_line()
             name = "Start" if k == 0 else step(steps[k - 1], steps[k])
             imgui.push_style_color(imgui.Col_.text, theme.TEXT if k <= now else theme.FAINT)
             if imgui.selectable(f"{name}###step {k}", k == now)[0] and not document.dragging:
@@ -40,6 +52,18 @@ def _history(view: View) -> None:
             imgui.pop_style_color()
             hint("Click to go back to it" if k < now else "Click to go to it" if k > now else "What is seen now")
     imgui.end_child()
+    if document.compared is not None:
+        if imgui.button("Compare with the original", (REST, 0)):
+            view.attempt(partial(_compare, view, None))
+        hint(_BACK)
+
+
+def _compare(view: View, step: int | None) -> None:
+    """Compare with a step, side by side; or with the original again."""
+    view.document.compare(step)
+    if step is not None and view.tools.split is None:
+        view.tools.split = 0.5
+    view.refresh()
 
 
 def _recipe(view: View) -> None:

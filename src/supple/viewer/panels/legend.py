@@ -10,7 +10,7 @@ from supple.viewer.document.words import frozen
 from supple.viewer.panels import theme
 from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.panels.view import FROZEN, View
-from supple.viewer.panels.widgets import wrapped
+from supple.viewer.panels.widgets import hint, wrapped
 
 NAMES = {
     "": "None",
@@ -33,22 +33,36 @@ _SCALES: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 
 
+def mask(view: View) -> None:
+    """Say how much is frozen, if anything is, beside the colour that it has."""
+    known, held = view.document.state.rest.freeze, view.tools.held
+    painted = held is not None and held.masks
+    if known is None and not painted:
+        return
+    at, size = imgui.get_cursor_screen_pos(), imgui.get_text_line_height()
+    imgui.get_window_draw_list().add_rect_filled((at.x, at.y), (at.x + size, at.y + size), theme.VEIL, 3.0)
+    imgui.dummy((size, size))
+    imgui.same_line()
+    if painted or known is None:  # how much it is would be counted anew for each frame
+        wrapped("Takes effect when you let go.")
+        return
+    wrapped(f"{frozen(known)}: no stroke moves it.")
+    hint("Freeze (C) and Thaw (V) paint it; the overlay Frozen tints it")
+
+
 def draw(view: View) -> None:
     """Draw the legend of the overlays that are shown."""
-    if view.veiled:
-        at, size = imgui.get_cursor_screen_pos(), imgui.get_text_line_height()
-        imgui.get_window_draw_list().add_rect_filled((at.x, at.y), (at.x + size, at.y + size), theme.VEIL, 3.0)
-        imgui.dummy((size, size))
-        imgui.same_line()
-        known = view.document.state.rest.freeze
-        wrapped("Nothing is frozen." if known is None else f"{frozen(known)}: no stroke moves it.")
+    if view.overlay == FROZEN:
+        if view.tools.mask is None:
+            wrapped("Nothing is frozen.")
+        mask(view)
     name = "rays" if view.overlay == "inversions" and view.stage.kind == "volume" else view.overlay
     if name == "grid":
         wrapped("Lines of the original, every 32 pixels, as they are bent.")
     if name not in _SCALES:
         return
     if isinstance(view.stage, VolumeStage) and view.stage.scene.gpu is None:
-        wrapped("Not shown where something is frozen: the CPU renders then.")
+        wrapped("Not shown: the CPU renders what the device cannot.")
         return
     text, marks = _SCALES[name]
     wrapped(text)

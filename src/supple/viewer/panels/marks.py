@@ -1,4 +1,4 @@
-"""What lies over the views of a volume: crosshair, letters, scale bars, axes, strokes, and the brush's ring."""
+"""What lies over the views of a volume: crosshair, letters, scale bars, strokes, and the brush's ring."""
 
 from __future__ import annotations
 
@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 from imgui_bundle import imgui
 
+from supple.geometry import SIDES
+from supple.render.box import whole_box
+from supple.render.marks import rounded
 from supple.viewer.document.state import PAINTINGS
-from supple.viewer.panels import theme
-from supple.viewer.panels.view import View
+from supple.viewer.panels import cube, theme
+from supple.viewer.panels.stages import VolumeStage
+from supple.viewer.panels.view import COMPUTING, View
 from supple.viewer.tools.brushes import ImageTools
 from supple.viewer.tools.drags import MASKS, PAINTED, Pair
 from supple.viewer.tools.planes import RENDERED, Pane, Place
@@ -21,13 +25,11 @@ _LETTERS = 0xF0FFFFFF  # ABGR
 _PLANES = (0xFF6478F0, 0xFF78C86C, 0xFF50C8E8)  # red, green and yellow, as elsewhere for these three
 _INSET = 8.0  # logical pixels from a view's edge to its text
 _NAMED = 30.0  # and to the names of before and after, below that of the plane
-_ARM = 30.0  # logical pixels of the axes in the rendering
 _BAR = (0.28, 30.0)  # the largest part of a view's width, and the least logical pixels, of a scale bar
 _DASH = 14.0  # logical pixels from one dash to the next
 _ROOMY = 240.0  # logical pixels: a narrower view has no room for all of its text
 _NEARBY = 5.0  # millimetres of a landmark from a plane in which it is seen, faint
 _MARK = 0xFFF0D060  # of landmarks
-_AXES = (("L", "R"), ("P", "A"), ("S", "I"))
 
 
 def draw(view: View, tools: SliceTools, lines: imgui.ImDrawList) -> None:
@@ -68,13 +70,14 @@ def rings(tools: ImageTools | SliceTools, lines: imgui.ImDrawList) -> None:
 
 
 def names(tools: ImageTools | SliceTools, lines: imgui.ImDrawList, place: Place, down: float) -> None:
-    """Say which picture of a view is the original, some pixels below its upper edge."""
+    """Say which picture of a view is the original, or a step of the history, some pixels below its upper edge."""
     (left, top, width, _), named = place, []
+    compared = tools.document.compared is not None
     if tools.original:
-        named = [("Original", left + 10.0)]
+        named = [("Step A" if compared else "Original", left + 10.0)]
     elif tools.split is not None and 0.05 < tools.split < 0.95:
-        middle = left + tools.split * width
-        named = [("Before", middle - 10 - imgui.calc_text_size("Before").x - 20), ("After", middle + 10)]
+        middle, (before, after) = left + tools.split * width, ("Step A", "Now") if compared else ("Before", "After")
+        named = [(before, middle - 10 - imgui.calc_text_size(before).x - 20), (after, middle + 10)]
     for text, x in named:
         size, y = imgui.calc_text_size(text), top + down
         lines.add_rect_filled((x, y), (x + size.x + 20, y + size.y + 8), 0xB0181818, 6.0)
@@ -115,9 +118,10 @@ def _button(tools: SliceTools, lines: imgui.ImDrawList, k: int) -> None:
 def _plane(view: View, tools: SliceTools, lines: imgui.ImDrawList, k: int) -> None:
     pane = tools.pane(k)
     left, top, width, height = pane.place
-    if view.veiled and tools.mask is not None:
-        axes = pane.plane.axis, pane.plane.across, pane.plane.down
-        view.veil.draw(lines, tools.mask, tools.sizes, pane.to_canvas, axes, pane.index[pane.plane.axis])
+    if tools.mask is not None and not tools.original:
+        axes, index = (pane.plane.axis, pane.plane.across, pane.plane.down), pane.index[pane.plane.axis]
+        view.veil.draw(lines, tools.mask, tools.sizes, pane.to_canvas, axes, index, outline=not view.veiled)
+    _cut(view, lines, pane)
     _crosshair(tools, lines, pane)
     if (grip := tools.grip_of(k)) is not None:
         mirror(lines, grip, top, height)
@@ -151,7 +155,7 @@ def _lies(tools: SliceTools, pane: Pane) -> str:
         return f"oblique by {geometry.oblique:.2g} degrees"
     row = int(np.abs(geometry.direction[:, pane.plane.axis]).argmax())
     place = float(geometry.to_lps(pane.index)[row])
-    return f"{_AXES[row][place < 0]} {abs(place):.1f} mm"
+    return f"{SIDES[row][place < 0]} {abs(place):.1f} mm"
 
 
 def _crosshair(tools: SliceTools, lines: imgui.ImDrawList, pane: Pane) -> None:
@@ -165,6 +169,18 @@ def _crosshair(tools: SliceTools, lines: imgui.ImDrawList, pane: Pane) -> None:
     for a, b in ((top, y - gap), (y + gap, top + height)):
         if a < b:
             lines.add_line((x, a), (x, b), upright, 1.0)
+
+
+def _cut(view: View, lines: imgui.ImDrawList, pane: Pane) -> None:
+    """Draw the box that is left of the rendering where something is cut away; faint where the plane is beside it."""
+    assert isinstance(view.stage, VolumeStage)
+    box = view.stage.scene.clip
+    if box == whole_box(view.stage.shape):
+        return
+    low, high = box[pane.plane.axis]
+    colour = theme.SOFT if low <= pane.index[pane.plane.axis] <= high else theme.DIM
+    (a, b), (c, d) = (pane.to_canvas(tuple(corner)) for corner in zip(*box, strict=True))
+    lines.add_rect((min(a, c), min(b, d)), (max(a, c), max(b, d)), colour, 0.0, 1.0)
 
 
 def _strokes(view: View, tools: SliceTools, lines: imgui.ImDrawList, pane: Pane) -> None:
@@ -234,7 +250,6 @@ def _rendering(view: View, tools: SliceTools, lines: imgui.ImDrawList, place: Pl
                 if seen.stroke.brush == "grab":
                     end_of(lines, end, colour, wanted)
             wanted = None  # only the first one's is known
-    left, top, width, height = place
     if tools.sight.large is None and (at := tools.projected(tuple(map(float, tools.index)))) is not None:
         for a, b in ((1, 0), (0, 1)):
             for way in (-1, 1):
@@ -242,8 +257,10 @@ def _rendering(view: View, tools: SliceTools, lines: imgui.ImDrawList, place: Pl
                 lines.add_line(near, far, theme.DARK, 3.0)
                 lines.add_line(near, far, theme.WHITE, 1.0)
     _landmarks(view, lines, tools.projected)
-    if width > _ROOMY:
-        _axes(tools, lines, (left + width - _ARM - 3 * _INSET, top + height - _ARM - 3 * _INSET))
+    if view.computing:
+        left, top, width, _ = place
+        _text(lines, (left + width / 2, top + _INSET), COMPUTING, align=(0.5, 0.0))
+    cube.draw(tools, lines)
     _bar(lines, place, tools.stage.scale(tools.view, tools.stage.target(tools.view)))
 
 
@@ -256,7 +273,8 @@ def _landmarks(
         return
     taken: list[tuple[float, float, float]] = []  # where names lie, which are not written over each other
     before = marks.points
-    after = before if view.tools.original else marks.moved(view.document.deformation)
+    document = view.document
+    after = marks.moved(document.base if view.tools.original else document.deformation)
     for name, old, new in zip(marks.names, before.tolist(), after.tolist(), strict=True):
         away = 0.0
         if pane is not None:
@@ -284,24 +302,6 @@ def _landmarks(
         lines.add_polyline([*corners, corners[0]], theme.DARK if away <= 0.5 else _MARK & 0x90FFFFFF, 1.5, 0)
 
 
-def _axes(tools: SliceTools, lines: imgui.ImDrawList, at: Pair) -> None:
-    """Draw the axes of the patient, or of the voxels, as the camera sees them, with letters at the near ends."""
-    seen, geometry = tools.stage.view(tools.view), tools.geometry
-    right, down = (axis / np.linalg.norm(axis) for axis in seen.packed[3:])
-    ends = []
-    for k in range(3):
-        for which, sign in enumerate((1, -1)):
-            way = sign * geometry.direction.T[:, k]
-            letter = _AXES[k][which] if geometry.convention != "array" else f"{'+-'[which]}{'xyz'[k]}"
-            ends.append((float(way @ seen.ahead), float(way @ right), float(way @ down), letter))
-    for away, x, y, letter in sorted(ends, reverse=True):
-        end = at[0] + _ARM * x, at[1] + _ARM * y
-        lines.add_line(at, end, theme.DARK, 3.0)
-        lines.add_line(at, end, theme.SOFT if away <= 0.2 else theme.DIM, 1.5)
-        if away <= 0.2:
-            _text(lines, (at[0] + (_ARM + 9) * x, at[1] + (_ARM + 9) * y), letter, align=(0.5, 0.5))
-
-
 def _bar(lines: imgui.ImDrawList, place: Place, scale: float) -> None:
     """Draw a bar whose length is a round number of millimetres."""
     left, top, width, height = place
@@ -315,9 +315,3 @@ def _bar(lines: imgui.ImDrawList, place: Place, scale: float) -> None:
         for end in (x, x + length * scale):
             lines.add_line((end, y - 6), (end, y), colour, thick)
     _text(lines, (x, y - 8), f"{length:g} mm", align=(0.0, 1.0))
-
-
-def rounded(most: float) -> float:
-    """Return the largest 1, 2 or 5 times a power of ten that is not more."""
-    power = 10.0 ** math.floor(math.log10(most))
-    return max(k * power for k in (1.0, 2.0, 5.0) if k * power <= most * (1 + 1e-9))

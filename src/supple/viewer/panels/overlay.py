@@ -9,8 +9,8 @@ from imgui_bundle import imgui
 from supple.viewer.document.words import done, named
 from supple.viewer.panels import icons, marks, theme
 from supple.viewer.panels.stages import VideoStage, VolumeStage
-from supple.viewer.panels.view import BAR, LINE, View
-from supple.viewer.panels.widgets import hint, icon_button
+from supple.viewer.panels.view import BAR, COMPUTING, LINE, View
+from supple.viewer.panels.widgets import hint, icon_button, shortened
 from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.drags import Pair, Point
 from supple.viewer.tools.playback import Playback
@@ -34,8 +34,9 @@ def draw(view: View) -> None:
     if isinstance(tools, SliceTools):
         marks.draw(view, tools, lines)
     else:
-        if view.veiled and tools.mask is not None:
-            view.veil.draw(lines, tools.mask, view.document.shape[:-3:-1], lambda p: tools.viewport.to_canvas(*p))
+        if tools.mask is not None and not tools.original:
+            size, outline = view.document.shape[:-3:-1], not view.veiled
+            view.veil.draw(lines, tools.mask, size, lambda p: tools.viewport.to_canvas(*p), outline=outline)
         if (grip := tools.grip) is not None:
             marks.mirror(lines, grip, 0.0, height)
         _handles(view, lines)
@@ -149,15 +150,17 @@ def _marked(playback: Playback) -> None:
 def _status(view: View) -> None:
     _bar("status", view.logical[1] - LINE, view.area[0], LINE, (8, 3))
     said = status(view)
-    imgui.text(said)
-    hint(said.replace("   |   ", "\n"))  # the full text, if the window is narrow
+    imgui.text(shortened(said, imgui.get_content_region_avail().x))
+    hint(said.replace("   |   ", "\n"))  # all of it
     _end_bar()
 
 
 def status(view: View) -> str:
-    """Draw the status line: a message, or the point under the pointer; frames a second; and the certified error."""
+    """Return the status line: a message, or the point under the pointer; how exact pixels are; frames a second."""
     parts = [view.stage.trouble]
     tools, document = view.tools, view.document
+    if view.computing:  # what is under the pointer would wait for it
+        return COMPUTING
     trouble = tools.status or view.commands.message
     if trouble:
         parts.append(trouble)
@@ -169,12 +172,14 @@ def status(view: View) -> str:
         elif isinstance(tools, SliceTools):
             parts += _of_a_volume(view, tools, hover)
         elif not isinstance(view.stage, VolumeStage):
-            plain = _is_before(view)
-            parts.append(view.stage.value((hover[0], hover[1]), view.frame, None if plain else document.deformation))
+            seen = document.base if _is_before(view) else document.deformation
+            parts.append(view.stage.value((hover[0], hover[1]), view.frame, seen))
     parts.append(certified(view))
     if isinstance(tools, ImageTools):
         parts.append(f"{tools.viewport.percent:.0f} %")
-    if view.busy:
+    if view.refining and not document.dragging:
+        parts.append(f"refining the rendering, {100 * view.filled:.0f} %")
+    elif view.busy:
         parts.append(f"{view.rate:.0f} frames a second")
     if view.painter.coarse > 1 and tools.dragging:
         why = "no hardware GPU" if view.gpu.software else "the GPU is slow"
@@ -196,7 +201,7 @@ def _held(view: View) -> str:
 
 
 def _is_before(view: View) -> bool:
-    """Return whether the original is under the pointer."""
+    """Return whether the original, or what else the result is compared with, is under the pointer."""
     tools = view.tools
     if tools.split is None or tools.pointer is None or tools.original:
         return tools.original
@@ -210,7 +215,7 @@ def _of_a_volume(view: View, tools: SliceTools, hover: tuple[float, ...]) -> lis
     assert slices is not None
     pane = tools.pane_under
     if pane is not None:
-        seen = None if _is_before(view) else document.deformation
+        seen = document.base if _is_before(view) else document.deformation
         value = slices.value(seen, pane.plane, hover, pane.index[pane.plane.axis])
     elif tools.under is not None:
         value = slices.told(stage.value(tools.under))
@@ -220,19 +225,21 @@ def _of_a_volume(view: View, tools: SliceTools, hover: tuple[float, ...]) -> lis
 
 
 def certified(view: View) -> str:
-    """Return the text of the certified error."""
+    """Return how far pixels, or samples of a rendering, may be read from where the map says."""
     deformation, stage, tools = view.document.deformation, view.stage, view.tools
     if deformation.is_identity:
         return ""
     if isinstance(stage, VolumeStage):
         error = stage.scene.error
         if not stage.warned:
-            return f"within {error:.2g} voxels"
+            return f"rendering read within {error:.2g} voxels of the map"
         off = f"up to {error:.2g} voxels" if math.isfinite(error) else "more than a voxel"
-        return f"the rendering is off by {off}: in mode exact it is not"
+        return f"parts of the rendering may be {off} out of place: choose Rendering: exact"
     if view.document.dragging or (isinstance(tools, VideoTools) and tools.playback.playing):
         return ""
     film = stage.kind == "video"
     report = view.certifier.report(deformation, round(view.frame) if film else None)
     where = " in this frame" if film else ""
-    return "measuring the error ..." if report is None else f"error at most {report.error:.2g} px{where}, certified"
+    if report is None:
+        return "checking the pixels \u2026"
+    return f"pixels read within {report.error:.2g} px of the map{where}"

@@ -31,6 +31,7 @@ class Shot:
     """A request for an image."""
 
     deformation: Deformation
+    base: Deformation  # of what the result is compared with: the original, or a step of the history
     size: tuple[int, int]  # columns and rows of the image's area of the canvas, in physical pixels
     place: tuple[int, int] = (0, 0)  # the upper left corner of that area
     moving: bool = False  # during a drag, a smaller image will do
@@ -39,7 +40,7 @@ class Shot:
     time: float = 0.0  # the frame
     camera: Camera = _HOME
     overlay: str = ""  # one of `supple.engines.wgpu.plate.OVERLAYS`
-    original: bool = False  # show the original
+    original: bool = False  # show the base
     split: bool = False  # show both
     ratio: float = 1.0  # physical pixels for each logical pixel
 
@@ -54,25 +55,22 @@ class Painter:
         self.ready = True  # whether the last image is complete
         self.part: Part = ALL  # the visible part of the textures
         self._textures: dict[tuple[int, tuple[int, int]], Any] = {}
-        self._plain: Deformation | None = None
         self._begun = 0.0  # when the device got its work
         self._adapts = True  # whether fewer pixels take less
 
     def paint(self, shot: Shot, encoder: Any = None) -> tuple[Any, Any]:
-        """Draw a shot; return the texture of the result and, if the shot is split, that of the original.
+        """Draw a shot; return the texture of the result and, if the shot is split, that of its base.
 
         With an encoder, commands are recorded for its submission, except those that must run at once.
         """
         if shot.split:  # both need the same frames of a clip
             encoder = None
         before, self.ready = self.stage.trouble, True
-        if self._plain is None:
-            self._plain = shot.deformation.without_strokes()
-        seen = (self._plain if shot.original else shot.deformation, self._plain)[: 1 + shot.split]
+        seen = (shot.base if shot.original else shot.deformation, shot.base)[: 1 + shot.split]
         sight = self._sight(shot)
         if not isinstance(self.stage, VolumeStage):
             self.stage.expect(seen, sight)
-            self._adapts = self.stage.solves(seen[0], sight)
+            self._adapts = self.stage.solves(sight)
             if not self._adapts:
                 self.coarse = 1
                 wait(self.gpu)  # until here, the device may draw the last image, while this one is warped
@@ -114,7 +112,7 @@ class Painter:
             self._textures[k, size] = canvas_texture(self.gpu, size)
         texture = self._textures[k, size]
         if isinstance(stage, VolumeStage):
-            stage.draw(deformation, shot.camera, size, texture, shot.overlay)
+            stage.draw(deformation, shot.camera, size, texture, shot.overlay, int(shot.original or k))
             self.part = _about_the_middle(shot.size, size)
             return texture
         self.part = 0.0, 0.0, shot.size[0] / (size[0] * coarse), shot.size[1] / (size[1] * coarse)

@@ -41,7 +41,7 @@ def panel(view: View) -> None:
     imgui.set_next_window_content_size((wide, 0))
     imgui.begin_child("sections", (wide + imgui.get_style().scrollbar_size + 1, -foot))
     strokes.brush(view)
-    strokes.listed(view)
+    strokes.strokes(view)
     strokes.selected(view)
     volume.draw(view)
     _seeing(view)
@@ -64,7 +64,9 @@ def _seeing(view: View) -> None:
         view.overlay = names[index]
         view.refresh()
     legend.draw(view)
-    label("Compare", "The original to the left of a line, the result to the right of it")
+    compared = view.document.compared is not None
+    what = "Step A of the history" if compared else "The original"
+    label("Compare", f"{what} to the left of a line, the result to the right of it")
     changed, on = imgui.checkbox("before and after", view.tools.split is not None)
     if changed:
         view.tools.split = 0.5 if on else None
@@ -81,12 +83,15 @@ def _accuracy(view: View) -> None:
     if not section(view, "Accuracy"):
         return
     said = certified(view)
-    none = "No error: nothing is bent" if view.document.deformation.is_identity else "Measured once nothing moves"
+    none = "Nothing is bent" if view.document.deformation.is_identity else "Checked once nothing moves"
     wrapped(f"{said[:1].upper()}{said[1:]}" if said else none, colour=theme.TEXT)
     if view.stage.kind == "volume":
-        wrapped("How far the place that a sample of a ray is read from may be off. Mode exact has none.")
+        wrapped("How far from where the strokes say the rendering may read the volume. Mode exact reads just there.")
     else:
-        wrapped("Proven for every pixel of an export: how far the place that it is read from may be off.")
+        wrapped(
+            "Proven for every pixel of an export: how far from where the strokes say it may be read. How far a stroke "
+            "ends from its target is said with the stroke."
+        )
 
 
 def _files(view: View) -> None:
@@ -118,7 +123,8 @@ def _exporting(view: View, job: Export) -> None:
         text = f"Saved to {shown(job.target)}"
     imgui.align_text_to_frame_padding()
     imgui.text_colored(colour, elided(text, imgui.get_content_region_avail().x - (size + 8 if job.done else 0)))
-    hint(text if job.done else "At full quality, in the background: the file appears when it is complete")
+    done = "\n".join([text, *job.warnings])
+    hint(done if job.done else "At full quality, in the background: the file appears when it is complete")
     if job.done:
         imgui.same_line(imgui.get_window_width() - imgui.get_style().window_padding.x - size)
         if icon_button("dismiss", cross, size):

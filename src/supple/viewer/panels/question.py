@@ -42,7 +42,7 @@ def draw(view: View) -> None:
     if asked.problem:
         wrapped(asked.problem, wide, theme.WARNING)
     imgui.spacing()
-    for k, label in enumerate(asked.choices):
+    for k, label in enumerate(asked.offered):
         if k:
             imgui.same_line()
             if imgui.get_cursor_pos_x() + imgui.calc_text_size(label).x > width - 40:

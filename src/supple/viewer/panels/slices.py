@@ -53,7 +53,7 @@ class Slices:
         self._samples = _first(volume)
         self._scaling, self._names = volume.scaling, _names_in(volume.header)
         self._range = _range_of(self._samples)
-        self._planes: dict[tuple[int, bool], tuple[Deformation | None, int, Array]] = {}
+        self._planes: dict[int, list[tuple[Deformation | None, int, Array]]] = {}  # two of each axis
         self._textures: dict[tuple[int, bool], tuple[Any, Array, tuple[float, float]]] = {}
         self._screens: dict[tuple[int, str], Screen] = {}
         self._seconds: dict[int, float] = {}  # what each view took the last time
@@ -62,10 +62,12 @@ class Slices:
         """Return a plane of the volume, bent or not, by its two axes, the slower one first; the last ones are kept."""
         if deformation is not None and deformation.is_identity:
             deformation = None
-        key = axis, deformation is None
-        known = self._planes.get(key)
-        if known is not None and known[0] is deformation and known[1] == index:
-            return known[2]
+        kept = self._planes.setdefault(axis, [])
+        for known in kept:
+            if known[0] is deformation and known[1] == index:
+                kept.remove(known)
+                kept.append(known)
+                return known[2]
         if deformation is None:
             raw = np.take(self._samples, index, axis=2 - axis)
         else:
@@ -77,7 +79,7 @@ class Slices:
             if not self.labels:
                 np.clip(raw, *self._range, out=raw, where=np.isfinite(raw))  # as exports are clamped
         made = rescaled(raw, self._scaling)
-        self._planes[key] = deformation, index, made
+        self._planes[axis] = [*kept[-1:], (deformation, index, made)]  # the result, and what it is compared with
         return made
 
     def value(self, deformation: Deformation | None, plane: Plane, point: tuple[float, ...], index: int) -> str:
@@ -100,8 +102,9 @@ class Slices:
 
         In a drag, planes other than its own that take long are left until the pointer is ``resting``.
         """
-        bent = None if tools.original else tools.document.deformation
-        seen = (bent,) if tools.split is None else (bent, None)
+        document = tools.document
+        bent = document.base if tools.original else document.deformation
+        seen = (bent,) if tools.split is None else (bent, document.base)
         for k in tools.places:
             if k == RENDERED:
                 continue
@@ -111,7 +114,7 @@ class Slices:
             plane, begun = tools.planes[k], time.perf_counter()
             for second, each in enumerate(seen):
                 made = self.sampled(each, plane.axis, tools.index[plane.axis])
-                if self._upload((k, bool(second)), plane, made, tools.sight.window) and each is bent:
+                if self._upload((k, bool(second)), plane, made, tools.sight.window) and not second:
                     self._seconds[k] = time.perf_counter() - begun
 
     def _upload(self, key: tuple[int, bool], plane: Plane, values: Array, window: tuple[float, float]) -> bool:

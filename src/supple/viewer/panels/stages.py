@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from supple.errors import SuppleError
 from supple.files.volumes import is_of_labels
 from supple.media.image import Picture
 from supple.media.volume import Volume
+from supple.render.box import Box
 from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.render.scene import Scene
@@ -23,11 +26,12 @@ from supple.render.transfer import TransferFunction
 from supple.viewer.document.background import heard
 from supple.viewer.document.state import Kind
 from supple.viewer.panels.frame_cache import FrameCache
-from supple.viewer.panels.warped import Levels, Warped, WarpedFrame
+from supple.viewer.panels.warped import Levels, Warped
 
 Pixels = npt.NDArray[np.uint8]
 Point = tuple[float, ...]
 Span = tuple[int, int]
+SLOW = 0.5  # seconds: what takes longer is announced
 
 
 class ImageStage:
@@ -41,10 +45,11 @@ class ImageStage:
         self.spacing: tuple[float, ...] = (1.0, 1.0)
         self._name(name, (width, height))
         self.pixels = pixels
-        levels = Levels(pixels)
-        self._warped = [Warped(gpu, levels), Warped(gpu, levels)]  # the result, and the original beside it
         self._by_cpu = gpu.software  # which itself warps faster than shaders on it
-        if not self._by_cpu:
+        if self._by_cpu:
+            levels = Levels(pixels)
+            self._warped = [Warped(gpu, levels), Warped(gpu, levels)]  # the result, and its base beside it
+        else:
             self._plate = Plate(gpu, self.size)
             self._plate.put(0, pixels)
 
@@ -53,28 +58,28 @@ class ImageStage:
         self.trouble = ""  # the reason why the display is incomplete
         self._under: tuple[Deformation, Point, Point] | None = None
 
-    def solves(self, deformation: Deformation, sight: Sight) -> bool:
+    def solves(self, sight: Sight) -> bool:
         """Return whether drawing solves for T⁻¹, which takes a slow device long."""
-        return self._by_device(deformation) or bool(sight.overlay)
-
-    def _by_device(self, deformation: Deformation) -> bool:
-        """Return whether the device warps; what is frozen is known to the CPU alone."""
-        return not self._by_cpu and _is_common(deformation)
+        return not self._by_cpu or bool(sight.overlay)
 
     def expect(self, deformations: tuple[Deformation, ...], sight: Sight) -> None:
         """Prepare the next drawing: warp the image, where the device does not."""
-        for deformation, warped in zip(deformations, self._warped, strict=False):
-            if not self._by_device(deformation):
+        if self._by_cpu:
+            for deformation, warped in zip(deformations, self._warped, strict=False):
                 warped.bring(deformation, sight)
 
     def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
         """Draw the visible part, or record it into an encoder; return whether it is complete."""
-        if self._by_device(deformation):
-            space = deformation.space
-            self._plate.draw(sight, space.table, space.axes, texture, encoder)
-        else:
+        if self._by_cpu:
             next(warped for warped in self._warped if warped.shown is deformation).draw(sight, texture, encoder)
+        else:
+            self._drawn(deformation, sight, texture, encoder)
         return True
+
+    def _drawn(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any) -> None:
+        """Draw by the device, which warps."""
+        space = deformation.space
+        self._plate.draw(sight, space.table, space.axes, texture, encoder, space.freeze)
 
     def value(self, point: tuple[float, float], time: float, deformation: Deformation | None = None) -> str:
         """Return the value of the pixel at a point of a frame, through strokes if they are given."""
@@ -111,7 +116,7 @@ class VideoStage(ImageStage):
         slots = max(2, min(film.most, Plate.most(gpu, film.size), film.count))
         self._name(film.name, film.size)
         self._plate = Plate(gpu, film.size, film.count, slots)
-        self._by_cpu, self._bent = False, WarpedFrame(gpu, film.size)
+        self._by_cpu = False
         self._spans: dict[tuple[Deformation, float], Span] = {}
 
     def expect(self, deformations: tuple[Deformation, ...], sight: Sight) -> None:
@@ -132,17 +137,9 @@ class VideoStage(ImageStage):
     def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
         """Draw the visible part of an expected frame, or record it into an encoder; return whether it is complete."""
         first, last = self._kept(self._spans[deformation, sight.time])
-        if self._by_device(deformation):
-            space, plate, ready = deformation.space, self._plate, self._laid(first, last)
-            if plate.held:
-                plate.draw(sight, space.table, space.axes, texture, encoder)
-        else:
-            found = [self.film.get(k) for k in range(first, last + 1)]
-            frames = [frame for frame in found if frame is not None]
-            ready = len(frames) == len(found)
-            if ready:
-                self._bent.bring(deformation, sight, first, frames)
-            self._bent.draw(sight, texture, encoder)
+        ready = self._laid(first, last)
+        if self._plate.held:
+            self._drawn(deformation, sight, texture, encoder)
         if ready:
             return True
         self.trouble = self.film.error or self.trouble
@@ -188,6 +185,7 @@ class VolumeStage:
         # Computed tomography is recognized by its values, as its preset is.
         self.unit = "HU" if preset.startswith("ct-") else "label" if is_of_labels(volume) else ""  # of values
         self.density: tuple[float, float] | None = None
+        self.clip: Box | None = None
         self.mode = "hybrid"
         self._gpu = gpu
         self._samples = volume.rescaled() if samples is None else samples
@@ -196,16 +194,22 @@ class VolumeStage:
         counts, _ = np.histogram(self.scene.samples, 96, self.scene.range)
         self.histogram = np.log1p(counts).astype(np.float32)  # logarithms of voxel counts by value
         self._plain = self.scene
-        self._rest: Scene | None = None  # the same by the CPU, where something is frozen
-        self._deformation: Deformation | None = None
+        self._bent: dict[int, tuple[Deformation, Scene, str]] = {}  # the result (0), and its base (1); and a warning
         self.trouble = self.warned = ""  # a remark on the displayed image
+        self._seconds = {False: 0.0, True: math.inf}  # of the last map without a freeze mask, and with one
 
-    def _made(self, transfer: TransferFunction | str, device: str = "") -> Scene:
-        device = device or ("gpu" if self._gpu.software else "auto")
+    def _made(self, transfer: TransferFunction | str) -> Scene:
+        device = "gpu" if self._gpu.software else "auto"
         scene = Scene(
-            self._samples, self.volume.geometry, transfer=transfer, density=self.density, mode=self.mode, device=device
+            self._samples,
+            self.volume.geometry,
+            transfer=transfer,
+            density=self.density,
+            clip=self.clip,
+            mode=self.mode,
+            device=device,
         )
-        if scene._held is None and device != "cpu":
+        if scene._held is None:
             raise SuppleError(f"{self.name} is more than a shader takes of {self._gpu.name}")
         return scene
 
@@ -213,35 +217,64 @@ class VolumeStage:
         """Set the mode of rendering."""
         self.mode = mode
         self._plain = self._made(self.scene.transfer)
-        self.scene, self._rest, self._deformation = self._plain, None, None
+        self.scene, self._bent = self._plain, {}
 
-    def deform(self, deformation: Deformation) -> Scene:
-        """Return the scene with strokes; the last one is cached."""
+    def deform(self, deformation: Deformation, beside: int = 0) -> Scene:
+        """Return the scene with strokes, of the result or of its base; the last one of each is cached."""
         if deformation.is_identity:
             return self._plain
-        if deformation is not self._deformation:
+        known = self._known(deformation)
+        if known is None:
             said = [""]
-            plain = self._plain
-            if not _is_common(deformation):
-                plain = self._rest = self._rest or self._made(plain.transfer, "cpu")
+            begun = time.perf_counter()
             with heard(lambda text, kind: said.append(text)):
-                self.scene, self._deformation = plain.deformed(deformation), deformation
-            self.warned = said[-1]
-        return self.scene
+                scene = self._plain.deformed(deformation)
+            known = deformation, scene, said[-1]
+            self._seconds[deformation.space.freeze is not None] = time.perf_counter() - begun
+        self._bent[beside] = known
+        if not beside:
+            _, self.scene, self.warned = known
+        return known[1]
+
+    def _known(self, deformation: Deformation) -> tuple[Deformation, Scene, str] | None:
+        return next((known for known in self._bent.values() if known[0] is deformation), None)
+
+    def is_slow(self, deformation: Deformation) -> bool:
+        """Return whether drawing through strokes would take long: as the last ones did, unless these are known."""
+        if deformation.is_identity or self._known(deformation) is not None:
+            return False
+        return self._seconds[deformation.space.freeze is not None] > SLOW
+
+    def on_canvas(self, deformation: Deformation) -> Scene:
+        """Return the scene with strokes; the one before, which is still seen, while that would take long."""
+        return self.scene if self.is_slow(deformation) else self.deform(deformation)
 
     def look(self, transfer: TransferFunction | str, density: tuple[float, float] | None) -> None:
         """Set another transfer function."""
         self.preset, self.density = transfer if isinstance(transfer, str) else "", density
-        self.scene = self.scene.seen_through(transfer, density)
-        self._plain = self._plain.seen_through(transfer, density)
-        if self._rest is not None:
-            self._rest = self._rest.seen_through(transfer, density)
+        self._change(lambda scene: scene.seen_through(transfer, density))
+
+    def cut(self, clip: Box | None) -> None:
+        """Render the volume within another box; all of it for None."""
+        self.clip = clip
+        self._change(lambda scene: scene.clipped(clip))
+
+    def _change(self, change: Callable[[Scene], Scene]) -> None:
+        self._plain = change(self._plain)
+        self._bent = {k: (made, change(scene), said) for k, (made, scene, said) in self._bent.items()}
+        self.scene = self._bent[0][1] if 0 in self._bent else self._plain
 
     def draw(
-        self, deformation: Deformation, camera: Camera, size: tuple[int, int], texture: Any, overlay: str = ""
+        self,
+        deformation: Deformation,
+        camera: Camera,
+        size: tuple[int, int],
+        texture: Any,
+        overlay: str = "",
+        beside: int = 0,
     ) -> None:
-        """Render into a texture of columns and rows; what is frozen is rendered by the CPU, without an overlay."""
-        scene, (columns, rows) = self.deform(deformation), size
+        """Render into a texture of columns and rows; by the CPU, without an overlay, what the device cannot."""
+        scene, (columns, rows) = self.deform(deformation, beside), size
         if scene.gpu is not None:
             scene.draw(texture, camera, (rows, columns), background=BACK, overlay=overlay)
             return
@@ -268,11 +301,6 @@ class VolumeStage:
         geometry = self.volume.geometry
         place = ", ".join(f"{round(v, 1) + 0.0:.1f}" for v in geometry.to_world(point).tolist())
         return f"({place}) mm {geometry.convention}"
-
-
-def _is_common(deformation: Deformation) -> bool:
-    """Return whether a device warps by it: it moves nothing, or nothing is frozen."""
-    return deformation.is_identity or deformation.space.is_common
 
 
 def on_screen(picture: Picture) -> Pixels:

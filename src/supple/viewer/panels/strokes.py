@@ -12,8 +12,8 @@ from imgui_bundle import imgui
 from supple.folding import NEAR
 from supple.strokes import POISSON, REACH, FoldPolicy
 from supple.viewer.document.state import PAINTINGS, Item
-from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, named, others, place
-from supple.viewer.panels import theme
+from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, listed, others
+from supple.viewer.panels import legend, theme
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.icons import hidden, seen
 from supple.viewer.panels.view import View
@@ -42,6 +42,14 @@ def brush(view: View) -> None:
     if tools.brush in MASKS:
         _masks(view)
         return
+    if tools.pen and tools.brush != "pin":
+        label(
+            "Pen",
+            "How much of a stroke is made, by the greatest pressure of its drag; of a painting, by the present one",
+        )
+        changed, pressing = imgui.checkbox("pressure sets strength", tools.pressing)
+        if changed:
+            tools.pressing = pressing
     if tools.brush in PAINTINGS:
         label("Strength", "The part of the way that a click brings it")
         changed, value = slider("##strength", 100 * tools.strength, 1.0, 100.0, "%.0f %%")
@@ -93,12 +101,13 @@ def _reach(reach: float | None, of: str) -> tuple[bool, float | None]:
     return changed, max(float(value), 1.0) if changed else reach
 
 
-def listed(view: View) -> None:
+def strokes(view: View) -> None:
     """Draw the section of the list."""
     state = view.document.state
     count = len(state.items)
     if not section(view, "Strokes", f"Strokes ({count})" if count else "Strokes"):
         return
+    legend.mask(view)
     if not count:
         wrapped(
             "Drag on the picture to make one."
@@ -128,7 +137,7 @@ def _row(view: View, i: int, item: Item, selected: bool) -> None:
     hint("Hidden: click to show it" if item.hidden else "Seen: click to hide it")
     imgui.same_line()
     short = document.misses(i)
-    text = f"{named(item.stroke)} {place(item.stroke.at)}, radius {item.stroke.radius:.3g}"
+    text = listed(item.stroke)
     coloured = short or (item.hidden and not selected)  # what is faint is not read on the ground of what is selected
     if coloured:
         imgui.push_style_color(imgui.Col_.text, theme.FAINT if item.hidden else theme.WARNING)
@@ -157,7 +166,7 @@ def selected(view: View) -> None:
     grabs = stroke.brush == "grab"
     for name, said in (("at", "From"), ("by", "By")) if grabs else (("at", "At"),):
         values = list(getattr(stroke, name))
-        label(said)
+        label(f"{said} {', '.join(axes[: len(values)])}")
         wide = (imgui.get_content_region_avail().x - gap * (len(values) - 1)) / len(values)
         for axis in range(len(values)):
             if axis:
@@ -191,7 +200,7 @@ def selected(view: View) -> None:
     if changed:
         made["reach"] = reach
     if stroke.also:
-        wrapped(f"With {others(stroke)}, to drag in the picture.")
+        wrapped(f"Also to drag in the picture: {others(stroke)}.")
     if made:
         view.attempt(lambda: document.replace(i, view.tools.paired(stroke, replace(stroke, **made))))
     _arrival(view, i)
@@ -215,7 +224,8 @@ def _arrival(view: View, i: int) -> None:
     arrival = document.arrival(i) if i < len(document.items) else None
     unit = "voxels" if view.stage.kind == "volume" else "px"
     if arrival is not None and arrival.miss > NEAR:
-        wrapped(f"It ends {arrival.miss:.3g} {unit} short: {CAUSES[arrival.cause or 'border']}.", colour=theme.WARNING)
+        cause = CAUSES[arrival.cause or "border"]
+        wrapped(f"Its point ends {arrival.miss:.3g} {unit} from its target: {cause}.", colour=theme.WARNING)
         if document.state.on_fold != "flow" and imgui.button("Go all the way, in small steps", (REST, 0)):
             view.attempt(lambda: document.set_on_fold("flow"))
         hint("No step folds; for all strokes")

@@ -1,4 +1,4 @@
-"""The veil over what is frozen: a texture for the picture, and for each plane of a volume."""
+"""The veil over what is frozen, or its outline: a texture for the picture, and for each plane of a volume."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _INNER = 1.5  # coefficients from the outermost ones to the edges of a texture, 
 
 
 class Veil:
-    """Textures whose opacity is 1 - m, at every coefficient of the freeze mask; made anew when that changes."""
+    """Textures whose opacity is 1 - m, or 4 m (1 - m), at every coefficient of the freeze mask; made anew with that."""
 
     def __init__(self, gpu: Gpu) -> None:
         self._gpu = gpu
         self.textures: dict[int, Any] = {}
         """Textures by the numbers under which ImGui knows them."""
-        self._known: dict[int, tuple[Freeze, int]] = {}
+        self._known: dict[int, tuple[Freeze, int, bool]] = {}
 
     def draw(
         self,
@@ -34,6 +34,8 @@ class Veil:
         seen: Callable[[tuple[float, ...]], Pair],
         axes: tuple[int, int, int] = (2, 0, 1),
         index: int = 0,
+        *,
+        outline: bool = False,
     ) -> None:
         """Draw the veil over a picture, or over a plane of a volume.
 
@@ -49,12 +51,14 @@ class Veil:
             The axis of the plane's normal, the one across it and the one down, x is 0.
         index : int
             The place of the plane along its normal, in samples.
+        outline : bool
+            Whether to draw its edge alone, which leaves the colours of the picture as they are.
         """
         normal, across, down = axes
         which = _FIRST + normal
-        if self._known.get(which) != (mask, index):
-            self._upload(which, mask, axes, index)
-            self._known[which] = mask, index
+        if self._known.get(which) != (mask, index, outline):
+            self._upload(which, mask, axes, index, outline)
+            self._known[which] = mask, index, outline
         low, high = [0.0] * len(sizes), [0.0] * len(sizes)
         ends = [-0.5] * len(sizes), [n - 0.5 for n in sizes]
         for k in (across, down):
@@ -67,7 +71,7 @@ class Veil:
         lines.add_image(imgui.ImTextureRef(which), seen(tuple(low)), seen(tuple(high)), col=theme.VEIL)
         lines.pop_clip_rect()
 
-    def _upload(self, which: int, mask: Freeze, axes: tuple[int, int, int], index: int) -> None:
+    def _upload(self, which: int, mask: Freeze, axes: tuple[int, int, int], index: int, outline: bool) -> None:
         normal, across, down = axes
         places: list[Any] = [
             np.zeros(1) if n == 1 else first + step * np.arange(1, n - 1)
@@ -82,7 +86,8 @@ class Veil:
             shade = shade.T
         rows, columns = shade.shape
         pixels = np.full((rows, columns, 4), 255, np.uint8)
-        pixels[..., 3] = np.rint(255 * (1 - np.clip(shade, 0, 1)))
+        veil = 1 - np.clip(shade, 0, 1)
+        pixels[..., 3] = np.rint(255 * (4 * veil * (1 - veil) if outline else veil))
         texture = self.textures.get(which)
         if texture is None or texture.size[:2] != (columns, rows):
             usage = "TEXTURE_BINDING|COPY_DST"

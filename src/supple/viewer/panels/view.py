@@ -36,6 +36,7 @@ BAR, LINE = 44, 24  # and of the timeline and the status line
 SETTLED = 0.15  # seconds without a change, after which an image is drawn at full size
 FROZEN = "frozen"
 """The name of the overlay of what is frozen."""
+COMPUTING = "computing \u2026"
 PATIENCE = 5.0  # seconds that saving an image waits for its frames
 
 
@@ -61,6 +62,7 @@ class View:
         self.copy_text: Callable[[str], None] | None = None  # to the clipboard, if there is one
         self.typed: dict[str, float] = {}  # numbers being typed in the panel
         self.filled = 0.0
+        self.computing = False  # whether the image comes after this frame, as it takes long
         self.painter, self.veil = Painter(self.gpu, self.stage), Veil(self.gpu)
         self.slices: Slices | None = None
         if isinstance(self.stage, VolumeStage):
@@ -74,6 +76,7 @@ class View:
         self._frames: deque[float] = deque(maxlen=30)
         self._callbacks: list[Callable[[Recipe], None]] = []
         self._told: Recipe | None = None
+        self._content = self.document.state.content
         self.document.on_change.append(self._changed)
 
     @property
@@ -116,6 +119,9 @@ class View:
     def _changed(self) -> None:
         """Draw again, and call the listeners for a new recipe."""
         self._changed_at, self.filled = time.perf_counter(), 0.0
+        before, self._content = self._content, self.document.state.content
+        if self._content != before and not self.document.dragging:
+            self.commands.message = ""  # it was about what there was before
         self.canvas.request_draw()
         if not self._callbacks or (recipe := self.document.recipe) == self._told:
             return
@@ -131,7 +137,7 @@ class View:
         size = tuple(round(n * ratio) for n in self.area)
         common: dict[str, Any] = {"size": size, "moving": moving, "ratio": ratio}
         common["overlay"] = "" if self.overlay == FROZEN else self.overlay
-        common |= {"original": tools.original, "split": tools.split is not None}
+        common |= {"base": self.document.base, "original": tools.original, "split": tools.split is not None}
         if isinstance(tools, SliceTools):
             hidden = (0.0, 0.0, 1.0, 1.0)  # a pixel of it is drawn
             left, top, *extent = physical(tools.places.get(RENDERED, hidden), ratio, (size[0], size[1]))
@@ -150,15 +156,16 @@ class View:
         return isinstance(self.tools, VideoTools) and self.tools.playback.playing
 
     @property
-    def _filling(self) -> bool:
+    def refining(self) -> bool:
         """Return whether to wait for a volume's buffer before drawing at full size, which is slow without it."""
         slow = isinstance(self.stage, VolumeStage) and self.stage.mode == "hybrid" and self.gpu.software
-        return slow and self.filled < 1.0 and not self.document.deformation.is_identity
+        filling = self.filled < 1.0 and not self.tools.original  # the buffer is the result's
+        return slow and filling and not self.document.deformation.is_identity
 
     @property
     def busy(self) -> bool:
         """Return whether frames follow each other, so that their rate matters."""
-        return self.rate >= 1.5 and (self.tools.dragging or self._playing or self._filling or self._lately)
+        return self.rate >= 1.5 and (self.tools.dragging or self._playing or self.refining or self._lately)
 
     @property
     def _lately(self) -> bool:
@@ -174,8 +181,8 @@ class View:
 
     @property
     def veiled(self) -> bool:
-        """Return whether to show what is frozen: while it is painted, and as an overlay."""
-        return (self.overlay == FROZEN or self.tools.brush in MASKS) and not self.tools.original
+        """Return whether what is frozen is tinted: while it is painted, and as an overlay; it is outlined otherwise."""
+        return self.overlay == FROZEN or self.tools.brush in MASKS
 
     def write(self, path: str, force: bool) -> None:
         """Write the image of the canvas, drawn at full size."""

@@ -9,11 +9,14 @@ from typing import Any
 
 from imgui_bundle import imgui
 
+from supple.render.box import whole_box
 from supple.render.transfer import PRESETS
 from supple.viewer.panels import curve, theme
 from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.panels.view import View
-from supple.viewer.panels.widgets import REST, hint, label, section, slider, typed, wrapped
+from supple.viewer.panels.widgets import LABEL, REST, hint, label, section, slider, toggle, typed, wrapped
+from supple.viewer.tools.planes import ends_of
+from supple.viewer.tools.slices import SliceTools
 
 _MODES = {
     "hybrid": "Exact near what moves, and from a bent copy elsewhere: fast once the copy is complete",
@@ -49,13 +52,15 @@ def draw(view: View) -> None:
         if changed and both[0] < both[1]:
             _show(view, partial(stage.look, stage.scene.transfer, None if both == (low, high) else both))
     _transfer(view, stage)
+    _cutting(view, stage)
     label("Rendering", _MODES[stage.mode])
     modes = list(_MODES)
     changed, index = imgui.combo("##mode", modes.index(stage.mode), modes)
     hint(_MODES[stage.mode])
     if changed:
         _show(view, lambda: stage.set_mode(modes[index]))
-    if stage.mode == "hybrid" and view.filled < 1.0 and not view.document.deformation.is_identity:
+    filling = view.filled < 1.0 and not view.tools.original
+    if stage.mode == "hybrid" and filling and not view.document.deformation.is_identity:
         imgui.progress_bar(view.filled, (REST, 6), "")
         wrapped("Bending a copy of the volume: pictures are faster once it is complete.")
 
@@ -64,6 +69,46 @@ def _show(view: View, work: Callable[[], object]) -> None:
     """Change the display of a volume, and show an error if it is refused."""
     view.attempt(work)
     view.refresh()
+
+
+def _cutting(view: View, stage: VolumeStage) -> None:
+    """Draw the sides of the box that is rendered, and buttons that move one of them to the crosshair."""
+    if not imgui.tree_node("Cut away"):
+        return
+    tools = view.tools
+    assert isinstance(tools, SliceTools)
+    box, wide = stage.scene.clip, imgui.get_content_region_avail().x
+    whole, named = whole_box(stage.shape), ends_of(tools.planes)
+    gap = imgui.get_style().item_spacing.x
+    beside = wide - LABEL + imgui.get_style().indent_spacing
+    label("At crosshair", "The half of the rendering to that side of the crosshair; again: all of it")
+    for k, side in ((k, side) for k in range(3) for side in range(2)):
+        (first, last), at = whole[k], float(tools.index[k])
+        left = (max(at, first), last) if side == 0 else (first, min(at, last))
+        on = box[k] == left != whole[k]
+        imgui.begin_disabled(left[0] >= left[1])
+        if toggle(f"{named[k][side]}##cut", on, (beside - 5 * gap) / 6):
+            _show(view, partial(stage.cut, (*box[:k], whole[k] if on else left, *box[k + 1 :])))
+        imgui.end_disabled()
+        if (k, side) != (2, 1):
+            imgui.same_line()
+    for k, (first, last) in enumerate(whole):
+        low, high = box[k]
+        label(f"{'xyz'[k]}, {named[k][0]} to {named[k][1]}", "The voxels from which, and to which, it is rendered")
+        imgui.set_next_item_width(0.5 * (beside - gap))
+        down, from_ = slider(f"##from{k}", low, first, last, "%.0f")
+        imgui.same_line()
+        imgui.set_next_item_width(0.5 * (beside - gap))
+        up, to = slider(f"##to{k}", high, first, last, "%.0f")
+        if down or up:
+            low = min(max(round(from_), first), high - 1) if down else low
+            high = max(min(round(to), last), low + 1) if up else high
+            _show(view, partial(stage.cut, (*box[:k], (float(low), float(high)), *box[k + 1 :])))
+    imgui.begin_disabled(box == whole)
+    if imgui.button("Show all"):
+        _show(view, partial(stage.cut, None))
+    imgui.end_disabled()
+    imgui.tree_pop()
 
 
 def _transfer(view: View, stage: VolumeStage) -> None:

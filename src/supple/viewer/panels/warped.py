@@ -1,4 +1,4 @@
-"""Images and frames as the CPU warps them, on a device that draws them: only what changes is warped again."""
+"""Images as the CPU warps them, on a device that draws them: only what changes is warped again."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from supple.arrays import warp_array
 from supple.deformation import Deformation
 from supple.engines.base import Sampling, Space
 from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.plate import FINE, Laid, Sight, halved, nodes_of
+from supple.engines.wgpu.plate import Laid, Sight, halved
 from supple.geometry import Grid
 from supple.strain import mask_of
 from supple.strokes import STROKE_DTYPE, numbers
@@ -84,76 +84,21 @@ class Warped:
     def draw(self, sight: Sight, texture: Any, encoder: Any = None) -> None:
         """Draw what was brought, or a coarser image of it, into a texture; see `Plate.draw`."""
         assert self.shown is not None
-        _lay(self._laid, self.shown, sight, texture, encoder)
-
-
-class WarpedFrame:
-    """The visible part of a clip's frame, warped as exports are: where a device cannot."""
-
-    def __init__(self, gpu: Gpu, size: tuple[int, int]) -> None:
-        self._laid = Laid(gpu, size)
-        self._levels: dict[int, Levels] = {}  # of the frames that it is made of
-        self._known: tuple[Deformation, float, tuple[int, Box]] | None = None
-
-    def bring(self, deformation: Deformation, sight: Sight, first: int, frames: list[Pixels]) -> None:
-        """Warp the part that a sight shows, as far as it is not there yet, from the frames that it is made of."""
-        self._levels = {first + i: self._levels.get(first + i) or Levels(frame) for i, frame in enumerate(frames)}
-        each = list(self._levels.values())
-        k = each[0].of(sight.scale)
-        source = np.stack([levels.at(k)[0] for levels in each])
-        box = x0, y0, x1, y1 = _visible(sight, k, source.shape[1:])
-        if self._known == (deformation, sight.time, (k, box)):
-            return
-        self._known = deformation, sight.time, (k, box)
-        time = int(sight.time) - first
-        part = Grid(source.shape[:3]).crop((x0, y0, time), (x1 - x0, y1 - y0, 1))
-        space = replace(_reduced(deformation, k, source.shape[1:], first), grid=part, count=len(source))
-        made, _ = warp_array(source, space, _BETWEEN, alpha=False)
-        self._laid.clear((x0, y0), (x1 - x0, y1 - y0), 2**k)
-        self._laid.put((x0, y0), made[0])
-
-    def draw(self, sight: Sight, texture: Any, encoder: Any = None) -> None:
-        """Draw what was brought last into a texture, if there is anything; see `Plate.draw`."""
-        if self._known is not None:
-            _lay(self._laid, self._known[0], sight, texture, encoder)
-
-
-def _lay(laid: Laid, deformation: Deformation, sight: Sight, texture: Any, encoder: Any) -> None:
-    """Draw what is warped already; the strokes are for the overlay."""
-    space = deformation.space
-    table = space.table if sight.overlay else _PLAIN
-    nodes = _solved(deformation, sight) if table.size and space.freeze is not None else None
-    laid.draw(sight, table, space.axes, texture, encoder, nodes)
-
-
-def _solved(deformation: Deformation, sight: Sight) -> npt.NDArray[np.float32]:
-    """Return T⁻¹ at the nodes of a window, as `Laid.draw` takes it: what is frozen is known to the CPU alone."""
-    columns, rows = nodes_of(sight.size, FINE)
-    n, spacing = deformation.ndim, np.array(deformation.domain.spacing)
-    targets = np.full((rows, columns, n), float(sight.time))
-    for k, count in enumerate((columns, rows)):
-        targets[..., k] = (sight.origin[k] + sight.scale * FINE * np.arange(count)).reshape(
-            (1, -1) if k == 0 else (-1, 1)
-        )
-    found = deformation.inverse(targets)
-    slopes = np.linalg.inv(deformation.jacobian(found.points)) * (spacing[:, None] / spacing)
-    made = np.zeros((rows, columns, 3, 4), np.float32)
-    made[..., 0, :n] = (found.points - targets) * spacing
-    made[..., 0, 3], made[..., 1, 3] = found.residual * spacing.min(), found.steps
-    made[..., 1, :n], made[..., 2, :n] = slopes[..., 0], slopes[..., 1]
-    return made
+        space = self.shown.space  # for the overlay
+        table = space.table if sight.overlay else _PLAIN
+        self._laid.draw(sight, table, space.axes, texture, encoder, space.freeze)
 
 
 def changed(before: Space, after: Space) -> tuple[Floats, Floats]:
     """Return a box around all points where two maps of strokes differ: the least and the largest x and y, in pixels."""
-    if not np.array_equal(before.axes, after.axes) or before.freeze is not after.freeze:
+    if (before.axes != after.axes).any() or before.freeze is not after.freeze:
         return np.full(2, -math.inf), np.full(2, math.inf)
     one, other = numbers(before.table), numbers(after.table)
     most = min(len(one), len(other))
     same = _alike(one[:most], other[:most])
     last = _alike(one[::-1][: most - same], other[::-1][: most - same])
     # Rows that act at once are one map.
-    while same and any(table["joined"][same : same + 1].any() for table in (before.table, after.table)):
+    while same and (before.table["joined"][same : same + 1].any() or after.table["joined"][same : same + 1].any()):
         same -= 1
     while last and after.table["joined"][-last]:
         last -= 1
@@ -171,8 +116,9 @@ def changed(before: Space, after: Space) -> tuple[Floats, Floats]:
 
 def _alike(one: Floats, other: Floats) -> int:
     """Return the number of rows before the first that differs."""
-    equal = (one == other).all(axis=1)
-    return len(equal) if equal.all() else int(equal.argmin())
+    differs = (one != other).any(axis=1)
+    first = int(differs.argmax()) if len(differs) else 0
+    return first if len(differs) and differs[first] else len(differs)
 
 
 def _cells(box: tuple[Floats, Floats], k: int) -> Box:
@@ -185,11 +131,11 @@ def _cells(box: tuple[Floats, Floats], k: int) -> Box:
     return x0, y0, x1, y1
 
 
-def _reduced(deformation: Deformation, k: int, shape: tuple[int, ...], first: int = 0) -> Space:
-    """Return the map of an image, or of a clip from a frame on, for a level of it."""
+def _reduced(deformation: Deformation, k: int, shape: tuple[int, ...]) -> Space:
+    """Return the map of an image for a level of it."""
     space = deformation.space
     table, axes = space.table.copy(), space.axes.copy()
-    inset = np.array([0.5 * (2**k - 1)] * 2 + [first]) * axes[:, 3]  # the centre of the level's first pixel
+    inset = np.array([0.5 * (2**k - 1)] * 2 + [0.0]) * axes[:, 3]  # the centre of the level's first pixel
     table["pivot"] -= inset
     axes[:, :2] -= inset[:, None]
     axes[:2, 3] *= 2**k
@@ -214,5 +160,5 @@ def _common(one: Box, other: Box) -> Box:
     return max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3])
 
 
-_SAMPLING, _BETWEEN = Sampling.checked(2), Sampling.checked(3)
+_SAMPLING = Sampling.checked(2)
 _PLAIN = np.zeros(0, STROKE_DTYPE)

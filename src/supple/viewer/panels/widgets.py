@@ -60,6 +60,15 @@ def elided(text: str, wide: float) -> str:
     return kept
 
 
+def shortened(text: str, wide: float) -> str:
+    """Return a text that ends early as far as it does not fit a width."""
+    kept, left = text, len(text)
+    while left and imgui.calc_text_size(kept).x > wide:
+        left -= 1
+        kept = f"{text[:left].rstrip()}\u2026"
+    return kept
+
+
 def primary(text: str, wide: float = REST) -> bool:
     """Draw the button of what one mostly wants; return whether it was pressed."""
     shades = (theme.PRIMARY, theme.lighter(theme.PRIMARY), theme.lighter(theme.PRIMARY, 0.14))
@@ -69,6 +78,16 @@ def primary(text: str, wide: float = REST) -> bool:
     imgui.push_style_color(imgui.Col_.text, (1.0, 1.0, 1.0, 1.0))
     pressed = imgui.button(text, (wide, 32.0))
     imgui.pop_style_color(4)
+    return pressed
+
+
+def toggle(text: str, on: bool, wide: float) -> bool:
+    """Draw a button for what is on or off; return whether it was pressed."""
+    if on:
+        imgui.push_style_color(imgui.Col_.button, theme.PRIMARY)
+    pressed = imgui.button(text, (wide, 0))
+    if on:
+        imgui.pop_style_color()
     return pressed
 
 

@@ -13,8 +13,9 @@ from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.viewer.document.editing import Document
 from supple.viewer.tools import orbit
+from supple.viewer.tools.cube import Face, face_at, faces_of
 from supple.viewer.tools.drags import Held, Pair
-from supple.viewer.tools.gestures import Event, Tools, commanded, shifted
+from supple.viewer.tools.gestures import Event, Lead, Tools, commanded, shifted
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.viewport import Viewport
 
@@ -22,6 +23,7 @@ GRIP = 40.0  # logical pixels from the lower edge of a view to the knob of the l
 ZOOM = 1.2  # the zoom factor of a notch of the wheel, which is 100
 
 _LEFT, _RIGHT, _MIDDLE = 1, 2, 3
+_CUBE = "cube"
 
 
 def pans(event: Event) -> bool:
@@ -226,8 +228,21 @@ class VolumeTools(Tools[Camera]):
         """Return the point under the pointer; a ray is cast after a change of pointer, camera or strokes."""
         key = (self.pointer, self.view, self.stage.size, self.document.revision)
         if self._under is None or self._under[0] != key:
-            self._under = key, None if self.pointer is None else self.pick(*self._within(*self.pointer))
+            at = None if self.side is not None else self.pointer
+            self._under = key, None if at is None else self.pick(*self._within(*at))
         return self._under[1]
+
+    @property
+    def cube(self) -> tuple[Face, ...]:
+        """The visible faces of the orientation cube; none where there is no room for it."""
+        return faces_of(self.stage, self.view, self.corner)
+
+    @property
+    def side(self) -> Face | None:
+        """The face of the cube that a click would choose: the one under the pointer."""
+        gesture = self._gesture
+        led = gesture is None or (isinstance(gesture, Lead) and gesture.how == _CUBE and not gesture.moved)
+        return face_at(self.cube, self.pointer) if led and self.pointer is not None else None
 
     def _within(self, x: float, y: float) -> Pair:
         """Return a position of the canvas in the rendering."""
@@ -285,12 +300,22 @@ class VolumeTools(Tools[Camera]):
     def _led(self, how: str, view: Camera, dx: float, dy: float) -> Camera:
         if not (dx or dy):
             return view
-        return {"orbit": orbit.orbit, "pan": orbit.pan}[how](view, dx, dy, self.stage)
+        return {"orbit": orbit.orbit, _CUBE: orbit.orbit, "pan": orbit.pan}[how](view, dx, dy, self.stage)
 
     def _leads(self, event: Event) -> str | None:
         if pans(event):
             return "pan"
+        if event.get("button") == _LEFT and self.side is not None:
+            return _CUBE
         return "orbit" if event.get("button") == _RIGHT else None
+
+    def _released(self) -> bool:
+        chosen = self.side if isinstance(self._gesture, Lead) else None
+        if chosen is None:
+            return super()._released()
+        self._gesture = None
+        self._look(chosen.camera(self.view))
+        return True
 
     def _turn(self, event: Event, amount: float) -> None:
         if self.held is not None or shifted(event):

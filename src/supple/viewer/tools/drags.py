@@ -20,6 +20,7 @@ CLICK = 3.0  # logical pixels that a click may move
 HANDLE = 8.0  # the largest distance of the pointer from a handle, in logical pixels
 TURN = 90.0  # degrees of a twist for a drag to the right by the brush's radius
 NEXT = 4.0  # logical pixels between two points of a path
+LIGHTEST = 0.01  # the part of a stroke that the lightest touch of a pen makes
 STRONGEST = 2.0  # radii of a drag that scales by a factor of e
 SHAPES: dict[Tool, dict[str, Any]] = {
     "twist": {"brush": "twist", "angle": 0.0},
@@ -80,6 +81,7 @@ class Held:
     dabbed: Pair | None = None  # of a painting: the place of the last dab
     mask: Freeze | None = None  # of the freeze mask: what it is so far
     made: list[Stroke] = field(default_factory=list)  # and its strokes
+    pressure: float | None = None  # of a pen, from 0 to 1: the greatest so far; of a painting, the present one
 
     @property
     def new(self) -> bool:
@@ -105,6 +107,11 @@ class Held:
     def clicks(self) -> bool:
         """True if a click is enough."""
         return self.paints or self.masks or (self.new and self.tool == "pin")
+
+    @property
+    def firmness(self) -> float:
+        """The part of a new stroke that a pen's pressure asks for: all of it without a pen."""
+        return 1.0 if self.pressure is None else max(1 - (1 - self.pressure) ** 2, LIGHTEST)
 
     @property
     def moved(self) -> bool:

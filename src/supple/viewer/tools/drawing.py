@@ -12,7 +12,7 @@ from supple.errors import SuppleError
 from supple.strokes import REACH, Stroke
 from supple.viewer.document.editing import Document
 from supple.viewer.document.state import PAINTINGS
-from supple.viewer.tools.drags import IMMATERIAL, MASKS, SHAPES, Handle, Held, Pair, Part, nearest
+from supple.viewer.tools.drags import IMMATERIAL, LIGHTEST, MASKS, SHAPES, Handle, Held, Pair, Part, nearest
 from supple.viewer.tools.keys import Tool
 
 STILL = 0.01  # samples: a painting leaves alone what moves less
@@ -36,6 +36,8 @@ class Drawing(ABC):
         self.scales = 1
         self.reach: float | None = REACH
         self.strength = 1.0  # of a dab of a painting: the part of the way that it goes
+        self.pen = False  # whether a pen was here
+        self.pressing = True  # whether its pressure sets how much of a new stroke is made
         self.symmetric = False  # whether new strokes have a mirror image
         self.across, self.middle = 0, 0.5 * (document.shape[-1] - 1)
         """The axis across which they have it, x is 0; and where its line or plane lies on it, in samples."""
@@ -199,7 +201,8 @@ class Drawing(ABC):
         """Add a stroke of a painting, if it moves anything."""
         document = self.document
         led = document.deformation.restore if held.tool == "restore" else document.deformation.smooth
-        made = led(point, radius=held.stroke.radius, strength=self.strength, warn=False).strokes[-1]
+        part = max(self.strength * held.firmness, LIGHTEST)
+        made = led(point, radius=held.stroke.radius, strength=part, warn=False).strokes[-1]
         if max(math.hypot(*by) for _, by in made.handles) > STILL:
             held.made.append(made)
             if not document.preview(*held.made, select=False):
@@ -213,6 +216,8 @@ class Drawing(ABC):
             gone = self._carried(held, x - a, y - b)
             ring = stroke.radius * self._scale(held.point)
             stroke = held.dragged(gone, ((x - u) / ring, (y - v) / ring), self._normal(held.point))
+            if held.item is None and held.firmness < 1:
+                stroke = stroke.weakened(held.firmness)
         if not held.new:
             return (self.paired(held.stroke, stroke),)
         if not self._has_image(held.point):

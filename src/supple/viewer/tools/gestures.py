@@ -20,6 +20,7 @@ V = TypeVar("V")
 Event = Mapping[str, Any]
 
 KNOB = 10.0  # the largest distance from a knob: of the split between before and after, of the line of symmetry
+_STAYS = "this place is frozen, and no stroke moves it: thaw it first (V)"
 _LEFT = 1
 _CUT, _LINE = "cut", "line"
 _MOST = 1e4  # the largest turn of the wheel at once: larger powers overflow
@@ -49,8 +50,9 @@ class Lead(Generic[V]):
 class Tools(Drawing, Generic[V]):
     """Edits of a document and moves of the view, from events.
 
-    Events are those of rendercanvas. They may be merged, so that amounts count, and not their number. Errors are shown
-    in `status`. The first argument is the view, a viewport or a camera.
+    Events are those of rendercanvas; those of a pen have a ``pressure``, from 0 to 1, and may have the ``peak`` of its
+    drag. They may be merged, so that amounts count, and not their number. Errors are shown in `status`. The first
+    argument is the view, a viewport or a camera.
     """
 
     _beside = "click"  # the left button's effect on the view where there is nothing to grab
@@ -169,6 +171,9 @@ class Tools(Drawing, Generic[V]):
             how = _LINE
         elif how is None and button == _LEFT:
             self._gesture = self._taken(x, y)
+            self._press(self._gesture, event)
+            if self._gesture is not None and self._stays(self._gesture):
+                self._refused = _STAYS
             if self._gesture is not None and self._gesture.clicks:
                 self._gesture.shift = shifted(event)
                 self._draw(self._gesture)
@@ -177,6 +182,13 @@ class Tools(Drawing, Generic[V]):
             self._gesture = Lead(how, button, self.view, self.view, (x, y), (x, y))
         return self._gesture is not None
 
+    def _stays(self, held: Held) -> bool:
+        """Return whether a new stroke is held at a point that is frozen."""
+        mask = self.mask
+        if mask is None or held.masks or not held.new:
+            return False
+        return bool(mask.at([[p] for p in held.point[: mask.ndim]]).item() == 0)
+
     def _on_pointer_move(self, event: Event) -> bool:
         self.pointer = _place(event)
         gesture = self._gesture
@@ -184,6 +196,7 @@ class Tools(Drawing, Generic[V]):
             return False
         if isinstance(gesture, Held):
             gesture.shift = shifted(event)
+            self._press(gesture, event)
         if gesture.button not in event.get("buttons", (gesture.button,)):
             return self._released()  # the button was released outside of the window
         self._follow(gesture, self.pointer)
@@ -194,8 +207,20 @@ class Tools(Drawing, Generic[V]):
         gesture = self._gesture
         if gesture is None or event.get("button") != gesture.button:
             return False
+        if isinstance(gesture, Held):
+            self._press(gesture, event)
         self._follow(gesture, self.pointer)
         return self._released()
+
+    def _press(self, held: Held | None, event: Event) -> None:
+        """Take a pen's pressure in, where the event has one; a drag that began without one goes on without."""
+        pressure, peak = _pressure(event.get("pressure")), _pressure(event.get("peak"))
+        if pressure is None:
+            return
+        self.pen = True
+        if held is None or not self.pressing or (held.pressure is None and event["event_type"] != "pointer_down"):
+            return
+        held.pressure = pressure if held.paints else max(held.pressure or 0.0, pressure, peak or 0.0)
 
     def _on_pointer_leave(self, event: Event) -> bool:
         self.pointer = None
@@ -240,7 +265,10 @@ class Tools(Drawing, Generic[V]):
                 return True
             if (gesture.moved or gesture.grown or gesture.clicks) and self.document.dragging:
                 trouble = self.document.trouble
-                self._refused = None if self.document.commit() else trouble
+                if not self.document.commit():
+                    self._refused = trouble or self._refused
+                elif gesture.paints:  # the newest of its strokes
+                    self.document.select(len(self.document.items) - 1)
                 return True
             if self.document.dragging:
                 self.document.abandon()
@@ -324,6 +352,13 @@ def commanded(event: Event) -> bool:
 def shifted(event: Event) -> bool:
     """Return whether Shift is held."""
     return "Shift" in event.get("modifiers", ())
+
+
+def _pressure(value: object) -> float | None:
+    """Return a pressure from 0 to 1; None for what is no finite number, which a page may send."""
+    if not isinstance(value, int | float) or not -math.inf < value < math.inf:
+        return None
+    return float(min(max(value, 0.0), 1.0))
 
 
 def _place(event: Event) -> Pair:

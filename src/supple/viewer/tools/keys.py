@@ -69,6 +69,7 @@ KEYS: Mapping[str, Rows] = {
         "Ctrl+wheel": "zoom the planes about the pointer",
         "drag on the object": "pull the point under the pointer, parallel to the screen",
         "drag beside it, right drag": "turn the view",
+        "click on the cube": "look from that side; a drag of it turns the view",
         "middle drag, Alt+drag": "move the view",
         "wheel on the object": "nearer and farther",
         "Shift+wheel": "radius of the brush, which the inner ring shows",

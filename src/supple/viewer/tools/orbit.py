@@ -34,10 +34,7 @@ class Stage:
 
     def distance(self, camera: Camera) -> float:
         """Return the distance from the camera to its target, in millimetres."""
-        if camera.distance is not None:
-            return camera.distance
-        view = self.view(camera)
-        return float(np.linalg.norm((view.eye - self.target(camera)) * view.spacing))
+        return self.view(camera).distance
 
     def project(self, camera: Camera, point: tuple[float, ...]) -> tuple[float, float, float] | None:
         """Return the position of a voxel on the canvas, and its distance from the eye; None behind the camera."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import Self
 
-from supple.geometry import Geometry
+from supple.geometry import SIDES, Geometry
 from supple.viewer.tools.drags import Pair
 
 Point = tuple[float, float, float]
@@ -18,7 +18,6 @@ RENDERED = 3
 GAP = 2.0  # logical pixels between two views
 _MARGIN = 0.9  # of a view: a plane that fits leaves room for letters
 _NEAREST, _FARTHEST = 40.0, 0.5  # zoom, relative to planes that fit
-_SIDES = (("R", "L"), ("A", "P"), ("I", "S"))  # along -x and +x, -y and +y, -z and +z in LPS
 # Each plane as radiologists see it, by the axes of LPS: its normal, the one to the right, and the one down. Of -1 - k,
 # the negative of axis k.
 _SEEN = (("axial", 2, 0, 1), ("coronal", 1, 0, ~2), ("sagittal", 0, 1, ~2))
@@ -68,10 +67,10 @@ def planes_of(geometry: Geometry) -> tuple[Plane, ...]:
     def along(way: int) -> tuple[int, int, str, str]:
         """Return the voxels' axis of an axis of LPS, or of its negative; its sign; and what is at both its ends."""
         k, wanted = (way, 1) if way >= 0 else (~way, -1)
-        axis, sides = order[k], _SIDES[k]
+        axis, sides = order[k], SIDES[k]
         sign = wanted if turned[k, axis] >= 0 else -wanted
         if placed:
-            first, last = sides[::wanted]
+            first, last = sides[::-wanted]
         else:
             first, last = (f"-{'xyz'[axis]}", f"+{'xyz'[axis]}")[::sign]
         return axis, sign, first, last
@@ -83,6 +82,16 @@ def planes_of(geometry: Geometry) -> tuple[Plane, ...]:
         told = name if placed else "".join("xyz"[k] for k in sorted((across, down)))
         made.append(Plane(told, axis, across, down, (one, other), sign * _FORWARD[normal], (left, beyond, top, bottom)))
     return tuple(made)
+
+
+def ends_of(planes: tuple[Plane, ...]) -> dict[int, tuple[str, str]]:
+    """Return what is at the first and at the last voxel along each axis of a volume, as its planes name it."""
+    made = {}
+    for plane in planes:
+        (left, right, top, bottom), (one, other) = plane.sides, plane.signs
+        made[plane.across] = (left, right) if one > 0 else (right, left)
+        made[plane.down] = (top, bottom) if other > 0 else (bottom, top)
+    return made
 
 
 @dataclass(frozen=True, slots=True)

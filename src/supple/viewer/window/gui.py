@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -51,8 +52,10 @@ class _Layer:
     def __init__(self, device: Any, context: Any, io: imgui.IO, work: Callable[[], None]) -> None:
         self._device, self._context, self.io, self._work = device, context, io, work
         self._bytes, self.buffer, self.indices = bytearray(), None, 0
+        self._laid = time.perf_counter()
         self.data: Any = None
-        self.lists: list[Any] = []
+        self._lists: list[Any] = []
+        self._commands: list[tuple[Any, ...]] | None = None
         # ImGui closes open scopes after an error, and the window survives.
         io.config_error_recovery_enable_assert = False
         io.config_error_recovery_enable_tooltip = False
@@ -61,6 +64,8 @@ class _Layer:
         """Lay it out, for a canvas of a logical size; return the error, or an empty text."""
         imgui.set_current_context(self._context)
         self.io.display_size, self.io.display_framebuffer_scale = imgui.ImVec2(*size), imgui.ImVec2(ratio, ratio)
+        now = time.perf_counter()
+        self.io.delta_time, self._laid = max(now - self._laid, 1e-4), now
         imgui.new_frame()
         trouble = ""
         try:
@@ -70,16 +75,34 @@ class _Layer:
         finally:
             imgui.render()
         self.data = imgui.get_draw_data()
-        self.lists = list(self.data.cmd_lists)
+        self._lists, self._commands = list(self.data.cmd_lists), None
         self._write()
         return trouble
 
+    @property
+    def commands(self) -> list[tuple[Any, ...]]:
+        """Of each command: where it may draw, its texture, how many indices, and the first index and vertex.
+
+        They are for after textures are updated, which get their numbers then.
+        """
+        if self._commands is None:
+            self._commands, corner, index = [], 0, 0
+            for part in self._lists:
+                for each in part.cmd_buffer:
+                    clip, which = each.clip_rect, each.tex_ref.get_tex_id()
+                    first, base = index + each.idx_offset, corner + each.vtx_offset
+                    if each.elem_count:
+                        self._commands.append(((clip.x, clip.y, clip.z, clip.w), which, each.elem_count, first, base))
+                corner += part.vtx_buffer.size()
+                index += part.idx_buffer.size()
+        return self._commands
+
     def _write(self) -> None:
         """Write vertices, and then the indices of triangles."""
-        vectors = [(part.vtx_buffer, imgui.VERTEX_SIZE) for part in self.lists]
-        vectors += [(part.idx_buffer, imgui.INDEX_SIZE) for part in self.lists]
+        vectors = [(part.vtx_buffer, imgui.VERTEX_SIZE) for part in self._lists]
+        vectors += [(part.idx_buffer, imgui.INDEX_SIZE) for part in self._lists]
         sizes = [vector.size() * size for vector, size in vectors]
-        self.indices = sum(sizes[: len(self.lists)])
+        self.indices = sum(sizes[: len(self._lists)])
         end = sum(sizes)  # vertices have 20 bytes: indices begin at a whole word
         if end == 0:
             return
@@ -191,24 +214,20 @@ class Gui:
         ratio, (left, top) = layer.data.framebuffer_scale, layer.data.display_pos
         drawing.set_vertex_buffer(0, layer.buffer)
         drawing.set_index_buffer(layer.buffer, _INDEX, layer.indices)
-        corner, index, bound = 0, 0, 0
-        for part in layer.lists:
-            for command in part.cmd_buffer:
-                clip = command.clip_rect
-                x, y = max(int((clip.x - left) * ratio.x), 0), max(int((clip.y - top) * ratio.y), 0)
-                width = min(int((clip.z - left) * ratio.x), columns) - x
-                height = min(int((clip.w - top) * ratio.y), rows) - y
-                if width <= 0 or height <= 0 or not command.elem_count:
-                    continue
-                which = command.tex_ref.get_tex_id()
-                if which != bound:
-                    bound = which
-                    drawing.set_bind_group(1, self._group(which))
-                drawing.set_scissor_rect(x, y, width, height)
-                first, base = index + command.idx_offset, corner + command.vtx_offset
-                drawing.draw_indexed(command.elem_count, 1, first, base, 0)
-            corner += part.vtx_buffer.size()
-            index += part.idx_buffer.size()
+        bound, cut = 0, (0, 0, 0, 0)
+        for clip, which, count, first, base in layer.commands:
+            x, y = max(int((clip[0] - left) * ratio.x), 0), max(int((clip[1] - top) * ratio.y), 0)
+            width = min(int((clip[2] - left) * ratio.x), columns) - x
+            height = min(int((clip[3] - top) * ratio.y), rows) - y
+            if width <= 0 or height <= 0:
+                continue
+            if which != bound:
+                bound = which
+                drawing.set_bind_group(1, self._group(which))
+            if cut != (x, y, width, height):
+                cut = x, y, width, height
+                drawing.set_scissor_rect(*cut)
+            drawing.draw_indexed(count, 1, first, base, 0)
 
     def _group(self, which: int) -> Any:
         """Return the bind group of a texture."""

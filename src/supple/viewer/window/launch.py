@@ -72,6 +72,12 @@ class ViewOptions:
 _USUAL = ViewOptions()
 
 
+def _exists(source: Source) -> None:
+    """Raise SuppleError for the name of a file that is not there; patterns of sequences are looked at later."""
+    if isinstance(source, str | os.PathLike) and "%" not in os.fspath(source) and not os.path.exists(source):
+        raise SuppleError(f"cannot read {shown(source)}: there is no such file: check the name")
+
+
 def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageStage | VolumeStage:
     """Open the stage of a file, or of an array: an image (H, W[, C]) or a volume (Z, H, W) more than 4 voxels wide.
 
@@ -82,8 +88,6 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
     """
     if isinstance(source, str | os.PathLike):
         name = shown(source)
-        if not os.path.exists(source) and "%" not in os.fspath(source):
-            raise SuppleError(f"cannot read {name}: there is no such file: check the name")
         if is_volume_job(source, "", Recipe(), options.volume):
             _suits(name, options, volume=True)
             volume = open_volume(source, options.volume)
@@ -143,8 +147,8 @@ def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) ->
         document,
         stage.volume.geometry,
         size,
-        lambda x, y: stage.deform(document.deformation).pick(tools.camera, tools.stage.size, (x, y)),
-        lambda pick, to: stage.deform(document.deformation).drag(tools.camera, tools.stage.size, pick, to),
+        lambda x, y: stage.on_canvas(document.deformation).pick(tools.camera, tools.stage.size, (x, y)),
+        lambda pick, to: stage.on_canvas(document.deformation).drag(tools.camera, tools.stage.size, pick, to),
         first_window(stage.volume, stage.unit),
     )
     return tools
@@ -162,6 +166,7 @@ def opened(
     """
     with _installed():
         from supple.viewer.window.window import Window
+    _exists(source)  # before the GPU, which may be missing, too
     gpu = gpu or _gpu()
     stage = stage_of(gpu, source, options)
     recipe, geometry = recipe or Recipe(), None
@@ -255,6 +260,7 @@ def show(
     Window
         ``view.recipe`` is the result.
     """
+    _exists(source)
     canvas_type, loop = on_screen_of(toolkit)
     gpu = _gpu()
     canvas = canvas_type(size=size, title="Supple", max_fps=60, update_mode="ondemand", vsync=False)
@@ -270,6 +276,8 @@ def show(
         qt.attend(canvas, made)
     loop.run()
     if canvas.get_closed():  # if a loop is running, as in a notebook with Qt, the window stays
+        if toolkit == "qt":
+            qt.settle(made)  # what ends later would call a Qt that is gone
         made.close()
     return made
 

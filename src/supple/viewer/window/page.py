@@ -45,8 +45,21 @@ p {{ color: #aaa; font: 16px system-ui, sans-serif; margin: 2rem }}
 window.addEventListener("wheel", (event) => {{
   if (event.ctrlKey) event.preventDefault();
 }}, {{ capture: true, passive: false }});
+// A pen's pressure, which the events that are sent do not have; and the greatest of its drag: not all moves are sent.
+let pen = null;
+for (const kind of ["pointerdown", "pointermove"]) {{
+  const noted = ({{ pointerType, pressure }}) => {{
+    const before = kind === "pointermove" && pen !== null ? pen.peak : 0;
+    pen = pointerType === "pen" ? {{ pressure, peak: Math.max(before, pressure) }} : null;
+  }};
+  window.addEventListener(kind, noted, {{ capture: true }});
+}}
 // Of several pages, the last has the window.
 window.WebSocket = class extends WebSocket {{
+  send(data) {{
+    const event = pen === null || typeof data !== "string" ? {{}} : JSON.parse(data);
+    super.send(/^pointer_(down|move|up)$/.test(event.type) ? JSON.stringify({{ ...event, ...pen }}) : data);
+  }}
   constructor(...given) {{
     super(...given);
     this.addEventListener("close", (event) => {{

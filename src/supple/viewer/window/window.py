@@ -25,7 +25,8 @@ from supple.viewer.window.gui import Gui
 FILLING = 0.004  # seconds of each frame for filling a volume's buffer
 ANSWERED = 0.1  # seconds after an event until a panel has reacted
 FOLLOWED = 0.1  # seconds within which the controls follow a drag
-HINTED = 0.6  # and until it shows a hint under a resting pointer
+HINTED = 0.3  # and until it shows a hint under a resting pointer
+HINTS = 4  # frames for a hint: it is measured in the first that has it, and seen in the next
 
 
 class Waking:
@@ -34,6 +35,7 @@ class Waking:
     def __init__(self, canvas: Any, call_later: Callable[[float, Callable[[], None]], Any]) -> None:
         self._canvas, self._call_later = canvas, call_later
         self._stirred, self._due = -math.inf, math.inf
+        self._hints = 0  # frames that are left for a hint
 
     def later(self, seconds: float) -> None:
         """Schedule a frame after some seconds, if none is due earlier."""
@@ -44,7 +46,7 @@ class Waking:
 
     def stir(self) -> None:
         """Schedule some frames for an event: a panel reacts in the second or the third."""
-        self._stirred = time.perf_counter()
+        self._stirred, self._hints = time.perf_counter(), HINTS
         self._canvas.request_draw()
 
     def answer(self) -> None:
@@ -54,6 +56,9 @@ class Waking:
             self._canvas.request_draw()
         elif since < HINTED:
             self.later(HINTED - since)
+        elif self._hints > 0:
+            self._hints -= 1
+            self._canvas.request_draw()
 
     def _woken(self) -> None:
         self._due = math.inf
@@ -90,13 +95,14 @@ class Window(View):
         self._laid = (0.0, 0.0, 0.0)
         self._followed = -math.inf  # when the controls were laid out
         self._titled = ""
+        self._typing = False  # whether the character of a key may follow
         self._context = canvas.get_wgpu_context()
         presented = self._context.get_preferred_format(device.adapter)
         self._context.configure(device=device, format=presented)
         self._screen = Screen(self.gpu, presented)
         self._gui = Gui(self.gpu, canvas, presented, self._controls, lambda: overlay.draw(self), self.veil.textures)
         canvas.add_event_handler(self._stir, *_HANDS, "char", order=-100)
-        canvas.add_event_handler(self._event, *_HANDS, "pointer_leave", "close")
+        canvas.add_event_handler(self._event, *_HANDS, "char", "pointer_leave", "close")
         canvas.request_draw(self.draw)
 
     def _stir(self, event: dict[str, Any]) -> None:
@@ -129,6 +135,16 @@ class Window(View):
         if kind in ("pointer_down", "wheel") and not self._inside(event):
             self.canvas.request_draw()
             return
+        if kind == "char":  # only these know the layout of the keyboard in all toolkits
+            typing, self._typing = self._typing, False  # a key that is held repeats its character
+            if typing and event.get("data") == "?":
+                self.tools.press("?")
+                self.canvas.request_draw()
+            return
+        if kind == "key_down":
+            self._typing = True
+            if event.get("key") == "?":
+                return
         if kind == "pointer_down":
             self.commands.message = ""
             self._pressed = event.get("time_stamp", 0.0)
@@ -166,20 +182,27 @@ class Window(View):
             tools.handle({"event_type": "resize", "width": width, "height": height, "pixel_ratio": ratio})
         if isinstance(tools, VideoTools):
             tools.playback.frame_at(begun)
-        moving = tools.dragging or self._lately or self._playing or self._filling
+        moving = tools.dragging or self._lately or self._playing or self.refining
         shot = self._shot(moving)
         key = shot, self.painter.coarse if moving else 0
-        all_of_it = not tools.dragging or begun - self._followed > FOLLOWED
+        anew = key != self._drawn_key or not self.painter.ready
+        bent = shot.base if shot.original else shot.deformation
+        slow = anew and isinstance(self.stage, VolumeStage) and self.stage.is_slow(bent)
+        rests = slow and tools.dragging and self._lately  # the image waits until the pointer rests
+        self.computing = slow and not rests and not self.computing
+        all_of_it = not tools.dragging or self.computing or begun - self._followed > FOLLOWED
         self._followed = begun if all_of_it else self._followed
         self._gui.lay(all=all_of_it)
         if self._gui.trouble:
             self.commands.message = self._gui.trouble
         encoder = self.gpu.device.create_command_encoder()
-        anew = key != self._drawn_key or not self.painter.ready
+        anew = anew and not rests and not self.computing
         if anew:
             with contextlib.suppress(SuppleError):
                 self._textures = self.painter.paint(shot, encoder)
             self._drawn_key = key
+        if slow and anew and isinstance(tools, SliceTools):
+            tools.forget()  # what is under the pointer is another point now
         self._present(shot, encoder)
         if anew and moving:
             self.painter.learn()
@@ -211,11 +234,11 @@ class Window(View):
 
     def _go_on(self, shot: Shot) -> None:
         """Schedule the next frame for unfinished work."""
-        if self._playing or not self.painter.ready:
+        if self.computing or self._playing or not self.painter.ready:
             self.canvas.request_draw()
         elif self._lately:
             self._waking.later(max(self._changed_at + SETTLED - time.perf_counter(), 0.01))
-        elif isinstance(self.stage, VolumeStage) and not self.tools.dragging:
+        elif isinstance(self.stage, VolumeStage) and not self.tools.dragging and not shot.original:
             self._fill(shot)
         if (self.commands.export is not None and not self.commands.export.done) or self.document.dirty:
             self._waking.later(0.25)  # to show progress, and to autosave
@@ -224,7 +247,7 @@ class Window(View):
             self._waking.later(0.25)  # a text cursor blinks, and a dialog of the system may be answered
 
     def _fill(self, shot: Shot) -> None:
-        waiting, before = self._filling, self.filled
+        waiting, before = self.refining, self.filled
         assert isinstance(self.stage, VolumeStage)
         try:
             seconds = 10 * FILLING if waiting else FILLING

@@ -4,6 +4,7 @@
 //     K(p) = m [ A v + B (r·v) r ],  A = Σᵢ pᵢ wᵢⁿ + qᵢ wᵢⁿ⁺²,  B = Σᵢ rᵢ wᵢⁿ⁺²,  wᵢ = √eᵢ / ρᵢ,
 // and m = (1-t)³(1+3t+6t²), t = √s/R, and 0 from t = 1 on. A grab has n = 1 and v = f; the brushes that are affine at
 // their pivot have n = 3 and v = M r. Strokes that are joined to the one before them act at the same point as that.
+// With a freeze mask (freeze.wgsl), K is multiplied by its m as well.
 //
 // A point is an anchor q and an offset w from it, in physical units: the accuracy of w, and of distances to pivots, in
 // float32 does not depend on the distance of q from the origin. Likewise, a pivot is the sum of two numbers.
@@ -28,6 +29,12 @@ struct Domain {
     sigma: vec4f, // of the fixed border; below 0 if it is free, and 0 for an axis without displacement
     spacing: vec4f, // and the unit of errors, see field.py
     profile: vec4f, // of the fixed border along each axis: QUARTIC or SINE
+    mask_size: vec4f, // coefficients of the freeze mask along each axis, and the least step from one to the next
+    mask_first: vec4f, // the position of the first one, and the step from one to the next: each the sum of two numbers,
+    mask_step: vec4f, // of which the step's first has so few bits that any number of them is exact
+    mask_first_rest: vec4f,
+    mask_step_rest: vec4f,
+    mask_per_step: vec4f, // 1 / step; 0 along an axis of one coefficient
 }
 
 struct Moved {
@@ -40,8 +47,6 @@ fn finest() -> f32 {
 }
 
 const HALF_PI = 1.5707963267948966;
-const QUARTIC = 0.0;
-const SINE = 1.0;
 // t² from which on the displacement is 0: m is below 1e-14 there, less than the rounding of t in float32.
 const RIM = 0.99999;
 
@@ -129,8 +134,8 @@ fn moved_by(k: u32, q: vec3f, start: Moved, at: Moved) -> Moved {
         v = strokes[k].matrix * d;
     }
     let rv = dot(d, v);
-    let g = b * rv;
-    let moving = a * v + g * d;
+    var g = b * rv;
+    var moving = a * v + g * d;
     let c = da * v + db * rv * d;
     let along = b * d;
     // Column j of β (c dᵀ + b d (v + Mᵀd)ᵀ + A M + g I) + diag(β' K): 0 along j beyond a fixed face.
@@ -138,6 +143,12 @@ fn moved_by(k: u32, q: vec3f, start: Moved, at: Moved) -> Moved {
     if (affine) {
         let bent = d * strokes[k].matrix;
         m += a * strokes[k].matrix + mat3x3f(along * bent.x, along * bent.y, along * bent.z);
+    }
+    if (FROZEN) {
+        let free = freed(q, near);
+        m = free.m * m + mat3x3f(free.slope.x * moving, free.slope.y * moving, free.slope.z * moving);
+        g *= free.m;
+        moving *= free.m;
     }
     m = mat3x3f(inside.x * beta * m[0], inside.y * beta * m[1], inside.z * beta * m[2]);
     let own = inside * (beta * g + slope * moving);

@@ -17,16 +17,20 @@ struct Settings {
 @group(0) @binding(6) var<storage, read> wanted: array<u32>; // bricks
 @group(0) @binding(7) var<storage, read_write> lost: atomic<u32>; // voxels that could not be solved
 @group(0) @binding(8) var made: texture_storage_3d<r32float, write>; // the buffer
+@group(0) @binding(9) var<storage, read> mask: array<u32>; // see freeze.wgsl
 
 override POLISHED: bool; // true if each voxel is refined, from its point on the lattice
 
 const BLOCK = 16u;
 
 fn source_of(q: vec3f, u: vec3f) -> vec3f {
+    let at = q * domain.spacing.xyz;
+    if (frozen(at, vec3f(0.0))) {
+        return q;
+    }
     if (!POLISHED) {
         return q + u;
     }
-    let at = q * domain.spacing.xyz;
     let aim = 0.1 * settings.tolerance * finest();
     var found = newton(0u, settings.strokes, at, vec3f(0.0), u * domain.spacing.xyz, aim, 12u);
     if (!(norm_of(in_pixels(found.matrix)) * found.residual <= settings.tolerance * finest())) {

@@ -2,16 +2,8 @@
 //
 // With M = ∂p/∂q, S = M Mᵀ = [[xx, xy], [xy, yy]], its eigenvalues λ± = h ± d, and α, β = max(λ± - 1, 0):
 //     12 Σ = ½(α+β) I + (α-β)/(2d) (S - hI)
-// is the covariance of the remaining average, as a pixel of the input is an average already.
-
-const LOW = 0.05; // α up to which a pixel is a point
-const RISE = 0.2; // and from which all of Σ is used
-const NARROW = vec2f(1.62, 3.2); // α and λ- up to which one spot is enough
-const SPOT = 1.7; // the largest distance of spots
-const MOST_SPOTS = 16.0;
-const WIDEST = 3.0; // 12 Σ of a spot along the major axis, and a little less along the minor one
-const LEVEL = 4.0; // λ- from which a coarser level is read, blended from 3.2 on
-const LONG = 400.0; // λ+ / λ- from which the level is determined by the longer side
+// is the covariance of the remaining average, as a pixel of the input is an average already. Constants are those of
+// footprint.hpp.
 
 struct Footprint {
     covariance: vec3f, // of one spot: xx, xy and yy of Σ
@@ -34,7 +26,7 @@ fn footprint_of(m: mat3x3f) -> Footprint {
     if (!(a > LOW)) {
         return out;
     }
-    if (a >= NARROW.x || out.minor >= NARROW.y) {
+    if (a >= NARROW || out.minor >= SQUARE) {
         out.wide = true;
         // The eigenvector of λ+, from the column of S - λ- I that is longer.
         let along_x = vec2f(d + e, xy);
@@ -50,11 +42,11 @@ fn footprint_of(m: mat3x3f) -> Footprint {
     return out;
 }
 
-// Keys' kernel with a = -0.75.
+// Keys' kernel.
 fn keys(t: f32) -> f32 {
     let x = abs(t);
-    let inner = 1.0 + x * x * (-2.25 + 1.25 * x);
-    let outer = 3.0 + x * (-6.0 + x * (3.75 - 0.75 * x));
+    let inner = 1.0 + x * x * (-(KEYS + 3.0) + (KEYS + 2.0) * x);
+    let outer = KEYS * (-4.0 + x * (8.0 + x * (-5.0 + x)));
     return select(select(outer, inner, x <= 1.0), 0.0, x >= 2.0);
 }
 
@@ -71,7 +63,7 @@ fn spot(level: Level, base: vec2i, part: vec2f, covariance: vec3f, frame: i32) -
     let sigma = sqrt(max(covariance.xz, vec2f(0.0)));
     let product = sigma.x * sigma.y;
     let rho = select(0.0, clamp(covariance.y / product, -1.0, 1.0), product > 0.0);
-    let apart = min(sigma, vec2f(0.4999));
+    let apart = min(sigma, vec2f(WIDEST_SPOT));
     let first = vec2i(floor(part - apart)) - 1;
     let start = vec2f(first) - part;
     var total = vec4f(0.0);
@@ -107,7 +99,7 @@ fn averaged(place: Place, over: Footprint, frame: i32) -> vec4f {
             want *= 0.25;
         }
         if (first < settings.levels) {
-            deeper = faded((want - NARROW.y) / (LEVEL - NARROW.y));
+            deeper = faded((want - SQUARE) / (LEVEL - SQUARE));
         }
     }
     var total = vec4f(0.0);
@@ -122,17 +114,17 @@ fn averaged(place: Place, over: Footprint, frame: i32) -> vec4f {
         var minor = 0.0;
         if (over.wide) {
             let scale = 1.0 / f32(unit * unit);
-            minor = clamp(over.minor * scale - 1.0, 0.0, 2.99);
+            minor = clamp(over.minor * scale - 1.0, 0.0, FLATTEST);
             reach = sqrt(max(over.major * scale - 1.0, 0.0));
-            count = min(floor(reach / SPOT) + 1.0, MOST_SPOTS);
-            more = select(0.0, faded(4.0 * (reach / SPOT - (count - 1.0) - 0.75)), count < MOST_SPOTS);
+            count = min(floor(reach / PER_SPOT) + 1.0, MOST_SPOTS);
+            more = select(0.0, faded((reach / PER_SPOT - (count - 1.0) - FADES) / (1.0 - FADES)), count < MOST_SPOTS);
         }
         for (var m = 0u; m < select(1u, 2u, more > 0.0); m++) {
             let n = count + f32(m);
             let share = select(1.0 - deeper, deeper, l == 1u) * select(1.0 - more, more, m == 1u) / n;
             var covariance = over.covariance;
             if (over.wide) {
-                let major = min(reach * reach / (n * n), WIDEST);
+                let major = min(reach * reach / (n * n), THICKEST);
                 let u = over.axis;
                 covariance = vec3f(
                     major * u.x * u.x + minor * u.y * u.y, (major - minor) * u.x * u.y, major * u.y * u.y + minor * u.x * u.x

@@ -136,12 +136,15 @@ fn solve(@builtin(global_invocation_id) id: vec3u) {
 const COARSE = 1e30; // the error of cells that are not interpolated
 const UNMOVED = -1.0; // and of unchanged cells
 
-// True if no stroke reaches a cell, given its first pixel.
-fn unreached_cell(first: vec3f) -> bool {
+// True if no stroke reaches a cell, given its first pixel, or if all of it is frozen.
+fn unmoved_cell(first: vec3f) -> bool {
+    let size = vec3f(vec2f(f32(STEP)), 0.0) * domain.spacing.xyz;
+    if (frozen(first + 0.5 * size, 0.5 * size)) {
+        return true;
+    }
     if (settings.limited == 0u) {
         return false;
     }
-    let size = vec3f(vec2f(f32(STEP)), 0.0) * domain.spacing.xyz;
     for (var k = 0u; k < settings.strokes; k++) {
         let c = (strokes[k].pivot - first) + strokes[k].rest.xyz; // of the ball, from the cell's corner
         let d = c - clamp(c, vec3f(0.0), size);
@@ -162,7 +165,7 @@ fn check(@builtin(global_invocation_id) id: vec3u) {
     }
     let cell = (id.z * cells.y + id.y) * cells.x + id.x;
     let first = vec2f((id.xy + vec2u(0u, settings.origin)) * STEP);
-    if (unreached_cell(vec3f(first, f32(settings.first + id.z)) * domain.spacing.xyz)) {
+    if (unmoved_cell(vec3f(first, f32(settings.first + id.z)) * domain.spacing.xyz)) {
         errors[cell] = UNMOVED;
         return;
     }
@@ -176,11 +179,11 @@ fn check(@builtin(global_invocation_id) id: vec3u) {
         found = max(found, error);
         fine = fine && error <= settings.tolerance;
     }
-    for (var k = 0u; k < 8u; k++) {
+    for (var k = 0u; k < select(8u, 10u, FROZEN); k++) {
         let at = SEEN[k];
         let p = (vec2f(id.xy + vec2u(0u, settings.origin)) + at) * f32(STEP);
         let q = vec3f(p, f32(settings.first + id.z)) * domain.spacing.xyz;
-        let error = RESERVE * error_at(q, between_nodes(patch_, at));
+        let error = reserve() * error_at(q, between_nodes(patch_, at));
         found = max(found, error);
         fine = fine && error <= settings.tolerance; // false for NaN
     }
@@ -202,7 +205,9 @@ fn count() {
 
 const MOST_GROUPS = 65535u;
 
-const SEEN = array<vec2f, 8>(
+// The last two are seen of the next cells as well: where m begins to rise, the error may be largest on an edge.
+const SEEN = array<vec2f, 10>(
     vec2f(0.5, 0.5), vec2f(0.5, 0.0), vec2f(0.0, 0.5), vec2f(0.25, 0.25),
     vec2f(0.75, 0.25), vec2f(0.25, 0.75), vec2f(0.75, 0.75), vec2f(0.5, 0.25),
+    vec2f(1.0, 0.5), vec2f(0.5, 1.0),
 );

@@ -17,6 +17,7 @@ struct Settings {
 // The largest observed error, in voxels, and the length scale of the map: positive numbers, which are ordered like
 // their bits. Errors from LOST on mark unsolved points.
 @group(0) @binding(5) var<storage, read_write> stats: array<atomic<u32>, 2>;
+@group(0) @binding(6) var<storage, read> mask: array<u32>; // see freeze.wgsl
 
 const LOST = 1e30;
 const CUT = 2e30; // a driver ended a thread's loops
@@ -67,5 +68,5 @@ fn check(@builtin(global_invocation_id) id: vec3u) {
         let error = length(m * off);
         worst = max(worst, select(LOST, error, error <= LOST));
     }
-    saw(RESERVE * worst);
+    saw(reserve() * worst);
 }

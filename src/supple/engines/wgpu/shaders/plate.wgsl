@@ -21,19 +21,19 @@ struct Settings {
     overlay: u32,
     every: f32, // pixels from line to line of a grid
     corner: vec2f, // of an image that is warped already: the position of the first pixel held, at its size
-    step: f32, // and pixels of the image for each of them
-    cell: u32, // pixels from node to node; less than CELL if they are given, and not solved here
-    back: vec4f, // behind the image; and the width of the checkerboard squares behind transparent pixels
     first: vec2u, // the first pixel to draw
+    back: vec4f, // behind the image; and the width of the checkerboard squares behind transparent pixels
+    step: f32, // pixels of the image for each pixel held of one that is warped already
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
 @group(0) @binding(1) var<uniform> domain: Domain;
 @group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
 @group(0) @binding(3) var<storage, read_write> nodes: array<vec4f>; // three for each: w, and two columns of ∂p/∂q
-@group(0) @binding(4) var<storage, read> pixels: array<u32>; // sRGB and opacity, of 8 bits each
-@group(0) @binding(5) var target_: texture_storage_2d<rgba8unorm, write>;
-@group(0) @binding(6) var laid: texture_2d<f32>;
+@group(0) @binding(4) var<storage, read> mask: array<u32>; // see freeze.wgsl
+@group(0) @binding(5) var<storage, read> pixels: array<u32>; // sRGB and opacity, of 8 bits each
+@group(0) @binding(6) var target_: texture_storage_2d<rgba8unorm, write>;
+@group(0) @binding(7) var laid: texture_2d<f32>;
 
 override BENT: bool = true; // true if there are strokes; constant, as software GPUs compile shaders slowly
 override SINGLE: bool = false; // true if one sample will do; constant, as a loop of any length takes them as long again
@@ -69,14 +69,14 @@ fn solve(@builtin(global_invocation_id) id: vec3u) {
 }
 
 fn interpolated(at: vec2f) -> Seen {
-    let v = at / f32(settings.cell);
+    let v = at / f32(CELL);
     let i = min(vec2u(v), settings.nodes - 2u);
     let s = v - vec2f(i);
     let a = 3u * (i.y * settings.nodes.x + i.x);
     let c = a + 3u * settings.nodes.x;
     let x = vec3f(1.0, 0.0, 0.0);
     let y = vec3f(0.0, 1.0, 0.0);
-    let h = f32(settings.cell) * settings.scale * domain.spacing.xyz;
+    let h = f32(CELL) * settings.scale * domain.spacing.xyz;
     let upper = bent(nodes[a].xyz, nodes[a + 3u].xyz, nodes[a + 1u].xyz, nodes[a + 4u].xyz, s.x, h.x);
     let lower = bent(nodes[c].xyz, nodes[c + 3u].xyz, nodes[c + 1u].xyz, nodes[c + 4u].xyz, s.x, h.x);
     let above = mix(nodes[a + 2u].xyz, nodes[a + 5u].xyz, s.x);
@@ -89,14 +89,20 @@ fn interpolated(at: vec2f) -> Seen {
 }
 
 fn source_of(at: vec2f) -> Seen {
-    if (!BENT) {
+    let q = anchor(at);
+    if (!BENT || frozen(q, vec3f(0.0))) {
         return Seen(vec3f(0.0), vec3f(1.0, 0.0, 0.0), vec3f(0.0, 1.0, 0.0), 0.0, 0.0);
     }
     let guess = interpolated(at);
-    if (settings.solved == 0u || settings.cell < CELL) {
+    // Beside what is frozen, the map may vary too much from node to node.
+    if (settings.solved == 0u && !FROZEN) {
         return guess;
     }
-    let found = newton(0u, settings.strokes, anchor(at), vec3f(0.0), guess.w, 1e-3 * finest(), 6u);
+    let wanted = 1e-3 * finest();
+    var found = newton(0u, settings.strokes, q, vec3f(0.0), guess.w, wanted, select(6u, 12u, FROZEN));
+    if (FROZEN && !(found.residual <= 0.05 * finest())) {
+        found = undo(q, wanted);
+    }
     return Seen(found.offset, found.matrix[0], found.matrix[1], found.residual, found.steps);
 }
 

@@ -13,6 +13,7 @@ struct Settings {
 @group(0) @binding(3) var<storage, read> anchors: array<vec4f>; // q
 @group(0) @binding(4) var<storage, read> offsets: array<vec4f>; // their offsets, or the target offsets
 @group(0) @binding(5) var<storage, read_write> results: array<vec4f>; // four for each point
+@group(0) @binding(6) var<storage, read> mask: array<u32>; // see freeze.wgsl
 
 @compute @workgroup_size(64)
 fn forward(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {

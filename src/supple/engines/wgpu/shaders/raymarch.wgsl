@@ -14,6 +14,9 @@ struct Settings {
     right: vec4f,
     below: vec4f,
     light: vec4f, // its direction
+    box_first: vec4f, // the corners of the box that is seen, in voxels
+    box_last: vec4f,
+    plane: vec4f, // what lies beyond it is cut away: its normal, and its distance from the first voxel
     step: f32, // millimetres from sample to sample
     low: f32, // the value of the transfer function's first entry, and entries for each unit of value
     scale: f32,
@@ -25,7 +28,8 @@ struct Settings {
     rows: u32,
     stretch: u32, // samples that share one read of the lattice
     turns: u32, // see turns.wgsl
-    unused: u32,
+    projection: u32,
+    silhouettes: f32, // by how much surfaces darken that are seen from the side
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -35,6 +39,7 @@ struct Settings {
 @group(0) @binding(7) var colours: texture_2d_array<f32>; // the transfer function: one row
 @group(0) @binding(8) var<storage, read_write> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
 @group(0) @binding(9) var<storage, read> finished: array<u32>; // for each brick of the buffer, 1 if it can be read
+@group(0) @binding(10) var<storage, read> mask: array<u32>; // see freeze.wgsl
 
 override MODE: u32;
 
@@ -47,7 +52,13 @@ const BRICK = 4u;
 const BISECTIONS = 2u;
 const OPAQUE = 0.995;
 const FAINT = 4e-3;
+const LAYER = 4.0; // voxels behind a cut face over which the light of gradients takes over
 const FAR = 3e38;
+const MAXIMUM = 1u; // projections
+const AVERAGE = 3u;
+const AMBIENT = 0.15;
+const DIFFUSE = 0.8;
+const SPECULAR = 0.2; // and the highlight's power is 16
 
 var<private> inversions: f32 = 0.0;
 var<private> lost: bool = false; // true if a point could not be solved
@@ -190,20 +201,45 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
     let along = normalize(settings.ahead.xyz + pixel.x * settings.right.xyz + pixel.y * settings.below.xyz);
     let d = along / domain.spacing.xyz;
     let o = settings.eye.xyz;
-    // Where the ray enters and leaves the box between the outermost voxels' centres.
+    // Where the ray enters and leaves the box.
     let safe = select(d, vec3f(1e-12), abs(d) < vec3f(1e-12));
     let over = 1.0 / safe;
-    let one_way = -o * over;
-    let other_way = (vec3f(settings.size - 1u) - o) * over;
+    let one_way = (settings.box_first.xyz - o) * over;
+    let other_way = (settings.box_last.xyz - o) * over;
     let enters = min(one_way, other_way);
     let leaves = max(one_way, other_way);
-    let near = max(0.0, max(enters.x, max(enters.y, enters.z)));
-    let far = min(leaves.x, min(leaves.y, leaves.z));
+    var near = max(0.0, max(enters.x, max(enters.y, enters.z)));
+    var far = min(leaves.x, min(leaves.y, leaves.z));
+    let boxed = near;
+    let away = dot(settings.plane.xyz, o * domain.spacing.xyz) - settings.plane.w;
+    let rate = dot(settings.plane.xyz, along);
+    if (rate > 0.0) {
+        far = min(far, -away / rate);
+    } else if (rate < 0.0) {
+        near = max(near, -away / rate);
+    } else if (away > 0.0) {
+        far = -1.0;
+    }
     let half_ = normalize(settings.light.xyz - along);
     var ray = Ray(o, d, over, safe > vec3f(0.0), near, far, near, 0.0);
     var taken = 0.0;
     var shift = vec3f(0.0);
     var surface = FAR;
+    // The cosine of the lamp's angle to the cut face, as long as the volume is seen from there on.
+    var face = -1.0;
+    for (var i = 0u; i < 3u && near > 0.0; i++) {
+        let last = f32(settings.size[i] - 1u);
+        let moved = select(settings.box_last[i] < last, settings.box_first[i] > 0.0, safe[i] > 0.0);
+        face = select(face, abs(settings.light[i]), moved && enters[i] == near);
+    }
+    if (near > boxed) {
+        face = abs(dot(settings.light.xyz, settings.plane.xyz));
+    }
+    if (settings.projection != 0u) {
+        project(ray, 2u * (id.y * size.x + id.x));
+        return;
+    }
+    let layer = LAYER * min(domain.spacing.x, min(domain.spacing.y, domain.spacing.z));
     if (near <= far) {
         surface = select(FAR, near, settings.always == 1u);
         // To the first sample above the threshold ...
@@ -215,6 +251,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                 ray.count += hop;
                 at = ray.start + ray.count * settings.step;
                 going_on = false;
+                face = -1.0;
             }
             begin(ray, going_on);
             for (var j = 0u; j < settings.stretch && at <= far; j++) {
@@ -226,6 +263,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                     surface = at;
                     break;
                 }
+                face = -1.0;
                 ray.count += 1.0;
                 at = ray.start + ray.count * settings.step;
             }
@@ -244,6 +282,12 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
             for (var turn = 0u; turn <= BISECTIONS; turn++) {
                 var middle = 0.5 * (low + surface);
                 if (turn == BISECTIONS) {
+                    if (before == -FAR && low < surface) {
+                        // The value there, which may have been skipped: without it, surfaces have steps.
+                        let outer = source_of(ray, low, shift);
+                        before = sample_at(outer.p, stretch.of_buffer);
+                        taken += 1.0;
+                    }
                     if (!(before > -FAR && before < settings.threshold)) {
                         break;
                     }
@@ -261,9 +305,12 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                     before = there;
                 }
             }
-            ray.start = surface;
-            ray.count = 0.0;
             taken -= 1.0; // sample the surface once more
+        }
+        if (surface != FAR) {
+            // Samples behind it stand for the steps that they are in the middle of.
+            ray.start = max(min(surface + 0.5 * settings.step, far), surface);
+            ray.count = 0.0;
         }
     }
     // The part behind the surface.
@@ -287,16 +334,22 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                 within = true;
                 var lit = vec2f(1.0, 0.0);
                 if (settings.shaded == 1u && part > FAINT) {
-                    lit = lit_by(gradient_at(place, t), half_);
+                    lit = lit_by(gradient_at(place, t), half_, along);
+                    if (face >= 0.0) {
+                        let deep = clamp((t - 0.5 * settings.step - near) / layer, 0.0, 1.0);
+                        lit = mix(vec2f(AMBIENT + DIFFUSE * face, 0.0), lit, deep);
+                    }
                 }
                 total += part * vec4f(colour.xyz * lit.x + lit.y, 1.0);
                 if (opaque == FAR && total.w >= 0.9) {
-                    opaque = t;
+                    opaque = max(t - 0.5 * settings.step, surface); // where its step begins
                 }
                 if (total.w > OPAQUE) {
                     t = FAR;
                     break;
                 }
+            } else {
+                face = -1.0;
             }
             ray.count += 1.0;
             t = ray.start + ray.count * settings.step;
@@ -315,13 +368,56 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
     seen[k + 1u] = vec4f(surface, opaque, taken, select(inversions, -1.0, lost || cut_short()));
 }
 
+// The extreme or the average value along a ray, in the colours of the transfer function, which are opaque.
+fn project(whole: Ray, k: u32) {
+    var ray = whole;
+    var shift = vec3f(0.0);
+    var value = 0.0;
+    var at = FAR;
+    var count = 0.0;
+    var going_on = false;
+    var t = ray.near;
+    while (t <= ray.far) {
+        begin(ray, going_on);
+        for (var j = 0u; j < settings.stretch && t <= ray.far; j++) {
+            let place = source_of(ray, t, shift);
+            shift = place.shift;
+            let next = sample_at(place.p, stretch.of_buffer);
+            if (settings.projection == AVERAGE) {
+                value += next;
+            } else if (count == 0.0 || select((next < value), (next > value), settings.projection == MAXIMUM)) {
+                value = next;
+                at = t;
+            }
+            count += 1.0;
+            ray.count += 1.0;
+            t = ray.start + ray.count * settings.step;
+        }
+        going_on = true;
+    }
+    var total = vec4f(0.0);
+    var surface = at;
+    if (count > 0.0) {
+        if (settings.projection == AVERAGE) {
+            value /= count;
+            surface = ray.near;
+        }
+        let entry = u32(clamp((value - settings.low) * settings.scale, 0.0, f32(settings.entries - 1u)) + 0.5);
+        total = textureLoad(colours, vec2u(entry, 0u), 0u, 0);
+    }
+    seen[k] = total;
+    seen[k + 1u] = vec4f(surface, at, count, select(inversions, -1.0, lost || cut_short()));
+}
+
 // Ambient and diffuse light, and the highlight, of a surface with a gradient; both sides are lit.
-fn lit_by(gradient: vec3f, half_: vec3f) -> vec2f {
+fn lit_by(gradient: vec3f, half_: vec3f, along: vec3f) -> vec2f {
     let size = length(gradient);
     if (!(size > 0.0)) {
-        return vec2f(0.95, 0.0);
+        return vec2f(AMBIENT + DIFFUSE, 0.0);
     }
     let normal = gradient / size;
     let shine = pow(abs(dot(normal, half_)), 16.0);
-    return vec2f(0.15 + 0.8 * abs(dot(normal, settings.light.xyz)), 0.2 * shine);
+    let aside = max(1.0 - abs(dot(normal, along)), 0.0);
+    let left = 1.0 - settings.silhouettes * aside * aside;
+    return left * vec2f(AMBIENT + DIFFUSE * abs(dot(normal, settings.light.xyz)), SPECULAR * shine);
 }

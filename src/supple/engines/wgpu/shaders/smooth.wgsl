@@ -1,7 +1,7 @@
 // The length scale of the map, for checks of lattices; see _core/plan.hpp.
 
 const RESERVE = 2.0;
-const RESOLVED = 0.5;
+const ROUGH = 3.0; // with a freeze mask: a spline, whose derivatives jump
 
 // From physical units to pixels.
 fn in_pixels(matrix: mat3x3f) -> mat3x3f {
@@ -12,12 +12,17 @@ fn in_pixels(matrix: mat3x3f) -> mat3x3f {
     return m;
 }
 
+fn reserve() -> f32 {
+    return select(RESERVE, ROUGH, FROZEN);
+}
+
 fn norm_of(m: mat3x3f) -> f32 {
     return sqrt(dot(m[0], m[0]) + dot(m[1], m[1]) + dot(m[2], m[2]));
 }
 
 // The length scale of the map at a point, in pixels: a stroke varies over ρ, and its border, along each axis by itself,
-// over σ or the distance to it, both scaled by the derivative of the stroke's input with respect to q.
+// over σ or the distance to it, and a freeze mask as far as it is smooth; all are scaled by the derivative of the
+// stroke's input with respect to q.
 fn smoothness(q: vec3f, w: vec3f, m: mat3x3f) -> f32 {
     var at = Moved(w, mat3x3f(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
     var start = at;
@@ -30,6 +35,10 @@ fn smoothness(q: vec3f, w: vec3f, m: mat3x3f) -> f32 {
         let y = start.jacobian * (m[1] * domain.spacing.xyz);
         let d = (q - strokes[k].pivot) + (start.offset - strokes[k].rest.xyz);
         least = min(least, sqrt((dot(d, d) + strokes[k].radius2.x) / max(dot(x, x), dot(y, y))));
+        if (FROZEN) {
+            let near = clamped_to_domain(q, start.offset);
+            least = min(least, smoothness_of_mask(q, near) / sqrt(max(dot(x, x), dot(y, y))));
+        }
         let along = max(abs(x), abs(y));
         let place = q + start.offset;
         for (var axis = 0u; axis < 3u; axis++) {

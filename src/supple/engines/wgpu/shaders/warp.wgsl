@@ -40,6 +40,7 @@ struct Settings {
 @group(0) @binding(6) var<storage, read_write> rough: array<u32>; // workgroups, the number of cells, and their indices
 @group(0) @binding(7) var lattice: texture_2d_array<f32>; // the solved nodes
 @group(0) @binding(9) var<storage, read_write> target_: array<u32>;
+@group(0) @binding(11) var<storage, read> mask: array<u32>; // see freeze.wgsl
 
 override FORMAT: u32 = 0u;
 override FILTER: u32 = 0u;
@@ -63,7 +64,6 @@ const EDGE = 0u;
 const CONSTANT = 1u;
 const REFLECT = 2u;
 const STEP = 16u;
-const LONGEST = 64.0; // the longest time average of a pixel, in frames
 
 var<private> worst: f32 = 0.0;
 var<private> lost: u32 = 0u;
@@ -114,16 +114,17 @@ fn in_samples(source: Source) -> Source {
     );
 }
 
-// True if no stroke reaches a sample, which is then copied.
+// True if no stroke reaches a sample, or if it is frozen: it is copied then.
 fn passed(x: u32, y: u32, plane: u32) -> bool {
     if (known == UNMOVED) {
         return true;
     }
-    if (settings.limited == 0u) {
+    if (settings.limited == 0u && !FROZEN) {
         return false;
     }
     let place = settings.pitch * vec2f(vec2u(x, y)) + settings.offset;
-    return unreached(vec3f(place, f32(settings.first + plane)) * domain.spacing.xyz);
+    let q = vec3f(place, f32(settings.first + plane)) * domain.spacing.xyz;
+    return frozen(q, vec3f(0.0)) || (settings.limited != 0u && unreached(q));
 }
 
 fn colour(x: u32, y: u32, plane: u32, solving: bool) -> vec4f {

@@ -1,0 +1,21 @@
+// A map in one block of memory, as kernels on a GPU read it.
+#pragma once
+#include "composite.hpp"
+
+namespace supple {
+
+// Strokes, or a composite; and the freeze mask that they are subject to. All pointers lead into its block.
+struct Map {
+    Chain chain;
+    const Composite* composite;  // or null
+    const Freeze* freeze;        // or null, if it concerns no stroke
+    int64_t limited;             // whether every stroke has a reach, so that points may lie outside of every ball
+    Axis axes[3];
+
+    double finest(int dimensions) const {
+        const double two = least(axes[0].spacing, axes[1].spacing);
+        return dimensions == 3 ? least(two, axes[2].spacing) : two;
+    }
+};
+
+}  // namespace supple

@@ -1,0 +1,218 @@
+"""Transforms of Albumentations: images, masks, boxes, key points and volumes of a sample, by one draw.
+
+They draw from the generator that Albumentations gives them: ``A.Compose([...], seed=...)`` makes them repeatable.
+The parameter of a call is the recipe of its deformation, as JSON: ``ReplayCompose`` keeps it, and applies it again.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.augment.elastic import RandomElastic as Drawing
+from supple.augment.peers import SEEDS, bent_stack, deformation_of, edged, filter_of, need_library, spacing_of
+from supple.deformation import Deformation
+from supple.errors import SuppleError
+
+need_library("albumentations", "Albumentations")
+import cv2
+from albumentations import DualTransform
+from albumentations.core.transforms_interface import BaseTransformInitSchema, Transform3D
+from albumentations.core.type_definitions import ALL_TARGETS, Targets
+
+if hasattr(DualTransform, "sample_parameters"):
+    raise SuppleError(
+        "supple.augment.albumentations needs Albumentations 2.0, found AlbumentationsX, which has the same name and "
+        "other hooks: pip uninstall albumentationsx; pip install albumentations"
+    )
+
+__all__ = ["RandomElastic", "RandomElastic3D"]
+
+Array = npt.NDArray[Any]
+
+_FILTERS = {cv2.INTER_NEAREST: "nearest", cv2.INTER_LINEAR: "linear", cv2.INTER_CUBIC: "cubic"}
+
+
+Radius = float | tuple[float, float]
+Strokes = int | tuple[int, int]
+Edges = Literal["auto"] | float | tuple[float, ...] | None
+Outside = Literal["edge", "reflect", "constant"]
+
+
+class _Schema(BaseTransformInitSchema):
+    max_displacement: float
+    radius: Radius
+    strokes: Strokes
+    border: Edges
+    interpolation: int
+    outside: Outside
+
+
+class _Elastic(DualTransform):
+    """What both transforms share: their options, and the recipe of a draw."""
+
+    def _set(self, max_displacement: float, radius: Radius, strokes: Strokes, border: Edges, **sampling: Any) -> None:
+        self._drawing = Drawing(max_displacement, radius, strokes, border)
+        self.max_displacement, self.radius, self.strokes, self.border = max_displacement, radius, strokes, border
+        self.interpolation, self.outside = sampling["interpolation"], sampling["outside"]
+        self._filter = filter_of("interpolation", self.interpolation, _FILTERS)
+
+    def _drawn(self, shape: tuple[int, ...], spacing: tuple[float, ...]) -> dict[str, Any]:
+        seed = int(self.random_generator.integers(SEEDS))
+        return {"recipe": self._drawing.draw(shape, seed, spacing=spacing).recipe.to_json()}
+
+
+class RandomElastic(_Elastic):
+    """Bend images, masks, boxes and key points by random strokes, which never fold.
+
+    Images of a sample, and slices of volumes, have one map; labels of masks are those of the nearest pixel.
+
+    Parameters
+    ----------
+    max_displacement, radius, strokes, border
+        As in `supple.augment.RandomElastic`, in pixels.
+    interpolation : int
+        ``cv2.INTER_LINEAR``, ``INTER_CUBIC`` or ``INTER_NEAREST``.
+    outside : str
+        The boundary mode, where the border is free: ``"edge"``, ``"reflect"``, or ``"constant"`` for 0.
+    p : float
+        The probability.
+
+    Raises
+    ------
+    SuppleError
+        If an argument is invalid.
+    """
+
+    _targets = ALL_TARGETS
+
+    class InitSchema(_Schema):
+        """The types of the arguments."""
+
+    def __init__(
+        self,
+        max_displacement: float,
+        radius: Radius,
+        strokes: Strokes = (3, 6),
+        border: Edges = "auto",
+        interpolation: int = cv2.INTER_LINEAR,
+        outside: Outside = "edge",
+        p: float = 0.5,
+    ) -> None:
+        super().__init__(p=p)
+        self._set(max_displacement, radius, strokes, border, interpolation=interpolation, outside=outside)
+
+    def get_params_dependent_on_data(self, params: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:
+        """Draw a recipe for a sample."""
+        return self._drawn(tuple(params["shape"][:2]), (1.0, 1.0))
+
+    def apply(self, img: Array, recipe: str, **params: Any) -> Array:
+        """Return a bent image (H, W[, C])."""
+        return np.asarray(self._bent(img[None], recipe, params, self._filter)[0])
+
+    def apply_to_images(self, images: Array, recipe: str, **params: Any) -> Array:
+        """Return bent images (N, H, W[, C])."""
+        return self._bent(images, recipe, params, self._filter)
+
+    def apply_to_volume(self, volume: Array, recipe: str, **params: Any) -> Array:
+        """Return a volume (D, H, W[, C]), all slices of which are bent alike."""
+        return self._bent(volume, recipe, params, self._filter)
+
+    def apply_to_mask(self, mask: Array, recipe: str, **params: Any) -> Array:
+        """Return a bent mask (H, W[, C])."""
+        return np.asarray(self._bent(mask[None], recipe, params, "nearest")[0])
+
+    def apply_to_mask3d(self, mask3d: Array, recipe: str, **params: Any) -> Array:
+        """Return a mask (D, H, W[, C]), all slices of which are bent alike."""
+        return self._bent(mask3d, recipe, params, "nearest")
+
+    def apply_to_keypoints(self, keypoints: Array, recipe: str, **params: Any) -> Array:
+        """Return moved key points (N, 2+); only x and y change."""
+        if not len(keypoints):
+            return keypoints
+        made = keypoints.astype(np.result_type(keypoints, np.float32))
+        made[:, :2] = self._of(recipe, params).forward(keypoints[:, :2].astype(np.float64))
+        return made
+
+    def apply_to_bboxes(self, bboxes: Array, recipe: str, **params: Any) -> Array:
+        """Return the boxes (N, 4+) around bent boxes, in fractions of the image, as they are given."""
+        if not len(bboxes):
+            return bboxes
+        height, width = params["shape"][:2]
+        size = np.array((width, height, width, height), np.float64)
+        made = bboxes.astype(np.result_type(bboxes, np.float32))
+        made[:, :4] = edged(self._of(recipe, params), bboxes[:, :4] * size) / size
+        return made
+
+    def _of(self, recipe: str, params: dict[str, Any]) -> Deformation:
+        return deformation_of(recipe, tuple(params["shape"][:2]), (1.0, 1.0))
+
+    def _bent(self, images: Array, recipe: str, params: dict[str, Any], kind: str) -> Array:
+        return bent_stack(self._of(recipe, params), images, kind, self.outside)
+
+
+class RandomElastic3D(_Elastic, Transform3D):
+    """Bend volumes, their masks and their key points by random strokes in space, which never fold.
+
+    Parameters
+    ----------
+    max_displacement, radius, strokes, border, interpolation, outside, p
+        As in `RandomElastic`; lengths are in voxels, or in millimetres if there is a spacing.
+    spacing : (float, float, float)
+        Millimetres per voxel, along x, y and z.
+
+    Raises
+    ------
+    SuppleError
+        If an argument is invalid.
+    """
+
+    _targets = (Targets.VOLUME, Targets.MASK3D, Targets.KEYPOINTS)
+
+    class InitSchema(_Schema):
+        """The types of the arguments."""
+
+        spacing: tuple[float, float, float]
+
+    def __init__(
+        self,
+        max_displacement: float,
+        radius: Radius,
+        strokes: Strokes = (3, 6),
+        border: Edges = "auto",
+        interpolation: int = cv2.INTER_LINEAR,
+        outside: Outside = "edge",
+        spacing: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        p: float = 0.5,
+    ) -> None:
+        super().__init__(p=p)
+        self._set(max_displacement, radius, strokes, border, interpolation=interpolation, outside=outside)
+        self.spacing = spacing
+
+    def get_params_dependent_on_data(self, params: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:
+        """Draw a recipe for a sample."""
+        volume = data["volume"] if "volume" in data else data["volumes"][0]
+        shape = tuple(volume.shape[:3])
+        return {**self._drawn(shape, spacing_of(self.spacing)), "extent": shape}
+
+    def apply_to_volume(self, volume: Array, recipe: str, extent: tuple[int, ...], **params: Any) -> Array:
+        """Return a bent volume (D, H, W[, C])."""
+        d = self._of(recipe, extent)
+        return np.asarray(d.warp(volume, filter=self._filter, outside=self.outside, alpha=False))
+
+    def apply_to_mask3d(self, mask3d: Array, recipe: str, extent: tuple[int, ...], **params: Any) -> Array:
+        """Return a bent mask (D, H, W[, C])."""
+        return np.asarray(self._of(recipe, extent).warp(mask3d, filter="nearest", outside=self.outside, alpha=False))
+
+    def apply_to_keypoints(self, keypoints: Array, recipe: str, extent: tuple[int, ...], **params: Any) -> Array:
+        """Return moved key points (N, 3+)."""
+        if not len(keypoints):
+            return keypoints
+        made = keypoints.astype(np.result_type(keypoints, np.float32))
+        made[:, :3] = self._of(recipe, extent).forward(keypoints[:, :3].astype(np.float64))
+        return made
+
+    def _of(self, recipe: str, extent: tuple[int, ...]) -> Deformation:
+        return deformation_of(recipe, tuple(extent), spacing_of(self.spacing))

@@ -1,0 +1,395 @@
+"""Random strokes for training data: one draw bends an image, its labels, its key points and its boxes, and never folds.
+
+A draw is a `Deformation` of grabs at random points, in random directions, one after the other. Each is weakened, where
+it must, until a bound proves that the symmetric part of I + J has no eigenvalue below 0.3 at any point
+(`supple.strain`): each grab is one-to-one then, and so is the draw, whatever the random numbers.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import multiprocessing
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple import _core
+from supple.deformation import Deformation
+from supple.domain import Border, checked_border, integer, items, length, number, refuse
+from supple.geometry import Grid
+from supple.resolved import FLOW_GAP, FLOW_MARGIN, Table, beta_at
+from supple.strain import weakest
+from supple.strokes import Stroke, numbers, pack
+
+Floats = npt.NDArray[np.float64]
+Seed = int | np.random.Generator | None
+
+MOST_STROKES = 1000
+SLACK = 0.85  # of max_displacement: the most where it is measured; between these points it may be more
+_EDGE, _FACE = 16, 8  # parts of a radius, at which the edges of boxes are followed, and the faces of those in volumes
+_CHANNELS = 4  # the most that the last of three axes has, to be taken for channels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """What one deformation made of an image and what belongs to it; None for what was not given.
+
+    Parameters
+    ----------
+    image : array of shape (H, W[, C]) or (Z, H, W[, C])
+        Of the type of the given image.
+    labels : array of shape (H, W[, C]) or (Z, H, W[, C])
+        Of the type of the given labels, with no values that these do not have.
+    points : float64 array, shape (N, D)
+        In samples, x first.
+    boxes : float64 array, shape (N, 2 D)
+        The boxes around the bent boxes: their lower corners, and their upper ones, in the coordinates of points.
+    deformation : Deformation
+        What was drawn: ``deformation.recipe.to_json()`` is the recipe.
+    """
+
+    image: npt.NDArray[Any] | None
+    labels: npt.NDArray[Any] | None
+    points: Floats | None
+    boxes: Floats | None
+    deformation: Deformation
+
+
+@dataclass(frozen=True, slots=True)
+class RandomElastic:
+    """Random elastic deformations of pictures and volumes, which never fold.
+
+    A value: it has no random state of its own, and may be shared by threads and processes.
+
+    Parameters
+    ----------
+    max_displacement : float
+        The most by which any point moves, in physical units: pixels, unless a picture or volume has a spacing. At most
+        the smallest radius.
+    radius : float or (float, float)
+        The radius of the strokes, in physical units, or the range from which each is drawn: small ones make
+        wrinkles, large ones bend the whole.
+    strokes : int or (int, int)
+        The number of strokes, or its range, both ends of which are drawn.
+    border : "auto", float, sequence of float or None
+        The width of the fixed border, as in `Deformation`: nothing leaves the picture, and nothing comes in. None: the
+        border is free.
+
+    Raises
+    ------
+    SuppleError
+        If an argument is invalid.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> augment = RandomElastic(max_displacement=12, radius=(30, 60))
+    >>> made = augment(np.zeros((256, 256, 3), np.uint8), points=[(100, 120)], seed=7)
+    >>> made.image.shape, made.points.shape
+    ((256, 256, 3), (1, 2))
+    """
+
+    max_displacement: float
+    radius: float | tuple[float, float]
+    strokes: int | tuple[int, int] = (3, 6)
+    border: Border = "auto"
+
+    def __post_init__(self) -> None:
+        radius = _range("radius", self.radius)
+        low, high = (length(f"radius[{i}]" if radius[0] != radius[1] else "radius", r) for i, r in enumerate(radius))
+        if low > high:
+            refuse("radius", "a number, or two in ascending order", self.radius)
+        counts = _range("strokes", self.strokes)
+        wanted = f"a whole number from 0 to {MOST_STROKES}, or two in ascending order"
+        least, most = (integer("strokes", n, wanted, 0, MOST_STROKES) for n in counts)
+        if least > most:
+            refuse("strokes", wanted, self.strokes)
+        wanted = f"a number from 0 to {low:g}, the smallest radius"
+        checked = {
+            "max_displacement": number("max_displacement", self.max_displacement, wanted, 0.0, low),
+            "radius": (low, high),
+            "strokes": (least, most),
+            "border": checked_border(self.border),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    def draw(
+        self, shape: Sequence[int] | Grid, seed: Seed = None, *, spacing: float | Sequence[float] = 1.0
+    ) -> Deformation:
+        """Return a random deformation.
+
+        Parameters
+        ----------
+        shape : sequence of int or Grid
+            ``(H, W)`` or ``(Z, H, W)``; or the grid of a picture or volume, which has its spacing.
+        seed : int or numpy.random.Generator, optional
+            The same number draws the same deformation; a generator, the next one. By default, one that was never drawn
+            before, in any process.
+        spacing : float or sequence of float
+            Physical units per sample, x first.
+
+        Returns
+        -------
+        Deformation
+            Its ``recipe`` applies it again: by `Deformation.from_recipe`, or ``supple warp --recipe``.
+
+        Raises
+        ------
+        SuppleError
+            If an argument is invalid.
+        """
+        one_thread_in_workers()
+        rng = _generator(seed)
+        still = Deformation(shape, border=self.border, spacing=spacing)
+        domain, axes = still.domain, still.domain.packed()
+        (least, most), (small, large) = _range("strokes", self.strokes), _range("radius", self.radius)
+        low, high = np.array(domain.faces).T
+        steps, count = np.array(domain.spacing), int(rng.integers(least, most, endpoint=True))
+        radii, starts = rng.uniform(small, large, count), rng.uniform(low, high, (count, domain.ndim))
+        directions = rng.normal(size=(count, domain.ndim)) * (high > low)
+        lengths = self.max_displacement * rng.uniform(size=(count, 1))
+        forces = directions * (lengths / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9))
+        strokes = [
+            Stroke.grab(at, by=by, radius=radius)
+            for at, by, radius in zip((starts / steps).tolist(), (forces / steps).tolist(), radii.tolist(), strict=True)
+            if any(by)
+        ]
+        if not strokes:
+            return still
+        table = pack(strokes, domain.spacing)
+        for k in range(len(table)):  # none is so strong that it would take more than one step
+            lower, _ = weakest(table[k : k + 1], axes, FLOW_MARGIN - 1, FLOW_GAP)
+            if lower < FLOW_MARGIN - 1:
+                table["force"][k] *= (1 - FLOW_MARGIN) * (1 - 1.2 * FLOW_GAP) / -lower
+        points, longest = _looked_at(table["pivot"][:, : domain.ndim], radii, low, high), SLACK * self.max_displacement
+        while (farthest := _farthest(table, still, points)) > longest:
+            table["force"] *= 0.99 * longest / farthest  # where they add up, all are weakened
+        # Near a fixed border a force moves its point less. A flow makes up for that, so it is asked for no more.
+        drags = table["force"] * beta_at(table["pivot"], axes)
+        made = still
+        for stroke, drag in zip(strokes, drags[:, : domain.ndim] / steps, strict=True):
+            made = made.add(replace(stroke, by=tuple(drag.tolist())), warn=False)
+        return made
+
+    def __call__(
+        self,
+        image: npt.ArrayLike,
+        *,
+        labels: npt.ArrayLike | None = None,
+        points: npt.ArrayLike | None = None,
+        boxes: npt.ArrayLike | None = None,
+        seed: Seed = None,
+        shape: Sequence[int] | Grid | None = None,
+        spacing: float | Sequence[float] = 1.0,
+        filter: str = "linear",
+        outside: str = "edge",
+        fill: float | Sequence[float] = 0.0,
+    ) -> Sample:
+        """Draw a deformation, and apply it to an image and to what belongs to it.
+
+        Parameters
+        ----------
+        image : array of shape (H, W[, C]) or (Z, H, W[, C])
+        labels, points, boxes, filter, outside, fill
+            As in `apply`.
+        seed, spacing
+            As in `draw`.
+        shape : sequence of int or Grid, optional
+            The axes of space, as in `draw`. By default, all axes, without a last one of up to four channels.
+
+        Raises
+        ------
+        SuppleError
+            If an argument does not fit; or if the image has three axes, the last of more than four, and no ``shape``
+            says if it is a volume.
+        """
+        array = np.asarray(image)
+        if shape is None:
+            shape = _shape_of(array)
+        d = self.draw(shape, seed, spacing=spacing)
+        return apply(d, array, labels=labels, points=points, boxes=boxes, filter=filter, outside=outside, fill=fill)
+
+
+def apply(
+    deformation: Deformation,
+    image: npt.ArrayLike | None = None,
+    *,
+    labels: npt.ArrayLike | None = None,
+    points: npt.ArrayLike | None = None,
+    boxes: npt.ArrayLike | None = None,
+    filter: str = "linear",
+    outside: str = "edge",
+    fill: float | Sequence[float] = 0.0,
+) -> Sample:
+    """Apply a deformation to an image and to what belongs to it.
+
+    Parameters
+    ----------
+    deformation : Deformation
+        What `RandomElastic.draw` returned, or what `Deformation.from_recipe` made of its recipe.
+    image : array of shape (H, W[, C]) or (Z, H, W[, C]), optional
+    labels : array of shape (H, W[, C]) or (Z, H, W[, C]), optional
+        Each sample becomes that of the nearest label.
+    points : array_like, shape (N, D), optional
+        In samples, x first: the first sample is at 0.
+    boxes : array_like, shape (N, 2 D), optional
+        As in `moved_boxes`.
+    filter, outside, fill
+        Of the image, as in `Deformation.warp`; labels have the same boundary mode.
+
+    Raises
+    ------
+    SuppleError
+        If an argument does not fit.
+    """
+    one_thread_in_workers()
+    if not isinstance(deformation, Deformation):
+        refuse("deformation", "a Deformation (RandomElastic.draw returns one)", deformation)
+    if labels is not None and (found := np.shape(labels))[: deformation.ndim] != deformation.shape:
+        refuse("labels", f"of shape {deformation.shape}, with or without channels", told=f"shape {found}")
+    return Sample(
+        # Of four channels, the last need not be opacity.
+        None
+        if image is None
+        else deformation.warp(np.asarray(image), filter=filter, outside=outside, fill=fill, alpha=False),
+        None
+        if labels is None
+        else deformation.warp(np.asarray(labels), filter="nearest", outside=outside, alpha=False),
+        None if points is None else deformation.forward(_rows("points", points, deformation.ndim)),
+        None if boxes is None else moved_boxes(deformation, boxes),
+        deformation,
+    )
+
+
+def moved_boxes(deformation: Deformation, boxes: npt.ArrayLike) -> Floats:
+    """Return the smallest boxes around bent boxes.
+
+    A bent box reaches farthest between its corners, so its edges are followed (the faces, in a volume): at a sixteenth
+    (an eighth) of the smallest radius.
+
+    Parameters
+    ----------
+    deformation : Deformation
+    boxes : array_like, shape (N, 2 D)
+        The lower corner and the upper one, in the coordinates of points: ``(x0, y0, x1, y1)`` or ``(x0, y0, z0, x1, y1,
+        z1)``. The box around a whole picture is ``(-0.5, -0.5, W - 0.5, H - 0.5)``.
+
+    Returns
+    -------
+    float64 array, shape (N, 2 D)
+
+    Raises
+    ------
+    SuppleError
+        If an argument does not fit.
+    """
+    n = deformation.ndim
+    given = _rows("boxes", boxes, 2 * n)
+    low, high = given[:, :n], given[:, n:]
+    if np.any(low > high):
+        k = int(np.argmax(np.any(low > high, axis=1)))
+        refuse(f"boxes[{k}]", "a lower corner and an upper one", given[k].tolist())
+    if not len(given) or deformation.is_identity:
+        return given.copy()
+    spacing = np.array(deformation.domain.spacing)
+    parts = _EDGE if n == 2 else _FACE
+    step = min((stroke.radius / parts for stroke in deformation.strokes), default=math.inf)
+    step = max(step, 0.5 * spacing.min()) if not deformation.maps else 0.5 * float(spacing.min())
+    followed = [
+        _outline(a, b, np.ceil((b - a) * spacing / step).astype(int) + 1) for a, b in zip(low, high, strict=True)
+    ]
+    moved = deformation.forward(np.concatenate(followed))
+    firsts = np.cumsum([0, *(len(some) for some in followed[:-1])])
+    return np.concatenate([np.minimum.reduceat(moved, firsts), np.maximum.reduceat(moved, firsts)], axis=1)
+
+
+def one_thread_in_workers() -> None:
+    """Let warps use one thread in a process that `multiprocessing` started, as a ``DataLoader`` does for its workers.
+
+    There are as many of these as cores already; ``SUPPLE_THREADS`` sets another number.
+    """
+    if multiprocessing.parent_process() is not None:
+        os.environ.setdefault("SUPPLE_THREADS", "1")
+
+
+def _generator(seed: Seed) -> np.random.Generator:
+    if seed is None or isinstance(seed, np.random.Generator):
+        return np.random.default_rng(seed)
+    return np.random.default_rng(integer("seed", seed, "a whole number from 0, or a numpy.random.Generator", 0, 2**128))
+
+
+def _range(name: str, value: Any) -> tuple[Any, Any]:
+    """Return the ends of a range, which are equal for a number."""
+    if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):
+        low, high = items(name, value, "a number, or two in ascending order", (2,))
+        return low, high
+    return value, value
+
+
+def _looked_at(starts: Floats, radii: Floats, low: Floats, high: Floats) -> Floats:
+    """Return points of the domain a radius apart, and around those where strokes start; shape (N, 3), x first."""
+    counts = np.ceil((high - low) / radii.min()).astype(int) + 1
+    everywhere = _lattice([np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)])
+    around = starts[:, None] + radii.min() * _lattice([np.array([-0.5, 0.0, 0.5])] * len(low))
+    points = np.concatenate([everywhere, np.clip(around, low, high).reshape(-1, len(low))])
+    made = np.zeros((len(points), 3))
+    made[:, : len(low)] = points
+    return made
+
+
+def _farthest(table: Table, still: Deformation, points: Floats) -> float:
+    """Return the largest displacement of points (N, 3) by strokes, in physical units."""
+    moved, _ = _core.forward(numbers(table), still.space.axes, points, False, None)
+    return float(np.sqrt(np.square(moved - points).sum(axis=1).max()))
+
+
+def _lattice(axes: Sequence[Floats]) -> Floats:
+    """Return all points whose coordinates are of the axes, x first."""
+    return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, len(axes))
+
+
+def _outline(low: Floats, high: Floats, counts: npt.NDArray[np.int_]) -> Floats:
+    """Return points on the edges of a box in the plane, or on the faces of one in space, x first."""
+    axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
+    sides = []
+    for k, end in itertools.product(range(len(axes)), (0, -1)):
+        sides.append(_lattice([axis[[end]] if i == k else axis for i, axis in enumerate(axes)]))
+    return np.concatenate(sides)
+
+
+def _rows(name: str, value: npt.ArrayLike, columns: int) -> Floats:
+    """Return rows of numbers as floats; SuppleError for other values."""
+    wanted = f"finite numbers of shape (N, {columns})"
+    try:
+        given = np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        refuse(name, wanted, value)
+    if given.size == 0:
+        given = given.reshape(0, columns)
+    if given.ndim != 2 or given.shape[1] != columns:
+        refuse(name, wanted, told=f"shape {given.shape}")
+    if not np.isfinite(given).all():
+        refuse(name, wanted, told="some that are not finite")
+    return given
+
+
+def _shape_of(array: npt.NDArray[Any]) -> tuple[int, ...]:
+    """Return the axes of space of an image; SuppleError if these are not clear."""
+    shape = array.shape
+    if array.ndim in (3, 4) and 0 < shape[-1] <= _CHANNELS:
+        return shape[:-1]
+    if array.ndim == 3:
+        refuse(
+            "shape",
+            f"given for an image of shape {shape}: {shape} for a volume, {shape[:2]} for {shape[2]} channels",
+            told="none",
+        )
+    if array.ndim != 2:
+        refuse("image", "of shape (H, W[, C]) or (Z, H, W[, C])", told=f"shape {shape}")
+    return shape

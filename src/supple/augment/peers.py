@@ -1,0 +1,95 @@
+"""What the transforms of other libraries share: tensors, stacks of images, recipes as parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.arrays import warp_array
+from supple.augment.elastic import Floats, moved_boxes, one_thread_in_workers
+from supple.deformation import Deformation
+from supple.domain import refuse
+from supple.engines.base import Sampling, warn_of
+from supple.errors import SuppleError
+from supple.strokes import Recipe
+
+if TYPE_CHECKING:
+    import torch
+
+SEEDS = 2**63 - 1
+
+
+def need_library(module: str, name: str) -> None:
+    """Raise SuppleError, with the command to install it, unless a library is there."""
+    if find_spec(module) is None:
+        raise SuppleError(f"supple.augment.{module} needs {name}, which is not installed: pip install {module}")
+
+
+def filter_of(name: str, given: Any, known: Mapping[Any, str]) -> str:
+    """Return Supple's name of a library's interpolation; SuppleError for one that it does not have."""
+    if given not in known:
+        refuse(name, f"one of {', '.join(map(str, known))}", given)
+    return known[given]
+
+
+@lru_cache(maxsize=8)
+def deformation_of(recipe: str, shape: tuple[int, ...], spacing: tuple[float, ...]) -> Deformation:
+    """Return the deformation of a recipe's JSON, which is what libraries keep of a draw."""
+    return Deformation.from_recipe(Recipe.from_json(recipe), shape, spacing=spacing)
+
+
+def bent_stack(d: Deformation, images: npt.NDArray[Any], filter: str, outside: str) -> npt.NDArray[Any]:
+    """Return images (N, H, W[, C]) by one deformation of (H, W), whose map is computed once."""
+    one_thread_in_workers()
+    if not images.size:
+        return images.copy()
+    if len(images) == 1:
+        return np.asarray(d.warp(images[0], filter=filter, outside=outside, alpha=False))[None]
+    sampling = Sampling.checked(
+        2, filter=filter, tolerance=0.01, outside=outside, fill=0.0, linear_light=False, between=None, time_filter=False
+    )
+    made, certificate = warp_array(images, replace(d.space, count=len(images)), sampling, alpha=False)
+    warn_of(certificate, sampling.tolerance, 2)
+    return np.asarray(made)
+
+
+def bent_tensor(d: Deformation, tensor: torch.Tensor, filter: str, outside: str) -> torch.Tensor:
+    """Return a tensor (..., *shape), each part of which is bent."""
+    from supple.torch import warp
+
+    one_thread_in_workers()
+    return warp(tensor.reshape(-1, *d.shape), d, filter=filter, outside=outside).reshape(tensor.shape)
+
+
+def edged(d: Deformation, boxes: npt.NDArray[Any]) -> Floats:
+    """Return moved boxes (N, 2 D) of libraries where a picture's edge is at 0, and not half a sample before it."""
+    return moved_boxes(d, np.asarray(boxes, np.float64) - 0.5) + 0.5
+
+
+def moved_tensor(d: Deformation, points: torch.Tensor) -> torch.Tensor:
+    """Return points (..., D), in their type: whole numbers are rounded."""
+    return _like(points, d.forward(points.detach().cpu().numpy().astype(np.float64)))
+
+
+def edged_tensor(d: Deformation, boxes: torch.Tensor) -> torch.Tensor:
+    """Return boxes (..., 2 D) as `edged` does, in their type: whole numbers are rounded."""
+    flat = boxes.detach().cpu().numpy().reshape(-1, 2 * d.ndim)
+    return _like(boxes, edged(d, flat).reshape(tuple(boxes.shape)))
+
+
+def _like(given: torch.Tensor, values: Floats) -> torch.Tensor:
+    import torch
+
+    made = torch.from_numpy(values)
+    return (made if given.is_floating_point() else made.round()).to(given)
+
+
+def spacing_of(values: Sequence[float]) -> tuple[float, ...]:
+    """Return a spacing as floats of Python, by which deformations are cached."""
+    return tuple(float(x) for x in values)

@@ -1,0 +1,213 @@
+// The kernels that find T⁻¹: at the nodes of a lattice of small cells, in patches between them, which
+// are certified, and at each pixel of the rough cells. GPUs have so many threads that nothing is guessed from
+// neighbours, and cells are not split.
+#pragma once
+#include "job.hpp"
+
+namespace supple::cuda {
+
+constexpr double CLOSE_ENOUGH = 0.01;  // of the tolerance: the last step of a pixel that is solved
+
+// Solve for T⁻¹ at a point of a composite, with its derivatives.
+template <int D, bool MIXED>
+INLINE Passed<double> backwards(const Map& map, const double* q, Jet<D, D, MIXED, double>& jet) {
+    for (int d = 0; d < D; d++) {
+        jet.x[d] = q[d];
+        for (int e = 0; e < D; e++) jet.t[e][d] = d == e;
+    }
+    if constexpr (MIXED) {
+        for (int d = 0; d < D; d++) jet.mixed[d] = 0;
+        jet.smooth2[0] = jet.smooth2[1] = 1e300;
+    }
+    return pass<D>(*map.composite, true, jet);
+}
+
+template <int D>
+INLINE void solve_node(const Job& job) {
+    const int64_t i = thread(), each = (int64_t)job.nx * job.ny;
+    if (i >= each * job.planes) return;
+    const int plane = (int)(i / each), j = (int)(i % each / job.nx), k = (int)(i % job.nx);
+    const Map& map = map_of(job, plane);
+    const double at[3] = {(double)job.xs[k], (double)job.ys[j], depth_of(job, plane)};
+    double q[D];
+    for (int d = 0; d < D; d++) q[d] = at[d] * map.axes[d].spacing;
+    Solved<D, double> found{};
+    if (composed(map)) {
+        if (!map.composite->smooth) return;  // every pixel is solved
+        Jet<D, D, true, double> jet;
+        const Passed<double> passed = backwards<D>(map, q, jet);
+        for (int d = 0; d < D; d++) {
+            found.at.p[d] = jet.x[d];
+            found.mixed[d] = jet.mixed[d];
+            for (int e = 0; e < D; e++) found.at.m[e][d] = jet.t[e][d];
+        }
+        for (int a = 0; a < 2; a++) found.smooth2[a] = jet.smooth2[a];
+        found.at.done = passed.done && passed.within && passed.upright;
+    } else
+        found = solved<D>(map.chain, map.axes, q, map.finest(D), job.tolerance, Guess::NONE, found.at);
+    Node<D>& node = ((Node<D>*)job.nodes)[i];
+    for (int d = 0; d < D; d++) {
+        node.p[d] = found.at.p[d] / map.axes[d].spacing;
+        node.mixed[d] = found.mixed[d] * map.axes[0].spacing * map.axes[1].spacing / map.axes[d].spacing;
+        for (int e = 0; e < D; e++) node.m[e][d] = found.at.m[e][d] * map.axes[e].spacing / map.axes[d].spacing;
+    }
+    // Beside a node that is not solved, every pixel is.
+    for (int a = 0; a < 2; a++) node.smooth[a] = found.at.done ? root(found.smooth2[a]) / map.axes[a].spacing : 0;
+}
+
+// Whether no ball of a stroke reaches a box (STILL), or some of its points lie outside of all of them (RIM), or none.
+template <int D>
+INLINE int reached(const Map& map, const double* low, const double* high) {
+    if (composed(map) || (!map.limited && !map.freeze)) return GOOD;
+    bool touched = !map.limited, covered = !map.limited;
+    for (int s = 0; s < map.chain.count; s++) {
+        const Stroke& k = map.chain[s];
+        double near2 = 0, far2 = 0;
+        for (int d = 0; d < D; d++) {
+            double a = low[d], b = high[d];
+            if (map.axes[d].fixed()) {
+                a = nearest(a, map.axes[d]);
+                b = nearest(b, map.axes[d]);
+            }
+            const double near = least(most(k.pivot[d], a), b) - k.pivot[d];
+            const double far = most(magnitude(a - k.pivot[d]), magnitude(b - k.pivot[d]));
+            near2 += near * near;
+            far2 += far * far;
+        }
+        touched = touched || near2 < k.reach * k.reach;
+        covered = covered || far2 < k.reach * k.reach;
+    }
+    return !touched ? STILL : covered && !map.freeze ? GOOD : RIM;
+}
+
+// Whether nothing moves at a point.
+template <int D>
+INLINE bool unmoved(const Map& map, const double* q) {
+    return reached<D>(map, q, q) == STILL || (map.freeze && is_frozen<D>(*map.freeze, q));
+}
+
+template <int D>
+INLINE void check_cell(const Job& job) {
+    const int wide = job.nx - 1, tall = job.ny - 1;
+    const int64_t i = thread(), each = (int64_t)wide * tall;
+    if (i >= each * job.planes) return;
+    const int plane = (int)(i / each), j = (int)(i % each / wide), k = (int)(i % wide);
+    const Map& map = map_of(job, plane);
+    const double x0 = job.xs[k], y0 = job.ys[j], w = job.xs[k + 1] - x0, h = job.ys[j + 1] - y0;
+    const double z = depth_of(job, plane);
+    auto rough = [&] {
+        const int at = atomicAdd(&job.told->rough, 1);
+        job.rough[at] = (int)i;
+        job.states[i] = at;
+    };
+    if (composed(map) && !map.composite->smooth) return rough();
+    const double low[3] = {x0 * map.axes[0].spacing, y0 * map.axes[1].spacing, z * map.axes[2].spacing};
+    const double high[3] = {(x0 + w) * map.axes[0].spacing, (y0 + h) * map.axes[1].spacing, low[2]};
+    const int state = reached<D>(map, low, high);
+    job.states[i] = state;
+    if (state == STILL) return;
+    const Node<D>* corner[4];
+    for (int v = 0; v < 4; v++)
+        corner[v] = (const Node<D>*)job.nodes + ((int64_t)plane * job.ny + j + v / 2) * job.nx + k + v % 2;
+    double c[D][16], across_plane[D] = {}, smooth[2] = {1e300, 1e300};
+    for (int d = 0; d < D; d++) {
+        double value[4], along_x[4], along_y[4], twist[4];
+        for (int v = 0; v < 4; v++) {
+            value[v] = corner[v]->p[d];
+            along_x[v] = corner[v]->m[0][d];
+            along_y[v] = corner[v]->m[1][d];
+            twist[v] = corner[v]->mixed[d];
+            if constexpr (D == 3) across_plane[d] += 0.25 * corner[v]->m[2][d];
+        }
+        patch_of(value, along_x, along_y, twist, 1 / w, 1 / h, c[d]);
+    }
+    for (int v = 0; v < 4; v++)
+        for (int a = 0; a < 2; a++) smooth[a] = least(smooth[a], corner[v]->smooth[a]);
+    const bool thin[2] = {w <= 1, h <= 1}, single = thin[0] && thin[1];
+    const double reserve = composed(map) || map.freeze ? ROUGH : RESERVE;
+    double worst = 0;
+    bool good = !(least(smooth[0], smooth[1]) <= 0);
+    if (!single) good = good && (thin[0] || w <= RESOLVED * smooth[0]) && (thin[1] || h <= RESOLVED * smooth[1]);
+    for (int n = 0; good && !single && n < SEEN; n++) {
+        const double s = thin[0] ? double(SEEN_X[n] > 0.5) : SEEN_X[n] * w;
+        const double t = thin[1] ? double(SEEN_Y[n] > 0.5) : SEEN_Y[n] * h;
+        const double at[3] = {x0 + s, y0 + t, z};
+        double step[D], steps = 0;
+        const double off2 = composed(map) ? off_composite<D>(*map.composite, map.axes, c, s, t, at, step, steps)
+                                          : off_chain<D>(map.chain, map.axes, c, s, t, at, across_plane, step);
+        worst = most(worst, off2);
+        good = reserve * root(off2) <= least(job.tolerance, COARSEST);  // also for NaN
+    }
+    if (!good) return rough();
+    Leaf<D>& leaf = ((Leaf<D>*)job.leaves)[i];
+    leaf.x = (int)x0;
+    leaf.y = (int)y0;
+    const double rounding = round_patch<D>(c, w, h, leaf);
+    if constexpr (D == 3) {
+        double v[4];
+        for (int n = 0; n < 4; n++) v[n] = corner[n]->m[2][2];
+        bilinear_of(v, w, h, leaf.depth);
+    }
+    atomicMax(&job.told->worst, __float_as_int((float)(most(reserve * root(worst), rounding) * (1 + 1e-6))));
+}
+
+// The pixels of a rough cell: its first, and their number along x and y.
+struct Pixels {
+    int plane, x, y, w, h;
+};
+INLINE Pixels pixels_of(const Job& job, int cell) {
+    const int wide = job.nx - 1, tall = job.ny - 1, k = cell % wide, j = cell / wide % tall;
+    Pixels p{cell / (wide * tall), job.xs[k], job.ys[j], 0, 0};
+    p.w = (k == wide - 1 ? job.width + job.from_x : job.xs[k + 1]) - p.x;
+    p.h = (j == tall - 1 ? job.height + job.from_y : job.ys[j + 1]) - p.y;
+    return p;
+}
+
+// The point of a pixel of a rough cell, which is solved.
+template <int D>
+NOINLINE void solve_pixel(const Job& job, int plane, int x, int y, Point<D>& point) {
+    const Map& map = map_of(job, plane);
+    const double at[3] = {(double)x, (double)y, depth_of(job, plane)};
+    double q[D];
+    for (int d = 0; d < D; d++) q[d] = at[d] * map.axes[d].spacing;
+    point.same = !composed(map) && unmoved<D>(map, q);
+    if (point.same) return;
+    Solution<D, double> found{};
+    if (composed(map)) {
+        Jet<D, D, false, double> jet;
+        const Passed<double> passed = backwards<D>(map, q, jet);
+        for (int d = 0; d < D; d++) {
+            found.p[d] = jet.x[d];
+            for (int e = 0; e < D; e++) found.m[e][d] = jet.t[e][d];
+        }
+        found.done = passed.done;
+        if (!passed.upright) atomicAdd(&job.told->folded, 1);
+        if (!passed.within) atomicAdd(&job.told->outside, 1);
+    } else {
+        const double finest = map.finest(D), close = CLOSE_ENOUGH * least(job.tolerance, 1.0);
+        for (int d = 0; d < D; d++) found.p[d] = q[d];
+        newton<D>(map.chain, map.axes, q, close * finest, 10, found, STEEP * close * finest);
+        if (!found.done) undo<D>(map.chain, map.axes, q, close * finest, found);
+        if (job.told->worst < __float_as_int((float)close)) atomicMax(&job.told->worst, __float_as_int((float)close));
+    }
+    if (!found.done) atomicAdd(&job.told->unsolved, 1);
+    for (int d = 0; d < D; d++) {
+        double p = within(found.p[d] / map.axes[d].spacing, -1e9, 1e9);
+        if (!found.done) p = within(p, at[d] - FAR, at[d] + FAR);  // a guess must not lead to the memory of all frames
+        point.whole[d] = (int)floored(p);
+        point.part[d] = (float)(p - point.whole[d]);
+        for (int e = 0; e < D; e++) found.m[e][d] *= map.axes[e].spacing / map.axes[d].spacing;
+    }
+    for (int d = 0; d < 2; d++) {
+        point.across[d] = (float)found.m[0][d];
+        point.down[d] = (float)found.m[1][d];
+    }
+    point.rate2 = 1;
+    if constexpr (D == 3) {
+        double sum = 0;
+        for (int e = 0; e < D; e++) sum += found.m[e][2] * found.m[e][2];
+        point.rate2 = (float)sum;
+    }
+}
+
+}  // namespace supple::cuda

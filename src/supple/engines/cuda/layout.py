@@ -1,0 +1,28 @@
+"""The records that kernels take, in the layout of kernels/job.hpp and kernels/points.hpp, which check their sizes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+_SAMPLES = np.dtype([("first", "u8"), ("plane", "i8"), ("row", "i8"), ("column", "i8"), ("channel", "i8")])
+
+JOB = np.dtype(
+    [(name, "u8") for name in ("maps", "xs", "ys", "nodes", "leaves", "states", "rough", "told")]
+    + [("source", _SAMPLES), ("out", _SAMPLES), ("fill", "u8")]
+    + [(name, "f8") for name in ("tolerance", "white", "high")]
+    + [
+        (name, "i4")
+        for name in (
+            "map_count", "planes", "first", "shared", "width", "height", "nx", "ny", "from_x", "from_y", "w", "h",
+            "count", "held_from", "channels", "between", "rule", "average", "alpha", "light",
+        )
+    ]
+)  # fmt: skip
+
+SOME = np.dtype(
+    [(name, "u8") for name in ("map", "points", "to", "matrices", "residual", "steps", "done", "told")]
+    + [("count", "i8"), ("tolerance", "f8"), ("wide", "i4"), ("back", "i4")]
+)
+
+TOLD = np.dtype([("worst", "f4"), ("rough", "i4"), ("unsolved", "i4"), ("folded", "i4"), ("outside", "i4"),
+                 ("pad", "i4", 3)])  # fmt: skip

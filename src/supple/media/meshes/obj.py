@@ -1,0 +1,74 @@
+"""Wavefront OBJ: materials, groups, colours and texture coordinates stay in the text."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from supple.errors import shown
+from supple.media.files import PathLike, unreadable
+from supple.media.meshes.base import Floats, Mesh, checked, numbers, space_of, spliced
+
+_LINE = re.compile(rb"[ \t]*(v|vn|f|l|p|curv|curv2|surf|cstype)[ \t]")
+_TOKEN = re.compile(rb"\S+")
+
+
+def parsed(path: PathLike, data: bytes) -> Mesh:
+    """Return the vertices of an OBJ file, and for each normal those at which faces have it."""
+    spans: dict[bytes, list[tuple[int, int]]] = {b"v": [], b"vn": []}
+    pairs: dict[tuple[int, int], None] = {}
+    start = 0
+    for number, line in enumerate(data.splitlines(keepends=True), 1):
+        word = found[1] if (found := _LINE.match(line)) else b""
+        if word in spans:
+            tokens = [match.span() for match in _TOKEN.finditer(line)][1:4]
+            if len(tokens) < 3:
+                raise unreadable(path, f"line {number}: a vertex or normal has fewer than three numbers")
+            spans[word] += [(start + a, start + b) for a, b in tokens]
+        elif word == b"f" and b"/" in line:
+            counts = len(spans[b"v"]) // 3, len(spans[b"vn"]) // 3
+            for corner in line.split()[1:]:
+                parts = corner.split(b"/")
+                if len(parts) == 3 and parts[2]:
+                    try:
+                        v, n = int(parts[0]), int(parts[2])
+                    except ValueError:
+                        raise unreadable(
+                            path, f"line {number}: {shown(corner.decode(errors='replace'))} is no corner"
+                        ) from None
+                    # counted from 1, or backwards from the last so far
+                    pairs[n - 1 if n > 0 else n + counts[1], v - 1 if v > 0 else v + counts[0]] = None
+        elif word not in (b"", b"f", b"l", b"p"):
+            raise unreadable(path, f"line {number}: it has free-form curves or surfaces", "save it as polygons")
+        start += len(line)
+    points, normals = (numbers(path, [data[a:b] for a, b in spans[word]]).reshape(-1, 3) for word in (b"v", b"vn"))
+    points = checked(path, points)
+    which, at = np.array(sorted(pairs), np.intp).reshape(-1, 2).T
+    for ids, many, what in ((which, len(normals), "normal"), (at, len(points), "vertex")):
+        wrong = ids[(ids < 0) | (ids >= many)]
+        if len(wrong):
+            raise unreadable(path, f"a face has {what} {wrong[0] + 1} of {many}")
+
+    def rewritten(moved: Floats, turned: Floats) -> bytes:
+        changed = (turned != normals[which]).any(axis=1)
+        # of a normal that several vertices share, the mean of theirs
+        sums, after = np.zeros_like(normals), normals.copy()
+        np.add.at(sums, which, turned)
+        length = np.linalg.norm(sums, axis=1)
+        new = np.unique(which[changed])
+        new = new[length[new] > 0]
+        after[new] = sums[new] * (np.linalg.norm(normals[new], axis=1) / length[new])[:, None]
+        every = sorted(
+            zip(
+                [*spans[b"v"], *spans[b"vn"]],
+                np.concatenate([points, normals]).ravel().tolist(),
+                np.concatenate([moved, after]).ravel().tolist(),
+                strict=True,
+            )
+        )
+        places, old, values = zip(*every, strict=True)
+        return spliced(data, places, np.array(old), np.array(values))
+
+    comments = re.match(rb"(?:\s*#[^\n]*\n)*", data)
+    return Mesh(points, space_of(comments[0] if comments else b""), rewritten, normals[which], at)

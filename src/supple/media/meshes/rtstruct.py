@@ -1,0 +1,155 @@
+"""Contours of a DICOM structure set, by pydicom: moved, in a structure set with UIDs of its own.
+
+The attributes are those of DICOM PS3.3, C.8.8.5 (Structure Set) and C.8.8.6 (ROI Contour).
+"""
+
+from __future__ import annotations
+
+import datetime
+import io
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from supple.errors import SuppleError, VolumeWarning, shown
+from supple.media.files import PathLike, unreadable
+from supple.media.meshes.base import Floats, Mesh, checked
+from supple.media.volume.derived import AFTER, WARNING, ended, imported
+
+_STRUCTURES = "1.2.840.10008.5.1.4.1.1.481.3"
+_FLAT = 0.01  # mm: the farthest that the points of a planar contour lie from their plane
+_LONG = 65_534  # bytes of a value that an explicit VR of text can hold
+# What was true of the contours where they were, and of the structure set that somebody has approved.
+_STALE = (
+    "ContourImageSequence", "ContourSlabThickness", "ContourOffsetVector", "SourcePixelPlanesCharacteristicsSequence",
+    "SourceSeriesSequence",
+)  # fmt: skip
+_STALE_SET = (
+    "RTReferencedStudySequence", "ROIVolume", "ReviewDate", "ReviewTime", "ReviewerName", "DigitalSignaturesSequence",
+    "MACParametersSequence", "OriginalAttributesSequence",
+)  # fmt: skip
+
+
+def parsed(path: PathLike, data: bytes) -> Mesh:
+    """Return the points of all contours of a structure set, in LPS, as DICOM has them."""
+    pydicom = imported()
+    try:
+        dataset = pydicom.dcmread(io.BytesIO(data))
+        whole = all(_is_whole(dataset.get_item(tag)) for tag in dataset.keys())  # noqa: SIM118, not a dict
+        kind = str(dataset.get("SOPClassUID", ""))
+        blocks = [np.array(contour.ContourData, np.float64) for contour in _contours(dataset)]
+    except Exception as error:  # pydicom has many
+        said = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+        raise unreadable(path, f"it is no whole DICOM file ({said})") from error
+    if not whole:
+        raise unreadable(path, "its end is missing")
+    if kind != _STRUCTURES:
+        raise unreadable(path, "it is no structure set of contours", "give an RTSTRUCT")
+    for k, block in enumerate(blocks):
+        if block.ndim != 1 or block.size % 3:
+            raise unreadable(path, f"contour {k + 1} has {block.size} numbers", "a point has three")
+    points = checked(path, np.concatenate(blocks) if blocks else [])
+    name, ends = shown(path), np.cumsum([len(block) // 3 for block in blocks])
+
+    def rewritten(moved: Floats, _: Floats) -> bytes:
+        if not (moved != points).any():
+            return data
+        made = pydicom.dcmread(io.BytesIO(data))
+        off: list[float] = []
+        for contour, new, old in zip(_contours(made), np.split(moved, ends), np.split(points, ends), strict=False):
+            if (new != old).any():
+                off.append(_move(contour, new, old, pydicom.valuerep.DSfloat))
+        if bent := [far for far in off if far]:
+            text = (
+                f"{len(bent)} of {len(ends)} contours of {name} are no longer in a plane (by up to {max(bent):.2g} mm)"
+            )
+            warnings.warn(
+                f"{text}: they are written as open contours that end where they begin", VolumeWarning, stacklevel=4
+            )
+        held = io.BytesIO()
+        try:
+            _renew(made, pydicom)
+            pydicom.dcmwrite(held, made, enforce_file_format=True)
+        except Exception as error:
+            said = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+            raise SuppleError(
+                f"cannot write the contours of {name}: pydicom refuses ({said}): mend that file"
+            ) from error
+        return held.getvalue()
+
+    return Mesh(points, "LPS", rewritten)
+
+
+def _is_whole(raw: Any) -> bool:
+    """Return whether an element has as many bytes as it says; pydicom reads those that there are."""
+    length = getattr(raw, "length", None)
+    return length in (None, 0xFFFFFFFF) or len(raw.value or b"") >= length
+
+
+def _contours(dataset: Any) -> list[Any]:
+    """Return the contours with points of all regions, in order."""
+    regions = dataset.get("ROIContourSequence") or []
+    every = (contour for region in regions for contour in region.get("ContourSequence") or [])
+    return [contour for contour in every if contour.get("ContourData")]
+
+
+def _move(contour: Any, new: Floats, old: Floats, decimal: Any) -> float:
+    """Move a contour; return how far its points now lie from a plane if they are no longer in one, otherwise 0."""
+    for name in _STALE:
+        if name in contour:
+            delattr(contour, name)
+    known = list(contour.ContourData)
+    values = [
+        before if kept else decimal(float(value) + 0.0, auto_format=True)
+        for before, value, kept in zip(known, new.ravel().tolist(), (new == old).ravel().tolist(), strict=True)
+    ]
+    kind = str(contour.get("ContourGeometricType", ""))
+    off = _off_plane(new) if kind in ("CLOSED_PLANAR", "OPEN_PLANAR", "CLOSEDPLANAR_XOR") else 0.0
+    if off > _FLAT:
+        if kind != "OPEN_PLANAR":
+            values += values[:3]
+        contour.ContourGeometricType = "OPEN_NONPLANAR"
+        contour.NumberOfContourPoints = len(values) // 3
+    contour.ContourData = values
+    return off if off > _FLAT else 0.0
+
+
+def _off_plane(points: Floats) -> float:
+    """Return the largest distance of points from the plane that fits them best."""
+    if len(points) < 4:
+        return 0.0
+    centred = points - points.mean(axis=0)
+    normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
+    return float(np.abs(centred @ normal).max())
+
+
+def _renew(made: Any, pydicom: Any) -> None:
+    """Make a structure set one of its own, with the source as its predecessor."""
+    source = pydicom.Dataset()
+    source.ReferencedSOPClassUID, source.ReferencedSOPInstanceUID = made.SOPClassUID, made.SOPInstanceUID
+    made.remove_private_tags()
+    regions = made.get("StructureSetROISequence") or []
+    for part in (made, *regions, *(made.get("ReferencedFrameOfReferenceSequence") or [])):
+        for name in _STALE_SET:
+            if name in part:
+                delattr(part, name)
+    now = datetime.datetime.now()
+    made.PredecessorStructureSetSequence = [source]
+    made.SOPInstanceUID, made.SeriesInstanceUID = (pydicom.uid.generate_uid(prefix=None) for _ in range(2))
+    made.SeriesNumber = int(made.get("SeriesNumber") or 0) + AFTER
+    made.SeriesDescription = ended(str(made.get("SeriesDescription") or ""), f"bent, {WARNING}")
+    made.StructureSetDescription = f"Bent by Supple, a non-rigid deformation. {WARNING}"
+    made.StructureSetDate = made.InstanceCreationDate = now.strftime("%Y%m%d")
+    made.StructureSetTime = made.InstanceCreationTime = now.strftime("%H%M%S")
+    if "ApprovalStatus" in made:
+        made.ApprovalStatus = "UNAPPROVED"
+    made.file_meta.MediaStorageSOPInstanceUID = made.SOPInstanceUID
+    explicit = not made.file_meta.TransferSyntaxUID.is_implicit_VR
+    if explicit and any(_size(contour.ContourData) > _LONG for contour in _contours(made)):
+        made.file_meta.TransferSyntaxUID = pydicom.uid.ImplicitVRLittleEndian
+
+
+def _size(values: Sequence[Any]) -> int:
+    return sum(len(str(value)) + 1 for value in values)

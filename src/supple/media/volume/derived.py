@@ -1,0 +1,350 @@
+"""Derived DICOM, of slices or of one file of many frames, by pydicom: of the source's patient and study, with own UIDs.
+
+The attributes are those of DICOM PS3.3, C.7.6.1 (General Image), C.7.6.2 (Image Plane), C.7.6.16 (functional groups),
+C.8.8.3 (doses) and C.12.4.1 (derivation).
+"""
+
+from __future__ import annotations
+
+import copy
+import datetime
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from supple.errors import SuppleError, need
+from supple.media.files import PathLike, check_output, replacing, replacing_all, unwritable
+from supple.media.volume.data import Array, Volume
+from supple.media.volume.frames import Frames, frames_of, item_of, quiet
+
+SUFFIXES = ("", ".dcm")
+"""The suffixes of what is derived: a folder of slices, and a file of many frames."""
+WARNING = "NOT FOR DIAGNOSIS"
+_GROUPS = "PerFrameFunctionalGroupsSequence"
+_LONGEST = 64  # characters of a description (VR LO)
+AFTER = 1000  # a derived series has this number more than its source
+# What is of the source's pixels, and not of the new ones.
+_STALE = (
+    "SmallestImagePixelValue", "LargestImagePixelValue", "SmallestPixelValueInSeries", "LargestPixelValueInSeries",
+    "PixelDataProviderURL", "IconImageSequence", "DigitalSignaturesSequence", "MACParametersSequence",
+    "ExtendedOffsetTable", "ExtendedOffsetTableLengths", "DVHSequence", "ConcatenationUID", "InConcatenationNumber",
+    "SOPInstanceUIDOfConcatenationSource", "InConcatenationTotalNumber", "ConcatenationFrameOffsetNumber",
+    "OriginalAttributesSequence", "PaletteColorLookupTableUID",
+    *(f"{c}PaletteColorLookupTable{part}" for c in ("Red", "Green", "Blue") for part in ("Data", "Descriptor")),
+    *(f"Segmented{c}PaletteColorLookupTableData" for c in ("Red", "Green", "Blue")),
+)  # fmt: skip
+_ALONG = (0x00209057, 0x00200032)  # InStackPositionNumber, ImagePositionPatient
+_OVERLAYS, _CURVES = range(0x6000, 0x6020, 2), range(0x5000, 0x5020, 2)
+
+
+def imported() -> Any:
+    """Return pydicom."""
+    need("volume", "DICOM files that are written", "pydicom")
+    import pydicom
+
+    return pydicom
+
+
+def check(path: PathLike, like: Volume | None = None, *, force: bool = False) -> None:
+    """Raise SuppleError, before any work, for a place that cannot get DICOM, or a source whose kind is not written.
+
+    Nothing that is in a folder is ever replaced: it must be new, or empty. A file may be, with ``force``.
+    """
+    imported()
+    many, single = like is not None and isinstance(like.header, str), Path(path).suffix != ""
+    if like is not None and single and not many:
+        raise unwritable(path, f"{like.name} is of slices", "give a folder for slices, which is a name without suffix")
+    if like is not None and many:
+        if not single:
+            what = f"{like.name} is one DICOM file of many frames, and so is what is derived from it"
+            raise unwritable(path, what, "use .dcm, .nii.gz, .nrrd or .mha")
+        known = _source(path, like)
+        if known.head.get("BitsAllocated") not in (8, 16, 32):
+            what = f"{like.name} has {known.head.get('BitsAllocated')} bits to a pixel, which are not written"
+            raise unwritable(path, what, "use .nii.gz, .nrrd or .mha")
+        if known.places is None and (like.regridded or known.head.get(_GROUPS)):
+            what = f"{like.name} does not tell where each frame lies, in millimetres"
+            raise unwritable(path, what, "use .nii.gz, .nrrd or .mha")
+    if single or not os.path.isdir(path):
+        check_output(path, force=force)
+    elif os.listdir(path):
+        raise unwritable(path, "that folder is not empty, and a series gets a folder of its own", "name a new folder")
+
+
+def _source(path: PathLike, like: Volume) -> Frames:
+    try:
+        return frames_of(like.header)
+    except SuppleError as error:
+        raise _gone(path, like) from error
+
+
+def _gone(path: PathLike, like: Volume) -> SuppleError:
+    return unwritable(path, f"{like.name} is not readable any more", "bring it back")
+
+
+def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
+    r"""Write a series of slices into a new folder, or a file of many frames; it appears whole or not at all.
+
+    Each slice has what the nearest slice of the source has, but for: its pixels and place; UIDs of its own and of the
+    series; ``DERIVED\SECONDARY``, a description that says so, and that it is not for diagnosis. Private attributes,
+    overlays and signatures are left out, which may describe the source's pixels. Values keep the source's rescale slope
+    and intercept if all slices have the same and the values fit; otherwise, each slice gets a slope of its own, and is
+    stored in 16 bits. Frames are as slices, and have one slope; the image type of those with functional groups is
+    ``DERIVED\PRIMARY``, since their classes have no other.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        The folder, if the source is of slices; else the file.
+    samples : ndarray, shape (Z, H, W) or (Z, H, W, 3)
+        In the units of the files (Hounsfield's, for CT); of doses, as they are stored.
+    like : Volume
+        The source, with the paths of its slices, or its own, as the header, and the geometry to write.
+    force : bool
+        Whether to replace an existing file.
+
+    Raises
+    ------
+    SuppleError
+        As in `check`; if a slice of the source cannot be read any more; or what is written cannot be.
+    """
+    pydicom = imported()
+    check(path, like, force=force)
+    with quiet():
+        (_write_frames if isinstance(like.header, str) else _write_slices)(pydicom, path, samples, like, force)
+
+
+def _stamp(pydicom: Any) -> tuple[Any, datetime.datetime]:
+    """Return the UID of a new series, and the time."""
+    return pydicom.uid.generate_uid(prefix=None), datetime.datetime.now()
+
+
+def _write_frames(pydicom: Any, path: PathLike, samples: Array, like: Volume, force: bool) -> None:
+    source = _source(path, like)
+    made = _derived(pydicom, source.head, _stamp(pydicom))
+    scale = _set_pixels(made, samples, source.scale)
+    made.NumberOfFrames = len(samples)
+    if source.places is not None:
+        places = [like.geometry.to_lps((0.0, 0.0, k)) for k in range(len(samples))]
+        _set_frames(pydicom, made, like, (places, source.places, scale))
+    with replacing(path, force=force) as temporary:
+        _save(made, temporary, path)
+
+
+def _write_slices(pydicom: Any, path: PathLike, samples: Array, like: Volume, _: bool) -> None:
+    try:
+        heads = [pydicom.dcmread(name, stop_before_pixels=True) for name in like.header]
+    except Exception as error:  # pydicom has many
+        raise _gone(path, like) from error
+    places, stamp = np.array([_place_of(head) for head in heads]), _stamp(pydicom)
+    common = {_scale_of(head) for head in heads}
+    with replacing_all(Path(path)) as folder:
+        for k, slab in enumerate(samples):
+            place = like.geometry.to_lps((0.0, 0.0, k))
+            near = _nearest(places, place)
+            made = _derived(pydicom, heads[near], stamp)
+            made.InstanceNumber = k + 1
+            scale = _set_pixels(made, slab[None], next(iter(common)) if len(common) == 1 else None)
+            if made.get(_GROUPS):
+                _set_frames(pydicom, made, like, ([place], places[near : near + 1], scale))
+            else:
+                _set_place(pydicom, made, like, place)
+            _save(made, folder / f"slice{k + 1:04d}.dcm", path)
+
+
+def _save(made: Any, file: Path, path: PathLike) -> None:
+    try:
+        made.save_as(file, enforce_file_format=True)
+    except OSError:
+        raise
+    except Exception as error:  # what it finds wrong in a source has many types
+        said = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+        raise unwritable(path, f"it cannot be written by pydicom ({said})", "use .nrrd or .mha") from error
+
+
+def _nearest(places: Array, place: Array) -> int:
+    return int(((places - place) ** 2).sum(axis=1).argmin())
+
+
+def _place_of(head: Any) -> tuple[float, float, float]:
+    known = item_of(head, 0, "PlanePositionSequence") if head.get(_GROUPS) else head
+    x, y, z = (float(value) for value in (known or {}).get("ImagePositionPatient") or (0, 0, 0))
+    return x, y, z
+
+
+def _scale_of(head: Any) -> tuple[float, float]:
+    """Return the rescale slope and intercept."""
+    if head.get(_GROUPS):
+        head = item_of(head, 0, "PixelValueTransformationSequence") or {}
+    return float(head.get("RescaleSlope") or 1), float(head.get("RescaleIntercept") or 0)
+
+
+def _derived(pydicom: Any, head: Any, common: tuple[Any, datetime.datetime]) -> Any:
+    """Return the data of a new slice or file, without pixels and place."""
+    from supple import __version__
+
+    uid, now = common
+    made = pydicom.Dataset()
+    made.update(head)
+    made.remove_private_tags()
+    for name in _STALE:
+        if name in made:
+            delattr(made, name)
+    for tag in [tag for tag in made.keys() if tag.group in (*_OVERLAYS, *_CURVES)]:  # noqa: SIM118, not a dict
+        del made[tag]
+    source = pydicom.Dataset()
+    source.ReferencedSOPClassUID, source.ReferencedSOPInstanceUID = head.SOPClassUID, head.SOPInstanceUID
+    source.PurposeOfReferenceCodeSequence = [_code(pydicom, "121322", "Source image for image processing operation")]
+    made.SOPInstanceUID, made.SeriesInstanceUID = pydicom.uid.generate_uid(prefix=None), uid
+    made.SeriesNumber = int(head.get("SeriesNumber") or 0) + AFTER
+    made.SeriesDescription = ended(str(head.get("SeriesDescription") or ""), f"bent, {WARNING}")
+    made.ImageType = ["DERIVED", "SECONDARY", *list(head.get("ImageType") or ())[2:]]
+    made.DerivationDescription = f"Bent by Supple {__version__}, a non-rigid deformation. {WARNING}"
+    made.DerivationCodeSequence = [_code(pydicom, "113085", "Spatial resampling")]
+    made.SourceImageSequence = [source]
+    made.ImageComments = f"Bent by Supple: {WARNING}"
+    made.InstanceCreationDate, made.InstanceCreationTime = now.strftime("%Y%m%d"), now.strftime("%H%M%S")
+    made.file_meta = pydicom.dataset.FileMetaDataset()
+    made.file_meta.TransferSyntaxUID = pydicom.uid.ExplicitVRLittleEndian
+    made.file_meta.MediaStorageSOPClassUID = made.SOPClassUID
+    made.file_meta.MediaStorageSOPInstanceUID = made.SOPInstanceUID
+    return made
+
+
+def _code(pydicom: Any, value: str, meaning: str) -> Any:
+    made = pydicom.Dataset()
+    made.CodeValue, made.CodingSchemeDesignator, made.CodeMeaning = value, "DCM", meaning
+    return made
+
+
+def ended(text: str, end: str) -> str:
+    """Return a description with an end that is never cut."""
+    return f"{text[: _LONGEST - len(end) - 2]}, {end}" if text else end
+
+
+def _decimal(pydicom: Any, values: Sequence[float]) -> list[Any]:
+    return [pydicom.valuerep.DSfloat(float(x) + 0.0, auto_format=True) for x in values]
+
+
+def _set_frames(pydicom: Any, made: Any, like: Volume, where: tuple[list[Array], Array, tuple[float, float]]) -> None:
+    """Set where frames lie: by offsets, or in functional groups, each of which is that of the nearest source frame.
+
+    ``where`` are the places of the frames, those of the source, and the rescale slope and intercept.
+    """
+    places, sources, (slope, intercept) = where
+    groups, count = made.get(_GROUPS), len(places)
+    if not groups:
+        _set_place(pydicom, made, like, places[0])
+        made.GridFrameOffsetVector = _decimal(pydicom, [k * like.geometry.spacing[2] for k in range(count)])
+        made.DoseComment = ended(str(made.get("DoseComment") or ""), f"bent, {WARNING}")
+        return
+    made.ImageType = ["DERIVED", "PRIMARY", *list(made.ImageType)[2:]]
+    shared = made.SharedFunctionalGroupsSequence[0] if made.get("SharedFunctionalGroupsSequence") else pydicom.Dataset()
+    once = {name: item_of(made, 0, name) for name in ("PlaneOrientationSequence", "PixelMeasuresSequence")}
+    values = item_of(made, 0, "PixelValueTransformationSequence")
+    if values is None and (slope, intercept) != (1, 0):
+        values = pydicom.Dataset()
+        values.RescaleType = "US"
+    if values is not None:
+        values.RescaleSlope, values.RescaleIntercept = f"{slope:.10g}", f"{intercept:.10g}"
+        once["PixelValueTransformationSequence"] = values
+    derivation = pydicom.Dataset()
+    for name in ("DerivationDescription", "DerivationCodeSequence", "SourceImageSequence"):
+        derivation[name] = made[name]
+    once["DerivationImageSequence"] = derivation
+    _set_plane(pydicom, once["PlaneOrientationSequence"], once["PixelMeasuresSequence"], like)
+    own = [copy.deepcopy(groups[_nearest(sources, place)]) for place in places]
+    for k, (group, place) in enumerate(zip(own, places, strict=True)):
+        for name in once:
+            if name in group:
+                delattr(group, name)
+        position = pydicom.Dataset()
+        position.ImagePositionPatient = _decimal(pydicom, place.tolist())
+        group.PlanePositionSequence = [position]
+        if like.regridded:
+            _renumber(made, group, k + 1)
+    for name, item in once.items():
+        setattr(shared, name, [item])
+    for element in (e for group in (shared, *own) for e in group if e.keyword.endswith("FrameTypeSequence")):
+        element.value[0].FrameType = made.ImageType
+    made.SharedFunctionalGroupsSequence, made.PerFrameFunctionalGroupsSequence = [shared], own
+
+
+def _renumber(made: Any, group: Any, number: int) -> None:
+    """Number a frame along the stack, which may have more or fewer frames than the source."""
+    for content in group.get("FrameContentSequence") or ():
+        if "InStackPositionNumber" in content:
+            content.InStackPositionNumber = number
+        axes = [item.get("DimensionIndexPointer") for item in made.get("DimensionIndexSequence") or ()]
+        known = content.get("DimensionIndexValues")
+        if known is not None and not axes:
+            del content.DimensionIndexValues  # of which nothing says what they count
+        numbers = [] if known is None else [known] if isinstance(known, int) else list(known)
+        if len(numbers) == len(axes) > 0:
+            content.DimensionIndexValues = [
+                number if axis in _ALONG else old for axis, old in zip(axes, numbers, strict=True)
+            ]
+
+
+def _set_place(pydicom: Any, made: Any, like: Volume, place: Array) -> None:
+    made.ImagePositionPatient = _decimal(pydicom, place.tolist())
+    _set_plane(pydicom, made, made, like)
+    if "SliceLocation" in made:
+        normal = np.cross(like.geometry.direction[:, 0], like.geometry.direction[:, 1])
+        (made.SliceLocation,) = _decimal(pydicom, [float(place @ normal)])
+
+
+def _set_plane(pydicom: Any, turned: Any, pixels: Any, like: Volume) -> None:
+    across, down, step = like.geometry.spacing
+    turned.ImageOrientationPatient = _decimal(pydicom, like.geometry.direction[:, :2].T.ravel().tolist())
+    pixels.PixelSpacing = _decimal(pydicom, [down, across])
+    if like.regridded:
+        (pixels.SliceThickness,) = _decimal(pydicom, [step])
+    if "SpacingBetweenSlices" in pixels:
+        (pixels.SpacingBetweenSlices,) = _decimal(pydicom, [step])
+
+
+def _set_pixels(made: Any, slab: Array, scale: tuple[float, float] | None) -> tuple[float, float]:
+    """Set the pixels, of frames (Z, H, W) or (Z, H, W, 3), and return their slope and intercept."""
+    made.Rows, made.Columns = slab.shape[1:3]
+    made.SamplesPerPixel = colours = slab.shape[3] if slab.ndim == 4 else 1
+    if colours > 1:
+        made.PhotometricInterpretation, made.PlanarConfiguration = "RGB", 0
+    else:
+        if made.get("PhotometricInterpretation") == "MONOCHROME1":  # GDCM has inverted its values
+            for name in ("WindowCenter", "WindowWidth", "VOILUTSequence", "PresentationLUTShape"):
+                if name in made:
+                    delattr(made, name)
+        made.PhotometricInterpretation = "MONOCHROME2"
+    stored, (slope, intercept) = _stored(made, slab, scale)
+    if colours == 1 and not made.get(_GROUPS) and ("RescaleSlope" in made or (slope, intercept) != (1, 0)):
+        made.RescaleSlope, made.RescaleIntercept = f"{slope:.10g}", f"{intercept:.10g}"
+    made.PixelRepresentation = int(stored.dtype.kind == "i")
+    bits = 8 * stored.dtype.itemsize
+    if made.get("BitsAllocated") != bits or not _fits(stored, int(made.BitsStored), stored.dtype.kind):
+        made.BitsStored = bits
+    made.BitsAllocated, made.HighBit = bits, made.BitsStored - 1
+    data = np.ascontiguousarray(stored, stored.dtype.newbyteorder("<")).tobytes()
+    made.add_new("PixelData", "OB" if bits == 8 else "OW", data + b"\0" * (len(data) % 2))
+    return slope, intercept
+
+
+def _fits(values: Array, bits: int, kind: str) -> bool:
+    low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if kind == "i" else (0, (1 << bits) - 1)
+    return bool(values.size == 0 or (values.min() >= low and values.max() <= high))
+
+
+def _stored(made: Any, slab: Array, scale: tuple[float, float] | None) -> tuple[Array, tuple[float, float]]:
+    """Return the integers to store, and their slope and intercept."""
+    if scale is not None:
+        values = np.rint((slab.astype(np.float64) - scale[1]) / scale[0])
+        kind = "i" if made.get("PixelRepresentation") else "u"
+        for bits, letter in ((int(made.get("BitsAllocated", 16)), kind), (16, kind), (16, "i"), (32, kind), (32, "i")):
+            if bits in (8, 16, 32) and _fits(values, bits, letter):
+                return values.astype(f"{letter}{bits // 8}"), scale
+    # As in PET, whose slices have a slope each; the intercept has to be 0 there.
+    slope = float(f"{float(np.abs(slab).max(initial=0)) / 32767 or 1:.10g}")
+    return np.rint(slab / slope).clip(-32767, 32767).astype(np.int16), (slope, 0.0)

@@ -1,0 +1,140 @@
+"""DICOM files of many frames, by pydicom: where their frames lie, which GDCM takes for evenly stacked.
+
+The attributes are those of DICOM PS3.3, C.7.6.16 (functional groups) and C.8.8.3 (doses).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from supple.errors import need
+from supple.media.files import PathLike, unreadable
+from supple.media.volume.data import Array
+
+_ALIKE = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """The frames of a file.
+
+    Parameters
+    ----------
+    head : pydicom.Dataset
+        All but the pixels.
+    places : float64 array, shape (N, 3), or None
+        The position of the first pixel of each frame, in LPS, in millimetres; None if the file does not tell.
+    direction : float64 array, shape (3, 3)
+        Its columns are the directions of the rows, of the columns, and of the normal, in LPS.
+    spacing : (float, float)
+        Millimetres from a pixel to the next along a row, and along a column.
+    scales : float64 array, shape (N or 1, 2)
+        The rescale slope and intercept of each frame, or of all.
+    """
+
+    head: Any
+    places: Array | None
+    direction: Array
+    spacing: tuple[float, float]
+    scales: Array
+
+    @property
+    def scale(self) -> tuple[float, float] | None:
+        """The rescale slope and intercept, if all frames have the same."""
+        slope, intercept = self.scales[0].tolist()
+        return (slope, intercept) if (self.scales == self.scales[0]).all() else None
+
+    def rescaled(self, samples: Array) -> Array:
+        """Return values of which GDCM has rescaled all by the scale of the first frame, each by its own."""
+        if self.scale is not None:
+            return samples
+        slope, intercept = self.scales[0]
+        made = np.empty(samples.shape, np.float32)
+        for one, frame, (own, offset) in zip(made, samples, self.scales, strict=True):
+            one[...] = np.rint((frame - intercept) / slope) * own + offset  # what is stored are integers
+        return made
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Suppress pydicom's warnings on odd values, which are not of use here, or are copied as they are."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", module="pydicom")
+        yield
+
+
+def item_of(head: Any, k: int, name: str) -> Any | None:
+    """Return what a functional group says of the frame ``k``: its own, or the shared one."""
+    own, shared = head.PerFrameFunctionalGroupsSequence[k], head.get("SharedFunctionalGroupsSequence") or ()
+    return next((group.get(name)[0] for group in (own, *shared[:1]) if group.get(name)), None)
+
+
+def frames_of(path: PathLike) -> Frames:
+    """Return the frames of a file; SuppleError if they differ in direction or spacing, or it is damaged."""
+    need("volume", "DICOM files of many frames", "pydicom")
+    import pydicom
+
+    try:
+        with quiet():
+            head = pydicom.dcmread(path, stop_before_pixels=True)
+            if head.get("PerFrameFunctionalGroupsSequence"):
+                told = _grouped(head)
+            elif head.get("GridFrameOffsetVector"):
+                told = _dosed(head)
+            else:
+                scale = float(head.get("RescaleSlope") or 1), float(head.get("RescaleIntercept") or 0)
+                return Frames(head, None, np.eye(3), (1.0, 1.0), np.array([scale]))
+            places, directions, spacings, scales = (np.array(each, np.float64) for each in told)
+            count = int(head.NumberOfFrames)
+    except Exception as error:  # pydicom has many
+        raise unreadable(path, "what it says of its frames is damaged") from error
+    if places.shape != (count, 3) or not np.isfinite(places).all():
+        if head.get("PerFrameFunctionalGroupsSequence") and places.size == 0:
+            return Frames(head, None, np.eye(3), (1.0, 1.0), np.array([[1.0, 0.0]]))
+        raise unreadable(path, f"it has {count} frames, and tells where {len(places)} of them lie")
+    for what, each in (("directions", directions), ("spacings", spacings)):
+        far = np.abs(each - each[0]).max(axis=1)
+        if (odd := int(far.argmax())) and far[odd] > _ALIKE * max(1.0, float(np.abs(each[0]).max())):
+            told_of = f"its frames have several {what} (frames 1 and {odd + 1})"
+            raise unreadable(path, told_of, "convert it to slices, and take the odd ones out")
+    across, down = directions[0].reshape(2, 3)
+    normal = np.cross(across, down)
+    y, x = spacings[0].tolist()
+    if not (np.isfinite(scales).all() and scales[:, 0].all()):
+        raise unreadable(path, "a rescale slope of its frames is 0, or no number", "correct its header")
+    return Frames(head, places, np.stack([across, down, normal], axis=1), (x, y), scales)
+
+
+def _grouped(head: Any) -> tuple[list[Any], list[Any], list[Any], list[Any]]:
+    """Return the places, directions, spacings and scales of the frames in functional groups; nothing for no places."""
+    places: list[Any] = []
+    directions: list[Any] = []
+    spacings: list[Any] = []
+    scales: list[Any] = []
+    for k in range(len(head.PerFrameFunctionalGroupsSequence)):
+        place, turned, pixels, values = (
+            item_of(head, k, f"{name}Sequence")
+            for name in ("PlanePosition", "PlaneOrientation", "PixelMeasures", "PixelValueTransformation")
+        )
+        if place is None or turned is None or pixels is None:
+            return [], [], [], []
+        places.append(place.ImagePositionPatient)
+        directions.append(turned.ImageOrientationPatient)
+        spacings.append(pixels.PixelSpacing)
+        scales.append([1, 0] if values is None else [values.RescaleSlope, values.RescaleIntercept])
+    return places, directions, spacings, scales
+
+
+def _dosed(head: Any) -> tuple[list[Any], list[Any], list[Any], list[Any]]:
+    """Return the same for a dose, whose frames have offsets from the first one, or its own coordinate as well."""
+    across, down = np.reshape(np.array(head.ImageOrientationPatient, np.float64), (2, 3))
+    offsets = np.array(head.GridFrameOffsetVector, np.float64)
+    places = np.array(head.ImagePositionPatient, np.float64) + np.outer(offsets - offsets[0], np.cross(across, down))
+    alike = [list(head.ImageOrientationPatient)], [list(head.PixelSpacing)], [[1, 0]]
+    return list(places), *alike

@@ -1,0 +1,119 @@
+"""Pictures of volumes with a scale bar and the sides of the patient."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.domain import refuse
+from supple.errors import SuppleError
+from supple.geometry import Geometry
+from supple.render.camera import Projection
+from supple.render.marks import bar_of, sides_of
+
+LEAST = 96
+"""Pixels along a side: a smaller picture has no room for marks."""
+
+_LETTERS, _SMALLEST = 0.035, 11.0  # the height of letters, of the picture's shorter side; pixels
+_FONT, _SERIFS = "DejaVu Sans", "DejaVu Sans Mono"  # Matplotlib brings them; an I of the second is no mere line
+
+
+def check_annotated(size: tuple[int, int]) -> None:
+    """Raise SuppleError for a size, rows and columns, without room for marks."""
+    if min(size) < LEAST:
+        raise SuppleError(
+            f"annotate needs a picture of {LEAST} pixels or more along both sides, found {size[1]}x{size[0]}: give a "
+            "larger size, or leave it out"
+        )
+
+
+def annotated(pixels: npt.NDArray[np.uint8], view: Projection, geometry: Geometry) -> npt.NDArray[np.uint8]:
+    """Return a picture of a volume with a scale bar, and letters for the patient's sides.
+
+    The bar, at the lower left, measures what is as far from the eye as the camera's target: in perspective, what is
+    nearer is larger. The letter at an edge names the side of the patient that lies there, R, L, A, P, S or I, or
+    several for an oblique view, the nearest first; without a patient, it is an axis of the voxels with its sign.
+
+    Parameters
+    ----------
+    pixels : uint8 array, shape (H, W, 3 or 4)
+        sRGB, with opacity that is not multiplied in, as `supple.render.picture.Rendering.pixels` returns it.
+    view : Projection
+        Of the picture: ``scene.view(camera, size)``.
+    geometry : Geometry
+        The volume's.
+
+    Returns
+    -------
+    uint8 array, shape (H, W, 3 or 4)
+        A copy.
+
+    Raises
+    ------
+    SuppleError
+        If the pixels do not fit, or are too few.
+    """
+    given = np.asarray(pixels)
+    if given.dtype != np.uint8 or given.shape not in ((*view.size, 3), (*view.size, 4)):
+        wanted = f"uint8 of shape ({view.size[0]}, {view.size[1]}, 3 or 4), as the view's size"
+        refuse("pixels", wanted, told=f"{given.dtype} of shape {given.shape}")
+    check_annotated(view.size)
+    drawn = _drawn(view, geometry)
+    made = given.copy()
+    at = drawn[..., 3] > 0
+    over, under = drawn[at] / 255.0, made[at] / 255.0
+    opaque = over[:, 3:]
+    if made.shape[2] == 3:
+        mixed = opaque * over[:, :3] + (1 - opaque) * under
+    else:
+        left = (1 - opaque) * under[:, 3:]
+        colours = (opaque * over[:, :3] + left * under[:, :3]) / (opaque + left)
+        mixed = np.concatenate([colours, opaque + left], axis=1)
+    made[at] = np.rint(255 * mixed)
+    return made
+
+
+def _drawn(view: Projection, geometry: Geometry) -> npt.NDArray[np.uint8]:
+    """Return the marks alone, (H, W, 4): white with dark outlines, to be seen on anything."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patheffects import withStroke
+    from matplotlib.transforms import IdentityTransform
+
+    (height, width), bar = view.size, bar_of(view)
+    # A point of 72 to an inch is a pixel; sizes are cut to integers.
+    made = Figure(figsize=((width + 0.01) / 72, (height + 0.01) / 72), dpi=72, facecolor="none")
+    canvas = FigureCanvasAgg(made)
+    high = max(_LETTERS * min(view.size), _SMALLEST)
+    edge, thick = round(0.8 * high), max(round(0.14 * high), 2)
+    halo = [withStroke(linewidth=0.25 * high, foreground="#101010")]
+    shared: dict[str, Any] = {
+        "transform": IdentityTransform(), "color": "white", "parse_math": False, "usetex": False,
+        "path_effects": halo,
+    }  # fmt: skip
+    left, right, above, below = sides_of(view, geometry)
+    middle = width / 2, height / 2
+    for text, x, y, across, along in (
+        (left, edge, middle[1], "left", "center"),
+        (right, width - edge, middle[1], "right", "center"),
+        (above, middle[0], height - edge, "center", "top"),
+        (below, middle[0], edge, "center", "bottom"),
+    ):
+        made.text(x, y, text, ha=across, va=along, fontsize=high, fontweight="bold", fontfamily=_SERIFS, **shared)
+    base = edge + thick / 2
+    outline = [withStroke(linewidth=thick + 0.2 * high, foreground="#101010", capstyle="projecting")]
+    line = Line2D(
+        [edge, edge + bar.pixels], [base, base], color="white", linewidth=thick, solid_capstyle="butt",
+        transform=IdentityTransform(), path_effects=outline,
+    )  # fmt: skip
+    made.add_artist(line)
+    above_bar, smaller = base + thick / 2 + 0.35 * high, 0.85 * high
+    made.text(edge, above_bar, bar.label, ha="left", va="baseline", fontsize=smaller, fontfamily=_FONT, **shared)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    return np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+
+
+__all__ = ["LEAST", "annotated", "check_annotated"]

@@ -1,0 +1,107 @@
+"""Clipping boxes: the part of a bent volume that is rendered."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.domain import items, number, point, refuse
+from supple.errors import SuppleError
+from supple.geometry import Geometry
+
+Floats = npt.NDArray[np.float64]
+
+COARSE = 32  # boxes of bricks along an axis, of which a camera has all in view
+Box = tuple[tuple[float, float], ...]
+"""For each axis, x first, the voxels from which and to which a volume is rendered."""
+Clip = Sequence[Sequence[float | None]] | npt.NDArray[Any]
+"""The same, with None where nothing is cut away; as nested sequences, or an array of shape (3, 2)."""
+
+
+Plane = tuple[Sequence[float], Sequence[float]]
+"""A voxel, x first, and the direction in LPS in which all that lies beyond it is cut away."""
+
+
+def plane_of(plane: object, geometry: Geometry) -> tuple[float, float, float, float]:
+    """Return the unit normal of a `Plane` along a volume's axes, and its distance from the first voxel, in mm.
+
+    For None, one that cuts nothing away.
+    """
+    if plane is None:
+        return 0.0, 0.0, 0.0, 1.0
+    given = items("plane", plane, "a voxel and a direction", (2,))
+    voxel, way = (np.array(point("plane", p, (3,))) for p in given)
+    length = float(np.linalg.norm(way))
+    if length == 0:
+        refuse("plane", "a voxel and a direction that is not 0,0,0", plane)
+    normal = geometry.direction.T @ way / length
+    x, y, z = (float(n) for n in normal)
+    return x, y, z, float(normal @ (voxel * geometry.spacing))
+
+
+def seen_points(bricks: npt.NDArray[np.bool_], wide: int, shape: tuple[int, ...]) -> Floats:
+    """Return the corners of visible bricks (c, b, a) of some voxels in a volume of ``shape``, in voxels, (N, 3).
+
+    Where there are many, of boxes of them, at most 32 along each axis.
+    """
+    coarse = max(1, *(-(-n // COARSE) for n in bricks.shape))
+    counts = tuple(-(-n // coarse) for n in bricks.shape)
+    whole = np.pad(bricks, [(0, m * coarse - n) for n, m in zip(bricks.shape, counts, strict=True)])
+    c, b, a = counts
+    seen = whole.reshape(c, coarse, b, coarse, a, coarse).any(axis=(1, 3, 5))
+    corners = np.zeros((c + 1, b + 1, a + 1), np.bool_)
+    for k, j, i in itertools.product((0, 1), repeat=3):
+        corners[k : c + k, j : b + j, i : a + i] |= seen
+    last = np.array(whole_box(shape))[:, 1]
+    return np.asarray(np.minimum(np.argwhere(corners)[:, ::-1] * float(wide * coarse), last), np.float64)
+
+
+def within(points: Floats, box: Box, plane: Sequence[float], spacing: Sequence[float], slack: float) -> Floats:
+    """Return points (N, 3) within a box and before a plane, or beyond by less than ``slack`` voxels.
+
+    They are moved into the box. If there are none, its corners.
+    """
+    first, last = np.array(box).T
+    away = (points * spacing) @ np.array(plane[:3]) - plane[3]
+    kept = points[((points > first - slack) & (points < last + slack)).all(axis=1) & (away < slack * max(spacing))]
+    return np.clip(kept, first, last) if len(kept) else np.array(list(itertools.product(*box)))
+
+
+def whole_box(shape: tuple[int, ...]) -> Box:
+    """Return the box of a whole volume of ``shape`` (Z, H, W), between its outermost voxels."""
+    return tuple((0.0, max(n, 2) - 1.0) for n in reversed(shape))  # a single slice is rendered as two equal ones
+
+
+def box_of(clip: object, shape: tuple[int, ...]) -> Box:
+    """Return the box of a `Clip` in a volume of ``shape`` (Z, H, W); of the whole volume for None.
+
+    SuppleError if a range is empty, or not within the volume.
+    """
+    whole = whole_box(shape)
+    if clip is None:
+        return whole
+    wanted = "a range of voxels for each axis, (from, to), x first"
+    given = items("clip", clip.tolist() if isinstance(clip, np.ndarray) else clip, wanted, (3,))
+    ranges = [items("clip", ends, wanted, (2,)) for ends in given]
+
+    def placed(value: object, end: float) -> float:
+        return end if value is None else number("clip", value, "numbers of voxels", -1e9, 1e9)
+
+    made = tuple(
+        (placed(low, first), placed(high, last)) for (low, high), (first, last) in zip(ranges, whole, strict=True)
+    )
+
+    def refused(wanted: str, k: int) -> NoReturn:
+        low, high = made[k]
+        raise SuppleError(f"clip must be {wanted}, found {low:g}:{high:g} along {'xyz'[k]}")
+
+    for k, ((low, high), (first, last)) in enumerate(zip(made, whole, strict=True)):
+        if not first <= low <= last or not first <= high <= last:
+            refused(f"within the voxels of the volume, {', '.join(f'{a:g}:{b:g}' for a, b in whole)}", k)
+        if low >= high:
+            refused("from a lower to a higher voxel along each axis", k)
+    return made

@@ -1,0 +1,98 @@
+"""Kernels compile for every GPU without one, are kept on disk, and take no more of its threads than the table says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from supple.engines.cuda import programs
+from supple.engines.cuda.device import CudaError
+from supple.engines.cuda.programs import UNITS, Program, compiled, folder, kept, sources
+from supple.engines.cuda.warp import _TYPES
+from tests.engines.cuda.registers import known, rows, used
+
+pytest.importorskip("cuda.bindings")
+SMALL = Program("fill", 2, False, "float", "float", 1, 1)
+
+
+def test_the_table_has_all_kernels() -> None:
+    assert list(known()) == list(rows())
+
+
+@pytest.mark.parametrize("name", rows())
+def test_registers_and_spills(name: str) -> None:
+    registers, stack, spills = used(*rows()[name])
+    wanted = known()[name]
+    assert registers <= 255
+    # Another compiler may do it a little otherwise.
+    assert registers <= 1.15 * wanted[0] + 8
+    assert stack <= 1.15 * wanted[1] + 64
+    assert spills <= 1.15 * wanted[2] + 64
+
+
+@pytest.mark.parametrize("filter", [0, 1, 2, 3])
+@pytest.mark.parametrize("sample", sorted({sample for sample, _ in _TYPES.values()}))
+def test_every_type_compiles(sample: str, filter: int) -> None:
+    number = dict(_TYPES.values())[sample]
+    code, log = compiled(Program("fill", 3, False, sample, number, 1 if filter % 2 else 4, filter), 80)
+    assert code[1:4] == b"ELF"
+    assert "warning" not in log
+    # An empty log is one byte, and Python shares all bytes of length 1: written to, a space is no space anywhere.
+    assert chr(32).encode()[0] == 32
+
+
+def test_headers_are_those_that_are_included() -> None:
+    text, headers = sources()
+    assert '#include "paint.hpp"' in text
+    assert {"field.hpp", "newton.hpp", "patch.hpp", "footprint.hpp", "sampled.hpp", "freeze.hpp"} <= set(headers)
+    assert not {"plan.hpp", "vectors.hpp", "threads.hpp"} & set(headers)
+    for name, header in headers.items():
+        assert (
+            "std::" not in header.split("#if !defined(__CUDACC_RTC__)")[0].replace("no std::", "") or name == "job.hpp"
+        )
+
+
+def test_programs_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SUPPLE_CACHE", str(tmp_path / "cache"))
+    assert folder() == tmp_path / "cache"
+    code = kept(SMALL, 90)
+    (path,) = folder().iterdir()
+    assert path.name.startswith("fill-sm_90-")
+    assert path.read_bytes() == code
+    monkeypatch.setattr(programs, "compiled", lambda *given: pytest.fail("it was compiled again"))
+    assert kept(SMALL, 90) == code
+
+
+def test_what_has_changed_is_compiled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SUPPLE_CACHE", str(tmp_path))
+    asked: list[tuple[Program, int]] = []
+
+    def made(program: Program, arch: int) -> tuple[bytes, str]:
+        asked.append((program, arch))
+        return b"code", ""
+
+    monkeypatch.setattr(programs, "compiled", made)
+    kept(SMALL, 90)
+    kept(SMALL, 80)
+    text, headers = sources()
+    monkeypatch.setattr(programs, "sources", lambda: (text + " ", headers))
+    kept(SMALL, 90)
+    kept(SMALL, 90)
+    assert asked == [(SMALL, 90), (SMALL, 80), (SMALL, 90)]
+
+
+def test_a_folder_that_cannot_be_written_is_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("SUPPLE_CACHE", str(tmp_path / "file" / "cache"))
+    monkeypatch.setattr(programs, "compiled", lambda program, arch: (b"code", ""))
+    assert kept(SMALL, 90) == b"code"
+
+
+def test_what_does_not_compile_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(programs, "sources", lambda: ("int x = ;", {}))
+    with pytest.raises(CudaError, match=r"NVRTC: NVRTC_ERROR_COMPILATION: .*error"):
+        compiled(SMALL, 90)
+    bad: Any = Program("points", 2, False)
+    assert f"-DUNIT={UNITS.index('points')}" in bad.options

@@ -1,0 +1,194 @@
+"""Boxes of a volume: rendered as the volume that is left would be, picked, and lit."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy import ndimage
+
+import supple
+from supple.geometry import Geometry
+from supple.render.appearance import lamp
+from supple.render.box import box_of
+from supple.render.camera import Camera
+from supple.render.scene import MODES, Scene
+from supple.render.transfer import TransferFunction
+from tests.children import ROOT
+
+SHAPE, SIZE = (24, 30, 28), (48, 60)
+GEOMETRY = Geometry((0.9, 1.0, 1.3))
+SOFT = TransferFunction(((0.2, 1.0, 0.2, 0.1, 0.0), (0.5, 0.9, 0.5, 0.3, 0.2), (1.0, 1.0, 1.0, 1.0, 0.6)))
+SOLID = TransferFunction(((0.0, 1.0, 1.0, 1.0, 1.0),))
+CLIP = ((6, 20), (8, None), (None, 17))
+CAMERAS = (Camera(35, 20, distance=90), Camera(-150, -40, distance=90, roll=30))
+
+
+def cloud() -> npt.NDArray[np.float32]:
+    made = ndimage.gaussian_filter(np.random.default_rng(5).normal(size=SHAPE), 2, mode="constant")
+    made -= made.min()
+    return np.asarray(made / made.max(), np.float32)
+
+
+@pytest.fixture
+def bent() -> supple.Deformation:
+    d = supple.Deformation(SHAPE, spacing=GEOMETRY.spacing, border=None, on_fold="damp")
+    return d.grab((14, 15, 12), by=(4, -2, 3), radius=9)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_box_of_the_whole_volume_changes_no_bit(bent: supple.Deformation, mode: str) -> None:
+    scene = Scene(cloud(), GEOMETRY, deformation=bent, transfer=SOFT, mode=mode)
+    assert scene.clip == ((0, 27), (0, 29), (0, 23))
+    for clip in (((None, None),) * 3, ((0, 27), (0, 29), (0, 23))):
+        other = scene.clipped(clip)
+        for camera in CAMERAS:
+            one, two = scene.render(camera, SIZE), other.render(camera, SIZE)
+            np.testing.assert_array_equal(one.light, two.light)
+            np.testing.assert_array_equal(one.depth, two.depth)
+            np.testing.assert_array_equal(one.samples, two.samples)
+
+
+def test_a_box_is_what_the_volume_cut_to_it_shows() -> None:
+    """Without shades, whose gradients at the faces of a volume have no neighbours."""
+    volume = cloud()
+    volume[9, 15, 10], volume[9, 15, 11] = volume.min(), volume.max()  # colours are spread over the range of values
+    scene = Scene(volume, GEOMETRY, transfer=SOFT, shaded=False, clip=CLIP)
+    alone = Scene(volume[:18, 8:, 6:21], GEOMETRY, transfer=SOFT, shaded=False)
+    assert scene.range == alone.range
+    for camera in CAMERAS:
+        one = scene.render(camera, SIZE)
+        other = alone.render(replace(camera, target=(13.5 - 6, 14.5 - 8, 11.5)), SIZE)
+        assert (one.light[..., 3] > 0.1).sum() > 300
+        # Positions along a ray are rounded from another origin: a table's entry may be its neighbour.
+        assert np.quantile(np.abs(one.light - other.light).max(axis=-1), 0.98) < 2e-3
+        np.testing.assert_allclose(one.depth, other.depth, atol=1e-3)
+
+
+def test_a_clipped_scene_is_the_scene_that_is_made_so(bent: supple.Deformation) -> None:
+    options: dict[str, Any] = {"deformation": bent, "transfer": SOFT, "mode": "lattice"}
+    scene = Scene(cloud(), GEOMETRY, **options)
+    made = Scene(cloud(), GEOMETRY, clip=CLIP, **options)
+    cut = scene.clipped(CLIP)
+    assert (cut._solid is scene._solid, cut.clip, scene.clip[0]) == (True, made.clip, (0, 27))
+    whole, other = scene.render(CAMERAS[0], SIZE), made.render(CAMERAS[0], SIZE)
+    for again in (cut, scene.clipped(((1, 2),) * 3).clipped(CLIP), cut.seen_through(SOFT), cut.deformed(bent)):
+        np.testing.assert_array_equal(again.render(CAMERAS[0], SIZE).light, other.light)
+    np.testing.assert_array_equal(cut.clipped(None).render(CAMERAS[0], SIZE).light, whole.light)
+    assert (whole.light != other.light).any()
+
+
+def test_what_is_picked_is_the_cut_face(bent: supple.Deformation) -> None:
+    for mode in ("lattice", "exact"):
+        scene = Scene(np.ones(SHAPE, np.uint8), GEOMETRY, deformation=bent, transfer=SOLID, mode=mode)
+        camera, size = Camera(0, 0, distance=90), (40, 50)
+        whole = scene.pick(camera, size, (25, 20))
+        pick = scene.clipped(((None, None), (12.5, None), (None, None))).pick(camera, size, (25, 20))
+        assert whole is not None
+        assert pick is not None
+        assert (whole.index[1], pick.index[1]) == (pytest.approx(0, abs=1e-9), pytest.approx(12.5))  # from the front
+        assert pick.depth > whole.depth + 12
+        np.testing.assert_allclose(bent.forward(pick.source), pick.index, atol=1e-6)
+        beside = scene.clipped(((None, None), (None, None), (None, 8)))
+        assert scene.pick(camera, size, (25, 14)) is not None  # above the middle, where nothing is left
+        assert beside.pick(camera, size, (25, 14)) is None
+
+
+@pytest.mark.parametrize("mode", ["lattice", "exact"])
+def test_a_cut_face_is_lit_as_a_plane(bent: supple.Deformation, mode: str) -> None:
+    """Its light does not depend on the gradients within, which point anywhere."""
+    noise = np.random.default_rng(3).random(SHAPE).astype(np.float32) + 1
+    camera = Camera(20, 15, distance=90)
+    scene = Scene(
+        noise, GEOMETRY, deformation=bent, transfer=SOLID, mode=mode, clip=((None, None), (9, None), (None, 15))
+    )
+    picture = scene.render(camera, (80, 80))
+    light, view = picture.light[..., 0], scene.view(camera, (80, 80))
+    found = {1: 0, 2: 0}
+    for y, x in np.argwhere(np.isfinite(picture.depth)):
+        at = view.eye + picture.depth[y, x] * view.direction(x, y) / view.spacing
+        on = [axis for axis, place in ((1, 9), (2, 15)) if abs(at[axis] - place) < 1e-9]
+        for axis in on[:1]:
+            found[axis] += 1
+            assert light[y, x] == pytest.approx(0.15 + 0.8 * abs(float(lamp(view)[axis])), abs=1e-5)
+    assert min(found[1], found[2]) > 200
+
+
+def test_faces_that_are_not_moved_are_as_without_a_box() -> None:
+    noise = np.random.default_rng(3).random(SHAPE).astype(np.float32) + 1
+    camera = Camera(0, 0, distance=2000, field_of_view=1)
+    whole = Scene(noise, GEOMETRY, transfer=SOLID)
+    behind = whole.clipped(((None, None), (None, 20), (None, None)))
+    one, other = (scene.render(camera, SIZE).light[20:28, 25:35] for scene in (whole, behind))
+    np.testing.assert_array_equal(one, other)
+    assert np.ptp(one[..., 0]) > 0.1
+
+
+@pytest.mark.parametrize(
+    "clip",
+    [
+        np.array([[1.5, 4], [0, 3], [2, 8]]),
+        np.array([[1.5, 4], [None, 3], [2, None]]),
+        [[1.5, 4], [0, 3], [2, 8]],
+        (np.array([1.5, 4]), [None, np.int16(3)], (np.float32(2), 8)),
+    ],
+)
+def test_a_box_is_an_array_or_nested_sequences(clip: Any) -> None:
+    assert box_of(clip, (9, 8, 7)) == ((1.5, 4), (0, 3), (2, 8))
+    assert Scene(np.zeros((9, 8, 7)), clip=clip).clip == ((1.5, 4), (0, 3), (2, 8))
+
+
+@pytest.mark.parametrize(
+    ("clip", "found"),
+    [
+        (np.zeros((3, 3)), "a range of voxels for each axis, (from, to), x first, found [0.0, 0.0, 0.0]"),
+        (np.zeros((30, 40, 50)), "a range of voxels for each axis, (from, to), x first, found [[["),
+        (np.array(5.0), "a range of voxels for each axis, (from, to), x first, found 5.0"),
+        (np.full((3, 2), np.nan), "numbers of voxels, found nan"),
+        (np.array([["a\nb", "c"]] * 3), "numbers of voxels, found 'a\\nb'"),
+        ((np.zeros((2, 2)),) * 3, "a range of voxels for each axis, (from, to), x first, found array([[0., 0.], [0."),
+        (np.array([[0, 20], [0, 1], [0, 1]]), "within the voxels of the volume, 0:6, 0:7, 0:8, found 0:20 along x"),
+    ],
+)
+def test_other_arrays_are_refused_on_one_line(clip: Any, found: str) -> None:
+    with pytest.raises(supple.SuppleError) as raised:
+        box_of(clip, (9, 8, 7))
+    assert str(raised.value).startswith(f"clip must be {found}")
+    assert len(str(raised.value).splitlines()) == 1
+
+
+def test_the_gpu_lights_as_the_core_does() -> None:
+    """What both name has the same value."""
+    folder = ROOT / "src" / "supple"
+    core = (folder / "_core" / "raymarch.hpp").read_text(encoding="utf-8")
+    shader = (folder / "engines" / "wgpu" / "shaders" / "raymarch.wgsl").read_text(encoding="utf-8")
+    for name in ("OPAQUE", "LAYER", "AMBIENT", "DIFFUSE", "SPECULAR"):
+        one, other = (re.findall(rf"\b{name} = ([\d.]+)", text) for text in (core, shader))
+        assert len(one) == len(other) == 1, name
+        assert float(one[0]) == float(other[0]), name
+
+
+def test_a_single_slice_is_all_there_is() -> None:
+    assert box_of(None, (1, 5, 6)) == box_of(((0, 5), (None, 4), (None, None)), (1, 5, 6)) == ((0, 5), (0, 4), (0, 1))
+    scene = Scene(np.ones((1, 9, 9), np.uint8), transfer=SOLID, clip=((4, None), (None, None), (None, None)))
+    whole = scene.clipped(None).render(size=(32, 32)).light[..., 3]
+    assert 0.3 < scene.render(size=(32, 32)).light[..., 3].sum() / whole.sum() < 0.7
+
+
+def test_the_camera_frames_what_is_left() -> None:
+    scene = Scene(np.ones(SHAPE, np.uint8), GEOMETRY, transfer=SOLID, clip=CLIP)
+    camera = scene.framed(Camera(35, 20), SIZE)
+    assert camera.target == (13, 18.5, 8.5)
+    corners = np.array(np.meshgrid(*scene.clip)).reshape(3, -1).T
+    view = scene.view(camera, SIZE)
+    away = (corners - view.eye) * view.spacing
+    x, y = (away @ axis / (axis @ axis) / (away @ view.ahead) for axis in view.packed[3:])
+    assert np.abs(x).max() <= SIZE[1] / 2
+    assert 0.7 * SIZE[0] / 2 < np.abs(y).max() <= SIZE[0] / 2
+    assert scene.framed(Camera(distance=90, target=(3, 4, 5)), SIZE) == Camera(distance=90.0, target=(3, 4, 5))
+    whole = Scene(np.ones(SHAPE, np.uint8), GEOMETRY, transfer=SOLID)
+    np.testing.assert_allclose(whole.view(whole.framed(), SIZE).packed, whole.view(None, SIZE).packed, atol=1e-9)

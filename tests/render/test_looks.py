@@ -1,0 +1,256 @@
+"""Projections, planes, silhouettes, what is detached, and cameras that have what is visible in view."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy import ndimage
+
+import supple
+from supple.cli import command
+from supple.errors import SuppleError
+from supple.files.renders import RenderOptions, render_file
+from supple.geometry import Geometry
+from supple.media import image
+from supple.render.appearance import largest
+from supple.render.camera import Camera
+from supple.render.scene import Scene
+from supple.render.transfer import TransferFunction
+from tests.render.test_files import head, stored
+
+Floats = npt.NDArray[np.float64]
+
+SHAPE, SIZE = (24, 30, 28), (30, 36)
+OBLIQUE = Geometry(
+    (1.0, 1.2, 1.5), (10.0, -20.0, 5.0), np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]) * [1, -1, 1]
+)
+CAMERA = Camera(35, 20, roll=10)
+HARD = TransferFunction(((0.49, 1.0, 0.8, 0.6, 0.0), (0.5, 1.0, 0.8, 0.6, 1.0), (1.0, 1.0, 0.8, 0.6, 1.0)))
+REDUCE: dict[str, Any] = {"maximum": np.max, "minimum": np.min, "average": np.mean}
+
+
+def cloud(seed: int = 0) -> npt.NDArray[np.float32]:
+    made = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=SHAPE), 3, mode="constant")
+    made -= made.min()
+    return np.asarray(made / made.max(), np.float32)
+
+
+def ball(centre: tuple[float, float, float], radius: float) -> npt.NDArray[np.float32]:
+    """A ball in the millimetres of OBLIQUE; half of its greatest value at its surface."""
+    grid = np.stack(np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij")[::-1], axis=-1)
+    away = np.linalg.norm((grid - centre) * OBLIQUE.spacing, axis=-1)
+    return np.asarray(np.clip(0.5 + (radius - away) / 6, 0, 1), np.float32)
+
+
+def bent() -> supple.Deformation:
+    d = supple.Deformation(SHAPE, spacing=OBLIQUE.spacing, border=None, on_fold="damp")
+    return d.grab((14, 15, 12), by=(4, -2, 3), radius=9)
+
+
+@pytest.mark.parametrize("mode", ["plain", "lattice", "exact", "buffered"])
+@pytest.mark.parametrize("projection", REDUCE)
+def test_a_projection_is_the_slow_one(projection: str, mode: str) -> None:
+    d = None if mode == "plain" else bent()
+    scene = Scene(
+        cloud(),
+        OBLIQUE,
+        deformation=d,
+        projection=projection,
+        density=(0.2, 0.9),
+        mode="lattice" if d is None else mode,
+        clip=((None, 22.5), (3, None), (None, None)),
+    )
+    picture, view = scene.render(CAMERA, SIZE), scene.view(CAMERA, SIZE)
+    first, last = np.array(scene.clip).T
+    wanted, where = np.full(SIZE, np.nan), np.full(SIZE, np.nan)
+    for y, x in np.ndindex(SIZE):
+        along = view.direction(x, y) / view.spacing
+        faces = np.stack([(first - view.eye) / along, (last - view.eye) / along])
+        near, far = faces.min(axis=0).max(), faces.max(axis=0).min()
+        if near > far:
+            continue
+        ts = np.arange(near, far + 1e-9, scene.step)
+        points = view.eye + ts[:, None] * along
+        if d is not None and mode != "buffered":
+            points = d.inverse(points).points
+        values = ndimage.map_coordinates(scene.samples.astype(float), points[:, ::-1].T, order=1, mode="nearest")
+        wanted[y, x] = REDUCE[projection](values)
+        where[y, x] = near if projection == "average" else ts[np.argmax(values == wanted[y, x])]
+    hit = np.isfinite(wanted)
+    assert 300 < hit.sum() < hit.size
+    np.testing.assert_array_equal(picture.light[..., 3], hit)
+    shades = np.clip((wanted[hit] - 0.2) / 0.7, 0, 1) * 255
+    assert np.ptp(shades) > 90
+    off = np.abs(picture.pixels()[hit][:, :3] - shades[:, None])
+    assert np.quantile(off, 0.99) < 1.5  # the lattice is off by a part of a voxel, and a ray may end a sample earlier
+    assert np.quantile(np.abs(picture.depth[hit] - where[hit]), 0.95) < 1e-3 + (mode in ("lattice", "exact"))
+
+
+def test_a_projection_is_picked_where_its_value_is() -> None:
+    volume = cloud() * np.float32(0.1)
+    volume[12, 14, 15] = 1
+    scene = Scene(volume, OBLIQUE, projection="maximum", step=0.1)
+    picture = scene.render(CAMERA, (90, 90))
+    y, x = np.unravel_index(int(picture.light[..., 0].argmax()), (90, 90))
+    pick = scene.pick(CAMERA, (90, 90), (int(x), int(y)))
+    assert pick is not None
+    np.testing.assert_allclose(pick.index, (15, 14, 12), atol=0.6)
+    assert Scene(volume, OBLIQUE, projection="average").pick(CAMERA, (90, 90), (int(x), int(y))) is None
+
+
+@pytest.mark.parametrize("mode", ["lattice", "exact"])
+def test_a_plane_along_the_axes_is_a_box(mode: str) -> None:
+    options: dict[str, Any] = {"deformation": bent(), "transfer": HARD, "mode": mode}
+    scene = Scene(cloud(), OBLIQUE, **options)
+    ways = OBLIQUE.direction.T  # of x, y and z, in LPS
+    for axis, sign in ((0, 1), (1, -1), (2, 1)):
+        box: list[list[float | None]] = [[None, None] for _ in range(3)]
+        box[axis][sign > 0] = 11.5
+        cut = scene.clipped(None, plane=((11.5, 11.5, 11.5), tuple(sign * ways[axis])))
+        one, other = cut.render(CAMERA, SIZE), scene.clipped(box).render(CAMERA, SIZE)
+        assert np.abs(other.light - scene.render(CAMERA, SIZE).light).max() > 0.3
+        assert np.quantile(np.abs(one.light - other.light).max(axis=-1), 0.98) < 1e-4
+        np.testing.assert_array_equal(cut.clipped(None).render(CAMERA, SIZE).light, scene.render(CAMERA, SIZE).light)
+
+
+def test_an_oblique_plane_leaves_what_is_before_it() -> None:
+    at, way = np.array([13.0, 15.0, 11.0]), np.array([0.5, -0.8, 0.4])
+    scene = Scene(ball((13, 15, 11), 12), OBLIQUE, transfer=HARD, plane=(tuple(at), tuple(way)), step=0.2)
+    beyond = 0
+    for azimuth in range(0, 360, 45):
+        camera = Camera(azimuth, 20)
+        picture, view = scene.render(camera, SIZE), scene.view(camera, SIZE)
+        for y, x in np.argwhere(np.isfinite(picture.depth)):
+            found = view.eye + picture.depth[y, x] * view.direction(x, y) / view.spacing
+            millimetres = (OBLIQUE.to_lps(found[None]) - OBLIQUE.to_lps(at[None]))[0] @ way / np.linalg.norm(way)
+            assert millimetres < 1e-3
+            beyond += bool(abs(millimetres) < 1e-3)
+    assert beyond > 200  # on the cut face
+    away = Scene(ball((13, 15, 11), 12), OBLIQUE, transfer=HARD, plane=((-90, 15, 11), tuple(OBLIQUE.direction.T[0])))
+    assert not away.render(CAMERA, SIZE).light.any()
+
+
+def test_silhouettes_darken_by_the_angle() -> None:
+    centre = (13.0, 14.0, 11.5)
+    plain, dark = (Scene(ball(centre, 13), OBLIQUE, transfer=HARD, silhouettes=s, step=0.2) for s in (0.0, 0.8))
+    camera = Camera(20, 10)
+    one, other, view = plain.render(camera, (60, 60)), dark.render(camera, (60, 60)), plain.view(camera, (60, 60))
+    np.testing.assert_array_equal(one.depth, other.depth)
+    compared, off = 0, []
+    for y, x in np.argwhere(one.light[..., 3] > 0.99):
+        way = view.direction(x, y)
+        normal = (view.eye - centre) * view.spacing + one.depth[y, x] * way
+        aside = 1 - abs(normal @ way) / np.linalg.norm(normal)
+        left = other.light[y, x, 0] / one.light[y, x, 0]
+        off.append(abs(left - (1 - 0.8 * aside**2)))
+        compared += aside > 0.5
+    assert compared > 50
+    assert np.mean(off) < 0.03  # gradients of trilinear samples are off by some degrees
+    assert max(off) < 0.15
+
+
+def test_the_largest_part_is_what_ndimage_labels() -> None:
+    volume = np.random.default_rng(3).normal(size=SHAPE)
+    volume = ndimage.gaussian_filter(volume, 1.5).astype(np.float32)
+    volume = (volume - volume.min()) / np.ptp(volume)
+    density = (0.7, 0.95)
+    for value in (0.65, 0.75):
+        transfer = TransferFunction(((value, 1, 1, 1, 0), (value + 0.1, 1, 1, 1, 0.5), (1, 1, 1, 1, 0.5)))
+        for window in (None, density):
+            threshold = Scene(volume, transfer=transfer, density=window)._threshold
+            seen = (volume >= threshold) & (volume <= (np.inf if window is None else window[1]))
+            labels, count = ndimage.label(seen)
+            assert count > 1
+            kept = labels == np.bincount(labels.ravel())[1:].argmax() + 1
+            made = largest(volume, transfer, window)
+            np.testing.assert_array_equal(made[kept | ~seen], volume[kept | ~seen])
+            hidden = made[seen & ~kept]
+            assert hidden.size
+            assert (hidden == volume[volume < threshold].max()).all()
+    with pytest.raises(SuppleError, match="all is visible"):
+        largest(volume, TransferFunction(((0.0, 1, 1, 1, 0.5),)))
+
+
+@pytest.mark.parametrize("mode", ["lattice", "exact", "buffered"])
+def test_what_is_visible_is_in_view(mode: str) -> None:
+    d = supple.Deformation(SHAPE, spacing=OBLIQUE.spacing, border=None, on_fold="damp").grab(
+        (8, 9, 8), by=(7, 6, 3), radius=14
+    )
+    for deformation in (None, d):
+        scene = Scene(ball((8, 9, 8), 7), OBLIQUE, deformation=deformation, transfer=HARD, mode=mode)
+        for azimuth in (0, 70, 200):
+            camera = scene.framed(Camera(azimuth, 15), (80, 80))
+            alpha = scene.render(camera, (80, 80)).light[..., 3] > 0.5
+            rows, columns = np.flatnonzero(alpha.any(axis=1)), np.flatnonzero(alpha.any(axis=0))
+            assert min(rows[0], columns[0]) > 0
+            assert max(rows[-1], columns[-1]) < 79
+            whole = scene.render(Camera(azimuth, 15), (80, 80)).light[..., 3] > 0.5
+            assert alpha.sum() > 1.5 * whole.sum()
+    assert scene.framed(Camera(distance=90, target=(3, 4, 5)), SIZE) == Camera(distance=90.0, target=(3, 4, 5))
+    nothing = Scene(ball((8, 9, 8), 7), OBLIQUE, transfer=HARD, density=(5, 6))
+    np.testing.assert_allclose(
+        nothing.view(nothing.framed(None, SIZE), SIZE).packed, nothing.view(None, SIZE).packed, atol=1e-9
+    )
+
+
+def test_the_command_does_what_python_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    stored("in.nii", head())
+    given: dict[str, tuple[list[str], dict[str, Any]]] = {
+        "maximum": (["--projection", "maximum", "--density", "-10,150"],
+                    {"projection": "maximum", "density": (-10.0, 150.0)}),
+        "plane": (["--plane", "13,14,12:0.2,-1,0"], {"plane": ((13, 14, 12), (0.2, -1, 0))}),
+        "largest": (["--largest"], {"largest": True}),
+        "dark": (["--silhouettes", "0.7"], {"silhouettes": 0.7}),
+        "plain": ([], {}),
+    }  # fmt: skip
+    for name, (words, options) in given.items():
+        assert command(["render", "in.nii", f"{name}.png", "--size", "60x50", *words]) == 0
+        render_file("in.nii", f"{name}2.png", options=RenderOptions(size=(50, 60), **options))
+        seen = image.read(f"{name}.png").pixels
+        np.testing.assert_array_equal(seen, image.read(f"{name}2.png").pixels)
+    plain = image.read("plain.png").pixels
+    for name in ("maximum", "plane", "dark"):
+        assert (image.read(f"{name}.png").pixels != plain).any()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--projection", "maximum", "--transfer", "grey"], "has no transfer function"),
+        (["--projection", "most"], "--projection"),
+        (["--plane", "1,2,3"], "--plane must be a voxel and a direction, X,Y,Z:DX,DY,DZ, found '1,2,3'"),
+        (["--plane", "1,2,3:0,0,0"], "a direction that is not 0,0,0"),
+        (["--plane", "1,2:0,0,1"], "--plane must be three numbers"),
+        (["--silhouettes", "2"], "silhouettes must be a number from 0 to 1"),
+        (["--silhouettes", "1", "--flat"], "silhouettes are of shaded surfaces"),
+        (["--largest", "--density", "-5,300", "--transfer", "all.json"], "all is visible"),
+    ],
+)
+def test_what_does_not_fit_is_refused_on_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    stored("in.nii", head())
+    Path("all.json").write_text(TransferFunction(((0.0, 1, 1, 1, 0.5),)).to_json())
+    assert command(["render", "in.nii", "out.png", *words]) != 0
+    error = capsys.readouterr().err.strip()
+    assert said in error
+    assert "Traceback" not in error
+    assert not Path("out.png").exists()
+
+
+def test_the_largest_part_is_of_what_is_seen() -> None:
+    """Tissue is not seen by a transfer function for lungs, and joins nothing."""
+    volume = np.full((20, 20, 40), -1000, np.int16)
+    volume[2:8, 2:8, 2:8] = -700
+    volume[8:18, 2:14, 2:10] = 40
+    volume[2:10, 2:12, 28:36] = -700
+    made = largest(volume, "ct-lung")
+    assert (made[2:8, 2:8, 2:8] != -700).all()
+    assert (made[2:10, 2:12, 28:36] == -700).all()
+    assert (made[8:18, 2:14, 2:10] == 40).all()
