@@ -13,7 +13,7 @@ from scipy import ndimage
 
 import supple
 from supple.geometry import Geometry
-from supple.render.appearance import lamp
+from supple.render.appearance import cropped, lamp
 from supple.render.box import box_of
 from supple.render.camera import Camera
 from supple.render.scene import MODES, Scene
@@ -192,3 +192,36 @@ def test_the_camera_frames_what_is_left() -> None:
     assert scene.framed(Camera(distance=90, target=(3, 4, 5)), SIZE) == Camera(distance=90.0, target=(3, 4, 5))
     whole = Scene(np.ones(SHAPE, np.uint8), GEOMETRY, transfer=SOLID)
     np.testing.assert_allclose(whole.view(whole.framed(), SIZE).packed, whole.view(None, SIZE).packed, atol=1e-9)
+
+
+def test_a_cropped_volume_ends_half_a_voxel_beyond_its_outermost_voxels() -> None:
+    """Before it is deformed, and after that where the strokes move its faces."""
+    block = np.zeros((24, 24, 24), np.uint8)
+    block[2:22, 2:22, 2:22] = np.random.default_rng(3).integers(150, 250, (20, 20, 20))
+    sharp = TransferFunction(((0.0, 1, 1, 1, 0.0), (99.9, 1, 1, 1, 0.0), (100.0, 1, 1, 1, 1.0)))
+    made = cropped(block, ((6, 15), (None, 12), (8, None)), sharp)
+    np.testing.assert_array_equal(made[8:, :13, 6:16], block[8:, :13, 6:16])
+    outside = np.ones(made.shape, np.bool_)
+    outside[8:, :13, 6:16] = False
+    assert made[outside].max() < 100
+    camera = Camera(90, 0, distance=400, field_of_view=2, target=(12.0, 8.0, 12.0))  # towards the patient's left, +x
+    scene = Scene(made, transfer=sharp, step=0.25, shaded=False)
+    view = scene.view(camera, (9, 9))
+    faces = [view.eye[0] - scene.render(camera, (9, 9)).depth[4, 4]]
+    assert faces[0] == pytest.approx(15.5, abs=0.05)
+    d = supple.Deformation(made.shape, border=None).grab((15, 8, 12), by=(3, 0, 0), radius=8)
+    shown = Scene(made, deformation=d, transfer=sharp, step=0.25, shaded=False, mode="exact")
+    expected = d.forward(np.array([[15.5, 8.0, 12.0]]))[0, 0]
+    assert view.eye[0] - shown.render(camera, (9, 9)).depth[4, 4] == pytest.approx(expected, abs=0.05)
+
+
+def test_a_box_without_voxels_or_beyond_the_volume_is_refused() -> None:
+    for crop, told in (
+        (((4.2, 4.8), (None, None), (None, None)), "crop must hold a voxel along each axis"),
+        (((4, 40), (None, None), (None, None)), "crop must be within the voxels of the volume"),
+        (((9, 4), (None, None), (None, None)), "crop must be from a lower to a higher voxel"),
+    ):
+        with pytest.raises(supple.SuppleError, match=told):
+            cropped(cloud(), crop, SOFT)
+    with pytest.raises(supple.SuppleError, match="all is visible"):
+        cropped(cloud(), ((4, 9), (None, None), (None, None)), SOLID)

@@ -205,6 +205,7 @@ def test_the_command_does_what_python_does(tmp_path: Path, monkeypatch: pytest.M
                     {"projection": "maximum", "density": (-10.0, 150.0)}),
         "plane": (["--plane", "13,14,12:0.2,-1,0"], {"plane": ((13, 14, 12), (0.2, -1, 0))}),
         "largest": (["--largest"], {"largest": True}),
+        "cropped": (["--crop", "4:12,:,:9"], {"crop": ((4, 12), (None, None), (None, 9))}),
         "dark": (["--silhouettes", "0.7"], {"silhouettes": 0.7}),
         "plain": ([], {}),
     }  # fmt: skip
@@ -214,7 +215,7 @@ def test_the_command_does_what_python_does(tmp_path: Path, monkeypatch: pytest.M
         seen = image.read(f"{name}.png").pixels
         np.testing.assert_array_equal(seen, image.read(f"{name}2.png").pixels)
     plain = image.read("plain.png").pixels
-    for name in ("maximum", "plane", "dark"):
+    for name in ("maximum", "plane", "cropped", "dark"):
         assert (image.read(f"{name}.png").pixels != plain).any()
 
 
@@ -223,6 +224,8 @@ def test_the_command_does_what_python_does(tmp_path: Path, monkeypatch: pytest.M
     [
         (["--projection", "maximum", "--transfer", "grey"], "has no transfer function"),
         (["--projection", "most"], "--projection"),
+        (["--crop", "1:2,3:4"], "--crop must be X0:X1,Y0:Y1,Z0:Z1 in voxels"),
+        (["--crop", "1:900,:,:"], "crop must be within the voxels of the volume"),
         (["--plane", "1,2,3"], "--plane must be a voxel and a direction, X,Y,Z:DX,DY,DZ, found '1,2,3'"),
         (["--plane", "1,2,3:0,0,0"], "a direction that is not 0,0,0"),
         (["--plane", "1,2:0,0,1"], "--plane must be three numbers"),

@@ -86,6 +86,8 @@ class LookOptions:
     clip
         Show only a box of the deformed volume, from voxel X0 to voxel X1 and so on, and cut the rest away. Ends may be
         left out: --clip :,60:,: cuts away what is before y = 60.
+    crop
+        The same of the volume before it is deformed: the box moves with the strokes.
     plane
         Cut away what lies beyond a plane of the deformed volume: a voxel on it, and the direction in which all is cut
         away, in LPS. --plane 45,60,45:0,-1,0 cuts away what is in front of y = 60.
@@ -130,6 +132,7 @@ class LookOptions:
     save_transfer: Annotated[str | None, Parameter(metavar="FILE")] = None
     density: Annotated[str | None, Parameter(metavar="LO,HI", allow_leading_hyphen=True)] = None
     clip: Annotated[str | None, Parameter(metavar="X0:X1,Y0:Y1,Z0:Z1", allow_leading_hyphen=True)] = None
+    crop: Annotated[str | None, Parameter(metavar="X0:X1,Y0:Y1,Z0:Z1", allow_leading_hyphen=True)] = None
     plane: Annotated[str | None, Parameter(metavar="X,Y,Z:DX,DY,DZ", allow_leading_hyphen=True)] = None
     largest: bool = False
     projection: Literal["none", "maximum", "minimum", "average"] = "none"
@@ -155,7 +158,8 @@ class LookOptions:
             transfer=self.transfer,
             save_transfer=self.save_transfer,
             density=None if self.density is None else parse_numbers("--density", self.density, 2, "two values LO,HI"),  # type: ignore[arg-type]
-            clip=None if self.clip is None else _clip(self.clip),
+            clip=None if self.clip is None else _box("--clip", self.clip),
+            crop=None if self.crop is None else _box("--crop", self.crop),
             plane=None if self.plane is None else _plane(self.plane),
             largest=self.largest,
             projection=self.projection,
@@ -176,13 +180,13 @@ class LookOptions:
         )
 
 
-def _clip(text: str) -> Clip:
+def _box(option: str, text: str) -> Clip:
     """A box; None where an end is left out."""
     wanted = "X0:X1,Y0:Y1,Z0:Z1 in voxels, with ends left out where nothing is cut away"
     ranges = [part.split(":") for part in text.split(",")]
     if len(ranges) != 3 or any(len(ends) != 2 for ends in ranges):
-        raise SuppleError(f"--clip must be {wanted}, found {text!r}")
-    ends = [[parse_number("--clip", end, wanted) if end.strip() else None for end in pair] for pair in ranges]
+        raise SuppleError(f"{option} must be {wanted}, found {text!r}")
+    ends = [[parse_number(option, end, wanted) if end.strip() else None for end in pair] for pair in ranges]
     return [(low, high) for low, high in ends]
 
 

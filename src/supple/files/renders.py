@@ -21,7 +21,7 @@ from supple.media.files import check_output, check_outputs, check_suffix, replac
 from supple.media.numbering import has_number, spelling
 from supple.media.volume import Volume
 from supple.pipeline import Tell
-from supple.render.appearance import PROJECTIONS, largest
+from supple.render.appearance import PROJECTIONS, cropped, largest
 from supple.render.box import Clip, Plane
 from supple.render.camera import Camera
 from supple.render.scene import MODES, Scene
@@ -48,6 +48,8 @@ class RenderOptions:
         The visible range of values.
     clip : three of (float, float), optional
         The voxels that are rendered, as in `supple.render.scene.Scene`.
+    crop : three of (float, float), optional
+        The voxels of the original that are rendered, where the strokes move them: `supple.render.appearance.cropped`.
     plane, projection, silhouettes
         As in `supple.render.scene.Scene`.
     largest : bool
@@ -84,6 +86,7 @@ class RenderOptions:
     transfer: TransferFunction | PathLike | None = None
     density: tuple[float, float] | None = None
     clip: Clip | None = None
+    crop: Clip | None = None
     plane: Plane | None = None
     largest: bool = False
     projection: str = "none"
@@ -183,6 +186,8 @@ def scene_of(
     deformation = None if recipe is None else deformation_of(recipe, volume, world=world, fit=fit)
     given = known.transfer if known.transfer is not None else default_transfer(volume)
     transfer = given if isinstance(given, TransferFunction) else transfer_of(given)
+    if known.crop is not None:
+        samples = cropped(samples, known.crop, transfer, known.density)
     if known.largest:
         samples = largest(samples, transfer, known.density)
     return Scene(

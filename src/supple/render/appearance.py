@@ -11,6 +11,7 @@ import numpy.typing as npt
 from supple import _core
 from supple.domain import choice, point, refuse
 from supple.errors import SuppleError
+from supple.render.box import Clip, box_of
 from supple.render.camera import Projection
 from supple.render.colour import linear_light
 from supple.render.transfer import ENTRIES, PRESETS, TransferFunction
@@ -127,18 +128,62 @@ def largest(samples: Array, transfer: TransferFunction | str, density: tuple[flo
     SuppleError
         If the smallest value is visible, so that no value hides a voxel.
     """
-    ready = prepared(np.asarray(samples))[tuple(map(slice, samples.shape))]
-    low, high = float(ready.min()), float(ready.max())
-    known = seen_through(transfer_function(transfer), density, (low, high), 1.0)
-    threshold = known["_threshold"]
-    if threshold == -math.inf:
-        raise SuppleError("all is visible, down to the smallest value, and nothing detached: choose a higher density")
-    known |= {"range": (low, high), "projection": "none"}
+    ready, known = _hiding(samples, transfer, density)
+    hidden = ready[ready < known["_threshold"]].max(initial=known["range"][0])
     seen = np.stack([visible(known, slab, slab) for slab in ready])
     kept = np.empty(seen.shape, np.bool_)
     _core.largest_part(seen, kept)
-    hidden = ready[ready < threshold].max(initial=low)
     return np.where(seen & ~kept, np.asarray(hidden, ready.dtype), ready)
+
+
+def cropped(
+    samples: Array, crop: Clip, transfer: TransferFunction | str, density: tuple[float, float] | None = None
+) -> Array:
+    """Return a volume of which only a box is visible, whose faces lie half a voxel beyond its outermost voxels.
+
+    Parameters
+    ----------
+    samples : array (Z, H, W)
+    crop : three of (float, float)
+        For each axis, x first, the first and the last voxel, or None: see `supple.render.box.box_of`.
+    transfer, density
+        What is visible, as in `supple.render.scene.Scene`.
+
+    Raises
+    ------
+    SuppleError
+        If the box is not within the volume, or the smallest value is visible, so that no value hides a voxel.
+    """
+    ready, known = _hiding(samples, transfer, density)
+    box = box_of(crop, samples.shape, "crop")
+    kept = tuple(slice(math.ceil(low), math.floor(high) + 1) for low, high in reversed(box))
+    if any(part.start >= part.stop for part in kept):
+        raise SuppleError("crop must hold a voxel along each axis: from a voxel to the same or a later one")
+    # Around the box, visible values are mirrored at the threshold: they pass it halfway to the next voxel.
+    around = tuple(slice(max(p.start - 1, 0), min(p.stop + 1, n)) for p, n in zip(kept, ready.shape, strict=True))
+    ends = [(p.start - a.start, a.stop - p.stop) for p, a in zip(kept, around, strict=True)]
+    edge = np.pad(ready[kept], ends, mode="edge").astype(np.float64)
+    low, threshold = known["range"][0], known["_threshold"]
+    below = np.nextafter(np.float32(threshold), np.float32(-np.inf))
+    mirrored = np.clip(np.minimum(edge, 2 * threshold - edge), low, max(low, below))
+    made = np.full_like(ready, low)
+    made[around] = np.floor(mirrored) if ready.dtype.kind in "iu" else mirrored
+    made[kept] = ready[kept]
+    return made
+
+
+def _hiding(
+    samples: Array, transfer: TransferFunction | str, density: tuple[float, float] | None
+) -> tuple[Array, dict[str, Any]]:
+    """Return prepared samples and what is seen of them; SuppleError if no value is below that."""
+    ready = prepared(np.asarray(samples))[tuple(map(slice, samples.shape))]
+    low, high = float(ready.min()), float(ready.max())
+    known = seen_through(transfer_function(transfer), density, (low, high), 1.0)
+    known |= {"range": (low, high), "projection": "none"}
+    if known["_threshold"] == -math.inf:
+        told = "all is visible, down to the smallest value, and no value hides a voxel"
+        raise SuppleError(f"{told}: choose a higher density")
+    return ready, known
 
 
 def entries(low: float, high: float) -> float:

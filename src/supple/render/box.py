@@ -76,20 +76,20 @@ def whole_box(shape: tuple[int, ...]) -> Box:
     return tuple((0.0, max(n, 2) - 1.0) for n in reversed(shape))  # a single slice is rendered as two equal ones
 
 
-def box_of(clip: object, shape: tuple[int, ...]) -> Box:
+def box_of(clip: object, shape: tuple[int, ...], name: str = "clip") -> Box:
     """Return the box of a `Clip` in a volume of ``shape`` (Z, H, W); of the whole volume for None.
 
-    SuppleError if a range is empty, or not within the volume.
+    SuppleError, with ``name``, if a range is empty, or not within the volume.
     """
     whole = whole_box(shape)
     if clip is None:
         return whole
     wanted = "a range of voxels for each axis, (from, to), x first"
-    given = items("clip", clip.tolist() if isinstance(clip, np.ndarray) else clip, wanted, (3,))
-    ranges = [items("clip", ends, wanted, (2,)) for ends in given]
+    given = items(name, clip.tolist() if isinstance(clip, np.ndarray) else clip, wanted, (3,))
+    ranges = [items(name, ends, wanted, (2,)) for ends in given]
 
     def placed(value: object, end: float) -> float:
-        return end if value is None else number("clip", value, "numbers of voxels", -1e9, 1e9)
+        return end if value is None else number(name, value, "numbers of voxels", -1e9, 1e9)
 
     made = tuple(
         (placed(low, first), placed(high, last)) for (low, high), (first, last) in zip(ranges, whole, strict=True)
@@ -97,7 +97,7 @@ def box_of(clip: object, shape: tuple[int, ...]) -> Box:
 
     def refused(wanted: str, k: int) -> NoReturn:
         low, high = made[k]
-        raise SuppleError(f"clip must be {wanted}, found {low:g}:{high:g} along {'xyz'[k]}")
+        raise SuppleError(f"{name} must be {wanted}, found {low:g}:{high:g} along {'xyz'[k]}")
 
     for k, ((low, high), (first, last)) in enumerate(zip(made, whole, strict=True)):
         if not first <= low <= last or not first <= high <= last:
