@@ -91,7 +91,7 @@ def reference(scene: Scene, camera: Camera, size: tuple[int, int]) -> tuple[Floa
             cut = first[entered] > 0 if along[entered] > 0 else last[entered] < n[entered]
             if near > far:
                 continue
-            ts = np.arange(near, far + 1e-9, scene.step)
+            ts = np.append(np.arange(near, far, scene.step), far)
             points = view.eye + ts[:, None] * along
             values = sampled(volume, source(points)[0])
             hit = values >= threshold
@@ -112,13 +112,22 @@ def reference(scene: Scene, camera: Camera, size: tuple[int, int]) -> tuple[Floa
                     else:
                         a = middle
                 start = b
-            inside = max(min(start + scene.step / 2, far), start)  # each sample is in the middle of its step
-            ts = np.arange(inside, far + 1e-9, scene.step)
-            points = view.eye + ts[:, None] * along
-            places, inverse = source(points)
-            values = sampled(volume, places)
-            colours = table[np.rint((values - low) / (high - low) * (ENTRIES - 1)).astype(int)].copy()
-            colours[(values < scene.density[0]) | (values > scene.density[1]), 3] = 0
+            # Between the ends of a step, values are taken as linear; it is lit in the middle of what is visible of it.
+            ends = np.append(np.arange(start, far, scene.step), far)
+            values = sampled(volume, source(view.eye + ends[:, None] * along)[0])
+            values[0] = max(values[0], threshold)
+            within = (np.arange(200) + 0.5) / 200
+            fine = values[:-1, None] + np.diff(values)[:, None] * within
+            visible = (fine >= threshold) & (fine <= scene.density[1])
+            colours = table[np.rint((fine - low) / (high - low) * (ENTRIES - 1)).astype(int)]
+            parts = -np.log1p(-np.minimum(colours[..., 3], 1 - 1e-9)) * visible / 200
+            parts *= np.diff(ends)[:, None] / scene.step
+            thick = parts.sum(axis=1)
+            mixed = (parts[..., None] * colours[..., :3]).sum(axis=1) / np.maximum(thick, 1e-12)[:, None]
+            colours = np.column_stack([mixed, -np.expm1(-thick)])
+            middle = (visible * within).sum(axis=1) / np.maximum(visible.sum(axis=1), 1)
+            ts = ends[:-1]
+            places, inverse = source(view.eye + (ts + middle * np.diff(ends))[:, None] * along)
             lit, shine = np.ones(len(ts)), np.zeros(len(ts))
             if scene.shaded:
                 sides = [(sampled(volume, places + e) - sampled(volume, places - e)) / 2 for e in np.eye(3)]
@@ -131,7 +140,7 @@ def reference(scene: Scene, camera: Camera, size: tuple[int, int]) -> tuple[Floa
                 lit = AMBIENT + DIFFUSE * np.where(size_ > 0, abs(normals @ light), 1)
                 shine = SPECULAR * np.where(size_ > 0, abs(normals @ half), 0) ** 16
                 if cut and start == near > 0:
-                    layer = np.clip(1 - (ts - scene.step / 2 - near) / (LAYER * min(view.spacing)), 0, 1)
+                    layer = np.clip(1 - (ts - near) / (LAYER * min(view.spacing)), 0, 1)
                     flat = layer * np.logical_and.accumulate(colours[:, 3] > 0)
                     lit += flat * (AMBIENT + DIFFUSE * abs(light[entered]) - lit)
                     shine *= 1 - flat
@@ -143,7 +152,7 @@ def reference(scene: Scene, camera: Camera, size: tuple[int, int]) -> tuple[Floa
             out[y, x] = *total, gathered[-1]
             depth[y, x, 0] = start
             if (gathered >= 0.9).any():
-                depth[y, x, 1] = max(ts[np.argmax(gathered >= 0.9)] - scene.step / 2, start)
+                depth[y, x, 1] = ts[np.argmax(gathered >= 0.9)]
     return out[..., :3], out[..., 3], depth
 
 

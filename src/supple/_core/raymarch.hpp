@@ -1,8 +1,10 @@
 // A volume rendered through a camera: rays from the eye, their first surface, and the part behind it.
 //
 // The paper's Algorithm 3: the entry of a ray into the box, its first sample above a threshold, the surface before that
-// by bisection, and samples from there on through a transfer function, composited front to back by
-// c ← c + (1 - α) α_v c_v and α ← α + (1 - α) α_v: equal to the paper's back to front, with an early end. A deformed
+// by bisection, and from there on steps through a transfer function, composited front to back by
+// c ← c + (1 - α) α_v c_v and α ← α + (1 - α) α_v: equal to the paper's back to front, with an early end. Colour and
+// opacity of a step are those of all values from its first to its last, as if they were linear in between
+// (pre-integration): what is visible of them is not missed, however narrow a window it is. A deformed
 // volume is sampled at p = T⁻¹(q), and its gradient is (∂p/∂q)ᵀ ∇f. Rays are clipped against a box; what it cuts
 // through is lit as the plane that it is, since gradients within a body point anywhere.
 #pragma once
@@ -35,20 +37,45 @@ struct Look {
     int row, layer;              // of bricks
     Int4 last_brick;
     std::vector<Float4> table;  // linear red, green and blue, and the opacity of a step
+    std::vector<Double4> sums;  // of extinction times colour, and of extinction, of all entries before each
     float low, scale;           // the first entry's value, and entries for each unit
     float last_entry;
-    float threshold;    // the least value of the first surface
-    float bottom, top;  // the visible range
-    Double4 plane;      // what lies beyond it is cut away: its normal, and its distance from the first voxel
-    float silhouettes;  // by how much surfaces darken that are seen from the side
+    float threshold, top;  // the visible range
+    Double4 plane;         // what lies beyond it is cut away: its normal, and its distance from the first voxel
+    float silhouettes;     // by how much surfaces darken that are seen from the side
     enum { COMPOSITED, MAXIMUM, MINIMUM, AVERAGE } projection;
 
-    Float4 colour(float value) const {
-        float entry = least(most((value - low) * scale, 0.0f), last_entry);
-        return table[int32_t(entry + 0.5f)];
+    INLINE float entry(float value) const { return least(most((value - low) * scale, 0.0f), last_entry); }
+    Float4 colour(float value) const { return table[int32_t(entry(value) + 0.5f)]; }
+    // The side of the visible range on which a value is: -1, 0 in between, or 1.
+    int side(float value) const { return value < threshold ? -1 : value > top; }
+
+    // Colour and opacity of a part of a step, along which values go from `a` to `b`; and where the middle of what is
+    // visible is, from 0 to 1.
+    INLINE Float4 between(float a, float b, float part, float& middle) const {
+        const float from = least(most(a, threshold), top), to = least(most(b, threshold), top);
+        if (from == to && (from != a || to != b)) return Float4{};
+        const float over = a == b ? 0 : 1 / (b - a), mean = 0.5f * (from + to), e = entry(from), e1 = entry(to);
+        middle = a == b ? 0.5f : (mean - a) * over;
+        if (__builtin_fabsf(e1 - e) < 1) {
+            Float4 flat = colour(mean);
+            const float seen = a == b ? part : part * (to - from) * over;
+            if (seen != 1 && flat[3] > 0) flat[3] = 1 - std::pow(1 - flat[3], seen);
+            return flat;
+        }
+        const Double4 all = (before(e1) - before(e)) * double(part * over / scale);
+        if (!(all[3] > 0)) return Float4{};
+        Float4 mixed = floats(Double4(all * (1 / all[3])));
+        mixed[3] = 1 - std::exp(-float(all[3]));
+        return mixed;
     }
-    bool solid(float value) const { return value >= threshold && value <= top; }
-    bool seen(float value) const { return value >= bottom && value <= top; }
+
+private:
+    INLINE Double4 before(float entry) const {
+        float at = entry + 0.5f;
+        int k = least(int(at), int(last_entry));
+        return sums[k] + double(at - float(k)) * (sums[k + 1] - sums[k]);
+    }
 };
 
 // The state of a ray: its next sample, and its results so far.
@@ -57,6 +84,7 @@ struct Ray {
     Double4 along;                           // millimetres a millimetre
     double near, far;                        // where it enters and leaves the box
     double t;                                // the next sample; beyond `far` when the ray has ended
+    double start;                            // of the step that it is on
     double from = NEVER, to = -NEVER;        // the range in which strokes reach it
     double surface = NEVER, opaque = NEVER;  // the first surface, and where opacity passes 0.9
     Float4 light{};                          // premultiplied linear colour, and opacity
@@ -80,14 +108,12 @@ struct Ray {
             bool moved = way[i] > 0 ? look.first[i] > 0 : look.last[i] < end[i];
             if (moved && low[i] == near) face = __builtin_fabsf(look.lamp[i]);
         }
+        start = near;
         half = look.lamp - floats(along);
         half *= 1.0f / most(__builtin_sqrtf(dot3(half, half)), 1e-6f);
         per_voxel = floats(over);
         sides = per_voxel > 0 ? Float4{} + BRICK : Float4{} - BRICK;
         back = per_voxel > 0 ? Float4{} : Float4{} + BRICK;
-        if (look.threshold != -std::numeric_limits<float>::infinity()) return;
-        surface = t;
-        enter(look);
     }
 
     bool live() const { return t <= far; }
@@ -96,16 +122,23 @@ struct Ray {
 
     // Advance to where the ray leaves the empty bricks around it. False if it is in a visible one.
     INLINE bool hop(const Look& look) {
-        if (within || phase == BISECT) return false;
-        Float4 q = at(t);
+        if (stage != FIRST && stage != LAST) return false;
+        Float4 q = at(start);
         Int4 brick = least(whole(q * (1.0f / BRICK)), look.last_brick);
         float away = look.skips[brick[2] * look.layer + brick[1] * look.row + brick[0]];
-        if (away == 0) return false;
+        if (away == 0) {
+            if (stage != FIRST || !hopped) return false;
+            t = start = most(near, start - look.step);  // which lies partly in this brick
+            stage = PINNED;
+            return true;
+        }
         Float4 left = (float(BRICK) * floats(brick) + back + away * sides - q) * per_voxel;  // to each side of these
         double leave = least(left[0], least(left[1], left[2]));
-        if (t < from) leave = least(leave, from - t);
+        if (start < from) leave = least(leave, from - start);
         face = -1;
-        t += look.step * most(1.0, __builtin_ceil(leave * look.per_step - 1e-3));
+        t = start += look.step * most(1.0, __builtin_ceil(leave * look.per_step - 1e-3));
+        stage = FIRST;
+        hopped = true;
         return true;
     }
 
@@ -115,50 +148,52 @@ struct Ray {
         samples++;
         if (look.projection) {
             project(look, value);
-            t += look.step;
+            t = start += look.step;
             return;
         }
-        if (phase == BEFORE) {
-            if (!look.solid(value)) {
-                face = -1;
-                t += look.step;
-                return;
-            }
-            // The surface lies within the last step.
-            low = most(near, t - look.step);
-            high = t;
-            before = -std::numeric_limits<float>::infinity();
-            above = value;
-            turn = 0;
-            phase = BISECT;
-            t = 0.5 * (low + high);
-        } else if (phase == BISECT) {
-            bool inner = look.solid(value);
-            (inner ? high : low) = t;
-            (inner ? above : before) = value;
-            t = 0.5 * (low + high);
+        if (stage == LIT) {
+            gather(look, colour, sample);
+            next(look, true);
+        } else if (stage == BISECT) {
+            bool outer = look.side(value) == look.side(before);
+            (outer ? start : t1) = t;
+            (outer ? before : after) = value;
+            t = 0.5 * (start + t1);
             if (++turn < BISECTIONS) return;
-            if (turn == BISECTIONS && low < high && before == -std::numeric_limits<float>::infinity()) {
-                t = low;  // the value there, which may have been skipped: without it, surfaces have steps
-                return;
-            }
-            bool known = std::isfinite(before) && before < look.threshold;
-            surface = t = low + (high - low) * (known ? (look.threshold - before) / (above - before) : 1.0f);
-            within = true;
-            enter(look);
+            // By a straight line to the end of the visible range.
+            float end = look.side(before) < 0 ? look.threshold : look.top;
+            surface = start += (t1 - start) * ((end - before) / (after - before));
+            before = end;
+            t = t1 = least(start + look.step, most(far, start));
+            stage = HELD;
+        } else if (stage == FIRST || stage == PINNED) {
+            before = value;
+            hopped = false;
+            t = t1 = least(start + look.step, far);
+            stage = HELD;
         } else {
-            Float4 colour = look.colour(value);
-            bool seen = look.seen(value) && colour[3] > 0;
-            if (seen && !within) {
-                within = true;  // again, with its gradient
-                return;
+            after = value;
+            if (surface == NEVER) {
+                int side = look.side(before);
+                if (side && side == look.side(after)) return next(look, false);
+                if (side) {  // the surface lies within the step
+                    turn = 0;
+                    t = 0.5 * (start + t1);
+                    stage = BISECT;
+                    return;
+                }
+                surface = start;
             }
-            within = seen;
-            if (seen)
+            float middle;
+            colour = look.between(before, after, float((t1 - start) * look.per_step), middle);
+            if (!(colour[3] > 0)) return next(look, false);
+            if (!look.shaded) {
                 gather(look, colour, sample);
-            else
-                face = -1;
-            t += look.step;
+                return next(look, true);
+            }
+            t = mix(double(middle), start, t1);
+            within = true;  // with its gradient
+            stage = LIT;
         }
     }
 
@@ -170,19 +205,31 @@ struct Ray {
     }
 
 private:
-    enum { BEFORE, BISECT, BEHIND } phase = BEFORE;
+    // What is sampled: the start of a step, which may be empty or (pinned) may not, its end, whose step may be empty or
+    // (held) may not, points between until the surface is found, or the middle of what is visible.
+    enum { FIRST, PINNED, LAST, HELD, BISECT, LIT } stage = FIRST;
+    bool hopped = false;  // over empty bricks, to the start of this step
+    double t1;            // the end of the step
+    float before, after;  // the values at both
+    Float4 colour;        // of the step
     int turn;
     double projected = 0;  // the extreme value, or the sum
-    double low, high;
-    float before, above;
-    float face = -1;  // the cosine of the lamp's angle to the cut face, as long as it is seen from there on
-    Float4 half;      // between the lamp and the eye
+    float face = -1;       // the cosine of the lamp's angle to the cut face, as long as it is seen from there on
+    Float4 half;           // between the lamp and the eye
     Float4 per_voxel, back, sides;  // to leave bricks
 
-    // Go on behind the surface: samples stand for the steps that they are in the middle of.
-    INLINE void enter(const Look& look) {
-        phase = BEHIND;
-        t = most(least(t + 0.5 * look.step, far), t);
+    // Go on with the next step.
+    INLINE void next(const Look& look, bool seen) {
+        within = false;
+        if (!seen) face = -1;
+        if (t == NEVER || t1 >= far) {
+            t = NEVER;
+            return;
+        }
+        start = t1;
+        before = after;
+        t = t1 = least(start + look.step, far);
+        stage = seen ? HELD : LAST;
     }
 
     // Cut away what lies beyond the plane; where the ray enters through it, that is a cut face.
@@ -230,8 +277,7 @@ private:
                 }
             }
             if (face >= 0) {
-                float deep = float((t - 0.5 * look.step - near) * look.per_layer),
-                      flat = 1 - least(most(deep, 0.0f), 1.0f);
+                float deep = float((start - near) * look.per_layer), flat = 1 - least(most(deep, 0.0f), 1.0f);
                 lit = mix(flat, lit, AMBIENT + DIFFUSE * face);
                 shine *= 1 - flat;
             }
@@ -239,7 +285,7 @@ private:
         }
         colour[3] = 1;
         light += part * colour;
-        if (opaque == NEVER && light[3] >= 0.9f) opaque = most(t - 0.5 * look.step, surface);  // where its step begins
+        if (opaque == NEVER && light[3] >= 0.9f) opaque = start;
         if (light[3] > OPAQUE) t = NEVER;
     }
 };

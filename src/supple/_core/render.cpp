@@ -94,13 +94,15 @@ void look_up(Samples samples, Array<const float, 2> points, Array<float, 2> out)
     });
 }
 
-Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Array<const float, 2> table, float low,
-                float scale, float threshold, std::pair<float, float> window, double step, std::array<float, 3> lamp,
-                bool shaded, Array<const double, 2> box, std::array<double, 4> plane, float silhouettes,
-                int projection) {
+Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Array<const float, 2> table,
+                Array<const double, 2> sums, float low, float scale, float threshold, float top, double step,
+                std::array<float, 3> lamp, bool shaded, Array<const double, 2> box, std::array<double, 4> plane,
+                float silhouettes, int projection) {
     if (camera.shape(0) != 5 || camera.shape(1) != 3) throw nb::value_error("a camera must be 5 rows of 3 numbers");
     if (box.shape(0) != 2 || box.shape(1) != 3) throw nb::value_error("a box must be 2 rows of 3 numbers");
     if (table.shape(0) < 1 || table.shape(1) != 4) throw nb::value_error("a table must be rows of 4 numbers");
+    if (sums.shape(0) != table.shape(0) + 1 || sums.shape(1) != 4)
+        throw nb::value_error("sums must be a row more than the table, of 4 numbers");
     auto* look = new Look;
     Double4* rows[] = {&look->eye, &look->spacing, &look->ahead, &look->right, &look->down};
     for (int k = 0; k < 5; k++) *rows[k] = Double4{camera(k, 0), camera(k, 1), camera(k, 2), k == 1 ? 1.0 : 0.0};
@@ -124,9 +126,9 @@ Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Ar
     look->last_entry = float(table.shape(0) - 1);
     look->low = low;
     look->scale = scale;
+    for (size_t i = 0; i < sums.shape(0); i++) look->sums.push_back(load<double, 4>(sums.data() + 4 * i));
     look->threshold = threshold;
-    look->bottom = window.first;
-    look->top = window.second;
+    look->top = top;
     return look;
 }
 
@@ -215,8 +217,8 @@ void bind_render(nb::module_& m) {
         .def("between", &between, "points"_a, "out"_a, "Interpolate the displacement and the columns of ∂p/∂q.");
     nb::class_<Look>(m, "Look",
                      "How a volume is seen: a camera, what its rays may skip, a transfer function, a lamp, a box.")
-        .def(nb::new_(&make_look), "camera"_a, "skips"_a, "table"_a, "low"_a, "scale"_a, "threshold"_a, "window"_a,
-             "step"_a, "light"_a, "shaded"_a, "box"_a, "plane"_a, "silhouettes"_a, "projection"_a);
+        .def(nb::new_(&make_look), "camera"_a, "skips"_a, "table"_a, "sums"_a, "low"_a, "scale"_a, "threshold"_a,
+             "top"_a, "step"_a, "light"_a, "shaded"_a, "box"_a, "plane"_a, "silhouettes"_a, "projection"_a);
     m.def("draw", &draw, "samples"_a, "look"_a, "lattice"_a.none(), "cells"_a, "strokes"_a.none(), "columns"_a,
           "rows"_a, "light"_a, "depth"_a, "work"_a,
           "See a volume along the rays of pixels: as it is, through a lattice, or through strokes.");

@@ -112,6 +112,14 @@ def seen_through(
     return {"density": window, "_table": table, "_threshold": threshold}
 
 
+def summed(table: Array) -> Floats:
+    """Return the sums, before each entry of a table, of extinction times colour and of extinction, shape (N + 1, 4)."""
+    known = table.astype(np.float64)
+    extinction = -np.log1p(-np.minimum(known[:, 3:], 1 - 1e-9))
+    known[:, 3] = 1.0
+    return np.concatenate([np.zeros((1, 4)), np.cumsum(known * extinction, axis=0)])
+
+
 def largest(samples: Array, transfer: TransferFunction | str, density: tuple[float, float] | None = None) -> Array:
     """Return a volume in which only the largest part of what is visible is left, of voxels that touch by their faces.
 

@@ -52,7 +52,8 @@ SETTINGS = np.dtype(
         ("bricks", "u4", 3),
         ("first", "u4"),
         ("picture", "u4", 2),
-        ("window", "f4", 2),
+        ("threshold", "f4"),
+        ("top", "f4"),
         ("eye", "f4", 4),
         ("ahead", "f4", 4),
         ("right", "f4", 4),
@@ -64,17 +65,15 @@ SETTINGS = np.dtype(
         ("step", "f4"),
         ("low", "f4"),
         ("scale", "f4"),
-        ("threshold", "f4"),
         ("entries", "u4"),
         ("shaded", "u4"),
-        ("always", "u4"),
         ("fine", "u4"),
         ("rows", "u4"),
         ("stretch", "u4"),
         ("turns", "u4"),
         ("projection", "u4"),
         ("silhouettes", "f4"),
-        ("unused", "u4", 3),
+        ("unused", "u4"),
     ]
 )
 _PAINT = np.dtype(
@@ -117,8 +116,9 @@ class Look:
     table: npt.NDArray[np.float32]
     low: float
     scale: float
+    sums: Floats
     threshold: float
-    window: tuple[float, float]
+    top: float
     step: float
     light: npt.NDArray[np.float32]
     shaded: bool
@@ -229,14 +229,13 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         "spread": lattice.spread,
         "bricks": look.skips.shape[::-1],
         "picture": (width, height),
-        "window": np.clip(look.window, -_LARGEST, _LARGEST),
+        "top": np.clip(look.top, -_LARGEST, _LARGEST),
         "step": look.step,
         "low": look.low,
         "scale": look.scale,
         "threshold": np.clip(look.threshold, -_LARGEST, _LARGEST),
         "entries": len(look.table),
         "shaded": look.shaded,
-        "always": look.threshold == -np.inf,
         "fine": fine,
         "stretch": _stretch(mode, lattice.cells * lattice.spread, look.step / finest),
         "turns": TURNS,
@@ -263,10 +262,10 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
     pace = Pace(max(1, held.pace.count // row_), most)
     with contextlib.ExitStack() as stack:
         skips = solid(gpu, look.skips.shape, np.uint8)
-        colours = layers(gpu, (1, len(look.table)), 1, np.float32, 4)
+        colours = layers(gpu, (2, len(look.sums)), 1, np.float32, 4)
         owned(stack, skips, colours)
         put_solid(gpu, skips, look.skips)
-        colours.put(gpu, 0, look.table[None])
+        colours.put(gpu, 0, np.stack([np.pad(look.table, ((0, 1), (0, 0))), look.sums.astype(np.float32)]))
         (seen,) = owned(stack, room(gpu, 32 * row_ * most))
         for first, count in pace.parts(height // fine):
             settings["first"], settings["rows"] = first * fine, count * fine

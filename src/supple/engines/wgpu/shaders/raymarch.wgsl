@@ -8,7 +8,8 @@ struct Settings {
     bricks: vec3u, // of the map of empty space
     first: u32, // of the rows in this dispatch
     picture: vec2u,
-    window: vec2f, // the visible range of values
+    threshold: f32, // the visible range of values
+    top: f32,
     eye: vec4f, // in voxels
     ahead: vec4f, // the direction of view, and the steps to the pixels right and below, in millimetres along the axes
     right: vec4f,
@@ -20,10 +21,8 @@ struct Settings {
     step: f32, // millimetres from sample to sample
     low: f32, // the value of the transfer function's first entry, and entries for each unit of value
     scale: f32,
-    threshold: f32, // the least value of the first surface
     entries: u32,
     shaded: u32,
-    always: u32, // true if all values are visible
     fine: u32, // rays along a pixel's side
     rows: u32,
     stretch: u32, // samples that share one read of the lattice
@@ -36,7 +35,7 @@ struct Settings {
 @group(0) @binding(1) var<uniform> domain: Domain;
 @group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
 @group(0) @binding(6) var skips: texture_3d<u32>;
-@group(0) @binding(7) var colours: texture_2d_array<f32>; // the transfer function: one row
+@group(0) @binding(7) var colours: texture_2d_array<f32>; // the transfer function, and its sums before each entry
 @group(0) @binding(8) var<storage, read_write> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
 @group(0) @binding(9) var<storage, read> finished: array<u32>; // for each brick of the buffer, 1 if it can be read
 @group(0) @binding(10) var<storage, read> mask: array<u32>; // see freeze.wgsl
@@ -185,8 +184,53 @@ fn gradient_at(place: Place, t: f32) -> vec3f {
     return g * (stretch.from_.matrix + s * (stretch.to.matrix - stretch.from_.matrix)) / domain.spacing.xyz;
 }
 
-fn seen_first(value: f32) -> bool {
-    return value >= settings.threshold && value <= settings.window.y;
+// The side of the visible range on which a value is.
+fn side(value: f32) -> i32 {
+    return select(select(0, 1, value > settings.top), -1, value < settings.threshold);
+}
+
+fn entry_of(value: f32) -> f32 {
+    return clamp((value - settings.low) * settings.scale, 0.0, f32(settings.entries - 1u));
+}
+
+// The sums of extinction times colour, and of extinction, of all before a place in the transfer function.
+fn sums_before(entry: f32) -> vec4f {
+    let at = entry + 0.5;
+    let k = min(u32(at), settings.entries - 1u);
+    let one = textureLoad(colours, vec2u(k, 1u), 0u, 0);
+    return mix(one, textureLoad(colours, vec2u(k + 1u, 1u), 0u, 0), at - f32(k));
+}
+
+// A step along which values are linear: its colour and opacity, and where the middle of what is visible is.
+struct Seen {
+    colour: vec4f,
+    middle: f32,
+}
+
+fn between_values(a: f32, b: f32, part: f32) -> Seen {
+    let from_ = clamp(a, settings.threshold, settings.top);
+    let to = clamp(b, settings.threshold, settings.top);
+    if (from_ == to && (from_ != a || to != b)) {
+        return Seen(vec4f(0.0), 0.5);
+    }
+    let over = select(0.0, 1.0 / (b - a), a != b);
+    let mean = 0.5 * (from_ + to);
+    let middle = select(0.5, (mean - a) * over, a != b);
+    let e = entry_of(from_);
+    let e1 = entry_of(to);
+    if (abs(e1 - e) < 1.0) {
+        var flat = textureLoad(colours, vec2u(u32(entry_of(mean) + 0.5), 0u), 0u, 0);
+        let share = select(part, part * (to - from_) * over, a != b);
+        if (share != 1.0 && flat.w > 0.0) {
+            flat.w = 1.0 - pow(1.0 - flat.w, share);
+        }
+        return Seen(flat, middle);
+    }
+    let all = (sums_before(e1) - sums_before(e)) * (part * over / settings.scale);
+    if (!(all.w > 0.0)) {
+        return Seen(vec4f(0.0), middle);
+    }
+    return Seen(vec4f(all.xyz / all.w, 1.0 - exp(-all.w)), middle);
 }
 
 @compute @workgroup_size(8, 8)
@@ -222,6 +266,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
     }
     let half_ = normalize(settings.light.xyz - along);
     var ray = Ray(o, d, over, safe > vec3f(0.0), near, far, near, 0.0);
+    var t = near;
     var taken = 0.0;
     var shift = vec3f(0.0);
     var surface = FAR;
@@ -240,109 +285,103 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
         return;
     }
     let layer = LAYER * min(domain.spacing.x, min(domain.spacing.y, domain.spacing.z));
-    if (near <= far) {
-        surface = select(FAR, near, settings.always == 1u);
-        // To the first sample above the threshold ...
-        var at = near;
-        var value = 0.0;
-        var going_on = false;
-        while (surface == FAR && at <= far) {
-            for (var hop = steps_to_skip(ray, at); hop > 0.0 && at <= far; hop = steps_to_skip(ray, at)) {
-                ray.count += hop;
-                at = ray.start + ray.count * settings.step;
-                going_on = false;
-                face = -1.0;
-            }
-            begin(ray, going_on);
-            for (var j = 0u; j < settings.stretch && at <= far; j++) {
-                let place = source_of(ray, at, shift);
-                shift = place.shift;
-                value = sample_at(place.p, stretch.of_buffer);
-                taken += 1.0;
-                if (seen_first(value)) {
-                    surface = at;
-                    break;
-                }
-                face = -1.0;
-                ray.count += 1.0;
-                at = ray.start + ray.count * settings.step;
-            }
-            going_on = true;
-        }
-        // ... and back to the surface, which lies within the last step.
-        if (surface != FAR && settings.always == 0u) {
-            var low = max(near, surface - settings.step);
-            var before = -FAR;
-            if (low < stretch.start) {
-                // That step lies before the start of the ray.
-                ray.start = low;
-                ray.count = 0.0;
-                begin(ray, false);
-            }
-            for (var turn = 0u; turn <= BISECTIONS; turn++) {
-                var middle = 0.5 * (low + surface);
-                if (turn == BISECTIONS) {
-                    if (before == -FAR && low < surface) {
-                        // The value there, which may have been skipped: without it, surfaces have steps.
-                        let outer = source_of(ray, low, shift);
-                        before = sample_at(outer.p, stretch.of_buffer);
-                        taken += 1.0;
-                    }
-                    if (!(before > -FAR && before < settings.threshold)) {
-                        break;
-                    }
-                    middle = low + (surface - low) * ((settings.threshold - before) / (value - before));
-                }
-                let inner = source_of(ray, middle, shift);
-                let there = sample_at(inner.p, stretch.of_buffer);
-                taken += 1.0;
-                if (turn == BISECTIONS || seen_first(there)) {
-                    surface = middle;
-                    value = there;
-                    shift = inner.shift;
-                } else {
-                    low = middle;
-                    before = there;
-                }
-            }
-            taken -= 1.0; // sample the surface once more
-        }
-        if (surface != FAR) {
-            // Samples behind it stand for the steps that they are in the middle of.
-            ray.start = max(min(surface + 0.5 * settings.step, far), surface);
-            ray.count = 0.0;
-        }
-    }
-    // The part behind the surface.
     var total = vec4f(0.0);
     var opaque = FAR;
     var going_on = false;
-    var t = select(ray.start, FAR, surface == FAR);
-    let last = f32(settings.entries - 1u);
-    while (t <= far) {
+    var known = false; // the value at the start of a step
+    var before = 0.0;
+    var within = false;
+    while (t < far) {
+        if (!within) {
+            var hopped = false;
+            for (var hop = steps_to_skip(ray, t); hop > 0.0 && t < far; hop = steps_to_skip(ray, t)) {
+                ray.count += hop;
+                t = ray.start + ray.count * settings.step;
+                hopped = true;
+            }
+            if (hopped) {
+                // The step before lies partly in a visible brick.
+                ray.count = max(ray.count - 1.0, 0.0);
+                t = ray.start + ray.count * settings.step;
+                going_on = false;
+                known = false;
+                face = -1.0;
+                if (t >= far) {
+                    break;
+                }
+            }
+        }
         begin(ray, going_on);
-        var within = false;
-        for (var j = 0u; j < settings.stretch && t <= far; j++) {
+        going_on = true;
+        if (!known) {
             let place = source_of(ray, t, shift);
             shift = place.shift;
-            let value = sample_at(place.p, stretch.of_buffer);
+            before = sample_at(place.p, stretch.of_buffer);
             taken += 1.0;
-            let entry = u32(clamp((value - settings.low) * settings.scale, 0.0, last) + 0.5);
-            let colour = textureLoad(colours, vec2u(entry, 0u), 0u, 0);
-            let part = (1.0 - total.w) * colour.w;
-            if (value >= settings.window.x && value <= settings.window.y && colour.w > 0.0) {
+            known = true;
+        }
+        within = false;
+        for (var j = 0u; j < settings.stretch && t < far; j++) {
+            let t1 = min(ray.start + (ray.count + 1.0) * settings.step, far);
+            let place = source_of(ray, t1, shift);
+            shift = place.shift;
+            let after = sample_at(place.p, stretch.of_buffer);
+            taken += 1.0;
+            if (surface == FAR) {
+                let outer = side(before);
+                if (outer == 0) {
+                    surface = t;
+                } else if (outer != side(after)) {
+                    // The surface lies within the step.
+                    var low = t;
+                    var high = t1;
+                    var beyond = after;
+                    for (var turn = 0u; turn < BISECTIONS; turn++) {
+                        let middle = 0.5 * (low + high);
+                        let inner = source_of(ray, middle, shift);
+                        shift = inner.shift;
+                        let there = sample_at(inner.p, stretch.of_buffer);
+                        taken += 1.0;
+                        if (side(there) == outer) {
+                            low = middle;
+                            before = there;
+                        } else {
+                            high = middle;
+                            beyond = there;
+                        }
+                    }
+                    // By a straight line to the end of the visible range.
+                    let end = select(settings.top, settings.threshold, outer < 0);
+                    surface = low + (high - low) * ((end - before) / (beyond - before));
+                    before = end;
+                    ray.start = surface;
+                    ray.count = 0.0;
+                    t = surface;
+                    within = true;
+                    going_on = false;
+                    break;
+                }
+            }
+            var step = Seen(vec4f(0.0), 0.5);
+            if (surface != FAR) {
+                step = between_values(before, after, (t1 - t) / settings.step);
+            }
+            if (step.colour.w > 0.0) {
+                let part = (1.0 - total.w) * step.colour.w;
                 within = true;
                 var lit = vec2f(1.0, 0.0);
                 if (settings.shaded == 1u && part > FAINT) {
-                    lit = lit_by(gradient_at(place, t), half_, along);
+                    let middle = mix(t, t1, step.middle);
+                    lit = lit_by(gradient_at(source_of(ray, middle, shift), middle), half_, along);
+                    taken += 1.0;
                     if (face >= 0.0) {
-                        let deep = clamp((t - 0.5 * settings.step - near) / layer, 0.0, 1.0);
+                        let deep = clamp((t - near) / layer, 0.0, 1.0);
                         lit = mix(vec2f(AMBIENT + DIFFUSE * face, 0.0), lit, deep);
                     }
                 }
-                total += part * vec4f(colour.xyz * lit.x + lit.y, 1.0);
+                total += part * vec4f(step.colour.xyz * lit.x + lit.y, 1.0);
                 if (opaque == FAR && total.w >= 0.9) {
-                    opaque = max(t - 0.5 * settings.step, surface); // where its step begins
+                    opaque = t;
                 }
                 if (total.w > OPAQUE) {
                     t = FAR;
@@ -351,16 +390,9 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
             } else {
                 face = -1.0;
             }
+            before = after;
             ray.count += 1.0;
             t = ray.start + ray.count * settings.step;
-        }
-        going_on = true;
-        if (!within) {
-            for (var hop = steps_to_skip(ray, t); hop > 0.0 && t <= far; hop = steps_to_skip(ray, t)) {
-                ray.count += hop;
-                t = ray.start + ray.count * settings.step;
-                going_on = false;
-            }
         }
     }
     let k = 2u * (id.y * size.x + id.x);
