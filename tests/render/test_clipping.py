@@ -114,7 +114,7 @@ def test_a_cut_face_is_lit_as_a_plane(bent: supple.Deformation, mode: str) -> No
         on = [axis for axis, place in ((1, 9), (2, 15)) if abs(at[axis] - place) < 1e-9]
         for axis in on[:1]:
             found[axis] += 1
-            assert light[y, x] == pytest.approx(0.15 + 0.8 * abs(float(lamp(view)[axis])), abs=1e-5)
+            assert light[y, x] == pytest.approx(0.15 + 0.8 * abs(float(lamp(view)[axis])), abs=1e-3)
     assert min(found[1], found[2]) > 200
 
 
