@@ -86,6 +86,14 @@ class Arrival:
     cause: str | None
     also: tuple[Arrival, ...] = ()
 
+    def on(self, grid: Grid, own: Grid) -> Arrival:
+        """Return the arrival in samples of another grid; those of this one are of ``own``."""
+        target, arrived, final = map(
+            tuple, grid.indices(own.positions([self.target, self.arrived, self.final])).tolist()
+        )
+        miss, moved = math.dist(arrived, target), math.dist(final, arrived)
+        return Arrival(target, arrived, final, miss, moved, self.cause, tuple(one.on(grid, own) for one in self.also))
+
 
 @dataclass(frozen=True, slots=True)
 class Report:
@@ -207,6 +215,8 @@ class Deformation:
         domain = Domain(sizes, spacing, border, border_profile, time, freeze)
         if not isinstance(shape, Grid):
             grid = Grid(domain.shape, domain.spacing)
+        elif grid.shear:
+            refuse("shape", "a grid whose axes are at right angles (Grid.upright makes one)", shape)
         elif isinstance(freeze, Freeze) and freeze.place:
             _check_place(freeze, grid)
         axes = domain.packed()
@@ -353,25 +363,31 @@ class Deformation:
         """The packed map and domain, as engines take them."""
         return self._space(None)
 
-    def space_on(self, grid: Grid | None) -> Space:
+    def space_on(self, grid: Grid | None, source: Grid | None = None) -> Space:
         """Return the packed map, with the grid of the output if it is not that of the input.
+
+        ``source`` is the grid of the input, if it is not that of the deformation: of a sheared volume, whose
+        deformation is on the upright grid around it.
 
         Raises
         ------
         SuppleError
             If a field lies apart from that grid, or from what the maps before it lead to.
         """
-        check_path(reversed(self.maps), self.grid if grid is None else grid)
-        return self._space(grid)
+        check_path(reversed(self.maps), grid or source or self.grid)
+        return self._space(grid, source)
 
-    def _space(self, grid: Grid | None) -> Space:
-        count = self.shape[0] if self.ndim == 3 else 1
-        shape = (self.shape[-2], self.shape[-1])
-        if grid is None and not self.maps:
+    def _space(self, grid: Grid | None, source: Grid | None = None) -> Space:
+        own = self.grid if source is None else source
+        count = own.shape[0] if self.ndim == 3 else 1
+        shape = (own.shape[-2], own.shape[-1])
+        leans = own != self.grid
+        if grid is None and not self.maps and (not leans or self.is_identity):
             return Space(self._table, self._axes, self.ndim, count, shape, freeze=mask_of(self.domain))
-        frame = np.eye(self.ndim + 1)  # from the domain's coordinates, index times spacing, to positions
-        frame[:-1, :-1], frame[:-1, -1] = self.grid.direction, self.grid.origin
+        frame = _frame(self.grid)
         parts: list[_core.Part] = []
+        if leans:
+            parts.append(("affine", matrix_rows(np.linalg.inv(frame) @ _frame(own)), False))
         done = 0
         for placed in self.maps:
             if placed.row > done:
@@ -379,21 +395,19 @@ class Deformation:
             done = placed.row
             kind, held, inverse = placed.packed(frame)
             parts.append((kind, held, not inverse))  # T is the push map
-        regrid = None
-        if grid is not None:
-            whole = grid.uncropped()
-            if not whole.is_same_space(self.grid):
-                units = np.diag([*self.domain.spacing, 1.0])
-                regrid = units @ np.linalg.inv(whole.matrix) @ frame
-            elif grid.shape == self.shape:
-                grid = None
+        regrid, whole = None, own if grid is None else grid.uncropped()
+        moved = not whole.is_same_space(own)
+        if leans or moved:
+            regrid = np.diag([*own.spacing, 1.0]) @ np.linalg.inv(whole.matrix) @ frame
+        if grid is not None and not moved and grid.shape == own.shape:
+            grid = None
         if not self.maps and regrid is None:
             return Space(self._table, self._axes, self.ndim, count, shape, grid=grid, freeze=mask_of(self.domain))
         if done < len(self._table):
             parts.append(("strokes", numbers(self._table[done:]), False))
         if regrid is not None:
             parts.append(("affine", matrix_rows(regrid), False))
-        axes = self._axes.copy()
+        axes = Domain(own.shape, own.spacing).packed() if leans else self._axes.copy()
         axes[:, 2] = -1.0  # the border is that of the strokes
         composite = _core.Composite(self.ndim, self._axes, parts, mask_of(self.domain))
         return Space(self._table, axes, self.ndim, count, shape, composite, grid, mask_of(self.domain))
@@ -1149,6 +1163,13 @@ class Deformation:
 
     def _key(self) -> tuple[object, ...]:
         return self.domain, self.grid, self.on_fold, self.strokes, self.maps
+
+
+def _frame(grid: Grid) -> Floats:
+    """Return the homogeneous matrix from a grid's coordinates, index times spacing, to positions."""
+    made = np.eye(grid.ndim + 1)
+    made[:-1, :-1], made[:-1, -1] = grid.direction, grid.origin
+    return made
 
 
 def _check_place(freeze: Freeze, grid: Grid) -> None:

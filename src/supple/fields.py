@@ -510,9 +510,11 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
 
 
 def check_grid(grid: Grid) -> Grid:
-    """Return a grid as it is; SuppleError if it is none."""
+    """Return a grid as it is; SuppleError if it is none, or sheared."""
     if not isinstance(grid, Grid):
         refuse("grid", "a Grid", grid)
+    if grid.shear:
+        refuse("grid", "a grid whose axes are at right angles (Grid.upright makes one)", grid)
     return grid
 
 

@@ -23,6 +23,9 @@ CONVENTIONS = ("LPS", "RAS", "array")
 SIDES = (("L", "R"), ("P", "A"), ("S", "I"))
 """The sides of a patient at the positive and at the negative end of each axis of LPS."""
 _FLIP = np.array([-1.0, -1.0, 1.0])
+_ROUNDED = 1e-3  # in cosines and squares of lengths: what headers round
+_FLAT = 0.1  # the volume of the axes' directions: below it, they nearly lie in a plane
+_SPARE = 1e-4  # samples: what headers of float32 add to the extent of thousands
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +42,8 @@ class Geometry:
     origin : (float, float, float)
         The position of the first voxel, in LPS.
     direction : float64 array, shape (3, 3)
-        Its columns are the directions of the axes, in LPS: orthonormal.
+        Its columns are the directions of the axes, in LPS: of unit length. They may lean (`shear`), as slices of a
+        tilted gantry do.
     convention : str
         The coordinates of points in the file: ``"LPS"``, or ``"RAS"`` (x to the right, y to the front), as in NIfTI; or
         ``"array"`` without a position in space.
@@ -58,10 +62,7 @@ class Geometry:
             refuse("spacing", "three numbers above 0", self.spacing)
         if not np.isfinite(origin).all() or not np.isfinite(direction).all():
             raise SuppleError("a volume's origin and direction must be finite")
-        if not np.allclose(direction.T @ direction, np.eye(3), atol=1e-3):
-            raise SuppleError(
-                "the volume's axes are not at right angles to each other, or not of unit length: resample it first"
-            )
+        _check_direction(direction, "the volume's axes")
         direction.flags.writeable = False
         for name, value in (("spacing", spacing), ("origin", origin), ("direction", direction)):
             object.__setattr__(self, name, value)
@@ -85,6 +86,11 @@ class Geometry:
         nearest = np.abs(self.direction).max(axis=0).min()
         degrees = float(np.degrees(np.arccos(min(nearest, 1.0))))
         return degrees if degrees > 0.05 else 0.0
+
+    @property
+    def shear(self) -> float:
+        """The largest angle in degrees by which two axes miss a right angle; 0 for what headers round."""
+        return _shear(self.direction)
 
     def to_lps(self, indices: npt.ArrayLike) -> Floats:
         """Return the positions in LPS, in millimetres, of indices (..., 3), x first."""
@@ -131,7 +137,7 @@ class Grid:
     origin : sequence of float, optional
         The position of the first sample; by default 0.
     direction : array_like, shape (D, D), optional
-        Its columns are the directions of the axes: orthonormal. By default, those of space.
+        Its columns are the directions of the axes: of unit length. By default, those of space.
 
     Raises
     ------
@@ -161,10 +167,7 @@ class Grid:
             turned = np.eye(n) if direction is None else np.asarray(direction, np.float64).reshape(n, n)
         except (TypeError, ValueError):
             refuse("direction", f"an array of shape ({n}, {n}), its columns the directions of the axes", direction)
-        if not np.allclose(turned.T @ turned, np.eye(n), atol=1e-3):
-            raise SuppleError(
-                "the grid's axes are not at right angles to each other, or not of unit length: resample it first"
-            )
+        _check_direction(turned, "the grid's axes")
         self._set(sizes, checked_spacing(spacing, n), start, turned, (0,) * n, sizes, start)
 
     def _set(
@@ -221,6 +224,26 @@ class Grid:
         places = self.positions(corners)
         return places.min(axis=0), places.max(axis=0)
 
+    @property
+    def shear(self) -> float:
+        """The largest angle in degrees by which two axes miss a right angle; 0 for what headers round."""
+        return _shear(np.array(self.direction))
+
+    def upright(self) -> Grid:
+        """Return the grid itself, or, if it is sheared, the smallest around it whose axes are at right angles.
+
+        Its first axis, and the plane of its first two, are those of this grid, and so is the distance between rows and
+        between slices.
+        """
+        if not self.shear:
+            return self
+        turned, steps = _squared(np.array(self.direction), self.spacing)
+        ends = np.array([*product(*[(0, size - 1) for size in self.sizes])])
+        places = self.positions(ends) @ turned
+        low, high = places.min(axis=0), places.max(axis=0)
+        sizes = [math.ceil(n - _SPARE) + 1 for n in ((high - low) / steps).tolist()]
+        return Grid(sizes[::-1], steps.tolist(), (turned @ low).tolist(), turned)
+
     def positions(self, indices: npt.ArrayLike) -> Floats:
         """Return the positions of indices (..., D), x first."""
         matrix = self.matrix
@@ -271,7 +294,7 @@ class Grid:
         """Return a grid of another spacing that covers the same extent, from outer edge to outer edge."""
         steps = np.array(checked_spacing(spacing, self.ndim))
         extent = np.multiply(self.sizes, self.spacing)
-        sizes = [max(1, math.ceil(x - 1e-6)) for x in (extent / steps).tolist()]
+        sizes = [max(1, math.ceil(x - _SPARE)) for x in (extent / steps).tolist()]
         corner = self.positions((extent - steps * sizes) / (2 * np.array(self.spacing)) - 0.5)
         origin = corner + np.array(self.direction) @ (steps / 2)
         return type(self)(sizes[::-1], steps.tolist(), origin.tolist(), self.direction)
@@ -283,6 +306,40 @@ class Grid:
         corners = np.array(np.meshgrid(*[(0, n - 1) for n in self.sizes])).reshape(self.ndim, -1).T
         off = self.indices(other.positions(corners)) - corners
         return bool(np.abs(off).max() < 1e-3)
+
+
+def _check_direction(direction: Floats, what: str) -> None:
+    """Raise SuppleError for directions that are not of unit length, or nearly lie in a plane."""
+    if not np.allclose((direction**2).sum(axis=0), 1.0, atol=_ROUNDED):
+        raise SuppleError(f"{what} are not of unit length: correct its header")
+    if not abs(np.linalg.det(direction)) > _FLAT:
+        raise SuppleError(f"{what} nearly lie in a plane: correct its header")
+
+
+def _shear(direction: Floats) -> float:
+    found = float(np.abs(direction.T @ direction - np.eye(len(direction))).max())
+    return float(np.degrees(np.arcsin(min(found, 1.0)))) if found > _ROUNDED else 0.0
+
+
+def _squared(direction: Floats, spacing: Sequence[float]) -> tuple[Floats, Floats]:
+    """Return orthonormal directions that span what the first of these do, and the spacing along them."""
+    turned, upper = np.linalg.qr(direction)
+    ways = np.sign(np.diag(upper))
+    return turned * ways, np.diag(upper) * ways * spacing
+
+
+def check_upright(place: Geometry | Grid, name: str, what: str) -> None:
+    """Raise SuppleError for axes that are not at right angles to each other.
+
+    ``name`` is that of the file as messages have it, and ``what`` the work that needs right angles.
+    """
+    if place.shear:
+        steps = _squared(np.array(place.direction), place.spacing)[1]
+        asked = ",".join(f"{step:.7g}" for step in steps.tolist())
+        raise SuppleError(
+            f"{what} takes axes at right angles to each other, and those of {name} miss them by {place.shear:.3g}°: "
+            f"supple warp {name} upright.nii.gz --resample {asked} makes a volume that has them"
+        )
 
 
 def overlap(one: Box, other: Box) -> bool:

@@ -234,6 +234,8 @@ def _volume(name: str, facts: Mapping[str, Any]) -> str:
         lines["origin"] = f"{spoken(facts['origin'])} ({convention})"
         leaning = f", oblique by up to {facts['oblique']:.3g}°" if facts["oblique"] else ""
         lines["axes"] = f"towards {facts['orientation']}{leaning}"
+        if facts["shear"]:
+            lines["axes"] += f", sheared: {facts['shear']:.3g}° from right angles to each other"
     if facts["minimum"] is not None:
         lines["range"] = f"{facts['minimum']:.6g} to {facts['maximum']:.6g}"
     if tuple(facts["scaling"]) != (1.0, 0.0):

@@ -279,7 +279,8 @@ def _alone(console: Console, job: Job, do: Callable[[Job, bool], None], failed: 
 
 def _kept(recipe: Recipe, made: Warped | WarpedClip | WarpedVolume | WarpedStore, world: bool) -> Recipe:
     """Return a recipe as it is saved: with the size that it is for, and what its points are."""
-    size, space = recipe.size or made.deformation.shape[::-1], recipe.space or "pixels"
+    own = getattr(made, "own", None) or made.deformation.grid
+    size, space = recipe.size or own.sizes, recipe.space or "pixels"
     if world:
         space = getattr(made, "geometry").convention  # noqa: B009
     scale, shape = recipe.time_scale, made.deformation.shape
@@ -329,7 +330,9 @@ def _map_facts(made: Warped | WarpedVolume) -> dict[str, Any]:
 
 
 def _volume_facts(made: WarpedVolume) -> dict[str, Any]:
-    grid = made.grid or made.deformation.grid
+    from dataclasses import asdict
+
+    grid = made.grid or made.own or made.deformation.grid
     depth, height, width = grid.shape
     return {
         "input": str(made.source),
@@ -343,6 +346,7 @@ def _volume_facts(made: WarpedVolume) -> dict[str, Any]:
         "tolerance": made.tolerance,
         "error": made.error if math.isfinite(made.error) else None,
         **told(made.deformation),
+        "arrivals": [asdict(arrival) for arrival in made.arrivals],
         **_map_facts(made),
     }
 

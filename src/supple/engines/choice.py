@@ -40,7 +40,7 @@ def check_host(device: str) -> None:
     if device == "gpu":
         refuse(
             "device",
-            '"cpu", "cuda" or "auto" for fields, affine maps and output grids, which it does not know',
+            '"cpu", "cuda" or "auto" for fields, affine maps, output grids and sheared volumes, which it does not know',
             device,
         )
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from supple.errors import FreezeWarning, SuppleError, shown
 from supple.freezing import Freeze
+from supple.geometry import check_upright
 from supple.media import image, volume
 
 PathLike = str | os.PathLike[str]
@@ -41,6 +42,7 @@ def read_freeze(path: PathLike, *, label: int | None = None, width: float | None
     """
     if volume.is_volume(path):
         held = volume.read(path)
+        check_upright(held.geometry, held.name, "a freeze mask")
         if held.samples.ndim != 3:
             raise SuppleError(f"{held.name} cannot be a freeze mask: it has several values for a voxel, or times")
         grid = held.grid

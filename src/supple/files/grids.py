@@ -35,7 +35,8 @@ class GridOptions:
         ``(X, Y, Z, W, H, D)`` for volumes. The result equals that part of the whole, bit for bit.
     resample : float or sequence of float, optional
         Another spacing over the same extent: in millimetres for volumes, in pixels of the input for pictures; one for
-        all axes, or one for each, x first. It comes after ``reference``, and before ``crop``.
+        all axes, or one for each, x first. It comes after ``reference``, and before ``crop``. The grid of a sheared
+        volume becomes upright.
 
     Raises
     ------
@@ -95,7 +96,7 @@ class GridOptions:
             if isinstance(steps, Sequence) and len(steps) != n:
                 refuse("resample", f"one number or {n} of them, as the input is a {kind}", steps)
             try:
-                made = made.resampled(steps)
+                made = made.upright().resampled(steps)
             except SuppleError as error:
                 raise SuppleError(f"resample to {listed(steps)} makes no {kind}: {error}") from None
         if self.crop is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from supple.strokes import REACH, CoordinateSpace, Stroke
 
 Floats = npt.NDArray[np.float64]
 PathLike = str | os.PathLike[str]
+_Way = Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +84,8 @@ def move_points(
     deformation : Deformation
         A deformation of an image, for which only x and y are mapped, of a clip, or of a volume.
     geometry : Geometry, optional
-        The geometry of the volume; not for images and clips.
+        The geometry of the volume; not for images and clips. If it is sheared, the deformation is on the upright grid
+        around it (`supple.files.volumes.deformation_of` makes it so).
     inverse : bool
         If False, by T, from the input to the output. If True, by T⁻¹, from the output back.
     convention : str, optional
@@ -117,7 +119,8 @@ def move_points(
             f"cannot move {read.name}: it has x and y, and shape {deformation.shape} needs a third column"
         )
     given = read.points[:, : deformation.ndim]
-    start = given if geometry is None or known == "index" else geometry.from_world(given, known)
+    within, told = _ways(deformation, geometry, known)
+    start = within(given)
     if inverse:
         solved = deformation.inverse(start)
         end, seen = solved.points, start
@@ -125,11 +128,9 @@ def move_points(
         end = seen = start if deformation.is_identity else deformation.forward(start)  # avoids rounding
         solved = deformation.inverse(seen)
     made = read.points.copy()
-    if geometry is None or known == "index":
-        made[:, : deformation.ndim] = end
-    else:  # added to the original, so that unchanged points keep every bit
-        made += geometry.to_world(end, known) - geometry.to_world(start, known)
-    steps = np.array(deformation.domain.spacing if geometry is None else geometry.spacing)
+    # added to the original, so that unchanged points keep every bit
+    made[:, : deformation.ndim] = end if start is given else given + (told(end) - told(start))
+    steps = np.array(deformation.domain.spacing if geometry is None or geometry.shear else geometry.spacing)
     residual = np.linalg.norm((deformation.forward(solved.points) - seen) * steps, axis=1)
     last = np.array(deformation.shape[::-1]) - 0.5
     beyond = np.flatnonzero(((start < -0.5) | (start > last)).any(axis=1))
@@ -141,15 +142,27 @@ def move_points(
     if lost:
         text = f"{lost} of {len(made)} points did not converge: see their residuals"
         warnings.warn(text, ToleranceWarning, stacklevel=2)
-    axes = (
-        np.eye(3)
-        if geometry is None or known == "index"
-        else geometry.to_world(np.eye(3), known) - geometry.to_world(np.zeros(3), known)
-    )
+    axes = told(np.eye(3)) - told(np.zeros(3))
     normals = _turned(read, deformation, solved.points if inverse else start, axes.T, inverse)
     write_points(target, made, read, residual=residual, normals=normals, force=force)
     moved_by = np.asarray(np.linalg.norm((end - start) * steps, axis=1))
     return Moved(Path(source), Path(target), len(made), moved_by, np.asarray(residual), len(beyond), first, lost)
+
+
+def _ways(deformation: Deformation, geometry: Geometry | None, known: str) -> tuple[_Way, _Way]:
+    """Return the map from points of a file to indices of a deformation, and back."""
+    if geometry is None or (known == "index" and not geometry.shear):
+        return _same, _same
+    if not geometry.shear:
+        return (lambda p: geometry.from_world(p, known)), (lambda p: geometry.to_world(p, known))
+    place = deformation.grid.geometry(geometry.convention)
+    if known != "index":
+        return (lambda p: place.from_world(p, known)), (lambda p: place.to_world(p, known))
+    return (lambda p: place.from_lps(geometry.to_lps(p))), (lambda p: geometry.from_lps(place.to_lps(p)))
+
+
+def _same(points: Floats) -> Floats:
+    return points
 
 
 def warn_of_frame(source: PathLike, volume: Volume) -> None:

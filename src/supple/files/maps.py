@@ -15,7 +15,7 @@ import numpy.typing as npt
 from supple.affine import Affine
 from supple.errors import SuppleError, shown
 from supple.fields import Field, Map, own_grid, read_maps, told
-from supple.geometry import Grid
+from supple.geometry import Grid, check_upright
 from supple.media import transforms, volume
 from supple.media.files import unwritable
 from supple.media.volume import is_volume, suffix_of
@@ -141,6 +141,7 @@ def grid_of(path: PathLike) -> Grid:
     geometry, shape = volume.place_of(path)
     if geometry.convention == "array":
         raise SuppleError(f"{shown(path)} does not say where its voxels lie in space: give an image that does")
+    check_upright(geometry, shown(path), "what computes with fields")
     return geometry.grid(shape)
 
 

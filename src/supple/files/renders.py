@@ -16,6 +16,7 @@ from supple.domain import choice, integer, number, point
 from supple.engines.choice import check_device
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.files.volumes import VolumeOptions, deformation_of, open_volume
+from supple.geometry import check_upright
 from supple.media import image, turntable
 from supple.media.files import check_output, check_outputs, check_suffix, replacing, replacing_all
 from supple.media.numbering import has_number, spelling
@@ -266,6 +267,7 @@ def render_file(
     if known.save_transfer is not None:
         _check_transfer(known.save_transfer, force)
     given = open_volume(source, reading)
+    check_upright(given.geometry, given.name, "a rendering")
     scene = scene_of(given, recipe, known, world=reading.world, fit=fit)
     if given.samples.dtype.kind == "f" and not np.isfinite(given.samples).any():
         raise SuppleError(f"nothing is seen of {given.name}: none of its values is a finite number")

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from supple.arrays import clamp_to, warp_array, work_of
 from supple.buffers import beside, machine_memory
-from supple.deformation import Deformation, Report
+from supple.deformation import Arrival, Deformation, Report
 from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import check_device, engine_for
 from supple.errors import GapWarning, SuppleError, VolumeWarning, shown
@@ -92,7 +92,7 @@ class WarpedVolume:
     source, target : pathlib.Path
         The input and the output file.
     deformation : Deformation
-        The strokes, on the volume's shape and spacing.
+        The strokes, on the volume's grid; if that is sheared, on the upright grid around it (`Grid.upright`).
     geometry : Geometry
         The geometry of the voxels.
     tolerance : float
@@ -105,6 +105,8 @@ class WarpedVolume:
         The grid of the output, if it is not that of the input.
     folded, outside, unsolved : int
         As in `supple.files.Warped`, over all volumes.
+    own : Grid, optional
+        The grid of the input, if it is not that of the deformation.
     """
 
     source: Path
@@ -118,10 +120,17 @@ class WarpedVolume:
     folded: int = 0
     outside: int = 0
     unsolved: int = 0
+    own: Grid | None = None
 
     def report(self) -> Report:
         """Return the report on the strokes and the certified error, measured at every voxel; this is slow."""
-        return self.deformation.report(tolerance=self.tolerance, grid=self.grid)
+        return self.deformation.report(tolerance=self.tolerance, grid=self.grid or self.own)
+
+    @property
+    def arrivals(self) -> tuple[Arrival, ...]:
+        """For each stroke, the target of its point, and its position, in voxels of the input."""
+        found, own, grid = self.deformation.arrivals, self.own, self.deformation.grid
+        return found if own is None else tuple(arrival.on(own, grid) for arrival in found)
 
 
 def is_volume_job(
@@ -186,7 +195,9 @@ def deformation_of(
 ) -> Deformation:
     """Return a recipe on a volume: radius and border in millimetres, points as indices or as positions in space.
 
-    ``maps`` are fields and affine maps between the strokes, in millimetres in LPS.
+    The deformation is on the volume's grid, or, if that is sheared, on the upright grid around it (`Grid.upright`),
+    whose faces the border keeps in place. ``maps`` are fields and affine maps between the strokes, in millimetres in
+    LPS.
 
     Raises
     ------
@@ -198,20 +209,25 @@ def deformation_of(
         if stroke.ndim != 3 and not stroke.hidden:
             which = f"stroke {i + 1} of {len(recipe.strokes)}: " if len(recipe.strokes) > 1 else ""
             raise SuppleError(f"{which}a volume's points have three numbers, x, y and z, and {stroke.at} has two")
-    placed = in_space(recipe, volume.geometry, volume.name, world)
-    if placed.space in ("LPS", "RAS") and placed.border == "auto" and placed.size not in (None, volume.sizes):
-        made_for = " x ".join(map(str, placed.size or ()))
+    located = in_space(recipe, volume.geometry, volume.name, world)
+    if located.space in ("LPS", "RAS") and located.border == "auto" and located.size not in (None, volume.sizes):
+        made_for = " x ".join(map(str, located.size or ()))
         warnings.warn(
             f"the recipe is of a volume of {made_for} voxels, and its border, a tenth of each axis, is elsewhere in "
             f"{volume.name}: the map is another one; the field of the first volume (--save-field, --field) is the same",
             VolumeWarning,
             stacklevel=4,
         )
-    known = fit_recipe(placed, volume.sizes, fit, volume.name)
-    made = indexed(known, volume.geometry, volume.name)
+    known = fit_recipe(located, volume.sizes, fit, volume.name)
+    own = volume.grid.upright()
+    if own == volume.grid:
+        made = indexed(known, volume.geometry, volume.name)
+    else:  # the strokes are on the upright grid around a sheared volume
+        there = known if known.is_world else placed(known, volume.geometry, "LPS")
+        made = replace(indexed(there, own.geometry("LPS"), volume.name), size=own.sizes)
     unplaced = volume.geometry.convention == "array" and volume.geometry.spacing == (1.0, 1.0, 1.0)
-    warn_of_lengths(made, volume.grid, volume.name, "voxels" if unplaced else "mm")
-    return Deformation.from_recipe(made, volume.grid, maps=maps, warn=False)
+    warn_of_lengths(made, own, volume.name, "voxels" if unplaced else "mm")
+    return Deformation.from_recipe(made, own, maps=maps, warn=False)
 
 
 def warn_of_lengths(recipe: Recipe, grid: Grid, name: str, unit: str) -> None:
@@ -361,7 +377,7 @@ def warp_volume(
     like = volume if grid is None or regrid is None else _moved(volume, regrid, grid)
     if grid is not None:
         check_target(target, like, force=force)
-    space = deformation.space_on(regrid)
+    space = deformation.space_on(regrid, volume.grid)
     frames = volume.samples[0] if volume.series else volume.samples
     engine_for(device, work_of(frames, space, sampling, alpha=False))  # raise its errors now
     _warn_of_gaps(volume, sampling.filter)
@@ -372,12 +388,16 @@ def warp_volume(
         if known.save_field is not None:
             # It is renamed together with the volume: if either cannot be written, neither is.
             place = stack.enter_context(replacing(known.save_field, force=force))
-            write_transform(place, deformation, like.geometry, tolerance=tolerance, force=True, grid=regrid, warn=False)
+            on = (regrid or volume.grid).upright()
+            where = on.geometry(like.geometry.convention)
+            onto = None if on == deformation.grid else on
+            write_transform(place, deformation, where, tolerance=tolerance, force=True, grid=onto, warn=False)
         found = _written(volume, like, source, target, space, sampling, clamp, device, force, tell, maps)
     _copy_sidecar(source, target)
     count = len(volume.samples) if volume.series else 1
+    own = None if volume.grid == deformation.grid else volume.grid
     made = Path(source), Path(target), deformation, volume.geometry, tolerance, found.error, count, regrid
-    return WarpedVolume(*made, found.folded, found.outside, found.unknown)
+    return WarpedVolume(*made, found.folded, found.outside, found.unknown, own)
 
 
 def _moved(volume: Volume, grid: Grid, options: GridOptions) -> Volume:

@@ -196,7 +196,7 @@ def test_a_mask_that_does_not_fit_is_the_cpu_s(gpu: Gpu, monkeypatch: pytest.Mon
 
 def test_maps_beside_a_mask_are_refused(gpu: Gpu) -> None:
     moved = held((80, 120)).affine([[1, 0, 3.0], [0, 1, -2.0]])
-    with pytest.raises(SuppleError, match="for fields, affine maps and output grids, which it does not know"):
+    with pytest.raises(SuppleError, match="for fields, affine maps, output grids and sheared"):
         moved.warp(np.zeros((80, 120), np.uint8), device="gpu")
 
 

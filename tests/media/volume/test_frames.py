@@ -102,10 +102,10 @@ class TestRead:
             head.PerFrameFunctionalGroupsSequence[1].PlanePositionSequence[0].pop("ImagePositionPatient")
 
         gap = PLACES + np.outer([0, 0, 3, 3], DIRECTION[:, 2])
-        tilted = PLACES + np.outer(np.arange(4), DIRECTION[:, 1])
+        aside = PLACES + np.outer([0, 1, 0, 1], DIRECTION[:, 1])
         for told, options in {
             "frame 2 and frame 3": {"places": gap},
-            "right angles": {"places": tilted},
+            "offset sideways, and along no line: frame ": {"places": aside},
             "frame 1 and frame 3 lie at the same place": {"places": PLACES[[0, 1, 0, 1]]},
             "several spacings (frames 1 and 3)": {"edit": thin},
             "a rescale slope of its frames is 0": {"edit": flat},

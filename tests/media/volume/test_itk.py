@@ -82,7 +82,7 @@ class TestITKFormats:
             (".nrrd", "sizes: 6 5 4", "sizes: 6 5 8", "cut short"),
             (".nrrd", "space directions: (1", "space directions: (0", "spacing is 0 x"),
             (".nrrd", "space directions: (1", "space directions: (nan", "space vector"),
-            (".nrrd", "space directions: (1,0,0)", "space directions: (1,0.5,0)", "right angles"),
+            (".nrrd", "space directions: (1,0,0)", "space directions: (0.01,1,0)", "in a plane"),
             (".nrrd", "type: short", "type: long double", ""),
             (".nrrd", "NRRD0004", "NRXD0004", "no NRRD file"),
         ],

@@ -277,6 +277,7 @@ class TestInfo:
             "convention": "RAS",
             "orientation": letters,
             "oblique": pytest.approx(read(tmp_path / "in.nii.gz").geometry.oblique),
+            "shear": 0.0,
             "scaling": [1, 0],
             "minimum": float(np.nanmin(samples)),
             "maximum": float(np.nanmax(samples)),

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError, VolumeWarning, need, said, shown
-from supple.geometry import Geometry
+from supple.geometry import Geometry, check_upright
 from supple.media import image, volume
 from supple.media.files import PathLike, head_of, unreadable
 from supple.media.stores.places import quiet
@@ -89,6 +89,7 @@ class Samples:
             self._held = self._open_tiff()
         elif self._is_volume:
             found = volume.outline_of(path, raw=raw, series=series)
+            check_upright(found.geometry, found.name, "work in blocks")
             self.axes = "tzyx" if found.series else "zyx" if found.samples.ndim == 3 else "czyx"
             shape, self.geometry, self._scaling = found.samples.shape, found.geometry, found.scaling
             self.shape = (*shape[3:], *shape[:3]) if self.axes == "czyx" else shape

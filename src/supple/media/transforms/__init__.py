@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from supple.errors import SuppleError, shown
 from supple.geometry import Grid
-from supple.media.files import PathLike
+from supple.media.files import PathLike, unreadable
 from supple.media.transforms import afni, freesurfer, fsl, itk_files, mrtrix, ngff, opencv, stmap
 from supple.media.transforms.base import Content, Displacements, Grids, MissingGridError
 from supple.media.transforms.guess import convention_in, convention_of
@@ -100,7 +100,10 @@ def read(
         If the convention is unknown or in doubt, a grid that it needs is not given, or the file holds no such map.
     """
     known = convention_in(path) if convention is None else convention
-    return _found(known).read(path, Grids(source, reference))
+    found = _found(known).read(path, Grids(source, reference))
+    if any(isinstance(each, Displacements) and each.grid.shear for each in found):
+        raise unreadable(path, "the axes of its grid are not at right angles to each other", "resample it first")
+    return found
 
 
 def write(

@@ -158,7 +158,10 @@ def vectors_of(path: PathLike, volume: Volume) -> tuple[Array, Grid]:
 
 def matrix_grid(path: PathLike, matrix: Matrix, sizes: Sequence[int]) -> Grid:
     """Return a grid from the matrix of its indices to RAS, and its sizes, x first."""
-    return placed(path, matrix, "RAS").grid(tuple(sizes)[::-1])
+    made = placed(path, matrix, "RAS").grid(tuple(sizes)[::-1])
+    if made.shear:
+        raise unreadable(path, "the axes of an image that it belongs to are not at right angles", "resample it first")
+    return made
 
 
 def check_finite(path: PathLike, values: Array, what: str = "a field is finite everywhere") -> None:

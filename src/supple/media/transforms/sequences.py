@@ -60,7 +60,9 @@ def _one_field(before: Content, field: Content, after: Content) -> Displacements
     spacing = np.linalg.norm(matrix[:-1, :-1], axis=0)
     try:
         grid = Grid(field.grid.shape, spacing.tolist(), matrix[:-1, -1].tolist(), matrix[:-1, :-1] / spacing)
-    except SuppleError:  # the axes are not at right angles any more
+    except SuppleError:  # the axes lie in a plane
+        return None
+    if grid.shear:
         return None
     values = np.empty_like(field.values)
     for k, plane in enumerate(field.values):

@@ -112,7 +112,7 @@ def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
     ------
     SuppleError
         If the file is missing, empty, cut short, damaged, or of an unknown kind; its voxels are not real numbers, or
-        not on a grid with right angles and a spacing above 0.
+        not on a regular grid with a spacing above 0.
     """
     if raw is not None:
         return _raw(path, raw)
@@ -301,10 +301,11 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
     dict
         ``format``, ``shape`` (x, y, z), ``dtype``, ``components``, ``times``, ``interval`` (s), ``spacing`` (mm),
         ``origin`` and ``direction`` (rows; in the file's own ``convention``), ``orientation`` (axis directions:
-        Right or Left, Anterior or Posterior, Superior or Inferior), ``oblique`` (degrees off that), ``scaling`` (slope
-        and intercept), ``minimum``, ``maximum`` and ``nan`` (of the samples as stored; None if there are more than
-        2 GiB), and ``bytes`` (of the samples). Of a folder with several series, if none is named: ``format`` and
-        ``series``, each with ``number``, ``uid``, ``description`` and ``slices``.
+        Right or Left, Anterior or Posterior, Superior or Inferior), ``oblique`` (degrees off that), ``shear`` (degrees
+        by which the axes miss right angles to each other), ``scaling`` (slope and intercept), ``minimum``, ``maximum``
+        and ``nan`` (of the samples as stored; None if there are more than 2 GiB), and ``bytes`` (of the samples). Of a
+        folder with several series, if none is named: ``format`` and ``series``, each with ``number``,
+        ``uid``, ``description`` and ``slices``.
 
     Raises
     ------
@@ -338,6 +339,7 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
         "convention": geometry.convention,
         "orientation": _orientation(geometry.direction) if geometry.convention != "array" else None,
         "oblique": geometry.oblique,
+        "shear": geometry.shear,
         "scaling": list(volume.scaling),
         "minimum": low,
         "maximum": high,

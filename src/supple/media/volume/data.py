@@ -162,8 +162,8 @@ def native(samples: Array) -> Array:
 def placed(path: PathLike, matrix: npt.ArrayLike, convention: str) -> Geometry:
     """Return the geometry of a matrix (4, 4) from indices, x first, to millimetres in RAS or LPS.
 
-    The convention is "RAS" for RAS; else it is LPS. SuppleError if a spacing is not above 0, the axes are not at right
-    angles, or a number is not finite.
+    The convention is "RAS" for RAS; else it is LPS. SuppleError if a spacing is not above 0, the axes lie in a plane,
+    or a number is not finite.
     """
     known = np.array(matrix, np.float64)
     if convention == "RAS":

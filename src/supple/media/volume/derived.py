@@ -68,6 +68,9 @@ def check(path: PathLike, like: Volume | None = None, *, force: bool = False) ->
         if known.places is None and (like.regridded or known.head.get(_GROUPS)):
             what = f"{like.name} does not tell where each frame lies, in millimetres"
             raise unwritable(path, what, "use .nii.gz, .nrrd or .mha")
+        if like.geometry.shear and not known.head.get(_GROUPS):
+            what = f"frames of {like.name} lie along their normal, and not at an angle"
+            raise unwritable(path, what, "use .nii.gz, .nrrd or .mha")
     if single or not os.path.isdir(path):
         check_output(path, force=force)
     elif os.listdir(path):
@@ -299,6 +302,8 @@ def _set_place(pydicom: Any, made: Any, like: Volume, place: Array) -> None:
 
 def _set_plane(pydicom: Any, turned: Any, pixels: Any, like: Volume) -> None:
     across, down, step = like.geometry.spacing
+    if like.geometry.shear:  # along the normal, as DICOM counts it
+        step *= abs(float(np.linalg.det(like.geometry.direction)))
     turned.ImageOrientationPatient = _decimal(pydicom, like.geometry.direction[:, :2].T.ravel().tolist())
     pixels.PixelSpacing = _decimal(pydicom, [down, across])
     if like.regridded:

@@ -178,7 +178,8 @@ def read(path: PathLike, series: str | None = None) -> Volume:
 
     Values are in the units of the files: for CT, Hounsfield's. No data on the patient are kept. SuppleError if there is
     no such series, or there are several and none is named; a slice is missing, or of another size or direction than the
-    others; the slices are not stacked at right angles; or a file cannot be read.
+    others; the slices are not stacked along a line; or a file cannot be read. Slices of a tilted gantry, whose line is
+    not their normal, make a sheared geometry.
     """
     sitk, file = imported(), Path(path)
     if not file.is_dir():
@@ -256,8 +257,8 @@ def _frames(path: PathLike, sitk: Any, reader: Any, file: PathLike) -> Volume:
         geometry = geometry_of(path, reader)
     else:
         names = [f"frame {k + 1}" for k in range(len(known.places))]
-        order, step = _ordered(path, names, known.places, known.direction, min(known.spacing))
-        geometry = located(path, [*known.spacing, step], known.places[order[0]].tolist(), known.direction, "LPS")
+        order, step, direction = _ordered(path, names, known.places, known.direction, min(known.spacing))
+        geometry = located(path, [*known.spacing, step], known.places[order[0]].tolist(), direction, "LPS")
     with failing(path, "DICOM", tuple(reader.GetSize())):
         samples = known.rescaled(sitk.GetArrayFromImage(reader.Execute()))
     if order is not None and (np.diff(order) != 1).any():
@@ -309,7 +310,7 @@ def _stacked(path: PathLike, sitk: Any, series: Series) -> Volume:
     places = np.array([reader.GetOrigin() for reader in readers])
     if len(readers) > 1:
         told = [shown(Path(name).name) for name in series.paths]
-        order, step = _ordered(path, told, places, direction, min(first.GetSpacing()[:2]))
+        order, step, direction = _ordered(path, told, places, direction, min(first.GetSpacing()[:2]))
     else:
         order, step = np.zeros(1, np.intp), _thickness(first)
     names = [series.paths[k] for k in order]
@@ -329,16 +330,27 @@ def _stacked(path: PathLike, sitk: Any, series: Series) -> Volume:
     return Volume(*made, header=tuple(os.path.abspath(name) for name in names), scaling=scalings.pop())
 
 
-def _ordered(path: PathLike, names: list[str], places: Array, direction: Array, pixel: float) -> tuple[Array, float]:
-    """Return the order of slices along their normal, and the step; SuppleError if they are not evenly stacked."""
+def _ordered(
+    path: PathLike, names: list[str], places: Array, direction: Array, pixel: float
+) -> tuple[Array, float, Array]:
+    """Return the order of slices along their normal, the step, and the directions of the axes.
+
+    The third axis is the normal, or, if slices are offset sideways (a tilted gantry, for one), the line of their first
+    pixels. SuppleError if they are not evenly stacked.
+    """
     along = (places - places[0]) @ direction[:, 2]
     order = np.argsort(along, kind="stable")
     step = _check_steps(path, [names[k] for k in order], along[order])
-    aside = places[order] - places[order][0] - np.outer(along[order] - along[order][0], direction[:, 2])
-    if np.abs(aside).max() > _ASIDE * pixel:
-        told = "its slices are not stacked at right angles (a tilted gantry, for one)"
+    stack = places[order] - places[order][0]
+    upwards, line = along[order] - along[order][0], stack[-1] / np.linalg.norm(stack[-1])
+    if np.abs(stack - np.outer(upwards, direction[:, 2])).max() <= _ASIDE * pixel:
+        return order, step, direction
+    lean = float(line @ direction[:, 2])
+    aside = np.abs(stack - np.outer(upwards / lean, line)).max(axis=1)
+    if (worst := float(aside.max())) > _ASIDE * pixel:
+        told = f"its slices are offset sideways, and along no line: {names[order[aside.argmax()]]} by {worst:.3g} mm"
         raise unreadable(path, told, "resample it first")
-    return order, step
+    return order, step / lean, np.column_stack([direction[:, :2], line])
 
 
 def _require_alike(path: PathLike, first: tuple[str, Any], other: tuple[str, Any]) -> None:

@@ -51,13 +51,14 @@ def read(path: PathLike) -> Volume:
     """Read a NIfTI file, or a pair of .hdr and .img; uncompressed data are mapped.
 
     The geometry is that of the sform if it has a code, else of the qform; if they differ, a warning names the one that
-    is used, which is ITK's choice. Without a code, only the spacing is known, and no position in space.
+    is used, which is ITK's choice, but for a sheared sform, which no qform can be. Without a code, only the spacing is
+    known, and no position in space.
 
     Raises
     ------
     SuppleError
-        If it is not a NIfTI file, damaged or cut short; its voxels are not at right angles, or not real numbers; or it
-        has more axes than x, y, z and either time or components.
+        If it is not a NIfTI file, damaged or cut short; its voxels are not real numbers; or it has more axes than
+        x, y, z and either time or components.
     """
     found = read_outline(path)
     first, data = _pair(path)
@@ -244,6 +245,15 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
     far = apart(sform, qform)
     if not far > _SAME * min(steps):
         return placed(path, sform, "RAS")
+    sheared = placed(path, sform, "RAS")
+    if sheared.shear:
+        warnings.warn(
+            f"the axes of {shown(path)} miss right angles by {sheared.shear:.3g}°, which its sform holds, and no qform "
+            f"can: the sform is used; SimpleITK, ANTs and 3D Slicer use the qform, up to {far:.3g} mm off",
+            VolumeWarning,
+            stacklevel=6,
+        )
+        return sheared
     # Programs that share fields and landmarks read the file by ITK, whose choice depends on the codes.
     from supple.media.volume import itk
 
@@ -354,7 +364,14 @@ def _placed(header: Any, like: Volume) -> Any:
     for set_form, code in zip((header.set_qform, header.set_sform), codes if any(codes) else (1, 1), strict=True):
         if code:
             set_form(affine, code)
+    _check_forms(header, like)
     return header
+
+
+def _check_forms(header: Any, like: Volume) -> None:
+    """Leave out the qform of a sheared volume, which it does not hold."""
+    if like.geometry.shear:
+        header["qform_code"], header["sform_code"] = 0, int(header["sform_code"]) or int(header["qform_code"])
 
 
 def _made(samples: Array, like: Volume) -> Any:
@@ -376,6 +393,7 @@ def _made(samples: Array, like: Volume) -> Any:
     affine = np.diag([-1.0, -1.0, 1.0, 1.0]) @ like.geometry.matrix
     header.set_qform(affine, 1)
     header.set_sform(affine, 1)
+    _check_forms(header, like)
     header.set_xyzt_units("mm", "sec")
     header["scl_slope"], header["scl_inter"] = like.scaling
     header["vox_offset"] = header.single_vox_offset

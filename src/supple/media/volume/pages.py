@@ -161,6 +161,9 @@ def check(path: PathLike, like: Volume, dtype: np.dtype[Any]) -> None:
     """Raise SuppleError for a volume that the format cannot hold."""
     from supple.media.image.formats import DTYPES, TIFF
 
+    if like.geometry.shear:
+        what = f"a TIFF holds a spacing alone, and the axes of {like.name} are not at right angles to each other"
+        raise unwritable(path, what, "write NIfTI or NRRD")
     if like.series:
         raise unwritable(path, "a TIFF holds one volume, and this is a series", "write NIfTI or NRRD")
     if dtype.name not in {np.dtype(known).name for known in DTYPES.values()} - {"float64"}:

@@ -21,7 +21,7 @@ from supple.files.clips import is_clip, open_clip
 from supple.files.landmarks import read_landmarks
 from supple.files.renders import default_transfer
 from supple.files.volumes import VolumeOptions, in_space, is_volume_job, open_volume
-from supple.geometry import Geometry
+from supple.geometry import Geometry, check_upright
 from supple.media.image import read
 from supple.media.volume import Volume
 from supple.strokes import Fit, Recipe, fit_recipe
@@ -91,6 +91,7 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
         if is_volume_job(source, "", Recipe(), options.volume):
             _suits(name, options, volume=True)
             volume = open_volume(source, options.volume)
+            check_upright(volume.geometry, volume.name, "the window")
             samples = volume.rescaled()
             if volume.series:
                 samples = samples[0]
