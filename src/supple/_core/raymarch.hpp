@@ -6,6 +6,7 @@
 // volume is sampled at p = T⁻¹(q), and its gradient is (∂p/∂q)ᵀ ∇f. Rays are clipped against a box; what it cuts
 // through is lit as the plane that it is, since gradients within a body point anywhere.
 #pragma once
+#include <array>
 #include <cmath>
 #include <limits>
 
@@ -41,6 +42,11 @@ struct Look {
     float bottom, top;  // the visible range
     Double4 plane;      // what lies beyond it is cut away: its normal, and its distance from the first voxel
     float silhouettes;  // by how much surfaces darken that are seen from the side
+    // The part of the light that arrives at the nodes of a grid, x fastest, if there are shadows; the node of a voxel is
+    // `first_node + per_node voxel`, and samples read it `off` voxels off their surface.
+    std::vector<float> arrives;
+    std::array<int64_t, 3> nodes;
+    Float4 first_node, per_node, off;
     enum { COMPOSITED, MAXIMUM, MINIMUM, AVERAGE } projection;
 
     Float4 colour(float value) const {
@@ -78,7 +84,10 @@ struct Ray {
         if (!live()) return;
         for (int i = 0; i < 3 && near > 0; i++) {
             bool moved = way[i] > 0 ? look.first[i] > 0 : look.last[i] < end[i];
-            if (moved && low[i] == near) face = __builtin_fabsf(look.lamp[i]);
+            if (!moved || low[i] != near) continue;
+            face = __builtin_fabsf(look.lamp[i]);
+            side = Float4{};
+            side[i] = way[i] > 0 ? -1 : 1;
         }
         half = look.lamp - floats(along);
         half *= 1.0f / most(__builtin_sqrtf(dot3(half, half)), 1e-6f);
@@ -176,6 +185,7 @@ private:
     double low, high;
     float before, above;
     float face = -1;  // the cosine of the lamp's angle to the cut face, as long as it is seen from there on
+    Float4 side{};    // the normal of that cut face, outwards
     Float4 half;      // between the lamp and the eye
     Float4 per_voxel, back, sides;  // to leave bricks
 
@@ -200,6 +210,7 @@ private:
         else if (rate < 0 && -away / rate > near) {
             t = near = -away / rate;
             face = float(std::abs(lamp));
+            side = Float4{float(look.plane[0]), float(look.plane[1]), float(look.plane[2]), 0};
         }
     }
 
@@ -210,6 +221,14 @@ private:
             projected = value;
             opaque = t;
         }
+    }
+
+    // The part of the light that arrives at a surface, read before it, on the side that is seen: it does not shadow
+    // itself.
+    INLINE float arriving(const Look& look, double t, Float4 normal) const {
+        Float4 back = -floats(along), out = back + (dot3(normal, back) < 0 ? -normal : normal);
+        Voxels nodes(look.arrives.data(), look.nodes[0], look.nodes[1], look.nodes[2]);
+        return nodes.sample((at(t) + out * look.off) * look.per_node + look.first_node);
     }
 
     // Ambient and diffuse light, and the highlight, of a surface with a gradient; both of its sides are lit.
@@ -229,11 +248,18 @@ private:
                     shine *= left;
                 }
             }
+            float flat = 0;  // the part of the light of a cut face
             if (face >= 0) {
-                float deep = float((t - 0.5 * look.step - near) * look.per_layer),
-                      flat = 1 - least(most(deep, 0.0f), 1.0f);
+                float deep = float((t - 0.5 * look.step - near) * look.per_layer);
+                flat = 1 - least(most(deep, 0.0f), 1.0f);
                 lit = mix(flat, lit, AMBIENT + DIFFUSE * face);
                 shine *= 1 - flat;
+            }
+            if (!look.arrives.empty()) {
+                float arrives = arriving(look, t, size > 0 ? gradient * (1.0f / __builtin_sqrtf(size)) : Float4{});
+                if (flat > 0) arrives = mix(flat, arrives, arriving(look, near, side));
+                lit *= arrives;
+                shine *= arrives;
             }
             colour = colour * lit + SPECULAR * shine;
         }
@@ -409,6 +435,25 @@ void ranges(const T* samples, const int64_t* n, int brick, const int64_t* bricks
                     }
             *lows++ = float(low);
             *highs++ = float(high);
+        }
+}
+
+// The mean of a table's entries, by the samples of each block in layer c, of blocks that are `wide` voxels wide.
+template <class T>
+void block_means(const T* samples, const int64_t* n, const int64_t* wide, const int64_t* blocks, int64_t c,
+                 const float* table, float last_entry, float low, float scale, float* out) {
+    auto end = [&](int64_t at, int axis) { return least((at + 1) * wide[axis], n[axis]); };
+    for (int64_t b = 0; b < blocks[1]; b++)
+        for (int64_t a = 0; a < blocks[0]; a++) {
+            float sum = 0;
+            int count = 0;
+            for (int64_t z = c * wide[2]; z < end(c, 2); z++)
+                for (int64_t y = b * wide[1]; y < end(b, 1); y++)
+                    for (int64_t x = a * wide[0]; x < end(a, 0); x++, count++) {
+                        float entry = (float(samples[(z * n[1] + y) * n[0] + x]) - low) * scale;
+                        sum += table[int32_t(least(most(entry, 0.0f), last_entry) + 0.5f)];
+                    }
+            *out++ = sum / float(count);
         }
 }
 

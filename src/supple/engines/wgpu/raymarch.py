@@ -61,6 +61,9 @@ SETTINGS = np.dtype(
         ("box_first", "f4", 4),
         ("box_last", "f4", 4),
         ("plane", "f4", 4),
+        ("first_node", "f4", 4),
+        ("per_node", "f4", 4),
+        ("off", "f4", 4),
         ("step", "f4"),
         ("low", "f4"),
         ("scale", "f4"),
@@ -74,7 +77,8 @@ SETTINGS = np.dtype(
         ("turns", "u4"),
         ("projection", "u4"),
         ("silhouettes", "f4"),
-        ("unused", "u4", 3),
+        ("shadows", "u4"),
+        ("unused", "u4", 2),
     ]
 )
 _PAINT = np.dtype(
@@ -126,6 +130,8 @@ class Look:
     plane: tuple[float, float, float, float]
     silhouettes: float
     projection: int
+    arrives: npt.NDArray[np.float32]
+    placed: npt.NDArray[np.float32]
 
 
 def march(
@@ -243,6 +249,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         "plane": look.plane,
         "silhouettes": look.silhouettes,
         "projection": look.projection,
+        "shadows": look.arrives.size > 0,
     }.items():
         settings[name] = value
     for name, row in {
@@ -253,6 +260,9 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         "light": look.light,
         "box_first": look.box[0],
         "box_last": look.box[1],
+        "first_node": look.placed[0],
+        "per_node": look.placed[1],
+        "off": look.placed[2],
     }.items():
         settings[name][0, :3] = row
     # Whole rows of pixels, as many as there is room for.
@@ -266,6 +276,12 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         colours = layers(gpu, (1, len(look.table)), 1, np.float32, 4)
         owned(stack, skips, colours)
         put_solid(gpu, skips, look.skips)
+        arrives = lattice.nodes  # any texture, without shadows
+        if look.arrives.size:
+            made_ = solid(gpu, look.arrives.shape, np.float32)
+            owned(stack, made_)
+            put_solid(gpu, made_, look.arrives)
+            arrives = made_.create_view()
         colours.put(gpu, 0, look.table[None])
         (seen,) = owned(stack, room(gpu, 32 * row_ * most))
         for first, count in pace.parts(height // fine):
@@ -274,7 +290,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
                 (told,) = owned(own, upload(gpu, settings, UNIFORM))
                 finished = filling.finished if filling is not None else lattice.strokes
                 read = _read(held, skips.create_view(), colours.view)
-                buffers = [told, *read, seen, finished, lattice.mask]
+                buffers = [told, *read, seen, finished, lattice.mask, arrives]
                 run(gpu, [(made, buffers, (-(-width // 8), -(-count * fine // 8), 1))])
             yield first * fine, count * fine, seen
             pace.count = min(pace.count, most)
@@ -290,7 +306,7 @@ def _read(held: Held, skips: Any, colours: Any) -> list[Any]:
 
 def _marching(held: Held, mode: int, buffer: bool) -> Any:
     volume = held.volume
-    kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, WHOLE_SOLID, LAYERS, WRITE, READ, READ)
+    kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, WHOLE_SOLID, LAYERS, WRITE, READ, READ, SOLID)
     sampled = {PLAIN: 1, HYBRID: 2}.get(mode, 0) if buffer else 0
     chosen = held.lattice.constants | {"MODE": mode, "SAMPLED": sampled}
     return pipeline(volume.gpu, (*_NAMES, volume.reader), "march", kinds, chosen)
@@ -304,6 +320,7 @@ def prepare(held: Held, filling: Filling) -> None:
         skips, colours = solid(volume.gpu, (1, 1, 1), np.uint8), layers(volume.gpu, (1, 1), 1, np.float32, 4)
         owned(stack, skips, colours)
         buffers = [told, *_read(held, skips.create_view(), colours.view), seen, filling.finished, held.lattice.mask]
+        buffers.append(held.lattice.nodes)
         run(volume.gpu, [(_marching(held, mode, True), buffers, (1, 1, 1)) for mode in (LATTICE, HYBRID, PLAIN)])
         filling.prepare()
         download(volume.gpu, seen, np.float32, 8)  # waits
