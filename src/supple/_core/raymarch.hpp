@@ -42,11 +42,10 @@ struct Look {
     float bottom, top;  // the visible range
     Double4 plane;      // what lies beyond it is cut away: its normal, and its distance from the first voxel
     float silhouettes;  // by how much surfaces darken that are seen from the side
-    // The part of the light that arrives at the nodes of a grid, x fastest, if there are shadows; the node of a voxel is
-    // `first_node + per_node voxel`, and samples read it `off` voxels off their surface.
+    // The part of the light that arrives at the nodes of a grid, if there are shadows.
     std::vector<float> arrives;
     std::array<int64_t, 3> nodes;
-    Float4 first_node, per_node, off;
+    Float4 first_node, per_node;  // the node of a voxel is first_node + per_node voxel
     enum { COMPOSITED, MAXIMUM, MINIMUM, AVERAGE } projection;
 
     Float4 colour(float value) const {
@@ -54,6 +53,9 @@ struct Look {
         return table[int32_t(entry + 0.5f)];
     }
     bool solid(float value) const { return value >= threshold && value <= top; }
+    INLINE float arriving(Float4 q) const {
+        return Voxels(arrives.data(), nodes[0], nodes[1], nodes[2]).sample(first_node + per_node * q);
+    }
     bool seen(float value) const { return value >= bottom && value <= top; }
 };
 
@@ -84,10 +86,7 @@ struct Ray {
         if (!live()) return;
         for (int i = 0; i < 3 && near > 0; i++) {
             bool moved = way[i] > 0 ? look.first[i] > 0 : look.last[i] < end[i];
-            if (!moved || low[i] != near) continue;
-            face = __builtin_fabsf(look.lamp[i]);
-            side = Float4{};
-            side[i] = way[i] > 0 ? -1 : 1;
+            if (moved && low[i] == near) face = __builtin_fabsf(look.lamp[i]);
         }
         half = look.lamp - floats(along);
         half *= 1.0f / most(__builtin_sqrtf(dot3(half, half)), 1e-6f);
@@ -185,7 +184,6 @@ private:
     double low, high;
     float before, above;
     float face = -1;  // the cosine of the lamp's angle to the cut face, as long as it is seen from there on
-    Float4 side{};    // the normal of that cut face, outwards
     Float4 half;      // between the lamp and the eye
     Float4 per_voxel, back, sides;  // to leave bricks
 
@@ -210,7 +208,6 @@ private:
         else if (rate < 0 && -away / rate > near) {
             t = near = -away / rate;
             face = float(std::abs(lamp));
-            side = Float4{float(look.plane[0]), float(look.plane[1]), float(look.plane[2]), 0};
         }
     }
 
@@ -221,14 +218,6 @@ private:
             projected = value;
             opaque = t;
         }
-    }
-
-    // The part of the light that arrives at a surface, read before it, on the side that is seen: it does not shadow
-    // itself.
-    INLINE float arriving(const Look& look, double t, Float4 normal) const {
-        Float4 back = -floats(along), out = back + (dot3(normal, back) < 0 ? -normal : normal);
-        Voxels nodes(look.arrives.data(), look.nodes[0], look.nodes[1], look.nodes[2]);
-        return nodes.sample((at(t) + out * look.off) * look.per_node + look.first_node);
     }
 
     // Ambient and diffuse light, and the highlight, of a surface with a gradient; both of its sides are lit.
@@ -248,16 +237,14 @@ private:
                     shine *= left;
                 }
             }
-            float flat = 0;  // the part of the light of a cut face
             if (face >= 0) {
-                float deep = float((t - 0.5 * look.step - near) * look.per_layer);
-                flat = 1 - least(most(deep, 0.0f), 1.0f);
+                float deep = float((t - 0.5 * look.step - near) * look.per_layer),
+                      flat = 1 - least(most(deep, 0.0f), 1.0f);
                 lit = mix(flat, lit, AMBIENT + DIFFUSE * face);
                 shine *= 1 - flat;
             }
             if (!look.arrives.empty()) {
-                float arrives = arriving(look, t, size > 0 ? gradient * (1.0f / __builtin_sqrtf(size)) : Float4{});
-                if (flat > 0) arrives = mix(flat, arrives, arriving(look, near, side));
+                float arrives = look.arriving(at(t));
                 lit *= arrives;
                 shine *= arrives;
             }

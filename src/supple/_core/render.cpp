@@ -96,8 +96,8 @@ void look_up(Samples samples, Array<const float, 2> points, Array<float, 2> out)
 
 Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Array<const float, 2> table, float low,
                 float scale, float threshold, std::pair<float, float> window, double step, std::array<float, 3> lamp,
-                bool shaded, Array<const double, 2> box, std::array<double, 4> plane, float silhouettes,
-                int projection, Array<const float, 3> arrives, Array<const float, 2> placed) {
+                bool shaded, Array<const double, 2> box, std::array<double, 4> plane, float silhouettes, int projection,
+                Array<const float, 3> arrives, Array<const float, 2> placed) {
     if (camera.shape(0) != 5 || camera.shape(1) != 3) throw nb::value_error("a camera must be 5 rows of 3 numbers");
     if (box.shape(0) != 2 || box.shape(1) != 3) throw nb::value_error("a box must be 2 rows of 3 numbers");
     if (table.shape(0) < 1 || table.shape(1) != 4) throw nb::value_error("a table must be rows of 4 numbers");
@@ -115,14 +115,13 @@ Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Ar
     look->plane = Double4{plane[0], plane[1], plane[2], plane[3]};
     look->silhouettes = silhouettes;
     look->projection = decltype(look->projection)(projection);
-    if (placed.shape(0) != 3 || placed.shape(1) != 3) throw nb::value_error("placed must be 3 rows of 3 numbers");
+    if (placed.shape(0) != 2 || placed.shape(1) != 3) throw nb::value_error("placed must be 2 rows of 3 numbers");
     look->arrives.assign(arrives.data(), arrives.data() + arrives.size());
     look->nodes = sizes(arrives);
     for (int i = 0; i < 3 && arrives.size() > 0; i++)
         if (look->nodes[i] < 2) throw nb::value_error("light must have two nodes along each axis");
     look->first_node = point_of(placed.data());
     look->per_node = point_of(placed.data() + 3);
-    look->off = point_of(placed.data() + 6);
     auto [x, y, z] = sizes(skips);
     look->skips.assign(skips.data(), skips.data() + skips.size());
     look->row = int(x);
@@ -241,7 +240,8 @@ void bind_render(nb::module_& m) {
     nb::class_<Look>(m, "Look",
                      "How a volume is seen: a camera, what its rays may skip, a transfer function, a lamp, a box.")
         .def(nb::new_(&make_look), "camera"_a, "skips"_a, "table"_a, "low"_a, "scale"_a, "threshold"_a, "window"_a,
-             "step"_a, "light"_a, "shaded"_a, "box"_a, "plane"_a, "silhouettes"_a, "projection"_a, "arrives"_a, "placed"_a);
+             "step"_a, "light"_a, "shaded"_a, "box"_a, "plane"_a, "silhouettes"_a, "projection"_a, "arrives"_a,
+             "placed"_a);
     m.def("draw", &draw, "samples"_a, "look"_a, "lattice"_a.none(), "cells"_a, "strokes"_a.none(), "columns"_a,
           "rows"_a, "light"_a, "depth"_a, "work"_a,
           "See a volume along the rays of pixels: as it is, through a lattice, or through strokes.");

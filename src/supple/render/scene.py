@@ -73,10 +73,9 @@ class Scene:
     projection : str
         ``"none"``, or the ``"maximum"``, ``"minimum"`` or ``"average"`` value along each ray: opaque and grey, black at
         the lower end of ``density`` and white at the upper one, and by default at the smallest and largest value.
-    silhouettes : float
-        By how much surfaces darken towards where they are seen from the side, from 0 to 1.
-    shadows : float
-        By how much surfaces darken where the lamp's light or, in hollows, that of the sky does not arrive, from 0 to 1.
+    silhouettes, shadows : float
+        By how much surfaces darken, from 0 to 1: towards where they are seen from the side; and where the lamp's light
+        or, in hollows, that of the sky does not arrive.
     mode : str
         The evaluation of the deformation: by a certified ``"lattice"`` of inverse displacements, ``"exact"`` inversion
         of every sample along every ray, ``"buffered"``, which warps the volume first, or ``"hybrid"``: the lattice,
@@ -437,7 +436,7 @@ class Scene:
             self.plane,
             self.silhouettes,
             PROJECTIONS.index(self.projection),
-            *arriving(self._shade, lamp(view), self.shadows),
+            arriving(self._shade, lamp(view), self.shadows),
         )
 
     def _marcher(self, view: Projection) -> Callable[..., None]:
@@ -463,8 +462,7 @@ class Scene:
             look.plane,
             look.silhouettes,
             look.projection,
-            look.arrives,
-            look.placed,
+            *look.arrives,
         )
 
         def march(columns: Array, rows: Array, light: Array, depth: Array, work: Array) -> None:

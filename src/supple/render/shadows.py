@@ -21,14 +21,14 @@ from supple.render.appearance import entries
 from supple.render.box import Box
 from supple.render.solid import solve_solid
 
-Floats = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.floating[Any]]
 Singles = npt.NDArray[np.float32]
 
 LONGEST = 128  # nodes along the longest side, in millimetres
 PAD = 2  # empty nodes around the volume, for what lies on its faces
-OFF = 1.0  # nodes off a surface, along its normal and towards the eye, at which its light is read
+REACH = 2  # nodes from which the most light is taken, so that no surface is in its own shadow
 SHADE = 0.3  # of the light of the sky, which is left where that of the lamp does not arrive
-DEEP = 1.5  # the exponent by which hollows darken
+DEEP = 2.0  # the exponent by which hollows darken
 NEAR = 1.0  # voxels: the tolerance of a lattice for shadows alone
 SKY = [np.array(way) / np.linalg.norm(way) for way in itertools.product((-1, 0, 1), repeat=3) if sum(map(abs, way)) % 2]
 
@@ -47,7 +47,7 @@ class Shade:
     spacing : (float, float, float)
         Millimetres from node to node, x first.
     sky : float32 array, shape (nz, ny, nx)
-        The part of the sky's light that arrives at nodes; half of it is all that a plane gets.
+        What the sky leaves of all light that arrives at nodes, from 0 to 1: it is 1 where half of the sky is seen.
     """
 
     nodes: Singles
@@ -70,8 +70,8 @@ def shade_of(known: dict[str, Any]) -> Shade | None:
         nodes = _moved(nodes, known, wide)
     nodes = np.pad(nodes * _kept(nodes.shape, wide, known["clip"], known["plane"], spacing), PAD)
     apart = tuple(w * s for w, s in zip(wide, spacing, strict=True))
-    sky = sum((light_from(way, nodes, length, apart) for way in SKY), np.zeros_like(nodes)) / np.float32(len(SKY))
-    return Shade(nodes, length, wide, apart, sky)
+    sky = sum((light_from(way, nodes, length, apart) for way in SKY), np.zeros_like(nodes))
+    return Shade(nodes, length, wide, apart, np.minimum(sky / np.float32(len(SKY) / 2), 1) ** DEEP)
 
 
 def arriving(shade: Shade | None, lamp: Singles, strength: float) -> tuple[Singles, Singles]:
@@ -89,18 +89,15 @@ def arriving(shade: Shade | None, lamp: Singles, strength: float) -> tuple[Singl
     -------
     float32 array, shape (nz, ny, nx)
         From 0 to 1; empty without shade.
-    float32 array, shape (3, 3)
-        In rows, x first: the node of voxel 0, nodes from voxel to voxel, and voxels off a surface at which its light is
-        read.
+    float32 array, shape (2, 3)
+        In rows, x first: the node of voxel 0, and nodes from voxel to voxel.
     """
     if shade is None:
-        return np.empty((0, 0, 0), np.float32), np.zeros((3, 3), np.float32)
-    light = light_from(lamp, shade.nodes, shade.length, shade.spacing)
-    light = SHADE + (1 - SHADE) * light
-    light *= np.minimum(2 * shade.sky, 1) ** DEEP
+        return np.empty((0, 0, 0), np.float32), np.zeros((2, 3), np.float32)
+    light = (SHADE + (1 - SHADE) * light_from(lamp, shade.nodes, shade.length, shade.spacing)) * shade.sky
     wide = np.array(shade.wide)
-    placed = [PAD - (wide - 1) / (2 * wide), 1 / wide, OFF * wide]
-    return np.asarray(1 - strength * (1 - light), np.float32), np.array(placed, np.float32)
+    placed = np.array([PAD - (wide - 1) / (2 * wide), 1 / wide], np.float32)
+    return _reached(np.asarray(1 - strength * (1 - light), np.float32)), placed
 
 
 def light_from(way: npt.ArrayLike, nodes: Singles, length: float, spacing: Sequence[float]) -> Singles:
@@ -140,8 +137,17 @@ def _shifted(layer: Singles, by: Floats) -> Singles:
         n = len(layer)
         padded = np.pad(layer, [(2, 2), (0, 0)], constant_values=1)
         weights = np.array([(0.5 - part) ** 2 / 2, 0.75 - part**2, (0.5 + part) ** 2 / 2], np.float32)
-        layer = sum(w * padded[first + j : first + j + n] for j, w in enumerate(weights)).T  # type: ignore[union-attr]
+        layer = sum(w * padded[first + j : first + j + n] for j, w in enumerate(weights)).T
     return layer
+
+
+def _reached(nodes: Singles) -> Singles:
+    """Return the largest value of the nodes around each."""
+    for axis in range(3):
+        whole = np.moveaxis(np.pad(nodes, [(REACH * (axis == k),) * 2 for k in range(3)]), axis, 0)
+        most = np.maximum.reduce([whole[j : j + nodes.shape[axis]] for j in range(2 * REACH + 1)])
+        nodes = np.moveaxis(most, 0, axis)
+    return np.ascontiguousarray(nodes)
 
 
 def _opacities(known: dict[str, Any], length: float, wide: tuple[int, ...]) -> Singles:
@@ -171,7 +177,9 @@ def _moved(nodes: Singles, known: dict[str, Any], wide: tuple[int, ...]) -> Sing
         points[..., 2] = z
         p = points.reshape(-1, 3)
         places = (p + solid.at(p)[0] - np.subtract(wide, 1) / 2) / wide
-        _core.look_up(around, np.ascontiguousarray(np.minimum(places, np.array(nodes.shape[::-1]) - 1), np.float32), found)
+        _core.look_up(
+            around, np.ascontiguousarray(np.minimum(places, np.array(nodes.shape[::-1]) - 1), np.float32), found
+        )
         layer[...] = found[:, 0].reshape(layer.shape)
     return made
 

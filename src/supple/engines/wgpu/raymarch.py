@@ -63,7 +63,6 @@ SETTINGS = np.dtype(
         ("plane", "f4", 4),
         ("first_node", "f4", 4),
         ("per_node", "f4", 4),
-        ("off", "f4", 4),
         ("step", "f4"),
         ("low", "f4"),
         ("scale", "f4"),
@@ -130,8 +129,7 @@ class Look:
     plane: tuple[float, float, float, float]
     silhouettes: float
     projection: int
-    arrives: npt.NDArray[np.float32]
-    placed: npt.NDArray[np.float32]
+    arrives: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
 
 
 def march(
@@ -249,7 +247,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         "plane": look.plane,
         "silhouettes": look.silhouettes,
         "projection": look.projection,
-        "shadows": look.arrives.size > 0,
+        "shadows": look.arrives[0].size > 0,
     }.items():
         settings[name] = value
     for name, row in {
@@ -260,9 +258,8 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         "light": look.light,
         "box_first": look.box[0],
         "box_last": look.box[1],
-        "first_node": look.placed[0],
-        "per_node": look.placed[1],
-        "off": look.placed[2],
+        "first_node": look.arrives[1][0],
+        "per_node": look.arrives[1][1],
     }.items():
         settings[name][0, :3] = row
     # Whole rows of pixels, as many as there is room for.
@@ -276,12 +273,11 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         colours = layers(gpu, (1, len(look.table)), 1, np.float32, 4)
         owned(stack, skips, colours)
         put_solid(gpu, skips, look.skips)
-        arrives = lattice.nodes  # any texture, without shadows
-        if look.arrives.size:
-            made_ = solid(gpu, look.arrives.shape, np.float32)
-            owned(stack, made_)
-            put_solid(gpu, made_, look.arrives)
-            arrives = made_.create_view()
+        shadows, lit = look.arrives[0], lattice.nodes  # any texture, without shadows
+        if shadows.size:
+            (held_light,) = owned(stack, solid(gpu, shadows.shape, np.float32))
+            put_solid(gpu, held_light, shadows)
+            lit = held_light.create_view()
         colours.put(gpu, 0, look.table[None])
         (seen,) = owned(stack, room(gpu, 32 * row_ * most))
         for first, count in pace.parts(height // fine):
@@ -290,7 +286,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
                 (told,) = owned(own, upload(gpu, settings, UNIFORM))
                 finished = filling.finished if filling is not None else lattice.strokes
                 read = _read(held, skips.create_view(), colours.view)
-                buffers = [told, *read, seen, finished, lattice.mask, arrives]
+                buffers = [told, *read, seen, finished, lattice.mask, lit]
                 run(gpu, [(made, buffers, (-(-width // 8), -(-count * fine // 8), 1))])
             yield first * fine, count * fine, seen
             pace.count = min(pace.count, most)
@@ -319,8 +315,8 @@ def prepare(held: Held, filling: Filling) -> None:
         told, seen = owned(stack, upload(volume.gpu, np.zeros(1, SETTINGS), UNIFORM), room(volume.gpu, 32))
         skips, colours = solid(volume.gpu, (1, 1, 1), np.uint8), layers(volume.gpu, (1, 1), 1, np.float32, 4)
         owned(stack, skips, colours)
-        buffers = [told, *_read(held, skips.create_view(), colours.view), seen, filling.finished, held.lattice.mask]
-        buffers.append(held.lattice.nodes)
+        buffers = [told, *_read(held, skips.create_view(), colours.view), seen, filling.finished]
+        buffers += [held.lattice.mask, held.lattice.nodes]
         run(volume.gpu, [(_marching(held, mode, True), buffers, (1, 1, 1)) for mode in (LATTICE, HYBRID, PLAIN)])
         filling.prepare()
         download(volume.gpu, seen, np.float32, 8)  # waits

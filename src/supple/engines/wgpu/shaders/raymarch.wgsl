@@ -19,7 +19,6 @@ struct Settings {
     plane: vec4f, // what lies beyond it is cut away: its normal, and its distance from the first voxel
     first_node: vec4f, // the node of the light that arrives at a voxel: first_node + per_node voxel
     per_node: vec4f,
-    off: vec4f, // voxels from a sample, off its surface, to where this is read
     step: f32, // millimetres from sample to sample
     low: f32, // the value of the transfer function's first entry, and entries for each unit of value
     scale: f32,
@@ -232,19 +231,13 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
     var surface = FAR;
     // The cosine of the lamp's angle to the cut face, as long as the volume is seen from there on.
     var face = -1.0;
-    var side = settings.plane.xyz; // its normal, outwards
     for (var i = 0u; i < 3u && near > 0.0; i++) {
         let last = f32(settings.size[i] - 1u);
         let moved = select(settings.box_last[i] < last, settings.box_first[i] > 0.0, safe[i] > 0.0);
-        if (moved && enters[i] == near) {
-            face = abs(settings.light[i]);
-            side = vec3f(0.0);
-            side[i] = select(1.0, -1.0, safe[i] > 0.0);
-        }
+        face = select(face, abs(settings.light[i]), moved && enters[i] == near);
     }
     if (near > boxed) {
         face = abs(dot(settings.light.xyz, settings.plane.xyz));
-        side = settings.plane.xyz;
     }
     if (settings.projection != 0u) {
         project(ray, 2u * (id.y * size.x + id.x));
@@ -345,19 +338,13 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                 within = true;
                 var lit = vec2f(1.0, 0.0);
                 if (settings.shaded == 1u && part > FAINT) {
-                    let gradient = gradient_at(place, t);
-                    lit = lit_by(gradient, half_, along);
-                    var deep = 1.0;
+                    lit = lit_by(gradient_at(place, t), half_, along);
                     if (face >= 0.0) {
-                        deep = clamp((t - 0.5 * settings.step - near) / layer, 0.0, 1.0);
+                        let deep = clamp((t - 0.5 * settings.step - near) / layer, 0.0, 1.0);
                         lit = mix(vec2f(AMBIENT + DIFFUSE * face, 0.0), lit, deep);
                     }
                     if (settings.shadows == 1u) {
-                        var arrives_ = arriving(o + t * d, gradient, along);
-                        if (deep < 1.0) {
-                            arrives_ = mix(arriving(o + near * d, side, along), arrives_, deep);
-                        }
-                        lit *= arrives_;
+                        lit *= arriving(o + t * d);
                     }
                 }
                 total += part * vec4f(colour.xyz * lit.x + lit.y, 1.0);
@@ -442,14 +429,10 @@ fn lit_by(gradient: vec3f, half_: vec3f, along: vec3f) -> vec2f {
     return left * vec2f(AMBIENT + DIFFUSE * abs(dot(normal, settings.light.xyz)), SPECULAR * shine);
 }
 
-// The part of the light that arrives at a surface, read before it, on the side that is seen: it does not shadow itself.
-fn arriving(q: vec3f, gradient: vec3f, along: vec3f) -> f32 {
-    let size = length(gradient);
-    let normal = gradient / select(1.0, size, size > 0.0);
-    let out = select(normal, -normal, dot(normal, along) > 0.0) - along;
+// The part of the light that arrives at a point, in voxels.
+fn arriving(q: vec3f) -> f32 {
     let last = textureDimensions(arrives) - 1u;
-    let at = settings.first_node.xyz + settings.per_node.xyz * (q + out * settings.off.xyz);
-    let g = clamp(at, vec3f(0.0), vec3f(last));
+    let g = clamp(settings.first_node.xyz + settings.per_node.xyz * q, vec3f(0.0), vec3f(last));
     let i = min(vec3u(g), last - 1u);
     let f = g - vec3f(i);
     var light = 0.0;
