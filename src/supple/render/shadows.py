@@ -118,7 +118,7 @@ def light_from(way: npt.ArrayLike, nodes: Singles, length: float, spacing: Seque
     steps /= abs(steps[axis])  # from a layer to the next one towards the light
     across = float(np.linalg.norm(steps * spacing[::-1])) / length
     layers = np.moveaxis(nodes, axis, 0)
-    through = (1 - layers) ** np.float32(0.5 * across)  # half of a layer
+    through = np.maximum(1 - layers, 0) ** np.float32(0.5 * across)  # half of a layer
     made, light = np.empty_like(layers), np.ones(layers.shape[1:], np.float32)
     order = range(len(layers))
     for k in reversed(order) if steps[axis] > 0 else order:
