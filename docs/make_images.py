@@ -139,6 +139,20 @@ def looks(folder: Path) -> None:
     side_by_side(folder / "looks.webp", pictures, 3)
 
 
+def shadows(folder: Path) -> None:
+    """The head as it is, and with a dent, without and with shadows."""
+    whole, size = open_volume(DATA / "head.nii.gz"), (360, 360)
+    d = supple.Deformation(whole.samples.shape, spacing=whole.geometry.spacing, border=30)
+    dent = d.grab((40, 86, 65), to=(44, 63, 53), radius=36)
+    pictures = []
+    for camera, deformation in ((Camera(-48, 8), None), (Camera(38, 12), dent)):
+        for strength in (0.0, 1.0):
+            scene = Scene(whole.samples, whole.geometry, deformation=deformation, transfer="mr-head", shadows=strength)
+            pixels = scene.render(scene.framed(camera, size), size, supersampling=2).pixels((1.0, 1.0, 1.0))
+            pictures.append(shown(pixels, 1.0))
+    side_by_side(folder / "shadows.webp", pictures, 2)
+
+
 def shown(pixels: image.Array, scale: float, kernel: str = "cubic") -> pyvips.Image:
     """An array as a picture, enlarged."""
     return pyvips.Image.new_from_array(np.ascontiguousarray(pixels)).resize(scale, kernel=kernel)
@@ -297,6 +311,7 @@ def main() -> None:
     cut_open(folder)
     marked(folder)
     looks(folder)
+    shadows(folder)
     rendered(paper, "iterations").pngsave(folder / "iterations.png", palette=True, keep="none")
 
 

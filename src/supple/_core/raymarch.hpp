@@ -8,6 +8,7 @@
 // volume is sampled at p = T⁻¹(q), and its gradient is (∂p/∂q)ᵀ ∇f. Rays are clipped against a box; what it cuts
 // through is lit as the plane that it is, since gradients within a body point anywhere.
 #pragma once
+#include <array>
 #include <cmath>
 #include <limits>
 
@@ -43,6 +44,10 @@ struct Look {
     float threshold, top;  // the visible range
     Double4 plane;         // what lies beyond it is cut away: its normal, and its distance from the first voxel
     float silhouettes;     // by how much surfaces darken that are seen from the side
+    // The part of the light that arrives at the nodes of a grid, if there are shadows.
+    std::vector<float> arrives;
+    std::array<int64_t, 3> nodes;
+    Float4 first_node, per_node;  // the node of a voxel is first_node + per_node voxel
     enum { COMPOSITED, MAXIMUM, MINIMUM, AVERAGE } projection;
 
     INLINE float entry(float value) const { return least(most((value - low) * scale, 0.0f), last_entry); }
@@ -50,6 +55,9 @@ struct Look {
     // The side of the visible range on which a value is: -1, 0 in between, or 1.
     int side(float value) const { return value < threshold ? -1 : value > top; }
 
+    INLINE float arriving(Float4 q) const {
+        return Voxels(arrives.data(), nodes[0], nodes[1], nodes[2]).sample(first_node + per_node * q);
+    }
     // Colour and opacity of a part of a step, along which values go from `a` to `b`; and where the middle of what is
     // visible is, from 0 to 1.
     INLINE Float4 between(float a, float b, float part, float& middle) const {
@@ -281,6 +289,11 @@ private:
                 lit = mix(flat, lit, AMBIENT + DIFFUSE * face);
                 shine *= 1 - flat;
             }
+            if (!look.arrives.empty()) {
+                float arrives = look.arriving(at(t));
+                lit *= arrives;
+                shine *= arrives;
+            }
             colour = colour * lit + SPECULAR * shine;
         }
         colour[3] = 1;
@@ -455,6 +468,25 @@ void ranges(const T* samples, const int64_t* n, int brick, const int64_t* bricks
                     }
             *lows++ = float(low);
             *highs++ = float(high);
+        }
+}
+
+// The mean of a table's entries, by the samples of each block in layer c, of blocks that are `wide` voxels wide.
+template <class T>
+void block_means(const T* samples, const int64_t* n, const int64_t* wide, const int64_t* blocks, int64_t c,
+                 const float* table, float last_entry, float low, float scale, float* out) {
+    auto end = [&](int64_t at, int axis) { return least((at + 1) * wide[axis], n[axis]); };
+    for (int64_t b = 0; b < blocks[1]; b++)
+        for (int64_t a = 0; a < blocks[0]; a++) {
+            float sum = 0;
+            int count = 0;
+            for (int64_t z = c * wide[2]; z < end(c, 2); z++)
+                for (int64_t y = b * wide[1]; y < end(b, 1); y++)
+                    for (int64_t x = a * wide[0]; x < end(a, 0); x++, count++) {
+                        float entry = (float(samples[(z * n[1] + y) * n[0] + x]) - low) * scale;
+                        sum += table[int32_t(least(most(entry, 0.0f), last_entry) + 0.5f)];
+                    }
+            *out++ = sum / float(count);
         }
 }
 

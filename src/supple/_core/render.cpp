@@ -97,7 +97,7 @@ void look_up(Samples samples, Array<const float, 2> points, Array<float, 2> out)
 Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Array<const float, 2> table,
                 Array<const double, 2> sums, float low, float scale, float threshold, float top, double step,
                 std::array<float, 3> lamp, bool shaded, Array<const double, 2> box, std::array<double, 4> plane,
-                float silhouettes, int projection) {
+                float silhouettes, int projection, Array<const float, 3> arrives, Array<const float, 2> placed) {
     if (camera.shape(0) != 5 || camera.shape(1) != 3) throw nb::value_error("a camera must be 5 rows of 3 numbers");
     if (box.shape(0) != 2 || box.shape(1) != 3) throw nb::value_error("a box must be 2 rows of 3 numbers");
     if (table.shape(0) < 1 || table.shape(1) != 4) throw nb::value_error("a table must be rows of 4 numbers");
@@ -117,6 +117,13 @@ Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Ar
     look->plane = Double4{plane[0], plane[1], plane[2], plane[3]};
     look->silhouettes = silhouettes;
     look->projection = decltype(look->projection)(projection);
+    if (placed.shape(0) != 2 || placed.shape(1) != 3) throw nb::value_error("placed must be 2 rows of 3 numbers");
+    look->arrives.assign(arrives.data(), arrives.data() + arrives.size());
+    look->nodes = sizes(arrives);
+    for (int i = 0; i < 3 && arrives.size() > 0; i++)
+        if (look->nodes[i] < 2) throw nb::value_error("light must have two nodes along each axis");
+    look->first_node = point_of(placed.data());
+    look->per_node = point_of(placed.data() + 3);
     auto [x, y, z] = sizes(skips);
     look->skips.assign(skips.data(), skips.data() + skips.size());
     look->row = int(x);
@@ -189,6 +196,23 @@ void brick_ranges(Samples samples, int brick, Array<float, 3> lows, Array<float,
     });
 }
 
+void mean_blocks(Samples samples, std::array<int64_t, 3> wide, Array<const float, 1> table, float low, float scale,
+                 Array<float, 3> out) {
+    const auto n = sizes(samples), blocks = sizes(out);
+    for (int i = 0; i < 3; i++)
+        if (wide[i] < 1 || blocks[i] != (n[i] + wide[i] - 1) / wide[i])
+            throw nb::value_error("out must be as many as there are blocks");
+    const float last_entry = float(table.size() - 1);
+    with_samples(samples, [&](auto* data) {
+        unlocked([&] {
+            parallel((int)blocks[2], [&](int c, int) {
+                block_means(data, n.data(), wide.data(), blocks.data(), c, table.data(), last_entry, low, scale,
+                            out.data() + c * blocks[0] * blocks[1]);
+            });
+        });
+    });
+}
+
 void brick_distances(Array<const bool, 3> seen, Array<uint8_t, 3> out) {
     if (sizes(seen) != sizes(out)) throw nb::value_error("out must be of the shape of seen");
     distances(seen.data(), sizes(seen).data(), out.data());
@@ -218,12 +242,15 @@ void bind_render(nb::module_& m) {
     nb::class_<Look>(m, "Look",
                      "How a volume is seen: a camera, what its rays may skip, a transfer function, a lamp, a box.")
         .def(nb::new_(&make_look), "camera"_a, "skips"_a, "table"_a, "sums"_a, "low"_a, "scale"_a, "threshold"_a,
-             "top"_a, "step"_a, "light"_a, "shaded"_a, "box"_a, "plane"_a, "silhouettes"_a, "projection"_a);
+             "top"_a, "step"_a, "light"_a, "shaded"_a, "box"_a, "plane"_a, "silhouettes"_a, "projection"_a, "arrives"_a,
+             "placed"_a);
     m.def("draw", &draw, "samples"_a, "look"_a, "lattice"_a.none(), "cells"_a, "strokes"_a.none(), "columns"_a,
           "rows"_a, "light"_a, "depth"_a, "work"_a,
           "See a volume along the rays of pixels: as it is, through a lattice, or through strokes.");
     m.def("brick_ranges", &brick_ranges, "samples"_a, "brick"_a, "lows"_a, "highs"_a,
           "Find the smallest and the largest sample of bricks.");
+    m.def("block_means", &mean_blocks, "samples"_a, "wide"_a, "table"_a, "low"_a, "scale"_a, "out"_a,
+          "Find the mean of a table's entries in blocks of samples.");
     m.def("brick_distances", &brick_distances, "seen"_a, "out"_a, "Find how many bricks away the next seen one is.");
     m.def("largest_part", &largest_part, "seen"_a, "out"_a, "Find the largest part of what is seen that is connected.");
     m.def("brick_moved", &brick_moved, "lattice"_a, "seen"_a, "fine"_a, "slack"_a, "out"_a,

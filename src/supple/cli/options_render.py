@@ -98,6 +98,8 @@ class LookOptions:
         --density and white at the upper one (default: the smallest and the largest value).
     silhouettes
         By how much surfaces darken towards where they are seen from the side, from 0 to 1.
+    shadows
+        By how much surfaces darken where something keeps the light away: soft shadows, and dark folds, from 0 to 1.
     size
         Width and height of the picture in pixels.
     step
@@ -137,6 +139,7 @@ class LookOptions:
     largest: bool = False
     projection: Literal["none", "maximum", "minimum", "average"] = "none"
     silhouettes: Annotated[str, Parameter(metavar="S", allow_leading_hyphen=True)] = "0"
+    shadows: Annotated[str, Parameter(metavar="S", allow_leading_hyphen=True)] = "0"
     size: Annotated[str, Parameter(metavar="WxH", allow_leading_hyphen=True)] = "512x512"
     step: Annotated[str | None, Parameter(metavar="MM", allow_leading_hyphen=True)] = None
     mode: Literal["lattice", "exact", "buffered", "hybrid"] = "lattice"
@@ -164,6 +167,7 @@ class LookOptions:
             largest=self.largest,
             projection=self.projection,
             silhouettes=parse_number("--silhouettes", self.silhouettes, "a number from 0 to 1"),
+            shadows=parse_number("--shadows", self.shadows, "a number from 0 to 1"),
             camera=camera,
             size=_size(self.size),
             step=None if self.step is None else parse_number("--step", self.step, "a number of millimetres"),

@@ -51,7 +51,7 @@ class RenderOptions:
         The voxels that are rendered, as in `supple.render.scene.Scene`.
     crop : three of (float, float), optional
         The voxels of the original that are rendered, where the strokes move them: `supple.render.appearance.cropped`.
-    plane, projection, silhouettes
+    plane, projection, silhouettes, shadows
         As in `supple.render.scene.Scene`.
     largest : bool
         Whether only the largest connected part of what is visible is rendered (`supple.render.appearance.largest`).
@@ -92,6 +92,7 @@ class RenderOptions:
     largest: bool = False
     projection: str = "none"
     silhouettes: float = 0.0
+    shadows: float = 0.0
     camera: Camera = field(default_factory=Camera)
     size: tuple[int, int] = (512, 512)
     step: float | None = None
@@ -118,8 +119,10 @@ class RenderOptions:
                 f"a projection ({self.projection}) is grey, between the values of density, and has no transfer "
                 "function: leave it out"
             )
-        if self.silhouettes and (self.projection != "none" or not self.shaded):
-            raise SuppleError("silhouettes are of shaded surfaces: leave flat and projection out, or silhouettes")
+        number("shadows", self.shadows, "a number from 0 to 1", 0.0, 1.0)
+        for name in ("silhouettes", "shadows"):
+            if getattr(self, name) and (self.projection != "none" or not self.shaded):
+                raise SuppleError(f"{name} are of shaded surfaces: leave flat and projection out, or {name}")
         for name, pixels in zip(("height", "width"), self.size, strict=True):
             integer(name, pixels, "a number of pixels from 1 to 16384", 1, 16384)
         integer("supersampling", self.supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
@@ -201,6 +204,7 @@ def scene_of(
         plane=known.plane,
         projection=known.projection,
         silhouettes=known.silhouettes,
+        shadows=known.shadows,
         mode=known.mode,
         step=known.step,
         shaded=known.shaded,

@@ -39,6 +39,7 @@ from supple.render.box import Box, Clip, Plane, box_of, plane_of, seen_points, w
 from supple.render.camera import Camera, Projection, camera_of, view_of
 from supple.render.device import held_scene, order_of, tried, unseen_blocks
 from supple.render.picture import Array, Pick, Rendering, light_of
+from supple.render.shadows import Shade, arriving, shade_of
 from supple.render.solid import Solid, along_rays, cells_along_rays, solve_solid, strokes_of
 from supple.render.transfer import TransferFunction
 
@@ -73,8 +74,9 @@ class Scene:
     projection : str
         ``"none"``, or the ``"maximum"``, ``"minimum"`` or ``"average"`` value along each ray: opaque and grey, black at
         the lower end of ``density`` and white at the upper one, and by default at the smallest and largest value.
-    silhouettes : float
-        By how much surfaces darken towards where they are seen from the side, from 0 to 1.
+    silhouettes, shadows : float
+        By how much surfaces darken, from 0 to 1: towards where they are seen from the side; and where the lamp's light
+        or, in hollows, that of the sky does not arrive.
     mode : str
         The evaluation of the deformation: by a certified ``"lattice"`` of inverse displacements, ``"exact"`` inversion
         of every sample along every ray, ``"buffered"``, which warps the volume first, or ``"hybrid"``: the lattice,
@@ -114,6 +116,7 @@ class Scene:
     """The plane's unit normal along the volume's axes, and its distance from the first voxel, in millimetres."""
     projection: str
     silhouettes: float
+    shadows: float
     mode: str
     step: float
     shaded: bool
@@ -131,6 +134,7 @@ class Scene:
     _unseen: npt.NDArray[np.bool_]
     _table: npt.NDArray[np.float32]
     _threshold: float
+    _shade: Shade | None
     device: str
     """The requested device."""
     gpu: Gpu | None
@@ -151,6 +155,7 @@ class Scene:
         plane: Plane | None = None,
         projection: str = "none",
         silhouettes: float = 0.0,
+        shadows: float = 0.0,
         mode: str = "lattice",
         step: float | None = None,
         shaded: bool = True,
@@ -184,6 +189,7 @@ class Scene:
             "plane": plane_of(plane, places),
             "projection": projection,
             "silhouettes": number("silhouettes", silhouettes, "a number from 0 to 1", 0.0, 1.0),
+            "shadows": number("shadows", shadows, "a number from 0 to 1", 0.0, 1.0),
             "mode": mode,
             "step": step,
             "shaded": bool(shaded),
@@ -226,7 +232,8 @@ class Scene:
     def clipped(self, clip: Clip | None, plane: Plane | None = None) -> Scene:
         """Return this scene, within another box and before another plane, without inverting or warping again."""
         made = object.__new__(type(self))
-        made._set(self._known() | {"clip": box_of(clip, self.shape), "plane": plane_of(plane, self.geometry)})
+        values = self._known() | {"clip": box_of(clip, self.shape), "plane": plane_of(plane, self.geometry)}
+        made._set(values | {"_shade": shade_of(values)})
         return made
 
     @property
@@ -431,6 +438,7 @@ class Scene:
             self.plane,
             self.silhouettes,
             PROJECTIONS.index(self.projection),
+            arriving(self._shade, lamp(view), self.shadows),
         )
 
     def _marcher(self, view: Projection) -> Callable[..., None]:
@@ -457,6 +465,7 @@ class Scene:
             look.plane,
             look.silhouettes,
             look.projection,
+            *look.arrives,
         )
 
         def march(columns: Array, rows: Array, light: Array, depth: Array, work: Array) -> None:
@@ -589,6 +598,6 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
 
 
 def _skipping(known: dict[str, Any]) -> dict[str, Any]:
-    """Return the maps of empty space: for rays, and for the buffer."""
+    """Return the maps of empty space, for rays and for the buffer, and the shade."""
     skips = skipped(known)
-    return {"_skips": skips, "_unseen": unseen_blocks(known["samples"].shape, skips)}
+    return {"_skips": skips, "_unseen": unseen_blocks(known["samples"].shape, skips), "_shade": shade_of(known)}

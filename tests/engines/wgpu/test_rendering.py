@@ -43,7 +43,7 @@ def test_a_picture_is_the_cpu_s(gpu: Gpu, cloud: np.ndarray, bent: supple.Deform
 
 
 @pytest.mark.parametrize("mode", ["plain", *MODES])
-def test_projections_planes_and_silhouettes_are_the_cpu_s(
+def test_projections_planes_silhouettes_and_shadows_are_the_cpu_s(
     gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, mode: str
 ) -> None:
     given: dict[str, Any] = {"transfer": SOFT, "tolerance": 0.05}
@@ -57,6 +57,7 @@ def test_projections_planes_and_silhouettes_are_the_cpu_s(
         {"projection": "average", "clip": ((3, 20), (None, None), (None, 15))},
         {"plane": ((13, 14, 11), (0.3, -1, 0.5)), "silhouettes": 0.4},
         {"plane": ((13, 14, 11), (-0.3, 1, 0.5)), "silhouettes": 1.0},
+        {"shadows": 1.0, "clip": ((3, 20), (None, None), (None, 15))},
     ):
         one, other = (
             Scene(cloud, GEOMETRY, device=device, **given, **options).render(camera, SIZE) for device in ("cpu", "gpu")

@@ -62,6 +62,8 @@ SETTINGS = np.dtype(
         ("box_first", "f4", 4),
         ("box_last", "f4", 4),
         ("plane", "f4", 4),
+        ("first_node", "f4", 4),
+        ("per_node", "f4", 4),
         ("step", "f4"),
         ("low", "f4"),
         ("scale", "f4"),
@@ -73,7 +75,7 @@ SETTINGS = np.dtype(
         ("turns", "u4"),
         ("projection", "u4"),
         ("silhouettes", "f4"),
-        ("unused", "u4"),
+        ("shadows", "u4"),
     ]
 )
 _PAINT = np.dtype(
@@ -126,6 +128,7 @@ class Look:
     plane: tuple[float, float, float, float]
     silhouettes: float
     projection: int
+    arrives: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
 
 
 def march(
@@ -242,6 +245,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         "plane": look.plane,
         "silhouettes": look.silhouettes,
         "projection": look.projection,
+        "shadows": look.arrives[0].size > 0,
     }.items():
         settings[name] = value
     for name, row in {
@@ -252,6 +256,8 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         "light": look.light,
         "box_first": look.box[0],
         "box_last": look.box[1],
+        "first_node": look.arrives[1][0],
+        "per_node": look.arrives[1][1],
     }.items():
         settings[name][0, :3] = row
     # Whole rows of pixels, as many as there is room for.
@@ -265,6 +271,11 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         colours = layers(gpu, (2, len(look.sums)), 1, np.float32, 4)
         owned(stack, skips, colours)
         put_solid(gpu, skips, look.skips)
+        shadows, lit = look.arrives[0], lattice.nodes  # any texture, without shadows
+        if shadows.size:
+            (held_light,) = owned(stack, solid(gpu, shadows.shape, np.float32))
+            put_solid(gpu, held_light, shadows)
+            lit = held_light.create_view()
         colours.put(gpu, 0, np.stack([np.pad(look.table, ((0, 1), (0, 0))), look.sums.astype(np.float32)]))
         (seen,) = owned(stack, room(gpu, 32 * row_ * most))
         for first, count in pace.parts(height // fine):
@@ -273,7 +284,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
                 (told,) = owned(own, upload(gpu, settings, UNIFORM))
                 finished = filling.finished if filling is not None else lattice.strokes
                 read = _read(held, skips.create_view(), colours.view)
-                buffers = [told, *read, seen, finished, lattice.mask]
+                buffers = [told, *read, seen, finished, lattice.mask, lit]
                 run(gpu, [(made, buffers, (-(-width // 8), -(-count * fine // 8), 1))])
             yield first * fine, count * fine, seen
             pace.count = min(pace.count, most)
@@ -289,7 +300,7 @@ def _read(held: Held, skips: Any, colours: Any) -> list[Any]:
 
 def _marching(held: Held, mode: int, buffer: bool) -> Any:
     volume = held.volume
-    kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, WHOLE_SOLID, LAYERS, WRITE, READ, READ)
+    kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, WHOLE_SOLID, LAYERS, WRITE, READ, READ, SOLID)
     sampled = {PLAIN: 1, HYBRID: 2}.get(mode, 0) if buffer else 0
     chosen = held.lattice.constants | {"MODE": mode, "SAMPLED": sampled}
     return pipeline(volume.gpu, (*_NAMES, volume.reader), "march", kinds, chosen)
@@ -302,7 +313,8 @@ def prepare(held: Held, filling: Filling) -> None:
         told, seen = owned(stack, upload(volume.gpu, np.zeros(1, SETTINGS), UNIFORM), room(volume.gpu, 32))
         skips, colours = solid(volume.gpu, (1, 1, 1), np.uint8), layers(volume.gpu, (1, 1), 1, np.float32, 4)
         owned(stack, skips, colours)
-        buffers = [told, *_read(held, skips.create_view(), colours.view), seen, filling.finished, held.lattice.mask]
+        buffers = [told, *_read(held, skips.create_view(), colours.view), seen, filling.finished]
+        buffers += [held.lattice.mask, held.lattice.nodes]
         run(volume.gpu, [(_marching(held, mode, True), buffers, (1, 1, 1)) for mode in (LATTICE, HYBRID, PLAIN)])
         filling.prepare()
         download(volume.gpu, seen, np.float32, 8)  # waits

@@ -18,6 +18,8 @@ struct Settings {
     box_first: vec4f, // the corners of the box that is seen, in voxels
     box_last: vec4f,
     plane: vec4f, // what lies beyond it is cut away: its normal, and its distance from the first voxel
+    first_node: vec4f, // the node of the light that arrives at a voxel: first_node + per_node voxel
+    per_node: vec4f,
     step: f32, // millimetres from sample to sample
     low: f32, // the value of the transfer function's first entry, and entries for each unit of value
     scale: f32,
@@ -29,6 +31,7 @@ struct Settings {
     turns: u32, // see turns.wgsl
     projection: u32,
     silhouettes: f32, // by how much surfaces darken that are seen from the side
+    shadows: u32, // true if not all light arrives
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -39,6 +42,7 @@ struct Settings {
 @group(0) @binding(8) var<storage, read_write> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
 @group(0) @binding(9) var<storage, read> finished: array<u32>; // for each brick of the buffer, 1 if it can be read
 @group(0) @binding(10) var<storage, read> mask: array<u32>; // see freeze.wgsl
+@group(0) @binding(11) var arrives: texture_3d<f32>; // the part of the light that arrives at nodes
 
 override MODE: u32;
 
@@ -378,6 +382,9 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                         let deep = clamp((t - near) / layer, 0.0, 1.0);
                         lit = mix(vec2f(AMBIENT + DIFFUSE * face, 0.0), lit, deep);
                     }
+                    if (settings.shadows == 1u) {
+                        lit *= arriving(o + middle * d);
+                    }
                 }
                 total += part * vec4f(step.colour.xyz * lit.x + lit.y, 1.0);
                 if (opaque == FAR && total.w >= 0.9) {
@@ -452,4 +459,19 @@ fn lit_by(gradient: vec3f, half_: vec3f, along: vec3f) -> vec2f {
     let aside = max(1.0 - abs(dot(normal, along)), 0.0);
     let left = 1.0 - settings.silhouettes * aside * aside;
     return left * vec2f(AMBIENT + DIFFUSE * abs(dot(normal, settings.light.xyz)), SPECULAR * shine);
+}
+
+// The part of the light that arrives at a point, in voxels.
+fn arriving(q: vec3f) -> f32 {
+    let last = textureDimensions(arrives) - 1u;
+    let g = clamp(settings.first_node.xyz + settings.per_node.xyz * q, vec3f(0.0), vec3f(last));
+    let i = min(vec3u(g), last - 1u);
+    let f = g - vec3f(i);
+    var light = 0.0;
+    for (var k = 0u; k < 8u; k++) {
+        let corner = vec3u(k & 1u, (k >> 1u) & 1u, k >> 2u);
+        let part = select(1.0 - f, f, corner == vec3u(1u));
+        light += part.x * part.y * part.z * textureLoad(arrives, i + corner, 0).x;
+    }
+    return light;
 }

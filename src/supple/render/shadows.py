@@ -1,0 +1,199 @@
+"""Shadows in a volume: the part of the light that arrives at the nodes of a coarse grid.
+
+Each node is as opaque as its voxels are on average. Light from one direction goes through the grid layer by layer, and
+spreads a little in each: its shadows are soft. That of the lamp is found for each camera, and that of the sky, from
+fourteen directions, once. A plane hides half of the sky from what lies on it, and that counts as none, so only hollows
+are darkened, and bodies with others before them.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple import _core
+from supple.render.appearance import entries
+from supple.render.box import Box
+from supple.render.solid import solve_solid
+
+Floats = npt.NDArray[np.floating[Any]]
+Singles = npt.NDArray[np.float32]
+
+LONGEST = 128  # nodes along the longest side, in millimetres
+PAD = 2  # empty nodes around the volume, for what lies on its faces
+REACH = 2  # nodes from which the most light is taken, so that no surface is in its own shadow
+SHADE = 0.3  # of the light of the sky, which is left where that of the lamp does not arrive
+DEEP = 2.0  # the exponent by which hollows darken
+NEAR = 1.0  # voxels: the tolerance of a lattice for shadows alone
+SKY = [np.array(way) / np.linalg.norm(way) for way in itertools.product((-1, 0, 1), repeat=3) if sum(map(abs, way)) % 2]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shade:
+    """What keeps the light away in a scene.
+
+    Parameters
+    ----------
+    nodes : float32 array, shape (nz, ny, nx)
+        The opacity of ``length`` millimetres at nodes of the deformed volume, of what is not cut away.
+    length : float
+    wide : (int, int, int)
+        Voxels from node to node, x first.
+    spacing : (float, float, float)
+        Millimetres from node to node, x first.
+    sky : float32 array, shape (nz, ny, nx)
+        What the sky leaves of all light that arrives at nodes, from 0 to 1: it is 1 where half of the sky is seen.
+    """
+
+    nodes: Singles
+    length: float
+    wide: tuple[int, ...]
+    spacing: tuple[float, ...]
+    sky: Singles
+
+
+def shade_of(known: dict[str, Any]) -> Shade | None:
+    """Return the shade of a scene, of whose attributes ``known`` has enough; None if it has no shadows."""
+    if not known["shadows"] or not known["shaded"] or known["projection"] != "none":
+        return None
+    samples, spacing = known["_original"], known["geometry"].spacing
+    sides = [n * s for n, s in zip(samples.shape[::-1], spacing, strict=True)]
+    length = max(max(sides) / LONGEST, min(spacing))
+    wide = tuple(max(1, round(length / s)) for s in spacing)
+    nodes = _opacities(known, length, wide)
+    if known["deformation"] is not None:
+        nodes = _moved(nodes, known, wide)
+    nodes = np.pad(nodes * _kept(nodes.shape, wide, known["clip"], known["plane"], spacing), PAD)
+    apart = tuple(w * s for w, s in zip(wide, spacing, strict=True))
+    sky = sum((light_from(way, nodes, length, apart) for way in SKY), np.zeros_like(nodes))
+    return Shade(nodes, length, wide, apart, np.minimum(sky / np.float32(len(SKY) / 2), 1) ** DEEP)
+
+
+def arriving(shade: Shade | None, lamp: Singles, strength: float) -> tuple[Singles, Singles]:
+    """Return the part of the light that arrives at nodes, and where they are.
+
+    Parameters
+    ----------
+    shade : Shade or None
+    lamp : array (3)
+        The direction of the lamp, in millimetres along the volume's axes.
+    strength : float
+        From 0, where all light arrives, to 1.
+
+    Returns
+    -------
+    float32 array, shape (nz, ny, nx)
+        From 0 to 1; empty without shade.
+    float32 array, shape (2, 3)
+        In rows, x first: the node of voxel 0, and nodes from voxel to voxel.
+    """
+    if shade is None:
+        return np.empty((0, 0, 0), np.float32), np.zeros((2, 3), np.float32)
+    light = (SHADE + (1 - SHADE) * light_from(lamp, shade.nodes, shade.length, shade.spacing)) * shade.sky
+    wide = np.array(shade.wide)
+    placed = np.array([PAD - (wide - 1) / (2 * wide), 1 / wide], np.float32)
+    return _reached(np.asarray(1 - strength * (1 - light), np.float32)), placed
+
+
+def light_from(way: npt.ArrayLike, nodes: Singles, length: float, spacing: Sequence[float]) -> Singles:
+    """Return the part of the light from one direction that arrives at each node.
+
+    Parameters
+    ----------
+    way : array (3)
+        The direction of the light, x first.
+    nodes : float32 array, shape (nz, ny, nx)
+        The opacity of ``length`` millimetres.
+    length : float
+    spacing : (float, float, float)
+        Millimetres from node to node, x first.
+    """
+    steps = (np.asarray(way, np.float64) / spacing)[::-1]  # nodes, z first as axes are
+    axis = int(np.abs(steps).argmax())
+    steps /= abs(steps[axis])  # from a layer to the next one towards the light
+    across = float(np.linalg.norm(steps * spacing[::-1])) / length
+    layers = np.moveaxis(nodes, axis, 0)
+    through = np.maximum(1 - layers, 0) ** np.float32(0.5 * across)  # half of a layer
+    made, light = np.empty_like(layers), np.ones(layers.shape[1:], np.float32)
+    order = range(len(layers))
+    for k in reversed(order) if steps[axis] > 0 else order:
+        made[k] = _shifted(light, np.delete(steps, axis)) * through[k]
+        light = made[k] * through[k]
+    return np.moveaxis(made, 0, axis)
+
+
+def _shifted(layer: Singles, by: Floats) -> Singles:
+    """Return a layer as it is some nodes on, up to one along each axis, and 1 beyond its ends.
+
+    By quadratic B-splines: light spreads by the same, whatever the part of a node.
+    """
+    whole = np.rint(by)
+    for first, part in zip(whole.astype(int) + 1, by - whole, strict=True):
+        n = len(layer)
+        padded = np.pad(layer, [(2, 2), (0, 0)], constant_values=1)
+        weights = np.array([(0.5 - part) ** 2 / 2, 0.75 - part**2, (0.5 + part) ** 2 / 2], np.float32)
+        layer = sum(w * padded[first + j : first + j + n] for j, w in enumerate(weights)).T
+    return layer
+
+
+def _reached(nodes: Singles) -> Singles:
+    """Return the largest value of the nodes around each."""
+    for axis in range(3):
+        whole = np.moveaxis(np.pad(nodes, [(REACH * (axis == k),) * 2 for k in range(3)]), axis, 0)
+        most = np.maximum.reduce([whole[j : j + nodes.shape[axis]] for j in range(2 * REACH + 1)])
+        nodes = np.moveaxis(most, 0, axis)
+    return np.ascontiguousarray(nodes)
+
+
+def _opacities(known: dict[str, Any], length: float, wide: tuple[int, ...]) -> Singles:
+    """Return the mean opacity of ``length`` millimetres in blocks of the original's voxels."""
+    samples, table, (low, high), (bottom, top) = (known[k] for k in ("_original", "_table", "range", "density"))
+    values = np.linspace(low, high, len(table))
+    opacities = 1 - (1 - table[:, 3].astype(np.float64)) ** (length / known["step"])
+    opacities[(values < bottom) | (values > top)] = 0
+    made = np.empty([-(-n // w) for n, w in zip(samples.shape, wide[::-1], strict=True)], np.float32)
+    _core.block_means(samples, wide, opacities.astype(np.float32), low, entries(low, high), made)
+    return made
+
+
+def _centres(shape: tuple[int, ...], wide: tuple[int, ...]) -> list[Floats]:
+    """Return the voxels at the centres of blocks along each axis, x first."""
+    return [np.arange(n) * w + (w - 1) / 2 for n, w in zip(shape[::-1], wide, strict=True)]
+
+
+def _moved(nodes: Singles, known: dict[str, Any], wide: tuple[int, ...]) -> Singles:
+    """Return the opacities of the deformed volume: those at T⁻¹ of its nodes."""
+    solid = known["_solid"] or solve_solid(known["deformation"].space, known["shape"], NEAR)
+    around = np.pad(nodes, [(0, 1)] * 3, mode="edge")  # two along each axis at least
+    made, (xs, ys, zs) = np.empty_like(nodes), _centres(nodes.shape, wide)
+    points, found = np.empty((len(ys), len(xs), 3), np.float32), np.empty((len(ys) * len(xs), 4), np.float32)
+    points[..., 0], points[..., 1] = xs, ys[:, None]
+    for layer, z in zip(made, zs, strict=True):
+        points[..., 2] = z
+        p = points.reshape(-1, 3)
+        places = (p + solid.at(p)[0] - np.subtract(wide, 1) / 2) / wide
+        _core.look_up(
+            around, np.ascontiguousarray(np.minimum(places, np.array(nodes.shape[::-1]) - 1), np.float32), found
+        )
+        layer[...] = found[:, 0].reshape(layer.shape)
+    return made
+
+
+def _kept(
+    shape: tuple[int, ...], wide: tuple[int, ...], clip: Box, plane: Sequence[float], spacing: Sequence[float]
+) -> Singles:
+    """Return the parts of blocks that are not cut away."""
+    kept, away = np.ones(shape, np.float32), np.full(shape, -plane[3], np.float32)
+    for axis, (at, w) in enumerate(zip(_centres(shape, wide), wide, strict=True)):
+        (first, last), along = clip[axis], [-1 if k == 2 - axis else 1 for k in range(3)]
+        inside = np.minimum(at + w / 2, last + 0.5) - np.maximum(at - w / 2, first - 0.5)
+        kept *= np.clip(inside / w, 0, 1).astype(np.float32).reshape(along)
+        away += (plane[axis] * spacing[axis] * at).astype(np.float32).reshape(along)
+    if any(plane[:3]):
+        kept *= np.clip(0.5 - away / np.mean(np.multiply(wide, spacing)), 0, 1)
+    return kept
