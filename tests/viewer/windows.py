@@ -24,6 +24,7 @@ import pytest
 import pyvips
 
 import supple
+from supple.files.renders import default_transfer
 from supple.media import image
 from supple.media import volume as volumes
 from supple.render.camera import Camera
@@ -55,22 +56,14 @@ def wait_for(what: Any, seconds: float = 240.0, every: float = 0.1) -> Any:
 
 
 def as_in_a_window(volume: Path, width: int, height: int) -> list[str]:
-    """The options of a rendering that frames a volume as a window does: by its box, and not by what is seen of it."""
+    """The options of a rendering that stays where a window's camera is at first, whatever the strokes move."""
     found = volumes.read(volume)
-    view = Scene(found.samples, found.geometry).view(Camera(), (height, width))
-    target = (np.array(found.sizes) - 1) / 2
-    away = np.linalg.norm((view.eye - target) * found.geometry.spacing)
-    place = ",".join(f"{x:g}" for x in target)
-    return [
-        "--size",
-        f"{width}x{height}",
-        "--background",
-        "#1f1f21",
-        "--target",
-        place,
-        "--distance",
-        repr(float(away)),
-    ]
+    scene = Scene(found.samples, found.geometry, transfer=default_transfer(found))
+    camera = scene.framed(Camera(), (height, width))
+    assert camera.target is not None
+    place = ",".join(repr(x) for x in camera.target)
+    size = ["--size", f"{width}x{height}", "--background", "#1f1f21"]
+    return [*size, "--target", place, "--distance", repr(camera.distance)]
 
 
 class Hand:

@@ -245,15 +245,19 @@ class Scene:
         """Return the projection of a camera before this scene, for an image of ``size`` (rows, columns)."""
         return view_of(camera_of(camera), self.samples.shape, self.geometry, size)
 
-    def framed(self, camera: Camera | None = None, size: tuple[int, int] = (512, 512)) -> Camera:
-        """Return a camera that has all that is visible in view, where its target and distance are not given."""
-        known = camera_of(camera)
+    @property
+    def seen_points(self) -> npt.NDArray[np.float64]:
+        """Points around all that is visible, in voxels of the deformed volume, x first, (N, 3)."""
         # Bricks of the original, moved: the same in all modes.
         ranges = ranged(self._original, _core.BRICK, self._ranges)
         points = seen_points(visible(self._known(), *ranges), _core.BRICK, self._original.shape)
         if self.deformation is not None and len(points):
             points = self.deformation.forward(points)
-        points = within(points, self.clip, self.plane, self.geometry.spacing, _core.BRICK)
+        return within(points, self.clip, self.plane, self.geometry.spacing, _core.BRICK)
+
+    def framed(self, camera: Camera | None = None, size: tuple[int, int] = (512, 512)) -> Camera:
+        """Return a camera that has all that is visible in view, where its target and distance are not given."""
+        known, points = camera_of(camera), self.seen_points
         view = view_of(known, self.samples.shape, self.geometry, size, points)
         target = known.target or triple((points.min(axis=0) + points.max(axis=0)) / 2)
         return replace(known, target=target, distance=float(np.linalg.norm((view.eye - target) * view.spacing)))

@@ -142,7 +142,7 @@ class View:
             hidden = (0.0, 0.0, 1.0, 1.0)  # a pixel of it is drawn
             left, top, *extent = physical(tools.places.get(RENDERED, hidden), ratio, (size[0], size[1]))
             common |= {"size": tuple(extent), "place": (left, top)}
-            return Shot(self.document.deformation, camera=tools.camera, **common)
+            return Shot(self.document.deformation, camera=tools.stage.placed(tools.camera), **common)
         first, scale = tools.view.to_image(0.5 / ratio, 0.5 / ratio), 1.0 / (tools.view.zoom * ratio)
         return Shot(self.document.deformation, origin=first, scale=scale, time=self.frame, **common)
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from supple.geometry import Geometry
 from supple.render.camera import Camera
@@ -190,7 +191,7 @@ class VolumeTools(Tools[Camera]):
     """The tools of a volume: a left drag pulls the picked point in the camera's plane; beside the volume, it orbits.
 
     ``pick`` and ``drag`` return the point at a pixel and the drag to another, as in `supple.render.scene.Scene.pick`
-    and `supple.render.scene.Scene.drag`.
+    and `supple.render.scene.Scene.drag`. At first, ``points`` (N, 3), in voxels, are in view; None: the whole volume.
     """
 
     _beside = "orbit"
@@ -202,14 +203,14 @@ class VolumeTools(Tools[Camera]):
         canvas_size: Pair,
         pick: Callable[[float, float], Pick | None],
         drag: Callable[[Pick, Pair], tuple[float, ...]],
-        camera: Camera | None = None,
+        points: npt.NDArray[np.float64] | None = None,
     ) -> None:
-        super().__init__(document, camera or Camera())
+        super().__init__(document, Camera())
         self.home = self.view
         self.pick, self.drag = pick, drag
         self._picked: Pick | None = None
         self.corner: Pair = (0.0, 0.0)  # the upper left corner of the rendering, on the canvas
-        self.stage = orbit.Stage(document.shape, geometry, _rows(canvas_size))
+        self.stage = orbit.Stage(document.shape, geometry, _rows(canvas_size), points)
         self._under: tuple[tuple[object, ...], Pick | None] | None = None
 
     @property

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from supple.domain import SMALLEST
 from supple.geometry import Geometry
@@ -23,14 +24,24 @@ class Stage:
     shape: tuple[int, ...]  # of the volume, (Z, H, W)
     geometry: Geometry
     size: tuple[int, int]  # rows and columns of the canvas, in logical pixels
+    points: npt.NDArray[np.float64] | None = None  # that are in view at first, in voxels (N, 3); None: the whole volume
 
     def view(self, camera: Camera) -> Projection:
         """Return the projection of a camera."""
-        return view_of(camera, self.shape, self.geometry, self.size)
+        return view_of(camera, self.shape, self.geometry, self.size, self.points)
 
     def target(self, camera: Camera) -> tuple[float, ...]:
         """Return the target of the camera, in indices, x first."""
-        return camera.target or tuple((n - 1) / 2 for n in reversed(self.shape))
+        if camera.target is not None:
+            return camera.target
+        if self.points is None:
+            return tuple((n - 1) / 2 for n in reversed(self.shape))
+        return tuple(((self.points.min(axis=0) + self.points.max(axis=0)) / 2).tolist())
+
+    def placed(self, camera: Camera) -> Camera:
+        """Return the camera with its target and distance, by which it is in the same place before any scene."""
+        x, y, z = self.target(camera)
+        return replace(camera, target=(x, y, z), distance=self.distance(camera))
 
     def distance(self, camera: Camera) -> float:
         """Return the distance from the camera to its target, in millimetres."""

@@ -6,6 +6,9 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+import numpy.typing as npt
+
 from supple.geometry import Geometry
 from supple.render.camera import Camera
 from supple.render.picture import Pick
@@ -46,9 +49,9 @@ class SliceTools(VolumeTools):
         pick: Callable[[float, float], Pick | None],
         drag: Callable[[Pick, Pair], tuple[float, ...]],
         window: Pair,
-        camera: Camera | None = None,
+        points: npt.NDArray[np.float64] | None = None,
     ) -> None:
-        super().__init__(document, geometry, canvas_size, pick, drag, camera)
+        super().__init__(document, geometry, canvas_size, pick, drag, points)
         self.geometry, self.planes = geometry, planes_of(geometry)
         self.sizes = tuple(reversed(document.shape))
         self.across = self.planes[2].axis  # to the left and right of the patient

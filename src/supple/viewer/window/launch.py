@@ -24,6 +24,7 @@ from supple.files.volumes import VolumeOptions, in_space, is_volume_job, open_vo
 from supple.geometry import Geometry, check_upright
 from supple.media.image import read
 from supple.media.volume import Volume
+from supple.render.camera import Camera
 from supple.strokes import Fit, Recipe, fit_recipe
 from supple.viewer.document.editing import Document
 from supple.viewer.document.landmarks import Landmarks
@@ -144,13 +145,18 @@ def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) ->
         return VideoTools(document, Playback(stage.film.count, stage.rate, stage.film.starts), size)
     if isinstance(stage, ImageStage):
         return ImageTools(document, size)
+
+    def placed() -> Camera:
+        return tools.stage.placed(tools.camera)
+
     tools: SliceTools = SliceTools(
         document,
         stage.volume.geometry,
         size,
-        lambda x, y: stage.on_canvas(document.deformation).pick(tools.camera, tools.stage.size, (x, y)),
-        lambda pick, to: stage.on_canvas(document.deformation).drag(tools.camera, tools.stage.size, pick, to),
+        lambda x, y: stage.on_canvas(document.deformation).pick(placed(), tools.stage.size, (x, y)),
+        lambda pick, to: stage.on_canvas(document.deformation).drag(placed(), tools.stage.size, pick, to),
         first_window(stage.volume, stage.unit),
+        stage.scene.seen_points,
     )
     return tools
 
