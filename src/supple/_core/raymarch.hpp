@@ -56,6 +56,7 @@ struct Ray {
     Double4 origin, way;                     // voxels, and voxels a millimetre
     Double4 along;                           // millimetres a millimetre
     double near, far;                        // where it enters and leaves the box
+    double limit;                            // where a mesh ends it, unless the box does before
     double t;                                // the next sample; beyond `far` when the ray has ended
     double from = NEVER, to = -NEVER;        // the range in which strokes reach it
     double surface = NEVER, opaque = NEVER;  // the first surface, and where opacity passes 0.9
@@ -66,7 +67,7 @@ struct Ray {
     bool within = false;   // whether the next sample, if visible, needs its gradient
 
     // `end` is the last voxel of the volume.
-    Ray(const Look& look, Int4 end, double x, double y) : origin(look.eye) {
+    Ray(const Look& look, Int4 end, double x, double y, double limit = NEVER) : origin(look.eye), limit(limit) {
         along = look.ahead + x * look.right + y * look.down;
         along *= 1.0 / root(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
         way = along / look.spacing;
@@ -75,6 +76,7 @@ struct Ray {
         t = near = most(most(low[0], low[1]), most(low[2], 0.0));
         far = least(least(high[0], high[1]), high[2]);
         cut(look);
+        if (!look.projection) far = least(far, limit);
         if (!live()) return;
         for (int i = 0; i < 3 && near > 0; i++) {
             bool moved = way[i] > 0 ? look.first[i] > 0 : look.last[i] < end[i];
@@ -148,6 +150,7 @@ struct Ray {
             enter(look);
         } else {
             Float4 colour = look.colour(value);
+            if (far == limit) colour[3] = before_mesh(look, colour[3]);
             bool seen = look.seen(value) && colour[3] > 0;
             if (seen && !within) {
                 within = true;  // again, with its gradient
@@ -169,6 +172,15 @@ struct Ray {
         surface = look.projection == Look::AVERAGE ? near : opaque;
     }
 
+    // Go on to the colour and the distance at which a mesh ends the ray, if one does.
+    void end_at(const Look& look, Float4 end) {
+        if (end[3] == std::numeric_limits<float>::infinity()) return;
+        const float left = look.projection ? 1 : 1 - light[3];
+        surface = look.projection ? end[3] : least(surface, double(end[3]));
+        end[3] = 1;
+        light = left == 1 ? end : light + left * end;
+    }
+
 private:
     enum { BEFORE, BISECT, BEHIND } phase = BEFORE;
     int turn;
@@ -183,6 +195,12 @@ private:
     INLINE void enter(const Look& look) {
         phase = BEHIND;
         t = most(least(t + 0.5 * look.step, far), t);
+    }
+
+    // The opacity of the step around a sample; of the last one before a mesh, only up to that.
+    INLINE float before_mesh(const Look& look, float opacity) const {
+        if (t + look.step <= far) return opacity;
+        return 1 - __builtin_powf(1 - opacity, float((far - most(t - 0.5 * look.step, surface)) * look.per_step));
     }
 
     // Cut away what lies beyond the plane; where the ray enters through it, that is a cut face.

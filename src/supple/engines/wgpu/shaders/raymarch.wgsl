@@ -30,6 +30,7 @@ struct Settings {
     turns: u32, // see turns.wgsl
     projection: u32,
     silhouettes: f32, // by how much surfaces darken that are seen from the side
+    ends: u32, // true if there are meshes
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -40,6 +41,7 @@ struct Settings {
 @group(0) @binding(8) var<storage, read_write> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
 @group(0) @binding(9) var<storage, read> finished: array<u32>; // for each brick of the buffer, 1 if it can be read
 @group(0) @binding(10) var<storage, read> mask: array<u32>; // see freeze.wgsl
+@group(0) @binding(11) var<storage, read> ends: array<vec4f>; // the meshes that rays end at: colour, and distance
 
 override MODE: u32;
 
@@ -185,6 +187,20 @@ fn gradient_at(place: Place, t: f32) -> vec3f {
     return g * (stretch.from_.matrix + s * (stretch.to.matrix - stretch.from_.matrix)) / domain.spacing.xyz;
 }
 
+// The mesh at which a ray ends, or FAR.
+fn end_of(ray: u32) -> vec4f {
+    var end = vec4f(0.0, 0.0, 0.0, FAR);
+    if (settings.ends != 0u) {
+        end = ends[ray];
+    }
+    return end;
+}
+
+// What is seen of the volume, before a mesh.
+fn before(end: vec4f, total: vec4f) -> vec4f {
+    return select(total, total + (1.0 - total.w) * vec4f(end.xyz, 1.0), end.w < FAR);
+}
+
 fn seen_first(value: f32) -> bool {
     return value >= settings.threshold && value <= settings.window.y;
 }
@@ -219,6 +235,10 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
         near = max(near, -away / rate);
     } else if (away > 0.0) {
         far = -1.0;
+    }
+    let end = end_of(id.y * size.x + id.x);
+    if (settings.projection == 0u) {
+        far = min(far, end.w);
     }
     let half_ = normalize(settings.light.xyz - along);
     var ray = Ray(o, d, over, safe > vec3f(0.0), near, far, near, 0.0);
@@ -328,7 +348,10 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
             let value = sample_at(place.p, stretch.of_buffer);
             taken += 1.0;
             let entry = u32(clamp((value - settings.low) * settings.scale, 0.0, last) + 0.5);
-            let colour = textureLoad(colours, vec2u(entry, 0u), 0u, 0);
+            var colour = textureLoad(colours, vec2u(entry, 0u), 0u, 0);
+            if (far == end.w && t + settings.step > far) { // the part of the step before the mesh
+                colour.w = 1.0 - pow(1.0 - colour.w, (far - max(t - 0.5 * settings.step, surface)) / settings.step);
+            }
             let part = (1.0 - total.w) * colour.w;
             if (value >= settings.window.x && value <= settings.window.y && colour.w > 0.0) {
                 within = true;
@@ -364,8 +387,8 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
         }
     }
     let k = 2u * (id.y * size.x + id.x);
-    seen[k] = total;
-    seen[k + 1u] = vec4f(surface, opaque, taken, select(inversions, -1.0, lost || cut_short()));
+    seen[k] = before(end, total);
+    seen[k + 1u] = vec4f(min(surface, end.w), opaque, taken, select(inversions, -1.0, lost || cut_short()));
 }
 
 // The extreme or the average value along a ray, in the colours of the transfer function, which are opaque.
@@ -404,6 +427,11 @@ fn project(whole: Ray, k: u32) {
         }
         let entry = u32(clamp((value - settings.low) * settings.scale, 0.0, f32(settings.entries - 1u)) + 0.5);
         total = textureLoad(colours, vec2u(entry, 0u), 0u, 0);
+    }
+    let end = end_of(k / 2u);
+    if (end.w < FAR) { // the volume is nowhere along the ray
+        total = vec4f(end.xyz, 1.0);
+        surface = end.w;
     }
     seen[k] = total;
     seen[k + 1u] = vec4f(surface, at, count, select(inversions, -1.0, lost || cut_short()));
