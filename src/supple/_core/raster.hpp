@@ -1,18 +1,19 @@
 // Triangles and lines before the camera of a volume: for each ray, the nearest of them, and its light.
 //
 // In millimetres along the volume's axes from the eye, a point is P = X right + Y down + Z ahead, and a ray is
-// d = x right + y down + ahead, for a pixel (x, y). With w_i = d · (P_j × P_k), the ray meets the plane of a triangle at
-// Σ w_i P_i / Σ w_i, and the triangle if no two w_i differ in sign: exact in perspective, and corners behind the eye need
-// no care. Triangles that share an edge have the same w for it, but for the sign, so no ray goes through between them.
+// d = x right + y down + ahead, for a pixel (x, y). With w_i = d · (P_j × P_k), the ray meets the plane of a triangle
+// at Σ w_i P_i / Σ w_i, and the triangle if no two w_i differ in sign: exact in perspective, and corners behind the eye
+// need no care. Triangles that share an edge have the same w for it, but for the sign, so no ray goes through between
+// them.
 #pragma once
 #include "raymarch.hpp"
 
 namespace supple {
 
-constexpr int STRIP = 16;           // rows of rays that a thread draws
-constexpr int CHUNK = 1 << 14;     // triangles and lines that a thread sorts into strips
+constexpr int STRIP = 16;            // rows of rays that a thread draws
+constexpr int CHUNK = 1 << 14;       // triangles and lines that a thread sorts into strips
 constexpr double BEFORE_EYE = 1e-6;  // millimetres: where lines begin that go through the eye's plane
-constexpr float SMOOTH = 0.766f;   // cos 40°: corners whose normal is farther off the triangle's are of an edge
+constexpr float SMOOTH = 0.766f;     // cos 40°: corners whose normal is farther off the triangle's are of an edge
 
 struct Mesh {
     const double* points;  // millimetres along the volume's axes
@@ -35,10 +36,9 @@ struct Rays {
 // A point from the eye: millimetres ahead, and along the steps to the pixels right and below at a millimetre.
 struct Seen {
     double x, y, z;
-    friend Seen cross(Seen a, Seen b) {
-        return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-    }
+    friend Seen cross(Seen a, Seen b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; }
     Seen operator-() const { return {-x, -y, -z}; }
+    bool operator<(const Seen& o) const { return x != o.x ? x < o.x : y != o.y ? y < o.y : z < o.z; }
 };
 
 // Two points of a line where it is before the eye, or none.
@@ -147,7 +147,7 @@ private:
         Seen n[3];
         for (int k = 0; k < 3; k++) {
             const int a = (k + 1) % 3, b = (k + 2) % 3;
-            n[k] = at[a] < at[b] ? cross(p[a], p[b]) : -cross(p[b], p[a]);
+            n[k] = p[a] < p[b] ? cross(p[a], p[b]) : -cross(p[b], p[a]);
         }
         cover(i, top, bottom, [&](int row, int left, int right) {
             double y = rays.rows[row], from[3];
@@ -223,7 +223,8 @@ private:
         const float aside = most(1 - __builtin_fabsf(dot3(normal, way) * over), 0.0f);
         float shine = dot3(normal, half) * over / most(root(dot3(half, half)), 1e-6f);
         for (int i = 0; i < 4; i++) shine *= shine;
-        return (mesh.colour * (AMBIENT + DIFFUSE * __builtin_fabsf(dot3(normal, look.lamp) * over)) + SPECULAR * shine) *
+        return (mesh.colour * (AMBIENT + DIFFUSE * __builtin_fabsf(dot3(normal, look.lamp) * over)) +
+                SPECULAR * shine) *
                (1 - look.silhouettes * aside * aside);
     }
 };

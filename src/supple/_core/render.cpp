@@ -132,8 +132,8 @@ Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Ar
 
 // For the rays of `columns` by `rows`, pixels from the centre of the image: light (rows, columns, 4); depth (rows,
 // columns, 2) of the first surface and where opacity passes 0.9, or infinity; and work (rows, columns, 2), samples and
-// evaluations. `ends` (rows, columns, 4) is what `raster` makes: opaque, behind what is seen of the volume before it, and
-// before projections, which are nowhere along their rays.
+// evaluations. `ends` (rows, columns, 4) is what `raster` makes: opaque, behind what is seen of the volume before it,
+// and before projections, which are nowhere along their rays.
 void draw(Samples samples, const Look& look, const SolidLattice* lattice, int cells, const Strokes* strokes,
           Array<const double, 1> columns, Array<const double, 1> rows, Array<float, 3> light, Array<double, 3> depth,
           Array<int64_t, 3> work, std::optional<Array<const float, 3>> ends) {
@@ -178,19 +178,17 @@ void draw(Samples samples, const Look& look, const SolidLattice* lattice, int ce
 // Draw a mesh into what rays end at, (rows, columns, 4): colours in linear light and millimetres from the eye, at first
 // infinity. Points are in millimetres along the volume's axes, and normals of unit length or 0.
 void raster(const Look& look, Array<const double, 2> points, Array<const float, 2> normals,
-            Array<const int32_t, 2> triangles, Array<const int32_t, 2> lines, std::array<float, 3> colour, double radius,
-            Array<const double, 1> columns, Array<const double, 1> rows, Array<float, 3> out) {
+            Array<const int32_t, 2> triangles, Array<const int32_t, 2> lines, std::array<float, 3> colour,
+            double radius, Array<const double, 1> columns, Array<const double, 1> rows, Array<float, 3> out) {
     if (points.shape(1) != 3 || normals.shape(1) != 3 || normals.shape(0) != points.shape(0) ||
         triangles.shape(1) != 3 || lines.shape(1) != 2)
         throw nb::value_error("points and normals must be (N, 3), triangles (T, 3) and lines (L, 2)");
     if (out.shape(0) != rows.size() || out.shape(1) != columns.size() || out.shape(2) != 4)
         throw nb::value_error("a picture must have its rows and columns");
     const Rays rays{columns.data(), rows.data(), (int)columns.size(), (int)rows.size()};
-    const Mesh mesh{points.data(),           (int64_t)points.shape(0),
-                    normals.data(),          triangles.data(),
-                    (int64_t)triangles.shape(0), lines.data(),
-                    (int64_t)lines.shape(0), point_of(colour.data()),
-                    radius};
+    const Mesh mesh{points.data(),           (int64_t)points.shape(0),    normals.data(),
+                    triangles.data(),        (int64_t)triangles.shape(0), lines.data(),
+                    (int64_t)lines.shape(0), point_of(colour.data()),     radius};
     unlocked([&] { Raster(look, rays, mesh, out.data()); });
 }
 

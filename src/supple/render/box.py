@@ -67,7 +67,7 @@ def around(points: Floats) -> Floats:
     x, y, z = np.minimum((points - low) / size, COARSE - 1).astype(np.intp).T
     boxes = np.zeros((COARSE, COARSE, COARSE), np.bool_)
     boxes[z, y, x] = True
-    return low + size * seen_points(boxes, 1, (COARSE + 1,) * 3)
+    return np.asarray(low + size * seen_points(boxes, 1, (COARSE + 1,) * 3), np.float64)
 
 
 def within(points: Floats, box: Box, plane: Sequence[float], spacing: Sequence[float], slack: float) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,10 @@ import numpy.typing as npt
 from supple import _core
 from supple.deformation import Deformation
 from supple.domain import number, point, refuse
+from supple.engines.wgpu import raymarch as shading
 from supple.geometry import Geometry
+from supple.render.appearance import core_look
+from supple.render.camera import Projection
 from supple.render.picture import light_of
 
 Array = npt.NDArray[Any]
@@ -22,11 +25,7 @@ WIDTH = 2.0
 """The width of lines, in pixels."""
 
 
-def _none(corners: int) -> Any:
-    return field(default_factory=lambda: np.zeros((0, corners), np.int32))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, init=False)
 class Surface:
     """A mesh or contours in a volume: opaque, and of one colour.
 
@@ -51,17 +50,25 @@ class Surface:
     """
 
     points: Floats
-    triangles: Ints = _none(3)
-    lines: Ints = _none(2)
-    colour: tuple[float, ...] = (0.8, 0.8, 0.8)
+    triangles: Ints
+    lines: Ints
+    colour: tuple[float, float, float]
 
-    def __post_init__(self) -> None:
-        points = np.ascontiguousarray(self.points, np.float64)
+    def __init__(
+        self,
+        points: npt.ArrayLike,
+        triangles: npt.ArrayLike = (),
+        lines: npt.ArrayLike = (),
+        colour: tuple[float, ...] = (0.8, 0.8, 0.8),
+    ) -> None:
+        points = np.ascontiguousarray(points, np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             refuse("points", "finite numbers of shape (N, 3)", told=f"an array of shape {points.shape}")
         object.__setattr__(self, "points", points)
-        for name, corners in (("triangles", 3), ("lines", 2)):
-            given = np.asarray(getattr(self, name))
+        for name, joined, corners in (("triangles", triangles, 3), ("lines", lines, 2)):
+            given = np.asarray(joined)
+            if given.shape == (0,):
+                given = np.zeros((0, corners), np.int32)
             if given.ndim != 2 or given.shape[1] != corners or given.dtype.kind not in "iu":
                 wanted = f"indices of points, of shape (N, {corners})"
                 refuse(name, wanted, told=f"{given.dtype} of shape {given.shape}")
@@ -69,10 +76,10 @@ class Surface:
                 found = f"{given.min()} to {given.max()}"
                 refuse(name, f"indices of points from 0 to {len(points) - 1}", told=found)
             object.__setattr__(self, name, np.ascontiguousarray(given, np.int32))
-        colour = point("colour", self.colour, (3,))
-        for value in colour:
-            number("colour", value, "three numbers from 0 to 1", 0.0, 1.0)
-        object.__setattr__(self, "colour", colour)
+        red, green, blue = (
+            number("colour", value, "three numbers from 0 to 1", 0.0, 1.0) for value in point("colour", colour, (3,))
+        )
+        object.__setattr__(self, "colour", (red, green, blue))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,16 +122,18 @@ def _unit(vectors: Floats) -> Floats:
     return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0))
 
 
-def nearest(meshes: tuple[Placed, ...], look: _core.Look, columns: Floats, rows: Floats) -> npt.NDArray[np.float32]:
-    """Return what the rays of pixels end at: linear light, and millimetres from the eye, (rows, columns, 4).
+def nearest(meshes: tuple[Placed, ...], look: shading.Look, view: Projection, fine: int) -> npt.NDArray[np.float32]:
+    """Return what rays end at, some along the side of a pixel: linear light, and millimetres from the eye, (H, W, 4).
 
-    Where there is none, that is infinity. Columns and rows are in pixels from the centre of the image.
+    Where there is none, that is infinity.
     """
+    rows, columns = ((np.arange(n * fine) + 0.5) / fine - 0.5 * n for n in view.size)
+    seen = core_look(look, view)
     ends = np.zeros((len(rows), len(columns), 4), np.float32)
     ends[..., 3] = np.inf
     for mesh in meshes:
-        red, green, blue = light_of(mesh.surface.colour)  # type: ignore[arg-type]
+        red, green, blue = light_of(mesh.surface.colour)
         colour = float(red), float(green), float(blue)
         joined = mesh.surface.triangles, mesh.surface.lines
-        _core.raster(look, mesh.points, mesh.normals, *joined, colour, WIDTH / 2, columns, rows, ends)
+        _core.raster(seen, mesh.points, mesh.normals, *joined, colour, WIDTH / 2, columns, rows, ends)
     return ends

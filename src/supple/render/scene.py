@@ -24,6 +24,7 @@ from supple.geometry import Geometry
 from supple.render.appearance import (
     FINE,
     PROJECTIONS,
+    core_look,
     entries,
     lamp,
     prepared,
@@ -446,31 +447,8 @@ class Scene:
             PROJECTIONS.index(self.projection),
         )
 
-    def _seen(self, view: Projection) -> _core.Look:
-        look = self._look(view)
-        return _core.Look(
-            np.ascontiguousarray(view.packed),
-            look.skips,
-            look.table,
-            look.low,
-            look.scale,
-            look.threshold,
-            look.window,
-            look.step,
-            triple(look.light),
-            look.shaded,
-            np.ascontiguousarray(look.box),
-            look.plane,
-            look.silhouettes,
-            look.projection,
-        )
-
     def _ends(self, view: Projection, fine: int) -> npt.NDArray[np.float32] | None:
-        """Return what rays end at, of meshes; None without any."""
-        if not self._placed:
-            return None
-        ys, xs = ((np.arange(n * fine) + 0.5) / fine - 0.5 * n for n in view.size)
-        return nearest(self._placed, self._seen(view), xs, ys)
+        return nearest(self._placed, self._look(view), view, fine) if self._placed else None
 
     def _marcher(self, view: Projection) -> Callable[..., None]:
         """Return the function that marches the rays of columns and rows of pixels, into colours, depths and work."""
@@ -479,7 +457,7 @@ class Scene:
             strokes = strokes_of(self.deformation.space)
         elif self._solid is not None:
             lattice, cells = self._solid.lattice, cells_along_rays(self._solid, self.tolerance)
-        seen = self._seen(view)
+        seen = core_look(self._look(view), view)
 
         def march(
             columns: Array, rows: Array, light: Array, depth: Array, work: Array, ends: Array | None = None
@@ -503,7 +481,8 @@ class Scene:
         Returns
         -------
         Pick or None
-            The first point of the volume, whatever meshes are before it, along the pixel's ray with an accumulated opacity of 0.9; None if there is none.
+            The first point of the volume along the pixel's ray, whatever meshes are before it, with an accumulated
+            opacity of 0.9; None if there is none.
         """
         x, y = point("pixel", pixel, (2,))
         view = self.view(camera, size)

@@ -87,7 +87,7 @@ class _Rows:
 
     def element(self, known: _Element) -> dict[str, Runs]:
         """Return the values of each property, and for lists how many are in each."""
-        start, lengths = self.at, {name: many for name, many in self._row(known).items()}
+        start, lengths = self.at, self._row(known)
         fields: list[Any] = []
         for name, kind in known.properties:
             if kind == "list":
@@ -121,7 +121,8 @@ class _Rows:
         if many < 0 or end > len(self.data):
             raise unreadable(self.path, "it ends before its faces do")
         self.at, start = end, self.at
-        return np.frombuffer(self.data, dtype, many, start).tolist()
+        values: list[int] = np.frombuffer(self.data, dtype, many, start).tolist()
+        return values
 
 
 @dataclass(slots=True)

@@ -109,8 +109,10 @@ def _parts(path: PathLike, dataset: Any, count: int) -> list[Part]:
             closed = [] if kind in ("POINT", "OPEN_PLANAR", "OPEN_NONPLANAR") else [begin]
             runs.append([*range(begin, end), *closed])
             begin = end
-        red, green, blue = region.get("ROIDisplayColor") or (None, None, None)
-        colour = None if red is None else (int(red) / 255, int(green) / 255, int(blue) / 255)
+        shades = [int(shade) / 255 for shade in region.get("ROIDisplayColor") or ()]
+        colour = (
+            (shades[0], shades[1], shades[2]) if len(shades) == 3 and 0 <= min(shades) <= max(shades) <= 1 else None
+        )
         made.append(part_of(path, count, lines=joined(runs), colour=colour))
     return made
 

@@ -83,11 +83,12 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
 
 
 def _parts(path: PathLike, data: bytes, points: _Block, binary: bool) -> list[Part]:
-    runs = {word: NO_RUNS for word in (b"POLYGONS", b"LINES", b"TRIANGLE_STRIPS")}
+    runs = dict.fromkeys((b"POLYGONS", b"LINES", b"TRIANGLE_STRIPS"), NO_RUNS)
     place = points.end - 1
     while found := _CELLS.search(data, place):
         runs[found[1]], place = _runs(path, data, found, binary)
-    return [part_of(path, len(points.values), *runs.values())]
+    polygons, lines, strips = runs.values()
+    return [part_of(path, len(points.values), polygons, lines, strips)]
 
 
 def _runs(path: PathLike, data: bytes, found: re.Match[bytes], binary: bool) -> tuple[Runs, int]:

@@ -185,8 +185,10 @@ def _parts(file: _File, xml: bytes, counts: list[int]) -> list[Part]:
             base += count
     except (binascii.Error, zlib.error, lzma.LZMAError, ValueError) as error:
         raise unreadable(file.path, f"an array is damaged ({error})") from error
-    runs = [(np.concatenate(corners[k]), np.concatenate(many[k])) if corners[k] else NO_RUNS for k in kinds]
-    return [part_of(file.path, total, *runs)]
+    polygons, lines, strips = (
+        (np.concatenate(corners[k]), np.concatenate(many[k])) if corners[k] else NO_RUNS for k in kinds
+    )
+    return [part_of(file.path, total, polygons, lines, strips)]
 
 
 def _whole(file: _File, piece: re.Match[bytes], section: str) -> Iterator[tuple[str, Ints]]:
