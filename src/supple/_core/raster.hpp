@@ -7,6 +7,7 @@
 // them.
 #pragma once
 #include "raymarch.hpp"
+#include "threads.hpp"
 
 namespace supple {
 
