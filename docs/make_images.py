@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from supple.media import image
 from supple.plot import figure
 from supple.plot.annotate import annotated
 from supple.render.camera import Camera
+from supple.render.meshes import Surface
 from supple.render.scene import Scene
 
 HERE = Path(__file__).resolve().parent
@@ -151,6 +153,56 @@ def shadows(folder: Path) -> None:
             pixels = scene.render(scene.framed(camera, size), size, supersampling=2).pixels((1.0, 1.0, 1.0))
             pictures.append(shown(pixels, 1.0))
     side_by_side(folder / "shadows.webp", pictures, 2)
+
+
+def meshes(folder: Path) -> None:
+    """A brain in the opened head; and a tumour, in contours of a margin, at a slanted cut, before and after strokes."""
+    import vtk
+    from vtk.util.numpy_support import numpy_to_vtk, vtk_to_numpy
+
+    whole, brain = (open_volume(DATA / f"{name}.nii.gz") for name in ("head", "brain"))
+    grid = vtk.vtkImageData()
+    grid.SetDimensions(*brain.sizes)
+    grid.GetPointData().SetScalars(numpy_to_vtk(brain.samples.ravel().astype(np.float32), deep=1))
+    smooth, edges = vtk.vtkImageGaussianSmooth(), vtk.vtkFlyingEdges3D()
+    smooth.SetInputData(grid)
+    smooth.SetStandardDeviation(1)
+    edges.SetInputConnection(smooth.GetOutputPort())
+    edges.SetValue(0, 0.5)
+
+    def drawn(source: Any, colour: tuple[float, float, float]) -> Surface:
+        source.Update()
+        found, cells = source.GetOutput(), {}
+        for name, each, corners in (("triangles", found.GetPolys(), 3), ("lines", found.GetLines(), 2)):
+            cells[name] = vtk_to_numpy(each.GetConnectivityArray()).reshape(-1, corners)
+        return Surface(vtk_to_numpy(found.GetPoints().GetData()), **cells, colour=colour)
+
+    tumour, margin = vtk.vtkSphereSource(), vtk.vtkSphereSource()
+    for ball, radius in ((tumour, 6), (margin, 12)):
+        ball.SetThetaResolution(48)
+        ball.SetPhiResolution(48)
+        ball.SetRadius(radius)
+        ball.SetCenter(55, 64, 63.2)
+    rings, plane = vtk.vtkCutter(), vtk.vtkPlane()
+    rings.SetInputConnection(margin.GetOutputPort())
+    plane.SetNormal(0, 0, 1)
+    rings.SetCutFunction(plane)
+    rings.GenerateValues(7, 55.0, 74.0)
+    marks = [drawn(rings, (0.1, 0.3, 0.6)), drawn(tumour, (1.0, 0.2, 0.2))]
+    d = supple.Deformation(whole.samples.shape, spacing=whole.geometry.spacing, border=30)
+    d = d.grab((55, 64, 63), by=(-13, -3, -6), radius=28)
+    cut: dict[str, Any] = {"meshes": marks, "plane": ((45, 60, 60), (0.5, -0.7, 0.7))}
+    made: list[tuple[Camera, dict[str, Any]]] = [
+        (Camera(38, 30), {"meshes": [drawn(edges, (0.87, 0.68, 0.62))], "clip": (*[(None, None)] * 2, (None, 46))}),
+        (Camera(38, 25), cut),
+        (Camera(38, 25), cut | {"deformation": d}),
+    ]
+    pictures, size = [], (300, 300)
+    for camera, options in made:
+        scene = Scene(whole.samples, whole.geometry, transfer="mr-head", **options)
+        near = replace(scene.framed(camera, size), distance=490)
+        pictures.append(shown(scene.render(near, size, supersampling=2).pixels((1.0, 1.0, 1.0)), 1.0))
+    side_by_side(folder / "meshes.webp", pictures)
 
 
 def shown(pixels: image.Array, scale: float, kernel: str = "cubic") -> pyvips.Image:
@@ -312,6 +364,7 @@ def main() -> None:
     marked(folder)
     looks(folder)
     shadows(folder)
+    meshes(folder)
     rendered(paper, "iterations").pngsave(folder / "iterations.png", palette=True, keep="none")
 
 

@@ -228,6 +228,19 @@ def draw(
     light: Singles,
     depth: Floats,
     work: Integers,
+    ends: Singles | None = None,
+) -> None: ...
+def raster(
+    look: Look,
+    points: Floats,
+    normals: Singles,
+    triangles: npt.NDArray[np.int32],
+    lines: npt.NDArray[np.int32],
+    colour: Sequence[float],
+    radius: float,
+    columns: Floats,
+    rows: Floats,
+    out: Singles,
 ) -> None: ...
 def brick_ranges(samples: Array, brick: int, lows: Singles, highs: Singles) -> None: ...
 def block_means(

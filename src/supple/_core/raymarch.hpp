@@ -102,7 +102,7 @@ struct Ray {
     bool within = false;   // whether the next sample, if visible, needs its gradient
 
     // `end` is the last voxel of the volume.
-    Ray(const Look& look, Int4 end, double x, double y) : origin(look.eye) {
+    Ray(const Look& look, Int4 end, double x, double y, double limit = NEVER) : origin(look.eye) {
         along = look.ahead + x * look.right + y * look.down;
         along *= 1.0 / root(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
         way = along / look.spacing;
@@ -111,6 +111,7 @@ struct Ray {
         t = near = most(most(low[0], low[1]), most(low[2], 0.0));
         far = least(least(high[0], high[1]), high[2]);
         cut(look);
+        if (!look.projection) far = least(far, limit);
         if (!live()) return;
         for (int i = 0; i < 3 && near > 0; i++) {
             bool moved = way[i] > 0 ? look.first[i] > 0 : look.last[i] < end[i];
@@ -210,6 +211,15 @@ struct Ray {
         if (!look.projection || samples == 0) return;
         light = look.colour(look.projection == Look::AVERAGE ? float(projected / double(samples)) : float(projected));
         surface = look.projection == Look::AVERAGE ? near : opaque;
+    }
+
+    // Go on to the colour and the distance at which a mesh ends the ray, if one does.
+    void end_at(const Look& look, Float4 end) {
+        if (end[3] == std::numeric_limits<float>::infinity()) return;
+        const float left = look.projection ? 1 : 1 - light[3];
+        surface = look.projection ? end[3] : least(surface, double(end[3]));
+        end[3] = 1;
+        light = left == 1 ? end : light + left * end;
     }
 
 private:

@@ -3,7 +3,7 @@
 #include <nanobind/stl/pair.h>
 
 #include "bindings.hpp"
-#include "raymarch.hpp"
+#include "raster.hpp"
 
 namespace supple {
 namespace {
@@ -141,15 +141,16 @@ Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Ar
 
 // For the rays of `columns` by `rows`, pixels from the centre of the image: light (rows, columns, 4); depth (rows,
 // columns, 2) of the first surface and where opacity passes 0.9, or infinity; and work (rows, columns, 2), samples and
-// evaluations.
+// evaluations. `ends` (rows, columns, 4) is what `raster` makes: opaque, behind what is seen of the volume before it,
+// and before projections, which are nowhere along their rays.
 void draw(Samples samples, const Look& look, const SolidLattice* lattice, int cells, const Strokes* strokes,
           Array<const double, 1> columns, Array<const double, 1> rows, Array<float, 3> light, Array<double, 3> depth,
-          Array<int64_t, 3> work) {
+          Array<int64_t, 3> work, std::optional<Array<const float, 3>> ends) {
     const int height = (int)rows.size(), width = (int)columns.size();
     auto fits = [&](auto& a, size_t n) {
         return (int)a.shape(0) == height && (int)a.shape(1) == width && a.shape(2) == n;
     };
-    if (!fits(light, 4) || !fits(depth, 2) || !fits(work, 2))
+    if (!fits(light, 4) || !fits(depth, 2) || !fits(work, 2) || (ends && !fits(*ends, 4)))
         throw nb::value_error("a picture must have its rows and columns");
     const int across = (width + TILE - 1) / TILE, down = (height + TILE - 1) / TILE;
     with_voxels(samples, [&](auto voxels) {
@@ -159,7 +160,8 @@ void draw(Samples samples, const Look& look, const SolidLattice* lattice, int ce
             std::vector<Ray> rays;
             rays.reserve(TILE * TILE);
             for (int y = top; y < bottom; y++)
-                for (int x = left; x < right; x++) rays.emplace_back(look, voxels.last + 1, columns(x), rows(y));
+                for (int x = left; x < right; x++)
+                    rays.emplace_back(look, voxels.last + 1, columns(x), rows(y), ends ? (*ends)(y, x, 3) : NEVER);
             if (strokes)
                 march_exactly(voxels, look, *strokes, rays);
             else if (lattice)
@@ -167,9 +169,10 @@ void draw(Samples samples, const Look& look, const SolidLattice* lattice, int ce
             else
                 march(voxels, look, rays, [](const Ray&) { return Still(); });
             for (Ray& ray : rays) ray.finish(look);
-            const Ray* ray = rays.data();
+            Ray* ray = rays.data();
             for (int y = top; y < bottom; y++)
                 for (int x = left; x < right; x++, ray++) {
+                    if (ends) ray->end_at(look, load<float, 4>(&(*ends)(y, x, 0)));
                     for (int c = 0; c < 4; c++) light(y, x, c) = ray->light[c];
                     depth(y, x, 0) = ray->surface;
                     depth(y, x, 1) = ray->opaque;
@@ -179,6 +182,23 @@ void draw(Samples samples, const Look& look, const SolidLattice* lattice, int ce
         };
         unlocked([&] { parallel(across * down, draw_tile); });
     });
+}
+
+// Draw a mesh into what rays end at, (rows, columns, 4): colours in linear light and millimetres from the eye, at first
+// infinity. Points are in millimetres along the volume's axes, and normals of unit length or 0.
+void raster(const Look& look, Array<const double, 2> points, Array<const float, 2> normals,
+            Array<const int32_t, 2> triangles, Array<const int32_t, 2> lines, std::array<float, 3> colour,
+            double radius, Array<const double, 1> columns, Array<const double, 1> rows, Array<float, 3> out) {
+    if (points.shape(1) != 3 || normals.shape(1) != 3 || normals.shape(0) != points.shape(0) ||
+        triangles.shape(1) != 3 || lines.shape(1) != 2)
+        throw nb::value_error("points and normals must be (N, 3), triangles (T, 3) and lines (L, 2)");
+    if (out.shape(0) != rows.size() || out.shape(1) != columns.size() || out.shape(2) != 4)
+        throw nb::value_error("a picture must have its rows and columns");
+    const Rays rays{columns.data(), rows.data(), (int)columns.size(), (int)rows.size()};
+    const Mesh mesh{points.data(),           (int64_t)points.shape(0),    normals.data(),
+                    triangles.data(),        (int64_t)triangles.shape(0), lines.data(),
+                    (int64_t)lines.shape(0), point_of(colour.data()),     radius};
+    unlocked([&] { Raster(look, rays, mesh, out.data()); });
 }
 
 void brick_ranges(Samples samples, int brick, Array<float, 3> lows, Array<float, 3> highs) {
@@ -245,8 +265,10 @@ void bind_render(nb::module_& m) {
              "top"_a, "step"_a, "light"_a, "shaded"_a, "box"_a, "plane"_a, "silhouettes"_a, "projection"_a, "arrives"_a,
              "placed"_a);
     m.def("draw", &draw, "samples"_a, "look"_a, "lattice"_a.none(), "cells"_a, "strokes"_a.none(), "columns"_a,
-          "rows"_a, "light"_a, "depth"_a, "work"_a,
+          "rows"_a, "light"_a, "depth"_a, "work"_a, "ends"_a = nb::none(),
           "See a volume along the rays of pixels: as it is, through a lattice, or through strokes.");
+    m.def("raster", &raster, "look"_a, "points"_a, "normals"_a, "triangles"_a, "lines"_a, "colour"_a, "radius"_a,
+          "columns"_a, "rows"_a, "out"_a, "Draw a mesh into what the rays of pixels end at.");
     m.def("brick_ranges", &brick_ranges, "samples"_a, "brick"_a, "lows"_a, "highs"_a,
           "Find the smallest and the largest sample of bricks.");
     m.def("block_means", &mean_blocks, "samples"_a, "wide"_a, "table"_a, "low"_a, "scale"_a, "out"_a,

@@ -12,6 +12,7 @@ from supple.cli.options_volume import parse_numbers, parse_three
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
+    from supple.files.meshes import MeshFile
     from supple.files.renders import RenderOptions
     from supple.render.box import Clip, Plane
     from supple.render.camera import Camera
@@ -91,6 +92,9 @@ class LookOptions:
     plane
         Cut away what lies beyond a plane of the deformed volume: a voxel on it, and the direction in which all is cut
         away, in LPS. --plane 45,60,45:0,-1,0 cuts away what is in front of y = 60.
+    mesh
+        Draw a mesh or contours with the volume, moved by its deformation: STL, OBJ, PLY, VTK PolyData (.vtk, .vtp), or
+        a structure set of DICOM (.dcm); in a colour, if one follows: --mesh skull.stl:#ffcc00. Repeatable.
     largest
         Of what is visible, show only the largest part that is connected: without the head holder of a CT, or specks.
     projection
@@ -136,6 +140,7 @@ class LookOptions:
     clip: Annotated[str | None, Parameter(metavar="X0:X1,Y0:Y1,Z0:Z1", allow_leading_hyphen=True)] = None
     crop: Annotated[str | None, Parameter(metavar="X0:X1,Y0:Y1,Z0:Z1", allow_leading_hyphen=True)] = None
     plane: Annotated[str | None, Parameter(metavar="X,Y,Z:DX,DY,DZ", allow_leading_hyphen=True)] = None
+    mesh: Annotated[list[str], Parameter(metavar="FILE[:#RRGGBB]", show_default=False)] = ()  # type: ignore[assignment]
     largest: bool = False
     projection: Literal["none", "maximum", "minimum", "average"] = "none"
     silhouettes: Annotated[str, Parameter(metavar="S", allow_leading_hyphen=True)] = "0"
@@ -153,7 +158,7 @@ class LookOptions:
     time: Annotated[int, Parameter(metavar="K", allow_leading_hyphen=True)] = 0
     device: Literal["auto", "cpu", "gpu"] = "cpu"
 
-    def to_render(self, camera: Camera) -> RenderOptions:
+    def to_render(self, camera: Camera, convention: str | None = None) -> RenderOptions:
         """Return the options as the library takes them."""
         from supple.files.renders import RenderOptions
 
@@ -164,6 +169,8 @@ class LookOptions:
             clip=None if self.clip is None else _box("--clip", self.clip),
             crop=None if self.crop is None else _box("--crop", self.crop),
             plane=None if self.plane is None else _plane(self.plane),
+            meshes=[_mesh(text) for text in self.mesh],
+            convention=convention,
             largest=self.largest,
             projection=self.projection,
             silhouettes=parse_number("--silhouettes", self.silhouettes, "a number from 0 to 1"),
@@ -174,7 +181,7 @@ class LookOptions:
             mode=self.mode,
             shaded=not self.flat,
             annotate=self.annotate,
-            background=None if self.background is None else _colour(self.background),
+            background=None if self.background is None else _colour("--background must be", self.background),
             supersampling=self.smooth,
             turntable=self.turntable,
             rate=parse_number("--rate", self.rate, "a number of pictures a second"),
@@ -209,12 +216,19 @@ def _size(text: str) -> tuple[int, int]:
     return int(height), int(width)
 
 
-def _colour(text: str) -> tuple[float, float, float]:
+def _mesh(text: str) -> MeshFile:
+    from supple.files.meshes import MeshFile
+
+    path, _, digits = text.rpartition(":#")
+    return MeshFile(path, _colour("--mesh must end in", digits)) if path else MeshFile(text)
+
+
+def _colour(wanted: str, text: str) -> tuple[float, float, float]:
     digits = text.removeprefix("#")
     try:
         if len(digits) != 6:
             raise ValueError
         red, green, blue = bytes.fromhex(digits)
     except ValueError:
-        raise SuppleError(f"--background must be a colour such as #1a1a1e, found {text!r}") from None
+        raise SuppleError(f"{wanted} a colour such as #1a1a1e, found {text!r}") from None
     return red / 255, green / 255, blue / 255

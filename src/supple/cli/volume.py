@@ -49,7 +49,7 @@ def render(
     target
         A picture (PNG and TIFF keep opacity); with --turntable, a video or a name with a number.
     convention
-        Coordinates of tables of --pull that do not name them: LPS or RAS in millimetres, or index.
+        Coordinates of tables of --pull and of meshes that do not name them: LPS or RAS in millimetres, or index.
     """
     console = current()
     from supple.files.renders import render_file
@@ -59,7 +59,7 @@ def render(
     warn_of_software(console, look.device)
     given: dict[str, Any] = {"world": volume.world, "place": lambda: volume.place_of(source), "convention": convention}
     recipe, fit = strokes.to_recipe(**given) if strokes.any else None, strokes.to_fit()
-    render, reading = look.to_render(camera.to_camera()), volume.to_reading()
+    render, reading = look.to_render(camera.to_camera(), convention), volume.to_reading()
     if reading.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
     with counted(console.terminal) as tell, workers() as who:

@@ -113,7 +113,7 @@ def move_points(
         raise SuppleError(f"a geometry is of a volume, and shape {deformation.shape} has two axes")
     check_output(target, force=force)
     read = read_points(source, mesh=True)
-    known = _convention(read, convention, None if geometry is None else geometry.convention)
+    known = convention_of(read, convention, None if geometry is None else geometry.convention)
     if read.points.shape[1] < deformation.ndim:
         raise SuppleError(
             f"cannot move {read.name}: it has x and y, and shape {deformation.shape} needs a third column"
@@ -220,7 +220,7 @@ def read_landmarks(
     if convention is not None:
         choice("convention", convention, ("LPS", "RAS", "index"))
     read = read_points(path)
-    known = _convention(read, convention, geometry.convention)
+    known = convention_of(read, convention, geometry.convention)
     if read.points.shape[1] != 3:
         raise SuppleError(f"the points of {read.name} are of two numbers, and those of a volume have three")
     names = tuple(label or str(k) for k, label in enumerate(read.labels, 1))
@@ -298,10 +298,10 @@ def read_pull(
 def _space(read: PointFile, asked: str | None, place: str | None, world: bool) -> str:
     """Return the convention of a file of a pull."""
     if read.points.shape[1] == 2:  # of a picture, or of each plane alike
-        return _convention(read, asked, None)
+        return convention_of(read, asked, None)
     if world and asked is None and read.told in ("", "names"):
         read = replace(read, told="world")
-    space = _convention(read, asked, place)
+    space = convention_of(read, asked, place)
     if world and space == "index":
         raise SuppleError(f"{read.name} is in voxels, and --world is for points in millimetres: leave it out")
     return space
@@ -342,7 +342,7 @@ def _check_told(read: PointFile) -> None:
         )
 
 
-def _convention(read: PointFile, asked: str | None, place: str | None) -> str:
+def convention_of(read: PointFile, asked: str | None, place: str | None) -> str:
     """Return the convention of the points of a file, for a volume of the convention ``place``; None without one."""
     if asked not in (None, read.convention) and read.convention != "index":
         raise SuppleError(

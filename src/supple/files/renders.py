@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import numpy.typing as npt
 from supple.domain import choice, integer, number, point
 from supple.engines.choice import check_device
 from supple.errors import SuppleError, VolumeWarning, shown
+from supple.files.meshes import MeshFile, read_surfaces
 from supple.files.volumes import VolumeOptions, deformation_of, open_volume
 from supple.geometry import check_upright
 from supple.media import image, turntable
@@ -53,6 +54,10 @@ class RenderOptions:
         The voxels of the original that are rendered, where the strokes move them: `supple.render.appearance.cropped`.
     plane, projection, silhouettes, shadows
         As in `supple.render.scene.Scene`.
+    meshes : sequence of MeshFile
+        Meshes and contours that are rendered with the volume, and move with it.
+    convention : str, optional
+        The coordinates of those that do not say theirs, as in `supple.files.meshes.read_surfaces`.
     largest : bool
         Whether only the largest connected part of what is visible is rendered (`supple.render.appearance.largest`).
     camera : Camera
@@ -89,6 +94,8 @@ class RenderOptions:
     clip: Clip | None = None
     crop: Clip | None = None
     plane: Plane | None = None
+    meshes: Sequence[MeshFile] = ()
+    convention: str | None = None
     largest: bool = False
     projection: str = "none"
     silhouettes: float = 0.0
@@ -205,6 +212,7 @@ def scene_of(
         projection=known.projection,
         silhouettes=known.silhouettes,
         shadows=known.shadows,
+        meshes=read_surfaces(known.meshes, volume, known.convention),
         mode=known.mode,
         step=known.step,
         shaded=known.shaded,

@@ -16,7 +16,8 @@ from supple.domain import LARGEST, value_shown
 from supple.errors import SuppleError, shown
 from supple.media import meshes
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable
-from supple.media.meshes.base import Ints, Mesh
+from supple.media.meshes.base import Mesh
+from supple.media.meshes.cells import Ints, Part
 from supple.media.tables import Table, parsed
 
 Floats = npt.NDArray[np.float64]
@@ -63,6 +64,13 @@ class PointFile:
     told: str = "said"
     normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     normals_at: Ints = field(default_factory=lambda: np.zeros(0, np.intp))
+
+    def parts(self) -> list[Part]:
+        """Return what joins the points of a mesh; SuppleError if nothing does, or that is damaged."""
+        made = self._as_read.parts() if isinstance(self._as_read, Mesh) else []
+        if not any(len(part.triangles) + len(part.lines) for part in made):
+            raise unreadable(self.name, "it has no faces, lines or contours", "give a mesh")
+        return made
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.domain import choice, point, refuse
+from supple.engines.wgpu import raymarch as shading
 from supple.errors import SuppleError
 from supple.render.box import Clip, box_of
 from supple.render.camera import Projection
@@ -204,6 +205,28 @@ def lamp(view: Projection) -> npt.NDArray[np.float32]:
     right, down = (axis / np.linalg.norm(axis) for axis in view.packed[3:])
     towards = -view.ahead - 0.35 * right - 0.45 * down
     return np.asarray(towards / np.linalg.norm(towards), np.float32)
+
+
+def core_look(look: shading.Look, view: Projection) -> _core.Look:
+    """Return the appearance of a volume before a camera in the layout of the core."""
+    return _core.Look(
+        np.ascontiguousarray(view.packed),
+        look.skips,
+        look.table,
+        look.sums,
+        look.low,
+        look.scale,
+        look.threshold,
+        look.top,
+        look.step,
+        triple(look.light),
+        look.shaded,
+        np.ascontiguousarray(look.box),
+        look.plane,
+        look.silhouettes,
+        look.projection,
+        *look.arrives,
+    )
 
 
 def brick_counts(shape: tuple[int, ...], brick: int) -> tuple[int, ...]:

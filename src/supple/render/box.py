@@ -60,6 +60,16 @@ def seen_points(bricks: npt.NDArray[np.bool_], wide: int, shape: tuple[int, ...]
     return np.asarray(np.minimum(np.argwhere(corners)[:, ::-1] * float(wide * coarse), last), np.float64)
 
 
+def around(points: Floats) -> Floats:
+    """Return the corners of boxes around points (N, 3), at most 32 along each axis of all of them."""
+    low = points.min(axis=0)
+    size = np.maximum((points.max(axis=0) - low) / COARSE, 1e-9)
+    x, y, z = np.minimum((points - low) / size, COARSE - 1).astype(np.intp).T
+    boxes = np.zeros((COARSE, COARSE, COARSE), np.bool_)
+    boxes[z, y, x] = True
+    return np.asarray(low + size * seen_points(boxes, 1, (COARSE + 1,) * 3), np.float64)
+
+
 def within(points: Floats, box: Box, plane: Sequence[float], spacing: Sequence[float], slack: float) -> Floats:
     """Return points (N, 3) within a box and before a plane, or beyond by less than ``slack`` voxels.
 

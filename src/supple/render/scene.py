@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,6 +24,7 @@ from supple.geometry import Geometry
 from supple.render.appearance import (
     FINE,
     PROJECTIONS,
+    core_look,
     entries,
     lamp,
     prepared,
@@ -35,9 +36,10 @@ from supple.render.appearance import (
     triple,
     visible,
 )
-from supple.render.box import Box, Clip, Plane, box_of, plane_of, seen_points, within
+from supple.render.box import Box, Clip, Plane, around, box_of, plane_of, seen_points, within
 from supple.render.camera import Camera, Projection, camera_of, view_of
 from supple.render.device import held_scene, order_of, tried, unseen_blocks
+from supple.render.meshes import Placed, Surface, nearest, place
 from supple.render.picture import Array, Pick, Rendering, light_of
 from supple.render.shadows import Shade, arriving, shade_of
 from supple.render.solid import Solid, along_rays, cells_along_rays, solve_solid, strokes_of
@@ -81,6 +83,9 @@ class Scene:
         The evaluation of the deformation: by a certified ``"lattice"`` of inverse displacements, ``"exact"`` inversion
         of every sample along every ray, ``"buffered"``, which warps the volume first, or ``"hybrid"``: the lattice,
         until `fill` has filled the buffer on the GPU, in parts. On the CPU, that is the lattice.
+    meshes : sequence of Surface
+        Meshes and contours, which move with the volume, exactly by T. They are opaque, and not cut away by ``clip`` and
+        ``plane``; projections, which are nowhere along a ray, are behind them.
     step : float, optional
         The step along a ray, in millimetres; by default, the smallest spacing, and half of it in projections.
     shaded : bool
@@ -117,6 +122,7 @@ class Scene:
     projection: str
     silhouettes: float
     shadows: float
+    meshes: tuple[Surface, ...]
     mode: str
     step: float
     shaded: bool
@@ -125,6 +131,7 @@ class Scene:
     """A bound on the distance of source points from T⁻¹(q), in voxels, from the checks."""
     range: tuple[float, float]
     """The smallest and the largest value."""
+    _placed: tuple[Placed, ...]
     _solid: Solid | None
     _coarse: bool
     """True if the lattice is too coarse for the CPU, while the GPU has a buffer."""
@@ -156,6 +163,7 @@ class Scene:
         projection: str = "none",
         silhouettes: float = 0.0,
         shadows: float = 0.0,
+        meshes: Sequence[Surface] = (),
         mode: str = "lattice",
         step: float | None = None,
         shaded: bool = True,
@@ -178,6 +186,9 @@ class Scene:
             if step is None
             else number("step", step, f"millimetres, at least {finest * 1e-3:g}", finest * 1e-3, 1e9)
         )
+        for mesh in meshes:
+            if not isinstance(mesh, Surface):
+                refuse("meshes", "surfaces (supple.render.meshes.Surface)", mesh)
         tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-6, 1e6)
         ready = prepared(given)
         low, high = float(ready.min()), float(ready.max())
@@ -190,6 +201,7 @@ class Scene:
             "projection": projection,
             "silhouettes": number("silhouettes", silhouettes, "a number from 0 to 1", 0.0, 1.0),
             "shadows": number("shadows", shadows, "a number from 0 to 1", 0.0, 1.0),
+            "meshes": tuple(meshes),
             "mode": mode,
             "step": step,
             "shaded": bool(shaded),
@@ -253,7 +265,8 @@ class Scene:
         points = seen_points(visible(self._known(), *ranges), _core.BRICK, self._original.shape)
         if self.deformation is not None and len(points):
             points = self.deformation.forward(points)
-        return within(points, self.clip, self.plane, self.geometry.spacing, _core.BRICK)
+        points = within(points, self.clip, self.plane, self.geometry.spacing, _core.BRICK)
+        return np.concatenate([points, *(around(mesh.points) / self.geometry.spacing for mesh in self._placed)])
 
     def framed(self, camera: Camera | None = None, size: tuple[int, int] = (512, 512)) -> Camera:
         """Return a camera that has all that is visible in view, where its target and distance are not given."""
@@ -285,6 +298,7 @@ class Scene:
         fine = integer("supersampling", supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
         view = self.view(camera, size)
         height, width = size[0] * fine, size[1] * fine
+        ends = self._ends(view, fine)
         columns = (np.arange(width) + 0.5) / fine - 0.5
 
         def smaller(a: Array, take: Callable[..., Array]) -> Array:
@@ -296,7 +310,7 @@ class Scene:
             with let_through():
                 done = tried(
                     held.volume.gpu,
-                    lambda: shading.march(held, self._look(view), view.packed, (height, width), fine, told),
+                    lambda: shading.march(held, self._look(view), view.packed, (height, width), fine, told, ends),
                     2,
                     "the CPU did what {} could not",
                 )
@@ -309,7 +323,8 @@ class Scene:
         for top in range(0, height, _ROWS):
             below = min(top + _ROWS, height)
             rows = (np.arange(top, below) + 0.5) / fine - 0.5
-            march(columns, rows, light[top:below], depth[top:below], work[top:below])
+            part = None if ends is None else ends[top:below]
+            march(columns, rows, light[top:below], depth[top:below], work[top:below], part)
             tell(below // fine)
 
         return _picture(smaller(light, np.mean), smaller(depth, np.min), smaller(work, np.sum))
@@ -368,11 +383,12 @@ class Scene:
             for c in point("background", background, (3,))
         )
         behind = light_of(colour).astype(np.float32)  # type: ignore[arg-type]
+        ends = self._ends(view, fine)
         try:
             with gpu.lock:
                 size = rows * fine, columns * fine
                 worked = overlay == "inversions"
-                shading.paint(held, self._look(view), view.packed, size, fine, behind, texture, worked)
+                shading.paint(held, self._look(view), view.packed, size, fine, behind, texture, worked, ends)
         except failures() as error:
             failed = trouble(gpu, error)
             if not gpu.lost and "Texture with" in failed and "destroyed" in failed:  # other errors are the scene's own
@@ -445,6 +461,9 @@ class Scene:
             arriving(self._shade, lamp(view), self.shadows),
         )
 
+    def _ends(self, view: Projection, fine: int) -> npt.NDArray[np.float32] | None:
+        return nearest(self._placed, self._look(view), view, fine) if self._placed else None
+
     def _marcher(self, view: Projection) -> Callable[..., None]:
         """Return the function that marches the rays of columns and rows of pixels, into colours, depths and work."""
         strokes, lattice, cells = None, None, 1
@@ -452,29 +471,13 @@ class Scene:
             strokes = strokes_of(self.deformation.space)
         elif self._solid is not None:
             lattice, cells = self._solid.lattice, cells_along_rays(self._solid, self.tolerance)
-        look = self._look(view)
-        seen = _core.Look(
-            np.ascontiguousarray(view.packed),
-            look.skips,
-            look.table,
-            look.sums,
-            look.low,
-            look.scale,
-            look.threshold,
-            look.top,
-            look.step,
-            triple(look.light),
-            look.shaded,
-            np.ascontiguousarray(look.box),
-            look.plane,
-            look.silhouettes,
-            look.projection,
-            *look.arrives,
-        )
+        seen = core_look(self._look(view), view)
 
-        def march(columns: Array, rows: Array, light: Array, depth: Array, work: Array) -> None:
+        def march(
+            columns: Array, rows: Array, light: Array, depth: Array, work: Array, ends: Array | None = None
+        ) -> None:
             xs, ys = columns - (view.size[1] - 1) / 2, rows - (view.size[0] - 1) / 2  # from the centre
-            _core.draw(self.samples, seen, lattice, cells, strokes, xs, ys, light, depth, work)
+            _core.draw(self.samples, seen, lattice, cells, strokes, xs, ys, light, depth, work, ends)
 
         return march
 
@@ -492,7 +495,8 @@ class Scene:
         Returns
         -------
         Pick or None
-            The first point along the pixel's ray with an accumulated opacity of 0.9; None if there is none.
+            The first point of the volume along the pixel's ray, whatever meshes are before it, with an accumulated
+            opacity of 0.9; None if there is none.
         """
         x, y = point("pixel", pixel, (2,))
         view = self.view(camera, size)
@@ -591,6 +595,7 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
         "deformation": deformation,
         "samples": ready,
         "error": error,
+        "_placed": tuple(place(mesh, deformation, known["geometry"]) for mesh in known["meshes"]),
         "_solid": solid,
         "_coarse": mode == "buffered" and solid is not None and solid.error > tolerance,
         "_lows": lows,

@@ -76,11 +76,14 @@ SETTINGS = np.dtype(
         ("projection", "u4"),
         ("silhouettes", "f4"),
         ("shadows", "u4"),
+        ("ends", "u4"),
+        ("unused", "u4", 3),
     ]
 )
 _PAINT = np.dtype(
     [("background", "f4", 3), ("fine", "u4"), ("width", "u4"), ("first", "u4"), ("rows", "u4"), ("worked", "u4")]
 )
+_FAR = np.float32(3e38)  # of raymarch.wgsl
 _LARGEST = float(np.finfo(np.float32).max)
 
 
@@ -138,6 +141,7 @@ def march(
     size: tuple[int, int],
     fine: int,
     tell: Callable[[int], None] = lambda rows: None,
+    ends: npt.NDArray[np.float32] | None = None,
 ) -> tuple[npt.NDArray[np.float32], Floats, npt.NDArray[np.int64]]:
     """Render an image.
 
@@ -153,6 +157,8 @@ def march(
         Rays along the side of a pixel.
     tell : function
         Called with the number of finished rows of rays.
+    ends : float32 array (H, W, 4), optional
+        The meshes that rays end at: linear light, and millimetres from the eye or infinity.
 
     Returns
     -------
@@ -163,7 +169,7 @@ def march(
     height, width = size
     light, depth = np.empty((height, width, 4), np.float32), np.empty((height, width, 2))
     work = np.empty((height, width, 2), np.int64)
-    for first, count, seen in _rays(held, look, view, size, fine):
+    for first, count, seen in _rays(held, look, view, size, fine, ends):
         found = download(gpu, seen, np.float32, count * width * 8).reshape(count, width, 8)
         if (found[..., 7] < 0).any():
             raise ArithmeticError("points along rays could not be solved in its numbers")
@@ -184,6 +190,7 @@ def paint(
     background: npt.NDArray[np.float32],
     target: Any,
     worked: bool = False,
+    ends: npt.NDArray[np.float32] | None = None,
 ) -> None:
     """Render an image into a writable texture of format rgba8unorm, as sRGB.
 
@@ -197,6 +204,8 @@ def paint(
         A texture of ``size`` over ``fine``, or larger.
     worked : bool
         Whether to tint it by the inversions along each ray or, without any, by the samples.
+    ends
+        As `march` takes it.
     """
     gpu = held.volume.gpu
     work = pipeline(gpu, ("paint", "warm"), "paint", (UNIFORM, READ, WRITE, TEXTURE))
@@ -205,7 +214,7 @@ def paint(
     settings["worked"] = worked
     with contextlib.ExitStack() as stack:
         (lost,) = owned(stack, room(gpu, 4))
-        for first, count, seen in _rays(held, look, view, size, fine):
+        for first, count, seen in _rays(held, look, view, size, fine, ends):
             settings["first"], settings["rows"] = first // fine, count // fine
             with contextlib.ExitStack() as own:
                 (told,) = owned(own, upload(gpu, settings, UNIFORM))
@@ -215,7 +224,14 @@ def paint(
                     raise ArithmeticError("points along rays could not be solved in its numbers")
 
 
-def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int) -> Iterator[tuple[int, int, Any]]:
+def _rays(
+    held: Held,
+    look: Look,
+    view: Floats,
+    size: tuple[int, int],
+    fine: int,
+    ends: npt.NDArray[np.float32] | None,
+) -> Iterator[tuple[int, int, Any]]:
     """March rays some rows at a time: yield the first row, the number of rows, and their results."""
     volume, lattice, filling = held.volume, held.lattice, held.filling
     gpu, finest = volume.gpu, float(view[1].min())
@@ -246,6 +262,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         "silhouettes": look.silhouettes,
         "projection": look.projection,
         "shadows": look.arrives[0].size > 0,
+        "ends": ends is not None,
     }.items():
         settings[name] = value
     for name, row in {
@@ -281,10 +298,11 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         for first, count in pace.parts(height // fine):
             settings["first"], settings["rows"] = first * fine, count * fine
             with contextlib.ExitStack() as own:
-                (told,) = owned(own, upload(gpu, settings, UNIFORM))
+                part = np.zeros(4, np.float32) if ends is None else ends[first * fine :][: count * fine]
+                told, ended = owned(own, upload(gpu, settings, UNIFORM), upload(gpu, np.minimum(part, _FAR), READ))
                 finished = filling.finished if filling is not None else lattice.strokes
                 read = _read(held, skips.create_view(), colours.view)
-                buffers = [told, *read, seen, finished, lattice.mask, lit]
+                buffers = [told, *read, seen, finished, lattice.mask, lit, ended]
                 run(gpu, [(made, buffers, (-(-width // 8), -(-count * fine // 8), 1))])
             yield first * fine, count * fine, seen
             pace.count = min(pace.count, most)
@@ -300,7 +318,7 @@ def _read(held: Held, skips: Any, colours: Any) -> list[Any]:
 
 def _marching(held: Held, mode: int, buffer: bool) -> Any:
     volume = held.volume
-    kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, WHOLE_SOLID, LAYERS, WRITE, READ, READ, SOLID)
+    kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, WHOLE_SOLID, LAYERS, WRITE, READ, READ, SOLID, READ)
     sampled = {PLAIN: 1, HYBRID: 2}.get(mode, 0) if buffer else 0
     chosen = held.lattice.constants | {"MODE": mode, "SAMPLED": sampled}
     return pipeline(volume.gpu, (*_NAMES, volume.reader), "march", kinds, chosen)
@@ -311,10 +329,11 @@ def prepare(held: Held, filling: Filling) -> None:
     volume = held.volume
     with contextlib.ExitStack() as stack:
         told, seen = owned(stack, upload(volume.gpu, np.zeros(1, SETTINGS), UNIFORM), room(volume.gpu, 32))
+        (ended,) = owned(stack, room(volume.gpu, 16))
         skips, colours = solid(volume.gpu, (1, 1, 1), np.uint8), layers(volume.gpu, (1, 1), 1, np.float32, 4)
         owned(stack, skips, colours)
         buffers = [told, *_read(held, skips.create_view(), colours.view), seen, filling.finished]
-        buffers += [held.lattice.mask, held.lattice.nodes]
+        buffers += [held.lattice.mask, held.lattice.nodes, ended]
         run(volume.gpu, [(_marching(held, mode, True), buffers, (1, 1, 1)) for mode in (LATTICE, HYBRID, PLAIN)])
         filling.prepare()
         download(volume.gpu, seen, np.float32, 8)  # waits

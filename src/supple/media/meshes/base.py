@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from supple.domain import LARGEST
 from supple.media.files import PathLike, unreadable
+from supple.media.meshes.cells import Ints, Part
 
 Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.intp]
 Spans = Sequence[tuple[int, int]]
 
 _SPACE = re.compile(rb"SPACE\s*=\s*(LPS|RAS)\b")
@@ -37,6 +37,8 @@ class Mesh:
         ``"LPS"`` or ``"RAS"`` if the file says it, as those of 3D Slicer do; otherwise empty.
     rewritten : callable
         Return the bytes of the file with other points, shape (N, 3), and normals, shape (M, 3).
+    parts : callable
+        Return what joins the points, which is read only then. SuppleError if it is damaged.
     normals : float64 array, shape (M, 3)
         Normals at vertices. Those of facets, which follow from the vertices, are not among them.
     at : int array, shape (M,)
@@ -46,6 +48,7 @@ class Mesh:
     points: Floats
     convention: str
     rewritten: Callable[[Floats, Floats], bytes]
+    parts: Callable[[], list[Part]]
     normals: Floats = field(default_factory=_none)
     at: Ints = field(default_factory=lambda: np.zeros(0, np.intp))
 

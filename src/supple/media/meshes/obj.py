@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 
 import numpy as np
 
 from supple.errors import shown
 from supple.media.files import PathLike, unreadable
 from supple.media.meshes.base import Floats, Mesh, checked, numbers, space_of, spliced
+from supple.media.meshes.cells import Part, joined, part_of
 
 _LINE = re.compile(rb"[ \t]*(v|vn|f|l|p|curv|curv2|surf|cstype)[ \t]")
 _TOKEN = re.compile(rb"\S+")
@@ -71,4 +73,27 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
         return spliced(data, places, np.array(old), np.array(values))
 
     comments = re.match(rb"(?:\s*#[^\n]*\n)*", data)
-    return Mesh(points, space_of(comments[0] if comments else b""), rewritten, normals[which], at)
+    said = space_of(comments[0] if comments else b"")
+    return Mesh(points, said, rewritten, lambda: _parts(path, data, len(points)), normals[which], at)
+
+
+def _parts(path: PathLike, data: bytes, count: int) -> list[Part]:
+    runs: dict[bytes, list[list[int]]] = {b"f": [], b"l": []}
+    for word, corners in _runs(path, data):
+        runs[word].append(corners)
+    return [part_of(path, count, joined(runs[b"f"]), joined(runs[b"l"]))]
+
+
+def _runs(path: PathLike, data: bytes) -> Iterator[tuple[bytes, list[int]]]:
+    """Yield the corners of faces and lines."""
+    vertices = 0
+    for number, line in enumerate(data.splitlines(), 1):
+        match line.split():
+            case [b"v", *_]:
+                vertices += 1
+            case [b"f" | b"l" as word, *corners]:
+                try:
+                    known = [int(corner.partition(b"/")[0]) for corner in corners]
+                except ValueError:
+                    raise unreadable(path, f"line {number}: a corner is no number") from None
+                yield word, [v - 1 if v > 0 else v + vertices for v in known]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from supple.media.files import PathLike, unreadable
 from supple.media.meshes.base import Floats, Mesh, checked, numbers, space_of, spliced
+from supple.media.meshes.cells import NO_RUNS, Part, Runs, joined, part_of
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -19,6 +21,7 @@ _TYPES = {
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _HEADER = re.compile(rb"ply\s*\n.*?\n\s*end_header[ \t]*\r?\n", re.DOTALL)
 _TOKEN = re.compile(rb"\S+")
+_INDICES = ("vertex_indices", "vertex_index", "vertex1", "vertex2")
 _PLACE, _NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 
 
@@ -28,6 +31,8 @@ class _Element:
     count: int
     properties: list[tuple[str, str]] = field(default_factory=list)
     """Names and dtypes, in order; "list" for a list."""
+    lists: dict[str, tuple[str, str]] = field(default_factory=dict)
+    """The dtypes of lists: of their length, and of what they hold."""
 
 
 def parsed(path: PathLike, data: bytes) -> Mesh:
@@ -50,16 +55,97 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
             found = f"the property {name} of its vertices is not of floats" if name in kinds else f"no property {name}"
             raise unreadable(path, found, "save it with vertices of floats")
     if order:
-        values, rewritten = _binary(path, data, header.end(), order, before, vertex, columns)
+        values, rewritten, end = _binary(path, data, header.end(), order, before, vertex, columns)
     else:
-        values, rewritten = _text(path, data, header.end(), before, vertex, columns)
+        values, rewritten, end = _text(path, data, header.end(), before, vertex, columns)
     points, normals = checked(path, values[:, :3]), values[:, 3:].reshape(-1, 3)
     at = np.arange(len(normals), dtype=np.intp)
 
     def written(moved: Floats, turned: Floats) -> bytes:
         return bytes(rewritten(np.hstack([moved, turned]) if len(turned) else moved))
 
-    return Mesh(points, space_of(header[0]), written, normals, at)
+    def parts() -> list[Part]:
+        read = _Rows(path, data, end, order) if order else _Words(path, iter(data[end:].split()))
+        known: dict[str, dict[str, Runs]] = {e.name: read.element(e) for e in elements[len(before) + 1 :]}
+        faces, edges = known.get("face", {}), known.get("edge", {})
+        polygons = faces.get("vertex_indices") or faces.get("vertex_index") or NO_RUNS
+        ends = [np.asarray(edges[name][0], np.intp) for name in ("vertex1", "vertex2") if name in edges]
+        lines = (np.stack(ends, axis=1), np.full(len(ends[0]), 2)) if len(ends) == 2 else NO_RUNS
+        return [part_of(path, len(points), polygons, lines)]
+
+    return Mesh(points, space_of(header[0]), written, parts, normals, at)
+
+
+@dataclass(slots=True)
+class _Rows:
+    """Binary elements, one after the other."""
+
+    path: PathLike
+    data: bytes
+    at: int
+    order: str
+
+    def element(self, known: _Element) -> dict[str, Runs]:
+        """Return the values of each property, and for lists how many are in each."""
+        start, lengths = self.at, self._row(known)
+        fields: list[Any] = []
+        for name, kind in known.properties:
+            if kind == "list":
+                length, inner = known.lists[name]
+                fields += [(f"#{name}", self.order + length), (name, self.order + inner, len(lengths.get(name, ())))]
+            else:
+                fields.append((name, self.order + kind))
+        rows = np.dtype(fields)
+        if start + known.count * rows.itemsize <= len(self.data):  # most have faces of one size
+            found = np.frombuffer(self.data, rows, known.count, start)
+            if all((found[f"#{name}"] == len(lengths.get(name, ()))).all() for name in known.lists):
+                self.at = start + found.nbytes
+                return {
+                    name: (found[name], np.full(known.count, len(lengths.get(name, ()))) if kind == "list" else ())
+                    for name, kind in known.properties
+                }
+        self.at = start
+        every = [self._row(known) for _ in range(known.count)]
+        return {name: joined([row[name] for row in every]) for name, _ in known.properties}
+
+    def _row(self, known: _Element) -> dict[str, list[int]]:
+        made = {}
+        for name, kind in known.properties if known.count else ():
+            length, inner = known.lists.get(name, ("", kind))
+            made[name] = self._take(self._take(1, length)[0] if length else 1, inner)
+        return made
+
+    def _take(self, many: int, kind: str) -> list[int]:
+        dtype = np.dtype(self.order + kind)
+        end = self.at + many * dtype.itemsize
+        if many < 0 or end > len(self.data):
+            raise unreadable(self.path, "it ends before its faces do")
+        self.at, start = end, self.at
+        values: list[int] = np.frombuffer(self.data, dtype, many, start).tolist()
+        return values
+
+
+@dataclass(slots=True)
+class _Words:
+    """Elements of text, one after the other."""
+
+    path: PathLike
+    words: Iterator[bytes]
+
+    def element(self, known: _Element) -> dict[str, Runs]:
+        """Return the values of each property, and for lists how many are in each."""
+        every: dict[str, list[list[int]]] = {name: [] for name, _ in known.properties}
+        try:
+            for _ in range(known.count):
+                for name, kind in known.properties:
+                    many = int(next(self.words)) if kind == "list" else 1
+                    row = [next(self.words) for _ in range(many)]
+                    every[name].append([int(x) for x in row] if name in _INDICES else [])
+        except StopIteration:
+            raise unreadable(self.path, "it ends before its faces do") from None
+        except ValueError:
+            raise unreadable(self.path, "a face has what is no whole number") from None
+        return {name: joined(rows) for name, rows in every.items()}
 
 
 def _declared(path: PathLike, header: str) -> tuple[str, list[_Element]]:
@@ -70,8 +156,9 @@ def _declared(path: PathLike, header: str) -> tuple[str, list[_Element]]:
                 order = _ORDERS[known]
             case ["element", name, count] if count.isdigit():
                 elements.append(_Element(name, int(count)))
-            case ["property", "list", _, _, name] if elements:
+            case ["property", "list", length, kind, name] if elements and {length, kind} <= set(_TYPES):
                 elements[-1].properties.append((name, "list"))
+                elements[-1].lists[name] = _TYPES[length], _TYPES[kind]
             case ["property", kind, name] if elements and kind in _TYPES:
                 elements[-1].properties.append((name, _TYPES[kind]))
             case ["ply" | "comment" | "obj_info" | "end_header", *_] | []:
@@ -85,7 +172,7 @@ def _declared(path: PathLike, header: str) -> tuple[str, list[_Element]]:
 
 def _binary(
     path: PathLike, data: bytes, start: int, order: str, before: list[_Element], vertex: _Element, columns: list[str]
-) -> tuple[Floats, Any]:
+) -> tuple[Floats, Any, int]:
     for element in (*before, vertex):
         if "list" in dict(element.properties).values():
             raise unreadable(path, f"{element.name} has lists before the vertices end", "save it with vertices first")
@@ -103,12 +190,12 @@ def _binary(
             made[name] = values[:, k]
         return data[:start] + made.tobytes() + data[end:]
 
-    return np.stack([rows[name] for name in columns], axis=-1).astype(np.float64), rewritten
+    return np.stack([rows[name] for name in columns], axis=-1).astype(np.float64), rewritten, end
 
 
 def _text(
     path: PathLike, data: bytes, start: int, before: list[_Element], vertex: _Element, columns: list[str]
-) -> tuple[Floats, Any]:
+) -> tuple[Floats, Any, int]:
     order = [name for name, _ in vertex.properties]
     if "list" in dict(vertex.properties).values():
         raise unreadable(path, "its vertices have lists", "save it without these")
@@ -133,4 +220,4 @@ def _text(
         places = sorted(range(len(spans)), key=spans.__getitem__)
         return spliced(data, [spans[k] for k in places], values.ravel()[places], made.ravel()[places])
 
-    return values, rewritten
+    return values, rewritten, start

@@ -16,6 +16,7 @@ import numpy as np
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.media.files import PathLike, unreadable
 from supple.media.meshes.base import Floats, Mesh, checked
+from supple.media.meshes.cells import Part, joined, part_of
 from supple.media.volume.derived import AFTER, WARNING, ended, imported
 
 _STRUCTURES = "1.2.840.10008.5.1.4.1.1.481.3"
@@ -79,7 +80,7 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
             ) from error
         return held.getvalue()
 
-    return Mesh(points, "LPS", rewritten)
+    return Mesh(points, "LPS", rewritten, lambda: _parts(path, dataset, len(points)))
 
 
 def _is_whole(raw: Any) -> bool:
@@ -93,6 +94,27 @@ def _contours(dataset: Any) -> list[Any]:
     regions = dataset.get("ROIContourSequence") or []
     every = (contour for region in regions for contour in region.get("ContourSequence") or [])
     return [contour for contour in every if contour.get("ContourData")]
+
+
+def _parts(path: PathLike, dataset: Any, count: int) -> list[Part]:
+    """Return the contours of each region, closed where they are closed, in the colour of the region."""
+    made, begin = [], 0
+    for region in dataset.get("ROIContourSequence") or []:
+        runs: list[list[int]] = []
+        for contour in region.get("ContourSequence") or []:
+            if not contour.get("ContourData"):
+                continue
+            end = begin + len(contour.ContourData) // 3
+            kind = str(contour.get("ContourGeometricType", ""))
+            closed = [] if kind in ("POINT", "OPEN_PLANAR", "OPEN_NONPLANAR") else [begin]
+            runs.append([*range(begin, end), *closed])
+            begin = end
+        shades = [int(shade) / 255 for shade in region.get("ROIDisplayColor") or ()]
+        colour = (
+            (shades[0], shades[1], shades[2]) if len(shades) == 3 and 0 <= min(shades) <= max(shades) <= 1 else None
+        )
+        made.append(part_of(path, count, lines=joined(runs), colour=colour))
+    return made
 
 
 def _move(contour: Any, new: Floats, old: Floats, decimal: Any) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 
 from supple.media.files import PathLike, unreadable
 from supple.media.meshes.base import NUMBER, Floats, Mesh, checked, numbers, space_of, spliced
+from supple.media.meshes.cells import Part, part_of
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _HEAD = 84
@@ -37,7 +38,7 @@ def _binary(path: PathLike, data: bytes, count: int) -> Mesh:
         made["corners"], made["normal"][turned] = triangles, _normals(triangles[turned].astype(np.float64))
         return data[:_HEAD] + made.tobytes() + data[_HEAD + made.nbytes :]
 
-    return Mesh(points, space_of(data[:80]), rewritten)
+    return Mesh(points, space_of(data[:80]), rewritten, lambda: _parts(path, points, which))
 
 
 def _text(path: PathLike, data: bytes) -> Mesh:
@@ -58,7 +59,11 @@ def _text(path: PathLike, data: bytes) -> Mesh:
         made[turned, 0] = _normals(made[turned, 1:])
         return spliced(data, spans, before, made)
 
-    return Mesh(points, space_of(data.partition(b"\n")[0]), rewritten)
+    return Mesh(points, space_of(data.partition(b"\n")[0]), rewritten, lambda: _parts(path, points, which))
+
+
+def _parts(path: PathLike, points: Floats, which: np.typing.NDArray[np.intp]) -> list[Part]:
+    return [part_of(path, len(points), (which, np.full(len(which) // 3, 3)))]
 
 
 def _distinct(corners: Floats) -> tuple[Floats, np.typing.NDArray[np.intp]]:

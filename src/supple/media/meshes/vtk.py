@@ -10,6 +10,7 @@ import numpy as np
 from supple.errors import shown
 from supple.media.files import PathLike, unreadable
 from supple.media.meshes.base import Floats, Mesh, Spans, checked, numbers, space_of, spliced
+from supple.media.meshes.cells import NO_RUNS, Ints, Part, Runs, part_of
 
 _HEAD = re.compile(
     rb"# vtk DataFile Version [^\n]*\n([^\n]*)\n\s*(ASCII|BINARY)\s*\n\s*DATASET\s+(\w+)[ \t]*\r?\n", re.I
@@ -20,6 +21,9 @@ _NORMALS = re.compile(rb"(?:^|\n)NORMALS\s+\S+\s+(\w+)[ \t]*\r?\n")
 _RANGE = re.compile(rb"(?<=NAME L2_NORM_RANGE LOCATION vtkDataArray\nDATA 2 )\S+ \S+")
 _KINDS = {b"float": ">f4", b"double": ">f8"}
 _TOKEN = re.compile(rb"\S+")
+_CELLS = re.compile(rb"(?:^|\n)(POLYGONS|LINES|TRIANGLE_STRIPS)\s+(\d+)\s+(\d+)[ \t]*\r?\n")
+_OFFSETS = re.compile(rb"\s*(OFFSETS|CONNECTIVITY)\s+(\w+)[ \t]*\r?\n")  # from version 5 on
+_WHOLE = {b"vtktypeint64": ">i8", b"vtktypeint32": ">i4", b"int": ">i4"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +78,59 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
                     last += noted.end()
         return b"".join([*parts, data[last:]])
 
-    return Mesh(points.values, space_of(head[1]), rewritten, normals, np.arange(len(normals), dtype=np.intp))
+    at = np.arange(len(normals), dtype=np.intp)
+    return Mesh(points.values, space_of(head[1]), rewritten, lambda: _parts(path, data, points, binary), normals, at)
+
+
+def _parts(path: PathLike, data: bytes, points: _Block, binary: bool) -> list[Part]:
+    runs = dict.fromkeys((b"POLYGONS", b"LINES", b"TRIANGLE_STRIPS"), NO_RUNS)
+    place = points.end - 1
+    while found := _CELLS.search(data, place):
+        runs[found[1]], place = _runs(path, data, found, binary)
+    polygons, lines, strips = runs.values()
+    return [part_of(path, len(points.values), polygons, lines, strips)]
+
+
+def _runs(path: PathLike, data: bytes, found: re.Match[bytes], binary: bool) -> tuple[Runs, int]:
+    """Return cells, and where they end: corners behind their number, or apart from offsets."""
+    first, second = int(found[2]), int(found[3])
+    named = _OFFSETS.match(data, found.end())
+    if named is None:
+        numbers, end = _whole(path, data, found.end(), second, b"int", binary)
+        counts, k = [], 0
+        for _ in range(first):
+            if k >= second:
+                raise unreadable(path, f"it ends before its {first} cells do")
+            counts.append(int(numbers[k]))
+            k += counts[-1] + 1
+        heads = np.cumsum([0, *(count + 1 for count in counts)])[:-1]
+        return (np.delete(numbers, heads), counts), end
+    offsets, end = _whole(path, data, named.end(), first, named[2], binary)
+    named = _OFFSETS.match(data, end)
+    if named is None:
+        raise unreadable(path, f"it ends before its {first} cells do")
+    corners, end = _whole(path, data, named.end(), second, named[2], binary)
+    return (corners, np.diff(offsets)), end
+
+
+def _whole(path: PathLike, data: bytes, start: int, count: int, kind: bytes, binary: bool) -> tuple[Ints, int]:
+    """Return whole numbers, and where they end."""
+    if kind.lower() not in _WHOLE:
+        raise unreadable(path, f"its cells are of type {shown(kind.decode(errors='replace'))}")
+    if binary:
+        dtype = np.dtype(_WHOLE[kind.lower()])
+        end = start + count * dtype.itemsize
+        if end > len(data):
+            raise unreadable(path, f"it ends before its {count} cells do")
+        return np.frombuffer(data, dtype, count, start).astype(np.intp), end
+    tokens = [match for match, _ in zip(_TOKEN.finditer(data, start), range(count), strict=False)]
+    try:
+        made = np.array([int(token[0]) for token in tokens], np.intp)
+    except ValueError:
+        raise unreadable(path, "a cell has what is no whole number") from None
+    if len(made) < count:
+        raise unreadable(path, f"it ends before its {count} cells do")
+    return made, tokens[-1].end() if tokens else start
 
 
 def _block(path: PathLike, data: bytes, start: int, count: int, kind: bytes, binary: bool) -> _Block:

@@ -7,7 +7,7 @@ import binascii
 import lzma
 import re
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from supple.errors import shown
 from supple.media.files import PathLike, unreadable
 from supple.media.meshes.base import Floats, Mesh, checked, numbers, spliced
+from supple.media.meshes.cells import NO_RUNS, Ints, Part, part_of
 
 _ROOT = re.compile(rb"<VTKFile\b([^>]*)>")
 _PIECE = re.compile(rb"<Piece\b.*?</Piece\s*>", re.DOTALL)
@@ -28,6 +29,7 @@ _APPENDED = re.compile(rb'<AppendedData\s+encoding="(raw|base64)"\s*>\s*_')
 _OFFSET = re.compile(rb'(<(?:DataArray|Array)\b[^>]*?\boffset=")(\d+)(")')
 _TOKEN = re.compile(rb"\S+")
 _TYPES = {"Float32": "f4", "Float64": "f8"}
+_WHOLE = {"Int64": "i8", "Int32": "i4", "UInt64": "u8", "UInt32": "u4", "Int16": "i2", "UInt16": "u2", "UInt8": "u1"}
 _Codec = tuple[Callable[[bytes], bytes], Callable[[bytes], bytes]]
 _CODECS: dict[str, _Codec] = {
     "vtkZLibDataCompressor": (zlib.compress, zlib.decompress),
@@ -162,9 +164,48 @@ def _read(file: _File, xml: bytes) -> Mesh:
         vertices,
         _space(file, xml),
         rewritten,
+        lambda: _parts(file, xml, [len(array.values) for array in points]),
         np.concatenate(many) if many else np.zeros((0, 3)),
         np.concatenate(at) if at else np.zeros(0, np.intp),
     )
+
+
+def _parts(file: _File, xml: bytes, counts: list[int]) -> list[Part]:
+    """Return the cells of all pieces, of so many points each."""
+    total, base, kinds = sum(counts), 0, ("Polys", "Lines", "Strips")
+    corners: dict[str, list[Ints]] = {kind: [] for kind in kinds}
+    many: dict[str, list[Ints]] = {kind: [] for kind in kinds}
+    try:
+        for piece, count in zip(_PIECE.finditer(xml), counts, strict=True):
+            for kind in kinds:
+                arrays = dict(_whole(file, piece, kind))
+                if {"connectivity", "offsets"} <= set(arrays):
+                    corners[kind].append(base + arrays["connectivity"])
+                    many[kind].append(np.diff(arrays["offsets"], prepend=0))
+            base += count
+    except (binascii.Error, zlib.error, lzma.LZMAError, ValueError) as error:
+        raise unreadable(file.path, f"an array is damaged ({error})") from error
+    polygons, lines, strips = (
+        (np.concatenate(corners[k]), np.concatenate(many[k])) if corners[k] else NO_RUNS for k in kinds
+    )
+    return [part_of(file.path, total, polygons, lines, strips)]
+
+
+def _whole(file: _File, piece: re.Match[bytes], section: str) -> Iterator[tuple[str, Ints]]:
+    """Yield the names and the whole numbers of the arrays in a section of a piece."""
+    for found in _found(file, piece, section):
+        known = _attributes(found[2])
+        if known.get("type") not in _WHOLE:
+            raise unreadable(file.path, f"{section} are not whole numbers")
+        dtype, form = file.order + _WHOLE[known["type"]], known.get("format", "ascii")
+        inner = (found[4] or b"").lstrip()
+        if form == "appended":
+            values = file.decode(file.appended + int(known.get("offset", "0")), file.raw)[0]
+        elif form == "ascii" or not inner:
+            values = np.array([int(token) for token in _KEY.sub(b"", inner).split()], dtype).tobytes()
+        else:
+            values = file.decode(found.end(4) - len(inner), False)[0]
+        yield known.get("Name", ""), np.frombuffer(values, dtype).astype(np.intp)
 
 
 def _attributes(text: bytes) -> dict[str, str]:
@@ -174,12 +215,8 @@ def _attributes(text: bytes) -> dict[str, str]:
 
 def _arrays(file: _File, piece: re.Match[bytes], section: str, name: str | None) -> list[_Array]:
     """Return the arrays of vectors in a section of a piece: all, or those of a name."""
-    tag = section.encode()
-    where = re.search(rb"<%b\b[^>]*>(.*?)</%b\s*>" % (tag, tag), piece[0], re.DOTALL)
     made = []
-    for found in (
-        _ARRAY.finditer(file.data, piece.start() + where.start(1), piece.start() + where.end(1)) if where else ()
-    ):
+    for found in _found(file, piece, section):
         known = _attributes(found[2])
         if name is not None and known.get("Name") != name:
             continue
@@ -187,6 +224,15 @@ def _arrays(file: _File, piece: re.Match[bytes], section: str, name: str | None)
             raise unreadable(file.path, f"{section} are not three floats each", "save it with Float32 or Float64")
         made.append(_array(file, found, known, file.order + _TYPES[known["type"]]))
     return made
+
+
+def _found(file: _File, piece: re.Match[bytes], section: str) -> Iterator[re.Match[bytes]]:
+    """Return the arrays in a section of a piece."""
+    tag = section.encode()
+    where = re.search(rb"<%b\b[^>]*>(.*?)</%b\s*>" % (tag, tag), piece[0], re.DOTALL)
+    if where is None:
+        return iter(())
+    return _ARRAY.finditer(file.data, piece.start() + where.start(1), piece.start() + where.end(1))
 
 
 def _array(file: _File, found: re.Match[bytes], known: dict[str, str], dtype: str) -> _Array:

@@ -32,6 +32,7 @@ struct Settings {
     projection: u32,
     silhouettes: f32, // by how much surfaces darken that are seen from the side
     shadows: u32, // true if not all light arrives
+    ends: u32, // true if there are meshes
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -43,6 +44,7 @@ struct Settings {
 @group(0) @binding(9) var<storage, read> finished: array<u32>; // for each brick of the buffer, 1 if it can be read
 @group(0) @binding(10) var<storage, read> mask: array<u32>; // see freeze.wgsl
 @group(0) @binding(11) var arrives: texture_3d<f32>; // the part of the light that arrives at nodes
+@group(0) @binding(12) var<storage, read> ends: array<vec4f>; // the meshes that rays end at: colour, and distance
 
 override MODE: u32;
 
@@ -237,6 +239,20 @@ fn between_values(a: f32, b: f32, part: f32) -> Seen {
     return Seen(vec4f(all.xyz / all.w, 1.0 - exp(-all.w)), middle);
 }
 
+// The mesh at which a ray ends, or FAR.
+fn end_of(ray: u32) -> vec4f {
+    var end = vec4f(0.0, 0.0, 0.0, FAR);
+    if (settings.ends != 0u) {
+        end = ends[ray];
+    }
+    return end;
+}
+
+// What is seen of the volume, before a mesh.
+fn over_mesh(end: vec4f, total: vec4f) -> vec4f {
+    return select(total, total + (1.0 - total.w) * vec4f(end.xyz, 1.0), end.w < FAR);
+}
+
 @compute @workgroup_size(8, 8)
 fn march(@builtin(global_invocation_id) id: vec3u) {
     let size = settings.picture;
@@ -267,6 +283,10 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
         near = max(near, -away / rate);
     } else if (away > 0.0) {
         far = -1.0;
+    }
+    let end = end_of(id.y * size.x + id.x);
+    if (settings.projection == 0u) {
+        far = min(far, end.w);
     }
     let half_ = normalize(settings.light.xyz - along);
     var ray = Ray(o, d, over, safe > vec3f(0.0), near, far, near, 0.0);
@@ -403,8 +423,8 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
         }
     }
     let k = 2u * (id.y * size.x + id.x);
-    seen[k] = total;
-    seen[k + 1u] = vec4f(surface, opaque, taken, select(inversions, -1.0, lost || cut_short()));
+    seen[k] = over_mesh(end, total);
+    seen[k + 1u] = vec4f(min(surface, end.w), opaque, taken, select(inversions, -1.0, lost || cut_short()));
 }
 
 // The extreme or the average value along a ray, in the colours of the transfer function, which are opaque.
@@ -443,6 +463,11 @@ fn project(whole: Ray, k: u32) {
         }
         let entry = u32(clamp((value - settings.low) * settings.scale, 0.0, f32(settings.entries - 1u)) + 0.5);
         total = textureLoad(colours, vec2u(entry, 0u), 0u, 0);
+    }
+    let end = end_of(k / 2u);
+    if (end.w < FAR) { // the volume is nowhere along the ray
+        total = vec4f(end.xyz, 1.0);
+        surface = end.w;
     }
     seen[k] = total;
     seen[k + 1u] = vec4f(surface, at, count, select(inversions, -1.0, lost || cut_short()));

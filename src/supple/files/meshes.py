@@ -1,0 +1,88 @@
+"""Meshes and contours of files, in the voxels of a volume: to be rendered with it."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from supple.domain import choice
+from supple.errors import OutsideWarning
+from supple.files.landmarks import convention_of, warn_of_frame
+from supple.media.files import check_suffix
+from supple.media.meshes import KINDS
+from supple.media.points import read_points
+from supple.media.volume import Volume
+from supple.render.meshes import Surface
+
+PathLike = str | os.PathLike[str]
+Colour = tuple[float, float, float]
+
+COLOURS = ("#4ea8de", "#f2c14e", "#6abf69", "#d16ba5", "#f08a4b", "#8e7cc3")
+"""Of meshes that have none, in turn."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeshFile:
+    """A mesh or contours in a file, and their colour.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        .stl, .obj, .ply, .vtk (PolyData), .vtp; or a structure set of DICOM, .dcm.
+    colour : (float, float, float), optional
+        sRGB from 0 to 1; by default, that of each region of a structure set, and one of `COLOURS` otherwise.
+    """
+
+    path: PathLike
+    colour: Colour | None = None
+
+
+def read_surfaces(given: Sequence[MeshFile], volume: Volume, convention: str | None = None) -> tuple[Surface, ...]:
+    """Return the surfaces and contours of files, in the voxels of a volume.
+
+    Parameters
+    ----------
+    given : sequence of MeshFile
+    volume : Volume
+    convention : str, optional
+        The coordinates of those that do not say theirs: ``"LPS"`` or ``"RAS"`` in millimetres, or ``"index"``.
+
+    Raises
+    ------
+    SuppleError
+        If a file cannot be read, has neither faces nor lines, or cannot be placed in the volume.
+
+    Warns
+    -----
+    OutsideWarning
+        If no point of a file lies in the volume.
+    """
+    if convention is not None:
+        choice("convention", convention, ("LPS", "RAS", "index"))
+    made: list[Surface] = []
+    for each in given:
+        advice = f"give a mesh or contours: {', '.join(KINDS)}"
+        check_suffix(each.path, os.path.splitext(each.path)[1], KINDS, "is of no mesh", advice, "read")
+        read = read_points(each.path, mesh=True)
+        warn_of_frame(each.path, volume)
+        known = convention_of(read, convention if read.told == "mesh" else None, volume.geometry.convention)
+        points = read.points if known == "index" else volume.geometry.from_world(read.points, known)
+        parts = read.parts()
+        if ((points < -0.5) | (points > np.array(volume.sizes) - 0.5)).any(axis=1).all():
+            text = f"no point of {read.name} lies in {volume.name}"
+            warnings.warn(f"{text}: see whether its coordinates are of that volume", OutsideWarning, stacklevel=4)
+        for part in parts:
+            digits = COLOURS[len(made) % len(COLOURS)].removeprefix("#")
+            red, green, blue = (value / 255 for value in bytes.fromhex(digits))
+            colour = each.colour or part.colour or (red, green, blue)
+            used = np.zeros(len(points), np.bool_)  # what nothing joins is not seen
+            for corners in (part.triangles, part.lines):
+                used[corners] = True
+            order = np.cumsum(used) - 1
+            if used.any():
+                made.append(Surface(points[used], order[part.triangles], order[part.lines], colour))
+    return tuple(made)
