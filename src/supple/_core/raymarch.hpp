@@ -15,6 +15,7 @@ namespace supple {
 
 constexpr int BRICK = 4;          // voxels; a brick holds one more along each axis, its neighbour's first
 constexpr int BISECTIONS = 2;     // before the surface is found by a straight line between two values
+constexpr int HALVINGS = 6;       // of labels, which have no values between
 constexpr double EXACT = 1e-3;    // the last Newton step at a sample that is inverted, in voxels
 constexpr float OPAQUE = 0.995f;  // the opacity at the end of a ray
 constexpr double LAYER = 4;       // voxels behind a cut face over which the light of gradients takes over
@@ -41,6 +42,7 @@ struct Look {
     float bottom, top;  // the visible range
     Double4 plane;      // what lies beyond it is cut away: its normal, and its distance from the first voxel
     float silhouettes;  // by how much surfaces darken that are seen from the side
+    bool labelled;      // values are numbers of labels, see Labels
     enum { COMPOSITED, MAXIMUM, MINIMUM, AVERAGE } projection;
 
     Float4 colour(float value) const {
@@ -109,8 +111,10 @@ struct Ray {
         return true;
     }
 
-    // Add the sample at t (the gradient, and the value last), and choose the next t.
-    INLINE void take(const Look& look, Float4 sample) {
+    // Add the sample at t (the gradient, and the value last), and choose the next t. `painted` is its colour, of the
+    // transfer function's.
+    template <class F>
+    INLINE void take(const Look& look, Float4 sample, F&& painted) {
         float value = sample[3];
         samples++;
         if (look.projection) {
@@ -137,12 +141,12 @@ struct Ray {
             (inner ? high : low) = t;
             (inner ? above : before) = value;
             t = 0.5 * (low + high);
-            if (++turn < BISECTIONS) return;
+            if (++turn < (look.labelled ? HALVINGS : BISECTIONS)) return;
             if (turn == BISECTIONS && low < high && before == -std::numeric_limits<float>::infinity()) {
                 t = low;  // the value there, which may have been skipped: without it, surfaces have steps
                 return;
             }
-            bool known = std::isfinite(before) && before < look.threshold;
+            bool known = !look.labelled && std::isfinite(before) && before < look.threshold;
             surface = t = low + (high - low) * (known ? (look.threshold - before) / (above - before) : 1.0f);
             within = true;
             enter(look);
@@ -155,7 +159,7 @@ struct Ray {
             }
             within = seen;
             if (seen)
-                gather(look, colour, sample);
+                gather(look, painted(colour), sample);
             else
                 face = -1;
             t += look.step;
@@ -299,19 +303,20 @@ private:
     }
 };
 
-// Add one sample of a volume.
-template <class T, class Source>
-INLINE void see(const Voxels<T>& voxels, const Look& look, Ray& ray, Source& source) {
+// Add one sample of a volume: `V` is Voxels, Labels or Coloured.
+template <class V, class Source>
+INLINE void see(const V& voxels, const Look& look, Ray& ray, Source& source) {
     Float4 p = source.source(ray, ray.t, ray.at(ray.t));
+    auto painted = [&](Float4 colour) { return voxels.painted(p, colour); };
     if (ray.within && look.shaded)
-        ray.take(look, source.turned(ray.t, voxels.slopes(p)) * look.per_voxel);
+        ray.take(look, source.turned(ray.t, voxels.slopes(p)) * look.per_voxel, painted);
     else
-        ray.take(look, Float4{0, 0, 0, voxels.sample(p)});
+        ray.take(look, Float4{0, 0, 0, voxels.sample(p)}, painted);
 }
 
 // March along some rays, from what `source_of` gives each. First hops are in turn, as each waits for the one before it.
-template <class T, class F>
-INLINE void march(const Voxels<T>& voxels, const Look& look, std::vector<Ray>& rays, F&& source_of) {
+template <class V, class F>
+INLINE void march(const V& voxels, const Look& look, std::vector<Ray>& rays, F&& source_of) {
     std::vector<Ray*> left;
     for (Ray& ray : rays) left.push_back(&ray);
     while (!left.empty()) std::erase_if(left, [&](Ray* ray) { return !ray->live() || !ray->hop(look); });
@@ -340,8 +345,8 @@ inline void find_reached(const Strokes& s, const Look& look, Ray& ray) {
 
 // March along some rays at once, and invert the map at every sample that strokes reach: in lanes, each from the
 // displacement of the ray's sample before.
-template <class T>
-void march_exactly(const Voxels<T>& voxels, const Look& look, const Strokes& s, std::vector<Ray>& rays) {
+template <class V>
+void march_exactly(const V& voxels, const Look& look, const Strokes& s, std::vector<Ray>& rays) {
     std::vector<Ray*> left;
     for (Ray& ray : rays) {
         find_reached(s, look, ray);
@@ -384,7 +389,7 @@ void march_exactly(const Voxels<T>& voxels, const Look& look, const Strokes& s, 
                     sample[3] = f[3];
                 } else
                     sample[3] = voxels.sample(p);
-                ray.take(look, sample);
+                ray.take(look, sample, [&](Float4 colour) { return voxels.painted(p, colour); });
             }
         }
     }

@@ -50,6 +50,7 @@ const HYBRID = 3u;
 const BLOCK = 16u;
 const BRICK = 4u;
 const BISECTIONS = 2u;
+const HALVINGS = 6u; // of labels
 const OPAQUE = 0.995;
 const FAINT = 4e-3;
 const LAYER = 4.0; // voxels behind a cut face over which the light of gradients takes over
@@ -185,6 +186,13 @@ fn gradient_at(place: Place, t: f32) -> vec3f {
     return g * (stretch.from_.matrix + s * (stretch.to.matrix - stretch.from_.matrix)) / domain.spacing.xyz;
 }
 
+// The colour and the opacity of a value; a layer of the texture has 8192 entries.
+fn colour_of(value: f32) -> vec4f {
+    let last = f32(settings.entries - 1u);
+    let entry = u32(clamp((value - settings.low) * settings.scale, 0.0, last) + 0.5);
+    return textureLoad(colours, vec2u(entry % 8192u, 0u), entry / 8192u, 0);
+}
+
 fn seen_first(value: f32) -> bool {
     return value >= settings.threshold && value <= settings.window.y;
 }
@@ -279,9 +287,14 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                 ray.count = 0.0;
                 begin(ray, false);
             }
-            for (var turn = 0u; turn <= BISECTIONS; turn++) {
+            let turns = select(BISECTIONS, HALVINGS, LABELLED);
+            for (var turn = 0u; turn <= turns; turn++) {
                 var middle = 0.5 * (low + surface);
-                if (turn == BISECTIONS) {
+                if (LABELLED && turn == turns) {
+                    taken += 1.0;
+                    break;
+                }
+                if (turn == turns) {
                     if (before == -FAR && low < surface) {
                         // The value there, which may have been skipped: without it, surfaces have steps.
                         let outer = source_of(ray, low, shift);
@@ -296,7 +309,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                 let inner = source_of(ray, middle, shift);
                 let there = sample_at(inner.p, stretch.of_buffer);
                 taken += 1.0;
-                if (turn == BISECTIONS || seen_first(there)) {
+                if (turn == turns || seen_first(there)) {
                     surface = middle;
                     value = there;
                     shift = inner.shift;
@@ -318,7 +331,6 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
     var opaque = FAR;
     var going_on = false;
     var t = select(ray.start, FAR, surface == FAR);
-    let last = f32(settings.entries - 1u);
     while (t <= far) {
         begin(ray, going_on);
         var within = false;
@@ -327,8 +339,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
             shift = place.shift;
             let value = sample_at(place.p, stretch.of_buffer);
             taken += 1.0;
-            let entry = u32(clamp((value - settings.low) * settings.scale, 0.0, last) + 0.5);
-            let colour = textureLoad(colours, vec2u(entry, 0u), 0u, 0);
+            let colour = colour_of(value);
             let part = (1.0 - total.w) * colour.w;
             if (value >= settings.window.x && value <= settings.window.y && colour.w > 0.0) {
                 within = true;
@@ -340,7 +351,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                         lit = mix(vec2f(AMBIENT + DIFFUSE * face, 0.0), lit, deep);
                     }
                 }
-                total += part * vec4f(colour.xyz * lit.x + lit.y, 1.0);
+                total += part * vec4f(painted(place.p, colour).xyz * lit.x + lit.y, 1.0);
                 if (opaque == FAR && total.w >= 0.9) {
                     opaque = max(t - 0.5 * settings.step, surface); // where its step begins
                 }
@@ -402,8 +413,7 @@ fn project(whole: Ray, k: u32) {
             value /= count;
             surface = ray.near;
         }
-        let entry = u32(clamp((value - settings.low) * settings.scale, 0.0, f32(settings.entries - 1u)) + 0.5);
-        total = textureLoad(colours, vec2u(entry, 0u), 0u, 0);
+        total = colour_of(value);
     }
     seen[k] = total;
     seen[k + 1u] = vec4f(surface, at, count, select(inversions, -1.0, lost || cut_short()));
