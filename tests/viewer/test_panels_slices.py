@@ -328,12 +328,15 @@ def test_a_script_shows_landmarks_as_the_command_does(monkeypatch: pytest.Monkey
 
 
 def test_the_curve_is_the_opacity_of_the_transfer_function(gpu: Gpu) -> None:
+    from supple.render.transfer import TransferFunction
     from supple.viewer.panels.curve import opacities
 
     view, hand = opened(DATA / "head.nii.gz", size=(1000, 1400))
     hand.canvas.draw()
     assert view._gui.trouble == ""
-    known = opacities(view.stage, 246)  # a point for each value
+    transfer = view.stage.scene.transfer
+    assert isinstance(transfer, TransferFunction)
+    known = opacities(view.stage, transfer, 246)  # a point for each value
     assert view.stage.scene.range == (0, 245)
-    places, parts = zip(*[(245 * p[0], p[4]) for p in view.stage.scene.transfer.points], strict=True)
+    places, parts = zip(*[(245 * p[0], p[4]) for p in transfer.points], strict=True)
     np.testing.assert_allclose(known, np.interp(np.arange(246), places, parts), atol=2e-3)

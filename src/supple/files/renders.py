@@ -240,11 +240,11 @@ def _check_labels(samples: Array, transfer: LabelColours, name: str) -> None:
 def _saved(scene: Scene, path: PathLike, name: str) -> str:
     """Return the text of a file for the transfer function that is used."""
     suffix, transfer = Path(path).suffix.lower(), scene.transfer
-    if isinstance(transfer, LabelColours):
+    if isinstance(transfer, LabelColours) and scene.labels is not None:
         if suffix != _TABLE:
             raise SuppleError(f"{shown(path)}: the colours of {name} are those of labels: save them as {_TABLE}")
         return transfer.to_ctbl(scene.labels)
-    if suffix == _TABLE:
+    if suffix == _TABLE or isinstance(transfer, LabelColours):
         raise SuppleError(
             f"{shown(path)}: {name} is no label map, and {_TABLE} has colours of labels: save .json or .vp"
         )

@@ -49,8 +49,7 @@ def luminance_and_colours(given: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], np
     if not are_colours(given):
         told = f"{given.dtype} from {given.min():g} to {given.max():g}"
         refuse("colours", "red, green and blue of uint8, uint16, or floats from 0 to 1", told=told)
-    deep = np.dtype(np.uint8 if given.dtype.itemsize == 1 else np.uint16)
-    white = np.iinfo(deep).max
+    deep, white = (np.uint8, 255) if given.dtype.itemsize == 1 else (np.uint16, 65535)
     made = np.full((*given.shape[:3], 4), white, deep)
     luminance = np.empty(given.shape[:3], deep)
     for slab, out, grey in zip(given, made, luminance, strict=True):

@@ -175,7 +175,7 @@ def labels_in(samples: Array) -> Array:
         if int(values.max()) - low < _SPAN >> 4:
             values = low + np.flatnonzero(np.bincount((values - low).reshape(-1)))  # faster than to sort them
         found = np.union1d(found, values)
-    return found[found != 0]
+    return np.asarray(found[found != 0])
 
 
 def numbered(samples: Array, visible: Array) -> Array:
