@@ -146,9 +146,13 @@ struct Labels : Voxels<T> {
                 spline((p[i] - float(voxel)) / WIDER, weights[i][k], rates[i][k]);
             }
         Float4 sum{};
+        T same[SPLINE];
+        for (T& label : same) label = T(own);
+        const bool inner = at[0][SPLINE - 1] - at[0][0] == SPLINE - 1;
         for (int k = 0; k < SPLINE; k++)
             for (int j = 0; j < SPLINE; j++) {
                 const T* a = this->data + at[2][k] + at[1][j];
+                if (inner && memcmp(a + at[0][0], same, sizeof same) == 0) continue;  // most rows of a region
                 float across = 0, rise = 0;
                 for (int i = 0; i < SPLINE; i++) {
                     const T label = a[at[0][i]];
