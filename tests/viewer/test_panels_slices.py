@@ -153,6 +153,13 @@ def test_labels_are_coloured_named_and_not_mixed(gpu: Gpu, tmp_path: Path) -> No
         hand.move(*view.tools.pane(0).to_canvas((float(columns[middle]), float(rows[middle]), 12.0)))
         assert f"|   {told}   |" in status(view)
     view.document.mark_saved()
+    assert view.stage.preset == "labels"  # the rendering has the same colours
+    for look, density in (("grey", None), ("labels", (2, 2))):
+        view.stage.look(look, density)
+        view.refresh()
+        hand.canvas.draw()
+        assert view._gui.trouble == ""
+    assert view.stage.scene.labels.tolist() == [2]
 
 
 def test_the_status_tells_the_place_of_the_voxel_under_the_pointer(gpu: Gpu) -> None:

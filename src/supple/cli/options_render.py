@@ -101,7 +101,7 @@ class LookOptions:
         Width and height of the picture in pixels.
     step
         Distance between samples along a ray, in millimetres (default: the smallest spacing; half of it in
-        projections).
+        projections, and of labels).
     mode
         How the deformed volume is sampled. lattice (default): inverse map interpolated from a lattice, with an
         error bound. exact: inverse solved at each sample. buffered: the volume is warped first. hybrid: lattice

@@ -63,7 +63,7 @@ class RenderOptions:
     size : (int, int)
         Rows and columns of the image.
     step : float, optional
-        The step along a ray, in millimetres; by default, the smallest spacing.
+        The step along a ray, in millimetres; by default, as in `supple.render.scene.Scene`.
     mode : str
         ``"lattice"``, ``"exact"``, ``"buffered"`` or ``"hybrid"``: see `supple.render.scene`.
     shaded : bool

@@ -97,7 +97,7 @@ def _of_labels(
     given: Array, transfer: LabelColours, density: tuple[float, float] | None, step: float
 ) -> tuple[Array, dict[str, Any]]:
     """Return the numbers of visible labels, from 1 on, and the table of their colours."""
-    found, window = labels_in(given), window_of(density)
+    found, window = labels_in(given), window_of(density, one=True)
     table = transfer.table(found, step)
     seen = (table[:, 3] > 0) & (found >= window[0]) & (found <= window[1])
     ready = widened(numbered(given, found[seen]))
@@ -113,12 +113,12 @@ def _of_labels(
     }
 
 
-def window_of(density: tuple[float, float] | None) -> tuple[float, float]:
-    """Return the visible range of values."""
+def window_of(density: tuple[float, float] | None, *, one: bool = False) -> tuple[float, float]:
+    """Return the visible range of values; it may be of ``one``."""
     if density is None:
         return -math.inf, math.inf
     low, high = point("density", density, (2,))
-    if low >= high:
+    if low > high or (low == high and not one):
         refuse("density", "two values LO,HI, the lower one first", density)
     return low, high
 

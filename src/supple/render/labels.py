@@ -25,7 +25,7 @@ _MOST = 65535  # visible labels: their numbers have 16 bits
 _LARGEST = 1 << 53  # float64 holds the integers up to it
 _SPAN = 1 << 24  # labels from the smallest to the largest, of which a table is made
 _SLICER = re.compile(r"(\d+)\s+(\S.*?)\s+(\d+)\s+(\d+)\s+(\d+)\s+(\d+)")
-_SNAP = re.compile(r'(\d+)\s+(\d+)\s+(\d+)\s+(\d+)\s+([\d.]+)\s+([01])\s+([01])\s+"(.*)"')
+_SNAP = re.compile(r'(\d+)\s+(\d+)\s+(\d+)\s+(\d+)\s+(\d+(?:\.\d*)?|\.\d+)\s+([01])\s+([01])\s+"(.*)"')
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,13 +87,14 @@ class LabelColours:
             If a line is of none of these; the message begins with ``name``.
         """
         made: dict[int, Colour] = {}
+        inverse = True  # as in FreeSurfer's, where 0 is opaque
         for count, line in enumerate(text.splitlines(), 1):
             told = line.strip()
             if not told or told.startswith("#"):
                 continue
             if found := _SNAP.fullmatch(told):
                 label, *rgb, part, visible, _, _ = found.groups()
-                opacity = float(part) * int(visible) if part.count(".") < 2 else 2.0
+                opacity, inverse = float(part) * int(visible), False
             elif found := _SLICER.fullmatch(told):
                 label, _, *rgb, part = found.groups()
                 opacity = int(part) / 255
@@ -111,8 +112,8 @@ class LabelColours:
             made[int(label)] = red, green, blue, opacity
         if not made:
             raise SuppleError(f"{name} has no colours: it should have lines of a label, its name, and R G B A")
-        if not any(colour[3] for label, colour in made.items() if label):
-            made = {label: (*colour[:3], 1.0) for label, colour in made.items()}  # FreeSurfer's: 0 is opaque there
+        if inverse and not any(colour[3] for label, colour in made.items() if label):
+            made = {label: (*colour[:3], 1.0) for label, colour in made.items()}
         return cls(made)
 
     @classmethod
