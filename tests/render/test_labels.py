@@ -78,7 +78,7 @@ def near(one: Rendering, other: Rendering) -> float:
 
 def test_a_label_is_the_heaviest_of_the_visible_ones_and_its_slope_that_of_the_smoothed_region() -> None:
     labels = regions()
-    points = np.random.default_rng(1).uniform(0, 1, (50, 3)) * (np.array(SHAPE[::-1]) - 1)
+    points = np.random.default_rng(1).uniform(0, 1, (30, 3)) * (np.array(SHAPE[::-1]) - 1)
     points[::9, 0], points[4::9, 2] = 0, SHAPE[0] - 1  # at faces
     points = points.astype(np.float32).astype(np.float64)
     found = np.empty((len(points), 4), np.float32)
@@ -115,7 +115,7 @@ def test_a_label_is_the_heaviest_of_the_visible_ones_and_its_slope_that_of_the_s
             e = np.eye(3)[axis] * 1e-4
             change = 1.5 * (smoothed(p + e, best) - smoothed(p - e, best)) / 2e-4  # from knot to knot
             assert abs(slope[axis] - change) < 2e-4
-    assert checked > 40
+    assert checked > 24
 
 
 def test_within_a_region_there_is_no_slope_at_all() -> None:
