@@ -1,6 +1,6 @@
 """Make the pictures of the README and the documentation, in docs/images.
 
-python docs/make_images.py [how-to] [augmentation]     all, or those of a page; that of the wall needs scikit-image
+python docs/make_images.py [how-to] [augmentation] [labels] [colours]     all, or some; the wall needs scikit-image
 """
 
 import contextlib
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pyvips
 import SimpleITK as sitk  # noqa: N813
+from scipy import ndimage
 
 import supple
 from supple.augment import RandomElastic, apply
@@ -26,6 +27,7 @@ from supple.media import image
 from supple.plot import figure
 from supple.plot.annotate import annotated
 from supple.render.camera import Camera
+from supple.render.labels import LabelColours, palette
 from supple.render.meshes import Surface
 from supple.render.scene import Scene
 
@@ -205,6 +207,53 @@ def meshes(folder: Path) -> None:
     side_by_side(folder / "meshes.webp", pictures)
 
 
+def parts_of_head() -> image.Array:
+    """Labels: 1 the head, 2 and 3 the halves of the brain, 4 what of it lies low, 5 the ventricles."""
+    head, brain = (open_volume(DATA / f"{name}.nii.gz").samples for name in ("head", "brain"))
+    inside = brain > 0
+    z, _, x = np.indices(head.shape)
+    made = ndimage.binary_fill_holes(ndimage.binary_closing(head > 25, iterations=4)).astype(np.uint8)
+    made[inside] = np.where(z < 25, 4, np.where(x < 45.5, 2, 3))[inside]
+    dark, _ = ndimage.label(ndimage.binary_opening(ndimage.binary_erosion(inside, iterations=7) & (head < 45)))
+    made[dark == 1 + np.bincount(dark.ravel())[1:].argmax()] = 5
+    return made
+
+
+def labelled(folder: Path) -> None:
+    """Parts of the head, cut open, and through translucent ones."""
+    geometry, size = open_volume(DATA / "head.nii.gz").geometry, (400, 400)
+    scene = Scene(parts_of_head(), geometry, transfer="labels")
+    opacity = {1: 0.006, 2: 0.015}
+    clear = LabelColours({k: (*palette(k).tolist(), opacity.get(k, 1.0)) for k in range(1, 6)})
+    made = (
+        (scene.clipped(((None, None), (None, 70), (None, 60))), Camera(30, 25)),
+        (scene.seen_through(clear), Camera(50, 15)),
+    )
+    pictures = [part.render(part.framed(c, size), size, supersampling=2).pixels((1.0, 1.0, 1.0)) for part, c in made]
+    side_by_side(folder / "labels.webp", [shown(pixels, 1.0) for pixels in pictures])
+
+
+def tinted(folder: Path) -> None:
+    """The head in colours of tissue, cut open, and bent."""
+    head, brain = (open_volume(DATA / f"{name}.nii.gz") for name in ("head", "brain"))
+    skin = ((0, 8, 6, 10), (40, 120, 40, 34), (90, 176, 84, 66), (140, 214, 150, 104), (250, 252, 232, 196))
+    grey = ((0, 30, 16, 24), (45, 90, 44, 48), (75, 176, 128, 122), (95, 214, 180, 164), (115, 244, 232, 216))
+    outer, inner = (
+        np.stack([np.interp(head.samples, [s[0] for s in stops], [s[c] for s in stops]) for c in (1, 2, 3)], axis=-1)
+        for stops in (skin, grey)
+    )
+    part = ndimage.gaussian_filter(brain.samples.astype(np.float32), 0.7)[..., None]
+    scene = Scene(np.rint(outer + part * (inner - outer)).astype(np.uint8), head.geometry, transfer="mr-head")
+    d = supple.Deformation(scene.shape, spacing=head.geometry.spacing, border=30)
+    bent, size = scene.deformed(d.grab((40, 86, 65), to=(44, 63, 53), radius=36)), (400, 400)
+    made = (
+        (scene.clipped(((None, None), (None, 70), (None, 60))), Camera(30, 25)),
+        (bent.clipped(((45, None), (None, None), (None, None))), Camera(60, 12)),
+    )
+    pictures = [cut.render(cut.framed(c, size), size, supersampling=2).pixels((1.0, 1.0, 1.0)) for cut, c in made]
+    side_by_side(folder / "colours.webp", [shown(pixels, 1.0) for pixels in pictures])
+
+
 def shown(pixels: image.Array, scale: float, kernel: str = "cubic") -> pyvips.Image:
     """An array as a picture, enlarged."""
     return pyvips.Image.new_from_array(np.ascontiguousarray(pixels)).resize(scale, kernel=kernel)
@@ -344,7 +393,7 @@ def main() -> None:
     """Make all pictures."""
     folder = HERE / "images"
     folder.mkdir(exist_ok=True)
-    pages = {"how-to": how_to, "augmentation": augmented}
+    pages = {"how-to": how_to, "augmentation": augmented, "labels": labelled, "colours": tinted}
     for page in sys.argv[1:] or pages:
         pages[page](folder)
     if sys.argv[1:]:

@@ -22,6 +22,7 @@ from supple.geometry import Geometry
 from supple.media import image
 from supple.media import volume as media
 from supple.render.camera import Camera
+from supple.render.labels import LabelColours
 from supple.render.transfer import PRESETS
 
 SHAPE = (24, 30, 28)
@@ -102,21 +103,70 @@ def test_world_points(here: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".nii", ".nrrd"])
-def test_colours_are_seen_by_their_luminance(here: Path, suffix: str) -> None:
+def test_colours_are_as_opaque_as_their_luminance(here: Path, suffix: str) -> None:
     grey = head().astype(np.uint8)
     stored("grey.nii", np.rint(grey * 0.7152).astype(np.uint8))
     none = np.zeros_like(grey)
     stored(f"green{suffix}", np.stack([none, grey, none], axis=-1))
     half = np.where(np.arange(SHAPE[2]) < 14, 255, 0) * np.ones_like(grey)
     stored(f"clear{suffix}", np.stack([none, grey, none, half.astype(np.uint8)], axis=-1))
-    options = RenderOptions(size=(40, 40), transfer="grey", mode="exact", camera=Camera(20, 10))
+    options = RenderOptions(size=(40, 40), transfer="grey", mode="exact", camera=Camera(20, 10), shaded=False)
     seen = {}
     for name in ("grey.nii", f"green{suffix}", f"clear{suffix}"):
         render_file(name, "out.png", supple.Recipe(strokes=RECIPE.strokes, border=6.0), options=options, force=True)
         seen[name[:5]] = image.read("out.png").pixels.astype(int)
-    np.testing.assert_array_equal(seen["green"], seen["grey."])
+    np.testing.assert_array_equal(seen["green"][..., 3], seen["grey."][..., 3])
+    assert seen["green"][..., 1].max() > 120 > 10 > seen["green"][..., ::2].max()
     assert seen["clear"][..., 3].sum() < 0.7 * seen["grey."][..., 3].sum()
     assert seen["clear"][..., 3].max() > 100
+
+
+def test_a_label_map_has_its_labels_colours_unless_another_transfer_is_asked_for(
+    here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    labels = np.zeros(SHAPE, np.int16)
+    labels[5:20, 6:25, 5:14], labels[5:20, 6:25, 14:24] = 17, 53
+    stored("labels.nii.gz", labels)
+    volume = media.read("labels.nii.gz")
+    assert default_transfer(volume) == "labels"
+    noise = np.random.default_rng(0).integers(1, 2000, SHAPE).astype(np.int16)
+    stored("many.nii", noise)
+    many = media.read("many.nii")
+    assert default_transfer(many) == "mr-head"
+    many.header["intent_code"] = 1002
+    assert default_transfer(many) == "labels"
+    usual = ["--size", "40x40", "--flat", "--force"]
+    palette = {tuple(np.rint(255 * row).astype(int).tolist()) for row in LabelColours().of([17, 53])}
+    Path("t.txt").write_text("0 Unknown 0 0 0 0\n17 a 255 0 0 0\n53 b 0 0 255 0\n")
+    for options, wanted in (
+        (["--save-transfer", "t.ctbl"], palette),
+        (["--transfer", "t.ctbl"], palette),
+        (["--transfer", "t.txt"], {(255, 0, 0, 255), (0, 0, 255, 255)}),
+        (["--transfer", "t.txt", "--density", "20,60"], {(0, 0, 255, 255)}),
+    ):
+        assert command(["render", "labels.nii.gz", "a.png", *usual, *options]) == 0
+        pixels = image.read("a.png").pixels
+        assert {tuple(row) for row in pixels[pixels[..., 3] > 0].tolist()} == wanted, options
+    assert command(["render", "labels.nii.gz", "a.png", *usual, "--projection", "maximum"]) == 0
+    assert capfd.readouterr().err == ""
+    Path("t.ctbl").write_text("53 b 0 0 255 255\n")
+    assert command(["render", "labels.nii.gz", "a.png", *usual, "--transfer", "t.ctbl"]) == 0
+    assert "labels of labels.nii.gz without a colour are not seen: 17" in capfd.readouterr().err
+    stored("half.nii", labels + np.float32(0.5))
+    stored("rgb.nii", np.zeros((*SHAPE, 3), np.uint8))
+    for arguments, told in (
+        (
+            ["labels.nii.gz", "b.png", "--save-transfer", "t.json"],
+            "t.json: the colours of labels.nii.gz are",
+        ),
+        (["many.nii", "b.png", "--save-transfer", "u.ctbl"], "u.ctbl: many.nii is no label map"),
+        (["half.nii", "b.png", "--transfer", "labels"], "half.nii: labels must be whole numbers"),
+        (["rgb.nii", "b.png", "--transfer", "labels"], "rgb.nii holds colours, and a label map has one number"),
+        (["labels.nii.gz", "b.png", "--transfer", "none.ctbl"], "cannot read 'none.ctbl'"),
+    ):
+        assert command(["render", *arguments]) == 2
+        assert told in capfd.readouterr().err
+    assert not Path("b.png").exists()
 
 
 def test_the_examples_of_the_help_bend_the_head_that_comes_along(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -211,7 +261,8 @@ def test_presets_are_guessed() -> None:
 
     assert guess(head(-1000, 900)) == "ct-skin"
     assert guess((head(-1000, 900) + 1024).astype(np.uint16), (1.0, -1024.0)) == "ct-skin"
-    assert guess(head()) == "mr-head"
+    assert guess(head()) == "labels"
+    assert guess(head() + np.random.default_rng(0).integers(0, 9, SHAPE)) == "mr-head"
     assert guess(np.full((2, 2, 2), np.nan)) == "mr-head"
 
 

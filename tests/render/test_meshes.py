@@ -331,7 +331,18 @@ class TestFiles:
 
     def test_a_mesh_is_drawn_where_points_would_move_it(self) -> None:
         bend = ["--grab", "13,14,11:17,14,11", "--radius", "9", "--border", "none"]
-        look = ["--size", "60x50", "--azimuth", "40", "--distance", "120", "--target", "14,15,12"]
+        look = [
+            "--transfer",
+            "mr-head",
+            "--size",
+            "60x50",
+            "--azimuth",
+            "40",
+            "--distance",
+            "120",
+            "--target",
+            "14,15,12",
+        ]
         name, warped = self.stored(), ["--mode", "buffered"]
         assert command(["render", "in.nii.gz", "there.png", "--mesh", f"{name}:#ff8000", *bend, *look, *warped]) == 0
         assert command(["points", name, "moved.stl", "--on", "in.nii.gz", *bend]) == 0

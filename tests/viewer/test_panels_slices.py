@@ -153,6 +153,13 @@ def test_labels_are_coloured_named_and_not_mixed(gpu: Gpu, tmp_path: Path) -> No
         hand.move(*view.tools.pane(0).to_canvas((float(columns[middle]), float(rows[middle]), 12.0)))
         assert f"|   {told}   |" in status(view)
     view.document.mark_saved()
+    assert view.stage.preset == "labels"  # the rendering has the same colours
+    for look, density in (("grey", None), ("labels", (2, 2))):
+        view.stage.look(look, density)
+        view.refresh()
+        hand.canvas.draw()
+        assert view._gui.trouble == ""
+    assert view.stage.scene.labels.tolist() == [2]
 
 
 def test_the_status_tells_the_place_of_the_voxel_under_the_pointer(gpu: Gpu) -> None:
@@ -328,12 +335,15 @@ def test_a_script_shows_landmarks_as_the_command_does(monkeypatch: pytest.Monkey
 
 
 def test_the_curve_is_the_opacity_of_the_transfer_function(gpu: Gpu) -> None:
+    from supple.render.transfer import TransferFunction
     from supple.viewer.panels.curve import opacities
 
     view, hand = opened(DATA / "head.nii.gz", size=(1000, 1400))
     hand.canvas.draw()
     assert view._gui.trouble == ""
-    known = opacities(view.stage, 246)  # a point for each value
+    transfer = view.stage.scene.transfer
+    assert isinstance(transfer, TransferFunction)
+    known = opacities(view.stage, transfer, 246)  # a point for each value
     assert view.stage.scene.range == (0, 245)
-    places, parts = zip(*[(245 * p[0], p[4]) for p in view.stage.scene.transfer.points], strict=True)
+    places, parts = zip(*[(245 * p[0], p[4]) for p in transfer.points], strict=True)
     np.testing.assert_allclose(known, np.interp(np.arange(246), places, parts), atol=2e-3)

@@ -215,10 +215,12 @@ class Look:
         projection: int,
         arrives: Singles,
         placed: Singles,
+        labelled: bool,
     ) -> None: ...
 
 def draw(
     samples: Array,
+    colours: Array | None,
     look: Look,
     lattice: Lattice | None,
     cells: int,
@@ -251,4 +253,4 @@ def largest_part(seen: npt.NDArray[np.bool_], out: npt.NDArray[np.bool_]) -> Non
 def brick_moved(
     lattice: Lattice, seen: npt.NDArray[np.bool_], fine: int, slack: float, out: npt.NDArray[np.bool_]
 ) -> None: ...
-def look_up(samples: Array, points: Singles, out: Singles) -> None: ...
+def look_up(samples: Array, points: Singles, out: Singles, labelled: bool = False) -> None: ...

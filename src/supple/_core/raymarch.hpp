@@ -18,6 +18,7 @@ namespace supple {
 
 constexpr int BRICK = 4;          // voxels; a brick holds one more along each axis, its neighbour's first
 constexpr int BISECTIONS = 2;     // before the surface is found by a straight line between two values
+constexpr int HALVINGS = 6;       // of labels, which have no values between
 constexpr double EXACT = 1e-3;    // the last Newton step at a sample that is inverted, in voxels
 constexpr float OPAQUE = 0.995f;  // the opacity at the end of a ray
 constexpr double LAYER = 4;       // voxels behind a cut face over which the light of gradients takes over
@@ -48,6 +49,7 @@ struct Look {
     std::vector<float> arrives;
     std::array<int64_t, 3> nodes;
     Float4 first_node, per_node;  // the node of a voxel is first_node + per_node voxel
+    bool labelled;                // values are numbers of labels, see Labels
     enum { COMPOSITED, MAXIMUM, MINIMUM, AVERAGE } projection;
 
     INLINE float entry(float value) const { return least(most((value - low) * scale, 0.0f), last_entry); }
@@ -61,6 +63,7 @@ struct Look {
     // Colour and opacity of a part of a step, along which values go from `a` to `b`; and where the middle of what is
     // visible is, from 0 to 1.
     INLINE Float4 between(float a, float b, float part, float& middle) const {
+        if (labelled) return halves(a, b, part, middle);
         const float from = least(most(a, threshold), top), to = least(most(b, threshold), top);
         if (from == to && (from != a || to != b)) return Float4{};
         const float over = a == b ? 0 : 1 / (b - a), mean = 0.5f * (from + to), e = entry(from), e1 = entry(to);
@@ -79,6 +82,17 @@ struct Look {
     }
 
 private:
+    // Of labels, which are not mixed: half of one before half of the other.
+    INLINE Float4 halves(float a, float b, float part, float& middle) const {
+        Float4 one = colour(a), other = colour(b);
+        middle = a == 0 ? 0.75f : b == 0 ? 0.25f : 0.5f;
+        const float left = std::pow(1 - one[3], 0.5f * part), last = left * (1 - std::pow(1 - other[3], 0.5f * part));
+        const float all = 1 - left + last;
+        if (!(all > 0)) return Float4{};
+        Float4 mixed = ((1 - left) * one + last * other) * (1 / all);
+        mixed[3] = all;
+        return mixed;
+    }
     INLINE Double4 before(float entry) const {
         float at = entry + 0.5f;
         int k = least(int(at), int(last_entry));
@@ -151,8 +165,10 @@ struct Ray {
         return true;
     }
 
-    // Add the sample at t (the gradient, and the value last), and choose the next t.
-    INLINE void take(const Look& look, Float4 sample) {
+    // Add the sample at t (the gradient, and the value last), and choose the next t. `painted` is its colour, of the
+    // transfer function's.
+    template <class F>
+    INLINE void take(const Look& look, Float4 sample, F&& painted) {
         float value = sample[3];
         samples++;
         if (look.projection) {
@@ -161,18 +177,22 @@ struct Ray {
             return;
         }
         if (stage == LIT) {
-            gather(look, colour, sample);
+            gather(look, painted(colour), sample);
             next(look, true);
         } else if (stage == BISECT) {
             bool outer = look.side(value) == look.side(before);
             (outer ? start : t1) = t;
             (outer ? before : after) = value;
             t = 0.5 * (start + t1);
-            if (++turn < BISECTIONS) return;
-            // By a straight line to the end of the visible range.
-            float end = look.side(before) < 0 ? look.threshold : look.top;
-            surface = start += (t1 - start) * ((end - before) / (after - before));
-            before = end;
+            if (++turn < (look.labelled ? HALVINGS : BISECTIONS)) return;
+            if (look.labelled) {
+                surface = start = t1;
+                before = after;
+            } else {  // by a straight line to the end of the visible range
+                float end = look.side(before) < 0 ? look.threshold : look.top;
+                surface = start += (t1 - start) * ((end - before) / (after - before));
+                before = end;
+            }
             t = t1 = least(start + look.step, most(far, start));
             stage = HELD;
         } else if (stage == FIRST || stage == PINNED) {
@@ -196,12 +216,8 @@ struct Ray {
             float middle;
             colour = look.between(before, after, float((t1 - start) * look.per_step), middle);
             if (!(colour[3] > 0)) return next(look, false);
-            if (!look.shaded) {
-                gather(look, colour, sample);
-                return next(look, true);
-            }
             t = mix(double(middle), start, t1);
-            within = true;  // with its gradient
+            within = true;  // with its gradient, and the colour there
             stage = LIT;
         }
     }
@@ -368,19 +384,20 @@ private:
     }
 };
 
-// Add one sample of a volume.
-template <class T, class Source>
-INLINE void see(const Voxels<T>& voxels, const Look& look, Ray& ray, Source& source) {
+// Add one sample of a volume: `V` is Voxels, Labels or Coloured.
+template <class V, class Source>
+INLINE void see(const V& voxels, const Look& look, Ray& ray, Source& source) {
     Float4 p = source.source(ray, ray.t, ray.at(ray.t));
+    auto painted = [&](Float4 colour) { return voxels.painted(p, colour); };
     if (ray.within && look.shaded)
-        ray.take(look, source.turned(ray.t, voxels.slopes(p)) * look.per_voxel);
+        ray.take(look, source.turned(ray.t, voxels.slopes(p)) * look.per_voxel, painted);
     else
-        ray.take(look, Float4{0, 0, 0, voxels.sample(p)});
+        ray.take(look, Float4{0, 0, 0, voxels.sample(p)}, painted);
 }
 
 // March along some rays, from what `source_of` gives each. First hops are in turn, as each waits for the one before it.
-template <class T, class F>
-INLINE void march(const Voxels<T>& voxels, const Look& look, std::vector<Ray>& rays, F&& source_of) {
+template <class V, class F>
+INLINE void march(const V& voxels, const Look& look, std::vector<Ray>& rays, F&& source_of) {
     std::vector<Ray*> left;
     for (Ray& ray : rays) left.push_back(&ray);
     while (!left.empty()) std::erase_if(left, [&](Ray* ray) { return !ray->live() || !ray->hop(look); });
@@ -409,8 +426,8 @@ inline void find_reached(const Strokes& s, const Look& look, Ray& ray) {
 
 // March along some rays at once, and invert the map at every sample that strokes reach: in lanes, each from the
 // displacement of the ray's sample before.
-template <class T>
-void march_exactly(const Voxels<T>& voxels, const Look& look, const Strokes& s, std::vector<Ray>& rays) {
+template <class V>
+void march_exactly(const V& voxels, const Look& look, const Strokes& s, std::vector<Ray>& rays) {
     std::vector<Ray*> left;
     for (Ray& ray : rays) {
         find_reached(s, look, ray);
@@ -453,7 +470,7 @@ void march_exactly(const Voxels<T>& voxels, const Look& look, const Strokes& s, 
                     sample[3] = f[3];
                 } else
                     sample[3] = voxels.sample(p);
-                ray.take(look, sample);
+                ray.take(look, sample, [&](Float4 colour) { return voxels.painted(p, colour); });
             }
         }
     }

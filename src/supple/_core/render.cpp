@@ -24,11 +24,27 @@ void with_samples(const Samples& samples, F&& f) {
     if (is(float())) return go(float());
     throw nb::type_error("samples must be uint8, int8, uint16, int16 or float32");
 }
+typedef std::optional<nb::ndarray<nb::ro, nb::ndim<4>, nb::c_contig, nb::device::cpu>> Colours;
+
+// Call `f` with the samples of a volume between its voxels: of values, of labels, or of values with colours.
 template <class F>
-void with_voxels(const Samples& samples, F&& f) {
-    for (int i = 0; i < 3; i++)
+void with_voxels(const Samples& samples, const Colours& colours, bool labelled, F&& f) {
+    for (int i = 0; i < 3; i++) {
         if (samples.shape(i) < 2) throw nb::value_error("a volume must have two voxels along each axis");
-    with_samples(samples, [&](auto* data) { f(Voxels(data, samples.shape(2), samples.shape(1), samples.shape(0))); });
+        if (colours && colours->shape(i) != samples.shape(i))
+            throw nb::value_error("colours must have the shape of samples");
+    }
+    if (colours && (colours->dtype() != samples.dtype() || colours->shape(3) != 4))
+        throw nb::type_error("colours must be of the type of samples, four for each voxel");
+    with_samples(samples, [&]<class T>(const T* data) {
+        const int64_t nx = samples.shape(2), ny = samples.shape(1), nz = samples.shape(0);
+        if constexpr (std::is_unsigned_v<T>) {
+            if (labelled) return f(Labels<T>(data, nx, ny, nz));
+            if (colours) return f(Coloured<T>(data, (const T*)colours->data(), nx, ny, nz));
+        } else if (labelled || colours)
+            throw nb::type_error("labels and colours must be uint8 or uint16");
+        f(Voxels<T>(data, nx, ny, nz));
+    });
 }
 // The shape of an array (Z, Y, X) as (x, y, z).
 template <class A>
@@ -82,10 +98,10 @@ void between(SolidLattice& lattice, Array<const float, 2> points, Array<float, 3
     }
 }
 
-void look_up(Samples samples, Array<const float, 2> points, Array<float, 2> out) {
+void look_up(Samples samples, Array<const float, 2> points, Array<float, 2> out, bool labelled) {
     if (points.shape(1) != 3 || out.shape(0) != points.shape(0) || out.shape(1) != 4)
         throw nb::value_error("points must be (N, 3), and out (N, 4)");
-    with_voxels(samples, [&](auto voxels) {
+    with_voxels(samples, {}, labelled, [&](auto voxels) {
         for (size_t i = 0; i < points.shape(0); i++) {
             Float4 p = point_of(points.data() + 3 * i), g = voxels.slopes(p);
             out(i, 0) = voxels.sample(p);
@@ -97,7 +113,8 @@ void look_up(Samples samples, Array<const float, 2> points, Array<float, 2> out)
 Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Array<const float, 2> table,
                 Array<const double, 2> sums, float low, float scale, float threshold, float top, double step,
                 std::array<float, 3> lamp, bool shaded, Array<const double, 2> box, std::array<double, 4> plane,
-                float silhouettes, int projection, Array<const float, 3> arrives, Array<const float, 2> placed) {
+                float silhouettes, int projection, Array<const float, 3> arrives, Array<const float, 2> placed,
+                bool labelled) {
     if (camera.shape(0) != 5 || camera.shape(1) != 3) throw nb::value_error("a camera must be 5 rows of 3 numbers");
     if (box.shape(0) != 2 || box.shape(1) != 3) throw nb::value_error("a box must be 2 rows of 3 numbers");
     if (table.shape(0) < 1 || table.shape(1) != 4) throw nb::value_error("a table must be rows of 4 numbers");
@@ -116,6 +133,7 @@ Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Ar
     look->shaded = shaded;
     look->plane = Double4{plane[0], plane[1], plane[2], plane[3]};
     look->silhouettes = silhouettes;
+    look->labelled = labelled;
     look->projection = decltype(look->projection)(projection);
     if (placed.shape(0) != 2 || placed.shape(1) != 3) throw nb::value_error("placed must be 2 rows of 3 numbers");
     look->arrives.assign(arrives.data(), arrives.data() + arrives.size());
@@ -143,9 +161,9 @@ Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Ar
 // columns, 2) of the first surface and where opacity passes 0.9, or infinity; and work (rows, columns, 2), samples and
 // evaluations. `ends` (rows, columns, 4) is what `raster` makes: opaque, behind what is seen of the volume before it,
 // and before projections, which are nowhere along their rays.
-void draw(Samples samples, const Look& look, const SolidLattice* lattice, int cells, const Strokes* strokes,
-          Array<const double, 1> columns, Array<const double, 1> rows, Array<float, 3> light, Array<double, 3> depth,
-          Array<int64_t, 3> work, std::optional<Array<const float, 3>> ends) {
+void draw(Samples samples, Colours colours, const Look& look, const SolidLattice* lattice, int cells,
+          const Strokes* strokes, Array<const double, 1> columns, Array<const double, 1> rows, Array<float, 3> light,
+          Array<double, 3> depth, Array<int64_t, 3> work, std::optional<Array<const float, 3>> ends) {
     const int height = (int)rows.size(), width = (int)columns.size();
     auto fits = [&](auto& a, size_t n) {
         return (int)a.shape(0) == height && (int)a.shape(1) == width && a.shape(2) == n;
@@ -153,7 +171,7 @@ void draw(Samples samples, const Look& look, const SolidLattice* lattice, int ce
     if (!fits(light, 4) || !fits(depth, 2) || !fits(work, 2) || (ends && !fits(*ends, 4)))
         throw nb::value_error("a picture must have its rows and columns");
     const int across = (width + TILE - 1) / TILE, down = (height + TILE - 1) / TILE;
-    with_voxels(samples, [&](auto voxels) {
+    with_voxels(samples, colours, look.labelled, [&](auto voxels) {
         auto draw_tile = [&](int tile, int) {
             const int top = tile / across * TILE, left = tile % across * TILE;
             const int bottom = least(top + TILE, height), right = least(left + TILE, width);
@@ -263,9 +281,9 @@ void bind_render(nb::module_& m) {
                      "How a volume is seen: a camera, what its rays may skip, a transfer function, a lamp, a box.")
         .def(nb::new_(&make_look), "camera"_a, "skips"_a, "table"_a, "sums"_a, "low"_a, "scale"_a, "threshold"_a,
              "top"_a, "step"_a, "light"_a, "shaded"_a, "box"_a, "plane"_a, "silhouettes"_a, "projection"_a, "arrives"_a,
-             "placed"_a);
-    m.def("draw", &draw, "samples"_a, "look"_a, "lattice"_a.none(), "cells"_a, "strokes"_a.none(), "columns"_a,
-          "rows"_a, "light"_a, "depth"_a, "work"_a, "ends"_a = nb::none(),
+             "placed"_a, "labelled"_a);
+    m.def("draw", &draw, "samples"_a, "colours"_a.none(), "look"_a, "lattice"_a.none(), "cells"_a, "strokes"_a.none(),
+          "columns"_a, "rows"_a, "light"_a, "depth"_a, "work"_a, "ends"_a = nb::none(),
           "See a volume along the rays of pixels: as it is, through a lattice, or through strokes.");
     m.def("raster", &raster, "look"_a, "points"_a, "normals"_a, "triangles"_a, "lines"_a, "colour"_a, "radius"_a,
           "columns"_a, "rows"_a, "out"_a, "Draw a mesh into what the rays of pixels end at.");
@@ -277,7 +295,8 @@ void bind_render(nb::module_& m) {
     m.def("largest_part", &largest_part, "seen"_a, "out"_a, "Find the largest part of what is seen that is connected.");
     m.def("brick_moved", &brick_moved, "lattice"_a, "seen"_a, "fine"_a, "slack"_a, "out"_a,
           "Find the bricks of a deformed volume that show what is seen of the volume.");
-    m.def("look_up", &look_up, "samples"_a, "points"_a, "out"_a, "Sample a volume and its gradient at points.");
+    m.def("look_up", &look_up, "samples"_a, "points"_a, "out"_a, "labelled"_a = false,
+          "Sample a volume and its gradient at points.");
 }
 
 }  // namespace supple

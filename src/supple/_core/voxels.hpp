@@ -1,5 +1,6 @@
-// Samples between the voxels of a volume, and their slopes, at points given in voxels.
+// Samples between the voxels of a volume, of values, labels or colours, and their slopes, at points given in voxels.
 #pragma once
+#include <limits>
 #include <type_traits>
 
 #include "vectors.hpp"
@@ -51,9 +52,13 @@ struct Voxels {
         return inside[0] & inside[1] & inside[2] ? inner_slopes(p) : outer_slopes(p);
     }
 
-private:
+    // The colour at p: that of the transfer function.
+    INLINE Float4 painted(Float4, Float4 colour) const { return colour; }
+
+protected:
     INLINE const T* at(Int4 cell) const { return data + (cell[2] * layer + cell[1] * row + cell[0]); }
 
+private:
     // Two voxels of a row, and two of the next.
     INLINE Float4 rows(const T* a) const {
         T both[4];
@@ -93,6 +98,126 @@ private:
         }
         return g;
     }
+};
+
+// The corners of a cell around a point, and their trilinear weights: x fastest.
+struct Corners {
+    Int4 cell;
+    float weights[8];
+
+    INLINE Corners(Float4 p, Int4 last) {
+        p = least(most(p, Float4{}), floats(last + 1));
+        cell = least(whole(p), last);
+        Float4 part = p - floats(cell), rest = 1.0f - part;
+        for (int i = 0; i < 8; i++)
+            weights[i] = (i & 1 ? part : rest)[0] * (i & 2 ? part : rest)[1] * (i & 4 ? part : rest)[2];
+    }
+};
+
+// Labels, numbered from 1; 0 is what is not seen. They are not mixed: a point is seen if visible voxels weigh more than
+// half of the eight around it, and has the label that weighs most among these.
+template <class T>
+struct Labels : Voxels<T> {
+    using Voxels<T>::Voxels, Voxels<T>::row, Voxels<T>::layer, Voxels<T>::last;
+
+    INLINE float sample(Float4 p) const {
+        Corners around(p, last);
+        const T* a = this->at(around.cell);
+        T found[8];
+        for (int i = 0; i < 4; i++) memcpy(found + 2 * i, a + (i & 1) * row + (i >> 1) * layer, 2 * sizeof(T));
+        bool same = true;
+        for (int i = 1; i < 8; i++) same &= found[i] == found[0];
+        return same ? found[0] : weightiest(found, around.weights);
+    }
+
+    // The gradient of how far the label reaches, per voxel, by cubic B-splines, which smooth the steps of voxels; and
+    // the label, last. Other visible labels count as nearly the same, so that a surface has no seams where they meet.
+    INLINE Float4 slopes(Float4 p) const {
+        const float own = sample(p);
+        p = least(most(p, Float4{}), floats(last + 1));
+        Int4 cell = whole(p);
+        const int64_t strides[3] = {1, row, layer};
+        int64_t at[3][SPLINE];  // of the voxels around, along each axis
+        float weights[3][SPLINE], rates[3][SPLINE];
+        for (int i = 0; i < 3; i++)
+            for (int k = 0; k < SPLINE; k++) {
+                int32_t voxel = cell[i] + k + 1 - SPLINE / 2;
+                at[i][k] = most(least(voxel, last[i] + 1), 0) * strides[i];
+                spline((p[i] - float(voxel)) / WIDER, weights[i][k], rates[i][k]);
+            }
+        Float4 sum{};
+        T same[SPLINE];
+        for (T& label : same) label = T(own);
+        const bool inner = at[0][SPLINE - 1] - at[0][0] == SPLINE - 1;
+        for (int k = 0; k < SPLINE; k++)
+            for (int j = 0; j < SPLINE; j++) {
+                const T* a = this->data + at[2][k] + at[1][j];
+                if (inner && memcmp(a + at[0][0], same, sizeof same) == 0) continue;  // most rows of a region
+                float across = 0, rise = 0;
+                for (int i = 0; i < SPLINE; i++) {
+                    const T label = a[at[0][i]];
+                    const float off = label == own ? 0.0f : label == 0 ? 1.0f : OTHER;  // 0 in a region, exactly
+                    across += weights[0][i] * off;
+                    rise += rates[0][i] * off;
+                }
+                sum -= Float4{weights[1][j] * weights[2][k] * rise, rates[1][j] * weights[2][k] * across,
+                              weights[1][j] * rates[2][k] * across, 0};
+            }
+        sum[3] = own;
+        return sum;
+    }
+
+private:
+    static constexpr int SPLINE = 6;  // voxels that a spline reaches
+    static constexpr float WIDER = SPLINE / 4.0f, OTHER = 0.2f;
+
+    NOINLINE static float weightiest(const T* found, const float* weights) {
+        float hidden = 0, most_weight = 0, label = 0;
+        for (int i = 0; i < 8; i++) hidden += found[i] == 0 ? weights[i] : 0;
+        if (hidden >= 0.5f) return 0;
+        for (int i = 0; i < 8; i++) {
+            float weight = 0;
+            for (int j = 0; j < 8; j++) weight += found[j] == found[i] ? weights[j] : 0;
+            if (found[i] == 0 || weight < most_weight || (weight == most_weight && found[i] > label)) continue;
+            most_weight = weight;
+            label = found[i];
+        }
+        return label;
+    }
+
+    // A cubic B-spline at x, and its slope.
+    INLINE static void spline(float x, float& weight, float& rate) {
+        const float away = __builtin_fabsf(x), rest = most(2 - away, 0.0f);
+        weight = away < 1 ? (4 - 3 * away * away * rest) / 6 : rest * rest * rest / 6;
+        rate = away < 1 ? x * (1.5f * away - 2) : -0.5f * __builtin_copysignf(rest * rest, x);
+    }
+};
+
+// Values of colours of their own: sRGB and opacity, of T's full range, four for each voxel.
+template <class T>
+struct Coloured : Voxels<T> {
+    const T* colours;
+
+    Coloured(const T* data, const T* colours, int64_t nx, int64_t ny, int64_t nz)
+        : Voxels<T>(data, nx, ny, nz), colours(colours) {}
+
+    // The colour at p, in linear light, with the opacity of the transfer function. It is premultiplied in between.
+    INLINE Float4 painted(Float4 p, Float4 colour) const {
+        Corners around(p, this->last);
+        const T* a = colours + 4 * (this->at(around.cell) - this->data);
+        Float4 sum{};
+        for (int i = 0; i < 8; i++) {
+            Float4 found = load<float, 4>(a + 4 * ((i & 1) + (i >> 1 & 1) * this->row + (i >> 2) * this->layer));
+            float weight = around.weights[i] * found[3];
+            sum += weight * Float4{found[0], found[1], found[2], 1};
+        }
+        if (sum[3] > 0) sum *= 1.0f / (sum[3] * float(std::numeric_limits<T>::max()));
+        for (int c = 0; c < 3; c++) colour[c] = linear(sum[c]);
+        return colour;
+    }
+
+private:
+    static float linear(float u) { return u <= 0.04045f ? u / 12.92f : __builtin_powf((u + 0.055f) / 1.055f, 2.4f); }
 };
 
 }  // namespace supple

@@ -79,11 +79,12 @@ class LookOptions:
     ----------
     transfer
         Transfer function (colours and opacity): ct-bone, ct-skin, ct-muscle, ct-lung, ct-vessels, mr-head, mr-brain,
-        grey, or a file: JSON, or a volume property of 3D Slicer (.vp) (default: chosen by the values).
+        grey, or a file: JSON, or a volume property of 3D Slicer (.vp); for a label map, labels, or a colour table of 3D
+        Slicer, FreeSurfer or ITK-SNAP (.ctbl, .txt) (default: chosen by the values).
     save_transfer
-        Write the transfer function that is used to this file: JSON, or .vp for 3D Slicer.
+        Write the transfer function that is used to this file: JSON, or .vp for 3D Slicer; of labels, .ctbl.
     density
-        Show only values from LO to HI.
+        Show only values, or labels, from LO to HI.
     clip
         Show only a box of the deformed volume, from voxel X0 to voxel X1 and so on, and cut the rest away. Ends may be
         left out: --clip :,60:,: cuts away what is before y = 60.
@@ -108,7 +109,7 @@ class LookOptions:
         Width and height of the picture in pixels.
     step
         Distance between samples along a ray, in millimetres (default: the smallest spacing; half of it in
-        projections).
+        projections, and of labels).
     mode
         How the deformed volume is sampled. lattice (default): inverse map interpolated from a lattice, with an
         error bound. exact: inverse solved at each sample. buffered: the volume is warped first. hybrid: lattice

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import warnings
 from collections.abc import Iterator, Sequence
@@ -16,7 +17,7 @@ from supple.domain import choice, integer, number, point
 from supple.engines.choice import check_device
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.files.meshes import MeshFile, read_surfaces
-from supple.files.volumes import VolumeOptions, deformation_of, open_volume
+from supple.files.volumes import VolumeOptions, deformation_of, is_of_labels, open_volume
 from supple.geometry import check_upright
 from supple.media import image, turntable
 from supple.media.files import check_output, check_outputs, check_suffix, replacing, replacing_all
@@ -26,15 +27,19 @@ from supple.pipeline import Tell
 from supple.render.appearance import PROJECTIONS, cropped, largest
 from supple.render.box import Clip, Plane
 from supple.render.camera import Camera
+from supple.render.colour import are_colours
+from supple.render.labels import LabelColours, labels_in
 from supple.render.scene import MODES, Scene
-from supple.render.transfer import SUFFIXES as TRANSFERS
-from supple.render.transfer import TransferFunction, transfer_of
+from supple.render.transfer import LABELS, SUFFIXES, Transfer, transfer_of
 from supple.strokes import Fit, Recipe
 
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
 
 WHATS = ("picture", "inversions")
+_TABLE = ".ctbl"
+_SAVED = (*SUFFIXES, _TABLE)
+_LABEL_INTENT = 1002  # NIFTI_INTENT_LABEL
 LIGHTLESS = (".png", ".tif", ".tiff", ".webp", ".avif")  # formats that hold opacity
 
 
@@ -44,10 +49,11 @@ class RenderOptions:
 
     Parameters
     ----------
-    transfer : str or TransferFunction, optional
-        A preset's name, or a file: JSON, or 3D Slicer's (``.vp``); by default, the preset that fits the values.
+    transfer : str, TransferFunction or LabelColours, optional
+        A preset's name, or a file: JSON, 3D Slicer's (``.vp``), or a colour table of labels (``.ctbl``, ``.txt``); by
+        default, the preset that fits the values, and the colours of ``"labels"`` for a label map.
     density : (float, float), optional
-        The visible range of values.
+        The visible range of values or labels.
     clip : three of (float, float), optional
         The voxels that are rendered, as in `supple.render.scene.Scene`.
     crop : three of (float, float), optional
@@ -65,7 +71,7 @@ class RenderOptions:
     size : (int, int)
         Rows and columns of the image.
     step : float, optional
-        The step along a ray, in millimetres; by default, the smallest spacing.
+        The step along a ray, in millimetres; by default, as in `supple.render.scene.Scene`.
     mode : str
         ``"lattice"``, ``"exact"``, ``"buffered"`` or ``"hybrid"``: see `supple.render.scene`.
     shaded : bool
@@ -86,10 +92,10 @@ class RenderOptions:
     device : str
         ``"cpu"``, ``"gpu"`` or ``"auto"``; see `supple.render.scene.Scene`.
     save_transfer : str or os.PathLike, optional
-        The file for the transfer function that is used: ``.json``, or ``.vp`` for 3D Slicer.
+        The file for the transfer function that is used: ``.json``, or ``.vp`` for 3D Slicer; of labels, ``.ctbl``.
     """
 
-    transfer: TransferFunction | PathLike | None = None
+    transfer: Transfer | PathLike | None = None
     density: tuple[float, float] | None = None
     clip: Clip | None = None
     crop: Clip | None = None
@@ -148,7 +154,12 @@ class RenderOptions:
 
 
 def default_transfer(volume: Volume) -> str:
-    """Return the preset for a volume's values: computed tomography is recognized by air at -1000 Hounsfield units."""
+    """Return the preset for a volume's values: computed tomography is recognized by air at -1000 Hounsfield units.
+
+    A label map is recognized by the intent code of a NIfTI file, or by its values: few integers from 0, in large areas.
+    """
+    if _is_of_labels(volume):
+        return LABELS
     values = volume.samples
     known = values[np.isfinite(values)] if values.dtype.kind == "f" else values
     if known.size == 0:
@@ -156,6 +167,14 @@ def default_transfer(volume: Volume) -> str:
     slope, intercept = volume.scaling
     low, high = sorted(slope * float(v) + intercept for v in (known.min(), known.max()))
     return "ct-skin" if low <= -800 and high >= 200 else "mr-head"
+
+
+def _is_of_labels(volume: Volume) -> bool:
+    if volume.components != 1:
+        return False
+    if volume.format == "NIfTI" and int(volume.header["intent_code"]) == _LABEL_INTENT:
+        return True
+    return is_of_labels(volume) and volume.samples.min() >= 0 and volume.scaling == (1.0, 0.0)
 
 
 def scene_of(
@@ -166,7 +185,7 @@ def scene_of(
     world: bool = False,
     fit: Fit | None = None,
 ) -> Scene:
-    """Return the scene of a volume, with strokes if given; colours are rendered by their luminance.
+    """Return the scene of a volume, with strokes if given.
 
     Raises
     ------
@@ -182,21 +201,23 @@ def scene_of(
         ]
     elif known.time:
         raise SuppleError(f"{volume.name} is one volume, and --time is for series: leave it out")
-    elif samples.ndim > 3:
-        if samples.shape[3] not in (3, 4) or samples.dtype.kind != "u":
-            held = f"{samples.shape[3]} components of {samples.dtype}"
-            raise SuppleError(
-                f"{volume.name} has {held}, and pictures are of one value or of colours in unsigned integers, RGB or "
-                "RGBA: take one component out of it"
-            )
-        samples = _luminance(samples)
+    elif samples.ndim > 3 and not are_colours(samples):
+        held = f"{samples.shape[3]} components of {samples.dtype}"
+        raise SuppleError(
+            f"{volume.name} has {held}, and pictures are of one value or of colours, RGB or RGBA in uint8, uint16 or "
+            "floats from 0 to 1: take one component out of it"
+        )
     aim = known.camera.target
     if aim is not None and not all(-0.5 <= x <= n - 0.5 for x, n in zip(aim, volume.sizes, strict=True)):
         spoken, end = (", ".join(f"{x:g}" for x in given) for given in (aim, (n - 1 for n in volume.sizes)))
         raise SuppleError(f"target must be a voxel of {volume.name}, from (0, 0, 0) to ({end}), found ({spoken})")
     deformation = None if recipe is None else deformation_of(recipe, volume, world=world, fit=fit)
     given = known.transfer if known.transfer is not None else default_transfer(volume)
-    transfer = given if isinstance(given, TransferFunction) else transfer_of(given)
+    if known.projection != "none":
+        given = "grey"  # of which it has the values alone
+    transfer = given if isinstance(given, Transfer) else transfer_of(given)
+    if isinstance(transfer, LabelColours):
+        _check_labels(samples, transfer, volume.name)
     if known.crop is not None:
         samples = cropped(samples, known.crop, transfer, known.density)
     if known.largest:
@@ -220,15 +241,33 @@ def scene_of(
     )
 
 
-def _luminance(colours: Array) -> Array:
-    """Return the luminance of colours (Z, H, W, 3 or 4), by the weights of BT.709; transparent voxels are dark."""
-    made = np.empty(colours.shape[:3], colours.dtype)
-    for slab, colour in zip(made, colours, strict=True):
-        light = colour[..., :3] @ np.array([0.2126, 0.7152, 0.0722])
-        if colour.shape[-1] == 4:
-            light *= colour[..., 3] / np.iinfo(colours.dtype).max
-        slab[...] = np.rint(light)
-    return made
+def _check_labels(samples: Array, transfer: LabelColours, name: str) -> None:
+    """Raise SuppleError if a volume holds no labels, and warn of those without a colour."""
+    if samples.ndim != 3:
+        raise SuppleError(f"{name} holds colours, and a label map has one number for each voxel: use another transfer")
+    try:
+        found = labels_in(samples)
+    except SuppleError as error:
+        raise SuppleError(f"{name}: {error}") from None
+    missing = [str(k) for k in found.tolist() if transfer.colours is not None and k not in transfer.colours]
+    if missing:
+        told = f"{', '.join(missing[:8])}{' and others' if len(missing) > 8 else ''}"
+        warnings.warn(f"labels of {name} without a colour are not seen: {told}", VolumeWarning, stacklevel=4)
+
+
+def _saved(scene: Scene, path: PathLike, name: str) -> str:
+    """Return the text of a file for the transfer function that is used."""
+    suffix, transfer = Path(path).suffix.lower(), scene.transfer
+    if isinstance(transfer, LabelColours) and scene.labels is not None:
+        if suffix != _TABLE:
+            raise SuppleError(f"{shown(path)}: the colours of {name} are those of labels: save them as {_TABLE}")
+        return transfer.to_ctbl(scene.labels)
+    if suffix == _TABLE or isinstance(transfer, LabelColours):
+        raise SuppleError(
+            f"{shown(path)}: {name} is no label map, and {_TABLE} has colours of labels: save .json or .vp"
+        )
+    used = transfer if scene.density == (-math.inf, math.inf) else transfer.within(scene.density, *scene.range)
+    return used.to_vp(*scene.range) if suffix == ".vp" else used.to_json()
 
 
 def render_file(
@@ -290,9 +329,7 @@ def render_file(
             "density leave all of them out: choose others"
         )
     if known.save_transfer is not None:
-        to_slicer = Path(known.save_transfer).suffix.lower() == ".vp"
-        used = scene.transfer if known.density is None else scene.transfer.within(scene.density, *scene.range)
-        text = used.to_vp(*scene.range) if to_slicer else used.to_json()
+        text = _saved(scene, known.save_transfer, given.name)
         with replacing(known.save_transfer, force=force) as place:
             place.write_text(text, encoding="utf-8")
     camera = scene.framed(known.camera, known.size)
@@ -348,12 +385,12 @@ def render_file(
 
 def _check_transfer(path: PathLike, force: bool) -> None:
     """Raise SuppleError for a name that no transfer function is written under, or of something else."""
-    advice = f"use {' or '.join(TRANSFERS)}"
-    check_suffix(path, Path(path).suffix, TRANSFERS, "is none of a transfer function", advice)
+    advice = f"use {', '.join(SUFFIXES)}, or {_TABLE} for labels"
+    check_suffix(path, Path(path).suffix, _SAVED, "is none of a transfer function", advice)
     check_output(path, force=force)
     if os.path.exists(path):
         try:
-            TransferFunction.read(path)
+            transfer_of(os.fspath(path))
         except SuppleError:  # a recipe, say
             told = f"{shown(path)} is there, and no transfer function"
             raise SuppleError(f"{told}: it is not replaced; give another name") from None

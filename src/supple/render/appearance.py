@@ -14,8 +14,9 @@ from supple.engines.wgpu import raymarch as shading
 from supple.errors import SuppleError
 from supple.render.box import Clip, box_of
 from supple.render.camera import Projection
-from supple.render.colour import linear_light
-from supple.render.transfer import ENTRIES, PRESETS, TransferFunction
+from supple.render.colour import linear_light, luminance_and_colours
+from supple.render.labels import LabelColours, labels_in, numbered
+from supple.render.transfer import ENTRIES, LABELS, PRESETS, Transfer, TransferFunction, transfer_of
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -55,23 +56,73 @@ def visible(known: dict[str, Any], lows: Array, highs: Array) -> npt.NDArray[np.
     """Return which bricks are visible, of values between two for each."""
     if known["projection"] != "none":
         return np.ones(lows.shape, np.bool_)
-    table, (low, high), (bottom, top) = known["_table"], known["range"], known["density"]
+    table, (low, scale), (bottom, top) = known["_table"], known["_entries"], known["_window"]
     before = np.concatenate([[0], np.cumsum(table[:, 3] > 0)])  # visible entries before each
     lows, highs = np.maximum(lows, np.float32(bottom)), np.minimum(highs, np.float32(top))
 
     def entry(values: Array) -> npt.NDArray[np.intp]:
-        places = np.rint((values - np.float32(low)) * np.float32(entries(low, high)))
-        return np.asarray(np.clip(places, 0, ENTRIES - 1), np.intp)
+        places = np.rint((values - np.float32(low)) * np.float32(scale))
+        return np.asarray(np.clip(places, 0, len(table) - 1), np.intp)
 
     return np.asarray((lows <= highs) & (before[entry(highs) + 1] > before[entry(lows)]), np.bool_)
 
 
-def transfer_function(given: TransferFunction | str) -> TransferFunction:
+def transfer_function(given: Transfer | str) -> Transfer:
     """Return a transfer function, or the preset of a name."""
-    if isinstance(given, TransferFunction):
+    if isinstance(given, Transfer):
         return given
-    choice("transfer", given, tuple(PRESETS))
-    return PRESETS[given]
+    choice("transfer", given, (*PRESETS, LABELS))
+    return transfer_of(given)
+
+
+def sampled(
+    given: Array, transfer: Transfer, density: tuple[float, float] | None, step: float, projection: str
+) -> dict[str, Any]:
+    """Return what rays sample of a volume, and how they see it: values, with or without colours, or labels."""
+    colours = None
+    if isinstance(transfer, LabelColours):
+        if projection != "none":
+            raise SuppleError(f"a projection ({projection}) is of values, and labels have none: choose one of them")
+        if given.ndim != 3:
+            refuse("samples", "labels, (Z, H, W), for colours of labels", told=f"shape {given.shape}")
+        ready, seen = _of_labels(given, transfer, density, step)
+    else:
+        if given.ndim == 4:
+            given, colours = luminance_and_colours(given)
+        ready = prepared(given)
+        values = float(ready.min()), float(ready.max())
+        seen = {"range": values, **seen_through(transfer, density, values, step, projection)}
+    return {"_original": ready, "_paint": None if colours is None else widened(colours), "_ranges": {}, **seen}
+
+
+def _of_labels(
+    given: Array, transfer: LabelColours, density: tuple[float, float] | None, step: float
+) -> tuple[Array, dict[str, Any]]:
+    """Return the numbers of visible labels, from 1 on, and the table of their colours."""
+    found, window = labels_in(given), window_of(density, one=True)
+    table = transfer.table(found, step)
+    seen = (table[:, 3] > 0) & (found >= window[0]) & (found <= window[1])
+    ready = widened(numbered(given, found[seen]))
+    return ready, {
+        "transfer": transfer,
+        "density": window,
+        "labels": found[seen],
+        "range": (float(found.min(initial=0)), float(found.max(initial=0))),
+        "_table": np.concatenate([np.zeros((1, 4), np.float32), table[seen]]),
+        "_threshold": 0.5 if seen.any() else math.inf,
+        "_entries": (0.0, 1.0),
+        "_window": (-math.inf, math.inf),
+    }
+
+
+def window_of(density: tuple[float, float] | None, *, one: bool = False) -> tuple[float, float]:
+    """Return the visible range of values; it may be of ``one``."""
+    if density is None:
+        return -math.inf, math.inf
+    low, high = point("density", density, (2,))
+    if low > high or (low == high and not one):
+        refuse("density", "two values LO,HI, the lower one first", density)
+    return low, high
 
 
 def seen_through(
@@ -85,20 +136,15 @@ def seen_through(
 
     Of a projection, they are grey and opaque, from black at the window's lower end to white at its upper one.
     """
-    low, high = values
-    if density is None:
-        window = (-math.inf, math.inf)
-    else:
-        bounds = point("density", density, (2,))
-        if bounds[0] >= bounds[1]:
-            refuse("density", "two values LO,HI, the lower one first", density)
-        window = (bounds[0], bounds[1])
+    (low, high), window = values, window_of(density)
+    known: dict[str, Any] = {"transfer": transfer, "density": window, "_window": window, "labels": None}
+    known["_entries"] = low, _entries(low, high)
     if projection != "none":
         black, white = window if density is not None else values
         shades = np.clip((np.linspace(low, high, ENTRIES) - black) / ((white - black) or 1.0), 0.0, 1.0)
         grey = linear_light(np.stack([shades] * 3, axis=1), 1.0)
         table = np.concatenate([grey, np.ones((ENTRIES, 1))], axis=1).astype(np.float32)
-        return {"density": window, "_table": table, "_threshold": -math.inf}
+        return known | {"_table": table, "_threshold": -math.inf}
     table = transfer.table(low, high, step)
     values_ = np.linspace(low, high, ENTRIES)
     seen = (table[:, 3] > 0) & (values_ >= window[0]) & (values_ <= window[1])
@@ -110,7 +156,7 @@ def seen_through(
         threshold = -math.inf if window[0] <= low else window[0]
     else:
         threshold = max(window[0], float(values_[first]) - 0.5 * (high - low) / (ENTRIES - 1))
-    return {"density": window, "_table": table, "_threshold": threshold}
+    return known | {"_table": table, "_threshold": threshold}
 
 
 def summed(table: Array) -> Floats:
@@ -121,14 +167,15 @@ def summed(table: Array) -> Floats:
     return np.concatenate([np.zeros((1, 4)), np.cumsum(known * extinction, axis=0)])
 
 
-def largest(samples: Array, transfer: TransferFunction | str, density: tuple[float, float] | None = None) -> Array:
+def largest(samples: Array, transfer: Transfer | str, density: tuple[float, float] | None = None) -> Array:
     """Return a volume in which only the largest part of what is visible is left, of voxels that touch by their faces.
 
-    Other visible voxels get the highest value that is not visible, below those that are.
+    Other visible voxels get the highest value that is not visible, below those that are; in a label map, and in colours
+    (with their opacity, if they have one), they are 0.
 
     Parameters
     ----------
-    samples : array (Z, H, W)
+    samples : array (Z, H, W), or (Z, H, W, 3 or 4) of colours
     transfer, density
         What is visible, as in `supple.render.scene.Scene`.
 
@@ -138,21 +185,24 @@ def largest(samples: Array, transfer: TransferFunction | str, density: tuple[flo
         If the smallest value is visible, so that no value hides a voxel.
     """
     ready, known = _hiding(samples, transfer, density)
-    hidden = ready[ready < known["_threshold"]].max(initial=known["range"][0])
     seen = np.stack([visible(known, slab, slab) for slab in ready])
     kept = np.empty(seen.shape, np.bool_)
     _core.largest_part(seen, kept)
-    return np.where(seen & ~kept, np.asarray(hidden, ready.dtype), ready)
+    hides = seen & ~kept
+    if _hides_by_zero(known, samples):
+        return np.where(hides.reshape(hides.shape + (1,) * (samples.ndim - 3)), np.zeros((), samples.dtype), samples)
+    hidden = ready[ready < known["_threshold"]].max(initial=known["range"][0])
+    return np.where(hides, np.asarray(hidden, ready.dtype), ready)
 
 
-def cropped(
-    samples: Array, crop: Clip, transfer: TransferFunction | str, density: tuple[float, float] | None = None
-) -> Array:
+def cropped(samples: Array, crop: Clip, transfer: Transfer | str, density: tuple[float, float] | None = None) -> Array:
     """Return a volume of which only a box is visible, whose faces lie half a voxel beyond its outermost voxels.
+
+    In a label map, and in colours (with their opacity, if they have one), all else is 0.
 
     Parameters
     ----------
-    samples : array (Z, H, W)
+    samples : array (Z, H, W), or (Z, H, W, 3 or 4) of colours
     crop : three of (float, float)
         For each axis, x first, the first and the last voxel, or None: see `supple.render.box.box_of`.
     transfer, density
@@ -164,10 +214,14 @@ def cropped(
         If the box is not within the volume, or the smallest value is visible, so that no value hides a voxel.
     """
     ready, known = _hiding(samples, transfer, density)
-    box = box_of(crop, samples.shape, "crop")
+    box = box_of(crop, samples.shape[:3], "crop")
     kept = tuple(slice(math.ceil(low), math.floor(high) + 1) for low, high in reversed(box))
     if any(part.start >= part.stop for part in kept):
         raise SuppleError("crop must hold a voxel along each axis: from a voxel to the same or a later one")
+    if _hides_by_zero(known, samples):
+        whole = np.zeros_like(samples)
+        whole[kept] = samples[kept]
+        return whole
     # Around the box, visible values are mirrored at the threshold: they pass it halfway to the next voxel.
     around = tuple(slice(max(p.start - 1, 0), min(p.stop + 1, n)) for p, n in zip(kept, ready.shape, strict=True))
     ends = [(p.start - a.start, a.stop - p.stop) for p, a in zip(kept, around, strict=True)]
@@ -182,20 +236,21 @@ def cropped(
 
 
 def _hiding(
-    samples: Array, transfer: TransferFunction | str, density: tuple[float, float] | None
+    samples: Array, transfer: Transfer | str, density: tuple[float, float] | None
 ) -> tuple[Array, dict[str, Any]]:
     """Return prepared samples and what is seen of them; SuppleError if no value is below that."""
-    ready = prepared(np.asarray(samples))[tuple(map(slice, samples.shape))]
-    low, high = float(ready.min()), float(ready.max())
-    known = seen_through(transfer_function(transfer), density, (low, high), 1.0)
-    known |= {"range": (low, high), "projection": "none"}
+    known = sampled(np.asarray(samples), transfer_function(transfer), density, 1.0, "none") | {"projection": "none"}
     if known["_threshold"] == -math.inf:
         told = "all is visible, down to the smallest value, and no value hides a voxel"
         raise SuppleError(f"{told}: choose a higher density")
-    return ready, known
+    return known["_original"][tuple(map(slice, samples.shape[:3]))], known
 
 
-def entries(low: float, high: float) -> float:
+def _hides_by_zero(known: dict[str, Any], samples: Array) -> bool:
+    return samples.ndim == 4 or isinstance(known["transfer"], LabelColours)
+
+
+def _entries(low: float, high: float) -> float:
     """Return the number of table entries for each unit of value."""
     return (ENTRIES - 1) / (high - low) if high > low else 0.0
 
@@ -226,6 +281,7 @@ def core_look(look: shading.Look, view: Projection) -> _core.Look:
         look.silhouettes,
         look.projection,
         *look.arrives,
+        look.labelled,
     )
 
 
@@ -262,6 +318,10 @@ def prepared(given: Array) -> Array:
         finite = ready[np.isfinite(ready)]
         bottom, top = (finite.min(), finite.max()) if finite.size else (0.0, 0.0)
         ready = np.nan_to_num(ready, nan=bottom, neginf=bottom, posinf=top)
-    if min(ready.shape) < 2:
-        ready = np.pad(ready, [(0, 1 if n < 2 else 0) for n in ready.shape], mode="edge")
-    return ready
+    return widened(ready)
+
+
+def widened(samples: Array) -> Array:
+    """Return samples (Z, H, W[, C]) that are two along each axis of space at least."""
+    missing = [(0, 1 if n < 2 else 0) for n in samples.shape[:3]] + [(0, 0)] * (samples.ndim - 3)
+    return np.pad(samples, missing, mode="edge") if min(samples.shape[:3]) < 2 else samples

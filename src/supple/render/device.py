@@ -53,6 +53,8 @@ def held_scene(
     space: Space | None,
     mode: str,
     tolerance: float,
+    labelled: bool = False,
+    colours: Array | None = None,
     volume: Volume | None = None,
 ) -> tuple[Held, Solid | None]:
     """Upload a scene to a GPU.
@@ -70,8 +72,12 @@ def held_scene(
         One of `supple.render.scene.MODES`.
     tolerance : float
         The tolerance of source points, in voxels.
+    labelled : bool
+        Whether samples are numbers of labels.
+    colours : array (Z, H, W, 4), optional
+        The voxels' own colours.
     volume : Volume, optional
-        The same samples, if they are already on the GPU.
+        The same samples and colours, if they are already on the GPU.
 
     Returns
     -------
@@ -86,9 +92,11 @@ def held_scene(
     """
     if space is not None and not fits(space.table):
         raise ArithmeticError("strokes of such sizes are beyond its numbers")
-    twice = mode == "hybrid" or (mode == "buffered" and space is not None)
+    if colours is not None and mode == "buffered" and space is not None:
+        raise MemoryError("it has no room for a buffer of colours")
+    twice = (mode == "hybrid" and colours is None) or (mode == "buffered" and space is not None)
     if volume is None:
-        volume = hold(gpu, samples)
+        volume = hold(gpu, samples, labelled, colours)
     if twice and not beside(volume):
         if mode == "buffered":
             raise MemoryError("it has no memory left for a deformed volume")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,23 +13,19 @@ import numpy.typing as npt
 from supple import _core
 from supple.deformation import Deformation
 from supple.domain import choice, integer, number, point, refuse
-from supple.engines.choice import check_device, gpu_of
+from supple.engines.choice import check_device
 from supple.engines.wgpu import raymarch as shading
 from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.kernel import failures, let_through, passing, trouble
-from supple.engines.wgpu.volume import Volume
-from supple.errors import SuppleError, ToleranceWarning
+from supple.errors import SuppleError
 from supple.geometry import Geometry
 from supple.render.appearance import (
-    FINE,
     PROJECTIONS,
     core_look,
-    entries,
     lamp,
-    prepared,
     ranged,
+    sampled,
     seen_through,
-    skipped,
     summed,
     transfer_function,
     triple,
@@ -38,12 +33,14 @@ from supple.render.appearance import (
 )
 from supple.render.box import Box, Clip, Plane, around, box_of, plane_of, seen_points, within
 from supple.render.camera import Camera, Projection, camera_of, view_of
-from supple.render.device import held_scene, order_of, tried, unseen_blocks
-from supple.render.meshes import Placed, Surface, nearest, place
+from supple.render.device import order_of, tried
+from supple.render.labels import LabelColours
+from supple.render.meshes import Placed, Surface, nearest
+from supple.render.parts import deformed_parts, skipping
 from supple.render.picture import Array, Pick, Rendering, light_of
 from supple.render.shadows import Shade, arriving, shade_of
-from supple.render.solid import Solid, along_rays, cells_along_rays, solve_solid, strokes_of
-from supple.render.transfer import TransferFunction
+from supple.render.solid import Solid, cells_along_rays, strokes_of
+from supple.render.transfer import Transfer
 
 MODES = ("lattice", "exact", "buffered", "hybrid")
 _STORAGE = 0x08  # wgpu.TextureUsage.STORAGE_BINDING
@@ -58,16 +55,18 @@ class Scene:
 
     Parameters
     ----------
-    samples : array, shape (Z, H, W)
-        Integers or floats; NaN counts as the smallest value.
+    samples : array, shape (Z, H, W), or (Z, H, W, 3 or 4) of colours
+        Integers or floats; NaN counts as the smallest value. Colours are sRGB, with or without an opacity: uint8,
+        uint16, or floats from 0 to 1. They are rendered as they are, with the opacity of their luminance.
     geometry : Geometry, optional
         The geometry of the voxels, for spacing and direction.
     deformation : Deformation, optional
         A deformation of the same shape and spacing.
-    transfer : TransferFunction or str
-        A transfer function, or the name of a preset (`supple.render.transfer.PRESETS`).
+    transfer : TransferFunction, LabelColours or str
+        A transfer function, or the name of a preset (`supple.render.transfer.PRESETS`); or colours of labels, for a
+        label map, or ``"labels"`` for the built-in ones.
     density : (float, float), optional
-        The visible range of values, to show hard structures inside.
+        The visible range of values or labels, to show hard structures inside.
     clip : three of (float, float), optional
         For each axis, x first, the voxels of the deformed volume from which and to which it is rendered, with None
         where nothing is cut away: a box, whose faces show what is inside.
@@ -87,7 +86,8 @@ class Scene:
         Meshes and contours, which move with the volume, exactly by T. They are opaque, and not cut away by ``clip`` and
         ``plane``; projections, which are nowhere along a ray, are behind them.
     step : float, optional
-        The step along a ray, in millimetres; by default, the smallest spacing, and half of it in projections.
+        The step along a ray, in millimetres; by default, the smallest spacing, and half of it in projections and for
+        labels.
     shaded : bool
         Whether surfaces are shaded by their gradient.
     tolerance : float
@@ -113,7 +113,7 @@ class Scene:
     """The volume sampled by the CPU: the original, or the warped one if buffered there."""
     geometry: Geometry
     deformation: Deformation | None
-    transfer: TransferFunction
+    transfer: Transfer
     density: tuple[float, float]
     clip: Box
     """The box that is rendered, in voxels of the deformed volume, x first."""
@@ -130,7 +130,9 @@ class Scene:
     error: float
     """A bound on the distance of source points from T⁻¹(q), in voxels, from the checks."""
     range: tuple[float, float]
-    """The smallest and the largest value."""
+    """The smallest and the largest value or label."""
+    labels: Array | None
+    """The visible labels, of a label map; ``samples`` are their places, from 1 on, and 0 elsewhere."""
     _placed: tuple[Placed, ...]
     _solid: Solid | None
     _coarse: bool
@@ -142,12 +144,18 @@ class Scene:
     _table: npt.NDArray[np.float32]
     _threshold: float
     _shade: Shade | None
+    _entries: tuple[float, float]
+    _window: tuple[float, float]
     device: str
     """The requested device."""
     gpu: Gpu | None
     """The GPU of the rays; None for the CPU."""
     _ranges: dict[int, tuple[Array, Array]]
+    _given: Array
     _original: Array
+    _colours: Array | None
+    _paint: Array | None
+    """The colours of ``samples``, and those of ``_original``."""
     _held: shading.Held | None
 
     def __init__(
@@ -156,7 +164,7 @@ class Scene:
         geometry: Geometry | None = None,
         *,
         deformation: Deformation | None = None,
-        transfer: TransferFunction | str = "grey",
+        transfer: Transfer | str = "grey",
         density: tuple[float, float] | None = None,
         clip: Clip | None = None,
         plane: Plane | None = None,
@@ -177,12 +185,14 @@ class Scene:
         if not isinstance(places, Geometry):
             refuse("geometry", "a Geometry", geometry)
         given = np.asarray(samples)
-        if given.ndim != 3 or 0 in given.shape or given.dtype.kind not in "biuf":
-            refuse("samples", "a volume of numbers, (Z, H, W)", told=f"{given.dtype} of shape {given.shape}")
+        known_shape = given.ndim == 3 or (given.ndim == 4 and given.shape[3] in (3, 4))
+        if not known_shape or 0 in given.shape or given.dtype.kind not in "biuf":
+            wanted = "a volume of numbers, (Z, H, W), or of colours, (Z, H, W, 3 or 4)"
+            refuse("samples", wanted, told=f"{given.dtype} of shape {given.shape}")
         known = transfer_function(transfer)
         finest = min(places.spacing)
         step = (
-            finest * (1.0 if projection == "none" else 0.5)  # the extremes lie between samples
+            finest * (1.0 if projection == "none" and not isinstance(known, LabelColours) else 0.5)  # what is between
             if step is None
             else number("step", step, f"millimetres, at least {finest * 1e-3:g}", finest * 1e-3, 1e9)
         )
@@ -190,13 +200,10 @@ class Scene:
             if not isinstance(mesh, Surface):
                 refuse("meshes", "surfaces (supple.render.meshes.Surface)", mesh)
         tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-6, 1e6)
-        ready = prepared(given)
-        low, high = float(ready.min()), float(ready.max())
         values: dict[str, Any] = {
-            "shape": given.shape,
+            "shape": given.shape[:3],
             "geometry": places,
-            "transfer": known,
-            "clip": box_of(clip, given.shape),
+            "clip": box_of(clip, given.shape[:3]),
             "plane": plane_of(plane, places),
             "projection": projection,
             "silhouettes": number("silhouettes", silhouettes, "a number from 0 to 1", 0.0, 1.0),
@@ -206,13 +213,11 @@ class Scene:
             "step": step,
             "shaded": bool(shaded),
             "tolerance": tolerance,
-            "range": (low, high),
             "device": device,
-            "_original": ready,
-            "_ranges": {},
-            **seen_through(known, density, (low, high), step, projection),
+            "_given": given,
+            **sampled(given, known, density, step, projection),
         }
-        self._set(values | _deformed(values, deformation, None))
+        self._set(values | deformed_parts(values, deformation, None))
 
     def __repr__(self) -> str:
         strokes = len(self.deformation.strokes) if self.deformation is not None else 0
@@ -230,15 +235,19 @@ class Scene:
         """Return this scene with other strokes. The volume stays on the GPU."""
         made = object.__new__(type(self))
         values = self._known()
-        made._set(values | _deformed(values, deformation, self._held.volume if self._held else None))
+        made._set(values | deformed_parts(values, deformation, self._held.volume if self._held else None))
         return made
 
-    def seen_through(self, transfer: TransferFunction | str, density: tuple[float, float] | None = None) -> Scene:
-        """Return this scene with another transfer function, without inverting or warping again."""
+    def seen_through(self, transfer: Transfer | str, density: tuple[float, float] | None = None) -> Scene:
+        """Return this scene with another transfer function, without inverting or warping again unless of labels."""
         made = object.__new__(type(self))
         values, known = self._known(), transfer_function(transfer)
-        values |= {"transfer": known, **seen_through(known, density, self.range, self.step, self.projection)}
-        made._set(values | _skipping(values))
+        if isinstance(known, LabelColours) or isinstance(self.transfer, LabelColours):  # those visible are numbered
+            values |= sampled(self._given, known, density, self.step, self.projection)
+            made._set(values | deformed_parts(values, self.deformation, None))
+            return made
+        values |= seen_through(known, density, self.range, self.step, self.projection)
+        made._set(values | skipping(values))
         return made
 
     def clipped(self, clip: Clip | None, plane: Plane | None = None) -> Scene:
@@ -442,15 +451,13 @@ class Scene:
         return done
 
     def _look(self, view: Projection) -> shading.Look:
-        low, high = self.range
         return shading.Look(
             self._skips,
             self._table,
-            low,
-            entries(low, high),
+            *self._entries,
             summed(self._table),
             self._threshold if self.projection == "none" else math.inf,
-            self.density[1],
+            self._window[1],
             self.step,
             lamp(view),
             self.shaded,
@@ -459,6 +466,7 @@ class Scene:
             self.silhouettes,
             PROJECTIONS.index(self.projection),
             arriving(self._shade, lamp(view), self.shadows),
+            isinstance(self.transfer, LabelColours),
         )
 
     def _ends(self, view: Projection, fine: int) -> npt.NDArray[np.float32] | None:
@@ -477,7 +485,7 @@ class Scene:
             columns: Array, rows: Array, light: Array, depth: Array, work: Array, ends: Array | None = None
         ) -> None:
             xs, ys = columns - (view.size[1] - 1) / 2, rows - (view.size[0] - 1) / 2  # from the centre
-            _core.draw(self.samples, seen, lattice, cells, strokes, xs, ys, light, depth, work, ends)
+            _core.draw(self.samples, self._colours, seen, lattice, cells, strokes, xs, ys, light, depth, work, ends)
 
         return march
 
@@ -545,68 +553,3 @@ class Scene:
 
 def _picture(light: Array, depth: Array, work: Array) -> Rendering:
     return Rendering(light, depth[..., 0], work[..., 0], work[..., 1])
-
-
-def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Volume | None) -> dict[str, Any]:
-    """Return the parts of a scene that depend on strokes; ``known`` are the others."""
-    shape, ready, mode, tolerance = (known[name] for name in ("shape", "_original", "mode", "tolerance"))
-    gpu = gpu_of(known["device"])
-    if volume is not None and volume.gpu is not gpu:
-        volume = None  # its device was lost
-    if deformation is not None:
-        given: object = deformation
-        if not isinstance(given, Deformation):
-            refuse("deformation", "a Deformation", given)
-        if deformation.shape != shape:
-            refuse("the deformation", f"one of shape {shape}, as the volume", told=f"shape {deformation.shape}")
-        if deformation.maps:
-            raise SuppleError("a scene is bent by strokes alone, found fields or affine maps: warp the volume first")
-        spacing = known["geometry"].spacing
-        if not np.allclose(deformation.domain.spacing, spacing):
-            refuse("the deformation", f"one of spacing {spacing}", deformation.domain.spacing)
-        deformation = None if deformation.is_identity else deformation
-    space = deformation.space if deformation is not None else None
-    error = 0.0
-    held: shading.Held | None = None
-    solid: Solid | None = None
-    if gpu is not None:
-        done = tried(gpu, lambda: held_scene(gpu, ready, known["geometry"].spacing, space, mode, tolerance, volume), 4)
-        held, solid = done or (None, None)
-    if deformation is not None and mode == "buffered" and held is None:
-        part = ready[tuple(map(slice, shape))]
-        ready = prepared(deformation.warp(part, filter="linear", tolerance=tolerance))
-    elif space is not None and mode != "exact":
-        solid = solid or solve_solid(space, shape, tolerance)
-        error = along_rays(solid, cells_along_rays(solid, tolerance), tolerance)
-        if mode != "buffered" and error > tolerance:
-            off = f"by {error:.2g} voxels" if math.isfinite(error) else "by more than a voxel"
-            warnings.warn(
-                f"the lattice may be off {off} somewhere, beyond the tolerance {tolerance:g}: "
-                "mode='exact' stays within it, and so does mode='buffered'",
-                ToleranceWarning,
-                stacklevel=4,
-            )
-    if deformation is not None and mode == "buffered":
-        error = tolerance
-    brick = _core.BRICK if solid is None else FINE
-    ranges: dict[int, tuple[Array, Array]] = known["_ranges"] if ready is known["_original"] else {}
-    lows, highs = ranged(ready, brick, ranges)
-    values = {
-        "deformation": deformation,
-        "samples": ready,
-        "error": error,
-        "_placed": tuple(place(mesh, deformation, known["geometry"]) for mesh in known["meshes"]),
-        "_solid": solid,
-        "_coarse": mode == "buffered" and solid is not None and solid.error > tolerance,
-        "_lows": lows,
-        "_highs": highs,
-        "gpu": held.volume.gpu if held is not None else None,
-        "_held": held,
-    }
-    return values | _skipping(known | values)
-
-
-def _skipping(known: dict[str, Any]) -> dict[str, Any]:
-    """Return the maps of empty space, for rays and for the buffer, and the shade."""
-    skips = skipped(known)
-    return {"_skips": skips, "_unseen": unseen_blocks(known["samples"].shape, skips), "_shade": shade_of(known)}

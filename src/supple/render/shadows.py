@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.render.appearance import entries
 from supple.render.box import Box
 from supple.render.solid import solve_solid
 
@@ -152,12 +151,12 @@ def _reached(nodes: Singles) -> Singles:
 
 def _opacities(known: dict[str, Any], length: float, wide: tuple[int, ...]) -> Singles:
     """Return the mean opacity of ``length`` millimetres in blocks of the original's voxels."""
-    samples, table, (low, high), (bottom, top) = (known[k] for k in ("_original", "_table", "range", "density"))
-    values = np.linspace(low, high, len(table))
+    samples, table, (low, scale), (bottom, top) = (known[k] for k in ("_original", "_table", "_entries", "_window"))
+    values = low + np.arange(len(table)) / (scale or 1.0)
     opacities = 1 - (1 - table[:, 3].astype(np.float64)) ** (length / known["step"])
     opacities[(values < bottom) | (values > top)] = 0
     made = np.empty([-(-n // w) for n, w in zip(samples.shape, wide[::-1], strict=True)], np.float32)
-    _core.block_means(samples, wide, opacities.astype(np.float32), low, entries(low, high), made)
+    _core.block_means(samples, wide, opacities.astype(np.float32), low, scale, made)
     return made
 
 

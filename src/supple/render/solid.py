@@ -7,6 +7,7 @@ largest observed error between its nodes is within the tolerance; the arithmetic
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,7 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple.deformation import Deformation
+from supple.domain import refuse
 from supple.engines.base import Space
+from supple.errors import SuppleError, ToleranceWarning
 from supple.strokes import numbers
 
 Floats = npt.NDArray[np.float64]
@@ -59,6 +63,36 @@ class Solid:
         out = np.empty((len(given), 4, 3), np.float32)
         self.lattice.between(given, out)
         return out[:, 0], out[:, 1:].transpose(0, 2, 1)
+
+
+def checked(given: Deformation | None, shape: tuple[int, ...], spacing: tuple[float, ...]) -> Deformation | None:
+    """Return the deformation of a scene's volume; None for one that moves nothing.
+
+    SuppleError if it is of another shape or spacing, or not of strokes alone.
+    """
+    deformation: object = given
+    if deformation is None:
+        return None
+    if not isinstance(deformation, Deformation):
+        refuse("deformation", "a Deformation", deformation)
+    if deformation.shape != shape:
+        refuse("the deformation", f"one of shape {shape}, as the volume", told=f"shape {deformation.shape}")
+    if deformation.maps:
+        raise SuppleError("a scene is bent by strokes alone, found fields or affine maps: warp the volume first")
+    if not np.allclose(deformation.domain.spacing, spacing):
+        refuse("the deformation", f"one of spacing {spacing}", deformation.domain.spacing)
+    return None if deformation.is_identity else deformation
+
+
+def warn_of_coarse(error: float, tolerance: float, stacklevel: int) -> None:
+    """Warn that a lattice is off by more than the tolerance."""
+    off = f"by {error:.2g} voxels" if math.isfinite(error) else "by more than a voxel"
+    warnings.warn(
+        f"the lattice may be off {off} somewhere, beyond the tolerance {tolerance:g}: "
+        "mode='exact' stays within it, and so does mode='buffered'",
+        ToleranceWarning,
+        stacklevel=stacklevel + 1,
+    )
 
 
 def strokes_of(space: Space) -> _core.Strokes:

@@ -15,6 +15,8 @@ import numpy.typing as npt
 from supple.domain import items, number, refuse
 from supple.errors import SuppleError
 from supple.render.colour import linear_light
+from supple.render.labels import SUFFIXES as TABLES
+from supple.render.labels import LabelColours
 
 ENTRIES = 4096
 
@@ -194,7 +196,8 @@ class TransferFunction:
         """
         name, suffix = os.fspath(path), Path(path).suffix.lower()
         if suffix not in SUFFIXES:
-            refuse("a transfer function", f"a file ({', '.join(SUFFIXES)}), or one of {', '.join(PRESETS)}", name)
+            kinds = f"{', '.join(SUFFIXES)}, or {' or '.join(TABLES)} with colours of labels"
+            refuse("a transfer function", f"a file ({kinds}), or one of {', '.join(PRESETS)}, {LABELS}", name)
         try:
             text = Path(path).read_text(encoding="utf-8")
         except (OSError, ValueError) as error:
@@ -205,6 +208,7 @@ class TransferFunction:
 
 
 SUFFIXES = (".json", ".vp")
+LABELS = "labels"  # the name of the palette of labels
 # Linear, shaded; diffuse, ambient and specular light, and its power: as in raymarch.hpp.
 _SLICER = (1, 1, 0.8, 0.15, 0.2, 16)
 
@@ -295,8 +299,12 @@ PRESETS = {
 }
 
 
-def transfer_of(name: str | os.PathLike[str]) -> TransferFunction:
-    """Return a preset by its name, or a transfer function from a file: JSON, or 3D Slicer's."""
-    if isinstance(name, str) and name in PRESETS:
-        return PRESETS[name]
-    return TransferFunction.read(name)
+def transfer_of(name: str | os.PathLike[str]) -> Transfer:
+    """Return a preset by its name, or a transfer function or a colour table from a file."""
+    if isinstance(name, str) and (name in PRESETS or name == LABELS):
+        return PRESETS.get(name) or LabelColours()
+    return LabelColours.read(name) if Path(name).suffix.lower() in TABLES else TransferFunction.read(name)
+
+
+Transfer = TransferFunction | LabelColours
+"""Colours and opacities, of values or of labels."""

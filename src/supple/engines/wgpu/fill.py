@@ -71,7 +71,7 @@ class Filling:
         self._pace = Pace(1)
         self._key = object()  # not ``self``: a reference cycle would hold the device's memory
         kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, READ, WRITE, FILLED, READ)
-        chosen = lattice.constants | {"POLISHED": int(polished)}
+        chosen = lattice.constants | volume.constants | {"POLISHED": int(polished)}
         self._work = pipeline(volume.gpu, (*_NAMES, volume.reader), "fill", kinds, chosen)
         self._target = volume.warped.create_view()
         self.finished = room(volume.gpu, 4 * self._made.size)

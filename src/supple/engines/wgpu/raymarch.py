@@ -132,6 +132,7 @@ class Look:
     silhouettes: float
     projection: int
     arrives: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
+    labelled: bool
 
 
 def march(
@@ -302,7 +303,7 @@ def _rays(
                 told, ended = owned(own, upload(gpu, settings, UNIFORM), upload(gpu, np.minimum(part, _FAR), READ))
                 finished = filling.finished if filling is not None else lattice.strokes
                 read = _read(held, skips.create_view(), colours.view)
-                buffers = [told, *read, seen, finished, lattice.mask, lit, ended]
+                buffers = [told, *read, seen, finished, lattice.mask, lit, ended, _painted(held)]
                 run(gpu, [(made, buffers, (-(-width // 8), -(-count * fine // 8), 1))])
             yield first * fine, count * fine, seen
             pace.count = min(pace.count, most)
@@ -316,11 +317,32 @@ def _read(held: Held, skips: Any, colours: Any) -> list[Any]:
     return [lattice.domain, lattice.strokes, lattice.nodes, volume.view, warped, skips, colours]
 
 
+def _painted(held: Held) -> Any:
+    """Return the colours of voxels; any texture replaces missing ones."""
+    colours = held.volume.colours
+    return held.lattice.nodes if colours is None else colours.create_view()
+
+
 def _marching(held: Held, mode: int, buffer: bool) -> Any:
     volume = held.volume
-    kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, WHOLE_SOLID, LAYERS, WRITE, READ, READ, SOLID, READ)
+    kinds = (
+        UNIFORM,
+        UNIFORM,
+        READ,
+        SOLID,
+        volume.kind,
+        SOLID,
+        WHOLE_SOLID,
+        LAYERS,
+        WRITE,
+        READ,
+        READ,
+        SOLID,
+        READ,
+        SOLID,
+    )
     sampled = {PLAIN: 1, HYBRID: 2}.get(mode, 0) if buffer else 0
-    chosen = held.lattice.constants | {"MODE": mode, "SAMPLED": sampled}
+    chosen = held.lattice.constants | volume.constants | {"MODE": mode, "SAMPLED": sampled}
     return pipeline(volume.gpu, (*_NAMES, volume.reader), "march", kinds, chosen)
 
 
@@ -333,7 +355,7 @@ def prepare(held: Held, filling: Filling) -> None:
         skips, colours = solid(volume.gpu, (1, 1, 1), np.uint8), layers(volume.gpu, (1, 1), 1, np.float32, 4)
         owned(stack, skips, colours)
         buffers = [told, *_read(held, skips.create_view(), colours.view), seen, filling.finished]
-        buffers += [held.lattice.mask, held.lattice.nodes, ended]
+        buffers += [held.lattice.mask, held.lattice.nodes, ended, _painted(held)]
         run(volume.gpu, [(_marching(held, mode, True), buffers, (1, 1, 1)) for mode in (LATTICE, HYBRID, PLAIN)])
         filling.prepare()
         download(volume.gpu, seen, np.float32, 8)  # waits

@@ -25,6 +25,7 @@ _NAMES = {
     ("int16", 1): "r16sint",
     ("float32", 1): "r32float",
     ("float32", 4): "rgba32float",
+    ("float16", 4): "rgba16float",
 }
 
 
@@ -109,12 +110,18 @@ def view_of(texture: Any) -> Any:
     return texture.create_view(dimension="2d-array")
 
 
-def solid(gpu: Gpu, shape: tuple[int, ...], dtype: Any, channels: int = 1, usage: str = "COPY_DST") -> Any:
-    """Return a texture of some layers, rows and texels in a row; MemoryError if there is no room for it."""
+def solid(
+    gpu: Gpu, shape: tuple[int, ...], dtype: Any, channels: int = 1, usage: str = "COPY_DST", unit: bool = False
+) -> Any:
+    """Return a texture of some layers, rows and texels in a row; MemoryError if there is no room for it.
+
+    With ``unit``, four channels of 8 bits are read as numbers from 0 to 1.
+    """
     if max(shape) > DEEP:
         raise MemoryError(f"{max(shape)} samples along a side are more than a texture holds, {DEEP}")
     deep, high, wide = shape
-    return _texture(gpu, (wide, high, deep), _NAMES[np.dtype(dtype).name, channels], usage, "3d")
+    name = _NAMES[np.dtype(dtype).name, channels]
+    return _texture(gpu, (wide, high, deep), name.replace("8uint", "8unorm") if unit else name, usage, "3d")
 
 
 def put_solid(gpu: Gpu, texture: Any, samples: Array) -> None:

@@ -27,6 +27,10 @@ class Volume:
         Voxels, x first.
     kind, reader : str
         The kind of the texture for pipelines, and the name of the shader that reads it.
+    labelled : bool
+        Whether samples are numbers of labels, which are not mixed.
+    colours : wgpu.GPUTexture or None
+        The voxels' own colours, sRGB and opacity.
     warped : wgpu.GPUTexture or None
         The texture for a deformed volume, in float32: see `beside`.
     full : bool
@@ -41,12 +45,19 @@ class Volume:
     size: tuple[int, int, int]
     kind: str
     reader: str
+    labelled: bool = False
+    colours: Any = None
     warped: Any = None
     full: bool = False
     owner: object = None
 
+    @property
+    def constants(self) -> dict[str, int]:
+        """The constants of shaders that sample it."""
+        return {"LABELLED": int(self.labelled), "COLOURED": int(self.colours is not None)}
 
-def hold(gpu: Gpu, samples: Array) -> Volume:
+
+def hold(gpu: Gpu, samples: Array, labelled: bool = False, colours: Array | None = None) -> Volume:
     """Upload a volume to the device.
 
     Parameters
@@ -54,6 +65,10 @@ def hold(gpu: Gpu, samples: Array) -> Volume:
     gpu : Gpu
     samples : array (Z, H, W), two along each axis at least
         Samples of 8 or 16 bits, or float32.
+    labelled : bool
+        Whether they are numbers of labels.
+    colours : uint8 or uint16 array (Z, H, W, 4), optional
+        The voxels' own colours. Of 16 bits, eleven are kept.
 
     Raises
     ------
@@ -64,7 +79,12 @@ def hold(gpu: Gpu, samples: Array) -> Volume:
     made = solid(gpu, (depth, height, width), samples.dtype)
     put_solid(gpu, made, samples)
     kind, reader = _KINDS[samples.dtype.kind]
-    return Volume(gpu, made, made.create_view(), (width, height, depth), kind, reader)
+    paint = None
+    if colours is not None:
+        deep = colours.dtype == np.uint16
+        paint = solid(gpu, (depth, height, width), np.float16 if deep else np.uint8, 4, unit=True)
+        put_solid(gpu, paint, (colours * np.float32(1 / 65535)).astype(np.float16) if deep else colours)
+    return Volume(gpu, made, made.create_view(), (width, height, depth), kind, reader, labelled, paint)
 
 
 def beside(volume: Volume) -> bool:

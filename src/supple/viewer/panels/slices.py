@@ -18,6 +18,7 @@ from supple.engines.wgpu.screen import Screen, pixels_of
 from supple.files.volumes import sampling_of
 from supple.media.volume import Volume
 from supple.media.volume.data import rescaled
+from supple.render.labels import palette
 from supple.viewer.tools.planes import RENDERED, Plane
 from supple.viewer.tools.slices import SliceTools
 
@@ -31,7 +32,6 @@ SOFT_TISSUE = (-160.0, 240.0)  # Hounsfield units
 _PLAIN = "rgba8unorm"
 _BRIGHTEST = 99.5  # a percentile of the values that are no background
 _LOOKED_AT = 1 << 20  # voxels
-_TURN = 0.618034  # of the circle of hues, from a label to the next
 
 
 class Slices:
@@ -138,7 +138,8 @@ class Slices:
         """Return values as greys within a window, or labels as colours: (rows, columns, 4)."""
         made = np.full((*values.shape, 4), 255, np.uint8)
         if self.labels:
-            made[..., :3] = _coloured(values)
+            known = np.nan_to_num(np.asarray(values, np.float64))
+            made[..., :3] = np.where(known[..., None] == 0, 0, np.rint(255 * palette(known)))
             return made
         low, high = window
         part = (np.asarray(values, np.float32) - np.float32(low)) * np.float32(255 / max(high - low, 1e-30))
@@ -231,14 +232,6 @@ def _range_of(samples: Array) -> tuple[Any, Any]:
         if known.size:
             low, high = min(low, known.min()), max(high, known.max())
     return (low, high) if low <= high else (-np.inf, np.inf)
-
-
-def _coloured(labels: Array) -> Array:
-    """Return a colour for each label, far from that of the next one; 0 is black."""
-    known = np.nan_to_num(np.asarray(labels, np.float64))
-    hue = np.mod(known * _TURN, 1.0)[..., None] + np.array([0.0, 2 / 3, 1 / 3])
-    made = 255 * (0.35 + 0.6 * np.clip(np.abs(np.mod(hue, 1.0) * 6 - 3) - 1, 0, 1))
-    return np.where(known[..., None] == 0, 0, made).astype(np.uint8)
 
 
 def _names_in(header: Any) -> dict[int, str]:

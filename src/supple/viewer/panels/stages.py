@@ -22,7 +22,7 @@ from supple.render.box import Box
 from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.render.scene import Scene
-from supple.render.transfer import TransferFunction
+from supple.render.transfer import Transfer
 from supple.viewer.document.background import heard
 from supple.viewer.document.state import Kind
 from supple.viewer.panels.frame_cache import FrameCache
@@ -191,14 +191,14 @@ class VolumeStage:
         self._samples = volume.rescaled() if samples is None else samples
         self.scene = self._made(preset)
         self.shape, self.spacing = self.scene.shape, tuple(volume.geometry.spacing)
-        counts, _ = np.histogram(self.scene.samples, 96, self.scene.range)
+        counts, _ = np.histogram(self._samples, 96, self.scene.range)
         self.histogram = np.log1p(counts).astype(np.float32)  # logarithms of voxel counts by value
         self._plain = self.scene
         self._bent: dict[int, tuple[Deformation, Scene, str]] = {}  # the result (0), and its base (1); and a warning
         self.trouble = self.warned = ""  # a remark on the displayed image
         self._seconds = {False: 0.0, True: math.inf}  # of the last map without a freeze mask, and with one
 
-    def _made(self, transfer: TransferFunction | str) -> Scene:
+    def _made(self, transfer: Transfer | str) -> Scene:
         device = "gpu" if self._gpu.software else "auto"
         scene = Scene(
             self._samples,
@@ -249,7 +249,7 @@ class VolumeStage:
         """Return the scene with strokes; the one before, which is still seen, while that would take long."""
         return self.scene if self.is_slow(deformation) else self.deform(deformation)
 
-    def look(self, transfer: TransferFunction | str, density: tuple[float, float] | None) -> None:
+    def look(self, transfer: Transfer | str, density: tuple[float, float] | None) -> None:
         """Set another transfer function."""
         self.preset, self.density = transfer if isinstance(transfer, str) else "", density
         self._change(lambda scene: scene.seen_through(transfer, density))

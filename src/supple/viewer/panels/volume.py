@@ -10,7 +10,7 @@ from typing import Any
 from imgui_bundle import imgui
 
 from supple.render.box import whole_box
-from supple.render.transfer import PRESETS
+from supple.render.transfer import LABELS, PRESETS, TransferFunction
 from supple.viewer.panels import curve, theme
 from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.panels.view import View
@@ -31,7 +31,7 @@ def draw(view: View) -> None:
     stage = view.stage
     if not isinstance(stage, VolumeStage) or not section(view, "Volume"):
         return
-    names = list(PRESETS)
+    names = [*PRESETS, *([LABELS] if stage.unit == "label" else [])]
     label("Colours", "Which colours and opacities the values have")
     now = names.index(stage.preset) if stage.preset in names else -1
     changed, index = imgui.combo("##colours", now, names)
@@ -39,19 +39,21 @@ def draw(view: View) -> None:
         _show(view, lambda: stage.look(names[index], stage.density))
     low, high = stage.scene.range
     window = stage.density or (low, high)
-    wide = imgui.get_content_region_avail().x
-    imgui.push_style_color(imgui.Col_.plot_histogram, theme.FAINT)
-    imgui.plot_histogram("##histogram", stage.histogram, graph_size=(wide, 50))
-    imgui.pop_style_color()
-    hint("How many voxels have which value, on a logarithmic scale, and the opacity of each")
-    curve.draw(stage)
+    wide, transfer = imgui.get_content_region_avail().x, stage.scene.transfer
+    if isinstance(transfer, TransferFunction):
+        imgui.push_style_color(imgui.Col_.plot_histogram, theme.FAINT)
+        imgui.plot_histogram("##histogram", stage.histogram, graph_size=(wide, 50))
+        imgui.pop_style_color()
+        hint("How many voxels have which value, on a logarithmic scale, and the opacity of each")
+        curve.draw(stage, transfer)
     for k, said in enumerate(("Values from", "to")):
         label(said, "The range of values that the colours are spread over")
         changed, value = slider(f"##density {said}", window[k], low, high, "%.4g")
         both = (value, max(window[1], value)) if k == 0 else (min(window[0], value), value)
         if changed and both[0] < both[1]:
-            _show(view, partial(stage.look, stage.scene.transfer, None if both == (low, high) else both))
-    _transfer(view, stage)
+            _show(view, partial(stage.look, transfer, None if both == (low, high) else both))
+    if isinstance(transfer, TransferFunction):
+        _transfer(view, stage, transfer)
     _cutting(view, stage)
     label("Rendering", _MODES[stage.mode])
     modes = list(_MODES)
@@ -111,11 +113,10 @@ def _cutting(view: View, stage: VolumeStage) -> None:
     imgui.tree_pop()
 
 
-def _transfer(view: View, stage: VolumeStage) -> None:
+def _transfer(view: View, stage: VolumeStage, transfer: TransferFunction) -> None:
     """Draw the points of the transfer function: values, colours and opacities."""
     if not imgui.tree_node("Transfer function"):
         return
-    transfer = stage.scene.transfer
     points = [list(p) for p in transfer.points]
     wide = imgui.get_content_region_avail().x
     for k, (value, red, green, blue, opacity) in enumerate(points):

@@ -74,7 +74,7 @@ fn fill(
             for (var i = 0u; i < way && x + i < end; i++) {
                 let q = vec3f(vec3u(x + i, y, z));
                 let u = cubic(from_.shift, rise, a, b, f32(i) / settings.spread);
-                textureStore(made, vec3u(x + i, y, z), vec4f(sample_at(source_of(q, u), false)));
+                textureStore(made, vec3u(x + i, y, z), vec4f(copied_at(source_of(q, u))));
             }
         }
     }

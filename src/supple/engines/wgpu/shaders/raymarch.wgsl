@@ -55,6 +55,7 @@ const HYBRID = 3u;
 const BLOCK = 16u;
 const BRICK = 4u;
 const BISECTIONS = 2u;
+const HALVINGS = 6u; // of labels
 const OPAQUE = 0.995;
 const FAINT = 4e-3;
 const LAYER = 4.0; // voxels behind a cut face over which the light of gradients takes over
@@ -195,6 +196,15 @@ fn side(value: f32) -> i32 {
     return select(select(0, 1, value > settings.top), -1, value < settings.threshold);
 }
 
+// An entry of the transfer function, or of its sums; a layer of the texture has 8192 of them.
+fn table_at(entry: u32, row: u32) -> vec4f {
+    return textureLoad(colours, vec2u(entry % 8192u, row), entry / 8192u, 0);
+}
+
+fn colour_of(value: f32) -> vec4f {
+    return table_at(u32(entry_of(value) + 0.5), 0u);
+}
+
 fn entry_of(value: f32) -> f32 {
     return clamp((value - settings.low) * settings.scale, 0.0, f32(settings.entries - 1u));
 }
@@ -203,8 +213,7 @@ fn entry_of(value: f32) -> f32 {
 fn sums_before(entry: f32) -> vec4f {
     let at = entry + 0.5;
     let k = min(u32(at), settings.entries - 1u);
-    let one = textureLoad(colours, vec2u(k, 1u), 0u, 0);
-    return mix(one, textureLoad(colours, vec2u(k + 1u, 1u), 0u, 0), at - f32(k));
+    return mix(table_at(k, 1u), table_at(k + 1u, 1u), at - f32(k));
 }
 
 // A step along which values are linear: its colour and opacity, and where the middle of what is visible is.
@@ -214,6 +223,9 @@ struct Seen {
 }
 
 fn between_values(a: f32, b: f32, part: f32) -> Seen {
+    if (LABELLED) {
+        return halves(a, b, part);
+    }
     let from_ = clamp(a, settings.threshold, settings.top);
     let to = clamp(b, settings.threshold, settings.top);
     if (from_ == to && (from_ != a || to != b)) {
@@ -225,7 +237,7 @@ fn between_values(a: f32, b: f32, part: f32) -> Seen {
     let e = entry_of(from_);
     let e1 = entry_of(to);
     if (abs(e1 - e) < 1.0) {
-        var flat = textureLoad(colours, vec2u(u32(entry_of(mean) + 0.5), 0u), 0u, 0);
+        var flat = colour_of(mean);
         let share = select(part, part * (to - from_) * over, a != b);
         if (share != 1.0 && flat.w > 0.0) {
             flat.w = 1.0 - pow(1.0 - flat.w, share);
@@ -237,6 +249,17 @@ fn between_values(a: f32, b: f32, part: f32) -> Seen {
         return Seen(vec4f(0.0), middle);
     }
     return Seen(vec4f(all.xyz / all.w, 1.0 - exp(-all.w)), middle);
+}
+
+// Of labels, which are not mixed: half of one before half of the other.
+fn halves(a: f32, b: f32, part: f32) -> Seen {
+    let one = colour_of(a);
+    let other = colour_of(b);
+    let left = pow(1.0 - one.w, 0.5 * part);
+    let last = left * (1.0 - pow(1.0 - other.w, 0.5 * part));
+    let all = 1.0 - left + last;
+    let mixed = ((1.0 - left) * one.xyz + last * other.xyz) / max(all, 1e-30);
+    return Seen(vec4f(mixed, all), select(select(0.5, 0.25, b == 0.0), 0.75, a == 0.0));
 }
 
 // The mesh at which a ray ends, or FAR.
@@ -360,7 +383,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                     var low = t;
                     var high = t1;
                     var beyond = after;
-                    for (var turn = 0u; turn < BISECTIONS; turn++) {
+                    for (var turn = 0u; turn < select(BISECTIONS, HALVINGS, LABELLED); turn++) {
                         let middle = 0.5 * (low + high);
                         let inner = source_of(ray, middle, shift);
                         shift = inner.shift;
@@ -376,8 +399,8 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                     }
                     // By a straight line to the end of the visible range.
                     let end = select(settings.top, settings.threshold, outer < 0);
-                    surface = low + (high - low) * ((end - before) / (beyond - before));
-                    before = end;
+                    surface = select(low + (high - low) * ((end - before) / (beyond - before)), high, LABELLED);
+                    before = select(end, beyond, LABELLED);
                     ray.start = surface;
                     ray.count = 0.0;
                     t = surface;
@@ -394,9 +417,11 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                 let part = (1.0 - total.w) * step.colour.w;
                 within = true;
                 var lit = vec2f(1.0, 0.0);
+                let middle = mix(t, t1, step.middle);
+                let seat = source_of(ray, middle, shift);
+                let colour = painted(seat.p, step.colour);
                 if (settings.shaded == 1u && part > FAINT) {
-                    let middle = mix(t, t1, step.middle);
-                    lit = lit_by(gradient_at(source_of(ray, middle, shift), middle), half_, along);
+                    lit = lit_by(gradient_at(seat, middle), half_, along);
                     taken += 1.0;
                     if (face >= 0.0) {
                         let deep = clamp((t - near) / layer, 0.0, 1.0);
@@ -406,7 +431,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                         lit *= arriving(o + middle * d);
                     }
                 }
-                total += part * vec4f(step.colour.xyz * lit.x + lit.y, 1.0);
+                total += part * vec4f(colour.xyz * lit.x + lit.y, 1.0);
                 if (opaque == FAR && total.w >= 0.9) {
                     opaque = t;
                 }
@@ -461,8 +486,7 @@ fn project(whole: Ray, k: u32) {
             value /= count;
             surface = ray.near;
         }
-        let entry = u32(clamp((value - settings.low) * settings.scale, 0.0, f32(settings.entries - 1u)) + 0.5);
-        total = textureLoad(colours, vec2u(entry, 0u), 0u, 0);
+        total = colour_of(value);
     }
     let end = end_of(k / 2u);
     if (end.w < FAR) { // the volume is nowhere along the ray

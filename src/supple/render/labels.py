@@ -1,0 +1,215 @@
+"""Colours of labels: a palette, tables in files, and the numbers by which rays find them."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.domain import items, number, refuse
+from supple.errors import SuppleError
+from supple.render.colour import linear_light
+
+Array = npt.NDArray[Any]
+Floats = npt.NDArray[np.float64]
+Colour = tuple[float, float, float, float]
+
+SUFFIXES = (".ctbl", ".txt")
+_MOST = 65535  # visible labels: their numbers have 16 bits
+_LARGEST = 1 << 53  # float64 holds the integers up to it
+_SPAN = 1 << 24  # labels from the smallest to the largest, of which a table is made
+_SLICER = re.compile(r"(\d+)\s+(\S.*?)\s+(\d+)\s+(\d+)\s+(\d+)\s+(\d+)")
+_SNAP = re.compile(r'(\d+)\s+(\d+)\s+(\d+)\s+(\d+)\s+(\d+(?:\.\d*)?|\.\d+)\s+([01])\s+([01])\s+"(.*)"')
+
+
+@dataclass(frozen=True, slots=True)
+class LabelColours:
+    """A colour and an opacity for each label of a volume. Label 0 is the background, which is not seen.
+
+    Parameters
+    ----------
+    colours : mapping of int to (red, green, blue, opacity), optional
+        sRGB from 0 to 1, and the opacity of a millimetre, for each label; others are not seen. By default, all labels
+        are opaque, in the colours of `palette`.
+    """
+
+    colours: Mapping[int, Colour] | None = None
+
+    def __post_init__(self) -> None:
+        given: Any = self.colours
+        if given is None:
+            return
+        if not isinstance(given, Mapping) or not all(isinstance(k, int | np.integer) for k in given):
+            refuse("colours", "a dict of labels, with red, green, blue and opacity for each", told=repr(given)[:60])
+        made: dict[int, Colour] = {}
+        for label, row in given.items():
+            name = f"label {label}'s colour and opacity"
+            red, green, blue, opacity = items(name, row, "four numbers: red, green, blue and opacity", (4,))
+            r, g, b, a = (number(name, v, "numbers from 0 to 1", 0.0, 1.0) for v in (red, green, blue, opacity))
+            made[int(label)] = r, g, b, a
+        object.__setattr__(self, "colours", made)
+
+    def of(self, labels: npt.ArrayLike) -> Floats:
+        """Return the colours of labels (N,): sRGB and opacity (N, 4)."""
+        known = np.asarray(labels)
+        if self.colours is None:
+            made = np.concatenate([palette(known), np.ones((known.size, 1))], axis=1)
+        else:
+            made = np.array([self.colours.get(int(k), (0.0, 0.0, 0.0, 0.0)) for k in known], np.float64).reshape(-1, 4)
+        made[known == 0] = 0.0
+        return made
+
+    def table(self, labels: npt.ArrayLike, step: float) -> npt.NDArray[np.float32]:
+        """Return linear red, green and blue, and the opacity of a step in millimetres, of labels: (N, 4)."""
+        seen = self.of(labels)
+        opacity = 1 - (1 - seen[:, 3:]) ** step
+        return np.ascontiguousarray(np.concatenate([linear_light(seen[:, :3], 1.0), opacity], axis=1), np.float32)
+
+    def to_ctbl(self, labels: npt.ArrayLike) -> str:
+        """Return the text of a colour table of 3D Slicer (``.ctbl``) for labels, for `read`."""
+        rows = np.rint(255 * self.of(labels)).astype(int)
+        lines = [f"{k} label_{k} {r} {g} {b} {a}" for k, r, g, b, a in np.column_stack([labels, rows]).tolist()]
+        return "\n".join(["# label name red green blue opacity", *lines]) + "\n"
+
+    @classmethod
+    def from_text(cls, text: str, name: str = "the colour table") -> LabelColours:
+        """Read a colour table of 3D Slicer, FreeSurfer or ITK-SNAP; see docs/rendering.md.
+
+        Raises
+        ------
+        SuppleError
+            If a line is of none of these; the message begins with ``name``.
+        """
+        made: dict[int, Colour] = {}
+        inverse = True  # as in FreeSurfer's, where 0 is opaque
+        for count, line in enumerate(text.splitlines(), 1):
+            told = line.strip()
+            if not told or told.startswith("#"):
+                continue
+            if found := _SNAP.fullmatch(told):
+                label, *rgb, part, visible, _, _ = found.groups()
+                opacity, inverse = float(part) * int(visible), False
+            elif found := _SLICER.fullmatch(told):
+                label, _, *rgb, part = found.groups()
+                opacity = int(part) / 255
+            else:
+                raise SuppleError(
+                    f"{name}, line {count}, is {told[:60]!r}: a colour table has lines of a label, its name, red, "
+                    "green, blue and opacity from 0 to 255, as 3D Slicer's, or is one of ITK-SNAP's (\"label R G B "
+                    'opacity visible mesh "name"")'
+                )
+            red, green, blue = (int(v) / 255 for v in rgb)
+            if max(red, green, blue, opacity) > 1:
+                raise SuppleError(f"{name}, line {count}, is {told[:60]!r}: colours and opacity must not exceed 255")
+            if int(label) in made:
+                raise SuppleError(f"{name}, line {count}, gives label {label} another time: leave one of them")
+            made[int(label)] = red, green, blue, opacity
+        if not made:
+            raise SuppleError(f"{name} has no colours: it should have lines of a label, its name, and R G B A")
+        if inverse and not any(colour[3] for label, colour in made.items() if label):
+            made = {label: (*colour[:3], 1.0) for label, colour in made.items()}
+        return cls(made)
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> LabelColours:
+        """Read a colour table from a file (``.ctbl``, ``.txt``), as `from_text` does.
+
+        Raises
+        ------
+        SuppleError
+            If it cannot be read, or is invalid.
+        """
+        name = os.fspath(path)
+        try:
+            return cls.from_text(Path(path).read_text(encoding="utf-8"), name)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
+            raise SuppleError(f"cannot read {name!r}: {reason}: name a colour table (.ctbl, .txt)") from None
+
+
+def palette(labels: npt.ArrayLike) -> Floats:
+    """Return distinct colours of labels, in sRGB from 0 to 1, of shape (..., 3): the same label has always the same.
+
+    Hues and lightnesses in OKLCH go on by steps for which the first 8, 16, 32 and 64 are farthest from one another.
+    """
+    k = np.asarray(labels, np.float64)
+    hue = 2 * np.pi * np.mod(0.6535 + 0.2712 * (k - 1), 1.0)
+    light = 0.55 + 0.33 * np.mod(0.0531 + 0.3927 * (k - 1), 1.0)
+    a, b = 0.15 * np.cos(hue), 0.15 * np.sin(hue)
+    cones = np.stack(
+        [
+            light + 0.3963377774 * a + 0.2158037573 * b,
+            light - 0.1055613458 * a - 0.0638541728 * b,
+            light - 0.0894841775 * a - 1.2914855480 * b,
+        ],
+        axis=-1,
+    )
+    to_linear = np.array(
+        [
+            [4.0767416621, -3.3077115913, 0.2309699292],
+            [-1.2684380046, 2.6097574011, -0.3413193965],
+            [-0.0041960863, -0.7034186147, 1.7076147010],
+        ]
+    )
+    linear = np.clip(cones**3 @ to_linear.T, 0.0, 1.0)
+    return np.asarray(np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055))
+
+
+def labels_in(samples: Array) -> Array:
+    """Return the labels of a volume, in order, without 0.
+
+    Raises
+    ------
+    SuppleError
+        If a value is no whole number.
+    """
+    found: Array = np.zeros(0, np.int64)
+    for slab in samples:
+        values = _whole(slab)
+        low = int(values.min())
+        if int(values.max()) - low < _SPAN >> 4:
+            values = low + np.flatnonzero(np.bincount((values - low).reshape(-1)))  # faster than to sort them
+        found = np.union1d(found, values)
+    return np.asarray(found[found != 0])
+
+
+def numbered(samples: Array, visible: Array) -> Array:
+    """Return the place of each voxel's label in ``visible``, which is in order, from 1 on; 0 for all others.
+
+    Returns
+    -------
+    uint8 or uint16 array, of the shape of the samples
+    """
+    if len(visible) > _MOST:
+        refuse("labels", f"at most {_MOST} that are visible", told=f"{len(visible)} of them")
+    made = np.zeros(samples.shape, np.uint8 if len(visible) < 256 else np.uint16)
+    if len(visible):
+        low, span = int(visible[0]), int(visible[-1]) - int(visible[0]) + 1
+        places = np.zeros(span + 2 if span <= _SPAN else 0, made.dtype)  # an entry before and behind
+        if places.size:
+            places[1 + np.asarray(visible, np.int64) - low] = np.arange(1, len(visible) + 1)
+        for slab, out in zip(samples, made, strict=True):
+            values = _whole(slab)
+            if places.size:
+                out[...] = places[np.clip(values - (low - 1), 0, span + 1)]
+            else:
+                at = np.minimum(np.searchsorted(visible, values), len(visible) - 1)
+                out[...] = np.where(visible[at] == values, at + 1, 0)
+    return made
+
+
+def _whole(slab: Array) -> npt.NDArray[np.int64]:
+    """Return labels as integers; what is no finite number is 0."""
+    if slab.dtype.kind == "f":
+        known = np.where(np.isfinite(slab), slab, 0)
+        broken = known[(known != np.rint(known)) | (np.abs(known) > _LARGEST)]
+        if broken.size:
+            refuse("labels", "whole numbers (leave the colour table out for other values)", float(broken[0]))
+        slab = known
+    return np.asarray(slab, np.int64)
