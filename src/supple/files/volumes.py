@@ -409,6 +409,9 @@ def check_volume_target(source: PathLike, target: PathLike, options: VolumeOptio
         check_output(options.save_field, force=force)
         if os.path.realpath(options.save_field) in (os.path.realpath(target), os.path.realpath(source)):
             raise SuppleError(f"{shown(options.save_field)} cannot be the field and a volume too: give it another name")
+        if Path(os.path.realpath(target)) in Path(os.path.realpath(options.save_field)).parents:
+            told = f"{shown(options.save_field)} is within {shown(target)}, a folder that is for slices alone"
+            raise SuppleError(f"{told}: write the field elsewhere")
 
 
 def _warn_of_gaps(volume: Volume, filter: str) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.media.files import PathLike, unreadable
 from supple.media.meshes.base import Floats, Mesh, checked
-from supple.media.volume.derived import AFTER, WARNING, ended, imported
+from supple.media.volume.derived import WARNING, ended, imported, series_number
 
 _STRUCTURES = "1.2.840.10008.5.1.4.1.1.481.3"
 _FLAT = 0.01  # mm: the farthest that the points of a planar contour lie from their plane
@@ -138,7 +138,7 @@ def _renew(made: Any, pydicom: Any) -> None:
     now = datetime.datetime.now()
     made.PredecessorStructureSetSequence = [source]
     made.SOPInstanceUID, made.SeriesInstanceUID = (pydicom.uid.generate_uid(prefix=None) for _ in range(2))
-    made.SeriesNumber = int(made.get("SeriesNumber") or 0) + AFTER
+    made.SeriesNumber = series_number(made)
     made.SeriesDescription = ended(str(made.get("SeriesDescription") or ""), f"bent, {WARNING}")
     made.StructureSetDescription = f"Bent by Supple, a non-rigid deformation. {WARNING}"
     made.StructureSetDate = made.InstanceCreationDate = now.strftime("%Y%m%d")
