@@ -333,7 +333,10 @@ def test_bad_input(here: Path, capfd: pytest.CaptureFixture[str], given: list[st
 
 
 WARNED: list[tuple[list[str], str]] = [
-    (["--transfer", "ct-bone"], "ct-bone is of Hounsfield units, where air is -1000 and water 0, and the values of ct.nii"),
+    (
+        ["--transfer", "ct-bone"],
+        "ct-bone is of Hounsfield units, where air is -1000 and water 0, and the values of",
+    ),
     (["--distance", "3"], "the camera stands within what is visible of ct.nii: give another distance or target"),
     (["--distance", "9", "--azimuth", "90", "--clip", ":20,:,:"], ""),
     (["--density", "150,150.001"], "or how narrow density is, leaves it out"),

@@ -428,8 +428,8 @@ inline void distances(const bool* seen, const int64_t* n, uint8_t* out) {
         }
 }
 
-// The largest part of what is seen, of voxels that touch by their faces; of equal ones, the first. It is found by marking
-// all of them, and then marked alone: a label of each voxel would take eight times the memory.
+// The largest part of what is seen, of voxels that touch by their faces; of equal ones, the first. It is found by
+// marking all of them, and then marked alone: a label of each voxel would take eight times the memory.
 inline void largest(const bool* seen, const int64_t* n, bool* out) {
     const int64_t strides[3] = {1, n[0], n[0] * n[1]}, total = strides[2] * n[2];
     std::vector<int64_t> front, next;

@@ -198,7 +198,8 @@ class RandomElastic3D(_Elastic, Transform3D):
         """Draw a recipe for a sample."""
         volume = data["volume"] if "volume" in data else next(iter(data.get("volumes", ())), None)
         if volume is None:
-            refuse("volume", "given to RandomElastic3D (RandomElastic is for images)", told=", ".join(data) or "nothing")
+            wanted = "given to RandomElastic3D (RandomElastic is for images)"
+            refuse("volume", wanted, told=", ".join(data) or "nothing")
         shape = tuple(volume.shape[:3])
         return {**self._drawn(shape, spacing_of(self.spacing)), "extent": shape}
 

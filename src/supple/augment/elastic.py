@@ -352,10 +352,10 @@ def _lattice(axes: Sequence[Floats]) -> Floats:
     return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, len(axes))
 
 
-def _outline(low: Floats, high: Floats, counts: npt.NDArray[np.int_], reached: Sequence[tuple[Floats, Floats]]) -> Floats:
+def _outline(low: Floats, high: Floats, counts: npt.NDArray[np.int_], reached: list[tuple[Floats, Floats]]) -> Floats:
     """Return points on the edges of a box in the plane, or on the faces of one in space, x first.
 
-    Those that lie within none of the boxes ``reached`` stay where they are: one of them is enough for an edge or a face.
+    Those that lie within none of the boxes ``reached`` stay where they are: one of them is enough of an edge or a face.
     """
     axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
     sides = []
@@ -375,9 +375,9 @@ def _reached(deformation: Deformation) -> list[tuple[Floats, Floats]]:
     n, everywhere = deformation.ndim, np.full(deformation.ndim, np.inf)
     if deformation.maps:
         return [(-everywhere, everywhere)]
-    spacing = np.array(deformation.domain.spacing)
-    table = deformation.space.table
-    return [((at[:n] - far) / spacing, (at[:n] + far) / spacing) for at, far in zip(table["pivot"], table["reach"], strict=True)]
+    spacing, table = np.array(deformation.domain.spacing), deformation.space.table
+    pivots, reaches = table["pivot"][:, :n], table["reach"][:, None]
+    return list(zip((pivots - reaches) / spacing, (pivots + reaches) / spacing, strict=True))
 
 
 def _rows(name: str, value: npt.ArrayLike, columns: int) -> Floats:

@@ -234,10 +234,11 @@ def _volume(name: str, facts: Mapping[str, Any]) -> str:
         lines["origin"] = f"{spoken(facts['origin'])} ({convention})"
         leaning = f", oblique by up to {facts['oblique']:.3g}°" if facts["oblique"] else ""
         lines["axes"] = f"towards {facts['orientation']}{leaning}"
+    slope, intercept = facts["scaling"]
     if facts["minimum"] is not None:
-        lines["range"] = f"{facts['minimum']:.6g} to {facts['maximum']:.6g}"
-    if tuple(facts["scaling"]) != (1.0, 0.0):
-        slope, intercept = facts["scaling"]
+        low, high = sorted(slope * facts[end] + intercept for end in ("minimum", "maximum"))
+        lines["range"] = f"{low:.6g} to {high:.6g} {facts.get('unit', '')}".rstrip()
+    if (slope, intercept) != (1.0, 0.0):
         lines["scaling"] = f"{slope:g} times what is stored, and {intercept:g}"
     if facts["nan"]:
         lines["gaps"] = f"{facts['nan']} voxels are not a number"

@@ -27,8 +27,8 @@ from supple.render.box import Clip, Plane
 from supple.render.camera import Camera
 from supple.render.picture import Rendering
 from supple.render.scene import MODES, Scene
+from supple.render.transfer import HOUNSFIELD, TransferFunction, transfer_of
 from supple.render.transfer import SUFFIXES as TRANSFERS
-from supple.render.transfer import PRESETS, TransferFunction, transfer_of
 from supple.strokes import Fit, Recipe
 
 Array = npt.NDArray[Any]
@@ -276,7 +276,7 @@ def render_file(
             f"nothing is seen of {given.name}: its values go from {low:g} to {high:g}, and the transfer function and "
             "density leave all of them out: choose others"
         )
-    if known.transfer in (name for name in PRESETS if name.startswith("ct-")) and scene.range[0] >= 0:
+    if isinstance(known.transfer, str) and known.transfer in HOUNSFIELD and scene.range[0] >= 0:
         told = f"{known.transfer} is of Hounsfield units, where air is -1000 and water 0"
         low, high = scene.range
         text = f"{told}, and the values of {given.name} go from {low:g} to {high:g}: mr-head is of any units"

@@ -294,6 +294,9 @@ PRESETS = {
     ),
 }
 
+HOUNSFIELD = tuple(name for name in PRESETS if name.startswith("ct-"))
+"""The presets of Hounsfield units."""
+
 
 def transfer_of(name: str | os.PathLike[str]) -> TransferFunction:
     """Return a preset by its name, or a transfer function from a file: JSON, or 3D Slicer's."""

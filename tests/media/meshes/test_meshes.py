@@ -158,7 +158,8 @@ class TestObj:
 
     @pytest.mark.parametrize("end", ["\n", "\r\n"])
     def test_statements_go_on_after_a_backslash(self, tmp_path: Path, end: str) -> None:
-        text = "# in C:\\head\\\nv 0 0 0\nv 1 \\\n 0 0 # of D:\\\nv 0 1 0\nvn 0 0 1\nf 1//1 \\\n 2//1 \\\n3//1 # a/b/c\n"
+        text = "# in C:\\head\\\nv 0 0 0\nv 1 \\\n 0 0 # of D:\\\nv 0 1 0\nvn 0 0 1\n"
+        text += "f 1//1 \\\n 2//1 \\\n3//1 # a/b/c\n"
         read = opened(written(tmp_path / "in.obj", text.replace("\n", end)))
         assert read.points.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
         assert read.normals_at.tolist() == [0, 1, 2]

@@ -9,7 +9,8 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 import supple
-from supple.errors import SuppleError
+from supple.cli.describe import describe
+from supple.errors import SuppleError, VolumeWarning
 from supple.files.grids import GridOptions
 from supple.files.volumes import VolumeOptions
 from supple.media.volume import read, write
@@ -195,9 +196,24 @@ def test_a_dose_is_in_gray(tmp_path: Path) -> None:
     path = SAMPLES / "rtdose.dcm"
     known, head = read(path), pydicom.dcmread(path)
     np.testing.assert_allclose(known.rescaled(), head.pixel_array * float(head.DoseGridScaling), rtol=1e-12)
+    still = Recipe(strokes=(Stroke.grab((2, 2, 2), by=(0, 0, 0), radius=6),))
     for name in ("out.nrrd", "out.nii.gz"):
-        supple.warp_file(path, tmp_path / name, STILL)
+        supple.warp_file(path, tmp_path / name, still)
         np.testing.assert_allclose(read(tmp_path / name).rescaled(), known.rescaled(), rtol=1e-6)
+    for unit, told in (("GY", "Gy"), ("RELATIVE", "")):
+        head.DoseUnits = unit
+        head.save_as(tmp_path / "dose.dcm")
+        facts, text = describe(str(tmp_path / "dose.dcm"))
+        assert facts["unit"] == told
+        span = f"{known.rescaled().min():.6g} to {known.rescaled().max():.6g} {told}".rstrip()
+        assert f"  range       {span}\n" in text
+
+
+def test_a_radius_below_a_voxel_is_told(tmp_path: Path) -> None:
+    before = source(tmp_path / "in", noise("i2", *SHAPE))
+    thin = Recipe(strokes=(Stroke.grab((2, 2, 2), by=(0, 0, 0), radius=0.9 * min(SPACING)),))
+    with pytest.warns(VolumeWarning, match=r"is 0\.9 times the distance between samples of .*: lengths are in mm"):
+        supple.warp_file(before, tmp_path / "out", thin)
 
 
 def test_another_grid(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
     spans: dict[bytes, list[tuple[int, int]]] = {b"v": [], b"vn": []}
     pairs: dict[tuple[int, int], None] = {}
 
-    def wrong(start: int, what: str) -> SuppleError:
+    def refused(start: int, what: str) -> SuppleError:
         return unreadable(path, f"line {len(data[:start].splitlines()) + 1}: {what}")
 
     for found in _STATEMENT.finditer(data):
@@ -32,10 +32,10 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
         if word in spans:
             tokens = [match.span() for match in _TOKEN.finditer(line)][1:4]
             if len(tokens) < 3:
-                raise wrong(start, "a vertex or normal has fewer than three numbers")
+                raise refused(start, "a vertex or normal has fewer than three numbers")
             spans[word] += [(start + a, start + b) for a, b in tokens]
         elif word in (b"f", b"l", b"p") and _ZERO.search(line):
-            raise wrong(start, "an index is 0, and the first one is 1")
+            raise refused(start, "an index is 0, and the first one is 1")
         elif word == b"f" and b"/" in line:
             counts = len(spans[b"v"]) // 3, len(spans[b"vn"]) // 3
             for corner in line.split()[1:]:
@@ -44,11 +44,11 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
                     try:
                         v, n = int(parts[0]), int(parts[2])
                     except ValueError:
-                        raise wrong(start, f"{shown(corner.decode(errors='replace'))} is no corner") from None
+                        raise refused(start, f"{shown(corner.decode(errors='replace'))} is no corner") from None
                     # counted from 1, or backwards from the last so far
                     pairs[n - 1 if n > 0 else n + counts[1], v - 1 if v > 0 else v + counts[0]] = None
         elif word not in (b"", b"f", b"l", b"p"):
-            raise wrong(start, "it has free-form curves or surfaces: save it as polygons")
+            raise refused(start, "it has free-form curves or surfaces: save it as polygons")
     points, normals = (numbers(path, [data[a:b] for a, b in spans[word]]).reshape(-1, 3) for word in (b"v", b"vn"))
     points = checked(path, points)
     which, at = np.array(sorted(pairs), np.intp).reshape(-1, 2).T

@@ -304,7 +304,8 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
         Right or Left, Anterior or Posterior, Superior or Inferior), ``oblique`` (degrees off that), ``scaling`` (slope
         and intercept), ``minimum``, ``maximum`` and ``nan`` (of the samples as stored; None if there are more than
         2 GiB), and ``bytes`` (of the samples). Of a folder with several series, if none is named: ``format`` and
-        ``series``, each with ``number``, ``uid``, ``description`` and ``slices``.
+        ``series``, each with ``number``, ``uid``, ``description`` and ``slices``. Of a dose, ``unit`` is that of scaled
+        values.
 
     Raises
     ------
@@ -324,6 +325,11 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
     volume = read(path, raw=raw, series=series)
     samples, geometry = volume.samples, volume.geometry
     low, high, nans = _range(samples) if samples.nbytes <= _QUICK else (None, None, None)
+    unit = {}
+    if volume.format == "DICOM" and volume.scaling != (1.0, 0.0):
+        from supple.media.volume import dicom
+
+        unit = {"unit": dicom.dose_unit(volume.header if isinstance(volume.header, str) else volume.header[0])}
     flip = np.array([-1, -1, 1] if geometry.convention == "RAS" else [1, 1, 1])
     return {
         "format": volume.format,
@@ -339,6 +345,7 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
         "orientation": _orientation(geometry.direction) if geometry.convention != "array" else None,
         "oblique": geometry.oblique,
         "scaling": list(volume.scaling),
+        **unit,
         "minimum": low,
         "maximum": high,
         "nan": nans,
