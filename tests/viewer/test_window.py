@@ -478,12 +478,16 @@ def test_what_terminates_closes_windows_first() -> None:
     def terminate(number: int, frame: Any) -> None:
         raise InterruptedError(number)
 
+    def run() -> None:
+        with closed_by_signals(SimpleNamespace(stop=lambda: told.append("stopped"))):
+            signal.raise_signal(signal.SIGTERM)  # what it raised here, rendercanvas would log, and go on
+            told.append("ran on")
+
     told: list[str] = []
     before = signal.signal(signal.SIGTERM, terminate)
     try:
-        with pytest.raises(InterruptedError), closed_by_signals(SimpleNamespace(stop=lambda: told.append("stopped"))):
-            signal.raise_signal(signal.SIGTERM)  # what it raised here, rendercanvas would log, and go on
-            told.append("ran on")
+        with pytest.raises(InterruptedError):
+            run()
         assert told == ["stopped", "ran on"]
         assert signal.getsignal(signal.SIGTERM) is terminate
     finally:
