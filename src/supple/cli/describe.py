@@ -221,7 +221,7 @@ def _volume(name: str, facts: Mapping[str, Any]) -> str:
     def spoken(numbers: Any) -> str:
         return ", ".join(f"{x:.6g}" for x in numbers)
 
-    convention = facts["convention"]
+    convention, (slope, intercept) = facts["convention"], facts["scaling"]
     lines = {
         "format": facts["format"],
         "size": " x ".join(map(str, facts["shape"])) + (f", {facts['times']} times" if facts["times"] > 1 else ""),
@@ -234,7 +234,6 @@ def _volume(name: str, facts: Mapping[str, Any]) -> str:
         lines["origin"] = f"{spoken(facts['origin'])} ({convention})"
         leaning = f", oblique by up to {facts['oblique']:.3g}°" if facts["oblique"] else ""
         lines["axes"] = f"towards {facts['orientation']}{leaning}"
-    slope, intercept = facts["scaling"]
     if facts["minimum"] is not None:
         low, high = sorted(slope * facts[end] + intercept for end in ("minimum", "maximum"))
         lines["range"] = f"{low:.6g} to {high:.6g} {facts.get('unit', '')}".rstrip()

@@ -299,13 +299,13 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
     Returns
     -------
     dict
+        ``unit`` (of a dose: that of scaled values),
         ``format``, ``shape`` (x, y, z), ``dtype``, ``components``, ``times``, ``interval`` (s), ``spacing`` (mm),
         ``origin`` and ``direction`` (rows; in the file's own ``convention``), ``orientation`` (axis directions:
         Right or Left, Anterior or Posterior, Superior or Inferior), ``oblique`` (degrees off that), ``scaling`` (slope
         and intercept), ``minimum``, ``maximum`` and ``nan`` (of the samples as stored; None if there are more than
         2 GiB), and ``bytes`` (of the samples). Of a folder with several series, if none is named: ``format`` and
-        ``series``, each with ``number``, ``uid``, ``description`` and ``slices``. Of a dose, ``unit`` is that of scaled
-        values.
+        ``series``, each with ``number``, ``uid``, ``description`` and ``slices``.
 
     Raises
     ------
