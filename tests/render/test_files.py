@@ -339,7 +339,6 @@ WARNED: list[tuple[list[str], str]] = [
     ),
     (["--distance", "3"], "the camera stands within what is visible of ct.nii: give another distance or target"),
     (["--distance", "9", "--azimuth", "90", "--clip", ":20,:,:"], ""),
-    (["--density", "150,150.001"], "or how narrow density is, leaves it out"),
 ]
 
 

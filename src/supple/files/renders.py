@@ -333,7 +333,7 @@ def render_file(
 def _warn_of_view(picture: Rendering, known: RenderOptions, name: str) -> None:
     """Warn of a camera that sees nothing, or nothing else than what it stands in."""
     if not picture.light[..., 3].any():
-        told = "what is cut away, where the camera looks, or how narrow density is, leaves it out"
+        told = "what is cut away, or where the camera looks, leaves it out"
         warnings.warn(f"nothing is seen of {name}: {told}", VolumeWarning, stacklevel=4)
     elif known.projection == "none" and not picture.depth.any():
         told = "give another distance or target, or cut away what is before it by clip or plane"
