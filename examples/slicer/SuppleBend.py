@@ -128,10 +128,11 @@ class SuppleBendLogic(ScriptedLoadableModuleLogic):
         axes = np.meshgrid(*map(np.arange, shape), indexing="ij")[::-1]
         moved = ((source - np.stack(axes, axis=-1)) * geometry.spacing) @ geometry.direction.T
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / f"{volume.GetName()} bent.h5"
+            path = Path(folder) / "field.h5"
             write_field(path, moved.astype(np.float32), geometry)
             transform = slicer.util.loadTransform(str(path))
         slicer.mrmlScene.RemoveNode(transform.GetStorageNode())  # it was of that folder: Save asks for a place
+        transform.SetName(f"{volume.GetName()} bent")
         transform.SetAttribute(MARK, "1")
         volume.SetAndObserveTransformNodeID(transform.GetID())
         return transform

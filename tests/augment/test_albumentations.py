@@ -103,5 +103,9 @@ def test_a_draw_is_replayed_and_options_are_written() -> None:
 def test_bad_options_are_refused() -> None:
     with pytest.raises(supple.SuppleError, match="interpolation must be one of 0, 1, 2, found 4"):
         RandomElastic(8, 20, interpolation=cv2.INTER_LANCZOS4)
+    with pytest.raises(ValueError, match="outside"):  # of Albumentations, or of Supple where it checks nothing
+        RandomElastic(8, 20, outside="wrap")
+    with pytest.raises(supple.SuppleError, match=r"^volume must be given to RandomElastic3D \(.*\), found image$"):
+        A.Compose([RandomElastic3D(5, 10, p=1)])(image=np.zeros((20, 20, 3), np.uint8))
     with pytest.raises(supple.SuppleError, match="max_displacement must be"):
         RandomElastic(30, 20)

@@ -136,6 +136,25 @@ def test_boxes_hold_the_bent_boxes() -> None:
     np.testing.assert_allclose(moved_boxes(d, flat), np.tile(d.forward(flat[:, :3]), 2))
 
 
+def test_only_what_is_around_strokes_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A face of this box has a million points, and a lattice of the volume, 250,000."""
+    looked: list[int] = []
+    forward = supple.Deformation.forward
+
+    def counted(self: supple.Deformation, points: Any) -> Any:
+        looked.append(len(points))
+        return forward(self, points)
+
+    monkeypatch.setattr(supple.Deformation, "forward", counted)
+    starts = np.random.default_rng(2).uniform(0, 500, (6, 3))
+    looked.append(len(elastic._looked_at(starts, np.full(6, 8.0), np.zeros(3), np.full(3, 500.0))))
+    d = supple.Deformation((500, 500, 500), border=None).grab((20, 250, 250), by=(-4, 1, 0), radius=8)
+    made = moved_boxes(d, [(20, 20, 20, 480, 480, 480)])
+    assert max(looked) < 30_000
+    assert made[0, 0] == pytest.approx(16, abs=0.05)
+    np.testing.assert_array_equal(made[0, 1:], (20, 20, 480, 480, 480))
+
+
 def outline(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return many points of the surface of a box."""
     n = len(low)

@@ -74,5 +74,7 @@ def test_conventions_of_its_transforms_hold() -> None:
     assert RandomElastic(5, 10)(torch.rand(1, 30, 20, 10)).shape == (1, 30, 20, 10)
     with pytest.raises(supple.SuppleError, match="the recipe was made for"):
         made.history[0](tio.Subject(image=tio.ScalarImage(tensor=torch.rand(1, 30, 20, 10))))
+    with pytest.raises(supple.SuppleError, match='outside must be "edge" or "constant" or "reflect", found'):
+        RandomElastic(5, 10, outside="zeros")
     with pytest.raises(supple.SuppleError, match="image_interpolation must be one of nearest, linear, cubic"):
         RandomElastic(5, 10, image_interpolation="gaussian")

@@ -108,5 +108,7 @@ def test_options_are_told_and_checked() -> None:
         supple.SuppleError, match="interpolation must be one of nearest, bilinear, bicubic, found 'box'"
     ):
         RandomElastic(8, 20, interpolation="box")
+    with pytest.raises(supple.SuppleError, match='outside must be "edge" or "constant" or "reflect", found'):
+        RandomElastic(8, 20, outside="zeros")
     with pytest.raises(supple.SuppleError, match="max_displacement must be"):
         RandomElastic(30, 20)

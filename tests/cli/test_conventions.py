@@ -26,6 +26,19 @@ CLOSE = 1e-3
 STILL = ("--filter", "linear", "--no-clamp", "--outside", "constant", "--fill", "-1000", "--quiet", "--force")
 
 
+@pytest.mark.parametrize("name", ["lps", "Ras", "INDEX", "LPS"])
+def test_coordinates_of_points_are_named_in_any_case(run: Run, name: str) -> None:
+    put("in.nii", np.zeros((9, 9, 9), np.float32), Grid((9, 9, 9)))
+    for table, text in (("a.csv", "4,4,4\n"), ("b.csv", "4,5,4\n")):
+        Path(table).write_text(text)
+    strokes = ("--pull", "a.csv:b.csv", "--radius", "2", "--quiet", "--force", "--border", "none")
+    for given in (("points", "a.csv", "c.csv", "--on", "in.nii"), ("warp", "in.nii", "out.nii")):
+        status, _, err = run(*given, *strokes, "--convention", name)
+        assert status == 0, err
+        status, _, err = run(*given, *strokes, "--convention", f"{name}x")
+        assert (status, "LPS" in one_line(err)) == (2, True)
+
+
 class Known:
     """Two images, their grids, and the affine map of FLIRT's matrix, solved for from points that fslpy moved."""
 

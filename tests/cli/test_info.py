@@ -43,6 +43,14 @@ def test_info_of_what_is_nothing_known(run: Run) -> None:
     assert "no picture, video" not in run("info", "cut.png")[2]
 
 
+def test_an_empty_folder(run: Run) -> None:
+    Path("empty").mkdir()
+    assert "the folder empty holds no pictures or DICOM slices" in one_line(run("info", "empty")[2])
+    for name in ("out.nii", "out.nrrd"):
+        status, _, err = run("warp", "empty", name, *GRAB)
+        assert (status, "there are no DICOM images in that folder" in one_line(err)) == (2, True)
+
+
 def test_info_says_that_a_rate_varies(run: Run) -> None:
     clips.make("a.mkv", times=[0, 1, 2, 9, 10, 11, 12, 13, 14, 15])
     clips.make("b.mkv")

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 import SimpleITK as sitk  # noqa: N813
-import vtk
 
 import supple
 from supple.geometry import Geometry
 from tests.children import ROOT
+
+pytest.importorskip("vtk")  # of which Slicer's matrices are
 
 SHAPE, SPACING = (18, 26, 22), (1.5, 2.0, 2.5)
 
@@ -29,6 +30,9 @@ class Node:
 
     def GetName(self) -> str:  # noqa: N802
         return self.name
+
+    def SetName(self, name: str) -> None:  # noqa: N802
+        self.name = name
 
     def GetID(self) -> Node:  # noqa: N802
         return self
@@ -51,7 +55,7 @@ class Node:
     def GetNthControlPointPositionWorld(self, k: int, into: list[float]) -> None:  # noqa: N802
         into[:] = self.points[k]
 
-    def GetIJKToRASMatrix(self, into: vtk.vtkMatrix4x4) -> None:  # noqa: N802
+    def GetIJKToRASMatrix(self, into: Any) -> None:  # noqa: N802
         into.DeepCopy(self.matrix.ravel().tolist())
 
     def GetStorageNode(self) -> str:  # noqa: N802
@@ -118,7 +122,7 @@ def place() -> Geometry:
 
 def volume() -> Node:
     matrix = np.diag([-1.0, -1.0, 1.0, 1.0]) @ place().matrix
-    return Node("head", samples=np.zeros(SHAPE), matrix=matrix)
+    return Node("2: head/neck", samples=np.zeros(SHAPE), matrix=matrix)
 
 
 def test_a_pull_becomes_a_transform_that_itk_applies(scene: tuple[Any, Slicer]) -> None:
@@ -131,7 +135,7 @@ def test_a_pull_becomes_a_transform_that_itk_applies(scene: tuple[Any, Slicer]) 
     fake.lines.append(Node("ruler", points=[end, start]))  # drawn for something else
     made = logic.bend(head, 12.0)
     assert head.above is made
-    assert made.name == "head bent"
+    assert made.name == "2: head/neck bent"
     assert fake.removed == ["storage"]
     d = supple.Deformation(SHAPE, spacing=SPACING).grab((11, 12, 9), to=(12.5, 13, 10), radius=12)
     for point in ((12.0, 13.0, 10.0), (6.0, 9.0, 8.0), (11.0, 12.0, 9.0)):
@@ -159,7 +163,7 @@ def test_what_cannot_be_done_is_told(scene: tuple[Any, Slicer]) -> None:
     assert told(None) == "there is no volume: load one, and choose it"
     assert told(head) == "there are no pulls: draw one, from a point to its new place"
     head.above = Node("registration")
-    assert told(head) == "head lies under a transform of its own: harden that first"
+    assert told(head) == "2: head/neck lies under a transform of its own: harden that first"
     assert head.above.name == "registration"
     head.above = None
     line = widget.logic.draw()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -206,8 +207,8 @@ def test_a_turn_as_a_video(here: Path) -> None:
 def test_a_turn_as_a_video_of_any_size(here: Path, suffix: str) -> None:
     stored("in.nii", head())
     known = RenderOptions(turntable=6, size=(41, 51), rate=12, background=(0.2, 0.4, 0.6))
-    render_file("in.nii", "turn/%d.png", options=known)
     render_file("in.nii", f"turn{suffix}", options=known)
+    render_file("in.nii", "turn/%d.png", options=replace(known, rate=None))
     with av.open(f"turn{suffix}") as clip:
         decoded = list(clip.decode(video=0))
     times = np.array([float(f.pts * f.time_base) for f in decoded])
@@ -337,6 +338,8 @@ BAD: list[tuple[list[str], str]] = [
     (["in.nii", "out.png", "--clip", ":,:,:24"], "found 0:24 along z"),
     (["in.nii", "out.png", "--clip", "nan:,:,:"], "--clip must be numbers of voxels, found nan"),
     (["in.nii", "out.png", "--density", "300,400"], "nothing is seen of in.nii: its values go from 0 to 200"),
+    (["in.nii", "out.png", "--rate", "12"], "rate is that of a turntable's video, and this is one picture: leave it"),
+    (["in.nii", "%d.png", "--turntable", "3", "--rate", "12"], "rate is that of a video, and %d.png names pictures"),
     (["in.nii", "out.png", "--size", "big"], "--size"),
     (["in.nii", "out.png", "--size", "0x5"], "from 1 to"),
     (["in.nii", "out.png", "--background", "red"], "#1a1a1e"),
@@ -378,6 +381,47 @@ def test_bad_input(here: Path, capfd: pytest.CaptureFixture[str], given: list[st
     assert err.count("\n") == 1
     assert out == ""
     assert {p.name: p.read_bytes() for p in here.iterdir()} == before
+
+
+WARNED: list[tuple[list[str], str]] = [
+    (
+        ["--transfer", "ct-bone"],
+        "ct-bone is of Hounsfield units, where air is -1000 and water 0, and the values of",
+    ),
+    (["--distance", "3"], "the camera stands within what is visible of ct.nii: give another distance or target"),
+    (["--distance", "9", "--azimuth", "90", "--clip", ":20,:,:"], ""),
+]
+
+
+@pytest.mark.parametrize(("given", "text"), WARNED)
+def test_what_is_odd_is_told(here: Path, capfd: pytest.CaptureFixture[str], given: list[str], text: str) -> None:
+    stored("ct.nii", head(0, 900))
+    assert command(["render", "ct.nii", "out.png", "--size", "40x40", *given]) == 0
+    err = " ".join(capfd.readouterr().err.split())
+    assert text in err
+    assert err.count("warning") == bool(text)
+
+
+def test_values_between_two_shades_are_seen(here: Path) -> None:
+    """A window of values that is narrower than an entry of the table."""
+    samples = head(0, 20000)
+    stored("in.nii", samples)
+    value = float(samples[11, 16, 6])
+    scene = render_file("in.nii", "out.png", options=RenderOptions(density=(value - 0.2, value + 0.2)))
+    assert not scene.is_empty
+    assert image.read("out.png").pixels[..., 3].any()
+
+
+def test_a_transfer_function_appears_with_its_picture(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stored("in.nii", head())
+
+    def full(*_: object, **__: object) -> None:
+        raise supple.SuppleError("cannot write out.png: No space left on device")
+
+    monkeypatch.setattr(image, "write", full)
+    with pytest.raises(supple.SuppleError, match="No space left"):
+        render_file("in.nii", "out.png", options=RenderOptions("grey", save_transfer="look.json", size=(8, 8)))
+    assert [path.name for path in here.iterdir()] == ["in.nii"]
 
 
 def test_points_on_everything(here: Path, capfd: pytest.CaptureFixture[str]) -> None:

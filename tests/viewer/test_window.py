@@ -11,6 +11,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -439,9 +440,10 @@ def _reached(address: str) -> bool:
     return True
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("what", ["a frame", "an event"])
 def test_an_interrupt_waits_for_what_is_being_done(
-    photo_view: tuple[Any, Hand], monkeypatch: pytest.MonkeyPatch, what: str
+    photo_view: tuple[Any, Hand], monkeypatch: pytest.MonkeyPatch, what: str, number: int
 ) -> None:
     view, hand = photo_view
     owner, name = (view, "_present") if what == "a frame" else (view.tools, "handle")
@@ -452,12 +454,12 @@ def test_an_interrupt_waits_for_what_is_being_done(
         view.canvas.close()
 
     def interrupted(*arguments: Any) -> None:
-        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(number)
         assert not closed
         done(*arguments)
 
     monkeypatch.setattr(owner, name, interrupted)
-    before = signal.signal(signal.SIGINT, close)
+    before = signal.signal(number, close)
     try:
         if what == "a frame":
             view.draw()
@@ -465,9 +467,31 @@ def test_an_interrupt_waits_for_what_is_being_done(
             hand.send("key_down", key="1")
         assert len(closed) == 1
         assert view.canvas.get_closed()
-        assert signal.getsignal(signal.SIGINT) is close
+        assert signal.getsignal(number) is close
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(number, before)
+
+
+def test_what_terminates_closes_windows_first() -> None:
+    from supple.viewer.window.window import closed_by_signals
+
+    def terminate(number: int, frame: Any) -> None:
+        raise InterruptedError(number)
+
+    def run() -> None:
+        with closed_by_signals(SimpleNamespace(stop=lambda: told.append("stopped"))):
+            signal.raise_signal(signal.SIGTERM)  # what it raised here, rendercanvas would log, and go on
+            told.append("ran on")
+
+    told: list[str] = []
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        with pytest.raises(InterruptedError):
+            run()
+        assert told == ["stopped", "ran on"]
+        assert signal.getsignal(signal.SIGTERM) is terminate
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def test_the_panel_says_where_a_stroke_arrives() -> None:

@@ -14,6 +14,8 @@ import numpy.typing as npt
 from supple.augment.elastic import RandomElastic as Drawing
 from supple.augment.peers import SEEDS, bent_stack, deformation_of, edged, filter_of, need_library, spacing_of
 from supple.deformation import Deformation
+from supple.domain import choice, refuse
+from supple.engines.base import OUTSIDE
 from supple.errors import SuppleError
 
 need_library("albumentations", "Albumentations")
@@ -58,6 +60,7 @@ class _Elastic(DualTransform):
         self.max_displacement, self.radius, self.strokes, self.border = max_displacement, radius, strokes, border
         self.interpolation, self.outside = sampling["interpolation"], sampling["outside"]
         self._filter = filter_of("interpolation", self.interpolation, _FILTERS)
+        choice("outside", self.outside, tuple(OUTSIDE))
 
     def _drawn(self, shape: tuple[int, ...], spacing: tuple[float, ...]) -> dict[str, Any]:
         seed = int(self.random_generator.integers(SEEDS))
@@ -193,7 +196,10 @@ class RandomElastic3D(_Elastic, Transform3D):
 
     def get_params_dependent_on_data(self, params: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:
         """Draw a recipe for a sample."""
-        volume = data["volume"] if "volume" in data else data["volumes"][0]
+        volume = data["volume"] if "volume" in data else next(iter(data.get("volumes", ())), None)
+        if volume is None:
+            wanted = "given to RandomElastic3D (RandomElastic is for images)"
+            refuse("volume", wanted, told=", ".join(data) or "nothing")
         shape = tuple(volume.shape[:3])
         return {**self._drawn(shape, spacing_of(self.spacing)), "extent": shape}
 

@@ -69,8 +69,8 @@ class RandomElastic:
     Parameters
     ----------
     max_displacement : float
-        The most by which any point moves, in physical units: pixels, unless a picture or volume has a spacing. At most
-        the smallest radius.
+        The most that points move, in physical units: pixels, unless a picture or volume has a spacing. At most the
+        smallest radius. It is measured at points that are a radius apart, of which none moves by more than 85 % of it.
     radius : float or (float, float)
         The radius of the strokes, in physical units, or the range from which each is drawn: small ones make
         wrinkles, large ones bend the whole.
@@ -271,7 +271,7 @@ def moved_boxes(deformation: Deformation, boxes: npt.ArrayLike) -> Floats:
     """Return the smallest boxes around bent boxes.
 
     A bent box reaches farthest between its corners, so its edges are followed (the faces, in a volume): at a sixteenth
-    (an eighth) of the smallest radius.
+    (an eighth) of the smallest radius, where strokes reach.
 
     Parameters
     ----------
@@ -301,9 +301,8 @@ def moved_boxes(deformation: Deformation, boxes: npt.ArrayLike) -> Floats:
     parts = _EDGE if n == 2 else _FACE
     step = min((stroke.radius / parts for stroke in deformation.strokes), default=math.inf)
     step = max(step, 0.5 * spacing.min()) if not deformation.maps else 0.5 * float(spacing.min())
-    followed = [
-        _outline(a, b, np.ceil((b - a) * spacing / step).astype(int) + 1) for a, b in zip(low, high, strict=True)
-    ]
+    counts, reached = np.ceil((high - low) * spacing / step).astype(int) + 1, _reached(deformation)
+    followed = [_outline(*box, reached) for box in zip(low, high, counts, strict=True)]
     moved = deformation.forward(np.concatenate(followed))
     firsts = np.cumsum([0, *(len(some) for some in followed[:-1])])
     return np.concatenate([np.minimum.reduceat(moved, firsts), np.maximum.reduceat(moved, firsts)], axis=1)
@@ -333,13 +332,12 @@ def _range(name: str, value: Any) -> tuple[Any, Any]:
 
 
 def _looked_at(starts: Floats, radii: Floats, low: Floats, high: Floats) -> Floats:
-    """Return points of the domain a radius apart, and around those where strokes start; shape (N, 3), x first."""
-    counts = np.ceil((high - low) / radii.min()).astype(int) + 1
-    everywhere = _lattice([np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)])
-    around = starts[:, None] + radii.min() * _lattice([np.array([-0.5, 0.0, 0.5])] * len(low))
-    points = np.concatenate([everywhere, np.clip(around, low, high).reshape(-1, len(low))])
+    """Return points of the domain where strokes reach: a radius apart, and nearer around the start; (N, 3), x first."""
+    ndim = starts.shape[1]
+    offsets = np.concatenate([_lattice([np.arange(-3.0, 4.0)] * ndim), _lattice([np.array([-0.5, 0.0, 0.5])] * ndim)])
+    points = np.clip(starts[:, None] + radii[:, None, None] * offsets, low, high).reshape(-1, ndim)
     made = np.zeros((len(points), 3))
-    made[:, : len(low)] = points
+    made[:, :ndim] = points
     return made
 
 
@@ -354,13 +352,32 @@ def _lattice(axes: Sequence[Floats]) -> Floats:
     return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, len(axes))
 
 
-def _outline(low: Floats, high: Floats, counts: npt.NDArray[np.int_]) -> Floats:
-    """Return points on the edges of a box in the plane, or on the faces of one in space, x first."""
+def _outline(low: Floats, high: Floats, counts: npt.NDArray[np.int_], reached: list[tuple[Floats, Floats]]) -> Floats:
+    """Return points on the edges of a box in the plane, or on the faces of one in space, x first.
+
+    Those that lie within none of the boxes ``reached`` stay where they are: one of them is enough of an edge or a face.
+    """
     axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
     sides = []
     for k, end in itertools.product(range(len(axes)), (0, -1)):
-        sides.append(_lattice([axis[[end]] if i == k else axis for i, axis in enumerate(axes)]))
+        side = [axis[[end]] if i == k else axis for i, axis in enumerate(axes)]
+        moved = np.zeros([len(axis) for axis in side], np.bool_)
+        for first, last in reached:
+            ends = zip(side, first, last, strict=True)
+            moved[tuple(slice(axis.searchsorted(a), axis.searchsorted(b, "right")) for axis, a, b in ends)] = True
+        moved.flat[moved.argmin()] = True
+        sides.append(np.stack([axis[at] for axis, at in zip(side, moved.nonzero(), strict=True)], axis=-1))
     return np.concatenate(sides)
+
+
+def _reached(deformation: Deformation) -> list[tuple[Floats, Floats]]:
+    """Return the corners of boxes, in samples, beyond which no point moves."""
+    n, everywhere = deformation.ndim, np.full(deformation.ndim, np.inf)
+    if deformation.maps:
+        return [(-everywhere, everywhere)]
+    spacing, table = np.array(deformation.domain.spacing), deformation.space.table
+    pivots, reaches = table["pivot"][:, :n], table["reach"][:, None]
+    return list(zip((pivots - reaches) / spacing, (pivots + reaches) / spacing, strict=True))
 
 
 def _rows(name: str, value: npt.ArrayLike, columns: int) -> Floats:

@@ -12,7 +12,8 @@ import numpy as np
 
 from supple.augment.elastic import RandomElastic as Drawing
 from supple.augment.peers import SEEDS, bent_tensor, deformation_of, filter_of, need_library, spacing_of
-from supple.domain import Border
+from supple.domain import Border, choice
+from supple.engines.base import OUTSIDE
 
 need_library("torchio", "TorchIO")
 import torch
@@ -104,6 +105,7 @@ class Elastic(SpatialTransform):
         self.image_interpolation, self.label_interpolation = image_interpolation, label_interpolation
         filter_of("image_interpolation", image_interpolation, _FILTERS)
         filter_of("label_interpolation", label_interpolation, _FILTERS)
+        choice("outside", outside, tuple(OUTSIDE))
         self.args_names = ["recipe", "image_interpolation", "label_interpolation", "outside"]
 
     def apply_transform(self, subject: Subject) -> Subject:

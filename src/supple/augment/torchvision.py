@@ -10,7 +10,8 @@ from typing import Any
 
 from supple.augment.elastic import RandomElastic as Drawing
 from supple.augment.peers import SEEDS, bent_tensor, edged_tensor, filter_of, moved_tensor, need_library
-from supple.domain import Border
+from supple.domain import Border, choice
+from supple.engines.base import OUTSIDE
 from supple.errors import SuppleError
 
 need_library("torchvision", "torchvision")
@@ -62,6 +63,7 @@ class RandomElastic(v2.Transform):
         self.max_displacement, self.radius = self._drawing.max_displacement, self._drawing.radius
         self.strokes, self.border = self._drawing.strokes, self._drawing.border
         self.interpolation = getattr(interpolation, "value", interpolation)
+        choice("outside", outside, tuple(OUTSIDE))
         self.outside = outside
         self._filter = filter_of("interpolation", self.interpolation, _FILTERS)
 

@@ -221,7 +221,7 @@ def _volume(name: str, facts: Mapping[str, Any]) -> str:
     def spoken(numbers: Any) -> str:
         return ", ".join(f"{x:.6g}" for x in numbers)
 
-    convention = facts["convention"]
+    convention, (slope, intercept) = facts["convention"], facts["scaling"]
     lines = {
         "format": facts["format"],
         "size": " x ".join(map(str, facts["shape"])) + (f", {facts['times']} times" if facts["times"] > 1 else ""),
@@ -237,9 +237,9 @@ def _volume(name: str, facts: Mapping[str, Any]) -> str:
         if facts["shear"]:
             lines["axes"] += f", sheared: {facts['shear']:.3g}° from right angles to each other"
     if facts["minimum"] is not None:
-        lines["range"] = f"{facts['minimum']:.6g} to {facts['maximum']:.6g}"
-    if tuple(facts["scaling"]) != (1.0, 0.0):
-        slope, intercept = facts["scaling"]
+        low, high = sorted(slope * facts[end] + intercept for end in ("minimum", "maximum"))
+        lines["range"] = f"{low:.6g} to {high:.6g} {facts.get('unit', '')}".rstrip()
+    if (slope, intercept) != (1.0, 0.0):
         lines["scaling"] = f"{slope:g} times what is stored, and {intercept:g}"
     if facts["nan"]:
         lines["gaps"] = f"{facts['nan']} voxels are not a number"

@@ -51,7 +51,8 @@ def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool]:
             several = True
             inside = _pictures_in(path)
             if not inside:
-                raise SuppleError(f"the folder {shown(name)} holds no pictures: give another, or their names")
+                told = f"the folder {shown(name)} holds no pictures or DICOM slices"
+                raise SuppleError(f"{told}: give another, or their names")
             found += [(p, p.relative_to(path)) for p in inside]
         elif glob.has_magic(name) and not os.path.exists(name):
             several = True

@@ -126,7 +126,7 @@ class LookOptions:
         Number of pictures on a circle around the volume. OUT is then a video (MP4, MOV, MKV, WebM, GIF), or a name
         with a number such as turn-%03d.png.
     rate
-        Frames per second of a turntable video.
+        Frames per second of a turntable video (default: 24).
     what
         Render the picture, or plot how many inversions each ray needed.
     time
@@ -154,7 +154,7 @@ class LookOptions:
     background: Annotated[str | None, Parameter(metavar="#RRGGBB")] = None
     smooth: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 1
     turntable: Annotated[int | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
-    rate: Annotated[str, Parameter(metavar="N", allow_leading_hyphen=True)] = "24"
+    rate: Annotated[str | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
     what: Literal["picture", "inversions"] = "picture"
     time: Annotated[int, Parameter(metavar="K", allow_leading_hyphen=True)] = 0
     device: Literal["auto", "cpu", "gpu"] = "cpu"
@@ -185,7 +185,7 @@ class LookOptions:
             background=None if self.background is None else _colour("--background must be", self.background),
             supersampling=self.smooth,
             turntable=self.turntable,
-            rate=parse_number("--rate", self.rate, "a number of pictures a second"),
+            rate=None if self.rate is None else parse_number("--rate", self.rate, "a number of pictures a second"),
             what=self.what,
             time=self.time,
             device=self.device,

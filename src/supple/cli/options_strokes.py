@@ -12,6 +12,7 @@ from cyclopts import Group, Parameter
 
 from supple.cli.console import current
 from supple.cli.options import parse_number
+from supple.cli.options_volume import COORDINATES
 from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
@@ -324,9 +325,9 @@ def _conventions(found: Sequence[tuple[str, str]]) -> list[str | None]:
         elif option == "--convention" and about:
             if made[-1] is not None:
                 raise SuppleError("a --pull has two --convention: leave out one")
-            if value not in ("LPS", "RAS", "index"):
+            if value.lower() not in COORDINATES:
                 raise SuppleError(f"--convention of a --pull must be LPS, RAS or index, found {value!r}")
-            made[-1] = value
+            made[-1] = COORDINATES[value.lower()]
     return made
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import glob
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import Group, Parameter
+from cyclopts import Group, Parameter, Token, convert
 
 from supple.cli.console import STREAM
 from supple.cli.options import parse_number
@@ -17,6 +18,15 @@ if TYPE_CHECKING:
     from supple.files.volumes import VolumeOptions as Reading
 
 VOLUME = Group("Volumes", sort_key=5)
+COORDINATES = {"lps": "LPS", "ras": "RAS", "index": "index"}
+"""The names of coordinates of points, by how they are spelt in lower case."""
+
+
+def _of_any_case(kind: Any, tokens: Sequence[Token]) -> Any:
+    return convert(kind, [token.evolve(value=COORDINATES.get(token.value.lower(), token.value)) for token in tokens])
+
+
+Coordinates = Annotated[Literal["LPS", "RAS", "index"] | None, Parameter(converter=_of_any_case)]
 
 
 @Parameter(name="*", group=VOLUME)

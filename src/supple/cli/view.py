@@ -9,7 +9,7 @@ from cyclopts import Parameter
 from supple.cli.console import current
 from supple.cli.options import TimeOptions
 from supple.cli.options_strokes import StrokeOptions
-from supple.cli.options_volume import VOLUME, VolumeArguments
+from supple.cli.options_volume import VOLUME, Coordinates, VolumeArguments
 from supple.errors import SuppleError
 
 _STROKES, _TIME, _VOLUME = StrokeOptions(), TimeOptions(), VolumeArguments()
@@ -26,7 +26,7 @@ def view(
     time: TimeOptions = _TIME,
     labels: Annotated[bool, Parameter(group=VOLUME)] = False,
     points: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
-    convention: Annotated[Literal["LPS", "RAS", "index"] | None, Parameter(group=VOLUME)] = None,
+    convention: Annotated[Coordinates, Parameter(group=VOLUME)] = None,
     volume: VolumeArguments = _VOLUME,
 ) -> None:
     """Open a window to bend a picture, video or volume by hand.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
@@ -14,7 +14,7 @@ from supple.cli.console import STREAM, current, say_convention, told, warn_of_so
 from supple.cli.options import RunOptions, VideoOptions
 from supple.cli.options_render import CameraOptions, LookOptions
 from supple.cli.options_strokes import StrokeOptions
-from supple.cli.options_volume import VOLUME, VolumeArguments
+from supple.cli.options_volume import VOLUME, Coordinates, VolumeArguments
 from supple.engines.workers import workers
 from supple.errors import SuppleError
 
@@ -36,7 +36,7 @@ def render(
     strokes: StrokeOptions = _STROKES,
     camera: CameraOptions = _CAMERA,
     look: LookOptions = _LOOK,
-    convention: Annotated[Literal["LPS", "RAS", "index"] | None, Parameter(group=VOLUME)] = None,
+    convention: Annotated[Coordinates, Parameter(group=VOLUME)] = None,
     volume: VolumeArguments = _VOLUME,
     options: RunOptions = _RUN,
 ) -> None:
@@ -95,7 +95,7 @@ def points(
     *,
     on: Annotated[str, Parameter(metavar="FILE")],
     inverse: bool = False,
-    convention: Annotated[Literal["LPS", "RAS", "index"] | None, Parameter()] = None,
+    convention: Coordinates = None,
     strokes: StrokeOptions = _STROKES,
     volume: VolumeArguments = _VOLUME,
     video: VideoOptions = _VIDEO,

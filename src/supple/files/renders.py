@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import warnings
@@ -29,8 +30,9 @@ from supple.render.box import Clip, Plane
 from supple.render.camera import Camera
 from supple.render.colour import are_colours
 from supple.render.labels import LabelColours, labels_in
+from supple.render.picture import Rendering
 from supple.render.scene import MODES, Scene
-from supple.render.transfer import LABELS, SUFFIXES, Transfer, transfer_of
+from supple.render.transfer import HOUNSFIELD, LABELS, SUFFIXES, Transfer, transfer_of
 from supple.strokes import Fit, Recipe
 
 Array = npt.NDArray[Any]
@@ -40,6 +42,7 @@ WHATS = ("picture", "inversions")
 _TABLE = ".ctbl"
 _SAVED = (*SUFFIXES, _TABLE)
 _LABEL_INTENT = 1002  # NIFTI_INTENT_LABEL
+_RATE = 24.0  # pictures a second
 LIGHTLESS = (".png", ".tif", ".tiff", ".webp", ".avif")  # formats that hold opacity
 
 
@@ -83,8 +86,8 @@ class RenderOptions:
         Rays along each side of a pixel.
     turntable : int, optional
         The number of images of a turntable: as a video, or with a number in the name.
-    rate : float
-        Images a second of that video.
+    rate : float, optional
+        Images a second of that video; by default, 24.
     what : str
         ``"picture"``, or ``"inversions"``: the number of evaluations of T⁻¹ along each ray.
     time : int
@@ -115,7 +118,7 @@ class RenderOptions:
     background: tuple[float, float, float] | None = None
     supersampling: int = 1
     turntable: int | None = None
-    rate: float = 24.0
+    rate: float | None = None
     what: str = "picture"
     time: int = 0
     device: str = "cpu"
@@ -144,7 +147,10 @@ class RenderOptions:
         if self.background is not None:
             for value in point("background", self.background, (3,)):
                 number("background", value, "three numbers from 0 to 1", 0.0, 1.0)
-        number("rate", self.rate, "a number of pictures a second above 0", 1e-3, 1e4)
+        if self.rate is not None:
+            number("rate", self.rate, "a number of pictures a second above 0", 1e-3, 1e4)
+            if self.turntable is None:
+                raise SuppleError("rate is that of a turntable's video, and this is one picture: leave it out")
         if self.what == "inversions" and self.turntable:
             raise SuppleError("inversions are drawn as one picture: leave the turntable out")
         if self.what == "inversions" and self.annotate:
@@ -313,7 +319,7 @@ def render_file(
     """
     known, reading = options or RenderOptions(), volume or VolumeOptions()
     suffix = Path(target).suffix.lower()
-    many = known.turntable is not None
+    count = known.turntable or 0
     _check_target(target, suffix, known, force)
     if known.save_transfer is not None:
         _check_transfer(known.save_transfer, force)
@@ -328,10 +334,11 @@ def render_file(
             f"nothing is seen of {given.name}: its values go from {low:g} to {high:g}, and the transfer function and "
             "density leave all of them out: choose others"
         )
-    if known.save_transfer is not None:
-        text = _saved(scene, known.save_transfer, given.name)
-        with replacing(known.save_transfer, force=force) as place:
-            place.write_text(text, encoding="utf-8")
+    if isinstance(known.transfer, str) and known.transfer in HOUNSFIELD and scene.range[0] >= 0:
+        told = f"{known.transfer} is of Hounsfield units, where air is -1000 and water 0"
+        low, high = scene.range
+        text = f"{told}, and the values of {given.name} go from {low:g} to {high:g}: mr-head is of any units"
+        warnings.warn(text, VolumeWarning, stacklevel=2)
     camera = scene.framed(known.camera, known.size)
 
     def marked(pixels: npt.NDArray[np.uint8], seen: Camera) -> npt.NDArray[np.uint8]:
@@ -341,46 +348,65 @@ def render_file(
 
         return annotated(pixels, scene.view(seen, known.size), scene.geometry)
 
-    if not many:
-        picture = scene.render(
-            camera,
-            known.size,
-            supersampling=known.supersampling,
-            tell=lambda rows: tell("render", rows, known.size[0]),
-        )
-        if not picture.light[..., 3].any():
-            told = "what is cut away, or where the camera looks, leaves it out"
-            warnings.warn(f"nothing is seen of {given.name}: {told}", VolumeWarning, stacklevel=3)
-        if known.what == "inversions":
-            from supple.plot.rays import draw_inversions
-
-            inverted = recipe is not None and known.mode == "exact"
-            draw_inversions(picture.samples, target, what="inversions" if inverted else "samples", force=force)
-        else:
-            behind = known.background if suffix in LIGHTLESS else known.background or (0.0, 0.0, 0.0)
-            image.write(target, marked(picture.pixels(behind), camera), force=force)
-        return scene
-    count = known.turntable or 0
-
     def pictures(opaque: bool) -> Iterator[Array]:
         behind = known.background or ((0.0, 0.0, 0.0) if opaque else None)
         for k in range(count):
             # No buffer is filled here, since its progress, which is visible, depends on the machine.
             turned = scene.turned(camera, k, count)
             picture = scene.render(turned, known.size, supersampling=known.supersampling)
+            if k == 0:
+                _warn_of_view(picture, known, given.name)
             yield marked(picture.pixels(behind), turned)
             tell("render", k + 1, count)
 
-    if suffix in turntable.SUFFIXES:
-        turntable.write_turntable(target, pictures(True), known.size, rate=known.rate, force=force)
-        return scene
-    path = Path(target)
-    spell = spelling(path.name, os.fspath(target))
-    check_outputs((path.parent / spell(k) for k in range(count)), force=force)
-    with replacing_all(path.parent, force=force) as folder:
-        for k, pixels in enumerate(pictures(suffix not in LIGHTLESS)):
-            image.write(folder / spell(k), pixels)
+    with _saving_transfer(scene, known, given.name, force):
+        if not count:
+            picture = scene.render(
+                camera,
+                known.size,
+                supersampling=known.supersampling,
+                tell=lambda rows: tell("render", rows, known.size[0]),
+            )
+            _warn_of_view(picture, known, given.name)
+            if known.what == "inversions":
+                from supple.plot.rays import draw_inversions
+
+                inverted = recipe is not None and known.mode == "exact"
+                draw_inversions(picture.samples, target, what="inversions" if inverted else "samples", force=force)
+            else:
+                behind = known.background if suffix in LIGHTLESS else known.background or (0.0, 0.0, 0.0)
+                image.write(target, marked(picture.pixels(behind), camera), force=force)
+        elif suffix in turntable.SUFFIXES:
+            turntable.write_turntable(target, pictures(True), known.size, rate=known.rate or _RATE, force=force)
+        else:
+            path = Path(target)
+            spell = spelling(path.name, os.fspath(target))
+            check_outputs((path.parent / spell(k) for k in range(count)), force=force)
+            with replacing_all(path.parent, force=force) as folder:
+                for k, pixels in enumerate(pictures(suffix not in LIGHTLESS)):
+                    image.write(folder / spell(k), pixels)
     return scene
+
+
+def _warn_of_view(picture: Rendering, known: RenderOptions, name: str) -> None:
+    """Warn of a camera that sees nothing, or nothing else than what it stands in."""
+    if not picture.light[..., 3].any():
+        told = "what is cut away, or where the camera looks, leaves it out"
+        warnings.warn(f"nothing is seen of {name}: {told}", VolumeWarning, stacklevel=4)
+    elif known.projection == "none" and not picture.depth.any():
+        told = "give another distance or target, or cut away what is before it by clip or plane"
+        warnings.warn(f"the camera stands within what is visible of {name}: {told}", VolumeWarning, stacklevel=4)
+
+
+@contextlib.contextmanager
+def _saving_transfer(scene: Scene, known: RenderOptions, name: str, force: bool) -> Iterator[None]:
+    """Write the transfer function that is used; it appears once the block, which writes pictures, is done."""
+    if known.save_transfer is None:
+        yield
+        return
+    with replacing(known.save_transfer, force=force) as place:
+        place.write_text(_saved(scene, known.save_transfer, name), encoding="utf-8")
+        yield
 
 
 def _check_transfer(path: PathLike, force: bool) -> None:
@@ -403,7 +429,7 @@ def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bo
 
         check_annotated(known.size)
     if many and suffix in turntable.SUFFIXES:
-        turntable.check_turntable(target, known.size, known.rate)
+        turntable.check_turntable(target, known.size, known.rate or _RATE)
         check_output(target, force=force)
         return
     if many and not has_number(target):
@@ -411,6 +437,8 @@ def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bo
             f"a turntable is many pictures, and {name} is one: name a video ({', '.join(turntable.SUFFIXES)}) "
             "or a pattern, such as turn-%03d.png"
         )
+    if many and known.rate is not None:
+        raise SuppleError(f"rate is that of a video, and {name} names pictures: leave it out")
     if not many and has_number(target):
         raise SuppleError(f"{name} names many pictures: give --turntable with their number, or a name without one")
     if not many and suffix in turntable.SUFFIXES:

@@ -52,7 +52,7 @@ ONE_FILE = frozenset({".nii", ".nii.gz", ".nrrd", ".mha"})
 _TIFF = (".tif", ".tiff")
 # The test for label maps: the number of slices, and the fraction of equal neighbours beside the background.
 _LOOKED_AT, _AREAS, _MOST_LABELS, _FEW = 16, 0.7, 1024, 8
-_HUGE, _TINY = 2, 0.1  # radii, in the size of a volume and in the distance of its samples, that are in another unit
+_HUGE, _TINY = 2, 1  # radii, in the size of a volume and in the distance of its samples, that are in another unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,8 +148,11 @@ def is_volume_job(
         return True
     told = [stroke.ndim for stroke in recipe.strokes[:1]] + [each.map.ndim for each in maps[:1]]
     solid = 3 in told or (grid is not None and grid.ndim == 3)
-    if suffix_of(source) in _TIFF and not os.path.isdir(source):
-        return (solid or suffix_of(target) in set(SUFFIXES_OUT) - set(_TIFF)) and has_pages(source)
+    volumes = suffix_of(target) in set(SUFFIXES_OUT) - set(_TIFF)
+    if os.path.isdir(source):
+        return is_volume(source) or (volumes and not any(inner or files for _, inner, files in os.walk(source)))
+    if suffix_of(source) in _TIFF:
+        return (solid or volumes) and has_pages(source)
     return is_volume(source)
 
 
@@ -231,7 +234,7 @@ def deformation_of(
 
 
 def warn_of_lengths(recipe: Recipe, grid: Grid, name: str, unit: str) -> None:
-    """Warn of a radius that is in another unit, most likely: larger than the whole, or much smaller than a sample."""
+    """Warn of a radius that is in another unit, most likely: larger than the whole, or smaller than a sample."""
     size = np.multiply(grid.sizes, grid.spacing)
     for stroke in recipe.strokes:
         if stroke.radius > _HUGE * max(size):
@@ -429,6 +432,9 @@ def check_volume_target(source: PathLike, target: PathLike, options: VolumeOptio
         check_output(options.save_field, force=force)
         if os.path.realpath(options.save_field) in (os.path.realpath(target), os.path.realpath(source)):
             raise SuppleError(f"{shown(options.save_field)} cannot be the field and a volume too: give it another name")
+        if Path(os.path.realpath(target)) in Path(os.path.realpath(options.save_field)).parents:
+            told = f"{shown(options.save_field)} is within {shown(target)}, a folder that is for slices alone"
+            raise SuppleError(f"{told}: write the field elsewhere")
 
 
 def _warn_of_gaps(volume: Volume, filter: str) -> None:

@@ -74,7 +74,8 @@ def pictures_in(folder: Path) -> list[Path]:
     """Return the images of a folder, the 9th before the 10th."""
     names = [n for n in _names_in(folder) if Path(n).suffix.lower() in SUFFIXES and os.path.isfile(folder / n)]
     if not names:
-        raise SuppleError(f"the folder {shown(folder)} holds no pictures: give another, or a pattern such as %05d.png")
+        told = f"the folder {shown(folder)} holds no pictures or DICOM slices"
+        raise SuppleError(f"{told}: give another, or a pattern such as %05d.png")
     return [folder / name for name in sorted(names, key=_natural)]
 
 

@@ -146,16 +146,16 @@ def seen_through(
         table = np.concatenate([grey, np.ones((ENTRIES, 1))], axis=1).astype(np.float32)
         return known | {"_table": table, "_threshold": -math.inf}
     table = transfer.table(low, high, step)
-    values_ = np.linspace(low, high, ENTRIES)
-    seen = (table[:, 3] > 0) & (values_ >= window[0]) & (values_ <= window[1])
-    # Halfway to the last invisible entry, since entries are rounded.
+    # An entry is that of all values which are rounded to it, up to halfway to the next.
+    values_, half = np.linspace(low, high, ENTRIES), 0.5 * (high - low) / (ENTRIES - 1)
+    seen = (table[:, 3] > 0) & (values_ + half >= window[0]) & (values_ - half <= window[1])
     first = int(np.argmax(seen)) if seen.any() else 0
     if not seen.any():
         threshold = math.inf
     elif first == 0:
         threshold = -math.inf if window[0] <= low else window[0]
     else:
-        threshold = max(window[0], float(values_[first]) - 0.5 * (high - low) / (ENTRIES - 1))
+        threshold = max(window[0], float(values_[first]) - half)
     return known | {"_table": table, "_threshold": threshold}
 
 

@@ -298,6 +298,9 @@ PRESETS = {
     ),
 }
 
+HOUNSFIELD = tuple(name for name in PRESETS if name.startswith("ct-"))
+"""The presets of Hounsfield units."""
+
 
 def transfer_of(name: str | os.PathLike[str]) -> Transfer:
     """Return a preset by its name, or a transfer function or a colour table from a file."""

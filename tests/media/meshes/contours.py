@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pydicom
 
-from tests.media.meshes.made import Floats
+Floats = npt.NDArray[np.float64]
 
 
 def circle(z: float, count: int = 24) -> Floats:

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import vtk
-from vtk.util.numpy_support import numpy_to_vtk, vtk_to_numpy
+import pytest
 
+vtk = pytest.importorskip("vtk")
+support = pytest.importorskip("vtk.util.numpy_support")
 Floats = npt.NDArray[np.float64]
 
 KINDS = (
@@ -29,7 +30,7 @@ def surface(centre: tuple[float, float, float] = (0, 0, 0), radius: float = 1.0)
     source.Update()
     made = source.GetOutput()
     for data, count in ((made.GetPointData(), made.GetNumberOfPoints()), (made.GetCellData(), made.GetNumberOfCells())):
-        array = numpy_to_vtk(np.arange(count, dtype=np.float32) / 7, deep=1)
+        array = support.numpy_to_vtk(np.arange(count, dtype=np.float32) / 7, deep=1)
         array.SetName("thickness")
         data.AddArray(array)
     said = vtk.vtkStringArray()
@@ -93,12 +94,12 @@ def read(path: Path) -> Any:
 
 
 def points(mesh: Any) -> Floats:
-    return np.asarray(vtk_to_numpy(mesh.GetPoints().GetData()), np.float64)
+    return np.asarray(support.vtk_to_numpy(mesh.GetPoints().GetData()), np.float64)
 
 
 def normals(mesh: Any) -> Floats | None:
     found = mesh.GetPointData().GetNormals()
-    return None if found is None else np.asarray(vtk_to_numpy(found), np.float64)
+    return None if found is None else np.asarray(support.vtk_to_numpy(found), np.float64)
 
 
 def faces(mesh: Any) -> list[list[int]]:
@@ -113,5 +114,5 @@ def arrays(mesh: Any) -> dict[str, list[float]]:
         for k in range(data.GetNumberOfArrays()):
             array = data.GetArray(k)
             if array.GetName() != "Normals":
-                made[f"{kind} {array.GetName()}"] = vtk_to_numpy(array).ravel().tolist()
+                made[f"{kind} {array.GetName()}"] = support.vtk_to_numpy(array).ravel().tolist()
     return made

@@ -156,12 +156,27 @@ class TestObj:
         wanted = OBJ.replace("v  1.50\t0 0 #", "v  1.50\t0 0.25 #").replace("vn 0 0 1", text)
         assert (tmp_path / "out.obj").read_bytes().decode() == wanted.replace("\n", "\r\n")
 
+    @pytest.mark.parametrize("end", ["\n", "\r\n"])
+    def test_statements_go_on_after_a_backslash(self, tmp_path: Path, end: str) -> None:
+        text = "# in C:\\head\\\nv 0 0 0\nv 1 \\\n 0 0 # of D:\\\nv 0 1 0\nvn 0 0 1\n"
+        text += "f 1//1 \\\n 2//1 \\\n3//1 # a/b/c\n"
+        read = opened(written(tmp_path / "in.obj", text.replace("\n", end)))
+        assert read.points.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+        assert read.normals_at.tolist() == [0, 1, 2]
+        assert read.parts()[0].triangles.tolist() == [[0, 1, 2]]
+        write_points(tmp_path / "out.obj", read.points + [0, 0.5, 0] * (read.points[:, :1] > 0), read)
+        wanted = text.replace(" 0 0 # of", " 0.5 0 # of").replace("\n", end)
+        assert (tmp_path / "out.obj").read_bytes().decode() == wanted
+
     def test_what_is_wrong_names_its_line(self, tmp_path: Path) -> None:
         path = tmp_path / "bad.obj"
         assert refused(path, "v 1 2\n").startswith("line 1: a vertex or normal has fewer than three numbers")
         assert refused(path, "v 1 2 3\ncurv 0 1 1 1\n").startswith("line 2: it has free-form curves or surfaces")
         assert refused(path, "v 1 2 3\nvn 0 0 1\nf 1//2 1//1 1//1\n").startswith("a face has normal 2 of 1")
         assert refused(path, "v 1 2 3\nvn 0 0 1\nf 1//x 1//1 1//1\n").startswith("line 3: 1//x is no corner")
+        for face in ("0//1 1//1", "1//0 1//1", "1/0/1 1//1", "1 0", "1 1 00 # all"):
+            text = f"v 1 \\\n2 3\nvn 0 0 1\nf 1//1 {face}\n"
+            assert refused(path, text).startswith("line 4: an index is 0, and the first one is 1")
         assert "'a' is no number" in refused(path, "v 1 2 a\n")
         assert refused(path, "f 1 2 3\n").startswith("it holds no vertices")
 

@@ -1,5 +1,6 @@
 """Derived series of DICOM slices, read back by pydicom, ITK and Supple."""
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 import supple
-from supple.errors import SuppleError
+from supple.cli.describe import describe
+from supple.errors import SuppleError, VolumeWarning
 from supple.files.grids import GridOptions
 from supple.files.volumes import VolumeOptions
 from supple.media.volume import read, write
@@ -116,6 +118,37 @@ def test_values_that_do_not_fit_get_more_bits(tmp_path: Path, dtype: str, low: i
     np.testing.assert_array_equal(read(tmp_path / "out").samples, samples)
 
 
+@pytest.mark.parametrize(
+    ("dtype", "padding", "slopes", "wanted"),
+    [
+        ("u2", 7, (1, 1), ("SS", 7)),  # values below 0 are written, so that pixels get a sign
+        ("u2", 65535, (1, 1), None),
+        ("u2", 7, (1, 2), None),  # each slice gets a slope of its own
+        ("i2", -2000, (1, 1), ("SS", -2000)),
+    ],
+)
+def test_padding_has_the_type_of_pixels(tmp_path: Path, dtype, padding, slopes, wanted) -> None:
+    def edit(head, k):
+        head.add_new("PixelPaddingValue", "SS" if dtype == "i2" else "US", padding)
+        head.RescaleSlope, head.RescaleIntercept = str(slopes[k % 2]), "0"
+
+    before = read(source(tmp_path / "in", noise(dtype, *SHAPE) % 3000, edit))
+    samples = before.samples.astype("f4" if before.samples.dtype.kind == "f" else "i4")
+    samples[:, 2, 3] = -100
+    write(tmp_path / "out", samples, before)
+    for head in heads_of(tmp_path / "out"):
+        assert head.PixelRepresentation == 1
+        found = head.get_item("PixelPaddingValue") and head["PixelPaddingValue"]
+        assert (found and (found.VR, found.value)) == wanted
+
+
+@pytest.mark.parametrize(("known", "wanted"), [(7, 1007), (2**31 - 2, 2**31 - 1002), (-(2**31), -(2**31) + 1000)])
+def test_numbers_of_series_stay_in_their_range(tmp_path: Path, known: int, wanted: int) -> None:
+    before = read(source(tmp_path / "in", noise("i2", *SHAPE), lambda head, k: setattr(head, "SeriesNumber", known)))
+    write(tmp_path / "out", before.samples, before)
+    assert {head.SeriesNumber for head in heads_of(tmp_path / "out")} == {wanted}
+
+
 def test_colours(tmp_path: Path) -> None:
     def edit(head, k):
         head.SamplesPerPixel, head.PhotometricInterpretation, head.PlanarConfiguration = 3, "RGB", 0
@@ -163,9 +196,24 @@ def test_a_dose_is_in_gray(tmp_path: Path) -> None:
     path = SAMPLES / "rtdose.dcm"
     known, head = read(path), pydicom.dcmread(path)
     np.testing.assert_allclose(known.rescaled(), head.pixel_array * float(head.DoseGridScaling), rtol=1e-12)
+    still = Recipe(strokes=(Stroke.grab((2, 2, 2), by=(0, 0, 0), radius=6),))
     for name in ("out.nrrd", "out.nii.gz"):
-        supple.warp_file(path, tmp_path / name, STILL)
+        supple.warp_file(path, tmp_path / name, still)
         np.testing.assert_allclose(read(tmp_path / name).rescaled(), known.rescaled(), rtol=1e-6)
+    for unit, told in (("GY", "Gy"), ("RELATIVE", "")):
+        head.DoseUnits = unit
+        head.save_as(tmp_path / "dose.dcm")
+        facts, text = describe(str(tmp_path / "dose.dcm"))
+        assert facts["unit"] == told
+        span = f"{known.rescaled().min():.6g} to {known.rescaled().max():.6g} {told}".rstrip()
+        assert f"  range       {span}\n" in text
+
+
+def test_a_radius_below_a_voxel_is_told(tmp_path: Path) -> None:
+    before = source(tmp_path / "in", noise("i2", *SHAPE))
+    thin = Recipe(strokes=(Stroke.grab((2, 2, 2), by=(0, 0, 0), radius=0.9 * min(SPACING)),))
+    with pytest.warns(VolumeWarning, match=r"is 0\.9 times the distance between samples of .*: lengths are in mm"):
+        supple.warp_file(before, tmp_path / "out", thin)
 
 
 def test_another_grid(tmp_path: Path) -> None:
@@ -195,13 +243,20 @@ class TestRefused:
     def test_folders_that_hold_something(self, tmp_path: Path) -> None:
         folder = source(tmp_path / "in", noise("i2", *SHAPE))
         before = {path: path.read_bytes() for path in folder.iterdir()}
-        for force in (False, True):
+        for force, named in itertools.product((False, True), (folder, next(iter(before)))):
             with pytest.raises(SuppleError, match="is not empty, and a series gets a folder of its own"):
-                supple.warp_file(folder, folder, STILL, force=force)
+                supple.warp_file(named, folder, STILL, force=force)
         assert before == {path: path.read_bytes() for path in folder.iterdir()}
         (tmp_path / "empty").mkdir()
         supple.warp_file(folder, tmp_path / "empty", STILL)
         assert len(list((tmp_path / "empty").iterdir())) == SHAPE[0]
+
+    def test_a_field_among_the_slices(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        folder, made = source(tmp_path / "in", noise("i2", *SHAPE)), tmp_path / "out"
+        made.mkdir()
+        monkeypatch.setattr("supple.files.volumes.open_volume", lambda *_: pytest.fail("it was read"))
+        with pytest.raises(SuppleError, match=r"is within .*, a folder that is for slices alone: write the field else"):
+            supple.warp_file(folder, made, BENT, volume=VolumeOptions(save_field=made / "field.h5"))
 
     def test_other_sources(self, tmp_path: Path) -> None:
         folder = source(tmp_path / "in", noise("i2", *SHAPE))

@@ -17,7 +17,7 @@ from supple.errors import SuppleError, VolumeWarning, shown
 from supple.media.files import PathLike, unreadable
 from supple.media.meshes.base import Floats, Mesh, checked
 from supple.media.meshes.cells import Part, joined, part_of
-from supple.media.volume.derived import AFTER, WARNING, ended, imported
+from supple.media.volume.derived import WARNING, ended, imported, series_number
 
 _STRUCTURES = "1.2.840.10008.5.1.4.1.1.481.3"
 _FLAT = 0.01  # mm: the farthest that the points of a planar contour lie from their plane
@@ -63,12 +63,9 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
             if (new != old).any():
                 off.append(_move(contour, new, old, pydicom.valuerep.DSfloat))
         if bent := [far for far in off if far]:
-            text = (
-                f"{len(bent)} of {len(ends)} contours of {name} are no longer in a plane (by up to {max(bent):.2g} mm)"
-            )
-            warnings.warn(
-                f"{text}: they are written as open contours that end where they begin", VolumeWarning, stacklevel=4
-            )
+            text = f"{len(bent)} of {len(ends)} contours of {name} leave their planes, by up to {max(bent):.2g} mm"
+            told = "closed ones stay CLOSED_PLANAR, and a program may take each for flat"
+            warnings.warn(f"{text}: {told}", VolumeWarning, stacklevel=4)
         held = io.BytesIO()
         try:
             _renew(made, pydicom)
@@ -118,7 +115,10 @@ def _parts(path: PathLike, dataset: Any, count: int) -> list[Part]:
 
 
 def _move(contour: Any, new: Floats, old: Floats, decimal: Any) -> float:
-    """Move a contour; return how far its points now lie from a plane if they are no longer in one, otherwise 0."""
+    """Move a contour; return how far its points now lie from a plane if they are no longer in one, otherwise 0.
+
+    DICOM has open contours out of a plane, and no closed ones; programs fill what is closed, and leave out the rest.
+    """
     for name in _STALE:
         if name in contour:
             delattr(contour, name)
@@ -129,11 +129,8 @@ def _move(contour: Any, new: Floats, old: Floats, decimal: Any) -> float:
     ]
     kind = str(contour.get("ContourGeometricType", ""))
     off = _off_plane(new) if kind in ("CLOSED_PLANAR", "OPEN_PLANAR", "CLOSEDPLANAR_XOR") else 0.0
-    if off > _FLAT:
-        if kind != "OPEN_PLANAR":
-            values += values[:3]
+    if off > _FLAT and kind == "OPEN_PLANAR":
         contour.ContourGeometricType = "OPEN_NONPLANAR"
-        contour.NumberOfContourPoints = len(values) // 3
     contour.ContourData = values
     return off if off > _FLAT else 0.0
 
@@ -160,7 +157,7 @@ def _renew(made: Any, pydicom: Any) -> None:
     now = datetime.datetime.now()
     made.PredecessorStructureSetSequence = [source]
     made.SOPInstanceUID, made.SeriesInstanceUID = (pydicom.uid.generate_uid(prefix=None) for _ in range(2))
-    made.SeriesNumber = int(made.get("SeriesNumber") or 0) + AFTER
+    made.SeriesNumber = series_number(made)
     made.SeriesDescription = ended(str(made.get("SeriesDescription") or ""), f"bent, {WARNING}")
     made.StructureSetDescription = f"Bent by Supple, a non-rigid deformation. {WARNING}"
     made.StructureSetDate = made.InstanceCreationDate = now.strftime("%Y%m%d")

@@ -299,6 +299,7 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
     Returns
     -------
     dict
+        ``unit`` (of a dose: that of scaled values),
         ``format``, ``shape`` (x, y, z), ``dtype``, ``components``, ``times``, ``interval`` (s), ``spacing`` (mm),
         ``origin`` and ``direction`` (rows; in the file's own ``convention``), ``orientation`` (axis directions:
         Right or Left, Anterior or Posterior, Superior or Inferior), ``oblique`` (degrees off that), ``shear`` (degrees
@@ -325,6 +326,11 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
     volume = read(path, raw=raw, series=series)
     samples, geometry = volume.samples, volume.geometry
     low, high, nans = _range(samples) if samples.nbytes <= _QUICK else (None, None, None)
+    unit = {}
+    if volume.format == "DICOM" and volume.scaling != (1.0, 0.0):
+        from supple.media.volume import dicom
+
+        unit = {"unit": dicom.dose_unit(volume.header if isinstance(volume.header, str) else volume.header[0])}
     flip = np.array([-1, -1, 1] if geometry.convention == "RAS" else [1, 1, 1])
     return {
         "format": volume.format,
@@ -341,6 +347,7 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
         "oblique": geometry.oblique,
         "shear": geometry.shear,
         "scaling": list(volume.scaling),
+        **unit,
         "minimum": low,
         "maximum": high,
         "nan": nans,

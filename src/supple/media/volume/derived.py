@@ -25,7 +25,8 @@ SUFFIXES = ("", ".dcm")
 WARNING = "NOT FOR DIAGNOSIS"
 _GROUPS = "PerFrameFunctionalGroupsSequence"
 _LONGEST = 64  # characters of a description (VR LO)
-AFTER = 1000  # a derived series has this number more than its source
+_AFTER = 1000  # a derived series has this number more than its source
+_PADDING = ("PixelPaddingValue", "PixelPaddingRangeLimit")
 # What is of the source's pixels, and not of the new ones.
 _STALE = (
     "SmallestImagePixelValue", "LargestImagePixelValue", "SmallestPixelValueInSeries", "LargestPixelValueInSeries",
@@ -202,7 +203,7 @@ def _derived(pydicom: Any, head: Any, common: tuple[Any, datetime.datetime]) -> 
     source.ReferencedSOPClassUID, source.ReferencedSOPInstanceUID = head.SOPClassUID, head.SOPInstanceUID
     source.PurposeOfReferenceCodeSequence = [_code(pydicom, "121322", "Source image for image processing operation")]
     made.SOPInstanceUID, made.SeriesInstanceUID = pydicom.uid.generate_uid(prefix=None), uid
-    made.SeriesNumber = int(head.get("SeriesNumber") or 0) + AFTER
+    made.SeriesNumber = series_number(head)
     made.SeriesDescription = ended(str(head.get("SeriesDescription") or ""), f"bent, {WARNING}")
     made.ImageType = ["DERIVED", "SECONDARY", *list(head.get("ImageType") or ())[2:]]
     made.DerivationDescription = f"Bent by Supple {__version__}, a non-rigid deformation. {WARNING}"
@@ -221,6 +222,12 @@ def _code(pydicom: Any, value: str, meaning: str) -> Any:
     made = pydicom.Dataset()
     made.CodeValue, made.CodingSchemeDesignator, made.CodeMeaning = value, "DCM", meaning
     return made
+
+
+def series_number(head: Any) -> int:
+    """Return the number of what is derived from a series, other than its own, and of 32 bits (VR IS)."""
+    known = int(head.get("SeriesNumber") or 0)
+    return known + (_AFTER if known + _AFTER < 1 << 31 else -_AFTER)
 
 
 def ended(text: str, end: str) -> str:
@@ -320,13 +327,14 @@ def _set_pixels(made: Any, slab: Array, scale: tuple[float, float] | None) -> tu
         made.PhotometricInterpretation, made.PlanarConfiguration = "RGB", 0
     else:
         if made.get("PhotometricInterpretation") == "MONOCHROME1":  # GDCM has inverted its values
-            for name in ("WindowCenter", "WindowWidth", "VOILUTSequence", "PresentationLUTShape"):
+            for name in ("WindowCenter", "WindowWidth", "VOILUTSequence", "PresentationLUTShape", *_PADDING):
                 if name in made:
                     delattr(made, name)
         made.PhotometricInterpretation = "MONOCHROME2"
     stored, (slope, intercept) = _stored(made, slab, scale)
     if colours == 1 and not made.get(_GROUPS) and ("RescaleSlope" in made or (slope, intercept) != (1, 0)):
         made.RescaleSlope, made.RescaleIntercept = f"{slope:.10g}", f"{intercept:.10g}"
+    _set_padding(made, stored.dtype.kind, scale == (slope, intercept))
     made.PixelRepresentation = int(stored.dtype.kind == "i")
     bits = 8 * stored.dtype.itemsize
     if made.get("BitsAllocated") != bits or not _fits(stored, int(made.BitsStored), stored.dtype.kind):
@@ -335,6 +343,18 @@ def _set_pixels(made: Any, slab: Array, scale: tuple[float, float] | None) -> tu
     data = np.ascontiguousarray(stored, stored.dtype.newbyteorder("<")).tobytes()
     made.add_new("PixelData", "OB" if bits == 8 else "OW", data + b"\0" * (len(data) % 2))
     return slope, intercept
+
+
+def _set_padding(made: Any, kind: str, alike: bool) -> None:
+    """Keep the stored values that stand for no pixel, in the type that pixels get, where they still mean the same."""
+    if alike and made.get("PixelRepresentation", 0) == int(kind == "i"):
+        return
+    for name in _PADDING:
+        value = made.get(name)
+        if name in made:
+            delattr(made, name)
+        if alike and value is not None and _fits(np.array(value), 16, kind):
+            made.add_new(name, "SS" if kind == "i" else "US", value)
 
 
 def _fits(values: Array, bits: int, kind: str) -> bool:

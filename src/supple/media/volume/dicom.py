@@ -21,7 +21,8 @@ from supple.media.volume.frames import frames_of
 from supple.media.volume.itk import check_voxels, failing, geometry_of, imported, silence
 
 _UID, _NUMBER, _TEXT, _PIXEL_SPACING = "0020|000e", "0020|0011", "0008|103e", "0028|0030"
-_THICKNESS, _BETWEEN, _BITS, _DOSE = "0018|0050", "0018|0088", "0028|0100", "3004|000e"
+_THICKNESS, _BETWEEN, _BITS = "0018|0050", "0018|0088", "0028|0100"
+_DOSE, _DOSE_UNITS = "3004|000e", "3004|0002"
 _SUFFIXES = {".dcm", ".dicom", ".ima"}
 _ASIDE = 0.25  # of a pixel: the largest sideways offset of slices
 _ALONG = 0.1  # of a step: the largest deviation from even steps
@@ -279,6 +280,12 @@ def _dose(path: PathLike, reader: Any) -> tuple[float, float]:
             path, f"its dose grid scaling is {shown(text)}, and not a number above 0", "correct its header"
         )
     return scale, 0.0
+
+
+def dose_unit(path: PathLike) -> str:
+    """Return the unit of a scaled dose: Gy, or nothing for one that is relative."""
+    reader = _reader(imported(), os.fspath(path))
+    return "Gy" if reader is not None and _tag(reader, _DOSE_UNITS).upper() == "GY" else ""
 
 
 def _narrowed(samples: Array, readers: list[Any]) -> Array:

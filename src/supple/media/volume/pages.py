@@ -167,7 +167,8 @@ def check(path: PathLike, like: Volume, dtype: np.dtype[Any]) -> None:
     if like.series:
         raise unwritable(path, "a TIFF holds one volume, and this is a series", "write NIfTI or NRRD")
     if dtype.name not in {np.dtype(known).name for known in DTYPES.values()} - {"float64"}:
-        raise unwritable(path, f"TIFF takes no {dtype} values", "write NIfTI or NRRD, or use float32")
+        advice = "write NIfTI or NRRD, or convert to float32 first"
+        raise unwritable(path, f"a TIFF of slices holds no {dtype} values, as ImageJ reads none", advice)
     width, height, depth = like.sizes
     if max(width, height * depth) > TIFF.limit:
         what = f"TIFF ends at {TIFF.limit} rows, and the volume has {height} in each of {depth} slices"

@@ -281,11 +281,14 @@ def show(
         _ask_before_closing(canvas, made)
     else:
         qt.attend(canvas, made)
-    loop.run()
-    if canvas.get_closed():  # if a loop is running, as in a notebook with Qt, the window stays
-        if toolkit == "qt":
-            qt.settle(made)  # what ends later would call a Qt that is gone
-        made.close()
+    from supple.viewer.window.window import closed_by_signals
+
+    with closed_by_signals(loop):
+        loop.run()
+        if canvas.get_closed():  # if a loop is running, as in a notebook with Qt, the window stays
+            if toolkit == "qt":
+                qt.settle(made)  # what ends later would call a Qt that is gone
+            made.close()
     return made
 
 

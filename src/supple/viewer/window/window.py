@@ -1,4 +1,4 @@
-"""The window: its events, its images, and the time of the next one; Ctrl+C closes it between frames."""
+"""The window: its events, its images, and the time of the next one; signals close it between frames."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ FILLING = 0.004  # seconds of each frame for filling a volume's buffer
 ANSWERED = 0.1  # seconds after an event until a panel has reacted
 FOLLOWED = 0.1  # seconds within which the controls follow a drag
 HINTED = 0.3  # and until it shows a hint under a resting pointer
+_ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 HINTS = 4  # frames for a hint: it is measured in the first that has it, and seen in the next
 
 
@@ -67,19 +68,39 @@ class Waking:
 
 @contextlib.contextmanager
 def unbroken() -> Iterator[None]:
-    """Delay Ctrl+C until the end of a frame, so that it has a canvas."""
-    before = signal.getsignal(signal.SIGINT)
-    if not callable(before) or threading.current_thread() is not threading.main_thread():
+    """Delay Ctrl+C, and what terminates, until the end of a frame, so that it has a canvas."""
+    with _held((signal.SIGINT, *_ENDS), lambda: None):
         yield
-        return
-    came: list[Any] = []
-    signal.signal(signal.SIGINT, lambda number, frame: came.append(frame))
+
+
+@contextlib.contextmanager
+def closed_by_signals(loop: Any) -> Iterator[None]:
+    """Close the windows of a loop when the process is asked to terminate, and end as it does without windows."""
+    # rendercanvas hears Ctrl+C alone, and logs what is raised in a frame.
+    with _held(_ENDS, loop.stop):
+        yield
+
+
+@contextlib.contextmanager
+def _held(numbers: tuple[int, ...], heard: Callable[[], None]) -> Iterator[None]:
+    """Call a function for signals that have a handler, and the handler once the block is done."""
+    main = threading.current_thread() is threading.main_thread()
+    before = {n: handler for n in numbers if main and callable(handler := signal.getsignal(n))}
+    came: dict[int, Any] = {}
+
+    def hear(number: int, frame: Any) -> None:
+        came[number] = frame
+        heard()
+
+    for number in before:
+        signal.signal(number, hear)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
-        if came:
-            before(signal.SIGINT, came[0])
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number, frame in came.items():
+            before[number](number, frame)
 
 
 class Window(View):
