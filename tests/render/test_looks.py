@@ -14,6 +14,7 @@ import supple
 from supple.cli import command
 from supple.errors import SuppleError
 from supple.files.renders import RenderOptions, render_file
+from supple.files.volumes import open_volume
 from supple.geometry import Geometry
 from supple.media import image
 from supple.render.appearance import largest
@@ -257,3 +258,15 @@ def test_the_largest_part_is_of_what_is_seen() -> None:
     assert (made[2:8, 2:8, 2:8] != -700).all()
     assert (made[2:10, 2:12, 28:36] == -700).all()
     assert (made[8:18, 2:14, 2:10] == 40).all()
+
+
+def test_windows_of_values_are_whole_at_the_default_step() -> None:
+    """What lies between two samples is seen, however narrow the window."""
+    whole = open_volume(Path(supple.__file__).parent / "examples" / "data" / "head.nii.gz")
+    for density, least in ((None, 43.0), ((60.0, 120.0), 36.0), ((90.0, 110.0), 29.0), ((100.0, 104.0), 27.0)):
+        made = []
+        for step in (None, 0.2):
+            scene = Scene(whole.samples, whole.geometry, transfer="mr-head", density=density, step=step)
+            camera = scene.framed(Camera(40, 20), (200, 200))
+            made.append(scene.render(camera, (200, 200)).pixels((0.0, 0.0, 0.0)).astype(np.float64))
+        assert 10 * np.log10(255**2 / np.mean((made[0] - made[1]) ** 2)) > least
