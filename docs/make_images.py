@@ -143,6 +143,81 @@ def looks(folder: Path) -> None:
     side_by_side(folder / "looks.webp", pictures, 3)
 
 
+def beside_vtk(folder: Path) -> None:
+    """The head, cut open, in a window of values, and with shadows: above as Supple draws it, below as VTK does."""
+    whole, size = open_volume(DATA / "head.nii.gz"), (300, 300)
+    made: list[tuple[Camera, dict[str, Any]]] = [
+        (Camera(38, 12), {}),
+        (Camera(30, 25), {"clip": ((None, None), (None, 70), (None, 60))}),
+        (Camera(40, 20), {"density": (90, 110)}),
+        (Camera(-48, 8), {"shadows": 1.0}),
+    ]
+    ours, theirs = [], []
+    for camera, options in made:
+        scene = Scene(whole.samples, whole.geometry, transfer="mr-head", **options)
+        camera = scene.framed(camera, size)
+        ours.append(shown(scene.render(camera, size).pixels((1.0, 1.0, 1.0)), 1.0))
+        theirs.append(shown(by_vtk(scene, camera, size), 1.0))
+    side_by_side(folder / "beside-vtk.webp", [*ours, *theirs], len(made))
+
+
+def by_vtk(scene: Scene, camera: Camera, size: tuple[int, int]) -> image.Array:
+    """Return what VTK's ray caster on the processor draws by default, shaded, with the same camera and colours."""
+    import vtk
+    from vtk.util.numpy_support import numpy_to_vtk, vtk_to_numpy
+
+    data = vtk.vtkImageData()
+    data.SetDimensions(*scene.shape[::-1])
+    data.SetSpacing(*scene.geometry.spacing)
+    data.GetPointData().SetScalars(numpy_to_vtk(scene.samples.ravel(), deep=True))
+    mapper = vtk.vtkFixedPointVolumeRayCastMapper()
+    mapper.SetInputData(data)
+    mapper.SetNumberOfThreads(2)
+    mapper.IntermixIntersectingGeometryOff()
+    for k, (low, high) in enumerate(scene.clip):
+        last = scene.shape[2 - k] - 1
+        for place, way in ((low, 1.0), (high, -1.0)):
+            if 0 < place < last:
+                plane = vtk.vtkPlane()
+                plane.SetOrigin(*([place * s for s in scene.geometry.spacing]))
+                plane.SetNormal(*(way if j == k else 0.0 for j in range(3)))
+                mapper.AddClippingPlane(plane)
+    (low, high), (bottom, top) = scene.range, scene.density
+    known = scene.transfer if bottom == -np.inf else scene.transfer.within((bottom, top), low, high)  # type: ignore[union-attr]
+    colours, opacity = vtk.vtkColorTransferFunction(), vtk.vtkPiecewiseFunction()
+    for value, red, green, blue, alpha in known.points:  # type: ignore[union-attr]
+        place = low + value * (high - low)
+        colours.AddRGBPoint(place, red, green, blue)
+        opacity.AddPoint(place, alpha)
+    look, actor = vtk.vtkVolumeProperty(), vtk.vtkVolume()
+    look.SetColor(colours)
+    look.SetScalarOpacity(opacity)
+    look.ShadeOn()
+    look.SetInterpolationTypeToLinear()
+    actor.SetMapper(mapper)
+    actor.SetProperty(look)
+    renderer, window = vtk.vtkRenderer(), vtk.vtkRenderWindow()
+    renderer.AddVolume(actor)
+    renderer.SetBackground(1, 1, 1)
+    window.SetOffScreenRendering(1)
+    window.SetSize(size[1], size[0])
+    window.AddRenderer(renderer)
+    view, seat = scene.view(camera, size), renderer.GetActiveCamera()
+    eye = view.eye * view.spacing
+    seat.SetPosition(*eye)
+    seat.SetFocalPoint(*(eye + 100 * view.ahead))
+    seat.SetViewUp(*-view.packed[4])
+    seat.SetViewAngle(camera.field_of_view)
+    renderer.ResetCameraClippingRange()
+    window.Render()
+    taken = vtk.vtkWindowToImageFilter()
+    taken.SetInput(window)
+    taken.ReadFrontBufferOff()
+    taken.Update()
+    pixels = vtk_to_numpy(taken.GetOutput().GetPointData().GetScalars())
+    return np.ascontiguousarray(pixels.reshape(*size, -1)[::-1, :, :3])
+
+
 def shadows(folder: Path) -> None:
     """The head as it is, and with a dent, without and with shadows."""
     whole, size = open_volume(DATA / "head.nii.gz"), (360, 360)
@@ -412,6 +487,7 @@ def main() -> None:
     cut_open(folder)
     marked(folder)
     looks(folder)
+    beside_vtk(folder)
     shadows(folder)
     meshes(folder)
     rendered(paper, "iterations").pngsave(folder / "iterations.png", palette=True, keep="none")
