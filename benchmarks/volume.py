@@ -28,7 +28,6 @@ from supple.render.transfer import PRESETS
 Array = npt.NDArray[Any]
 
 DATA = Path(supple.__file__).parent / "examples" / "data"
-DATA = Path(supple.__file__).parent / "examples" / "data"
 FACE = Geometry(direction=np.diag([-1.0, -1.0, 1.0]), convention="RAS")
 CAMERA = Camera(30, 10)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from scipy import ndimage
 
 import supple
+from supple.files.renders import RenderOptions, render_file
 from supple.geometry import Geometry
 from supple.render.appearance import cropped, lamp
 from supple.render.box import box_of
@@ -19,6 +21,7 @@ from supple.render.camera import Camera
 from supple.render.scene import MODES, Scene
 from supple.render.transfer import TransferFunction
 from tests.children import ROOT
+from tests.render.test_files import stored
 
 SHAPE, SIZE = (24, 30, 28), (48, 60)
 GEOMETRY = Geometry((0.9, 1.0, 1.3))
@@ -26,6 +29,12 @@ SOFT = TransferFunction(((0.2, 1.0, 0.2, 0.1, 0.0), (0.5, 0.9, 0.5, 0.3, 0.2), (
 SOLID = TransferFunction(((0.0, 1.0, 1.0, 1.0, 1.0),))
 CLIP = ((6, 20), (8, None), (None, 17))
 CAMERAS = (Camera(35, 20, distance=90), Camera(-150, -40, distance=90, roll=30))
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 def cloud() -> npt.NDArray[np.float32]:
@@ -225,3 +234,36 @@ def test_a_box_without_voxels_or_beyond_the_volume_is_refused() -> None:
             cropped(cloud(), crop, SOFT)
     with pytest.raises(supple.SuppleError, match="all is visible"):
         cropped(cloud(), ((4, 9), (None, None), (None, None)), SOLID)
+
+
+def test_what_is_left_before_the_end_of_a_ray_is_seen() -> None:
+    """Of a step that begins in an empty brick; where the box ends between samples."""
+    volume = np.zeros((20, 20, 40), np.uint8)
+    volume[:, :, 16:] = 200
+    soft = TransferFunction(((0.0, 1, 1, 1, 0.0), (50.0, 1, 1, 1, 0.0), (100.0, 1, 1, 1, 0.8)))
+    camera = Camera(-90, 0, distance=400, field_of_view=2, target=(20.0, 10.0, 10.0))  # along +x
+    for start in np.arange(0.2, 1.2, 0.1):
+        for end in (16.39, 16.41, 16.6):
+            clip = ((float(start), end), (None, None), (None, None))
+            scene = Scene(volume, transfer=soft, clip=clip, shaded=False)
+            whole = scene.render(camera, (9, 9)).light[4, 4, 3]
+            fine = (
+                Scene(volume, transfer=soft, clip=clip, shaded=False, step=0.05).render(camera, (9, 9)).light[4, 4, 3]
+            )
+            assert whole == pytest.approx(fine, abs=0.03)
+
+
+def test_a_cropped_volume_is_seen_through_what_the_whole_is(here: Path) -> None:
+    """Fractions of the range are those of the whole volume's; one slice is a box, and a single one has one."""
+    volume = np.full((20, 20, 20), 5, np.int16)
+    volume[5:15, 5:15, 5:15], volume[2, 2, 2] = 95, 1000  # the threshold is at 104
+    stored("in.nii", volume)
+
+    def made(name: str, crop: Any) -> Scene:
+        return render_file(name, "out.png", options=RenderOptions("mr-head", size=(40, 40), crop=crop), force=True)
+
+    with pytest.raises(supple.SuppleError, match="the box of crop holds no visible value"):
+        made("in.nii", ((4, 15),) * 3)
+    assert made("in.nii", ((2, 2),) * 3).range[1] == 1000
+    stored("one.nii", (5 + 100 * np.eye(20, dtype=np.int16))[None])
+    assert not made("one.nii", ((4, 15), (4, 15), (None, None))).is_empty

@@ -159,7 +159,8 @@ struct Ray {
         double leave = least(left[0], least(left[1], left[2]));
         if (start < from) leave = least(leave, from - start);
         face = -1;
-        t = start += look.step * most(1.0, __builtin_ceil(leave * look.per_step - 1e-3));
+        const double next = start + look.step * most(1.0, __builtin_ceil(leave * look.per_step - 1e-3));
+        t = start = start < far ? least(next, far) : next;  // what is left before the end may be visible
         stage = FIRST;
         hopped = true;
         return true;

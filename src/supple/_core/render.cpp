@@ -151,7 +151,8 @@ Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Ar
     look->last_entry = float(table.shape(0) - 1);
     look->low = low;
     look->scale = scale;
-    for (size_t i = 0; i < sums.shape(0); i++) look->sums.push_back(load<double, 4>(sums.data() + 4 * i));
+    for (size_t i = 0; i < sums.shape(0); i++)
+        look->sums.push_back(Double4{sums(i, 0), sums(i, 1), sums(i, 2), sums(i, 3)});
     look->threshold = threshold;
     look->top = top;
     return look;

@@ -60,6 +60,8 @@ def render(
     given: dict[str, Any] = {"world": volume.world, "place": lambda: volume.place_of(source), "convention": convention}
     recipe, fit = strokes.to_recipe(**given) if strokes.any else None, strokes.to_fit()
     render, reading = look.to_render(camera.to_camera(), convention), volume.to_reading()
+    if convention is not None and not (strokes.pull or look.mesh):
+        raise SuppleError("--convention is of tables of --pull and of meshes, and there are none: leave it out")
     if reading.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
     with counted(console.terminal) as tell, workers() as who:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from supple.domain import choice
-from supple.errors import OutsideWarning
+from supple.errors import OutsideWarning, SuppleError
 from supple.files.landmarks import convention_of, warn_of_frame
 from supple.media.files import check_suffix
 from supple.media.meshes import KINDS
@@ -21,8 +21,16 @@ from supple.render.meshes import Surface
 PathLike = str | os.PathLike[str]
 Colour = tuple[float, float, float]
 
-COLOURS = ("#4ea8de", "#f2c14e", "#6abf69", "#d16ba5", "#f08a4b", "#8e7cc3")
-"""Of meshes that have none, in turn."""
+COLOURS = (
+    (0.31, 0.66, 0.87),
+    (0.95, 0.76, 0.31),
+    (0.42, 0.75, 0.41),
+    (0.82, 0.42, 0.65),
+    (0.94, 0.54, 0.29),
+    (0.56, 0.49, 0.76),
+)
+"""sRGB of meshes that have none, in turn."""
+_FARTHEST = 1e7  # voxels
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,13 +80,15 @@ def read_surfaces(given: Sequence[MeshFile], volume: Volume, convention: str | N
         known = convention_of(read, convention if read.told == "mesh" else None, volume.geometry.convention)
         points = read.points if known == "index" else volume.geometry.from_world(read.points, known)
         parts = read.parts()
+        if len(points) and np.abs(points).max() > _FARTHEST:
+            raise SuppleError(
+                f"{read.name} has a vertex {np.abs(points).max():.2g} voxels away: give a whole copy of it"
+            )
         if ((points < -0.5) | (points > np.array(volume.sizes) - 0.5)).any(axis=1).all():
             text = f"no point of {read.name} lies in {volume.name}"
             warnings.warn(f"{text}: see whether its coordinates are of that volume", OutsideWarning, stacklevel=4)
         for part in parts:
-            digits = COLOURS[len(made) % len(COLOURS)].removeprefix("#")
-            red, green, blue = (value / 255 for value in bytes.fromhex(digits))
-            colour = each.colour or part.colour or (red, green, blue)
+            colour = each.colour or part.colour or COLOURS[len(made) % len(COLOURS)]
             used = np.zeros(len(points), np.bool_)  # what nothing joins is not seen
             for corners in (part.triangles, part.lines):
                 used[corners] = True

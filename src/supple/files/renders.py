@@ -25,7 +25,7 @@ from supple.media.files import check_output, check_outputs, check_suffix, replac
 from supple.media.numbering import has_number, spelling
 from supple.media.volume import Volume
 from supple.pipeline import Tell
-from supple.render.appearance import PROJECTIONS, cropped, largest
+from supple.render.appearance import PROJECTIONS, cropped, fixed, largest
 from supple.render.box import Clip, Plane
 from supple.render.camera import Camera
 from supple.render.colour import are_colours
@@ -135,6 +135,10 @@ class RenderOptions:
                 f"a projection ({self.projection}) is grey, between the values of density, and has no transfer "
                 "function: leave it out"
             )
+        if self.projection != "none" and self.crop is not None:
+            raise SuppleError(
+                f"a projection ({self.projection}) is of all values along a ray: use clip instead of crop"
+            )
         number("shadows", self.shadows, "a number from 0 to 1", 0.0, 1.0)
         for name in ("silhouettes", "shadows"):
             if getattr(self, name) and (self.projection != "none" or not self.shaded):
@@ -151,6 +155,9 @@ class RenderOptions:
             number("rate", self.rate, "a number of pictures a second above 0", 1e-3, 1e4)
             if self.turntable is None:
                 raise SuppleError("rate is that of a turntable's video, and this is one picture: leave it out")
+        for name in ("meshes", "shadows", "silhouettes"):
+            if self.what == "inversions" and getattr(self, name):
+                raise SuppleError(f"inversions are drawn as a plot, of the volume alone: leave {name} out")
         if self.what == "inversions" and self.turntable:
             raise SuppleError("inversions are drawn as one picture: leave the turntable out")
         if self.what == "inversions" and self.annotate:
@@ -179,7 +186,9 @@ def _is_of_labels(volume: Volume) -> bool:
     if volume.components != 1:
         return False
     if volume.format == "NIfTI" and int(volume.header["intent_code"]) == _LABEL_INTENT:
-        return True
+        with contextlib.suppress(SuppleError):  # of what is no whole number
+            labels_in(volume.rescaled())
+            return True
     return is_of_labels(volume) and volume.samples.min() >= 0 and volume.scaling == (1.0, 0.0)
 
 
@@ -224,6 +233,9 @@ def scene_of(
     transfer = given if isinstance(given, Transfer) else transfer_of(given)
     if isinstance(transfer, LabelColours):
         _check_labels(samples, transfer, volume.name)
+    meshes = read_surfaces(known.meshes, volume, known.convention)
+    if known.crop is not None or known.largest:
+        transfer = fixed(samples, transfer)
     if known.crop is not None:
         samples = cropped(samples, known.crop, transfer, known.density)
     if known.largest:
@@ -239,7 +251,7 @@ def scene_of(
         projection=known.projection,
         silhouettes=known.silhouettes,
         shadows=known.shadows,
-        meshes=read_surfaces(known.meshes, volume, known.convention),
+        meshes=meshes,
         mode=known.mode,
         step=known.step,
         shaded=known.shaded,
@@ -330,6 +342,10 @@ def render_file(
         raise SuppleError(f"nothing is seen of {given.name}: none of its values is a finite number")
     if scene.is_empty:
         low, high = scene.range
+        if known.crop is not None:
+            raise SuppleError(
+                f"nothing is seen of {given.name}: the box of crop holds no visible value, choose another"
+            )
         raise SuppleError(
             f"nothing is seen of {given.name}: its values go from {low:g} to {high:g}, and the transfer function and "
             "density leave all of them out: choose others"

@@ -167,6 +167,13 @@ def summed(table: Array) -> Floats:
     return np.concatenate([np.zeros((1, 4)), np.cumsum(known * extinction, axis=0)])
 
 
+def fixed(samples: Array, transfer: Transfer) -> Transfer:
+    """Return a transfer function in the values of a volume, so that it stays the same where parts are hidden."""
+    if not isinstance(transfer, TransferFunction):
+        return transfer
+    return transfer.absolute(*sampled(np.asarray(samples), transfer, None, 1.0, "none")["range"])
+
+
 def largest(samples: Array, transfer: Transfer | str, density: tuple[float, float] | None = None) -> Array:
     """Return a volume in which only the largest part of what is visible is left, of voxels that touch by their faces.
 
@@ -215,7 +222,10 @@ def cropped(samples: Array, crop: Clip, transfer: Transfer | str, density: tuple
     """
     ready, known = _hiding(samples, transfer, density)
     box = box_of(crop, samples.shape[:3], "crop")
-    kept = tuple(slice(math.ceil(low), math.floor(high) + 1) for low, high in reversed(box))
+    kept = tuple(
+        slice(math.ceil(low), min(math.floor(high) + 1, n))  # a single slice is a box of two
+        for (low, high), n in zip(reversed(box), samples.shape, strict=False)
+    )
     if any(part.start >= part.stop for part in kept):
         raise SuppleError("crop must hold a voxel along each axis: from a voxel to the same or a later one")
     if _hides_by_zero(known, samples):

@@ -89,7 +89,8 @@ def whole_box(shape: tuple[int, ...]) -> Box:
 def box_of(clip: object, shape: tuple[int, ...], name: str = "clip") -> Box:
     """Return the box of a `Clip` in a volume of ``shape`` (Z, H, W); of the whole volume for None.
 
-    SuppleError, with ``name``, if a range is empty, or not within the volume.
+    One of whole voxels, as ``crop`` is, may hold a single one. SuppleError, with ``name``, if a range is empty, or not
+    within the volume.
     """
     whole = whole_box(shape)
     if clip is None:
@@ -112,6 +113,6 @@ def box_of(clip: object, shape: tuple[int, ...], name: str = "clip") -> Box:
     for k, ((low, high), (first, last)) in enumerate(zip(made, whole, strict=True)):
         if not first <= low <= last or not first <= high <= last:
             refused(f"within the voxels of the volume, {', '.join(f'{a:g}:{b:g}' for a, b in whole)}", k)
-        if low >= high:
+        if low > high or (low == high and name == "clip"):
             refused("from a lower to a higher voxel along each axis", k)
     return made

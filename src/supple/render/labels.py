@@ -24,7 +24,7 @@ SUFFIXES = (".ctbl", ".txt")
 _MOST = 65535  # visible labels: their numbers have 16 bits
 _LARGEST = 1 << 53  # float64 holds the integers up to it
 _SPAN = 1 << 24  # labels from the smallest to the largest, of which a table is made
-_SLICER = re.compile(r"(\d+)\s+(\S.*?)\s+(\d+)\s+(\d+)\s+(\d+)\s+(\d+)")
+_SLICER = re.compile(r"(-?\d+)\s+(\S.*?)\s+(\d+)\s+(\d+)\s+(\d+)\s+(\d+)")
 _SNAP = re.compile(r'(\d+)\s+(\d+)\s+(\d+)\s+(\d+)\s+(\d+(?:\.\d*)?|\.\d+)\s+([01])\s+([01])\s+"(.*)"')
 
 
@@ -127,10 +127,11 @@ class LabelColours:
         """
         name = os.fspath(path)
         try:
-            return cls.from_text(Path(path).read_text(encoding="utf-8"), name)
+            text = Path(path).read_text(encoding="utf-8")
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
             raise SuppleError(f"cannot read {name!r}: {reason}: name a colour table (.ctbl, .txt)") from None
+        return cls.from_text(text, name)
 
 
 def palette(labels: npt.ArrayLike) -> Floats:
@@ -139,8 +140,8 @@ def palette(labels: npt.ArrayLike) -> Floats:
     Hues and lightnesses in OKLCH go on by steps for which the first 8, 16, 32 and 64 are farthest from one another.
     """
     k = np.asarray(labels, np.float64)
-    hue = 2 * np.pi * np.mod(0.6535 + 0.2712 * (k - 1), 1.0)
-    light = 0.55 + 0.33 * np.mod(0.0531 + 0.3927 * (k - 1), 1.0)
+    hue = 2 * np.pi * np.mod(0.6535 + 0.27120013 * (k - 1), 1.0)
+    light = 0.55 + 0.33 * np.mod(0.0531 + 0.39270017 * (k - 1), 1.0)
     a, b = 0.15 * np.cos(hue), 0.15 * np.sin(hue)
     cones = np.stack(
         [
@@ -212,4 +213,6 @@ def _whole(slab: Array) -> npt.NDArray[np.int64]:
         if broken.size:
             refuse("labels", "whole numbers (leave the colour table out for other values)", float(broken[0]))
         slab = known
+    elif slab.dtype.itemsize == 8 and slab.size and int(slab.max()) > _LARGEST:
+        refuse("labels", f"whole numbers up to {_LARGEST}", int(slab.max()))
     return np.asarray(slab, np.int64)

@@ -61,7 +61,10 @@ class Surface:
         lines: npt.ArrayLike = (),
         colour: tuple[float, ...] = (0.8, 0.8, 0.8),
     ) -> None:
-        points = np.ascontiguousarray(points, np.float64)
+        try:
+            points = np.ascontiguousarray(points, np.float64)
+        except (TypeError, ValueError):
+            refuse("points", "finite numbers of shape (N, 3)", told=repr(points)[:60])
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             refuse("points", "finite numbers of shape (N, 3)", told=f"an array of shape {points.shape}")
         object.__setattr__(self, "points", points)

@@ -196,9 +196,9 @@ class Scene:
             if step is None
             else number("step", step, f"millimetres, at least {finest * 1e-3:g}", finest * 1e-3, 1e9)
         )
-        for mesh in meshes:
-            if not isinstance(mesh, Surface):
-                refuse("meshes", "surfaces (supple.render.meshes.Surface)", mesh)
+        drawn: Any = meshes
+        if not isinstance(drawn, Sequence) or not all(isinstance(mesh, Surface) for mesh in drawn):
+            refuse("meshes", "a sequence of surfaces (supple.render.meshes.Surface)", meshes)
         tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-6, 1e6)
         values: dict[str, Any] = {
             "shape": given.shape[:3],
@@ -275,7 +275,9 @@ class Scene:
         if self.deformation is not None and len(points):
             points = self.deformation.forward(points)
         points = within(points, self.clip, self.plane, self.geometry.spacing, _core.BRICK)
-        return np.concatenate([points, *(around(mesh.points) / self.geometry.spacing for mesh in self._placed)])
+        return np.concatenate(
+            [points, *(around(mesh.points) / self.geometry.spacing for mesh in self._placed if len(mesh.points))]
+        )
 
     def framed(self, camera: Camera | None = None, size: tuple[int, int] = (512, 512)) -> Camera:
         """Return a camera that has all that is visible in view, where its target and distance are not given."""
@@ -307,7 +309,8 @@ class Scene:
         fine = integer("supersampling", supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
         view = self.view(camera, size)
         height, width = size[0] * fine, size[1] * fine
-        ends = self._ends(view, fine)
+        look = self._look(view)
+        ends = self._ends(look, view, fine)
         columns = (np.arange(width) + 0.5) / fine - 0.5
 
         def smaller(a: Array, take: Callable[..., Array]) -> Array:
@@ -319,7 +322,7 @@ class Scene:
             with let_through():
                 done = tried(
                     held.volume.gpu,
-                    lambda: shading.march(held, self._look(view), view.packed, (height, width), fine, told, ends),
+                    lambda: shading.march(held, look, view.packed, (height, width), fine, told, ends),
                     2,
                     "the CPU did what {} could not",
                 )
@@ -328,7 +331,7 @@ class Scene:
                 return _picture(smaller(light, np.mean), smaller(depth, np.min), smaller(work, np.sum))
         light, depth = np.empty((height, width, 4), np.float32), np.empty((height, width, 2))
         work = np.zeros((height, width, 2), np.int64)
-        march = self._marcher(view)
+        march = self._marcher(look, view)
         for top in range(0, height, _ROWS):
             below = min(top + _ROWS, height)
             rows = (np.arange(top, below) + 0.5) / fine - 0.5
@@ -392,12 +395,13 @@ class Scene:
             for c in point("background", background, (3,))
         )
         behind = light_of(colour).astype(np.float32)  # type: ignore[arg-type]
-        ends = self._ends(view, fine)
+        look = self._look(view)
+        ends = self._ends(look, view, fine)
         try:
             with gpu.lock:
                 size = rows * fine, columns * fine
                 worked = overlay == "inversions"
-                shading.paint(held, self._look(view), view.packed, size, fine, behind, texture, worked, ends)
+                shading.paint(held, look, view.packed, size, fine, behind, texture, worked, ends)
         except failures() as error:
             failed = trouble(gpu, error)
             if not gpu.lost and "Texture with" in failed and "destroyed" in failed:  # other errors are the scene's own
@@ -469,17 +473,17 @@ class Scene:
             isinstance(self.transfer, LabelColours),
         )
 
-    def _ends(self, view: Projection, fine: int) -> npt.NDArray[np.float32] | None:
-        return nearest(self._placed, self._look(view), view, fine) if self._placed else None
+    def _ends(self, look: shading.Look, view: Projection, fine: int) -> npt.NDArray[np.float32] | None:
+        return nearest(self._placed, look, view, fine) if self._placed else None
 
-    def _marcher(self, view: Projection) -> Callable[..., None]:
+    def _marcher(self, look: shading.Look, view: Projection) -> Callable[..., None]:
         """Return the function that marches the rays of columns and rows of pixels, into colours, depths and work."""
         strokes, lattice, cells = None, None, 1
         if self.deformation is not None and (self.mode == "exact" or self._coarse):
             strokes = strokes_of(self.deformation.space)
         elif self._solid is not None:
             lattice, cells = self._solid.lattice, cells_along_rays(self._solid, self.tolerance)
-        seen = core_look(self._look(view), view)
+        seen = core_look(look, view)
 
         def march(
             columns: Array, rows: Array, light: Array, depth: Array, work: Array, ends: Array | None = None
@@ -509,7 +513,7 @@ class Scene:
         x, y = point("pixel", pixel, (2,))
         view = self.view(camera, size)
         light, depth, work = np.empty((1, 1, 4), np.float32), np.empty((1, 1, 2)), np.empty((1, 1, 2), np.int64)
-        self._marcher(view)(np.array([x]), np.array([y]), light, depth, work)
+        self._marcher(self._look(view), view)(np.array([x]), np.array([y]), light, depth, work)
         away = float(depth[0, 0, 1])
         if not math.isfinite(away):
             return None

@@ -102,6 +102,13 @@ class TransferFunction:
             points.append((last + step, *points[-1][1:4], 0.0))
         return TransferFunction(tuple(points), self.unit, self.relative)
 
+    def absolute(self, low: float, high: float) -> TransferFunction:
+        """Return the same in values from ``low`` to ``high``, of which relative ones are fractions."""
+        if not self.relative:
+            return self
+        span = (high - low) or 1.0
+        return TransferFunction(tuple((low + p[0] * span, *p[1:]) for p in self.points), self.unit)
+
     def to_json(self) -> str:
         """Return the JSON text for `from_json`."""
         made = {
@@ -147,7 +154,7 @@ class TransferFunction:
         low, high : float
             The range of the volume's values, of which relative ones are fractions. Opacities are those of a millimetre.
         """
-        places = [low + p[0] * ((high - low) or 1.0) if self.relative else p[0] for p in self.points]
+        places = [p[0] for p in self.absolute(low, high).points]
         opacities = [1 - (1 - p[4]) ** (1 / self.unit) for p in self.points]
         tables = [
             [x for pair in zip(places, opacities, strict=True) for x in pair],

@@ -63,7 +63,10 @@ def joined(runs: Sequence[Sequence[int]]) -> Runs:
 
 
 def _checked(path: PathLike, count: int, corners: npt.ArrayLike, counts: npt.ArrayLike) -> tuple[Ints, Ints]:
-    known, many = np.asarray(corners, np.intp).ravel(), np.asarray(counts, np.intp).ravel()
+    try:
+        known, many = np.asarray(corners, np.intp).ravel(), np.asarray(counts, np.intp).ravel()
+    except OverflowError:
+        raise unreadable(path, f"a face or line has a vertex beyond the last of {count}") from None
     if (many < 0).any() or many.sum() != len(known):
         raise unreadable(path, "its faces or lines do not have as many corners as it says")
     wrong = known[(known < 0) | (known >= count)]

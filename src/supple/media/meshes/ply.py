@@ -143,7 +143,7 @@ class _Words:
                     every[name].append([int(x) for x in row] if name in _INDICES else [])
         except StopIteration:
             raise unreadable(self.path, "it ends before its faces do") from None
-        except ValueError:
+        except (ValueError, OverflowError):
             raise unreadable(self.path, "a face has what is no whole number") from None
         return {name: joined(rows) for name, rows in every.items()}
 
@@ -156,7 +156,9 @@ def _declared(path: PathLike, header: str) -> tuple[str, list[_Element]]:
                 order = _ORDERS[known]
             case ["element", name, count] if count.isdigit():
                 elements.append(_Element(name, int(count)))
-            case ["property", "list", length, kind, name] if elements and {length, kind} <= set(_TYPES):
+            case ["property", "list", length, kind, name] if (
+                elements and {length, kind} <= set(_TYPES) and _TYPES[length][0] in "iu"
+            ):
                 elements[-1].properties.append((name, "list"))
                 elements[-1].lists[name] = _TYPES[length], _TYPES[kind]
             case ["property", kind, name] if elements and kind in _TYPES:

@@ -102,6 +102,8 @@ def _runs(path: PathLike, data: bytes, found: re.Match[bytes], binary: bool) -> 
             if k >= second:
                 raise unreadable(path, f"it ends before its {first} cells do")
             counts.append(int(numbers[k]))
+            if counts[-1] < 0:
+                raise unreadable(path, f"a cell has {counts[-1]} corners")
             k += counts[-1] + 1
         heads = np.cumsum([0, *(count + 1 for count in counts)])[:-1]
         return (np.delete(numbers, heads), counts), end
@@ -126,8 +128,8 @@ def _whole(path: PathLike, data: bytes, start: int, count: int, kind: bytes, bin
     tokens = [match for match, _ in zip(_TOKEN.finditer(data, start), range(count), strict=False)]
     try:
         made = np.array([int(token[0]) for token in tokens], np.intp)
-    except ValueError:
-        raise unreadable(path, "a cell has what is no whole number") from None
+    except (ValueError, OverflowError):
+        raise unreadable(path, "a cell has what is no whole number of 64 bits") from None
     if len(made) < count:
         raise unreadable(path, f"it ends before its {count} cells do")
     return made, tokens[-1].end() if tokens else start

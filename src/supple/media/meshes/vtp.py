@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from supple.errors import shown
+from supple.errors import SuppleError, shown
 from supple.media.files import PathLike, unreadable
 from supple.media.meshes.base import Floats, Mesh, checked, numbers, spliced
 from supple.media.meshes.cells import NO_RUNS, Ints, Part, part_of
@@ -183,7 +183,9 @@ def _parts(file: _File, xml: bytes, counts: list[int]) -> list[Part]:
                     corners[kind].append(base + arrays["connectivity"])
                     many[kind].append(np.diff(arrays["offsets"], prepend=0))
             base += count
-    except (binascii.Error, zlib.error, lzma.LZMAError, ValueError) as error:
+    except SuppleError:
+        raise
+    except (binascii.Error, zlib.error, lzma.LZMAError, ValueError, OverflowError) as error:
         raise unreadable(file.path, f"an array is damaged ({error})") from error
     polygons, lines, strips = (
         (np.concatenate(corners[k]), np.concatenate(many[k])) if corners[k] else NO_RUNS for k in kinds

@@ -15,14 +15,13 @@ from supple.deformation import Deformation
 from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.plate import BACK, Plate, Sight
 from supple.errors import SuppleError
-from supple.files.volumes import is_of_labels
 from supple.media.image import Picture
 from supple.media.volume import Volume
 from supple.render.box import Box
 from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.render.scene import Scene
-from supple.render.transfer import Transfer
+from supple.render.transfer import LABELS, Transfer
 from supple.viewer.document.background import heard
 from supple.viewer.document.state import Kind
 from supple.viewer.panels.frame_cache import FrameCache
@@ -183,7 +182,7 @@ class VolumeStage:
     def __init__(self, gpu: Gpu, volume: Volume, preset: str, samples: Any = None) -> None:
         self.name, self.volume, self.preset = volume.name, volume, preset
         # Computed tomography is recognized by its values, as its preset is.
-        self.unit = "HU" if preset.startswith("ct-") else "label" if is_of_labels(volume) else ""  # of values
+        self.unit = "HU" if preset.startswith("ct-") else "label" if preset == LABELS else ""  # of values
         self.density: tuple[float, float] | None = None
         self.clip: Box | None = None
         self.mode = "hybrid"
