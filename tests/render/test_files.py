@@ -149,7 +149,10 @@ def test_a_label_map_has_its_labels_colours_unless_another_transfer_is_asked_for
         pixels = image.read("a.png").pixels
         assert {tuple(row) for row in pixels[pixels[..., 3] > 0].tolist()} == wanted, options
     assert command(["render", "labels.nii.gz", "a.png", *usual, "--projection", "maximum"]) == 0
-    assert capfd.readouterr().err == ""
+    assert (
+        capfd.readouterr().err
+        == "supple: labels.nii.gz is drawn as a label map, of 2 labels: --transfer grey draws values\n"
+    )
     Path("t.ctbl").write_text("53 b 0 0 255 255\n")
     assert command(["render", "labels.nii.gz", "a.png", *usual, "--transfer", "t.ctbl"]) == 0
     assert "labels of labels.nii.gz without a colour are not seen: 17" in capfd.readouterr().err
@@ -458,3 +461,14 @@ def test_a_recipe_is_not_replaced_by_a_transfer_function(tmp_path: Path, capfd: 
     assert recipe.read_text(encoding="utf-8") == before
     for _ in range(2):
         assert command(["render", head, str(tmp_path / "a.png"), "--save-transfer", str(look), *options]) == 0
+
+
+def test_soft_edges_of_a_mask_are_no_labels(here: Path) -> None:
+    """Though there are few values in large areas."""
+    z, y, x = np.indices(SHAPE)
+    away = np.sqrt((z - 12) ** 2 + (y - 15) ** 2 + (x - 14) ** 2)
+    for top, soft in ((255, 3.0), (100, 1.5), (20, 1.0)):
+        mask = np.rint(top * np.clip(0.5 + (9 - away) / soft, 0, 1)).astype(np.uint8)
+        assert default_transfer(media.Volume(mask, Geometry())) == "mr-head"
+    sharp = np.where(away < 5, 3, np.where(away < 9, 2, np.where(away < 11, 1, 0))).astype(np.uint8)
+    assert default_transfer(media.Volume(sharp, Geometry())) == "labels"

@@ -313,7 +313,7 @@ def test_a_surface_is_checked(told: str, given: dict[str, Any]) -> None:
     with pytest.raises(SuppleError) as caught:
         Surface(**{"points": np.eye(3), "triangles": [[0, 1, 2]], **given})
     assert str(caught.value).startswith(told)
-    with pytest.raises(SuppleError, match=r"^meshes must be surfaces"):
+    with pytest.raises(SuppleError, match=r"^meshes must be a sequence of surfaces"):
         Scene(NOTHING, meshes=[np.eye(3)])  # type: ignore[list-item]
 
 
@@ -362,7 +362,7 @@ class TestFiles:
         structures(Path("rs.dcm"))
         contours, points = read_surfaces([MeshFile("rs.dcm")], volume)
         assert contours.colour == (1, 0, 128 / 255)
-        assert points.colour == tuple(value / 255 for value in bytes.fromhex(COLOURS[1][1:]))
+        assert points.colour == COLOURS[1]
         assert (contours.lines.shape, points.lines.shape) == ((48, 2), (4, 2))
         ends = contours.points[contours.lines]
         np.testing.assert_allclose(np.bincount(contours.lines.ravel()), 2)  # closed

@@ -78,7 +78,6 @@ def reference(scene: Scene, camera: Camera, size: tuple[int, int]) -> tuple[Floa
         return found, np.linalg.inv(scene.deformation.jacobian(found))
 
     out, depth = np.zeros((*size, 4)), np.full((*size, 2), math.inf)
-    n = np.array(volume.shape[::-1]) - 1.0
     first, last = np.array(scene.clip).T
     for y in range(size[0]):
         for x in range(size[1]):
@@ -88,7 +87,6 @@ def reference(scene: Scene, camera: Camera, size: tuple[int, int]) -> tuple[Floa
                 faces = np.stack([(first - view.eye) / along, (last - view.eye) / along])
             near, far = max(faces.min(axis=0).max(), 0), faces.max(axis=0).min()
             entered = int(faces.min(axis=0).argmax())
-            cut = first[entered] > 0 if along[entered] > 0 else last[entered] < n[entered]
             if near > far:
                 continue
             ts = np.append(np.arange(near, far, scene.step), far)
@@ -139,7 +137,7 @@ def reference(scene: Scene, camera: Camera, size: tuple[int, int]) -> tuple[Floa
                 half /= np.linalg.norm(half)
                 lit = AMBIENT + DIFFUSE * np.where(size_ > 0, abs(normals @ light), 1)
                 shine = SPECULAR * np.where(size_ > 0, abs(normals @ half), 0) ** 16
-                if cut and start == near > 0:
+                if start == near > 0:
                     layer = np.clip(1 - (ts - near) / (LAYER * min(view.spacing)), 0, 1)
                     flat = layer * np.logical_and.accumulate(colours[:, 3] > 0)
                     lit += flat * (AMBIENT + DIFFUSE * abs(light[entered]) - lit)

@@ -116,7 +116,7 @@ struct Ray {
     bool within = false;   // whether the next sample, if visible, needs its gradient
 
     // `end` is the last voxel of the volume.
-    Ray(const Look& look, Int4 end, double x, double y, double limit = NEVER) : origin(look.eye) {
+    Ray(const Look& look, double x, double y, double limit = NEVER) : origin(look.eye) {
         along = look.ahead + x * look.right + y * look.down;
         along *= 1.0 / root(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
         way = along / look.spacing;
@@ -127,10 +127,8 @@ struct Ray {
         cut(look);
         if (!look.projection) far = least(far, limit);
         if (!live()) return;
-        for (int i = 0; i < 3 && near > 0; i++) {
-            bool moved = way[i] > 0 ? look.first[i] > 0 : look.last[i] < end[i];
-            if (moved && low[i] == near) face = __builtin_fabsf(look.lamp[i]);
-        }
+        for (int i = 0; i < 3 && near > 0; i++)
+            if (low[i] == near) face = __builtin_fabsf(look.lamp[i]);
         start = near;
         half = look.lamp - floats(along);
         half *= 1.0f / most(__builtin_sqrtf(dot3(half, half)), 1e-6f);
@@ -207,6 +205,7 @@ struct Ray {
                 int side = look.side(before);
                 if (side && side == look.side(after)) return next(look, false);
                 if (side) {  // the surface lies within the step
+                    face = -1;
                     turn = 0;
                     t = 0.5 * (start + t1);
                     stage = BISECT;

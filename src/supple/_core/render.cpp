@@ -180,7 +180,7 @@ void draw(Samples samples, Colours colours, const Look& look, const SolidLattice
             rays.reserve(TILE * TILE);
             for (int y = top; y < bottom; y++)
                 for (int x = left; x < right; x++)
-                    rays.emplace_back(look, voxels.last + 1, columns(x), rows(y), ends ? (*ends)(y, x, 3) : NEVER);
+                    rays.emplace_back(look, columns(x), rows(y), ends ? (*ends)(y, x, 3) : NEVER);
             if (strokes)
                 march_exactly(voxels, look, *strokes, rays);
             else if (lattice)

@@ -87,7 +87,7 @@ class LookOptions:
         Show only values, or labels, from LO to HI.
     clip
         Show only a box of the deformed volume, from voxel X0 to voxel X1 and so on, and cut the rest away. Ends may be
-        left out: --clip :,60:,: cuts away what is before y = 60.
+        left out: --clip :,60:,: leaves what is from y = 60 on.
     crop
         The same of the volume before it is deformed: the box moves with the strokes.
     plane

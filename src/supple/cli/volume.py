@@ -69,6 +69,8 @@ def render(
             source, target, recipe, options=render, volume=reading, force=options.force, tell=tell, fit=fit
         )
     say_convention(console, reading.world, scene.geometry, source)
+    if render.transfer is None and scene.labels is not None and not console.quiet:
+        console.say(f"{source} is drawn as a label map, of {len(scene.labels)} labels: --transfer grey draws values")
     if options.json:
         facts = told(scene.deformation) if scene.deformation else {}
         low, high = scene.range

@@ -52,6 +52,7 @@ ONE_FILE = frozenset({".nii", ".nii.gz", ".nrrd", ".mha"})
 _TIFF = (".tif", ".tiff")
 # The test for label maps: the number of slices, and the fraction of equal neighbours beside the background.
 _LOOKED_AT, _AREAS, _MOST_LABELS, _FEW = 16, 0.7, 1024, 8
+_BETWEEN = 0.2  # of the changes from voxel to voxel: so many values between two others are none of labels
 _HUGE, _TINY = 2, 1  # radii, in the size of a volume and in the distance of its samples, that are in another unit
 
 
@@ -502,6 +503,11 @@ def _is_of_labels(some: Array) -> bool:
     same = left == right
     areas = np.count_nonzero(same & seen) >= _AREAS * max(int(np.count_nonzero(seen)), 1)
     if not areas or _first_fraction(some) is not None:
+        return False
+    # Labels meet without values in between; soft edges of masks have them.
+    first, middle, last = (some[..., k : some.shape[-1] - 2 + k] for k in range(3))
+    between = ((first < middle) & (middle < last)) | ((first > middle) & (middle > last))
+    if np.count_nonzero(between) > _BETWEEN * np.count_nonzero(~same):
         return False
     count = len(np.unique(some))
     # In a smooth image of few values, neighbours differ by 1.

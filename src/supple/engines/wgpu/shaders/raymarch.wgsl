@@ -320,9 +320,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
     // The cosine of the lamp's angle to the cut face, as long as the volume is seen from there on.
     var face = -1.0;
     for (var i = 0u; i < 3u && near > 0.0; i++) {
-        let last = f32(settings.size[i] - 1u);
-        let moved = select(settings.box_last[i] < last, settings.box_first[i] > 0.0, safe[i] > 0.0);
-        face = select(face, abs(settings.light[i]), moved && enters[i] == near);
+        face = select(face, abs(settings.light[i]), enters[i] == near);
     }
     if (near > boxed) {
         face = abs(dot(settings.light.xyz, settings.plane.xyz));
@@ -380,6 +378,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                     surface = t;
                 } else if (outer != side(after)) {
                     // The surface lies within the step.
+                    face = -1.0;
                     var low = t;
                     var high = t1;
                     var beyond = after;
