@@ -283,7 +283,7 @@ def test_colours_of_the_palette_are_distinct_and_do_not_change() -> None:
     assert away[:8, :8].min() > 0.15
     assert known.min() >= 0
     assert known.max() <= 1
-    np.testing.assert_array_equal(palette(7), known[6])
+    np.testing.assert_allclose(palette(7), known[6], atol=1e-12)
 
 
 # ---- volumes of colours --------------------------------------------------------------------------------------------
@@ -344,3 +344,27 @@ def test_colours_are_as_opaque_as_their_luminance_and_shaded_as_it_is() -> None:
 def test_what_are_no_colours_is_refused(samples: npt.NDArray[Any], told: str) -> None:
     with pytest.raises(SuppleError, match=told):
         Scene(samples)
+
+
+def test_what_is_wrong_in_a_table_is_told_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "t.ctbl"
+    for text, told in (("1 body 300 0 0 255\n", "line 1"), ("hello\n", "line 1"), ("", "has no colours")):
+        path.write_text(text)
+        with pytest.raises(SuppleError, match=told) as caught:
+            LabelColours.read(path)
+        assert "UTF-8" not in str(caught.value)
+    path.write_bytes(b"1 \xff 0 0 0 255\n")
+    with pytest.raises(SuppleError, match="UTF-8"):
+        LabelColours.read(path)
+
+
+def test_labels_below_zero_and_far_apart_have_colours_of_their_own() -> None:
+    many = np.array([-6, 1, 2, 30000, 60000, 10000, 20000, 40000])
+    colours = palette(many)
+    for k in range(len(many)):
+        away = np.abs(np.delete(colours, k, axis=0) - colours[k]).max(axis=1)
+        assert away.min() > 0.02
+    read = LabelColours.from_text(LabelColours().to_ctbl(many))
+    np.testing.assert_allclose(read.of(many)[:, :3], colours, atol=0.5 / 255 + 1e-9)
+    with pytest.raises(SuppleError, match="labels must be whole numbers up to"):
+        labels_in(np.array([[[1, 1 << 63]]], np.uint64))

@@ -140,8 +140,8 @@ def palette(labels: npt.ArrayLike) -> Floats:
     Hues and lightnesses in OKLCH go on by steps for which the first 8, 16, 32 and 64 are farthest from one another.
     """
     k = np.asarray(labels, np.float64)
-    hue = 2 * np.pi * np.mod(0.6535 + 0.27120013 * (k - 1), 1.0)
-    light = 0.55 + 0.33 * np.mod(0.0531 + 0.39270017 * (k - 1), 1.0)
+    hue = 2 * np.pi * np.mod(0.6535 + 0.27121414 * (k - 1), 1.0)
+    light = 0.55 + 0.33 * np.mod(0.0531 + 0.39272236 * (k - 1), 1.0)
     a, b = 0.15 * np.cos(hue), 0.15 * np.sin(hue)
     cones = np.stack(
         [

@@ -174,3 +174,26 @@ def test_runs_are_checked() -> None:
     with pytest.raises(SuppleError, match=r"do not have as many corners as it says"):
         part_of("in.vtk", 3, lines=([0, 1, 2], [2]))
     assert part_of("in.vtk", 3, joined([[0, 1], [2], []])).triangles.shape == (0, 3)
+
+
+BEYOND = 1 << 64
+POLYGONS = "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 1 float\n1 2 3\nPOLYGONS"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.obj", f"v 1 2 3\nv 2 3 4\nv 3 4 5\nf 1 2 {BEYOND}\n"),
+        ("b.vtk", f"{POLYGONS} 1 2\n1 {BEYOND}\n"),
+        ("c.vtk", f"{POLYGONS} 2 4\n-3 0 0 0\n"),
+        ("d.ply", "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+                  f"element face 1\nproperty list uchar int vertex_indices\nend_header\n1 2 3\n3 0 0 {BEYOND}\n"),
+    ],
+)  # fmt: skip
+def test_numbers_that_no_cell_has_are_told_in_one_sentence(tmp_path: Path, name: str, text: str) -> None:
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(SuppleError) as caught:
+        opened(path).parts()
+    assert str(caught.value).startswith(f"cannot read {path}: ")
+    assert "\n" not in str(caught.value)
