@@ -48,7 +48,8 @@ def edited(
         mouse.filed("ctrl+e", made)
         mouse.do("key", "Escape")
         mouse.do("mousemove", 1100, 780)
-        seen = mouse.settled()
+        # A volume that is refined by software may look the same for a while.
+        seen = mouse.settled(looks=12 if pause > 1 else 3)
     # What was saved is opened again, on a screen that has shown nothing yet, and looks as it did.
     with a_screen(folder / "again") as mouse, viewing(str(source), folder=folder, display=mouse.display):
         plain = mouse.settled()

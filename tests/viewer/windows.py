@@ -245,8 +245,8 @@ class Mouse:
         pixels = np.frombuffer(data, np.uint8, int(line * rows), int(head[0] + 12 * colours))
         return np.ascontiguousarray(pixels.reshape(rows, line // 4, 4)[:, :columns, 2::-1])
 
-    def settled(self, seconds: float = 240.0) -> Pixels:
-        """What is on the screen, once there is something and it stays as it is."""
+    def settled(self, seconds: float = 240.0, looks: int = 3) -> Pixels:
+        """What is on the screen, once there is something and it stays as it is, at some looks."""
         last, times = self.shown(), 0
 
         def still() -> bool:
@@ -254,7 +254,7 @@ class Mouse:
             before, last = last, self.shown()
             drawn = np.ptp(last[100:600, 100:800].astype(int)) > 100
             times = times + 1 if drawn and np.array_equal(before, last) else 0
-            return times == 3
+            return times == looks
 
         wait_for(still, seconds, every=0.4)
         return last
