@@ -19,19 +19,26 @@ hypothesis.settings.load_profile("supple")
 
 # A worker has a file at a time: those that take longest are begun first, so that none of them is waited for at the end.
 LONGEST = (
-    "viewer/test_window_browser.py",
     "viewer/test_window_pointer.py",
     "engines/cuda/test_programs.py",
-    "plot/test_diagnostics.py",
+    "viewer/test_window_every_brush.py",
+    "viewer/test_window_browser.py",
+    "viewer/test_panels.py",
+    "viewer/test_jobs.py",
+    "examples/test_examples.py",
+    "engines/cuda/test_at_size.py",
+    "engines/wgpu/test_freeze.py",
     "engines/test_native.py",
+    "engines/cuda/test_brushes.py",
+    "viewer/test_window_slices.py",
+    "engines/torch/test_inverse.py",
+    "examples/test_gallery.py",
+    "plot/test_diagnostics.py",
     "pipeline/test_frames.py",
     "pipeline/test_streaming.py",
-    "examples/test_gallery.py",
     "engines/wgpu/test_parity.py",
     "engines/wgpu/test_images.py",
     "engines/wgpu/test_clips.py",
-    "viewer/test_panels.py",
-    "examples/test_examples.py",
 )
 
 

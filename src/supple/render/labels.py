@@ -74,7 +74,7 @@ class LabelColours:
     def to_ctbl(self, labels: npt.ArrayLike) -> str:
         """Return the text of a colour table of 3D Slicer (``.ctbl``) for labels, for `read`."""
         rows = np.rint(255 * self.of(labels)).astype(int)
-        lines = [f"{k} label_{k} {r} {g} {b} {a}" for k, r, g, b, a in np.column_stack([labels, rows]).tolist()]
+        lines = [f"{k} label-{k} {r} {g} {b} {a}" for k, r, g, b, a in np.column_stack([labels, rows]).tolist()]
         return "\n".join(["# label name red green blue opacity", *lines]) + "\n"
 
     @classmethod
