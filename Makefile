@@ -93,8 +93,13 @@ demo: $(VENV)/stamp
 
 # A worker for each core; a file's tests stay together, as they share what is made once. Not the files with the most
 # tests first: those with the slowest would be last. CUDA is tested on a GPU that is played in memory.
+# What needs windows and devices, whose memory is freed with its processes alone, is tested before the rest.
+APART := tests/engines tests/viewer
+TEST := -m pytest -q -n auto --dist loadfile --no-loadscope-reorder
+
 test: venv
-	$(BIN)/python -m pytest -q -n auto --dist loadfile --no-loadscope-reorder
+	$(BIN)/python $(TEST) $(APART)
+	$(BIN)/python $(TEST) $(APART:%=--ignore=%)
 
 # On a real GPU, one after the other: each test fails where there is none. The last are few, and watched.
 test-cuda: venv $(VENV)/stamp-cuda
