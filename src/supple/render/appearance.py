@@ -221,7 +221,7 @@ def cropped(samples: Array, crop: Clip, transfer: Transfer | str, density: tuple
         If the box is not within the volume, or the smallest value is visible, so that no value hides a voxel.
     """
     ready, known = _hiding(samples, transfer, density)
-    box = box_of(crop, samples.shape[:3], "crop")
+    box = box_of(crop, samples.shape[:3], "crop", single=True)
     kept = tuple(
         slice(math.ceil(low), min(math.floor(high) + 1, n))  # a single slice is a box of two
         for (low, high), n in zip(reversed(box), samples.shape, strict=False)

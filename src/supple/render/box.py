@@ -86,11 +86,11 @@ def whole_box(shape: tuple[int, ...]) -> Box:
     return tuple((0.0, max(n, 2) - 1.0) for n in reversed(shape))  # a single slice is rendered as two equal ones
 
 
-def box_of(clip: object, shape: tuple[int, ...], name: str = "clip") -> Box:
+def box_of(clip: object, shape: tuple[int, ...], name: str = "clip", *, single: bool = False) -> Box:
     """Return the box of a `Clip` in a volume of ``shape`` (Z, H, W); of the whole volume for None.
 
-    One of whole voxels, as ``crop`` is, may hold a single one. SuppleError, with ``name``, if a range is empty, or not
-    within the volume.
+    With ``single``, a range may be from a voxel to itself. SuppleError, with ``name``, if one is empty, or not within
+    the volume.
     """
     whole = whole_box(shape)
     if clip is None:
@@ -113,6 +113,6 @@ def box_of(clip: object, shape: tuple[int, ...], name: str = "clip") -> Box:
     for k, ((low, high), (first, last)) in enumerate(zip(made, whole, strict=True)):
         if not first <= low <= last or not first <= high <= last:
             refused(f"within the voxels of the volume, {', '.join(f'{a:g}:{b:g}' for a, b in whole)}", k)
-        if low > high or (low == high and name == "clip"):
+        if low > high or (low == high and not single):
             refused("from a lower to a higher voxel along each axis", k)
     return made

@@ -73,10 +73,8 @@ class TransferFunction:
             Linear red, green and blue, and opacity.
         """
         values = np.linspace(low, high, ENTRIES)
-        known = np.array(self.points)
-        # For a constant volume, the smallest value.
-        places = known[:, 0] if not self.relative else low + known[:, 0] * ((high - low) or 1.0)
-        seen = np.stack([np.interp(values, places, known[:, c]) for c in range(1, 5)], axis=1)
+        known = np.array(self.absolute(low, high).points)
+        seen = np.stack([np.interp(values, known[:, 0], known[:, c]) for c in range(1, 5)], axis=1)
         linear = linear_light(seen[:, :3], 1.0)
         opacity = 1 - (1 - seen[:, 3]) ** (step / self.unit)
         return np.ascontiguousarray(np.concatenate([linear, opacity[:, None]], axis=1), np.float32)
@@ -106,7 +104,7 @@ class TransferFunction:
         """Return the same in values from ``low`` to ``high``, of which relative ones are fractions."""
         if not self.relative:
             return self
-        span = (high - low) or 1.0
+        span = (high - low) or 1.0  # of a constant volume, 0 is its value
         return TransferFunction(tuple((low + p[0] * span, *p[1:]) for p in self.points), self.unit)
 
     def to_json(self) -> str:
