@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from supple.blocks import Block, Box, Warp, boxes_of
@@ -17,6 +17,7 @@ from supple.deformation import Deformation
 from supple.engines.base import Certificate, Sampling
 from supple.errors import SuppleError
 from supple.geometry import Grid
+from tests.effort import examples
 from tests.fields import drawn
 
 Array = npt.NDArray[Any]
@@ -113,7 +114,7 @@ def cases(draw: st.DrawFn) -> tuple[Warp, Array, list[int]]:
 
 
 @given(cases())
-@settings(max_examples=40)
+@examples(40)
 def test_blocks_are_the_whole_bit_for_bit(case: tuple[Warp, Array, list[int]]) -> None:
     warp, source, steps = case
     made, blocks, _ = in_blocks(warp, source, steps)
@@ -127,7 +128,7 @@ def test_blocks_are_the_whole_bit_for_bit(case: tuple[Warp, Array, list[int]]) -
 
 
 @given(cases())
-@settings(max_examples=15)
+@examples(15)
 def test_nothing_but_the_part_is_read(case: tuple[Warp, Array, list[int]]) -> None:
     """As `Deformation.warp` makes a block from a whole source whose samples beyond the part are all wrong."""
     warp, source, steps = case

@@ -27,8 +27,8 @@ CORE = Path("src", "supple", "_core")
 ZIGLANG = "ziglang>=0.13"
 COMPILERS = ["clang-cl"] if sys.platform == "win32" else ["c++", "g++", "clang++"]
 SANITIZED = [
-    "tests/core", "tests/engines/test_native.py", "tests/test_blocks.py",
     *(f"tests/engines/cuda/test_{name}.py" for name in ("brushes", "driver", "large", "maps", "parity")),
+    "tests/test_blocks.py", "tests/core", "tests/engines/test_native.py",
 ]  # fmt: skip
 GLIBC = "2.28"  # the oldest that what Zig builds runs with: RHEL 8, Debian 10, Ubuntu 18.10
 
@@ -256,9 +256,10 @@ def sanitize(tests: Sequence[str]) -> int:
         "PYTHONMALLOC": "malloc",  # so that Python's objects are watched as well
         "PYTHONPATH": str(ROOT / folder),
         "PYTHONDONTWRITEBYTECODE": "1",
-        "SUPPLE_TEST_EVERY": "5",
+        "SUPPLE_TEST_EVERY": "11",
         # The kernels for CUDA, compiled for this machine.
-        "SUPPLE_TEST_KERNELS": "-O0 -g1 -fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all",
+        "SUPPLE_TEST_KERNELS": "-O0 -g1 -fsanitize=address,undefined,float-cast-overflow "
+        "-fno-sanitize=null,object-size,pointer-overflow -fno-sanitize-recover=all",
     }
     # Reports are written by C, past what Python's sys.stderr is: of a test that they end, pytest would keep them.
     command = [sys.executable, "-m", "pytest", "-q", "--capture=sys", "-p", "no:cacheprovider"]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, reject, settings
+from hypothesis import given, reject
 from hypothesis import strategies as st
 
 from supple import Deformation, Stroke, SuppleError, _core
@@ -20,6 +20,7 @@ from supple.strain import MARGIN
 from supple.strokes import matrix_of, numbers
 from tests import reference
 from tests.core.drawn import lifted, places, turning
+from tests.effort import examples
 from tests.turns import AFFINE, at_once
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
@@ -138,7 +139,7 @@ def lowest(table: npt.NDArray[np.void], domain: Domain, points: Floats) -> float
     return float(np.linalg.eigvalsh((matrices + np.swapaxes(matrices, 1, 2)) / 2)[:, 0].min())
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(st.integers(0, 2**32), st.sampled_from(["damp", "flow"]), st.booleans())
 def test_nothing_is_below_the_margin(seed: int, on_fold: Any, flat: bool) -> None:
     rng = np.random.default_rng(seed)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, reject, settings
+from hypothesis import given, reject
 from hypothesis import strategies as st
 
 from supple import Deformation, Freeze, Stroke, SuppleError, _core
@@ -19,6 +19,7 @@ from supple.strain import mask_of, weakest
 from supple.strokes import numbers
 from tests import reference
 from tests.core.drawn import turning
+from tests.effort import examples
 
 Floats = npt.NDArray[np.float64]
 pytestmark = pytest.mark.filterwarnings("ignore::supple.MissWarning", "ignore::supple.FoldWarning")
@@ -97,7 +98,7 @@ def drawn(seed: int, *, flat: bool, on_fold: Any = "flow") -> tuple[Deformation,
     return d, mask
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(st.integers(0, 2**32), st.booleans())
 def test_one_stroke_is_m_times_as_much(seed: int, flat: bool) -> None:
     d, _ = drawn(seed, flat=flat)
@@ -116,7 +117,7 @@ def test_one_stroke_is_m_times_as_much(seed: int, flat: bool) -> None:
     np.testing.assert_allclose(d.forward(points), at[:, : d.ndim] / d.domain.spacing, atol=1e-4)
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(st.integers(0, 2**32), st.booleans())
 def test_slopes_and_inverse(seed: int, flat: bool) -> None:
     d, _ = drawn(seed, flat=flat)
@@ -132,7 +133,7 @@ def test_slopes_and_inverse(seed: int, flat: bool) -> None:
     np.testing.assert_allclose(d.forward(found.points), points, atol=1e-8)
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(st.integers(0, 2**32), st.booleans(), st.sampled_from(["flow", "damp"]))
 def test_no_row_is_below_its_margin(seed: int, flat: bool, on_fold: str) -> None:
     with warnings.catch_warnings():
@@ -170,7 +171,7 @@ def test_the_bound_is_close() -> None:
     assert lower <= upper <= 0.99 * lower
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(st.integers(0, 2**32), st.booleans(), st.sampled_from(["auto", "linear"]))
 def test_frozen_samples_keep_every_bit(seed: int, flat: bool, filter: str) -> None:
     d, mask = drawn(seed, flat=flat)
@@ -183,7 +184,7 @@ def test_frozen_samples_keep_every_bit(seed: int, flat: bool, filter: str) -> No
     assert report.within
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(st.integers(0, 2**32))
 def test_a_part_of_the_output_is_that_part(seed: int) -> None:
     d, _ = drawn(seed, flat=True)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from supple import Deformation, Stroke, _core
@@ -17,6 +17,7 @@ from supple.engines.native import plan_of
 from supple.strokes import numbers
 from tests import reference
 from tests.core.drawn import deformation, deformations, plan, sampling
+from tests.effort import examples
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
@@ -79,13 +80,13 @@ def test_one_stroke(seed: int) -> None:
         promised(d, tolerance)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(deformations(2, 90, 6), st.sampled_from(TOLERANCES))
 def test_any_strokes(d: Deformation, tolerance: float) -> None:
     promised(d, tolerance)
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(deformations(3, 60, 3), st.sampled_from(TOLERANCES), st.floats(0, 1))
 def test_any_plane(d: Deformation, tolerance: float, where: float) -> None:
     promised(d, tolerance, float(round(where * (d.shape[0] - 1))))
@@ -213,7 +214,7 @@ def bounded(d: Deformation, z: float, shape: tuple[int, int] | None = None, tole
     return low, high, moved, rate, points
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(deformations(most=70), st.floats(0, 1))
 def test_bounds_hold_every_point(d: Deformation, where: float) -> None:
     z = float(round(where * (d.shape[0] - 1))) if d.ndim == 3 else 0.0

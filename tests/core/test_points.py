@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from supple import Deformation, _core
 from supple.domain import Domain
@@ -17,6 +17,7 @@ from supple.strain import limit
 from supple.strokes import Stroke, numbers, pack
 from tests import reference
 from tests.core.drawn import POISSONS, deformation, deformations, lifted, places
+from tests.effort import examples
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
@@ -49,7 +50,7 @@ def agrees(table: Table, steps: Sequence[reference.Step], domain: Domain, points
     np.testing.assert_allclose(matrices, slopes, rtol=1e-9, atol=1e-9)
 
 
-@settings(max_examples=80)
+@examples(80)
 @given(deformations())
 def test_forward_is_the_printed_equation(d: Deformation) -> None:
     agrees(d.space.table, reference.carried_out(d), d.domain, places(d, 80))
@@ -115,7 +116,7 @@ def test_any_number_of_points(count: int) -> None:
         np.testing.assert_allclose(part, all_of_it[:count], rtol=0, atol=1e-9)
 
 
-@settings(max_examples=80)
+@examples(80)
 @given(deformations())
 def test_the_inverse_undoes_the_map(d: Deformation) -> None:
     rows, finest = numbers(d.space.table), min(d.domain.spacing)

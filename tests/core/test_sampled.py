@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from supple import _core
 from supple.domain import FREE
 from supple.fields import FOLDED, OK, OUTSIDE, Field
 from supple.geometry import Grid, overlap
+from tests.effort import examples
 from tests.fields import OPTIONS, along_x, checked, drawn, drawn_grid, moved, on_grid, positions_of, settled, solutions
 
 Floats = npt.NDArray[np.float64]
@@ -106,7 +107,7 @@ def test_inverses_are_within_their_error(
                 assert np.isfinite(found.error).all()
 
 
-@settings(max_examples=150)
+@examples(150)
 @given(
     seed=st.integers(0, 2**32 - 1),
     tolerance=st.sampled_from([1e-6, 1e-3, 0.05, 0.5]),

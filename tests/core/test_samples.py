@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from supple import Deformation, SuppleError, _core
@@ -18,6 +18,7 @@ from supple.engines.native import plan_of
 from supple.strokes import numbers
 from tests import reference
 from tests.core.drawn import deformations, plan, sampling
+from tests.effort import examples
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
@@ -78,7 +79,7 @@ def close(found: Array, expected: Array, *, most: float = 3e-3, mean: float = 5e
 
 
 @pytest.mark.filterwarnings("ignore::supple.errors.ToleranceWarning")  # float32 may not hold as much near a fold
-@settings(max_examples=40)
+@examples(40)
 @given(
     deformations(2, 36, 2),
     st.sampled_from(["u1", "u2", "f4", "f8"]),
@@ -201,7 +202,7 @@ def test_a_box_is_a_crop(filter: str, dtype: str, channels: int, how: dict[str, 
             assert part.tobytes() == expected.tobytes()
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(deformations(2, 80, 3), st.integers(0, 2**20), st.sampled_from(FILTERS), st.sampled_from(RULES))
 def test_any_box_is_a_crop(d: Deformation, seed: int, filter: str, outside: str) -> None:
     source, p = noise("u1", (1, *d.shape, 3)), plan(d)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import defaultdict
 from dataclasses import replace
 from typing import Any
@@ -11,6 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from supple import Deformation
+from tests.effort import EVERY
 from tests.engines.table import CLEAR, Limits, Row, rows
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
@@ -26,8 +26,7 @@ CLIPS = [
     *rows(["clip"], CLEAR, ["opacity", "light", "opacity and light"], few=True),
 ]
 
-# Under sanitizers, where the slow reference is slower still, one row in some: no multiple of the table's other sides.
-EVERY = int(os.environ.get("SUPPLE_TEST_EVERY", "1"))
+# One row in some: no multiple of the table's other sides.
 IMAGES, CLIPS = IMAGES[::EVERY], CLIPS[::EVERY]
 
 # Types whose rows are the same otherwise: the reference is asked for all of them together.

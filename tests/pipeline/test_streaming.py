@@ -51,10 +51,10 @@ def test_every_plane_is_bent_in_its_own_coordinates(kind: str, rule: str) -> Non
         (layout.white * x // 1 if layout.white > 1 else x)
         for x in (0.2, 0.5, 0.7)[: sum(g.channels for g in layout.groups)]
     )
-    for border in (None, 50.0):
+    for border, filters in ((None, ("linear", "cubic")), (50.0, ("cubic", "linear"))):
         d = bent(border=border)
         places = [source_points(d, group, range(COUNT))[:, ::2, ::2] for group in layout.groups]
-        for name, between in (("linear", "linear"), ("cubic", "linear"), ("linear", "cubic"), ("cubic", "cubic")):
+        for name, between in zip(filters, ("linear", "cubic"), strict=True):
             sampling = Sampling(name, between, outside=rule, fill=fill, tolerance=FINE)
             found, plan, _ = streamed(d.space, layout, arrays, sampling)
             at = 0

@@ -66,8 +66,7 @@ def test_the_grid_is_drawn_along_its_own_axes() -> None:
 
 
 @pytest.mark.parametrize("shape", [(2, 2), (1, 1), (1, 9), (300, 3), (1, 8, 9), (5, 1, 9), (5, 1, 1), (3, 40, 40)])
-@pytest.mark.parametrize("size", [0.0, 3.0])
-@pytest.mark.parametrize("suffix", [".png", ".svg"])
+@pytest.mark.parametrize(("size", "suffix"), [(0.0, ".png"), (3.0, ".svg")])
 def test_any_shape_is_drawn(tmp_path: Path, shape: tuple[int, ...], size: float, suffix: str) -> None:
     values = size * np.random.default_rng(0).normal(size=(*shape, len(shape)))
     field = Field(values, Grid(shape))

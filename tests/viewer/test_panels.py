@@ -23,6 +23,7 @@ pytest.importorskip("rendercanvas")
 DATA = Path(supple.__file__).parent / "examples" / "data"
 FLAT = (Stroke(at=(200, 120), by=(20, 10), radius=40), Stroke(at=(100, 90), by=(-10, 10), radius=30))
 DEEP = (Stroke(at=(20, 60, 60), by=(3, 0, 1), radius=20),)
+CLICKED: set[str] = set()  # controls that a medium before has as well
 
 
 @pytest.fixture(autouse=True)
@@ -93,6 +94,9 @@ def test_every_control_can_be_clicked(gpu: Gpu, seen: dict[str, tuple[float, flo
     assert {label.rpartition("#")[2] for label in labels if "header" in label} >= set(SECTIONS) - {"Volume"}
     assert len(labels) > 40
     for label in labels:
+        if label in CLICKED:
+            continue
+        CLICKED.add(label)
         view.commands.asked = None
         view.document.load(Recipe(border=None, strokes=strokes))
         view.document.select(0)

@@ -152,7 +152,7 @@ def drawn(seed: int, kind: str) -> tuple[supple.Deformation, npt.NDArray[np.bool
 
 
 @pytest.mark.parametrize("kind", ["image", "clip", "volume"])
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 2**32), tolerance=st.sampled_from([0.005, 0.01, 0.1]))
 def test_every_pixel_is_within_the_tolerance_and_what_is_frozen_stays(
     gpu: Gpu, kind: str, seed: int, tolerance: float
