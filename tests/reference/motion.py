@@ -179,9 +179,10 @@ def freedom(freeze: Freeze, points: Floats, axis: int | None = None) -> Floats:
         x = np.clip(flat[:, k], first + h, first + (n - 2) * h)
         spline = BSpline(first + h * np.arange(-2, n + 2), np.eye(n), 3)
         weights.append((spline.derivative() if axis == k else spline)(x))
-    letters = "abc"[: freeze.ndim]
-    rule = f"{letters[::-1]},{','.join(f'n{c}' for c in letters)}->n"
-    made = np.einsum(rule, freeze.coefficients / 255, *weights, optimize=True)
+    # The first axis is the last of the coefficients: a product of matrices, and sums along what is left of it.
+    made = np.tensordot(weights[0], freeze.coefficients / 255, (1, -1))
+    for weight in weights[1:]:
+        made = (made * weight.reshape(len(flat), *[1] * (made.ndim - 2), -1)).sum(axis=-1)
     return np.asarray(made.reshape(points.shape[:-1]))
 
 
