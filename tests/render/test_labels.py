@@ -8,10 +8,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+import SimpleITK as sitk  # noqa: N813
 
 import supple
 from supple import _core
-from supple.errors import SuppleError
+from supple.errors import SuppleError, VolumeWarning
+from supple.files.renders import RenderOptions, render_file
+from supple.files.volumes import VolumeOptions
 from supple.geometry import Geometry
 from supple.render.appearance import largest
 from supple.render.camera import Camera
@@ -344,6 +347,53 @@ def test_colours_are_as_opaque_as_their_luminance_and_shaded_as_it_is() -> None:
 def test_what_are_no_colours_is_refused(samples: npt.NDArray[Any], told: str) -> None:
     with pytest.raises(SuppleError, match=told):
         Scene(samples)
+
+
+SEGMENTS = {
+    "Segment0_ID": "Segment_1", "Segment0_LabelValue": "3", "Segment0_Color": "0.5 0.25 1",
+    "Segment1_ID": "Segment_2", "Segment1_LabelValue": "1", "Segment1_Color": "1 0 0",
+    "Segment2_ID": "Segment_3", "Segment2_LabelValue": "7",
+}  # fmt: skip
+
+
+def test_a_segmentation_has_the_colours_of_its_segments(tmp_path: Path) -> None:
+    image = sitk.GetImageFromArray(two())
+    for name, text in SEGMENTS.items():
+        image.SetMetaData(name, text)
+    sitk.WriteImage(image, str(tmp_path / "parts.seg.nrrd"))
+    scene = render_file(tmp_path / "parts.seg.nrrd", tmp_path / "a.png", options=RenderOptions(size=SIZE))
+    assert isinstance(scene.transfer, LabelColours)
+    assert scene.transfer.colours == {
+        1: (1.0, 0.0, 0.0, 1.0), 3: (0.5, 0.25, 1.0, 1.0), 7: pytest.approx((*palette(7), 1.0)),
+    }  # fmt: skip
+    # Also without --labels, nobody takes them for values.
+    with pytest.warns(VolumeWarning, match=r"parts.seg.nrrd is a label map, and its labels are mixed"):
+        supple.warp_file(tmp_path / "parts.seg.nrrd", tmp_path / "b.seg.nrrd", strokes(), force=True)
+    supple.warp_file(
+        tmp_path / "parts.seg.nrrd", tmp_path / "b.seg.nrrd", strokes(), force=True, volume=VolumeOptions(labels=True)
+    )
+    kept = sitk.ReadImage(str(tmp_path / "b.seg.nrrd"))
+    assert {name: kept.GetMetaData(name) for name in SEGMENTS} == SEGMENTS
+
+
+def test_layers_of_segments_are_no_colours(tmp_path: Path) -> None:
+    image = sitk.GetImageFromArray(np.stack([two().astype("u1")] * 3, axis=-1), isVector=True)
+    image.SetMetaData("Segment0_LabelValue", "1")
+    sitk.WriteImage(image, str(tmp_path / "layers.seg.nrrd"))
+    with pytest.raises(SuppleError, match=r"layers.seg.nrrd is a segmentation in 3 layers"):
+        render_file(tmp_path / "layers.seg.nrrd", tmp_path / "a.png")
+    with pytest.warns(VolumeWarning, match=r"layers.seg.nrrd is a label map"):
+        supple.warp_file(tmp_path / "layers.seg.nrrd", tmp_path / "b.nrrd", strokes())
+
+
+@pytest.mark.parametrize(("name", "text"), [("LabelValue", "one"), ("Color", "1 0"), ("Color", "red")])
+def test_segments_that_are_listed_wrongly_are_told(name: str, text: str) -> None:
+    with pytest.raises(SuppleError, match=rf"segment 4 has .*{text}.*: these should be"):
+        LabelColours.of_segments({"Segment4_ID": "a", f"Segment4_{name}": text})
+
+
+def strokes() -> supple.Recipe:
+    return supple.Recipe(border=None, strokes=(supple.Stroke(at=(11, 12, 10), by=(3, -2, 1), radius=9),))
 
 
 def test_what_is_wrong_in_a_table_is_told_with_its_line(tmp_path: Path) -> None:

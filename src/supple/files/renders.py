@@ -166,11 +166,22 @@ class RenderOptions:
             raise SuppleError("inversions are drawn as a plot, on white: leave the background out")
 
 
-def default_transfer(volume: Volume) -> str:
+def default_transfer(volume: Volume) -> Transfer | str:
     """Return the preset for a volume's values: computed tomography is recognized by air at -1000 Hounsfield units.
 
     A label map is recognized by the intent code of a NIfTI file, or by its values: few integers from 0, in large areas.
+    Segments have the colours of their file.
+
+    Raises
+    ------
+    SuppleError
+        If segments are listed wrongly.
     """
+    if volume.is_segmentation:
+        try:
+            return LabelColours.of_segments(volume.header)
+        except SuppleError as error:
+            raise SuppleError(f"{volume.name}: {error}") from None
     if _is_of_labels(volume):
         return LABELS
     values = volume.samples
@@ -216,6 +227,11 @@ def scene_of(
         ]
     elif known.time:
         raise SuppleError(f"{volume.name} is one volume, and --time is for series: leave it out")
+    elif volume.is_segmentation and volume.components > 1:
+        raise SuppleError(
+            f"{volume.name} is a segmentation in {volume.components} layers, and a picture is of one label for each "
+            "voxel: let 3D Slicer export it as a label map, or collapse its layers"
+        )
     elif samples.ndim > 3 and not are_colours(samples):
         held = f"{samples.shape[3]} components of {samples.dtype}"
         raise SuppleError(

@@ -463,8 +463,10 @@ def _first_fraction(samples: Array) -> float | None:
 
 
 def _warn_of_labels(volume: Volume) -> None:
-    """Warn of interpolated labels, if a volume looks like a label map."""
-    if (some := _looked_at(volume)) is not None:
+    """Warn of interpolated labels, if a volume is a segmentation, or looks like a label map."""
+    if volume.is_segmentation:
+        warn_of_labels(volume.samples, volume.name, known=True)
+    elif (some := _looked_at(volume)) is not None:
         warn_of_labels(some, volume.name)
 
 

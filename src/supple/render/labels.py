@@ -25,6 +25,7 @@ _MOST = 65535  # visible labels: their numbers have 16 bits
 _LARGEST = 1 << 53  # float64 holds the integers up to it
 _SPAN = 1 << 24  # labels from the smallest to the largest, of which a table is made
 _SLICER = re.compile(r"(-?\d+)\s+(\S.*?)\s+(\d+)\s+(\d+)\s+(\d+)\s+(\d+)")
+_SEGMENT = re.compile(r"Segment(\d+)_")
 _SNAP = re.compile(r'(\d+)\s+(\d+)\s+(\d+)\s+(\d+)\s+(\d+(?:\.\d*)?|\.\d+)\s+([01])\s+([01])\s+"(.*)"')
 
 
@@ -114,6 +115,35 @@ class LabelColours:
             raise SuppleError(f"{name} has no colours: it should have lines of a label, its name, and R G B A")
         if inverse and not any(colour[3] for label, colour in made.items() if label):
             made = {label: (*colour[:3], 1.0) for label, colour in made.items()}
+        return cls(made)
+
+    @classmethod
+    def of_segments(cls, header: Mapping[str, str]) -> LabelColours:
+        """Return the colours of the segments that a segmentation of 3D Slicer (``.seg.nrrd``) lists in its header.
+
+        Parameters
+        ----------
+        header : mapping of str to str
+            Fields as ``Segment0_LabelValue`` (by default 1) and ``Segment0_Color``, three numbers from 0 to 1; a
+            segment without a colour has that of `palette`.
+
+        Raises
+        ------
+        SuppleError
+            If one of these is not what it should be.
+        """
+        made: dict[int, Colour] = {}
+        for k in sorted({int(found[1]) for name in header if (found := _SEGMENT.match(name))}):
+            value, colour = (header.get(f"Segment{k}_{name}", "") for name in ("LabelValue", "Color"))
+            try:
+                label = int(value or 1)
+                red, green, blue = map(float, colour.split()) if colour else palette(label)
+            except ValueError:
+                raise SuppleError(
+                    f"segment {k} has the label {value!r} and the colour {colour!r}: these should be a whole number, "
+                    "and three from 0 to 1"
+                ) from None
+            made[label] = float(red), float(green), float(blue), 1.0
         return cls(made)
 
     @classmethod

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ from supple.media.files import PathLike, unreadable
 
 Array = npt.NDArray[Any]
 
+_SEGMENT = re.compile(r"Segment\d+_(ID|LabelValue)")
 DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
 
 
@@ -78,6 +80,11 @@ class Volume:
     def components(self) -> int:
         """The number of values of a voxel."""
         return int(self.samples.shape[3]) if self.samples.ndim == 4 and not self.series else 1
+
+    @property
+    def is_segmentation(self) -> bool:
+        """Whether its header lists segments, as 3D Slicer's segmentations do (``.seg.nrrd``)."""
+        return isinstance(self.header, dict) and any(_SEGMENT.fullmatch(name) for name in self.header)
 
     def rescaled(self) -> Array:
         """Return the scaled values: the samples themselves, or float32 if they are scaled.

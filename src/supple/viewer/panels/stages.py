@@ -19,6 +19,7 @@ from supple.media.image import Picture
 from supple.media.volume import Volume
 from supple.render.box import Box
 from supple.render.camera import Camera
+from supple.render.labels import LabelColours
 from supple.render.picture import Pick
 from supple.render.scene import Scene
 from supple.render.transfer import LABELS, Transfer
@@ -179,16 +180,18 @@ class VolumeStage:
 
     kind: Kind = "volume"
 
-    def __init__(self, gpu: Gpu, volume: Volume, preset: str, samples: Any = None) -> None:
-        self.name, self.volume, self.preset = volume.name, volume, preset
+    def __init__(self, gpu: Gpu, volume: Volume, transfer: Transfer | str, samples: Any = None) -> None:
+        self.name, self.volume = volume.name, volume
+        self.preset = transfer if isinstance(transfer, str) else ""
         # Computed tomography is recognized by its values, as its preset is.
-        self.unit = "HU" if preset.startswith("ct-") else "label" if preset == LABELS else ""  # of values
+        labels = self.preset == LABELS or isinstance(transfer, LabelColours)
+        self.unit = "HU" if self.preset.startswith("ct-") else "label" if labels else ""  # of values
         self.density: tuple[float, float] | None = None
         self.clip: Box | None = None
         self.mode = "hybrid"
         self._gpu = gpu
         self._samples = volume.rescaled() if samples is None else samples
-        self.scene = self._made(preset)
+        self.scene = self._made(transfer)
         self.shape, self.spacing = self.scene.shape, tuple(volume.geometry.spacing)
         counts, _ = np.histogram(self._samples, 96, self.scene.range)
         self.histogram = np.log1p(counts).astype(np.float32)  # logarithms of voxel counts by value
