@@ -182,6 +182,21 @@ def test_what_is_missing(run: Run, options: list[str], wanted: str) -> None:
     assert wanted in one_line(err)
 
 
+@pytest.mark.parametrize("arguments", [["render", "in.nii", "out.png"], ["view", "in.nii"]])
+@pytest.mark.parametrize(
+    ("options", "wanted"),
+    [
+        (["--radius", "5"], "--radius is for strokes, and there are none: give --grab,"),
+        (["--border", "none"], "--border is for strokes, and there are none"),
+        (["--on-fold", "damp"], "--on-fold is for strokes, and there are none"),
+    ],
+)
+def test_what_is_said_of_strokes_needs_some(run: Run, arguments: list[str], options: list[str], wanted: str) -> None:
+    status, out, err = run(*arguments, *options)
+    assert (status, out) == (2, "")
+    assert wanted in one_line(err)
+
+
 def test_the_order_is_never_guessed() -> None:
     given = {"--grab": ["1,2:3,4"], "--twist": ["1,2:30"]}
     arguments = ["--twist", "1,2:30", "in", "--grab=1,2:3,4"]

@@ -148,6 +148,7 @@ def test_a_label_map_has_its_labels_colours_unless_another_transfer_is_asked_for
         assert command(["render", "labels.nii.gz", "a.png", *usual, *options]) == 0
         pixels = image.read("a.png").pixels
         assert {tuple(row) for row in pixels[pixels[..., 3] > 0].tolist()} == wanted, options
+    usual.remove("--flat")
     assert command(["render", "labels.nii.gz", "a.png", *usual, "--projection", "maximum"]) == 0
     assert (
         capfd.readouterr().err

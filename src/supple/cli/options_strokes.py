@@ -28,6 +28,8 @@ BRUSHES = ("--grab", "--twist", "--scale", "--pinch", "--pull")
 """The options that are strokes."""
 
 _ONE_OF = "give --grab, --twist, --scale, --pinch or --pull"
+_OF_EACH = ("radius", "poisson", "scales", "reach")  # options about one stroke, and about all of them
+_OF_ALL = ("border", "border_profile", "freeze", "freeze_width", "on_fold", "amount")
 _TWIST = "X,Y[,T|Z]:ANGLE[:AXIS]"
 _SCALE = "X,Y[,T|Z]:FACTOR"
 _PINCH = "X,Y[,T|Z]:FACTOR[:AXIS]"
@@ -172,6 +174,13 @@ class StrokeOptions:
         """Return whether there is anything to do."""
         return self.count > 0 or self.recipe is not None
 
+    def refuse_alone(self) -> None:
+        """Raise SuppleError for what is said of strokes where there are none, and none are needed."""
+        loose = next((name for name in (*_OF_EACH, *_OF_ALL) if getattr(self, name)), None)
+        if loose is not None and not self.any:
+            option = f"--{loose.replace('_', '-')}"
+            raise SuppleError(f"{option} is for strokes, and there are none: {_ONE_OF}, a --recipe, or leave it out")
+
     def to_fit(self) -> Fit | None:
         """How a recipe fits another size; refuse what is said of a recipe where there is none."""
         if self.fit is not None and self.recipe is None:
@@ -255,7 +264,7 @@ class StrokeOptions:
         from supple.strokes import REACH
 
         if not self.count:
-            loose = [name for name in ("radius", "poisson", "scales", "reach") if getattr(self, name)]
+            loose = [name for name in _OF_EACH if getattr(self, name)]
             if loose:
                 raise SuppleError(f"--{loose[0]} is for strokes given beside it: {_ONE_OF}, or leave it out")
             return []

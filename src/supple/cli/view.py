@@ -52,9 +52,7 @@ def view(
     from supple.viewer.window.launch import serve as serve_it
 
     current().started(quiet=False, threads=None)
-    loose = [n for n in ("radius", "poisson", "scales", "reach") if getattr(strokes, n) and not strokes.any]
-    if loose:
-        raise SuppleError(f"--{loose[0]} is for a stroke, such as --grab: give one, or set the brush in the window")
+    strokes.refuse_alone()
     given: dict[str, Any] = {"world": volume.world, "place": lambda: volume.place_of(source), "convention": convention}
     recipe = strokes.to_recipe(**given) if strokes.any else None
     if volume.world and recipe is None:

@@ -58,6 +58,7 @@ def render(
     console.started(**options.asked(), file=source)
     warn_of_software(console, look.device)
     given: dict[str, Any] = {"world": volume.world, "place": lambda: volume.place_of(source), "convention": convention}
+    strokes.refuse_alone()
     recipe, fit = strokes.to_recipe(**given) if strokes.any else None, strokes.to_fit()
     render, reading = look.to_render(camera.to_camera(), convention), volume.to_reading()
     if convention is not None and not (strokes.pull or look.mesh):

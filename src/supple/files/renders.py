@@ -139,6 +139,8 @@ class RenderOptions:
             raise SuppleError(
                 f"a projection ({self.projection}) is of all values along a ray: use clip instead of crop"
             )
+        if self.projection != "none" and not self.shaded:
+            raise SuppleError(f"a projection ({self.projection}) has no light: leave flat out")
         number("shadows", self.shadows, "a number from 0 to 1", 0.0, 1.0)
         for name in ("silhouettes", "shadows"):
             if getattr(self, name) and (self.projection != "none" or not self.shaded):

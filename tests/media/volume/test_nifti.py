@@ -96,6 +96,7 @@ class TestNIfTI:
             by_us(tmp_path / f"out{suffix}"),
         )
 
+    @pytest.mark.filterwarnings("ignore:.* use pixdim:supple.errors.VolumeWarning")
     @pytest.mark.parametrize(("sform", "qform", "scale"), [(0, 1, 2), (2, 0, 3)])
     def test_the_sform_counts_or_else_the_qform(self, tmp_path, sform, qform, scale):
         made = nibabel.Nifti1Image(noise("i2", *SHAPE).T, None)
@@ -135,6 +136,17 @@ class TestNIfTI:
         made.header.set_sform(affine, sform)
         made.to_filename(tmp_path / form)
         read(tmp_path / form)
+
+    def test_an_sform_alone_whose_voxels_are_not_those_of_pixdim_is_told(self, tmp_path):
+        made = nibabel.Nifti1Image(noise("i2", *SHAPE).T, None)
+        made.header.set_sform(np.diag([2.0, 2.0, 3.0, 1.0]), 1)
+        for sizes, differ in (((2, 2, 3), False), ((2, 2, 3.01), False), ((1, 1, 1), True), ((2, 2, 4), True)):
+            made.header["pixdim"][1:4] = sizes
+            made.to_filename(tmp_path / "in.nii")
+            with warnings.catch_warnings(record=True) as told:
+                warnings.simplefilter("always")
+                assert read(tmp_path / "in.nii").geometry.spacing == pytest.approx((2, 2, 3))
+            assert [str(w.message).endswith("and 3D Slicer use pixdim") for w in told] == [True] * differ
 
     @pytest.mark.parametrize(("unit", "factor"), [(0, 1), (1, 1000), (2, 1), (3, 0.001)])
     def test_units_become_millimetres_and_come_back(self, tmp_path, unit, factor):

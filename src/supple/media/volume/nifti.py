@@ -51,8 +51,9 @@ def read(path: PathLike) -> Volume:
     """Read a NIfTI file, or a pair of .hdr and .img; uncompressed data are mapped.
 
     The geometry is that of the sform if it has a code, else of the qform; if they differ, a warning names the one that
-    is used, which is ITK's choice, but for a sheared sform, which no qform can be. Without a code, only the spacing is
-    known, and no position in space.
+    is used, which is ITK's choice, but for a sheared sform, which no qform can be. An sform alone is used, with a
+    warning if its sizes of voxels are not those of pixdim. Without a code, only the spacing is known, and no position
+    in space.
 
     Raises
     ------
@@ -235,7 +236,16 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
     assert known is not None
     known[:3] *= unit
     if sform is None or qform is None:
-        return placed(path, known, "RAS")
+        geometry = placed(path, known, "RAS")
+        if sform is not None and not np.allclose(geometry.spacing, steps, rtol=_SAME, atol=0.0):
+            told = ["×".join(f"{x:.4g}" for x in sizes) for sizes in (geometry.spacing, steps)]
+            warnings.warn(
+                f"the sform of {shown(path)} has voxels of {told[0]} mm and its pixdim {told[1]} mm: the sform is "
+                "used; SimpleITK, ANTs and 3D Slicer use pixdim",
+                VolumeWarning,
+                stacklevel=6,
+            )
+        return geometry
     qform[:3] *= unit
     corners = np.array([(*corner, 1.0) for corner in np.ndindex(2, 2, 2)]) * [*(np.array(sizes) - 1), 1]
 
