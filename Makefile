@@ -91,11 +91,11 @@ demo: $(VENV)/stamp
 	@$(BIN)/python tools/core.py --best
 	$(BIN)/supple demo demo --force
 
-# A worker for each core; a file's tests stay together, as they share what is made once. Not the files with the most
+# A worker for each processor; a file's tests stay together, as they share what is made once. Not the files with the most
 # tests first: those with the slowest would be last. CUDA is tested on a GPU that is played in memory.
 # What needs windows and devices, whose memory is freed with its processes alone, is tested before the rest.
 APART := tests/engines tests/viewer
-TEST := -m pytest -q -n auto --dist loadfile --no-loadscope-reorder
+TEST := -m pytest -q -n logical --dist loadfile --no-loadscope-reorder
 
 test: venv
 	$(BIN)/python $(TEST) $(APART)

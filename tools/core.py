@@ -263,7 +263,7 @@ def sanitize(tests: Sequence[str]) -> int:
     }
     # Reports are written by C, past what Python's sys.stderr is: of a test that they end, pytest would keep them.
     command = [sys.executable, "-m", "pytest", "-q", "--capture=sys", "-p", "no:cacheprovider"]
-    command += ["-n", "auto", "-o", f"pythonpath={folder}"]
+    command += ["-n", "logical", "-o", f"pythonpath={folder}"]
     if subprocess.run(
         [*command, *(tests or [*SANITIZED])],
         cwd=ROOT,
