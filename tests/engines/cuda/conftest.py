@@ -36,9 +36,10 @@ CORE = ROOT / "src" / "supple" / "_core"
 def compiled() -> Path:
     """The kernels as a library of this machine, made anew when their sources have changed.
 
-    SUPPLE_TEST_KERNELS has the compiler's options: with sanitizers, in `make sanitize`.
+    SUPPLE_TEST_KERNELS has the compiler's options: with sanitizers, in `make sanitize`. Better ones would take longer
+    than they save.
     """
-    options = shlex.split(os.environ.get("SUPPLE_TEST_KERNELS", "-O1"))
+    options = shlex.split(os.environ.get("SUPPLE_TEST_KERNELS", "-O0"))
     compiler = machine_compiler()
     if compiler is None:
         pytest.skip("there is no C++ compiler")
