@@ -75,6 +75,7 @@ def written(path: Path, values: npt.NDArray[Any], affine: Floats) -> Path:
         image = nibabel.Nifti1Image(values, None)
         image.set_sform(affine, 1)
         image.set_qform(None, 0)
+        image.header.set_zooms(np.linalg.norm(affine[:3, :3], axis=0))
         image.to_filename(path)
     return path
 

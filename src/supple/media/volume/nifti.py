@@ -237,7 +237,8 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
     known[:3] *= unit
     if sform is None or qform is None:
         geometry = placed(path, known, "RAS")
-        if sform is not None and not np.allclose(geometry.spacing, steps, rtol=_SAME, atol=0.0):
+        alike = geometry.shear or np.allclose(geometry.spacing, steps, rtol=_SAME, atol=0.0)  # ITK opens no sheared one
+        if sform is not None and not alike:
             told = ["×".join(f"{x:.4g}" for x in sizes) for sizes in (geometry.spacing, steps)]
             warnings.warn(
                 f"the sform of {shown(path)} has voxels of {told[0]} mm and its pixdim {told[1]} mm: the sform is "
