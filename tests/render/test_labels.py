@@ -357,14 +357,18 @@ SEGMENTS = {
 
 
 def test_a_segmentation_has_the_colours_of_its_segments(tmp_path: Path) -> None:
-    image = sitk.GetImageFromArray(two())
+    labels = two()
+    labels[:3] = 7
+    labels[-3:] = 9
+    image = sitk.GetImageFromArray(labels)
     for name, text in SEGMENTS.items():
         image.SetMetaData(name, text)
     sitk.WriteImage(image, str(tmp_path / "parts.seg.nrrd"))
     scene = render_file(tmp_path / "parts.seg.nrrd", tmp_path / "a.png", options=RenderOptions(size=SIZE))
     assert isinstance(scene.transfer, LabelColours)
     assert scene.transfer.colours == {
-        1: (1.0, 0.0, 0.0, 1.0), 3: (0.5, 0.25, 1.0, 1.0), 7: pytest.approx((*palette(7), 1.0)),
+        1: (1.0, 0.0, 0.0, 1.0), 3: (0.5, 0.25, 1.0, 1.0),
+        7: pytest.approx((*palette(7), 1.0)), 9: pytest.approx((*palette(9), 1.0)),
     }  # fmt: skip
     # Also without --labels, nobody takes them for values.
     with pytest.warns(VolumeWarning, match=r"parts.seg.nrrd is a label map, and its labels are mixed"):
@@ -389,7 +393,7 @@ def test_layers_of_segments_are_no_colours(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "text"), [("LabelValue", "one"), ("Color", "1 0"), ("Color", "red")])
 def test_segments_that_are_listed_wrongly_are_told(name: str, text: str) -> None:
     with pytest.raises(SuppleError, match=rf"segment 4 has .*{text}.*: these should be"):
-        LabelColours.of_segments({"Segment4_ID": "a", f"Segment4_{name}": text})
+        LabelColours.of_segments({"Segment4_ID": "a", f"Segment4_{name}": text}, [1])
 
 
 def strokes() -> supple.Recipe:

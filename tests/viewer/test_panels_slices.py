@@ -137,7 +137,7 @@ def test_labels_are_coloured_named_and_not_mixed(gpu: Gpu, tmp_path: Path) -> No
     labels = np.zeros((24, 26, 28), np.uint8)
     labels[6:18, 6:18, 6:14], labels[6:18, 6:18, 14:22] = 1, 2
     written = sitk.GetImageFromArray(labels)
-    for key, text in {"Segment0_LabelValue": "2", "Segment0_Name": "putamen"}.items():
+    for key, text in {"Segment0_LabelValue": "2", "Segment0_Name": "putamen", "Segment0_Color": "1 0.2 0"}.items():
         written.SetMetaData(key, text)
     sitk.WriteImage(written, str(tmp_path / "parts.nrrd"))
     recipe = Recipe(strokes=(Stroke.grab((14, 12, 12), by=(2, 1, 0), radius=6),))
@@ -147,13 +147,15 @@ def test_labels_are_coloured_named_and_not_mixed(gpu: Gpu, tmp_path: Path) -> No
     colours = view.slices.shaded(made, (0.0, 1.0))[..., :3]
     assert len(np.unique(colours.reshape(-1, 3), axis=0)) == 3
     assert (colours[made == 0] == 0).all()
+    assert (colours[made == 2] == (255, 51, 0)).all()
     for value, told in ((2, "label 2 (putamen)"), (1, "label 1")):
         rows, columns = np.nonzero(made == value)
         middle = len(rows) // 2
         hand.move(*view.tools.pane(0).to_canvas((float(columns[middle]), float(rows[middle]), 12.0)))
         assert f"|   {told}   |" in status(view)
     view.document.mark_saved()
-    assert view.stage.preset == "labels"  # the rendering has the same colours
+    seen = view.stage.scene.transfer.of([1, 2])[:, :3]  # the rendering has the same colours
+    assert [colours[made == k][0].tolist() for k in (1, 2)] == np.rint(255 * seen).tolist()
     for look, density in (("grey", None), ("labels", (2, 2))):
         view.stage.look(look, density)
         view.refresh()

@@ -181,7 +181,7 @@ def default_transfer(volume: Volume) -> Transfer | str:
     """
     if volume.is_segmentation:
         try:
-            return LabelColours.of_segments(volume.header)
+            return LabelColours.of_segments(volume.header, labels_in(volume.samples))
         except SuppleError as error:
             raise SuppleError(f"{volume.name}: {error}") from None
     if _is_of_labels(volume):

@@ -118,32 +118,34 @@ class LabelColours:
         return cls(made)
 
     @classmethod
-    def of_segments(cls, header: Mapping[str, str]) -> LabelColours:
-        """Return the colours of the segments that a segmentation of 3D Slicer (``.seg.nrrd``) lists in its header.
+    def of_segments(cls, header: Mapping[str, str], labels: npt.ArrayLike) -> LabelColours:
+        """Return the colours of labels, as a segmentation of 3D Slicer (``.seg.nrrd``) has them in its header.
 
         Parameters
         ----------
         header : mapping of str to str
-            Fields as ``Segment0_LabelValue`` (by default 1) and ``Segment0_Color``, three numbers from 0 to 1; a
-            segment without a colour has that of `palette`.
+            Fields as ``Segment0_LabelValue`` (by default 1) and ``Segment0_Color``, three numbers from 0 to 1.
+        labels : array_like of int
+            Of these, those without a colour there have that of `palette`.
 
         Raises
         ------
         SuppleError
             If one of these is not what it should be.
         """
-        made: dict[int, Colour] = {}
+        made = dict(zip(np.asarray(labels).tolist(), map(tuple, cls().of(labels).tolist()), strict=True))
         for k in sorted({int(found[1]) for name in header if (found := _SEGMENT.match(name))}):
             value, colour = (header.get(f"Segment{k}_{name}", "") for name in ("LabelValue", "Color"))
             try:
                 label = int(value or 1)
-                red, green, blue = map(float, colour.split()) if colour else palette(label)
+                red, green, blue = map(float, colour.split()) if colour else made.get(label, (0.0,) * 4)[:3]
             except ValueError:
                 raise SuppleError(
                     f"segment {k} has the label {value!r} and the colour {colour!r}: these should be a whole number, "
                     "and three from 0 to 1"
                 ) from None
-            made[label] = float(red), float(green), float(blue), 1.0
+            if label in made:
+                made[label] = red, green, blue, 1.0
         return cls(made)
 
     @classmethod

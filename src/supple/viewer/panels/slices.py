@@ -18,7 +18,7 @@ from supple.engines.wgpu.screen import Screen, pixels_of
 from supple.files.volumes import sampling_of
 from supple.media.volume import Volume
 from supple.media.volume.data import rescaled
-from supple.render.labels import palette
+from supple.render.labels import LabelColours, labels_in
 from supple.viewer.tools.planes import RENDERED, Plane
 from supple.viewer.tools.slices import SliceTools
 
@@ -52,6 +52,9 @@ class Slices:
         self._gpu, self.labels, self.unit = gpu, labels, unit
         self._samples = _first(volume)
         self._scaling, self._names = volume.scaling, _names_in(volume.header)
+        self._colours = LabelColours()
+        if labels and volume.is_segmentation:
+            self._colours = LabelColours.of_segments(volume.header, labels_in(self._samples))
         self._range = _range_of(self._samples)
         self._planes: dict[int, list[tuple[Deformation | None, int, Array]]] = {}  # two of each axis
         self._textures: dict[tuple[int, bool], tuple[Any, Array, tuple[float, float]]] = {}
@@ -138,8 +141,8 @@ class Slices:
         """Return values as greys within a window, or labels as colours: (rows, columns, 4)."""
         made = np.full((*values.shape, 4), 255, np.uint8)
         if self.labels:
-            known = np.nan_to_num(np.asarray(values, np.float64))
-            made[..., :3] = np.where(known[..., None] == 0, 0, np.rint(255 * palette(known)))
+            found, places = np.unique(np.nan_to_num(np.asarray(values, np.float64)), return_inverse=True)
+            made[..., :3] = np.rint(255 * self._colours.of(found)[places.reshape(values.shape), :3])
             return made
         low, high = window
         part = (np.asarray(values, np.float32) - np.float32(low)) * np.float32(255 / max(high - low, 1e-30))
