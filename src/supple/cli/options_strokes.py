@@ -29,7 +29,7 @@ BRUSHES = ("--grab", "--twist", "--scale", "--pinch", "--pull")
 
 _ONE_OF = "give --grab, --twist, --scale, --pinch or --pull"
 _OF_EACH = ("radius", "poisson", "scales", "reach")  # options about one stroke, and about all of them
-_OF_ALL = ("border", "border_profile", "freeze", "freeze_width", "on_fold", "amount")
+_OF_ALL = ("border", "border_profile", "freeze", "freeze_width", "on_fold")
 _TWIST = "X,Y[,T|Z]:ANGLE[:AXIS]"
 _SCALE = "X,Y[,T|Z]:FACTOR"
 _PINCH = "X,Y[,T|Z]:FACTOR[:AXIS]"

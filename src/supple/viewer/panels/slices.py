@@ -18,7 +18,7 @@ from supple.engines.wgpu.screen import Screen, pixels_of
 from supple.files.volumes import sampling_of
 from supple.media.volume import Volume
 from supple.media.volume.data import rescaled
-from supple.render.labels import LabelColours, labels_in
+from supple.render.labels import LabelColours
 from supple.viewer.tools.planes import RENDERED, Plane
 from supple.viewer.tools.slices import SliceTools
 
@@ -46,15 +46,17 @@ class Slices:
         Whether values are labels, which are not mixed.
     unit : str
         The unit of its values, for the status line; ``"label"`` of what looks like labels.
+    colours : LabelColours, optional
+        The colours of labels; by default, those of `supple.render.labels.palette`.
     """
 
-    def __init__(self, gpu: Gpu, volume: Volume, labels: bool = False, unit: str = "") -> None:
+    def __init__(
+        self, gpu: Gpu, volume: Volume, labels: bool = False, unit: str = "", colours: LabelColours | None = None
+    ) -> None:
         self._gpu, self.labels, self.unit = gpu, labels, unit
         self._samples = _first(volume)
         self._scaling, self._names = volume.scaling, _names_in(volume.header)
-        self._colours = LabelColours()
-        if labels and volume.is_segmentation:
-            self._colours = LabelColours.of_segments(volume.header, labels_in(self._samples))
+        self._colours = colours or LabelColours()
         self._range = _range_of(self._samples)
         self._planes: dict[int, list[tuple[Deformation | None, int, Array]]] = {}  # two of each axis
         self._textures: dict[tuple[int, bool], tuple[Any, Array, tuple[float, float]]] = {}

@@ -16,6 +16,7 @@ from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.screen import composed, pixels_of
 from supple.errors import SuppleError
 from supple.media import image
+from supple.render.labels import LabelColours
 from supple.strokes import Recipe
 from supple.viewer.document.background import Certifier
 from supple.viewer.document.editing import Document
@@ -67,7 +68,9 @@ class View:
         self.slices: Slices | None = None
         if isinstance(self.stage, VolumeStage):
             labels = bool(getattr(self.export.get("volume"), "labels", False))
-            self.slices = Slices(self.gpu, self.stage.volume, labels, self.stage.unit)
+            transfer = self.stage.scene.transfer
+            colours = transfer if isinstance(transfer, LabelColours) else None
+            self.slices = Slices(self.gpu, self.stage.volume, labels, self.stage.unit, colours)
         leave = partial(self.call_later, 0, self.canvas.close)
         self.commands = FileCommands(self.document, self.source, self.write, leave, "auto", self.export)
         self.certifier = Certifier(self.canvas.request_draw)
