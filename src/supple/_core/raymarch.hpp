@@ -52,37 +52,16 @@ struct Look {
     bool labelled;                // values are numbers of labels, see Labels
     enum { COMPOSITED, MAXIMUM, MINIMUM, AVERAGE } projection;
 
-    INLINE float entry(float value) const { return least(most((value - low) * scale, 0.0f), last_entry); }
+    template <class V>
+    INLINE V entry(V value) const {
+        return least(most(V((value - low) * scale), V{}), V{} + last_entry);
+    }
     Float4 colour(float value) const { return table[int32_t(entry(value) + 0.5f)]; }
-    // The side of the visible range on which a value is: -1, 0 in between, or 1.
-    int side(float value) const { return value < threshold ? -1 : value > top; }
-
     INLINE float arriving(Float4 q) const {
         return Voxels(arrives.data(), nodes[0], nodes[1], nodes[2]).sample(first_node + per_node * q);
     }
-    // Colour and opacity of a part of a step, along which values go from `a` to `b`; and where the middle of what is
-    // visible is, from 0 to 1.
-    INLINE Float4 between(float a, float b, float part, float& middle) const {
-        if (labelled) return halves(a, b, part, middle);
-        const float from = least(most(a, threshold), top), to = least(most(b, threshold), top);
-        if (from == to && (from != a || to != b)) return Float4{};
-        const float over = a == b ? 0 : 1 / (b - a), mean = 0.5f * (from + to), e = entry(from), e1 = entry(to);
-        middle = a == b ? 0.5f : (mean - a) * over;
-        if (__builtin_fabsf(e1 - e) < 1) {
-            Float4 flat = colour(mean);
-            const float seen = a == b ? part : part * (to - from) * over;
-            if (seen != 1 && flat[3] > 0) flat[3] = 1 - std::pow(1 - flat[3], seen);
-            return flat;
-        }
-        const Double4 all = (before(e1) - before(e)) * double(part * over / scale);
-        if (!(all[3] > 0)) return Float4{};
-        Float4 mixed = floats(Double4(all * (1 / all[3])));
-        mixed[3] = 1 - std::exp(-float(all[3]));
-        return mixed;
-    }
-
-private:
-    // Of labels, which are not mixed: half of one before half of the other.
+    // Of a step between labels, which are not mixed: half of one before half of the other; and where the middle of what
+    // is visible is, from 0 to 1.
     INLINE Float4 halves(float a, float b, float part, float& middle) const {
         Float4 one = colour(a), other = colour(b);
         middle = a == 0 ? 0.75f : b == 0 ? 0.25f : 0.5f;
@@ -93,6 +72,7 @@ private:
         mixed[3] = all;
         return mixed;
     }
+    // The sums before an entry.
     INLINE Double4 before(float entry) const {
         float at = entry + 0.5f;
         int k = least(int(at), int(last_entry));
@@ -100,381 +80,507 @@ private:
     }
 };
 
-// The state of a ray: its next sample, and its results so far.
-struct Ray {
-    Double4 origin, way;                     // voxels, and voxels a millimetre
-    Double4 along;                           // millimetres a millimetre
-    double near, far;                        // where it enters and leaves the box
-    double t;                                // the next sample; beyond `far` when the ray has ended
-    double start;                            // of the step that it is on
-    double from = NEVER, to = -NEVER;        // the range in which strokes reach it
-    double surface = NEVER, opaque = NEVER;  // the first surface, and where opacity passes 0.9
-    Float4 light{};                          // premultiplied linear colour, and opacity
-    int64_t samples = 0;
-    double steps = 0;      // of Newton's method
-    double shift[3] = {};  // millimetres from the last sample to its source
-    bool within = false;   // whether the next sample, if visible, needs its gradient
+// ---- rays, side by side --------------------------------------------------------------------------------------------
 
-    // `end` is the last voxel of the volume.
-    Ray(const Look& look, double x, double y, double limit = NEVER) : origin(look.eye) {
-        along = look.ahead + x * look.right + y * look.down;
-        along *= 1.0 / root(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
-        way = along / look.spacing;
-        Double4 over = 1.0 / (magnitude(way) > 1e-12 ? way : Double4{} + 1e-12);
-        Double4 a = (look.first - origin) * over, b = (look.last - origin) * over, low = least(a, b), high = most(a, b);
-        t = near = most(most(low[0], low[1]), most(low[2], 0.0));
-        far = least(least(high[0], high[1]), high[2]);
-        cut(look);
-        if (!look.projection) far = least(far, limit);
-        if (!live()) return;
-        for (int i = 0; i < 3 && near > 0; i++)
-            if (low[i] == near) face = __builtin_fabsf(look.lamp[i]);
-        start = near;
-        half = look.lamp - floats(along);
-        half *= 1.0f / most(__builtin_sqrtf(dot3(half, half)), 1e-6f);
-        per_voxel = floats(over);
-        sides = per_voxel > 0 ? Float4{} + BRICK : Float4{} - BRICK;
-        back = per_voxel > 0 ? Float4{} : Float4{} + BRICK;
+constexpr int RAYS = REGISTER / (int)sizeof(float);
+typedef Pack<float, RAYS> Floats;
+typedef int32_t Chosen __attribute__((vector_size(sizeof(float) * RAYS)));  // -1 for those that are, and 0 for others
+constexpr float ENDLESS = std::numeric_limits<float>::infinity();
+
+INLINE Floats root(Floats x) {
+#if defined(__AVX__)
+    return (Floats)_mm256_sqrt_ps((__m256)x);
+#elif defined(__SSE2__)
+    return (Floats)_mm_sqrt_ps((__m128)x);
+#else
+    for (int l = 0; l < RAYS; l++) x[l] = __builtin_sqrtf(x[l]);
+    return x;
+#endif
+}
+// A bit for each that is chosen.
+INLINE unsigned bits(Chosen lanes) {
+#if defined(__AVX__)
+    return (unsigned)_mm256_movemask_ps((__m256)lanes);
+#elif defined(__SSE2__)
+    return (unsigned)_mm_movemask_ps((__m128)lanes);
+#else
+    unsigned made = 0;
+    for (int l = 0; l < RAYS; l++) made |= unsigned(lanes[l] & 1) << l;
+    return made;
+#endif
+}
+template <class F>
+INLINE void each(Chosen lanes, F&& f) {
+    for (unsigned left = bits(lanes); left; left &= left - 1) f(__builtin_ctz(left));
+}
+
+// A number of each ray: all of them together, or one by one.
+template <class V, class S>
+struct Each {
+    union {
+        V all;
+        S one[RAYS];
+    };
+    Each(V all = V{}) : all(all) {}
+};
+typedef Each<Floats, float> Number;
+
+// Three numbers of each ray.
+struct Triple {
+    Number part[3];
+
+    INLINE Floats operator[](int i) const { return part[i].all; }
+    INLINE Floats& operator[](int i) { return part[i].all; }
+    INLINE Float4 of(int l) const { return Float4{part[0].one[l], part[1].one[l], part[2].one[l], 0}; }
+    INLINE void set(int l, Float4 v) {
+        for (int i = 0; i < 3; i++) part[i].one[l] = v[i];
     }
+};
+template <class V>
+INLINE Floats dot3(const Triple& a, const V& b) {
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
 
-    bool live() const { return t <= far; }
-    bool moved() const { return t >= from && t <= to; }
-    INLINE Float4 at(double t) const { return floats(Double4(origin + t * way)); }
+// Some rays, and their results so far. They start where they enter the box, from where distances along them are
+// measured, in millimetres; steps are counted, since a running sum would lose accuracy.
+struct Beam {
+    double near[RAYS] = {};     // millimetres from the eye to where they enter
+    Triple first, way, along;   // there, in voxels; voxels, and millimetres, a millimetre
+    Number end{Floats{} - 1};     // where they leave the box; below 0 if they miss it
+    Number from{Floats{} + ENDLESS}, to{Floats{} - ENDLESS};         // the range in which strokes reach them
+    Number surface{Floats{} + ENDLESS}, opaque{Floats{} + ENDLESS};  // the first surface, and where opacity passes 0.9
+    Number light[4];            // premultiplied linear colour, and opacity
+    Each<Chosen, int32_t> samples;
+    double steps[RAYS] = {};    // of Newton's method
 
-    // Advance to where the ray leaves the empty bricks around it. False if it is in a visible one.
-    INLINE bool hop(const Look& look) {
-        if (stage != FIRST && stage != LAST) return false;
-        Float4 q = at(start);
-        Int4 brick = least(whole(q * (1.0f / BRICK)), look.last_brick);
-        float away = look.skips[brick[2] * look.layer + brick[1] * look.row + brick[0]];
-        if (away == 0) {
-            if (stage != FIRST || !hopped) return false;
-            t = start = most(near, start - look.step);  // which lies partly in this brick
-            stage = PINNED;
-            return true;
-        }
-        Float4 left = (float(BRICK) * floats(brick) + back + away * sides - q) * per_voxel;  // to each side of these
-        double leave = least(left[0], least(left[1], left[2]));
-        if (start < from) leave = least(leave, from - start);
-        face = -1;
-        const double next = start + look.step * most(1.0, __builtin_ceil(leave * look.per_step - 1e-3));
-        t = start = start < far ? least(next, far) : next;  // what is left before the end may be visible
-        stage = FIRST;
-        hopped = true;
-        return true;
-    }
-
-    // Add the sample at t (the gradient, and the value last), and choose the next t. `painted` is its colour, of the
-    // transfer function's.
-    template <class F>
-    INLINE void take(const Look& look, Float4 sample, F&& painted) {
-        float value = sample[3];
-        samples++;
-        if (look.projection) {
-            project(look, value);
-            t = start += look.step;
-            return;
-        }
-        if (stage == LIT) {
-            gather(look, painted(colour), sample);
-            next(look, true);
-        } else if (stage == BISECT) {
-            bool outer = look.side(value) == look.side(before);
-            (outer ? start : t1) = t;
-            (outer ? before : after) = value;
-            t = 0.5 * (start + t1);
-            if (++turn < (look.labelled ? HALVINGS : BISECTIONS)) return;
-            if (look.labelled) {
-                surface = start = t1;
-                before = after;
-            } else {  // by a straight line to the end of the visible range
-                float end = look.side(before) < 0 ? look.threshold : look.top;
-                surface = start += (t1 - start) * ((end - before) / (after - before));
-                before = end;
-            }
-            t = t1 = least(start + look.step, most(far, start));
-            stage = HELD;
-        } else if (stage == FIRST || stage == PINNED) {
-            before = value;
-            hopped = false;
-            t = t1 = least(start + look.step, far);
-            stage = HELD;
-        } else {
-            after = value;
-            if (surface == NEVER) {
-                int side = look.side(before);
-                if (side && side == look.side(after)) return next(look, false);
-                if (side) {  // the surface lies within the step
-                    face = -1;
-                    turn = 0;
-                    t = 0.5 * (start + t1);
-                    stage = BISECT;
-                    return;
-                }
-                surface = start;
-            }
-            float middle;
-            colour = look.between(before, after, float((t1 - start) * look.per_step), middle);
-            if (!(colour[3] > 0)) return next(look, false);
-            t = mix(double(middle), start, t1);
-            within = true;  // with its gradient, and the colour there
-            stage = LIT;
-        }
-    }
-
-    // The colour of a projection, once the ray has ended.
-    void finish(const Look& look) {
-        if (!look.projection || samples == 0) return;
-        light = look.colour(look.projection == Look::AVERAGE ? float(projected / double(samples)) : float(projected));
-        surface = look.projection == Look::AVERAGE ? near : opaque;
-    }
-
-    // Go on to the colour and the distance at which a mesh ends the ray, if one does.
-    void end_at(const Look& look, Float4 end) {
-        if (end[3] == std::numeric_limits<float>::infinity()) return;
-        const float left = look.projection ? 1 : 1 - light[3];
-        surface = look.projection ? end[3] : least(surface, double(end[3]));
-        end[3] = 1;
-        light = left == 1 ? end : light + left * end;
-    }
-
-private:
-    // What is sampled: the start of a step, which may be empty or (pinned) may not, its end, whose step may be empty or
-    // (held) may not, points between until the surface is found, or the middle of what is visible.
-    enum { FIRST, PINNED, LAST, HELD, BISECT, LIT } stage = FIRST;
-    bool hopped = false;  // over empty bricks, to the start of this step
-    double t1;            // the end of the step
-    float before, after;  // the values at both
-    Float4 colour;        // of the step
-    int turn;
-    double projected = 0;  // the extreme value, or the sum
-    float face = -1;       // the cosine of the lamp's angle to the cut face, as long as it is seen from there on
-    Float4 half;           // between the lamp and the eye
-    Float4 per_voxel, back, sides;  // to leave bricks
-
-    // Go on with the next step.
-    INLINE void next(const Look& look, bool seen) {
-        within = false;
-        if (!seen) face = -1;
-        if (t == NEVER || t1 >= far) {
-            t = NEVER;
-            return;
-        }
-        start = t1;
-        before = after;
-        t = t1 = least(start + look.step, far);
-        stage = seen ? HELD : LAST;
-    }
-
-    // Cut away what lies beyond the plane; where the ray enters through it, that is a cut face.
-    void cut(const Look& look) {
+    // Make a lane the ray of a pixel (x, y), which goes on to a distance from the eye.
+    INLINE void enter(const Look& look, int l, double x, double y, double limit) {
+        Double4 d = look.ahead + x * look.right + y * look.down;
+        d *= 1.0 / root(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+        const Double4 w = d / look.spacing, over = 1.0 / (magnitude(w) > 1e-12 ? w : Double4{} + 1e-12);
+        const Double4 a = (look.first - look.eye) * over, b = (look.last - look.eye) * over;
+        const Double4 low = least(a, b), high = most(a, b);
+        const double boxed = most(most(low[0], low[1]), most(low[2], 0.0));
+        double enters = boxed, leaves = least(least(high[0], high[1]), high[2]);
+        // Cut away what lies beyond the plane; a ray that enters through it sees a cut face.
         double away = -look.plane[3], rate = 0, lamp = 0;
         for (int i = 0; i < 3; i++) {
-            away += look.plane[i] * origin[i] * look.spacing[i];
-            rate += look.plane[i] * along[i];
+            away += look.plane[i] * look.eye[i] * look.spacing[i];
+            rate += look.plane[i] * d[i];
             lamp += look.plane[i] * look.lamp[i];
         }
         if (rate > 0)
-            far = least(far, -away / rate);
-        else if (away > 0 && rate == 0)
-            far = -1;
-        else if (rate < 0 && -away / rate > near) {
-            t = near = -away / rate;
-            face = float(std::abs(lamp));
+            leaves = least(leaves, -away / rate);
+        else if (rate < 0)
+            enters = most(enters, -away / rate);
+        else if (away > 0)
+            leaves = -1;
+        if (!look.projection) leaves = least(leaves, limit);
+        if (!(enters <= leaves)) return;
+        near[l] = enters;
+        end.one[l] = float(leaves - enters);
+        first.set(l, floats(Double4(look.eye + enters * w)));
+        way.set(l, floats(w));
+        along.set(l, floats(d));
+        per_voxel.set(l, floats(over));
+        for (int i = 0; i < 3 && boxed > 0; i++)
+            if (low[i] == boxed) face.one[l] = __builtin_fabsf(look.lamp[i]);
+        if (enters > boxed) face.one[l] = float(std::abs(lamp));
+    }
+
+    // March through a volume. `V` is Voxels, Labels or Coloured; `source` has the source of a point.
+    template <class V, class Source>
+    INLINE void march(const Look& look, const V& voxels, Source&& source) {
+        live = Floats{} <= end.all;
+        if (look.projection) return project(look, voxels, source);
+        for (int i = 0; i < 3; i++) half[i] = look.lamp[i] - along[i];
+        const Floats size = most(root(dot3(half, half)), Floats{} + 1e-6f);
+        for (int i = 0; i < 3; i++) half[i] /= size;
+        while (true) {
+            hop(look);
+            if (!bits(live)) return;
+            const Number start(at(look, 0)), stop(at(look, 1));
+            const Chosen fresh = live & ~known;
+            if (bits(fresh)) before.all = fresh ? values(voxels, source, start, fresh) : before.all;
+            known = live;
+            after.all = values(voxels, source, stop, live);
+            Chosen found{}, seen{};
+            const Chosen outside = live & (surface.all == ENDLESS);
+            if (bits(outside)) found = find(look, voxels, source, start, stop, outside);
+            const Chosen behind = live & (surface.all != ENDLESS) & ~found;
+            if (bits(behind)) seen = shade(look, voxels, source, start, stop, behind);
+            face.all = seen ? face.all : Floats{} - 1;
+            inside = found | seen;
+            before.all = found ? before.all : after.all;
+            count = found ? count : count + 1;
+            live &= found | (stop.all < end.all);
         }
     }
 
-    INLINE void project(const Look& look, float value) {
-        if (look.projection == Look::AVERAGE) {
-            projected += value;
-        } else if (samples == 1 || (look.projection == Look::MAXIMUM ? value > projected : value < projected)) {
-            projected = value;
-            opaque = t;
+    // Write the results of a lane: light, the distance of the first surface and of where opacity passes 0.9, and the
+    // numbers of samples and of Newton's steps. `behind` is the colour and the distance of a mesh, if any.
+    void write(const Look& look, int l, const float* behind, float* colour, double* depth, int64_t* work) const {
+        Float4 made = {light[0].one[l], light[1].one[l], light[2].one[l], light[3].one[l]};
+        depth[0] = near[l] + surface.one[l];
+        depth[1] = near[l] + opaque.one[l];
+        if (behind && behind[3] != ENDLESS) {
+            const float left = look.projection ? 1 : 1 - made[3];
+            const Float4 mesh = {behind[0], behind[1], behind[2], 1};
+            depth[0] = look.projection ? behind[3] : least(depth[0], double(behind[3]));
+            made = left == 1 ? mesh : made + left * mesh;
         }
+        memcpy(colour, &made, sizeof made);
+        work[0] = samples.one[l];
+        work[1] = (int64_t)steps[l];
     }
 
-    // Ambient and diffuse light, and the highlight, of a surface with a gradient; both of its sides are lit.
-    INLINE void gather(const Look& look, Float4 colour, Float4 gradient) {
-        float part = (1 - light[3]) * colour[3], size = dot3(gradient, gradient);
+    // The points at some distances, in voxels.
+    INLINE Triple points(Floats t) const {
+        Triple q;
+        for (int i = 0; i < 3; i++) q[i] = first[i] + t * way[i];
+        return q;
+    }
+    INLINE Chosen moved(Floats t) const { return (t >= from.all) & (t <= to.all); }
+
+private:
+    Triple per_voxel, half;        // 1 / way; between the lamp and the eye
+    Number face{Floats{} - 1};       // the cosine of the lamp's angle to the cut face, as long as it is seen from there on
+    Chosen live{}, known{};        // those that go on; those whose value at the start of their step is known
+    Chosen inside{};               // those whose next step may not be skipped
+    Floats base{}, count{};          // where steps are counted from, and their number so far
+    Number before, after;          // the values at both ends of a step
+
+    INLINE Floats at(const Look& look, int steps) const {
+        return least(base + (count + float(steps)) * float(look.step), end.all);
+    }
+
+    // Go on to visible bricks.
+    INLINE void hop(const Look& look) {
+        const float per_step = float(look.per_step);
+        Chosen left = live & ~inside & ~moved(at(look, 0)), hopped{};
+        while (bits(left)) {
+            const Floats t = at(look, 0);
+            const Triple q = points(t);
+            Chosen brick[3];
+            for (int i = 0; i < 3; i++)
+                brick[i] = least(__builtin_convertvector(q[i] * (1.0f / BRICK), Chosen), Chosen{} + look.last_brick[i]);
+            const Each<Chosen, int32_t> index(brick[2] * look.layer + brick[1] * look.row + brick[0]);
+            Number away;
+            each(left, [&](int l) { away.one[l] = look.skips[index.one[l]]; });
+            left &= away.all > 0;
+            if (!bits(left)) break;
+            Floats leave = Floats{} + ENDLESS;  // the distance to where the ray leaves the empty bricks around it
+            for (int i = 0; i < 3; i++) {
+                const Floats wall = __builtin_convertvector(brick[i], Floats) +
+                                  (per_voxel[i] > 0 ? away.all : Floats(1 - away.all));
+                leave = least(leave, Floats((float(BRICK) * wall - q[i]) * per_voxel[i]));
+            }
+            leave = t < from.all ? least(leave, Floats(from.all - t)) : leave;
+            const Floats last = rounded_up((end.all - base) * per_step);  // what is left before the end may be visible
+            const Floats next = least(Floats(count + most(rounded_up(leave * per_step - 1e-3f), Floats{} + 1)), last);
+            live &= ~(left & (t >= end.all));
+            count = left ? next : count;
+            hopped |= left;
+            left &= live & ~moved(at(look, 0));
+        }
+        if (!bits(hopped)) return;
+        count = hopped ? most(Floats(count - 1), Floats{}) : count;  // a step that lies partly in this brick
+        known &= ~hopped;
+        face.all = hopped ? Floats{} - 1 : face.all;
+    }
+    INLINE static Floats rounded_up(Floats x) {
+        const Floats down = __builtin_convertvector(__builtin_convertvector(x, Chosen), Floats);
+        return x > down ? down + 1 : down;
+    }
+
+    template <class V, class Source>
+    INLINE Floats values(const V& voxels, Source& source, const Number& t, Chosen lanes) {
+        samples.all -= lanes;
+        const Triple p = source.place(*this, t, lanes);
+        Number made;
+        each(lanes, [&](int l) { made.one[l] = voxels.sample(p.of(l)); });
+        return made.all;
+    }
+
+    // The side of the visible range on which values are: -1, 0 in between, or 1.
+    INLINE static Chosen side(const Look& look, Floats value) { return (value < look.threshold) - (value > look.top); }
+
+    // Look for the first surface of rays in a step. Those within whose step it lies begin anew from it; they are
+    // returned.
+    template <class V, class Source>
+    INLINE Chosen find(const Look& look, const V& voxels, Source& source, const Number& start, const Number& stop,
+                       Chosen lanes) {
+        const Chosen outer = side(look, before.all), within = lanes & (outer != 0) & (outer != side(look, after.all));
+        surface.all = lanes & (outer == 0) ? start.all : surface.all;
+        if (!bits(within)) return within;
+        Floats low = start.all, high = stop.all, u = before.all, v = after.all;
+        for (int turn = 0; turn < (look.labelled ? HALVINGS : BISECTIONS); turn++) {
+            const Floats middle = 0.5f * (low + high), value = values(voxels, source, middle, within);
+            const Chosen same = side(look, value) == outer;
+            low = same ? middle : low;
+            high = same ? high : middle;
+            u = same ? value : u;
+            v = same ? v : value;
+        }
+        if (!look.labelled) {  // by a straight line to the end of the visible range
+            const Floats limit = outer < 0 ? Floats{} + look.threshold : Floats{} + look.top;
+            high = low + (high - low) * ((limit - u) / (v - u));
+            v = limit;
+        }
+        surface.all = within ? high : surface.all;
+        base = within ? high : base;
+        count = within ? Floats{} : count;
+        before.all = within ? v : before.all;
+        return within;
+    }
+
+    // Colours and opacities of a share of a step, along which values go from `before` to `after`; and where the middle
+    // of what is visible is, from 0 to 1.
+    INLINE Floats blend(const Look& look, Floats share, Chosen lanes, Triple& colour, Floats& middle) const {
+        const Floats lowest = Floats{} + look.threshold, highest = Floats{} + look.top, a = before.all, b = after.all;
+        const Number from(least(most(a, lowest), highest)), to(least(most(b, lowest), highest));
+        const Chosen level = a == b, visible = lanes & ((from.all != to.all) | ((from.all == a) & (to.all == b)));
+        const Floats over = level ? Floats{} : 1 / (b - a);
+        const Number mean(0.5f * (from.all + to.all)), first(look.entry(from.all)), last(look.entry(to.all));
+        middle = level ? Floats{} + 0.5f : (mean.all - a) * over;
+        const Chosen flat = visible & (magnitude(Floats(last.all - first.all)) < 1);
+        const Number part(share * over * (1 / look.scale)), seen(level ? share : share * (to.all - from.all) * over);
+        Number thick, opacity;
+        each(visible & ~flat, [&](int l) {
+            const Double4 all = (look.before(last.one[l]) - look.before(first.one[l])) * double(part.one[l]);
+            if (!(all[3] > 0)) return;
+            colour.set(l, floats(Double4(all * (1 / all[3]))));
+            thick.one[l] = float(all[3]);
+        });
+        opacity.all = 1 - fading(thick.all);
+        each(flat, [&](int l) {
+            const Float4 one = look.colour(mean.one[l]);
+            colour.set(l, one);
+            opacity.one[l] = seen.one[l] == 1 ? one[3] : 1 - std::pow(1 - one[3], seen.one[l]);
+        });
+        return opacity.all;
+    }
+
+    // exp(-x) of numbers from 0 on, to 2e-7.
+    INLINE static Floats fading(Floats x) {
+        x = least(x, Floats{} + 80.0f) * 1.44269504f;  // as powers of 2
+        const Chosen k = __builtin_convertvector(x + 0.5f, Chosen);
+        const Floats y = (__builtin_convertvector(k, Floats) - x) * 0.69314718f;  // within ln(2) / 2
+        const Floats power = 1 + y * (1 + y * (0.5f + y * (1 / 6.0f + y * (1 / 24.0f + y * (1 / 120.0f + y / 720.0f)))));
+        return power * (Floats)((127 - k) << 23);
+    }
+
+    // Add the light of a step. Returns the rays that see something of it.
+    template <class V, class Source>
+    INLINE Chosen shade(const Look& look, const V& voxels, Source& source, const Number& start, const Number& stop,
+                        Chosen lanes) {
+        Triple colour;
+        Number opacity, middle;
+        const Number share((stop.all - start.all) * float(look.per_step));
+        if (look.labelled)
+            each(lanes, [&](int l) {
+                const Float4 mixed = look.halves(before.one[l], after.one[l], share.one[l], middle.one[l]);
+                colour.set(l, mixed);
+                opacity.one[l] = mixed[3];
+            });
+        else
+            opacity.all = blend(look, share.all, lanes, colour, middle.all);
+        const Chosen seen = lanes & (opacity.all > 0);
+        if (!bits(seen)) return seen;
+        samples.all -= seen;
+        const Number t(start.all + middle.all * (stop.all - start.all));
+        const Triple p = source.place(*this, t, seen);
+        if constexpr (V::COLOURED) each(seen, [&](int l) { colour.set(l, voxels.painted(p.of(l), colour.of(l))); });
+        Floats lit = Floats{} + 1, shine{};
         if (look.shaded) {
-            float lit = AMBIENT + DIFFUSE, shine = 0;
-            if (size > 0) {
-                float over = 1.0f / __builtin_sqrtf(size);
-                lit = AMBIENT + DIFFUSE * __builtin_fabsf(dot3(gradient, look.lamp) * over);
-                shine = dot3(gradient, half) * over;
-                for (int i = 0; i < 4; i++) shine *= shine;
-                if (look.silhouettes > 0) {
-                    float aside = most(1 - __builtin_fabsf(dot3(gradient, floats(along)) * over), 0.0f);
-                    float left = 1 - look.silhouettes * aside * aside;
-                    lit *= left;
-                    shine *= left;
-                }
+            Triple slope;
+            each(seen, [&](int l) { slope.set(l, voxels.slopes(p.of(l))); });
+            source.turn(look, t, slope);
+            // Ambient and diffuse light, and the highlight; both sides of a surface are lit.
+            const Floats size = root(dot3(slope, slope)), over = size > 0 ? 1 / size : Floats{};
+            lit = AMBIENT + DIFFUSE * (size > 0 ? magnitude(Floats(dot3(slope, look.lamp) * over)) : Floats{} + 1);
+            shine = dot3(slope, half) * over;
+            for (int i = 0; i < 4; i++) shine *= shine;
+            if (look.silhouettes > 0) {
+                const Floats aside = most(Floats(1 - magnitude(Floats(dot3(slope, along) * over))), Floats{});
+                const Floats left = size > 0 ? 1 - look.silhouettes * aside * aside : Floats{} + 1;
+                lit *= left;
+                shine *= left;
             }
-            if (face >= 0) {
-                float deep = float((start - near) * look.per_layer), flat = 1 - least(most(deep, 0.0f), 1.0f);
-                lit = mix(flat, lit, AMBIENT + DIFFUSE * face);
-                shine *= 1 - flat;
-            }
+            const Floats deep = start.all * float(look.per_layer), flat = face.all >= 0 ? most(Floats(1 - deep), Floats{}) : Floats{};
+            lit += flat * (AMBIENT + DIFFUSE * face.all - lit);
+            shine *= 1 - flat;
             if (!look.arrives.empty()) {
-                float arrives = look.arriving(at(t));
-                lit *= arrives;
-                shine *= arrives;
+                const Triple q = points(t.all);
+                Number arrives;
+                each(seen, [&](int l) { arrives.one[l] = look.arriving(q.of(l)); });
+                lit *= arrives.all;
+                shine *= arrives.all;
             }
-            colour = colour * lit + SPECULAR * shine;
         }
-        colour[3] = 1;
-        light += part * colour;
-        if (opaque == NEVER && light[3] >= 0.9f) opaque = start;
-        if (light[3] > OPAQUE) t = NEVER;
+        const Floats part = seen ? (1 - light[3].all) * opacity.all : Floats{};
+        for (int c = 0; c < 3; c++) light[c].all += seen ? part * (colour[c] * lit + SPECULAR * shine) : Floats{};
+        light[3].all += part;
+        opaque.all = (opaque.all == ENDLESS) & (light[3].all >= 0.9f) ? start.all : opaque.all;
+        live &= ~(light[3].all > OPAQUE);
+        return seen;
+    }
+
+    // The extreme or the average value of each ray, and the transfer function's colour for it.
+    template <class V, class Source>
+    INLINE void project(const Look& look, const V& voxels, Source& source) {
+        Number value;
+        for (Floats t{}; bits(live); t = t + float(look.step), live &= t <= end.all) {
+            const Floats next = values(voxels, source, t, live);
+            if (look.projection == Look::AVERAGE) {
+                value.all += live ? next : Floats{};
+                continue;
+            }
+            const Chosen better = live & ((opaque.all == ENDLESS) |
+                                          (look.projection == Look::MAXIMUM ? next > value.all : next < value.all));
+            value.all = better ? next : value.all;
+            opaque.all = better ? t : opaque.all;
+        }
+        each(samples.all > 0, [&](int l) {
+            const bool average = look.projection == Look::AVERAGE;
+            const Float4 made = look.colour(average ? value.one[l] / float(samples.one[l]) : value.one[l]);
+            for (int c = 0; c < 4; c++) light[c].one[l] = made[c];
+            surface.one[l] = average ? 0 : opaque.one[l];
+        });
     }
 };
 
 // The sources of points: the points themselves ...
 struct Still {
-    Float4 source(const Ray&, double, Float4 q) { return q; }
-    Float4 turned(double, Float4 slopes) const { return slopes; }
+    Triple place(const Beam& beam, const Number& t, Chosen) { return beam.points(t.all); }
+    void turn(const Look& look, const Number&, Triple& slope) const {
+        for (int i = 0; i < 3; i++) slope[i] *= look.per_voxel[i];
+    }
 };
 
 // ... or the lattice. Along a stretch of a ray, as long as one or two of its cells, u is the cubic with its values and
 // slopes at both ends, and M the line. The positions of stretches do not depend on skipped bricks.
 class Cubics {
 public:
-    Cubics(const Lattice& lattice, int cells, const Ray& ray)
-        : lattice(lattice),
-          length(cells * lattice.step /
-                 root(ray.way[0] * ray.way[0] + ray.way[1] * ray.way[1] + ray.way[2] * ray.way[2])),
-          per_length(1 / length) {}
+    Cubics(const Lattice& lattice, int cells, const Beam& beam) : lattice(lattice) {
+        length.all = float(cells * lattice.step) / root(dot3(beam.way, beam.way));
+    }
 
-    INLINE Float4 source(const Ray& ray, double t, Float4 q) {
-        if (!(t >= start && t <= end)) begin(ray, t);
-        float s = float((t - start) * over), s1 = 1 - s;
-        return q + (first.u + s * (rise + s1 * (s1 * a + s * b)));
+    INLINE Triple place(const Beam& beam, const Number& t, Chosen lanes) {
+        each(lanes & ~((t.all >= start.all) & (t.all <= end.all)), [&](int l) { begin(beam, l, t.one[l]); });
+        const Floats s = (t.all - start.all) * over.all, s1 = 1 - s;
+        Triple p = beam.points(t.all);
+        for (int i = 0; i < 3; i++) p[i] += shift[i] + s * (rise[i] + s1 * (s1 * a[i] + s * b[i]));
+        return p;
     }
     // Mᵀ times the slopes.
-    INLINE Float4 turned(double t, Float4 slopes) const {
-        float s = float((t - start) * over);
-        Float4 g = slopes;
-        for (int j = 0; j < 3; j++) g[j] = dot3(first.m[j] + s * turn[j], slopes);
-        return g;
+    INLINE void turn(const Look& look, const Number& t, Triple& slope) const {
+        const Floats s = (t.all - start.all) * over.all;
+        Triple f = slope;
+        for (int j = 0; j < 3; j++) {
+            slope[j] = Floats{};
+            for (int c = 0; c < 3; c++) slope[j] += (m[j][c] + s * bend[j][c]) * f[c];
+            slope[j] *= look.per_voxel[j];
+        }
     }
 
 private:
     const Lattice& lattice;
-    double length, per_length, start = NEVER, end = -NEVER, over = 0;
-    Place first, last;
-    Float4 rise, a, b;
-    Float4 turn[3];  // the change of M to the end
+    Number length, start{Floats{} + ENDLESS}, end{Floats{} - ENDLESS}, over;
+    Triple shift, rise, a, b, m[3], bend[3];  // M at the start, and its change to the end
+    Place last[RAYS];
 
-    NOINLINE void begin(const Ray& ray, double t) {
-        double k = floored((t - ray.near) * per_length), before = end;
-        start = ray.near + k * length;
-        end = ray.near + (k + 1) * length;
-        first = start == before ? last : lattice.at(ray.at(start));
-        last = lattice.at(ray.at(least(end, ray.far)));
-        over = end <= ray.far ? per_length : 1 / most(ray.far - start, 1e-6 * length);
-        Float4 way = floats(Double4(least(end - start, ray.far - start) * ray.way));
-        rise = last.u - first.u;
-        a = -way - rise;  // (M - I) way - rise
-        b = way + rise;
+    NOINLINE void begin(const Beam& beam, int l, float t) {
+        const float whole = length.one[l], k = floored(t / whole), before = end.one[l], leaves = beam.end.one[l];
+        const float from = start.one[l] = k * whole, to = end.one[l] = (k + 1) * whole;
+        const Float4 way = beam.way.of(l), q = beam.first.of(l);
+        const Place first = from == before ? last[l] : lattice.at(q + from * way);
+        const Place next = last[l] = lattice.at(q + least(to, leaves) * way);
+        over.one[l] = to <= leaves ? 1 / whole : 1 / most(leaves - from, 1e-6f * whole);
+        const Float4 across = least(to - from, leaves - from) * way, change = next.u - first.u;
+        Float4 near = -across - change, far = across + change;  // (M - I) across - change, and the same at the end
         for (int j = 0; j < 3; j++) {
-            turn[j] = last.m[j] - first.m[j];
-            a += first.m[j] * way[j];
-            b -= last.m[j] * way[j];
+            m[j].set(l, first.m[j]);
+            bend[j].set(l, next.m[j] - first.m[j]);
+            near += first.m[j] * across[j];
+            far -= next.m[j] * across[j];
         }
+        shift.set(l, first.u);
+        rise.set(l, change);
+        a.set(l, near);
+        b.set(l, far);
     }
 };
 
-// Add one sample of a volume: `V` is Voxels, Labels or Coloured.
-template <class V, class Source>
-INLINE void see(const V& voxels, const Look& look, Ray& ray, Source& source) {
-    Float4 p = source.source(ray, ray.t, ray.at(ray.t));
-    auto painted = [&](Float4 colour) { return voxels.painted(p, colour); };
-    if (ray.within && look.shaded)
-        ray.take(look, source.turned(ray.t, voxels.slopes(p)) * look.per_voxel, painted);
-    else
-        ray.take(look, Float4{0, 0, 0, voxels.sample(p)}, painted);
-}
-
-// March along some rays, from what `source_of` gives each. First hops are in turn, as each waits for the one before it.
-template <class V, class F>
-INLINE void march(const V& voxels, const Look& look, std::vector<Ray>& rays, F&& source_of) {
-    std::vector<Ray*> left;
-    for (Ray& ray : rays) left.push_back(&ray);
-    while (!left.empty()) std::erase_if(left, [&](Ray* ray) { return !ray->live() || !ray->hop(look); });
-    for (Ray& ray : rays) {
-        auto source = source_of(ray);
-        while (ray.live())
-            if (!ray.hop(look)) see(voxels, look, ray, source);
+// ... or T⁻¹ of them, where strokes reach a ray, each from the displacement of the ray's point before.
+class Inverted {
+public:
+    Inverted(const Strokes& strokes, const Look& look, Beam& beam) : s(strokes), look(look), beam(beam) {
+        for (int l = 0; l < RAYS; l++) reach(l);
     }
-}
 
-// The range in which strokes reach a ray: millimetres from the eye, `from` and `to`.
-inline void find_reached(const Strokes& s, const Look& look, Ray& ray) {
-    for (const Stroke& k : s.strokes) {
-        double b = 0, d2 = 0;  // the way to the nearest point, and the pivot's distance from the eye
-        for (int i = 0; i < 3; i++) {
-            double r = k.pivot[i] - look.eye[i] * look.spacing[i];
-            b += r * ray.along[i];
-            d2 += r * r;
-        }
-        double half2 = k.reach * k.reach - (d2 - b * b);
-        if (!(half2 > 0)) continue;
-        ray.from = least(ray.from, b - root(half2));
-        ray.to = most(ray.to, b + root(half2));
-    }
-}
-
-// March along some rays at once, and invert the map at every sample that strokes reach: in lanes, each from the
-// displacement of the ray's sample before.
-template <class V>
-void march_exactly(const V& voxels, const Look& look, const Strokes& s, std::vector<Ray>& rays) {
-    std::vector<Ray*> left;
-    for (Ray& ray : rays) {
-        find_reached(s, look, ray);
-        left.push_back(&ray);
-    }
-    while (true) {
-        std::erase_if(left, [&](Ray* ray) {
-            Still still;
-            while (ray->live() && !ray->moved())
-                if (!ray->hop(look)) see(voxels, look, *ray, still);
-            return !ray->live();
-        });
-        const size_t count = left.size();
-        if (count == 0) return;
-        for (size_t i = 0; i < count; i += LANES) {
+    INLINE Triple place(const Beam&, const Number& t, Chosen lanes) {
+        Triple p = beam.points(t.all);
+        moved = lanes & beam.moved(t.all);
+        int each_of[RAYS], n = 0;
+        each(moved, [&](int l) { each_of[n++] = l; });
+        for (int i = 0; i < n; i += LANES) {
             Lanes q[3];
             Solution<3, Lanes> found{};
-            for (int l = 0; l < LANES; l++) {
-                const Ray& ray = *left[least(i + l, count - 1)];
-                Double4 at = (ray.origin + ray.t * ray.way) * look.spacing;
+            for (int k = 0; k < LANES; k++) {
+                const int l = each_of[least(i + k, n - 1)];
                 for (int c = 0; c < 3; c++) {
-                    q[c][l] = at[c];
-                    found.p[c][l] = at[c] + ray.shift[c];
+                    q[c][k] = double(p.part[c].one[l]) * look.spacing[c];
+                    found.p[c][k] = q[c][k] + shift[c][l];
                 }
             }
             s.settle(q, EXACT * s.finest(), found);
-            for (int l = 0; l < LANES && i + l < count; l++) {
-                Ray& ray = *left[i + l];
-                Float4 p{};
+            for (int k = 0; k < LANES && i + k < n; k++) {
+                const int l = each_of[i + k];
                 for (int c = 0; c < 3; c++) {
-                    ray.shift[c] = found.p[c][l] - q[c][l];
-                    p[c] = float(found.p[c][l] / look.spacing[c]);
+                    shift[c][l] = found.p[c][k] - q[c][k];
+                    p.part[c].one[l] = float(found.p[c][k] / look.spacing[c]);
+                    for (int j = 0; j < 3; j++) m[j].part[c].one[l] = float(found.m[j][c][k]);
                 }
-                ray.steps += found.steps[l];
-                Float4 sample = {0, 0, 0, 0};
-                if (ray.within && look.shaded) {
-                    Float4 f = voxels.slopes(p) * look.per_voxel;
-                    for (int j = 0; j < 3; j++)
-                        for (int c = 0; c < 3; c++) sample[j] += float(found.m[j][c][l]) * f[c];
-                    sample[3] = f[3];
-                } else
-                    sample[3] = voxels.sample(p);
-                ray.take(look, sample, [&](Float4 colour) { return voxels.painted(p, colour); });
+                beam.steps[l] += found.steps[k];
             }
         }
+        return p;
     }
-}
+    INLINE void turn(const Look&, const Number&, Triple& slope) const {
+        Triple f = slope;
+        for (int i = 0; i < 3; i++) f[i] *= look.per_voxel[i];
+        for (int j = 0; j < 3; j++) {
+            Floats sum{};
+            for (int c = 0; c < 3; c++) sum += m[j][c] * f[c];
+            slope[j] = moved ? sum : f[j];
+        }
+    }
+
+private:
+    const Strokes& s;
+    const Look& look;
+    Beam& beam;
+    Chosen moved{};
+    double shift[3][RAYS] = {};  // millimetres
+    Triple m[3];
+
+    // Find the range in which strokes reach a ray.
+    void reach(int l) {
+        for (const Stroke& k : s.strokes) {
+            double b = 0, d2 = 0;  // the way to the nearest point, and the pivot's distance from the start
+            for (int i = 0; i < 3; i++) {
+                const double r = k.pivot[i] - double(beam.first.part[i].one[l]) * look.spacing[i];
+                b += r * double(beam.along.part[i].one[l]);
+                d2 += r * r;
+            }
+            const double half2 = k.reach * k.reach - (d2 - b * b);
+            if (!(half2 > 0)) continue;
+            beam.from.one[l] = least(beam.from.one[l], float(b - root(half2)));
+            beam.to.one[l] = most(beam.to.one[l], float(b + root(half2)));
+        }
+    }
+};
 
 // ---- where a volume can be seen at all -----------------------------------------------------------------------------
 

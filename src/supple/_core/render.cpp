@@ -176,27 +176,26 @@ void draw(Samples samples, Colours colours, const Look& look, const SolidLattice
         auto draw_tile = [&](int tile, int) {
             const int top = tile / across * TILE, left = tile % across * TILE;
             const int bottom = least(top + TILE, height), right = least(left + TILE, width);
-            std::vector<Ray> rays;
-            rays.reserve(TILE * TILE);
-            for (int y = top; y < bottom; y++)
-                for (int x = left; x < right; x++)
-                    rays.emplace_back(look, columns(x), rows(y), ends ? (*ends)(y, x, 3) : NEVER);
-            if (strokes)
-                march_exactly(voxels, look, *strokes, rays);
-            else if (lattice)
-                march(voxels, look, rays, [&](const Ray& ray) { return Cubics(*lattice, cells, ray); });
-            else
-                march(voxels, look, rays, [](const Ray&) { return Still(); });
-            for (Ray& ray : rays) ray.finish(look);
-            Ray* ray = rays.data();
-            for (int y = top; y < bottom; y++)
-                for (int x = left; x < right; x++, ray++) {
-                    if (ends) ray->end_at(look, load<float, 4>(&(*ends)(y, x, 0)));
-                    for (int c = 0; c < 4; c++) light(y, x, c) = ray->light[c];
-                    depth(y, x, 0) = ray->surface;
-                    depth(y, x, 1) = ray->opaque;
-                    work(y, x, 0) = ray->samples;
-                    work(y, x, 1) = (int64_t)ray->steps;
+            for (int y = top; y < bottom; y += RAYS / 4)
+                for (int x = left; x < right; x += 4) {
+                    auto all = [&](auto&& use) {
+                        for (int l = 0; l < RAYS; l++)
+                            if (x + l % 4 < right && y + l / 4 < bottom) use(l, x + l % 4, y + l / 4);
+                    };
+                    auto behind = [&](int i, int j) { return ends ? &(*ends)(j, i, 0) : nullptr; };
+                    Beam beam;
+                    all([&](int l, int i, int j) {
+                        beam.enter(look, l, columns(i), rows(j), ends ? behind(i, j)[3] : NEVER);
+                    });
+                    if (strokes)
+                        beam.march(look, voxels, Inverted(*strokes, look, beam));
+                    else if (lattice)
+                        beam.march(look, voxels, Cubics(*lattice, cells, beam));
+                    else
+                        beam.march(look, voxels, Still());
+                    all([&](int l, int i, int j) {
+                        beam.write(look, l, behind(i, j), &light(j, i, 0), &depth(j, i, 0), &work(j, i, 0));
+                    });
                 }
         };
         unlocked([&] { parallel(across * down, draw_tile); });

@@ -31,6 +31,7 @@ struct Voxels {
     const T* data;
     int64_t row, layer;
     Int4 last;  // the last cell along each axis: n - 2
+    static constexpr bool COLOURED = false;
 
     Voxels(const T* data, int64_t nx, int64_t ny, int64_t nz)
         : data(data), row(nx), layer(nx * ny), last{int32_t(nx - 2), int32_t(ny - 2), int32_t(nz - 2), 0} {}
@@ -51,9 +52,6 @@ struct Voxels {
         Int4 inside = (p >= 1.0f) & (p < floats(last));
         return inside[0] & inside[1] & inside[2] ? inner_slopes(p) : outer_slopes(p);
     }
-
-    // The colour at p: that of the transfer function.
-    INLINE Float4 painted(Float4, Float4 colour) const { return colour; }
 
 protected:
     INLINE const T* at(Int4 cell) const { return data + (cell[2] * layer + cell[1] * row + cell[0]); }
@@ -197,6 +195,7 @@ private:
 template <class T>
 struct Coloured : Voxels<T> {
     const T* colours;
+    static constexpr bool COLOURED = true;
 
     Coloured(const T* data, const T* colours, int64_t nx, int64_t ny, int64_t nz)
         : Voxels<T>(data, nx, ny, nz), colours(colours) {}
