@@ -144,14 +144,14 @@ INLINE Floats dot3(const Triple& a, const V& b) {
 // Some rays, and their results so far. They start where they enter the box, from where distances along them are
 // measured, in millimetres; steps are counted, since a running sum would lose accuracy.
 struct Beam {
-    double near[RAYS] = {};     // millimetres from the eye to where they enter
-    Triple first, way, along;   // there, in voxels; voxels, and millimetres, a millimetre
-    Number end{Floats{} - 1};     // where they leave the box; below 0 if they miss it
-    Number from{Floats{} + ENDLESS}, to{Floats{} - ENDLESS};         // the range in which strokes reach them
+    double near[RAYS] = {};                                   // millimetres from the eye to where they enter
+    Triple first, way, along;                                 // there, in voxels; voxels, and millimetres, a millimetre
+    Number end{Floats{} - 1};                                 // where they leave the box; below 0 if they miss it
+    Number from{Floats{} + ENDLESS}, to{Floats{} - ENDLESS};  // the range in which strokes reach them
     Number surface{Floats{} + ENDLESS}, opaque{Floats{} + ENDLESS};  // the first surface, and where opacity passes 0.9
-    Number light[4];            // premultiplied linear colour, and opacity
+    Number light[4];                                                 // premultiplied linear colour, and opacity
     Each<Chosen, int32_t> samples;
-    double steps[RAYS] = {};    // of Newton's method
+    double steps[RAYS] = {};  // of Newton's method
 
     // Make a lane the ray of a pixel (x, y), which goes on to a distance from the eye.
     INLINE void enter(const Look& look, int l, double x, double y, double limit) {
@@ -243,15 +243,15 @@ struct Beam {
     INLINE Chosen moved(Floats t) const { return (t >= from.all) & (t <= to.all); }
 
 private:
-    Triple per_voxel, half;        // 1 / way; between the lamp and the eye
-    Number face{Floats{} - 1};       // the cosine of the lamp's angle to the cut face, as long as it is seen from there on
-    Chosen live{}, known{};        // those that go on; those whose value at the start of their step is known
-    Chosen inside{};               // those whose next step may not be skipped
-    Floats base{}, count{};          // where steps are counted from, and their number so far
-    Number before, after;          // the values at both ends of a step
+    Triple per_voxel, half;     // 1 / way; between the lamp and the eye
+    Number face{Floats{} - 1};  // the cosine of the lamp's angle to the cut face, as long as it is seen from there on
+    Chosen live{}, known{};     // those that go on; those whose value at the start of their step is known
+    Chosen inside{};            // those whose next step may not be skipped
+    Floats base{}, count{};     // where steps are counted from, and their number so far
+    Number before, after;       // the values at both ends of a step
 
     INLINE Floats at(const Look& look, int steps) const {
-        return least(base + (count + float(steps)) * float(look.step), end.all);
+        return least(Floats(base + (count + float(steps)) * float(look.step)), end.all);
     }
 
     // Go on to visible bricks.
@@ -271,8 +271,8 @@ private:
             if (!bits(left)) break;
             Floats leave = Floats{} + ENDLESS;  // the distance to where the ray leaves the empty bricks around it
             for (int i = 0; i < 3; i++) {
-                const Floats wall = __builtin_convertvector(brick[i], Floats) +
-                                  (per_voxel[i] > 0 ? away.all : Floats(1 - away.all));
+                const Floats wall =
+                    __builtin_convertvector(brick[i], Floats) + (per_voxel[i] > 0 ? away.all : Floats(1 - away.all));
                 leave = least(leave, Floats((float(BRICK) * wall - q[i]) * per_voxel[i]));
             }
             leave = t < from.all ? least(leave, Floats(from.all - t)) : leave;
@@ -298,7 +298,20 @@ private:
         samples.all -= lanes;
         const Triple p = source.place(*this, t, lanes);
         Number made;
-        each(lanes, [&](int l) { made.one[l] = voxels.sample(p.of(l)); });
+        if constexpr (V::PLAIN) {
+            Each<Chosen, int32_t> cell[3];
+            Triple part;
+            for (int i = 0; i < 3; i++) {
+                const Floats q = least(most(p[i], Floats{}), Floats{} + float(voxels.last[i] + 1));
+                cell[i].all = least(__builtin_convertvector(q, Chosen), Chosen{} + voxels.last[i]);
+                part[i] = q - __builtin_convertvector(cell[i].all, Floats);
+            }
+            each(lanes, [&](int l) {
+                made.one[l] = voxels.sample(cell[0].one[l], cell[1].one[l], cell[2].one[l], part.part[0].one[l],
+                                            part.part[1].one[l], part.part[2].one[l]);
+            });
+        } else
+            each(lanes, [&](int l) { made.one[l] = voxels.sample(p.of(l)); });
         return made.all;
     }
 
@@ -366,7 +379,8 @@ private:
         x = least(x, Floats{} + 80.0f) * 1.44269504f;  // as powers of 2
         const Chosen k = __builtin_convertvector(x + 0.5f, Chosen);
         const Floats y = (__builtin_convertvector(k, Floats) - x) * 0.69314718f;  // within ln(2) / 2
-        const Floats power = 1 + y * (1 + y * (0.5f + y * (1 / 6.0f + y * (1 / 24.0f + y * (1 / 120.0f + y / 720.0f)))));
+        const Floats power =
+            1 + y * (1 + y * (0.5f + y * (1 / 6.0f + y * (1 / 24.0f + y * (1 / 120.0f + y / 720.0f)))));
         return power * (Floats)((127 - k) << 23);
     }
 
@@ -407,7 +421,8 @@ private:
                 lit *= left;
                 shine *= left;
             }
-            const Floats deep = start.all * float(look.per_layer), flat = face.all >= 0 ? most(Floats(1 - deep), Floats{}) : Floats{};
+            const Floats deep = start.all * float(look.per_layer),
+                         flat = face.all >= 0 ? most(Floats(1 - deep), Floats{}) : Floats{};
             lit += flat * (AMBIENT + DIFFUSE * face.all - lit);
             shine *= 1 - flat;
             if (!look.arrives.empty()) {

@@ -31,7 +31,7 @@ struct Voxels {
     const T* data;
     int64_t row, layer;
     Int4 last;  // the last cell along each axis: n - 2
-    static constexpr bool COLOURED = false;
+    static constexpr bool COLOURED = false, PLAIN = true;
 
     Voxels(const T* data, int64_t nx, int64_t ny, int64_t nz)
         : data(data), row(nx), layer(nx * ny), last{int32_t(nx - 2), int32_t(ny - 2), int32_t(nz - 2), 0} {}
@@ -41,10 +41,14 @@ struct Voxels {
         p = least(most(p, Float4{}), floats(last + 1));
         Int4 cell = least(whole(p), last);
         Float4 part = p - floats(cell);
-        const T* a = at(cell);
-        Float4 near = rows(a), far = rows(a + layer), x = mix(part[2], near, far);
-        Float4 y = mix(part[1], x, __builtin_shufflevector(x, x, 2, 3, 2, 3));
-        return mix(part[0], y[0], y[1]);
+        return sample(cell[0], cell[1], cell[2], part[0], part[1], part[2]);
+    }
+    // The sample at a part of the way through a cell.
+    INLINE float sample(int i, int j, int k, float u, float v, float w) const {
+        const T* a = data + (k * layer + j * row + i);
+        Float4 near = rows(a), far = rows(a + layer), x = mix(w, near, far);
+        Float4 y = mix(v, x, __builtin_shufflevector(x, x, 2, 3, 2, 3));
+        return mix(u, y[0], y[1]);
     }
 
     // The gradient by central differences, per voxel, of voxels and trilinear in between; and the sample, last.
@@ -117,6 +121,7 @@ struct Corners {
 template <class T>
 struct Labels : Voxels<T> {
     using Voxels<T>::Voxels, Voxels<T>::row, Voxels<T>::layer, Voxels<T>::last;
+    static constexpr bool PLAIN = false;
 
     INLINE float sample(Float4 p) const {
         Corners around(p, last);

@@ -86,7 +86,7 @@ class Scene:
         Meshes and contours, which move with the volume, exactly by T. They are opaque, and not cut away by ``clip`` and
         ``plane``; projections, which are nowhere along a ray, are behind them.
     step : float, optional
-        The step along a ray, in millimetres; by default, the smallest spacing, and half of it in projections and for
+        The step along a ray, in millimetres; by default, 0.75 of the smallest spacing, and half of it in projections and for
         labels.
     shaded : bool
         Whether surfaces are shaded by their gradient.
@@ -192,7 +192,7 @@ class Scene:
         known = transfer_function(transfer)
         finest = min(places.spacing)
         step = (
-            finest * (1.0 if projection == "none" and not isinstance(known, LabelColours) else 0.5)  # what is between
+            finest * (0.75 if projection == "none" and not isinstance(known, LabelColours) else 0.5)  # what is between
             if step is None
             else number("step", step, f"millimetres, at least {finest * 1e-3:g}", finest * 1e-3, 1e9)
         )
