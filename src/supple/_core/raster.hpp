@@ -216,7 +216,7 @@ private:
         return sum;
     }
 
-    // The light of a surface with a normal, as `Ray::gather` has it.
+    // The light of a surface with a normal, as `Beam::shade` has it.
     INLINE Float4 lit(Float4 normal, Double4 along) const {
         if (!look.shaded) return mesh.colour;
         const Float4 way = floats(along), half = look.lamp - way;

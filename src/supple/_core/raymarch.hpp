@@ -6,7 +6,8 @@
 // opacity of a step are those of all values from its first to its last, as if they were linear in between
 // (pre-integration): what is visible of them is not missed, however narrow a window it is. A deformed
 // volume is sampled at p = T⁻¹(q), and its gradient is (∂p/∂q)ᵀ ∇f. Rays are clipped against a box; what it cuts
-// through is lit as the plane that it is, since gradients within a body point anywhere.
+// through is lit as the plane that it is, since gradients within a body point anywhere. Rays of neighbouring pixels are
+// marched together, one in each lane of a vector; voxels are read lane by lane.
 #pragma once
 #include <array>
 #include <cmath>
@@ -293,6 +294,7 @@ private:
         return x > down ? down + 1 : down;
     }
 
+    // The values at some distances, of chosen rays.
     template <class V, class Source>
     INLINE Floats values(const V& voxels, Source& source, const Number& t, Chosen lanes) {
         samples.all -= lanes;

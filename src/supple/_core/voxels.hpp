@@ -30,8 +30,8 @@ template <class T>
 struct Voxels {
     const T* data;
     int64_t row, layer;
-    Int4 last;  // the last cell along each axis: n - 2
-    static constexpr bool COLOURED = false, PLAIN = true;
+    Int4 last;                                             // the last cell along each axis: n - 2
+    static constexpr bool COLOURED = false, PLAIN = true;  // has colours of its own; is no more than values
 
     Voxels(const T* data, int64_t nx, int64_t ny, int64_t nz)
         : data(data), row(nx), layer(nx * ny), last{int32_t(nx - 2), int32_t(ny - 2), int32_t(nz - 2), 0} {}

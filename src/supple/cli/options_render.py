@@ -108,8 +108,8 @@ class LookOptions:
     size
         Width and height of the picture in pixels.
     step
-        Distance between samples along a ray, in millimetres (default: 0.75 of the smallest spacing; half of it in
-        projections, and of labels).
+        Distance between samples along a ray, in millimetres (default: 0.75 of the smallest spacing; half of
+        that spacing in projections, and of labels).
     mode
         How the deformed volume is sampled. lattice (default): inverse map interpolated from a lattice, with an
         error bound. exact: inverse solved at each sample. buffered: the volume is warped first. hybrid: lattice

@@ -86,8 +86,8 @@ class Scene:
         Meshes and contours, which move with the volume, exactly by T. They are opaque, and not cut away by ``clip`` and
         ``plane``; projections, which are nowhere along a ray, are behind them.
     step : float, optional
-        The step along a ray, in millimetres; by default, 0.75 of the smallest spacing, and half of it in projections and for
-        labels.
+        The step along a ray, in millimetres; by default, 0.75 of the smallest spacing, and half of that spacing in
+        projections and for labels.
     shaded : bool
         Whether surfaces are shaded by their gradient.
     tolerance : float
