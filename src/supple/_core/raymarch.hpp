@@ -83,7 +83,7 @@ struct Look {
 
 // ---- rays, side by side --------------------------------------------------------------------------------------------
 
-constexpr int RAYS = REGISTER / (int)sizeof(float);
+constexpr int RAYS = REGISTER > 16 ? 8 : 4;
 typedef Pack<float, RAYS> Floats;
 typedef int32_t Chosen __attribute__((vector_size(sizeof(float) * RAYS)));  // -1 for those that are, and 0 for others
 constexpr float ENDLESS = std::numeric_limits<float>::infinity();

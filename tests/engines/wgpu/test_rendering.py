@@ -38,7 +38,7 @@ def test_a_picture_is_the_cpu_s(gpu: Gpu, cloud: np.ndarray, bent: supple.Deform
         assert np.quantile(abs(one.depth[both] - other.depth[both]), 0.98) < 0.01
         assert (np.isfinite(one.depth) != np.isfinite(other.depth)).mean() < 2e-3
         # The CPU looks once more where a ray begins within what is seen.
-        assert abs(int(one.samples.sum()) - int(other.samples.sum())) < 0.08 * one.samples.sum()
+        assert abs(int(one.samples.sum()) - int(other.samples.sum())) < 0.1 * one.samples.sum()
         assert (one.evaluations.sum() > 0) == (other.evaluations.sum() > 0) == (mode == "exact")
 
 
