@@ -32,8 +32,8 @@ constexpr double NEVER = std::numeric_limits<double>::infinity();
 struct Look {
     Double4 eye, spacing, ahead, right, down;  // the ray of a pixel (x, y): ahead + x right + y down
     Double4 first, last;                       // the corners of the box that is seen, in voxels
-    double step, per_step;                     // millimetres from sample to sample; 1 / that
-    double per_layer;                          // 1 / the millimetres of LAYER
+    float step, per_step;                      // millimetres from sample to sample; 1 / that
+    float per_layer;                           // 1 / the millimetres of LAYER
     Float4 lamp, per_voxel;                    // the position of the light; 1 / spacing, and 1
     bool shaded;
     std::vector<uint8_t> skips;  // the distance in bricks to the next visible one
@@ -58,6 +58,7 @@ struct Look {
         return least(most(V((value - low) * scale), V{}), V{} + last_entry);
     }
     Float4 colour(float value) const { return table[int32_t(entry(value) + 0.5f)]; }
+
     INLINE float arriving(Float4 q) const {
         return Voxels(arrives.data(), nodes[0], nodes[1], nodes[2]).sample(first_node + per_node * q);
     }
@@ -89,14 +90,8 @@ typedef int32_t Chosen __attribute__((vector_size(sizeof(float) * RAYS)));  // -
 constexpr float ENDLESS = std::numeric_limits<float>::infinity();
 
 INLINE Floats root(Floats x) {
-#if defined(__AVX__)
-    return (Floats)_mm256_sqrt_ps((__m256)x);
-#elif defined(__SSE2__)
-    return (Floats)_mm_sqrt_ps((__m128)x);
-#else
-    for (int l = 0; l < RAYS; l++) x[l] = __builtin_sqrtf(x[l]);
+    for (int l = 0; l < RAYS; l++) x[l] = __builtin_sqrtf(x[l]);  // an instruction for all of them
     return x;
-#endif
 }
 // A bit for each that is chosen.
 INLINE unsigned bits(Chosen lanes) {
@@ -252,12 +247,11 @@ private:
     Number before, after;       // the values at both ends of a step
 
     INLINE Floats at(const Look& look, int steps) const {
-        return least(Floats(base + (count + float(steps)) * float(look.step)), end.all);
+        return least(Floats(base + (count + float(steps)) * look.step), end.all);
     }
 
     // Go on to visible bricks.
     INLINE void hop(const Look& look) {
-        const float per_step = float(look.per_step);
         Chosen left = live & ~inside & ~moved(at(look, 0)), hopped{};
         while (bits(left)) {
             const Floats t = at(look, 0);
@@ -277,8 +271,10 @@ private:
                 leave = least(leave, Floats((float(BRICK) * wall - q[i]) * per_voxel[i]));
             }
             leave = t < from.all ? least(leave, Floats(from.all - t)) : leave;
-            const Floats last = rounded_up((end.all - base) * per_step);  // what is left before the end may be visible
-            const Floats next = least(Floats(count + most(rounded_up(leave * per_step - 1e-3f), Floats{} + 1)), last);
+            const Floats last =
+                rounded_up((end.all - base) * look.per_step);  // what is left before the end may be visible
+            const Floats next =
+                least(Floats(count + most(rounded_up(leave * look.per_step - 1e-3f), Floats{} + 1)), last);
             live &= ~(left & (t >= end.all));
             count = left ? next : count;
             hopped |= left;
@@ -392,7 +388,7 @@ private:
                         Chosen lanes) {
         Triple colour;
         Number opacity, middle;
-        const Number share((stop.all - start.all) * float(look.per_step));
+        const Number share((stop.all - start.all) * look.per_step);
         if (look.labelled)
             each(lanes, [&](int l) {
                 const Float4 mixed = look.halves(before.one[l], after.one[l], share.one[l], middle.one[l]);
@@ -423,7 +419,7 @@ private:
                 lit *= left;
                 shine *= left;
             }
-            const Floats deep = start.all * float(look.per_layer),
+            const Floats deep = start.all * look.per_layer,
                          flat = face.all >= 0 ? most(Floats(1 - deep), Floats{}) : Floats{};
             lit += flat * (AMBIENT + DIFFUSE * face.all - lit);
             shine *= 1 - flat;
@@ -447,7 +443,7 @@ private:
     template <class V, class Source>
     INLINE void project(const Look& look, const V& voxels, Source& source) {
         Number value;
-        for (Floats t{}; bits(live); t = t + float(look.step), live &= t <= end.all) {
+        for (Floats t{}; bits(live); count = count + 1, t = count * look.step, live &= t <= end.all) {
             const Floats next = values(voxels, source, t, live);
             if (look.projection == Look::AVERAGE) {
                 value.all += live ? next : Floats{};
@@ -532,11 +528,11 @@ private:
 // ... or T⁻¹ of them, where strokes reach a ray, each from the displacement of the ray's point before.
 class Inverted {
 public:
-    Inverted(const Strokes& strokes, const Look& look, Beam& beam) : s(strokes), look(look), beam(beam) {
-        for (int l = 0; l < RAYS; l++) reach(l);
+    Inverted(const Strokes& strokes, const Look& look, Beam& beam) : s(strokes), look(look) {
+        for (int l = 0; l < RAYS; l++) reach(beam, l);
     }
 
-    INLINE Triple place(const Beam&, const Number& t, Chosen lanes) {
+    INLINE Triple place(Beam& beam, const Number& t, Chosen lanes) {
         Triple p = beam.points(t.all);
         moved = lanes & beam.moved(t.all);
         int each_of[RAYS], n = 0;
@@ -577,13 +573,12 @@ public:
 private:
     const Strokes& s;
     const Look& look;
-    Beam& beam;
     Chosen moved{};
     double shift[3][RAYS] = {};  // millimetres
     Triple m[3];
 
     // Find the range in which strokes reach a ray.
-    void reach(int l) {
+    void reach(Beam& beam, int l) const {
         for (const Stroke& k : s.strokes) {
             double b = 0, d2 = 0;  // the way to the nearest point, and the pivot's distance from the start
             for (int i = 0; i < 3; i++) {

@@ -126,9 +126,9 @@ Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Ar
     look->per_voxel = floats(Double4(1.0 / look->spacing));
     look->first = Double4{box(0, 0), box(0, 1), box(0, 2), 0};
     look->last = Double4{box(1, 0), box(1, 1), box(1, 2), 0};
-    look->step = step;
-    look->per_step = 1 / step;
-    look->per_layer = 1 / (LAYER * least(camera(1, 0), least(camera(1, 1), camera(1, 2))));
+    look->step = float(step);
+    look->per_step = float(1 / step);
+    look->per_layer = float(1 / (LAYER * least(camera(1, 0), least(camera(1, 1), camera(1, 2)))));
     look->lamp = point_of(lamp.data());
     look->shaded = shaded;
     look->plane = Double4{plane[0], plane[1], plane[2], plane[3]};

@@ -45,7 +45,7 @@ struct Voxels {
     }
     // The sample at a part of the way through a cell.
     INLINE float sample(int i, int j, int k, float u, float v, float w) const {
-        const T* a = data + (k * layer + j * row + i);
+        const T* a = at(i, j, k);
         Float4 near = rows(a), far = rows(a + layer), x = mix(w, near, far);
         Float4 y = mix(v, x, __builtin_shufflevector(x, x, 2, 3, 2, 3));
         return mix(u, y[0], y[1]);
@@ -58,7 +58,8 @@ struct Voxels {
     }
 
 protected:
-    INLINE const T* at(Int4 cell) const { return data + (cell[2] * layer + cell[1] * row + cell[0]); }
+    INLINE const T* at(int i, int j, int k) const { return data + (k * layer + j * row + i); }
+    INLINE const T* at(Int4 cell) const { return at(cell[0], cell[1], cell[2]); }
 
 private:
     // Two voxels of a row, and two of the next.
