@@ -36,7 +36,7 @@ bool with_filter(int filter, bool rough, const int* grid, int threads, const Job
         case CUBIC: return paint_all<T, N, C, CUBIC, D>(rough, grid, threads, job), true;
         case AUTO: return paint_all<T, N, C, AUTO, D>(rough, grid, threads, job), true;
         case cuda::MAP:
-            if constexpr (sizeof(T) == 4 && !Limits<T>::whole)
+            if constexpr (sizeof(T) == 4 && !WHOLE<T>)
                 return paint_all<T, N, C, cuda::MAP, D>(rough, grid, threads, job), true;
     }
     return false;

@@ -10,6 +10,7 @@ JOB = np.dtype(
     [(name, "u8") for name in ("maps", "xs", "ys", "nodes", "leaves", "states", "rough", "told")]
     + [("source", _SAMPLES), ("out", _SAMPLES), ("fill", "u8")]
     + [(name, "f8") for name in ("tolerance", "white", "high")]
+    + [("top", "u8")]
     + [
         (name, "i4")
         for name in (

@@ -223,10 +223,12 @@ def painter(gpu: CudaDevice, work: Work, dtype: np.dtype[Any], stream: Stream) -
     nearest = sampling.filter == "nearest"
     (fill,) = work.fills
     white = 1.0 if dtype == np.bool_ else work.layout.white
+    top = min(white, int(np.iinfo(dtype).max)) if dtype.kind in "iu" else white
     job = _common(space, sampling.tolerance)
     for name, value in {
         "white": white,
-        "high": min(white, float(np.iinfo(dtype).max)) if dtype.kind in "iu" else white,
+        "high": top,
+        "top": int(top),
         "w": space.shape[1],
         "h": space.shape[0],
         "count": space.count if space.ndim == 3 else 1,

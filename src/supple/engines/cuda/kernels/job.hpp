@@ -59,6 +59,7 @@ struct Job {
     Samples source, out;
     const double* fill;  // of each channel
     double tolerance, white, high;
+    uint64_t top;                          // the largest value of whole numbers, which is `high`
     int map_count, planes, first, shared;  // lattices; the number of the first; the images that share one, or 0
     int width, height, nx, ny;             // pixels, and nodes
     int from_x, from_y;                    // the pixel of the map that the output begins with

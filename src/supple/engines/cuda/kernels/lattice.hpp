@@ -10,21 +10,28 @@ constexpr double CLOSE_ENOUGH = 0.01;  // of the tolerance: the last step of a p
 
 // Solve for T⁻¹ at a point of a composite, with its derivatives.
 template <int D, bool MIXED>
-INLINE Passed<double> backwards(const Map& map, const double* q, Jet<D, D, MIXED, double>& jet) {
+INLINE Passed<double> backwards(const Map& map, const double* q, Solved<D, double>& found) {
+    Jet<D, D, MIXED, double> jet{};
     for (int d = 0; d < D; d++) {
         jet.x[d] = q[d];
-        for (int e = 0; e < D; e++) jet.t[e][d] = d == e;
+        jet.t[d][d] = 1;
     }
-    if constexpr (MIXED) {
-        for (int d = 0; d < D; d++) jet.mixed[d] = 0;
-        jet.smooth2[0] = jet.smooth2[1] = 1e300;
+    if constexpr (MIXED) jet.smooth2[0] = jet.smooth2[1] = 1e300;
+    const Passed<double> passed = pass<D>(*map.composite, true, jet);
+    for (int d = 0; d < D; d++) {
+        found.at.p[d] = jet.x[d];
+        if constexpr (MIXED) found.mixed[d] = jet.mixed[d];
+        for (int e = 0; e < D; e++) found.at.m[e][d] = jet.t[e][d];
     }
-    return pass<D>(*map.composite, true, jet);
+    for (int a = 0; MIXED && a < 2; a++) found.smooth2[a] = jet.smooth2[a];
+    found.at.done = passed.done;
+    return passed;
 }
 
 template <int D>
 INLINE void solve_node(const Job& job) {
     const int64_t i = thread(), each = (int64_t)job.nx * job.ny;
+    if (i == 0) job.told->rough = 0;  // for the next kernel to count
     if (i >= each * job.planes) return;
     const int plane = (int)(i / each), j = (int)(i % each / job.nx), k = (int)(i % job.nx);
     const Map& map = map_of(job, plane);
@@ -34,14 +41,7 @@ INLINE void solve_node(const Job& job) {
     Solved<D, double> found{};
     if (composed(map)) {
         if (!map.composite->smooth) return;  // every pixel is solved
-        Jet<D, D, true, double> jet;
-        const Passed<double> passed = backwards<D>(map, q, jet);
-        for (int d = 0; d < D; d++) {
-            found.at.p[d] = jet.x[d];
-            found.mixed[d] = jet.mixed[d];
-            for (int e = 0; e < D; e++) found.at.m[e][d] = jet.t[e][d];
-        }
-        for (int a = 0; a < 2; a++) found.smooth2[a] = jet.smooth2[a];
+        const Passed<double> passed = backwards<D, true>(map, q, found);
         found.at.done = passed.done && passed.within && passed.upright;
     } else
         found = solved<D>(map.chain, map.axes, q, map.finest(D), job.tolerance, Guess::NONE, found.at);
@@ -151,18 +151,6 @@ INLINE void check_cell(const Job& job) {
     atomicMax(&job.told->worst, __float_as_int((float)(most(reserve * root(worst), rounding) * (1 + 1e-6))));
 }
 
-// The pixels of a rough cell: its first, and their number along x and y.
-struct Pixels {
-    int plane, x, y, w, h;
-};
-INLINE Pixels pixels_of(const Job& job, int cell) {
-    const int wide = job.nx - 1, tall = job.ny - 1, k = cell % wide, j = cell / wide % tall;
-    Pixels p{cell / (wide * tall), job.xs[k], job.ys[j], 0, 0};
-    p.w = (k == wide - 1 ? job.width + job.from_x : job.xs[k + 1]) - p.x;
-    p.h = (j == tall - 1 ? job.height + job.from_y : job.ys[j + 1]) - p.y;
-    return p;
-}
-
 // The point of a pixel of a rough cell, which is solved.
 template <int D>
 NOINLINE void solve_pixel(const Job& job, int plane, int x, int y, Point<D>& point) {
@@ -172,15 +160,10 @@ NOINLINE void solve_pixel(const Job& job, int plane, int x, int y, Point<D>& poi
     for (int d = 0; d < D; d++) q[d] = at[d] * map.axes[d].spacing;
     point.same = !composed(map) && unmoved<D>(map, q);
     if (point.same) return;
-    Solution<D, double> found{};
+    Solved<D, double> solution{};
+    Solution<D, double>& found = solution.at;
     if (composed(map)) {
-        Jet<D, D, false, double> jet;
-        const Passed<double> passed = backwards<D>(map, q, jet);
-        for (int d = 0; d < D; d++) {
-            found.p[d] = jet.x[d];
-            for (int e = 0; e < D; e++) found.m[e][d] = jet.t[e][d];
-        }
-        found.done = passed.done;
+        const Passed<double> passed = backwards<D, false>(map, q, solution);
         if (!passed.upright) atomicAdd(&job.told->folded, 1);
         if (!passed.within) atomicAdd(&job.told->outside, 1);
     } else {

@@ -8,55 +8,25 @@ namespace supple::cuda {
 constexpr int MAP = 4;  // no filter: the points themselves are written, or their displacements if it is `average`
 
 // Samples of 16 bits with a fraction.
+#if defined(__CUDACC_RTC__)
 struct Half {
     uint16_t bits;
     Half() = default;
-    INLINE explicit Half(float x) {
-        uint32_t u = as<uint32_t>(x), sign = u >> 16 & 0x8000, e = u & 0x7fffffff;
-        if (e > 0x7f800000)
-            bits = (uint16_t)(sign | 0x7e00);
-        else if (e >= 0x477ff000)
-            bits = (uint16_t)(sign | 0x7c00);
-        else if (e < 0x38800000)  // below the normal ones: added to what has their spacing
-            bits = (uint16_t)(sign | (as<uint32_t>(as<float>(e) + 0.5f) - 0x3f000000u));
-        else
-            bits = (uint16_t)(sign | ((e + 0xc8000fffu + (e >> 13 & 1)) >> 13));
-    }
+    INLINE explicit Half(float x) { asm("cvt.rn.f16.f32 %0, %1;" : "=h"(bits) : "f"(x)); }
     INLINE operator float() const {
-        uint32_t u = (uint32_t)(bits & 0x7fff) << 13, sign = (uint32_t)(bits & 0x8000) << 16;
-        if (u >= 0x0f800000)
-            u += 0x70000000;  // infinity, and what is no number
-        else if (u >= 0x00800000)
-            u += 0x38000000;
-        else
-            u = as<uint32_t>(as<float>(u + 0x38800000) - as<float>(0x38800000u));
-        return as<float>(u | sign);
-    }
-
-private:
-    template <class To, class From>
-    static INLINE To as(From x) {
-        union {
-            From from;
-            To to;
-        } u;
-        u.from = x;
-        return u.to;
+        float x;
+        asm("cvt.f32.f16 %0, %1;" : "=f"(x) : "h"(bits));
+        return x;
     }
 };
+#else
+typedef _Float16 Half;
+#endif
 
-// The limits of a type of samples; of real numbers, none.
 template <class T>
-struct Limits {
-    static constexpr bool whole = T(0.5f) == T(0);
-    static constexpr bool below = T(-1) < T(0);
-    static constexpr double low = below ? -(double)(1ull << (8 * sizeof(T) - 1)) : 0;
-};
+constexpr bool WHOLE = T(0.5f) == T(0);
 template <>
-struct Limits<Half> {
-    static constexpr bool whole = false;
-    static constexpr double low = 0;
-};
+constexpr bool WHOLE<Half> = false;
 
 // C numbers that are summed together.
 template <class N, int C>
@@ -88,41 +58,35 @@ struct Group {
     const Job& job;
     int first, some;  // the first colour, and their number
 
-    INLINE N number(double v) const { return (N)(job.light ? job.white * to_light(v / job.white) : v); }
-    INLINE Sum<N, C> read(const T* p) const {
+    // `value(c)` of each channel.
+    template <class Value>
+    INLINE Sum<N, C> sum_of(Value value) const {
         Sum<N, C> s{};
         N weight = 1;
         if (C > 1 && job.alpha >= 0) {
-            s.v[C - 1] = (N)p[job.alpha * job.source.channel];
+            s.v[C - 1] = (N)value(job.alpha);
             weight = (N)(s.v[C - 1] / job.white);
         }
         for (int c = 0; c < C; c++)
             if (c < some) {
-                const T v = p[(first + c) * job.source.channel];
-                s.v[c] = weight * (job.light ? number((double)v) : (N)v);
+                const auto v = value(first + c);
+                s.v[c] = weight * (N)(job.light ? job.white * to_light((double)v / job.white) : (N)v);
             }
         return s;
     }
+    INLINE Sum<N, C> read(const T* p) const {
+        return sum_of([&](int c) { return p[c * job.source.channel]; });
+    }
     INLINE Sum<N, C> constant() const {
-        Sum<N, C> s{};
-        N weight = 1;
-        if (C > 1 && job.alpha >= 0) {
-            s.v[C - 1] = (N)job.fill[job.alpha];
-            weight = (N)(job.fill[job.alpha] / job.white);
-        }
-        for (int c = 0; c < C; c++)
-            if (c < some) s.v[c] = weight * number(job.fill[first + c]);
-        return s;
+        return sum_of([&](int c) { return job.fill[c]; });
     }
     INLINE T rounded(double v) const {
-        if constexpr (Limits<T>::whole) {
+        if constexpr (WHOLE<T>) {
+            constexpr double low = T(-1) < T(0) ? -(double)(1ull << (8 * sizeof(T) - 1)) : 0;
             v = floored(v + 0.5);
-            if (!(v > Limits<T>::low)) return v == v ? (T)Limits<T>::low : T(0);
-            if (v >= job.high)
-                return job.high >= 18446744073709551615.0  ? T(-1)
-                       : job.high >= 9223372036854775807.0 ? T(9223372036854775807ll)
-                                                           : (T)job.high;
-            return (T)v;
+            if (v >= job.high) return (T)job.top;
+            if (v <= low) return (T)low;
+            return v == v ? (T)v : T(0);
         } else
             return (T)v;
     }
@@ -143,136 +107,112 @@ struct Group {
     }
 };
 
-// Where samples around a pixel are in a frame: sample (x, y) is at row[y] + column[x]; null for the constant.
-template <class T, class N, int C>
-struct Frame {
-    const Group<T, N, C>& group;
-    const T* first;  // or null, for the constant
-
-    INLINE Sum<N, C> at(int x, int y) const {
-        const Job& job = group.job;
-        x = placed(x, job.w, job.rule);
-        y = placed(y, job.h, job.rule);
-        if (!first || x < 0 || y < 0) return group.constant();
-        return group.read(first + y * job.source.row + x * job.source.column);
-    }
-    // Σ_j d_j Σ_i a_i f(x + i, y + j)
-    template <int TAPS>
-    INLINE Sum<N, C> window(int x, int y, const N* across, const N* down) const {
-        const Job& job = group.job;
-        Sum<N, C> sum{};
-        const bool inside = first && x >= 0 && y >= 0 && x + TAPS <= job.w && y + TAPS <= job.h;
-        const T* row = inside ? first + y * job.source.row + x * job.source.column : first;
-        for (int j = 0; j < TAPS; j++) {
-            Sum<N, C> along{};
-            for (int i = 0; i < TAPS; i++)
-                along.add(across[i], inside ? group.read(row + i * job.source.column) : at(x + i, y + j));
-            sum.add(down[j], along);
-            if (inside) row += job.source.row;
-        }
-        return sum;
-    }
-};
-
-// A level of a pyramid, whose samples are averages of 2ᵏ × 2ᵏ, made as they are read; an odd edge repeats its last one.
+// A frame, or the constant where there is none; or a level of its pyramid, whose samples are averages of 2ᵏ × 2ᵏ, made
+// as they are read; an odd edge repeats its last one.
 template <class T, class N, int C>
 struct Level {
-    const Frame<T, N, C>& frame;
-    int k;
+    const Group<T, N, C>& group;
+    const T* frame;  // or null
+    int k = 0;
 
-    INLINE int side(int n) const { return (int)(((int64_t)n + (1 << k) - 1) >> k); }
+    INLINE static int side(int n, int k) { return (int)(((int64_t)n + (1 << k) - 1) >> k); }
     INLINE Sum<N, C> at(int x, int y) const {
-        if (k == 0) return frame.at(x, y);
-        const Job& job = frame.group.job;
-        x = placed(x, side(job.w), job.rule);
-        y = placed(y, side(job.h), job.rule);
-        if (x < 0 || y < 0) return frame.group.constant();
+        const Job& job = group.job;
+        x = placed(x, side(job.w, k), job.rule);
+        y = placed(y, side(job.h, k), job.rule);
+        if (!frame || x < 0 || y < 0) return group.constant();
         Sum<N, C> sum{};
         // Of larger squares, 16 × 16 samples that are spread evenly.
         const int many = 1 << (k < 4 ? k : 4), apart = (1 << k) / many;
         for (int j = 0; j < many; j++) {
-            const int v = member(y, j * apart + apart / 2, job.h);
-            for (int i = 0; i < many; i++) sum += frame.at(member(x, i * apart + apart / 2, job.w), v);
+            const T* row = frame + member(y, j * apart + apart / 2, job.h) * job.source.row;
+            for (int i = 0; i < many; i++)
+                sum += group.read(row + member(x, i * apart + apart / 2, job.w) * job.source.column);
         }
         return sum * (N(1) / (many * many));
     }
     // The n-th of the samples of one of this level.
     INLINE int member(int i, int n, int count) const {
         for (int finer = k - 1; finer >= 0; finer--) {
-            const int last = (int)(((int64_t)count + (1 << finer) - 1) >> finer) - 1;
+            const int last = side(count, finer) - 1;
             i = 2 * i + (n >> finer & 1);
             i = i < last ? i : last;
         }
         return i;
     }
-    INLINE Sum<N, C> spot(int x, int y, Across<N> across, const N* left, const N* right) const {
-        N first[WINDOW], second[WINDOW];
-        for (int i = 0; i < WINDOW; i++) {
-            const int j = i - across.shift;
-            first[i] = i < 4 ? N(0.5) * keys(i, across.first) : 0;
-            second[i] = j >= 0 && j < 4 ? N(0.5) * keys(j, across.second) : 0;
-        }
+    // Σ_r Σ_j d_rj Σ_i a_ri f(x + i, y + j)
+    template <int RANK, int TAPS>
+    INLINE Sum<N, C> window(int x, int y, const N (*across)[TAPS], const N (*down)[TAPS]) const {
+        const Job& job = group.job;
         Sum<N, C> sum{};
-        for (int j = 0; j < WINDOW; j++) {
-            Sum<N, C> a{}, b{};
-            for (int i = 0; i < WINDOW; i++) {
-                const Sum<N, C> v = at(x - 1 + i, y - 1 + j);
-                a.add(first[i], v);
-                b.add(second[i], v);
+        const bool inside = k == 0 && frame && x >= 0 && y >= 0 && x + TAPS <= job.w && y + TAPS <= job.h;
+        const T* row = inside ? frame + y * job.source.row + x * job.source.column : frame;
+        for (int j = 0; j < TAPS; j++) {
+            Sum<N, C> along[RANK] = {};
+            for (int i = 0; i < TAPS; i++) {
+                const Sum<N, C> v = inside ? group.read(row + i * job.source.column) : at(x + i, y + j);
+                for (int r = 0; r < RANK; r++) along[r].add(across[r][i], v);
             }
-            sum.add(left[j], a);
-            sum.add(right[j], b);
+            for (int r = 0; r < RANK; r++) sum.add(down[r][j], along[r]);
+            if (inside) row += job.source.row;
         }
         return sum;
     }
+    template <class W>
+    INLINE Sum<N, C> spot(int x, int y, Across<W> at, const W* left, const W* right) const {
+        N across[2][WINDOW], down[2][WINDOW];
+        for (int i = 0; i < WINDOW; i++) {
+            const int j = i - at.shift;
+            across[0][i] = i < 4 ? N(0.5) * keys(i, N(at.first)) : 0;
+            across[1][i] = j >= 0 && j < 4 ? N(0.5) * keys(j, N(at.second)) : 0;
+            down[0][i] = left[i];
+            down[1][i] = right[i];
+        }
+        return window<2>(x - 1, y - 1, across, down);
+    }
 };
+// A frame and the levels that it may need.
 template <class T, class N, int C>
 struct Levels {
-    const Frame<T, N, C>& frame;
-    int count;
+    const Level<T, N, C>& frame;
+    int count = 0;
+
+    INLINE explicit Levels(const Level<T, N, C>& frame) : frame(frame) {
+        const Job& job = frame.group.job;
+        for (int side = job.w > job.h ? job.w : job.h; side > 1 && count < LEVELS; side = (side + 1) / 2) count++;
+    }
     template <class Use>
     INLINE Sum<N, C> in(int k, Use use) const {
-        return use(Level<T, N, C>{frame, k});
+        return use(Level<T, N, C>{frame.group, frame.frame, k});
     }
 };
 
-// The number of levels that an image may need.
-INLINE int levels_of(const Job& job) {
-    int levels = 0;
-    for (int side = job.w > job.h ? job.w : job.h; side > 1 && levels < LEVELS; side = (side + 1) / 2) levels++;
-    return levels;
+// The element of S = MMᵀ, of M in the plane.
+template <class N, int D>
+INLINE N square(const Point<D>& p, int i, int j) {
+    return (N)p.across[i] * p.across[j] + (N)p.down[i] * p.down[j];
 }
 
 // One frame at a point.
 template <class T, class N, int C, int FILTER, int D>
-INLINE Sum<N, C> in_frame(const Frame<T, N, C>& frame, const Point<D>& p, const Print& print) {
+INLINE Sum<N, C> in_frame(const Level<T, N, C>& frame, const Point<D>& p, const Print& print) {
     const int x = p.whole[0], y = p.whole[1];
     const N u = p.part[0], v = p.part[1];
     if constexpr (FILTER == LINEAR) {
-        const N across[2] = {1 - u, u}, down[2] = {1 - v, v};
-        return frame.template window<2>(x, y, across, down);
+        const N across[1][2] = {{1 - u, u}}, down[1][2] = {{1 - v, v}};
+        return frame.template window<1>(x, y, across, down);
     } else {
-        if (FILTER == AUTO && print.kind == SPOT) {
-            N left[WINDOW], right[WINDOW];
-            for (int j = 0; j < WINDOW; j++) {
-                left[j] = print.left[j];
-                right[j] = print.right[j];
-            }
-            const Across<N> across{print.across.first, print.across.second, print.across.shift};
-            return Level<T, N, C>{frame, 0}.spot(print.x, print.y, across, left, right);
-        }
-        if (FILTER == AUTO && print.kind == WIDE) {
-            const N xx = p.across[0] * p.across[0] + p.down[0] * p.down[0],
-                    xy = p.across[0] * p.across[1] + p.down[0] * p.down[1],
-                    yy = p.across[1] * p.across[1] + p.down[1] * p.down[1];
-            return wide<Sum<N, C>>(Levels<T, N, C>{frame, levels_of(frame.group.job)}, x + u, y + v, xx, xy, yy);
-        }
-        N across[4], down[4];
+        if (FILTER == AUTO && print.kind == SPOT)
+            return frame.spot(print.x, print.y, print.across, print.left, print.right);
+        if (FILTER == AUTO && print.kind == WIDE)
+            return wide<Sum<N, C>>(Levels<T, N, C>(frame), x + u, y + v, square<N>(p, 0, 0), square<N>(p, 0, 1),
+                                   square<N>(p, 1, 1));
+        N across[1][4], down[1][4];
         for (int i = 0; i < 4; i++) {
-            across[i] = keys(i, u);
-            down[i] = keys(i, v);
+            across[0][i] = keys(i, u);
+            down[0][i] = keys(i, v);
         }
-        return frame.template window<4>(x - 1, y - 1, across, down);
+        return frame.template window<1>(x - 1, y - 1, across, down);
     }
 }
 
@@ -283,10 +223,12 @@ INLINE const T* frame_of(const Job& job, int k) {
     return k < 0 ? nullptr : (const T*)job.source.first + (k - job.held_from) * job.source.plane;
 }
 
-// Paint the pixel (x, y) of a plane, `to` which it is written.
+// Paint the pixel (x, y) of a plane.
 template <class T, class N, int C, int FILTER, int D>
-INLINE void paint(const Job& job, int plane, int x, int y, const Point<D>& p, T* to) {
+INLINE void paint(const Job& job, int plane, int x, int y, const Point<D>& p) {
     const int own = job.first + plane;
+    T* to =
+        (T*)job.out.first + plane * job.out.plane + (y - job.from_y) * job.out.row + (x - job.from_x) * job.out.column;
     if constexpr (FILTER == MAP) {
         const int at[3] = {x, y, own};
         for (int d = 0; d < D; d++) {
@@ -312,16 +254,14 @@ INLINE void paint(const Job& job, int plane, int x, int y, const Point<D>& p, T*
         } else {
             Print print{};
             if constexpr (FILTER == AUTO) {
-                const float xx = p.across[0] * p.across[0] + p.down[0] * p.down[0],
-                            xy = p.across[0] * p.across[1] + p.down[0] * p.down[1],
-                            yy = p.across[1] * p.across[1] + p.down[1] * p.down[1];
+                const float xx = square<float>(p, 0, 0), xy = square<float>(p, 0, 1), yy = square<float>(p, 1, 1);
                 if (shrinks(xx, xy, yy)) print = print_of(xx, xy, yy, p.whole[0], p.whole[1], p.part[0], p.part[1]);
             }
             const int colours = job.alpha < 0 ? job.channels : job.channels - 1, each = job.alpha < 0 ? C : C - 1;
             for (int first = 0; first < colours; first += each) {
                 const Group<T, N, C> group{job, first, colours - first < each ? colours - first : each};
                 if constexpr (D == 2)
-                    group.write(in_frame<T, N, C, FILTER, D>(Frame<T, N, C>{group, here}, p, print), to);
+                    group.write(in_frame<T, N, C, FILTER>(Level<T, N, C>{group, here}, p, print), to);
                 else {
                     double t = p.whole[2] + (double)p.part[2], width = job.average ? covered(p.rate2) : 0;
                     if (job.rule != REFLECT) t = within(t, -3 - LONGEST / 2, job.count + 2 + LONGEST / 2);
@@ -330,20 +270,14 @@ INLINE void paint(const Job& job, int plane, int x, int y, const Point<D>& p, T*
                     Sum<N, C> sum{};
                     for (int k = 0; k < n; k++) {
                         const N weight = (N)time_weight(job.between, t, width, from, k);
-                        const Frame<T, N, C> frame{group, frame_of<T>(job, from + k)};
-                        sum.add(weight, frame.first ? in_frame<T, N, C, FILTER, D>(frame, p, print) : group.constant());
+                        const Level<T, N, C> frame{group, frame_of<T>(job, from + k)};
+                        sum.add(weight, frame.frame ? in_frame<T, N, C, FILTER>(frame, p, print) : group.constant());
                     }
                     group.write(sum, to);
                 }
             }
         }
     }
-}
-
-template <class T>
-INLINE T* target(const Job& job, int plane, int x, int y) {
-    return (T*)job.out.first + plane * job.out.plane + (y - job.from_y) * job.out.row +
-           (x - job.from_x) * job.out.column;
 }
 
 // A column of the pixels of a cell that is not rough: the powers of s are summed once for it.
@@ -360,12 +294,6 @@ INLINE void fill_column(const Job& job) {
     if (state >= 0) return;
     const int top = job.ys[j], bottom = j == tall - 1 ? job.from_y + job.height : job.ys[j + 1];
     const Map& map = map_of(job, plane);
-    Point<D> p;
-    p.same = true;
-    if (state == STILL) {
-        for (int y = top; y < bottom; y++) paint<T, N, C, FILTER, D>(job, plane, x, y, p, target<T>(job, plane, x, y));
-        return;
-    }
     const Leaf<D>& leaf = ((const Leaf<D>*)job.leaves)[cell];
     const float s = (float)(x - leaf.x);
     float a[D][4], b[D][4];  // of p, and of ∂p/∂s: powers of t
@@ -377,55 +305,57 @@ INLINE void fill_column(const Job& job) {
         }
     for (int y = top; y < bottom; y++) {
         const float t = (float)(y - leaf.y);
-        p.same = false;
-        if (state == RIM) {
-            const double at[3] = {x * map.axes[0].spacing, y * map.axes[1].spacing,
-                                  depth_of(job, plane) * map.axes[2].spacing};
-            p.same = unmoved<D>(map, at);
-        }
-        for (int d = 0; d < D; d++) {
-            const float at = least(most(a[d][0] + t * (a[d][1] + t * (a[d][2] + t * a[d][3])), -1e9f), 1e9f);
-            const float whole = floored(at);
-            p.whole[d] = (int)whole + leaf.anchor[d];
-            p.part[d] = at - whole;
-        }
-        // On a fixed face there is no displacement across it.
-        const int pixel[2] = {x, y};
-        for (int d = 0; d < 2; d++)
-            if (map.axes[d].fixed() && !composed(map) && pixel[d] * map.axes[d].spacing >= map.axes[d].last) {
-                p.whole[d] = pixel[d];
-                p.part[d] = 0;
-            }
-        if (FILTER == AUTO || D == 3) {
-            float rate2 = 0;
+        const double place[3] = {x * map.axes[0].spacing, y * map.axes[1].spacing,
+                                 depth_of(job, plane) * map.axes[2].spacing};
+        Point<D> p;
+        p.same = state == STILL || (state == RIM && unmoved<D>(map, place));
+        if (!p.same) {
             for (int d = 0; d < D; d++) {
-                const float across = b[d][0] + t * (b[d][1] + t * (b[d][2] + t * b[d][3]));
-                const float down = a[d][1] + t * (2 * a[d][2] + 3 * t * a[d][3]);
-                if (d < 2) {
-                    p.across[d] = across;
-                    p.down[d] = down;
-                } else
-                    rate2 = across * across + down * down;
+                const float at = least(most(a[d][0] + t * (a[d][1] + t * (a[d][2] + t * a[d][3])), -1e9f), 1e9f);
+                const float whole = floored(at);
+                p.whole[d] = (int)whole + leaf.anchor[d];
+                p.part[d] = at - whole;
             }
-            const float own = leaf.depth[0] + s * leaf.depth[1] + t * (leaf.depth[2] + s * leaf.depth[3]);
-            p.rate2 = rate2 + own * own;
+            // On a fixed face there is no displacement across it.
+            const int pixel[2] = {x, y};
+            for (int d = 0; d < 2; d++)
+                if (map.axes[d].fixed() && !composed(map) && pixel[d] * map.axes[d].spacing >= map.axes[d].last) {
+                    p.whole[d] = pixel[d];
+                    p.part[d] = 0;
+                }
+            if (FILTER == AUTO || D == 3) {
+                float rate2 = 0;
+                for (int d = 0; d < D; d++) {
+                    const float across = b[d][0] + t * (b[d][1] + t * (b[d][2] + t * b[d][3]));
+                    const float down = a[d][1] + t * (2 * a[d][2] + 3 * t * a[d][3]);
+                    if (d < 2) {
+                        p.across[d] = across;
+                        p.down[d] = down;
+                    } else
+                        rate2 = across * across + down * down;
+                }
+                const float own = leaf.depth[0] + s * leaf.depth[1] + t * (leaf.depth[2] + s * leaf.depth[3]);
+                p.rate2 = rate2 + own * own;
+            }
         }
-        paint<T, N, C, FILTER, D>(job, plane, x, y, p, target<T>(job, plane, x, y));
+        paint<T, N, C, FILTER>(job, plane, x, y, p);
     }
 }
 
 // The pixels of rough cells, one of which is a block's at a time.
 template <class T, class N, int C, int FILTER, int D>
 INLINE void fill_rough(const Job& job) {
-    for (int k = blockIdx.x; k < job.told->rough; k += gridDim.x) {
-        const Pixels cell = pixels_of(job, job.rough[k]);
-        for (int n = threadIdx.x; n < cell.w * cell.h; n += blockDim.x) {
-            const int x = cell.x + n % cell.w, y = cell.y + n / cell.w;
+    const int wide = job.nx - 1, tall = job.ny - 1;
+    for (int n = blockIdx.x; n < job.told->rough; n += gridDim.x) {
+        const int cell = job.rough[n], own = cell / (wide * tall), j = cell / wide % tall, k = cell % wide;
+        const int left = job.xs[k], right = k == wide - 1 ? job.from_x + job.width : job.xs[k + 1];
+        const int top = job.ys[j], bottom = j == tall - 1 ? job.from_y + job.height : job.ys[j + 1];
+        for (int i = threadIdx.x; i < (right - left) * (bottom - top); i += blockDim.x) {
+            const int x = left + i % (right - left), y = top + i / (right - left);
             Point<D> p;
-            solve_pixel<D>(job, cell.plane, x, y, p);
-            const int from = job.shared ? 0 : cell.plane, end = job.shared ? job.shared : cell.plane + 1;
-            for (int plane = from; plane < end; plane++)
-                paint<T, N, C, FILTER, D>(job, plane, x, y, p, target<T>(job, plane, x, y));
+            solve_pixel<D>(job, own, x, y, p);
+            const int from = job.shared ? 0 : own, end = job.shared ? job.shared : own + 1;
+            for (int plane = from; plane < end; plane++) paint<T, N, C, FILTER>(job, plane, x, y, p);
         }
     }
 }

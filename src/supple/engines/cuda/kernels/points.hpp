@@ -23,40 +23,33 @@ INLINE void move_point(const Some& job) {
     const int64_t i = thread();
     if (i >= job.count) return;
     const Map& map = *job.map;
-    Jet<D, D, false, double> jet;
-    double q[D], off2 = 0, size = 0, steps = 1;
+    const double finest = map.finest(D);
+    Jet<D, D, false, double> jet{};
+    double q[D], size = 0;
     for (int d = 0; d < D; d++) {
         const int64_t at = i * D + d;
         q[d] = (job.wide ? ((const double*)job.from)[at] : (double)((const float*)job.from)[at]) * map.axes[d].spacing;
         size = most(size, magnitude(q[d]));
         jet.x[d] = q[d];
-        for (int e = 0; e < D; e++) jet.t[e][d] = d == e;
+        jet.t[d][d] = 1;
     }
-    Passed<double> passed{true, true, true, 0};
-    if (composed(map)) {
-        passed = pass<D>(*map.composite, job.back, jet);
-        steps = passed.steps;
-    } else if (job.back) {
-        Solution<D, double> found;
-        undo<D>(map.chain, map.axes, q, 1e-9 * map.finest(D), found);
-        for (int d = 0; d < D; d++) jet.x[d] = found.p[d];
-        steps = found.steps;
-    } else
-        carry(map.chain, map.axes, jet);
+    auto sent = [&](bool back, auto& jet) {
+        if (composed(map)) return pass<D>(*map.composite, back, jet);
+        Passed<double> passed{true, true, true, 0};
+        pass_strokes<D>(map.chain, map.axes, back, jet, passed);
+        passed.done = true;  // of strokes, the residual alone says it
+        return passed;
+    };
+    const Passed<double> passed = sent(job.back, jet);
     if (job.residual) {
-        double seen[D];
-        for (int d = 0; d < D; d++) seen[d] = jet.x[d];
-        if (composed(map)) {
-            Jet<D, 0, false, double> again;
-            for (int d = 0; d < D; d++) again.x[d] = seen[d];
-            pass<D>(*map.composite, !job.back, again);
-            for (int d = 0; d < D; d++) seen[d] = again.x[d];
-        } else
-            apply<D>(map.chain, map.axes, seen);
-        for (int d = 0; d < D; d++) off2 += (seen[d] - q[d]) * (seen[d] - q[d]);
-        job.residual[i] = root(off2) / map.finest(D);
-        job.steps[i] = (int64_t)steps;
-        job.done[i] = passed.done && root(off2) / map.finest(D) <= most(job.tolerance, 1e-14 * size / map.finest(D));
+        Jet<D, 0, false, double> seen{};
+        for (int d = 0; d < D; d++) seen.x[d] = jet.x[d];
+        sent(false, seen);  // what is asked for only of T⁻¹
+        double off2 = 0;
+        for (int d = 0; d < D; d++) off2 += (seen.x[d] - q[d]) * (seen.x[d] - q[d]);
+        job.residual[i] = root(off2) / finest;
+        job.steps[i] = (int64_t)passed.steps;
+        job.done[i] = passed.done && job.residual[i] <= most(job.tolerance, 1e-14 * size / finest);
     }
     if (!passed.done) atomicAdd(&job.told->unsolved, 1);
     if (!passed.upright) atomicAdd(&job.told->folded, 1);
