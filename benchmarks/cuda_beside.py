@@ -58,7 +58,7 @@ def handed_over(b: Bench) -> Iterator[Line]:
     import supple.cuda
     from supple.engines.cuda.device import open_device
     from supple.engines.cuda.layout import SOME
-    from supple.engines.cuda.programs import Program, launch
+    from supple.engines.cuda.programs import Program, launch, prepare
 
     place, shape = b.place, (b.side,) * 3
     d = stroke(*shape)
@@ -82,12 +82,15 @@ def handed_over(b: Bench) -> Iterator[Line]:
 
     gpu = open_device()
     stream = gpu.stream()
-    program, none = Program("points", 2, False), np.zeros(1, SOME)  # of no points: a block that has nothing to do
+    kernel, none = (
+        prepare(gpu, Program("points", 2, False)),
+        np.zeros(1, SOME),
+    )  # of no points: a block that has nothing to do
     clock = wall if place.dry else Events(stream.handle, beside=True)
 
     def small() -> None:
         with gpu.current():
-            launch(gpu, program, 1, none, stream)
+            launch(kernel, 1, none, stream)
 
     ways: list[tuple[str, Callable[[], Any] | None]] = [
         ("alone", None),

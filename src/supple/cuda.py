@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from supple.arrays import Deforming, batch_of, shape_of, spaces_of, work_of
 from supple.domain import integer
 from supple.engines.base import Sampling
+from supple.engines.cuda import job
 from supple.engines.cuda.arrays import taken
 from supple.engines.cuda.engine import Cuda
-
-if TYPE_CHECKING:
-    from supple.engines.cuda.job import Warping
+from supple.engines.cuda.job import Warping
 
 __all__ = ["start"]
 
@@ -76,4 +75,4 @@ def start(
     many = isinstance(deformations, Sequence)
     work = batch_of(held, spaces, sampling, alpha) if many else work_of(held, spaces[0], sampling, alpha)
     engine.check(work)
-    return engine.start(work, held, engine.result(out, held, shape_of(held, work)), slab=slab, stream=stream)
+    return job.start(work, held, engine.result(out, held, shape_of(held, work)), slab=slab, stream=stream)

@@ -10,6 +10,7 @@ import json
 import os
 import shlex
 import subprocess
+from collections import OrderedDict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from supple.engines.cuda import arrays, device, job, points, programs, warp
+from supple.engines.cuda import arrays, device, programs, warp
 from supple.engines.cuda.device import CudaDevice
 from supple.engines.cuda.layout import JOB, SOME
 from supple.engines.cuda.programs import UNITS, Program
@@ -97,14 +98,10 @@ def gpu(library: Path | None, monkeypatch: pytest.MonkeyPatch) -> Iterator[CudaD
     monkeypatch.setattr(programs, "kept", coded)
     monkeypatch.setattr(programs, "_loaded", {})
     monkeypatch.setattr(arrays, "_viewed", lambda value, kind: View(value))
-    for name, empty in (("_lattices", warp._lattices.copy()), ("_uploads", {})):
-        empty.clear()
-        monkeypatch.setattr(warp, name, empty)
+    monkeypatch.setattr(warp, "_lattices", OrderedDict())
     yield device.open_device()
     warp._lattices.clear()
-    points._reading.clear()
-    job._going.clear()
-    warp._uploads.clear()
+    device._kept.clear()
     gc.collect()
     assert (made.memory, made.pinned, made.events, made.streams) == ({}, {}, {}, {0})
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -99,6 +100,12 @@ class DeviceArray:
         """The number of samples."""
         return int(np.prod(self.shape, dtype=np.int64))
 
+    def samples(self, item: int, coloured: bool) -> tuple[int, ...]:
+        """Return the address and the steps of planes, rows, columns and channels: of a stack of a batch, or of all."""
+        strides = self.strides if coloured else (*self.strides, 0)
+        each, *steps = (0,) * (5 - len(strides)) + strides
+        return self.pointer + item * each * self.dtype.itemsize, *steps
+
     def overlaps(self, other: DeviceArray) -> bool:
         """Return whether two arrays may share memory."""
         if self.size == 0 or other.size == 0 or self.gpu.number != other.gpu.number:
@@ -108,41 +115,32 @@ class DeviceArray:
 
     def _bounds(self) -> tuple[int, int]:
         """Return the addresses of the first byte, and of that after the last."""
-        steps = [(n - 1) * s for n, s in zip(self.shape, self.strides, strict=True)]
-        below, above = sum(min(s, 0) for s in steps), sum(max(s, 0) for s in steps)
-        return self.pointer + below * self.dtype.itemsize, self.pointer + (above + 1) * self.dtype.itemsize
+        size = self.dtype.itemsize
+        steps = [(n - 1) * s * size for n, s in zip(self.shape, self.strides, strict=True)]
+        return self.pointer + sum(min(s, 0) for s in steps), self.pointer + sum(max(s, 0) for s in steps) + size
 
 
 def is_on_device(value: object) -> bool:
     """Return whether a value is, or may be, an array on a GPU, without importing any library."""
     if isinstance(value, np.ndarray) or callable(value):
         return False
-    if _is_tensor(value):
+    if _kind_of(value) == "torch":
         return bool(value.is_cuda)  # type: ignore[attr-defined]
     try:
         if getattr(value, "__cuda_ndarray__", None) or hasattr(value, "__cuda_array_interface__"):
             return True
-    except (RuntimeError, ValueError):  # raised by some libraries for arrays of the host
-        return False
-    where = getattr(value, "__dlpack_device__", None)
-    try:
+        where = getattr(value, "__dlpack_device__", None)
         return where is not None and int(where()[0]) in _CUDA
-    except (TypeError, ValueError, RuntimeError, BufferError):
+    except (TypeError, ValueError, RuntimeError, BufferError):  # raised by some libraries for arrays of the host
         return False
-
-
-def _is_tensor(value: object) -> bool:
-    torch = sys.modules.get("torch")
-    return torch is not None and isinstance(value, torch.Tensor)
 
 
 def _kind_of(value: object) -> str:
-    cupy = sys.modules.get("cupy")
-    if _is_tensor(value):
-        return "torch"
-    if cupy is not None and isinstance(value, cupy.ndarray):
-        return "cupy"
-    return "numba" if hasattr(value, "__cuda_ndarray__") and "numba.cuda" in sys.modules else "other"
+    for kind, name in (("torch", "Tensor"), ("cupy", "ndarray")):
+        library = sys.modules.get(kind)
+        if library is not None and isinstance(value, getattr(library, name)):
+            return kind
+    return "numba" if "numba.cuda" in sys.modules and hasattr(value, "__cuda_ndarray__") else "other"
 
 
 def taken(value: Any, name: str) -> DeviceArray:
@@ -157,7 +155,9 @@ def taken(value: Any, name: str) -> DeviceArray:
         refuse(name, "an array on a GPU", value)
     check_gradients(value, name)
     kind = _kind_of(value)
-    gpu = open_device(_number_of(value, kind))  # before any call that needs the driver
+    # A GPU is opened before any call that needs the driver: that of the array, if its library names it.
+    named = {"torch": "index", "cupy": "id"}
+    gpu = open_device(int(getattr(value.device, named[kind]) or 0) if kind in named else 0)
     try:
         with gpu.current():  # some libraries export only arrays on the current device
             view = _viewed(value, kind)
@@ -187,16 +187,7 @@ def _viewed(value: Any, kind: str) -> Any:
 
 def plain(value: Any) -> Any:
     """Return an array of the same library on the same GPU, of any type."""
-    if _is_tensor(value):
-        return sys.modules["torch"].empty(1, device=value.device)
-    return value
-
-
-def _number_of(value: Any, kind: str) -> int:
-    """Return the number of an array's GPU, as far as its library has one."""
-    if kind == "torch":
-        return int(value.device.index or 0)
-    return int(value.device.id) if kind == "cupy" else 0
+    return sys.modules["torch"].empty(1, device=value.device) if _kind_of(value) == "torch" else value
 
 
 def dense(shape: Sequence[int]) -> tuple[int, ...]:
@@ -221,12 +212,9 @@ def as_stream(value: Any) -> Stream:
         return value
     for name in ("cuda_stream", "ptr", "handle"):  # PyTorch's, CuPy's, and Numba's or NVIDIA's own
         known = getattr(value, name, None)
-        if known is not None and not isinstance(value, np.ndarray):
-            with_value = getattr(known, "value", known)
-            try:
-                return Stream(int(with_value or 0))
-            except (TypeError, ValueError):
-                continue
+        if known is not None:
+            with contextlib.suppress(TypeError, ValueError):
+                return Stream(int(getattr(known, "value", known) or 0))
     if not hasattr(value, "__cuda_stream__"):
         refuse("stream", "a stream of PyTorch, CuPy or Numba, or left out", value)
     said = value.__cuda_stream__
@@ -237,31 +225,27 @@ def made_like(
     source: DeviceArray, shape: Sequence[int], dtype: npt.DTypeLike, *, as_it_lies: bool = False
 ) -> DeviceArray:
     """Return a new array of the same library and GPU; ``as_it_lies``: with the same strides, for an equal shape."""
-    with source.gpu.current():
-        return taken(_made_like(source, tuple(shape), np.dtype(dtype), as_it_lies), "the result")
-
-
-def _made_like(source: DeviceArray, shape: tuple[int, ...], kind: np.dtype[Any], as_it_lies: bool) -> Any:
-    if source.kind == "torch":
-        torch = sys.modules["torch"]
-        if as_it_lies:
-            return torch.empty_like(source.given, memory_format=torch.preserve_format)
-        return torch.empty(shape, dtype=getattr(torch, kind.name), device=source.given.device)
-    if source.kind == "cupy":
-        cupy = sys.modules["cupy"]
-        with source.given.device:
-            return cupy.empty_like(source.given, order="K") if as_it_lies else cupy.empty(shape, kind)
-    if source.kind == "numba":
-        # Bound to a stream only if the source is: arrays bound to the default stream cannot be exported.
-        return sys.modules["numba.cuda"].device_array(shape, kind, stream=getattr(source.given, "stream", 0) or 0)
-    return CudaArray(shape, kind, source.gpu, source.stream)
+    given, shape, kind = source.given, tuple(shape), np.dtype(dtype)
+    library: Any = sys.modules.get({"numba": "numba.cuda"}.get(source.kind, source.kind))
+    with source.gpu.current(), given.device if source.kind == "cupy" else contextlib.nullcontext():
+        if source.kind == "other":
+            made = CudaArray(shape, kind, source.gpu, source.stream)
+        elif source.kind == "numba":
+            # Bound to a stream only if the source is: arrays bound to the default stream cannot be exported.
+            made = library.device_array(shape, kind, stream=getattr(given, "stream", 0) or 0)
+        elif source.kind == "cupy":
+            made = library.empty_like(given, order="K") if as_it_lies else library.empty(shape, kind)
+        elif as_it_lies:
+            made = library.empty_like(given, memory_format=library.preserve_format)
+        else:
+            made = library.empty(shape, dtype=getattr(library, kind.name), device=given.device)
+        return taken(made, "the result")
 
 
 def checked_out(out: Any, source: DeviceArray, shape: tuple[int, ...]) -> DeviceArray:
     """Return a user's array for a result; SuppleError if it does not fit the source, or a shape."""
-    wanted = f"an array on the source's GPU, of {source.dtype} and shape {shape}, as the source is"
-    if shape != source.shape:
-        wanted = f"an array on the source's GPU, of {source.dtype} and shape {shape}, as the grid is"
+    whose = "source" if shape == source.shape else "grid"
+    wanted = f"an array on the source's GPU, of {source.dtype} and shape {shape}, as the {whose} is"
     if not is_on_device(out):
         refuse("out", wanted, out)
     target = taken(out, "out")

@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib
+import threading
 import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,10 @@ Array = npt.NDArray[Any]
 
 class CudaError(RuntimeError):
     """A call of the driver, or of its compiler, that failed."""
+
+
+FAILURES = RuntimeError, MemoryError, OSError
+"""What a GPU raises that fails, is full, or has no compiled kernel; the bindings, where a library is missing."""
 
 
 @functools.cache
@@ -146,7 +152,7 @@ class Memory:
     def __init__(self, size: int, stream: Stream) -> None:
         self.size, self.stream = size, stream
         self.pointer = int(call("cuMemAllocAsync", max(size, 16), stream.handle))
-        self._free = weakref.finalize(self, _ended, "cuMemFreeAsync", self.pointer, stream.handle)
+        self._free = weakref.finalize(self, _ended, "cuMemFreeAsync", self.pointer, stream.handle, held=stream)
 
     def close(self) -> None:
         """Free it, after what its stream has to do so far."""
@@ -162,9 +168,9 @@ class Memory:
         if array.nbytes:
             call("cuMemcpyDtoHAsync", array.ctypes.data, self.pointer + start, array.nbytes, self.stream.handle)
 
-    def clear(self, start: int, size: int) -> None:
-        """Set bytes to 0."""
-        call("cuMemsetD8Async", self.pointer + start, 0, size, self.stream.handle)
+    def clear(self) -> None:
+        """Set all bytes to 0."""
+        call("cuMemsetD8Async", self.pointer, 0, self.size, self.stream.handle)
 
 
 class Pinned:
@@ -189,10 +195,37 @@ class Pinned:
         self._free = weakref.finalize(self, _ended, "cuMemFreeHost", pointer)
 
 
-def _ended(name: str, *arguments: Any) -> None:
-    """Destroy something of the driver; when Python ends, the driver may be gone before."""
+def _ended(name: str, *arguments: Any, held: object = None) -> None:
+    """Destroy something of the driver, before what is held; when Python ends, the driver may be gone before."""
     with contextlib.suppress(Exception):
         call(name, *arguments)
+
+
+_kept: list[tuple[Event, tuple[object, ...]]] = []
+"""Objects that must not be freed, or reused, before an event."""
+_lock = threading.Lock()
+
+
+def keep(stream: Stream, *held: object) -> Event:
+    """Keep objects alive until a stream gets here; return this place."""
+    let_go()
+    event = stream.record()
+    with _lock:
+        _kept.append((event, held))
+    return event
+
+
+def let_go() -> None:
+    """Forget what was kept until events that are over: their work is done, or the GPU has failed."""
+
+    def over(event: Event) -> bool:
+        try:
+            return event.done()
+        except CudaError:  # reported to whoever waits for it
+            return True
+
+    with _lock:
+        _kept[:] = [each for each in _kept if not over(each[0])]
 
 
 _opened: dict[int, CudaDevice] = {}
@@ -215,18 +248,22 @@ def _ready(number: int) -> CudaDevice:
     driver()
     try:
         call("cuInit", 0)
-        version, count = int(call("cuDriverGetVersion")), int(call("cuDeviceGetCount"))
-    except Exception as error:  # the bindings raise errors of their own where there is no library
-        raise SuppleError(_broken(error)) from None
-    needed = toolkit()
-    if needed and version < 1000 * needed:
-        older = ', or pip install "supple[cuda12]"' if version >= 12000 else ""
-        raise SuppleError(
-            f"NVIDIA's driver is too old: it knows CUDA {version // 1000}.{version % 1000 // 10}, and what is "
-            f"installed needs {needed}: update the driver{older}"
-        )
+        known, count = int(call("cuDriverGetVersion")), int(call("cuDeviceGetCount"))
+    except CudaError as error:
+        if "NO_DEVICE" not in str(error):
+            raise SuppleError(f"NVIDIA's driver does not work ({_short(error)}); device cpu needs none") from None
+        count = 0
+    except Exception:  # the bindings raise errors of their own where there is no library
+        raise SuppleError("CUDA needs NVIDIA's driver, which is not installed; device cpu needs none") from None
     if not count:
         raise SuppleError("no NVIDIA GPU was found: the driver sees none; device cpu needs none")
+    needed = toolkit()
+    if known < 1000 * needed:
+        older = ', or pip install "supple[cuda12]"' if known >= 12000 else ""
+        raise SuppleError(
+            f"NVIDIA's driver is too old: it knows CUDA {known // 1000}.{known % 1000 // 10}, and what is "
+            f"installed needs {needed}: update the driver{older}"
+        )
     if number >= count:
         raise SuppleError(f"GPU {number} is not there: CUDA sees {count} of them, counted from 0")
     try:
@@ -250,30 +287,17 @@ def _ready(number: int) -> CudaDevice:
     return made
 
 
-def _broken(error: Exception) -> str:
-    """Return the reason why CUDA does not work, in one sentence."""
-    said = _short(error)
-    if "NO_DEVICE" in said:
-        return "no NVIDIA GPU was found: the driver sees none; device cpu needs none"
-    if isinstance(error, CudaError):
-        return f"NVIDIA's driver does not work ({said}); device cpu needs none"
-    return "CUDA needs NVIDIA's driver, which is not installed; device cpu needs none"
-
-
-def failures() -> tuple[type[Exception], ...]:
-    """Return the types of exceptions of a GPU that fails, is full, or has no compiled kernel."""
-    return CudaError, MemoryError, OSError
-
-
 def _short(error: object) -> str:
     return " ".join(str(error).split())[:150]
 
 
+def bindings() -> str:
+    """Return the version of the bindings that are installed, which begins with that of CUDA; or nothing."""
+    with contextlib.suppress(PackageNotFoundError):
+        return version("cuda-bindings")
+    return ""
+
+
 def toolkit() -> int:
     """Return the major version of CUDA that is installed; 0 if unknown."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return int(version("cuda-bindings").split(".")[0])
-    except (PackageNotFoundError, ValueError):
-        return 0
+    return int(bindings().split(".")[0] or 0)

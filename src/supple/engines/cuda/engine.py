@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from supple.domain import refuse
 from supple.engines.base import SLACK, Certificate, EngineError, Planes, Space, Steps, Work
-from supple.engines.cuda import arrays
-from supple.engines.cuda.device import CudaDevice, failures, open_device
+from supple.engines.cuda import arrays, job
+from supple.engines.cuda import points as moving
+from supple.engines.cuda.device import FAILURES, CudaDevice, open_device
+from supple.engines.cuda.large import warp_host
 from supple.engines.native import NATIVE
-
-if TYPE_CHECKING:
-    from supple.engines.cuda.job import Warping
 
 # Kernels are compiled, and NVIDIA's packages are imported, only if there is a device.
 
@@ -43,10 +42,7 @@ class Cuda:
         return SLACK
 
     def check(self, work: Work) -> None:
-        """Raise SuppleError for types that kernels do not support."""
-        dtype = work.layout.dtype
-        if dtype.kind == "f" and dtype.itemsize not in (2, 4, 8):
-            refuse("source", "an array of bool, integers or floats of 16, 32 or 64 bits", f"dtype {dtype}")
+        """Accept all work: there are kernels for all types that a layout has."""
 
     def taken(self, value: Any, name: str) -> Any:
         """Return a CUDA array of any library as `DeviceArray`, and a host array as NumPy's."""
@@ -72,25 +68,13 @@ class Cuda:
     def warp(self, work: Work, frames: Sequence[Any], outs: Sequence[Any]) -> Steps:
         """See `Engine.warp`. Arrays on a device are taken as they are, without an axis for frames or channels."""
         if isinstance(frames[0], arrays.DeviceArray):
-            from supple.engines.cuda import job
-
-            yield len(outs), job.finish(job.Job(work, frames[0], outs[0]))
+            yield len(outs), job.finish(work, frames[0], outs[0])
             return
-        from supple.engines.cuda.large import warp_host
-
         try:
             with closing(warp_host(self.gpu, frames[0], outs[0], work)) as made:
                 yield from made
-        except failures() as error:
+        except FAILURES as error:
             raise EngineError(" ".join(str(error).split())[:120] or type(error).__name__) from error
-
-    def start(
-        self, work: Work, held: arrays.DeviceArray, result: arrays.DeviceArray, *, slab: int | None, stream: Any
-    ) -> Warping:
-        """Start a warp on a stream, and return at once."""
-        from supple.engines.cuda import job
-
-        return job.start(job.Job(work, held, result), slab=slab, stream=stream)
 
     def stream(self, work: Work, window: Sequence[Any]) -> AbstractContextManager[Planes]:
         """Raise SuppleError: clips are not supported."""
@@ -98,18 +82,12 @@ class Cuda:
 
     def forward(self, space: Space, points: Any, *, matrices: bool = False) -> Any:
         """See `Engine.forward`."""
-        from supple.engines.cuda import points as moving
-
         return moving.forward(space, points, matrices=matrices)
 
     def inverse(self, space: Space, points: Any) -> tuple[Any, Any, Any, Any]:
         """See `Engine.inverse`."""
-        from supple.engines.cuda import points as moving
-
         return moving.inverse(space, points)
 
     def inverse_map(self, space: Space, tolerance: float, like: Any = None) -> tuple[Any, Certificate]:
         """See `Engine.inverse_map`; ``like`` is an array on a CUDA device."""
-        from supple.engines.cuda import points as moving
-
         return moving.inverse_map(space, like, tolerance)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 
 _SAMPLES = np.dtype([("first", "u8"), ("plane", "i8"), ("row", "i8"), ("column", "i8"), ("channel", "i8")])
 
@@ -27,3 +30,11 @@ SOME = np.dtype(
 
 TOLD = np.dtype([("worst", "f4"), ("rough", "i4"), ("unsolved", "i4"), ("folded", "i4"), ("outside", "i4"),
                  ("pad", "i4", 3)])  # fmt: skip
+
+
+def record(kind: np.dtype[Any], **values: Any) -> npt.NDArray[Any]:
+    """Return an array of one record; fields that are not given are 0."""
+    made = np.zeros(1, kind)
+    for name, value in values.items():
+        made[name] = value
+    return made

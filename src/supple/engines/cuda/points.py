@@ -9,9 +9,10 @@ import numpy as np
 from supple.domain import refuse
 from supple.engines.base import Certificate, Space, warn_of
 from supple.engines.cuda.arrays import DeviceArray, contiguous, made_like, plain, taken
-from supple.engines.cuda.layout import SOME
-from supple.engines.cuda.programs import Program, blocks, launch
-from supple.engines.cuda.warp import Planes, Told, lattice_of, mapper, paint
+from supple.engines.cuda.device import keep
+from supple.engines.cuda.layout import SOME, record
+from supple.engines.cuda.programs import Program, blocks, launch, prepare
+from supple.engines.cuda.warp import Painter, Told, lattice_of, paint
 from supple.engines.native import CONVERGED
 
 
@@ -31,29 +32,19 @@ def _moved(space: Space, given: DeviceArray, results: dict[str, DeviceArray], *,
         return Certificate(0.0, 0.0)
     gpu, stream = given.gpu, given.stream
     with gpu.current():
-        lattice, told, job = lattice_of(gpu, (space,)), Told.on(stream), np.zeros(1, SOME)
-        job["map"], job["points"], job["told"] = lattice.memory.pointer, given.pointer, told.there.pointer
-        for name, array in results.items():
-            job[name] = array.pointer
-        job["count"], job["tolerance"] = count, CONVERGED
-        job["wide"], job["back"] = given.dtype == np.float64, back
-        launch(gpu, Program("points", space.ndim, space.composite is not None), blocks(count), job, stream)
+        lattice, told = lattice_of(gpu, (space,)), Told(stream)
+        kernel = prepare(gpu, Program("points", space.ndim, space.composite is not None))
+        pointers = {name: array.pointer for name, array in results.items()}
+        job = record(SOME, map=lattice.memory.pointer, points=given.pointer, told=told.there.pointer, count=count,
+                     tolerance=CONVERGED, wide=given.dtype == np.float64, back=back, **pointers)  # fmt: skip
+        launch(kernel, blocks(count), job, stream)
         told.send()
         # An unknown library may not keep an array alive until it is read.
         if space.composite is None and given.kind != "other":
-            _kept_until_read(stream, told, lattice, given)
+            keep(stream, told, lattice, given)
             return Certificate(0.0, 0.0)
         stream.synchronize()
     return told.certificate(space)
-
-
-_reading: list[tuple[Any, ...]] = []
-
-
-def _kept_until_read(stream: Any, *held: Any) -> None:
-    """Keep objects alive until a stream gets here."""
-    _reading[:] = [each for each in _reading if not each[0].done()]
-    _reading.append((stream.record(), *held))
 
 
 def forward(space: Space, points: Any, *, matrices: bool) -> Any:
@@ -87,10 +78,8 @@ def inverse_map(space: Space, like: Any, tolerance: float, *, offsets: bool = Fa
     given = taken(plain(like), "like")
     out = made_like(given, (*space.out, space.ndim), np.float32)
     with given.gpu.current():
-        made, told = mapper(given.gpu, space, tolerance, offsets=offsets), Told.on(given.stream)
-        plane, row, column, channel = out.strides if out.ndim == 4 else (0, *out.strides)
-        planes = space.planes[0] if space.ndim == 3 else 1
-        paint(made, given.stream, None, Planes(out.pointer, (plane, row, column, channel)), (0, planes), told)
+        made, told = Painter(given.gpu, (space,), out.dtype, tolerance, average=offsets), Told(given.stream)
+        paint(made, given.stream, (0,) * 5, out.samples(0, coloured=True), (0, space.planes[0]), told)
         told.send()
         given.stream.synchronize()
     return out.given, told.certificate(space)

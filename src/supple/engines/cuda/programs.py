@@ -8,7 +8,7 @@ import os
 import sys
 import tempfile
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.engines.cuda.device import CudaDevice, CudaError, Stream, call
+from supple.engines.cuda.device import CudaDevice, CudaError, Stream, bindings, call
 from supple.engines.cuda.layout import JOB, SOME
 
 UNITS = ("points", "nodes", "cells", "fill", "rough")
@@ -89,12 +89,9 @@ def compiled(program: Program, arch: int, *more: str) -> tuple[bytes, str]:
     Raises
     ------
     CudaError
-        If NVRTC is missing, or the program does not compile.
+        If the program does not compile.
     """
-    try:
-        from cuda.bindings import nvrtc
-    except ImportError as error:
-        raise CudaError(f"NVRTC is not there: {error}") from None
+    from cuda.bindings import nvrtc
 
     def done(result: Any) -> Any:
         if int(result[0]) != 0:
@@ -124,14 +121,6 @@ def compiled(program: Program, arch: int, *more: str) -> tuple[bytes, str]:
     return bytes(code), log
 
 
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    with contextlib.suppress(PackageNotFoundError):
-        return version("cuda-bindings")
-    return ""
-
-
 def folder() -> Path:
     """Return the folder of compiled programs: SUPPLE_CACHE, or supple/cuda in the user's folder of caches."""
     given = os.environ.get("SUPPLE_CACHE")
@@ -147,7 +136,7 @@ def folder() -> Path:
 def kept(program: Program, arch: int) -> bytes:
     """Return the machine code of a program: from disk, or compiled and kept there, if that can be written."""
     text, headers = sources()
-    content = "\n".join([_version(), str(arch), *program.options, text, *headers.values()])
+    content = "\n".join([bindings(), str(arch), *program.options, text, *headers.values()])
     path = folder() / f"{program.unit}-sm_{arch}-{hashlib.sha256(content.encode()).hexdigest()[:32]}.cubin"
     with contextlib.suppress(OSError):
         return path.read_bytes()
@@ -165,47 +154,41 @@ def _compilers() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(len(UNITS), "supple-nvrtc")
 
 
-def prepare(gpu: CudaDevice, programs: Iterable[Program]) -> None:
-    """Begin to load programs, all at the same time; what is compiled first takes seconds."""
+def prepare(gpu: CudaDevice, program: Program) -> Future[Any]:
+    """Begin to load a kernel, beside others; what is compiled first takes seconds."""
+    key = (gpu.number, program)
     with _lock:
-        for program in programs:
-            key = (gpu.number, program)
-            if key not in _loaded:
-                _loaded[key] = _compilers().submit(_load, gpu, program)
+        if key not in _loaded:
+            _loaded[key] = _compilers().submit(_load, gpu, program)
+        return _loaded[key]
 
 
 def _load(gpu: CudaDevice, program: Program) -> Any:
-    code = kept(program, gpu.arch)
-    with gpu.current():
-        return call("cuModuleGetFunction", call("cuModuleLoadData", code), program.unit.encode())
+    try:
+        code = kept(program, gpu.arch)
+        with gpu.current():
+            return call("cuModuleGetFunction", call("cuModuleLoadData", code), program.unit.encode())
+    except Exception:
+        with _lock:
+            _loaded.pop((gpu.number, program), None)  # it may succeed the next time
+        raise
 
 
-def launch(
-    gpu: CudaDevice, program: Program, blocks: tuple[int, int, int] | int, job: np.ndarray[Any, Any], stream: Stream
-) -> None:
-    """Launch a kernel on a stream, with one argument: a record, which is copied.
+def launch(kernel: Future[Any], blocks: tuple[int, int, int] | int, job: np.ndarray[Any, Any], stream: Stream) -> None:
+    """Launch a kernel on a stream of the current device, with one argument: a record, which is copied.
 
     Parameters
     ----------
-    gpu : CudaDevice
-        The current device.
-    program : Program
+    kernel : Future
+        From `prepare`.
     blocks : int or (int, int, int)
         The grid, of blocks of `THREADS`.
     job : array of one record
     stream : Stream
     """
-    prepare(gpu, [program])
-    key = (gpu.number, program)
-    try:
-        function = _loaded[key].result()
-    except Exception:
-        with _lock:
-            _loaded.pop(key, None)  # it may succeed the next time
-        raise
     grid = (blocks, 1, 1) if isinstance(blocks, int) else blocks
     argument = np.array([job.ctypes.data], np.uintp)  # the driver takes an array of pointers to arguments
-    call("cuLaunchKernel", function, *grid, THREADS, 1, 1, 0, stream.handle, int(argument.ctypes.data), 0)
+    call("cuLaunchKernel", kernel.result(), *grid, THREADS, 1, 1, 0, stream.handle, int(argument.ctypes.data), 0)
 
 
 def blocks(items: int) -> int:

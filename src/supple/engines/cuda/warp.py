@@ -10,7 +10,7 @@ import itertools
 import threading
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,16 +19,18 @@ import numpy.typing as npt
 from supple import _core
 from supple.engines.base import BETWEEN, FILTERS, OUTSIDE, Certificate, Space, Work
 from supple.engines.cuda.device import CudaDevice, Memory, Pinned, Stream
-from supple.engines.cuda.layout import JOB, TOLD
+from supple.engines.cuda.layout import JOB, TOLD, record
 from supple.engines.cuda.programs import Program, blocks, launch, prepare
 from supple.strokes import numbers
 
-Array = npt.NDArray[Any]
+Samples = tuple[int, ...]
+"""The address of the first sample, and the steps to the next plane, row, column and channel, in samples."""
 
 SIZE = 8  # pixels from node to node
 MAP = 4  # no filter: source points are written as float32, x first, or their displacements
 SCRATCH = 256 << 20  # bytes of scratch memory, at most
 _BLOCKS = 2048  # that share the rough cells
+_MOST = 65535  # planes of one launch
 _KEPT = 16  # maps on the GPUs
 _NODE, _LEAF = {2: 80, 3: 136}, {2: 168, 3: 236}  # bytes of a Node and of a Leaf, by dimensions: as in job.hpp
 _TYPES = {
@@ -36,9 +38,6 @@ _TYPES = {
     "i1": ("int8_t", "float"), "i2": ("int16_t", "float"), "i4": ("int32_t", "double"), "i8": ("int64_t", "double"),
     "f2": ("Half", "float"), "f4": ("float", "float"), "f8": ("double", "double"), "b1": ("uint8_t", "float"),
 }  # fmt: skip
-
-
-_SIZES = {sample: int(name[1]) for name, (sample, _) in _TYPES.items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,20 +61,8 @@ class Lattice:
     places: Memory
     nodes: tuple[int, int]
 
-    @property
-    def cells(self) -> int:
-        """The number of cells of a plane."""
-        return (self.nodes[0] - 1) * (self.nodes[1] - 1)
-
-    @property
-    def scratch(self) -> int:
-        """The bytes of scratch memory that a plane takes."""
-        n = self.spaces[0].ndim
-        return self.nodes[0] * self.nodes[1] * _NODE[n] + self.cells * (_LEAF[n] + 8)
-
 
 _lattices: OrderedDict[tuple[Any, ...], Lattice] = OrderedDict()
-_uploads: dict[int, Stream] = {}
 _lock = threading.Lock()
 
 
@@ -110,8 +97,7 @@ def lattice_of(gpu: CudaDevice, spaces: Sequence[Space]) -> Lattice:
 
 
 def _uploaded(gpu: CudaDevice, spaces: tuple[Space, ...]) -> Lattice:
-    # A stream of its own does not wait for other work of the GPU.
-    stream = _uploads.get(gpu.number) or _uploads.setdefault(gpu.number, gpu.stream())
+    stream = gpu.stream()  # it does not wait for other work of the GPU
     maps = [(numbers(s.table), s.axes, s.composite, s.freeze) for s in spaces]
     memory = Memory(len(_core.flatten(maps, 0)), stream)
     memory.upload(np.frombuffer(_core.flatten(maps, memory.pointer), np.uint8))
@@ -126,42 +112,12 @@ def _uploaded(gpu: CudaDevice, spaces: tuple[Space, ...]) -> Lattice:
     return Lattice(spaces, memory, places, (xs.size, ys.size))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Planes:
-    """Planes in the memory of a GPU.
-
-    Parameters
-    ----------
-    pointer : int
-        The address of the first sample of the first plane.
-    strides : (int, int, int, int)
-        From a plane, a row, a column and a channel to the next, in samples.
-    first : int
-        The number of the first plane that is there.
-    """
-
-    pointer: int
-    strides: tuple[int, int, int, int]
-    first: int = 0
-
-
-@dataclass(slots=True, eq=False)
 class Told:
     """What kernels say of a map: on the GPU, and, when their stream gets there, on the host."""
 
-    there: Memory
-    here: Pinned = field(default_factory=lambda: Pinned(TOLD.itemsize))
-
-    @classmethod
-    def on(cls, stream: Stream) -> Told:
-        """Return a new one on a stream, in which nothing is said."""
-        made = cls(Memory(TOLD.itemsize, stream))
-        made.there.clear(0, TOLD.itemsize)
-        return made
-
-    def forget_rough(self) -> None:
-        """Begin to count rough cells anew."""
-        self.there.clear(int(TOLD.fields["rough"][1]), 4)  # type: ignore[index]
+    def __init__(self, stream: Stream) -> None:
+        self.there, self.here = Memory(TOLD.itemsize, stream), Pinned(TOLD.itemsize)
+        self.there.clear()
 
     def send(self) -> None:
         """Copy it to the host, when the stream gets there."""
@@ -177,100 +133,103 @@ class Told:
         return Certificate(error, 0.0, unsolved, int(said["folded"]), int(said["outside"]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Painter:
-    """The kernels for samples of a type, and what they are told of the samples.
+    """The kernels for samples of a type, and what all planes have in common.
 
     Parameters
     ----------
     gpu : CudaDevice
-    lattice : Lattice
-    programs : dict of Program
-        By the names of kernels.
-    job : array of one JOB record
-        All that is the same for all planes.
+        The current device.
+    spaces : sequence of Space
+        One map, or one for each plane.
+    dtype : numpy.dtype
+    tolerance : float
+    together, filter : int
+        As in `Program`.
     fill : Memory, optional
         The fill value of each channel; None for a map itself.
+    **values
+        Other fields of the job.
     """
 
-    gpu: CudaDevice
-    lattice: Lattice
-    programs: dict[str, Program]
-    job: Array
-    fill: Memory | None
+    def __init__(
+        self,
+        gpu: CudaDevice,
+        spaces: Sequence[Space],
+        dtype: np.dtype[Any],
+        tolerance: float,
+        together: int = 1,
+        filter: int = MAP,
+        fill: Memory | None = None,
+        **values: Any,
+    ) -> None:
+        kinds = {space.composite is not None for space in spaces}
+        one, composed = spaces[0], kinds.pop() if len(kinds) == 1 else None
+        painting = (*_TYPES[dtype.str[1:]], together, filter)
+        self.kernels = {
+            unit: prepare(gpu, Program(unit, one.ndim, composed, *(painting if unit in ("fill", "rough") else ())))
+            for unit in ("nodes", "cells", "fill", "rough")
+        }
+        self.lattice, self.size, self.fill = lattice_of(gpu, spaces), dtype.itemsize, fill
+        nx, ny = self.lattice.nodes
+        first = (0, 0) if one.grid is None else one.grid.first
+        self.job = values | {
+            "maps": self.lattice.memory.pointer,
+            "map_count": len(spaces),
+            "xs": self.lattice.places.pointer,
+            "ys": self.lattice.places.pointer + 4 * nx,
+            "nx": nx,
+            "ny": ny,
+            "from_x": first[0],
+            "from_y": first[1],
+            "height": one.planes[1],
+            "width": one.planes[2],
+            "tolerance": tolerance,
+            "fill": fill.pointer if fill else 0,
+        }
 
 
-def _programs(spaces: Sequence[Space], sample: str, number: str, together: int, filter: int) -> dict[str, Program]:
-    kinds = {space.composite is not None for space in spaces}
-    n, composed = spaces[0].ndim, kinds.pop() if len(kinds) == 1 else None
-    made = {unit: Program(unit, n, composed) for unit in ("nodes", "cells")}
-    for unit in ("fill", "rough"):
-        made[unit] = Program(unit, n, composed, sample, number, together, filter)
-    return made
-
-
-def mapper(gpu: CudaDevice, space: Space, tolerance: float, *, offsets: bool) -> Painter:
-    """Return the painter of a map itself: source points, or displacements."""
-    job = _common(space, tolerance)
-    job["average"] = offsets
-    return _prepared(gpu, (space,), _programs((space,), "float", "float", 1, MAP), job, None)
-
-
-def painter(gpu: CudaDevice, work: Work, dtype: np.dtype[Any], stream: Stream) -> Painter:
-    """Return the painter of work on samples of a type, in the order of a stream."""
+def painter(gpu: CudaDevice, work: Work, dtype: np.dtype[Any], stream: Stream, held_from: int = 0) -> Painter:
+    """Return the painter of work on samples of a type, in the order of a stream, from the frame ``held_from`` on."""
     space, sampling, group = work.space, work.sampling, work.layout.groups[0]
-    sample, number = _TYPES[dtype.str[1:]]
     nearest = sampling.filter == "nearest"
     (fill,) = work.fills
-    white = 1.0 if dtype == np.bool_ else work.layout.white
-    top = min(white, int(np.iinfo(dtype).max)) if dtype.kind in "iu" else white
-    job = _common(space, sampling.tolerance)
-    for name, value in {
-        "white": white,
-        "high": top,
-        "top": int(top),
-        "w": space.shape[1],
-        "h": space.shape[0],
-        "count": space.count if space.ndim == 3 else 1,
-        "channels": group.channels,
-        "between": BETWEEN[sampling.between],
-        "rule": OUTSIDE[sampling.outside],
-        "average": sampling.time_filter and sampling.between != "nearest",
-        "alpha": group.channels - 1 if group.alpha and not nearest else -1,
-        "light": sampling.light and not nearest,
-    }.items():
-        job[name] = value
     held = Memory(fill.nbytes, stream)
     held.upload(np.ascontiguousarray(fill))
-    programs = _programs(work.spaces, sample, number, 1 if group.channels == 1 else 4, FILTERS[sampling.filter])
-    return _prepared(gpu, work.spaces, programs, job, held)
-
-
-def _common(space: Space, tolerance: float) -> Array:
-    job = np.zeros(1, JOB)
-    job["tolerance"] = tolerance
-    job["height"], job["width"] = space.planes[1:]
-    if space.grid is not None:
-        job["from_x"], job["from_y"] = space.grid.first[:2]
-    return job
-
-
-def _prepared(
-    gpu: CudaDevice, spaces: Sequence[Space], programs: dict[str, Program], job: Array, fill: Memory | None
-) -> Painter:
-    prepare(gpu, programs.values())
-    return Painter(gpu, lattice_of(gpu, spaces), programs, job, fill)
+    white = 1.0 if dtype == np.bool_ else work.layout.white
+    high = min(white, int(np.iinfo(dtype).max)) if dtype.kind in "iu" else white
+    return Painter(
+        gpu,
+        work.spaces,
+        dtype,
+        sampling.tolerance,
+        1 if group.channels == 1 else 4,
+        FILTERS[sampling.filter],
+        held,
+        white=white,
+        high=high,
+        top=int(high),
+        w=space.shape[1],
+        h=space.shape[0],
+        count=space.count if space.ndim == 3 else 1,
+        held_from=held_from,
+        channels=group.channels,
+        between=BETWEEN[sampling.between],
+        rule=OUTSIDE[sampling.outside],
+        average=sampling.time_filter and sampling.between != "nearest",
+        alpha=group.channels - 1 if group.alpha and not nearest else -1,
+        light=sampling.light and not nearest,
+    )
 
 
 def paint(
     painter: Painter,
     stream: Stream,
-    source: Planes | None,
-    out: Planes,
+    source: Samples,
+    out: Samples,
     planes: tuple[int, int],
     told: Told,
     *,
-    shared: int = 0,
     slab: int | None = None,
 ) -> None:
     """Launch the kernels for some planes on a stream of the current device, slab by slab.
@@ -279,53 +238,31 @@ def paint(
     ----------
     painter : Painter
     stream : Stream
-    source, out : Planes
-        The source may be None for a map itself.
+    source, out : Samples
+        From the first frame that is there on, and from the first of the planes on.
     planes : (int, int)
-        From, to.
+        From, to. All images share one map and its nodes, if there is only one; slices have nodes of their own.
     told : Told
-    shared : int
-        The number of images that share one map and its nodes; 0 if each plane has its own.
     slab : int, optional
         The number of planes in one launch, at most; by default, as many as scratch memory has room for.
     """
-    gpu, lattice, programs, job = painter.gpu, painter.lattice, painter.programs, painter.job.copy()
-    space = lattice.spaces[0]
-    (nx, ny), cells, n = lattice.nodes, lattice.cells, space.ndim
-    room = max(1, min(SCRATCH // lattice.scratch, 65535))
-    solved = 1 if shared else min(planes[1] - planes[0], room, slab or room)
-    together = min(planes[1] - planes[0], 65535) if shared else solved
-    sizes = {
-        "nodes": solved * nx * ny * _NODE[n],
-        "leaves": solved * cells * _LEAF[n],
-        "states": solved * cells * 4,
-        "rough": solved * cells * 4,
-    }
-    pieces = {name: Memory(size, stream) for name, size in sizes.items()}
-    for name, memory in pieces.items():
-        job[name] = memory.pointer
-    first = 0 if space.grid is None or n == 2 else space.grid.first[2]
-    for name, value in {
-        "maps": lattice.memory.pointer,
-        "xs": lattice.places.pointer,
-        "ys": lattice.places.pointer + 4 * nx,
-        "told": told.there.pointer,
-        "fill": painter.fill.pointer if painter.fill else 0,
-        "map_count": len(lattice.spaces),
-        "nx": nx,
-        "ny": ny,
-    }.items():
-        job[name] = value
-    if source is not None:
-        job["source"], job["held_from"] = (source.pointer, *source.strides), source.first
-    size = 4 if painter.fill is None else _SIZES[programs["fill"].sample]
+    lattice, kernels, space = painter.lattice, painter.kernels, painter.lattice.spaces[0]
+    (nx, ny), n, count = lattice.nodes, space.ndim, planes[1] - planes[0]
+    cells, shared = (nx - 1) * (ny - 1), n == 2 and len(lattice.spaces) == 1
+    sizes = {"nodes": nx * ny * _NODE[n], "leaves": cells * _LEAF[n], "states": cells * 4, "rough": cells * 4}
+    room = max(1, min(SCRATCH // sum(sizes.values()), _MOST))
+    solved = 1 if shared else min(count, room, slab or room)
+    together = min(count, _MOST) if shared else solved
+    scratch = {name: Memory(solved * size, stream) for name, size in sizes.items()}
+    common = painter.job | {name: memory.pointer for name, memory in scratch.items()}
+    above = 0 if space.grid is None or n == 2 else space.grid.first[2]
     for start in range(*planes, together):
         count = min(together, planes[1] - start)
         many = 1 if shared else count
-        job["planes"], job["first"], job["shared"] = many, first + start, count if shared else 0
-        job["out"] = (out.pointer + (start - out.first) * out.strides[0] * size, *out.strides)
-        told.forget_rough()
-        launch(gpu, programs["nodes"], blocks(many * nx * ny), job, stream)
-        launch(gpu, programs["cells"], blocks(many * cells), job, stream)
-        launch(gpu, programs["fill"], (blocks(int(job["width"][0])), ny - 1, count), job, stream)
-        launch(gpu, programs["rough"], min(many * cells, _BLOCKS), job, stream)
+        first = out[0] + (start - planes[0]) * out[1] * painter.size
+        job = record(JOB, **common, source=source, out=(first, *out[1:]), told=told.there.pointer, planes=many,
+                     first=above + start, shared=count if shared else 0)  # fmt: skip
+        launch(kernels["nodes"], blocks(many * nx * ny), job, stream)
+        launch(kernels["cells"], blocks(many * cells), job, stream)
+        launch(kernels["fill"], (blocks(space.planes[2]), ny - 1, count), job, stream)
+        launch(kernels["rough"], min(many * cells, _BLOCKS), job, stream)
