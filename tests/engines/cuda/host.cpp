@@ -1,4 +1,26 @@
 // The kernels of the CUDA engine, compiled for the host: blocks run one by one, threads of a block in order.
+#include <string.h>
+
+#include <algorithm>
+
+// What compilers for GPUs have.
+typedef _Float16 Half;
+struct Place {
+    int x, y, z;
+};
+thread_local Place threadIdx, blockIdx, blockDim, gridDim;
+inline int atomicAdd(int* to, int by) {
+    const int old = *to;
+    *to += by;
+    return old;
+}
+inline void atomicMax(int* to, int value) { *to = std::max(*to, value); }
+inline int __float_as_int(float x) {
+    int i;
+    memcpy(&i, &x, 4);
+    return i;
+}
+
 #include "paint.hpp"
 #include "points.hpp"
 

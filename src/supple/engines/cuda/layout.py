@@ -11,9 +11,8 @@ _SAMPLES = np.dtype([("first", "u8"), ("plane", "i8"), ("row", "i8"), ("column",
 
 JOB = np.dtype(
     [(name, "u8") for name in ("maps", "xs", "ys", "nodes", "leaves", "states", "rough", "told")]
-    + [("source", _SAMPLES), ("out", _SAMPLES), ("fill", "u8")]
+    + [("source", _SAMPLES), ("out", _SAMPLES), ("fill", "u8"), ("top", "u8")]
     + [(name, "f8") for name in ("tolerance", "white", "high")]
-    + [("top", "u8")]
     + [
         (name, "i4")
         for name in (
@@ -28,8 +27,7 @@ SOME = np.dtype(
     + [("count", "i8"), ("tolerance", "f8"), ("wide", "i4"), ("back", "i4")]
 )
 
-TOLD = np.dtype([("worst", "f4"), ("rough", "i4"), ("unsolved", "i4"), ("folded", "i4"), ("outside", "i4"),
-                 ("pad", "i4", 3)])  # fmt: skip
+TOLD = np.dtype([("worst", "f4"), ("rough", "i4"), ("unsolved", "i4"), ("folded", "i4"), ("outside", "i4")])
 
 
 def record(kind: np.dtype[Any], **values: Any) -> npt.NDArray[Any]:

@@ -1,32 +1,12 @@
 // What kernels are given: the job, in the layout of `supple.engines.cuda.layout`, and maps in one block of memory.
 //
-// The same text is compiled by NVRTC for GPUs, and by a C++ compiler for tests, which run its blocks one by one.
+// The same text is compiled by NVRTC for GPUs (kernels.cu), and by a C++ compiler for tests, which have what stands in
+// for a GPU (host.cpp), and run its blocks one by one.
 #pragma once
 #include "footprint.hpp"
 #include "map.hpp"
 #include "patch.hpp"
 #include "samples.hpp"
-
-#if defined(__CUDACC_RTC__)
-#define KERNEL extern "C" __global__ void __launch_bounds__(128)
-#else
-#include <algorithm>
-struct Place {
-    int x, y, z;
-};
-inline thread_local Place threadIdx, blockIdx, blockDim, gridDim;
-inline int atomicAdd(int* to, int by) {
-    const int old = *to;
-    *to += by;
-    return old;
-}
-inline void atomicMax(int* to, int value) { *to = std::max(*to, value); }
-inline int __float_as_int(float x) {
-    int i;
-    memcpy(&i, &x, 4);
-    return i;
-}
-#endif
 
 namespace supple::cuda {
 
@@ -38,7 +18,7 @@ struct Samples {
 
 // Of the map: bits of a float that is not negative, counts.
 struct Told {
-    int worst, rough, unsolved, folded, outside, pad[3];
+    int worst, rough, unsolved, folded, outside;
 };
 
 // The place that a pixel is sampled at: whole numbers and fractions; ∂p/∂x and ∂p/∂y in the plane; |∂p_z/∂q|².
@@ -58,8 +38,8 @@ struct Job {
     Told* told;
     Samples source, out;
     const double* fill;  // of each channel
+    uint64_t top;        // the largest value of whole numbers, which is `high`
     double tolerance, white, high;
-    uint64_t top;                          // the largest value of whole numbers, which is `high`
     int map_count, planes, first, shared;  // lattices; the number of the first; the images that share one, or 0
     int width, height, nx, ny;             // pixels, and nodes
     int from_x, from_y;                    // the pixel of the map that the output begins with

@@ -1,10 +1,12 @@
 // The programs that NVRTC compiles, of one kernel each: UNIT, of DIM dimensions; and what is painted: SAMPLE, NUMBER,
 // TOGETHER (channels) and CHOSEN (the filter).
+#include "half.hpp"
 #include "paint.hpp"
 #include "points.hpp"
 using namespace supple;
 using namespace supple::cuda;
 
+#define KERNEL extern "C" __global__ void __launch_bounds__(128)
 #if UNIT == 0
 KERNEL points(const Some job) { move_point<DIM>(job); }
 #elif UNIT == 1

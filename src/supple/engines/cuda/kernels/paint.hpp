@@ -7,22 +7,6 @@ namespace supple::cuda {
 
 constexpr int MAP = 4;  // no filter: the points themselves are written, or their displacements if it is `average`
 
-// Samples of 16 bits with a fraction.
-#if defined(__CUDACC_RTC__)
-struct Half {
-    uint16_t bits;
-    Half() = default;
-    INLINE explicit Half(float x) { asm("cvt.rn.f16.f32 %0, %1;" : "=h"(bits) : "f"(x)); }
-    INLINE operator float() const {
-        float x;
-        asm("cvt.f32.f16 %0, %1;" : "=f"(x) : "h"(bits));
-        return x;
-    }
-};
-#else
-typedef _Float16 Half;
-#endif
-
 template <class T>
 constexpr bool WHOLE = T(0.5f) == T(0);
 template <>
@@ -32,24 +16,14 @@ constexpr bool WHOLE<Half> = false;
 template <class N, int C>
 struct Sum {
     N v[C];
-    INLINE Sum operator-(const Sum& o) const {
-        Sum s;
-        for (int c = 0; c < C; c++) s.v[c] = v[c] - o.v[c];
-        return s;
-    }
-    INLINE Sum operator*(N by) const {
-        Sum s;
-        for (int c = 0; c < C; c++) s.v[c] = v[c] * by;
-        return s;
-    }
-    INLINE friend Sum operator*(N by, const Sum& s) { return s * by; }
-    INLINE Sum& operator+=(const Sum& o) {
-        for (int c = 0; c < C; c++) v[c] += o.v[c];
+    INLINE Sum& add(N by, const Sum& o) {
+        for (int c = 0; c < C; c++) v[c] += by * o.v[c];
         return *this;
     }
-    INLINE void add(N by, const Sum& o) {
-        for (int c = 0; c < C; c++) v[c] += by * o.v[c];
-    }
+    INLINE Sum& operator+=(const Sum& o) { return add(1, o); }
+    INLINE Sum operator-(const Sum& o) const { return Sum(*this).add(-1, o); }
+    INLINE Sum operator*(N by) const { return Sum{}.add(by, *this); }
+    INLINE friend Sum operator*(N by, const Sum& s) { return s * by; }
 };
 
 // A group of channels: C colours, or three and the opacity that weights them.
@@ -108,12 +82,12 @@ struct Group {
 };
 
 // A frame, or the constant where there is none; or a level of its pyramid, whose samples are averages of 2ᵏ × 2ᵏ, made
-// as they are read; an odd edge repeats its last one.
+// as they are read; an odd edge repeats its last one. `count` levels may be asked for.
 template <class T, class N, int C>
 struct Level {
     const Group<T, N, C>& group;
     const T* frame;  // or null
-    int k = 0;
+    int k = 0, count = 0;
 
     INLINE static int side(int n, int k) { return (int)(((int64_t)n + (1 << k) - 1) >> k); }
     INLINE Sum<N, C> at(int x, int y) const {
@@ -133,11 +107,7 @@ struct Level {
     }
     // The n-th of the samples of one of this level.
     INLINE int member(int i, int n, int count) const {
-        for (int finer = k - 1; finer >= 0; finer--) {
-            const int last = side(count, finer) - 1;
-            i = 2 * i + (n >> finer & 1);
-            i = i < last ? i : last;
-        }
+        for (int finer = k - 1; finer >= 0; finer--) i = least(2 * i + (n >> finer & 1), side(count, finer) - 1);
         return i;
     }
     // Σ_r Σ_j d_rj Σ_i a_ri f(x + i, y + j)
@@ -170,20 +140,9 @@ struct Level {
         }
         return window<2>(x - 1, y - 1, across, down);
     }
-};
-// A frame and the levels that it may need.
-template <class T, class N, int C>
-struct Levels {
-    const Level<T, N, C>& frame;
-    int count = 0;
-
-    INLINE explicit Levels(const Level<T, N, C>& frame) : frame(frame) {
-        const Job& job = frame.group.job;
-        for (int side = job.w > job.h ? job.w : job.h; side > 1 && count < LEVELS; side = (side + 1) / 2) count++;
-    }
     template <class Use>
     INLINE Sum<N, C> in(int k, Use use) const {
-        return use(Level<T, N, C>{frame.group, frame.frame, k});
+        return use(Level{group, frame, k});
     }
 };
 
@@ -198,22 +157,21 @@ template <class T, class N, int C, int FILTER, int D>
 INLINE Sum<N, C> in_frame(const Level<T, N, C>& frame, const Point<D>& p, const Print& print) {
     const int x = p.whole[0], y = p.whole[1];
     const N u = p.part[0], v = p.part[1];
-    if constexpr (FILTER == LINEAR) {
-        const N across[1][2] = {{1 - u, u}}, down[1][2] = {{1 - v, v}};
-        return frame.template window<1>(x, y, across, down);
-    } else {
-        if (FILTER == AUTO && print.kind == SPOT)
-            return frame.spot(print.x, print.y, print.across, print.left, print.right);
-        if (FILTER == AUTO && print.kind == WIDE)
-            return wide<Sum<N, C>>(Levels<T, N, C>(frame), x + u, y + v, square<N>(p, 0, 0), square<N>(p, 0, 1),
-                                   square<N>(p, 1, 1));
-        N across[1][4], down[1][4];
-        for (int i = 0; i < 4; i++) {
-            across[0][i] = keys(i, u);
-            down[0][i] = keys(i, v);
-        }
-        return frame.template window<1>(x - 1, y - 1, across, down);
+    if (FILTER == AUTO && print.kind == SPOT)
+        return frame.spot(print.x, print.y, print.across, print.left, print.right);
+    if (FILTER == AUTO && print.kind == WIDE) {
+        Level<T, N, C> levels = frame;
+        const int side = frame.group.job.w > frame.group.job.h ? frame.group.job.w : frame.group.job.h;
+        while (levels.count < LEVELS && levels.side(side, levels.count) > 1) levels.count++;
+        return wide<Sum<N, C>>(levels, x + u, y + v, square<N>(p, 0, 0), square<N>(p, 0, 1), square<N>(p, 1, 1));
     }
+    constexpr int TAPS = FILTER == LINEAR ? 2 : 4, before = TAPS / 2 - 1;
+    N across[1][TAPS], down[1][TAPS];
+    for (int i = 0; i < TAPS; i++) {
+        across[0][i] = FILTER == LINEAR ? (i ? u : 1 - u) : keys(i, u);
+        down[0][i] = FILTER == LINEAR ? (i ? v : 1 - v) : keys(i, v);
+    }
+    return frame.template window<1>(x - before, y - before, across, down);
 }
 
 // Frame k of the source, or null for the constant.
