@@ -90,7 +90,7 @@ def handed_over(b: Bench) -> Iterator[Line]:
 
     def small() -> None:
         with gpu.current():
-            launch(kernel, 1, none, stream)
+            launch(kernel, none, stream, 1)
 
     ways: list[tuple[str, Callable[[], Any] | None]] = [
         ("alone", None),

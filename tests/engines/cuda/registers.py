@@ -41,7 +41,7 @@ def rows() -> dict[str, tuple[Program, int]]:
 
 def used(program: Program, arch: int) -> Used:
     """Compile a program; SuppleError or CudaError if it does not."""
-    _, log = compiled(program, arch, "--ptxas-options=-v")
+    _, log = compiled(program, arch, "-v")
     part = log[log.index(f"entry function '{program.unit}'") :]
     registers = re.search(r"Used (\d+) registers", part)
     found = re.search(r"(\d+) bytes stack frame, (\d+) bytes spill stores, (\d+) bytes spill loads", part)

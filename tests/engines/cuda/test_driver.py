@@ -125,11 +125,12 @@ def test_memory_is_of_its_stream(gpu: CudaDevice, played: Driver) -> None:
         back = np.zeros(40, np.uint8)
         memory.download(back, 60)
         np.testing.assert_array_equal(back, given[60:])
-        memory.close()
-        memory.close()
+        pointer = memory.pointer
+        del memory
+        gc.collect()
         assert names(played).count("cuMemFreeAsync") == 1
         with pytest.raises(AssertionError, match="not of the device"):
-            memory.upload(given)
+            device.call("cuMemcpyHtoDAsync", pointer, given.ctypes.data, given.nbytes, stream.handle)
 
 
 def test_every_thread_has_the_context(played: Driver) -> None:

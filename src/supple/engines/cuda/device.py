@@ -152,11 +152,7 @@ class Memory:
     def __init__(self, size: int, stream: Stream) -> None:
         self.size, self.stream = size, stream
         self.pointer = int(call("cuMemAllocAsync", max(size, 16), stream.handle))
-        self._free = weakref.finalize(self, _ended, "cuMemFreeAsync", self.pointer, stream.handle, held=stream)
-
-    def close(self) -> None:
-        """Free it, after what its stream has to do so far."""
-        self._free()
+        weakref.finalize(self, _ended, "cuMemFreeAsync", self.pointer, stream.handle, held=stream)
 
     def upload(self, array: Array, start: int = 0) -> None:
         """Copy a contiguous host array to it, from a byte on; what the array holds may change on return."""
@@ -192,7 +188,7 @@ class Pinned:
         pointer = int(call("cuMemHostAlloc", max(size, 1), int(driver().CU_MEMHOSTALLOC_PORTABLE)))
         memory = (ctypes.c_ubyte * size).from_address(pointer)
         self.bytes: npt.NDArray[np.uint8] = np.frombuffer(memoryview(memory), np.uint8)
-        self._free = weakref.finalize(self, _ended, "cuMemFreeHost", pointer)
+        weakref.finalize(self, _ended, "cuMemFreeHost", pointer)
 
 
 def _ended(name: str, *arguments: Any, held: object = None) -> None:

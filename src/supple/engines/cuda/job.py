@@ -8,7 +8,7 @@ from supple.domain import refuse
 from supple.engines.base import Certificate, Work, warn_of
 from supple.engines.cuda.arrays import DeviceArray, as_stream, stream_of
 from supple.engines.cuda.device import Event, Stream, keep, let_go
-from supple.engines.cuda.warp import Told, paint, painter
+from supple.engines.cuda.warp import Told, warp
 from supple.engines.workers import note
 
 
@@ -88,13 +88,12 @@ def start(work: Work, source: DeviceArray, out: DeviceArray, *, slab: int | None
         for array in (source, out):
             if array.stream != where:
                 where.wait(array.stream.record())
-        told, painters = Told(where), []
+        told, lattices = Told(where), []
         for k, (part, count) in enumerate(parts):
-            painters.append(painter(source.gpu, part, source.dtype, where))
             given, made = (array.samples(k, coloured) for array in (source, out))
-            paint(painters[-1], where, given, made, (0, count), told, slab=slab)
+            lattices.append(warp(source.gpu, part, source.dtype, told, given, made, (0, count), slab=slab))
         told.send()
-        event = keep(where, source, out, told, painters)
+        event = keep(where, source, out, told, lattices)
     note(source.gpu.name)
     return Warping(work, source, out.given, where, told, event)
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from supple.engines.base import Certificate, EngineError, Steps, Work
 from supple.engines.cuda.arrays import dense
 from supple.engines.cuda.device import FAILURES, CudaDevice, Memory, Stream
-from supple.engines.cuda.warp import Told, paint, painter
+from supple.engines.cuda.warp import Told, warp
 from supple.engines.native import needed_by
 
 Array = npt.NDArray[Any]
@@ -111,8 +111,8 @@ def _slab(
     sent, back, told = Memory(given.nbytes, stream), Memory(made.nbytes, stream), Told(stream)
     for k, frame in enumerate(given):  # one by one, so that a copy in the right order stays small
         sent.upload(np.ascontiguousarray(frame, dtype), k * frame.nbytes)
-    held = painter(gpu, work, dtype, stream, frames[0])
-    paint(held, stream, (sent.pointer, *dense(given.shape)), (back.pointer, *dense(made.shape)), planes, told)
+    to = (back.pointer, *dense(made.shape))
+    _held = warp(gpu, work, dtype, told, (sent.pointer, *dense(given.shape)), to, planes, held_from=frames[0])
     told.send()
     yield planes[0], Certificate(0.0, 0.0)
     for k, plane in enumerate(made):

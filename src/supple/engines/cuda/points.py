@@ -11,8 +11,8 @@ from supple.engines.base import Certificate, Space, warn_of
 from supple.engines.cuda.arrays import DeviceArray, contiguous, made_like, plain, taken
 from supple.engines.cuda.device import keep
 from supple.engines.cuda.layout import SOME, record
-from supple.engines.cuda.programs import Program, blocks, launch, prepare
-from supple.engines.cuda.warp import Painter, Told, lattice_of, paint
+from supple.engines.cuda.programs import Program, launch, prepare
+from supple.engines.cuda.warp import Told, lattice_of, paint
 from supple.engines.native import CONVERGED
 
 
@@ -37,7 +37,7 @@ def _moved(space: Space, given: DeviceArray, results: dict[str, DeviceArray], *,
         pointers = {name: array.pointer for name, array in results.items()}
         job = record(SOME, map=lattice.memory.pointer, points=given.pointer, told=told.there.pointer, count=count,
                      tolerance=CONVERGED, wide=given.dtype == np.float64, back=back, **pointers)  # fmt: skip
-        launch(kernel, blocks(count), job, stream)
+        launch(kernel, job, stream, count)
         told.send()
         # An unknown library may not keep an array alive until it is read.
         if space.composite is None and given.kind != "other":
@@ -78,8 +78,9 @@ def inverse_map(space: Space, like: Any, tolerance: float, *, offsets: bool = Fa
     given = taken(plain(like), "like")
     out = made_like(given, (*space.out, space.ndim), np.float32)
     with given.gpu.current():
-        made, told = Painter(given.gpu, (space,), out.dtype, tolerance, average=offsets), Told(given.stream)
-        paint(made, given.stream, (0,) * 5, out.samples(0, coloured=True), (0, space.planes[0]), told)
+        told, to = Told(given.stream), out.samples(0, coloured=True)
+        paint(given.gpu, (space,), out.dtype, told, (0,) * 5, to, (0, space.planes[0]), tolerance=tolerance,
+              average=offsets)  # fmt: skip
         told.send()
         given.stream.synchronize()
     return out.given, told.certificate(space)

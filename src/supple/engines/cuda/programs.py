@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import os
+import re
 import sys
 import tempfile
 import threading
@@ -27,6 +29,7 @@ _HERE = Path(__file__).parent / "kernels"
 _CORE = Path(__file__).parents[2] / "_core"
 _loaded: dict[tuple[int, Program], Future[Any]] = {}
 _lock = threading.Lock()
+_compilers = ThreadPoolExecutor(len(UNITS), "supple-nvrtc")
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,74 +60,61 @@ class Program:
     filter: int = 0
 
     @property
-    def options(self) -> list[str]:
-        """The options of the compiler that choose it."""
-        chosen: dict[str, object] = {"UNIT": UNITS.index(self.unit), "DIM": self.dimensions}
-        chosen |= {"JOB_BYTES": JOB.itemsize, "SOME_BYTES": SOME.itemsize}
-        if self.composed is not None:
-            chosen["COMPOSED"] = int(self.composed)
-        if self.sample:
-            chosen |= {"SAMPLE": self.sample, "NUMBER": self.number}
-            chosen |= {"TOGETHER": self.together, "CHOSEN": self.filter}
-        return [f"-D{name}={value}" for name, value in chosen.items()]
+    def macros(self) -> list[str]:
+        """The macros that choose it."""
+        composed = None if self.composed is None else int(self.composed)
+        chosen = {"UNIT": UNITS.index(self.unit), "DIM": self.dimensions, "COMPOSED": composed, "SAMPLE": self.sample,
+                  "NUMBER": self.number, "TOGETHER": self.together, "CHOSEN": self.filter,
+                  "JOB_BYTES": JOB.itemsize, "SOME_BYTES": SOME.itemsize}  # fmt: skip
+        return [f"{name}={value}" for name, value in chosen.items() if value not in (None, "")]
 
 
 @cache
-def sources() -> tuple[str, Mapping[str, str]]:
-    """Return the text of the kernels, and of the headers that they include, by their names."""
-    headers = {path.name: path.read_text(encoding="utf-8") for path in sorted(_HERE.glob("*.hpp"))}
-    waiting = list(headers.values())
-    while waiting:
-        for line in waiting.pop().splitlines():
-            name = line.removeprefix('#include "').rstrip('"')
-            if line.startswith('#include "') and name not in headers:
-                headers[name] = (_CORE / name).read_text(encoding="utf-8")
-                waiting.append(headers[name])
-    return (_HERE / "kernels.cu").read_text(encoding="utf-8"), headers
+def sources() -> Mapping[str, str]:
+    """Return the texts that kernels are compiled from, by the names of their files: each after those it includes."""
+    texts: dict[str, str] = {}
+
+    def add(name: str) -> None:
+        path = _HERE / name if (_HERE / name).exists() else _CORE / name
+        text = path.read_text(encoding="utf-8")
+        for included in re.findall(r'^#include "(.*)"', text, re.MULTILINE):
+            if included not in texts:
+                add(included)
+        # What is included is there already: NVRTC is given one text, and opens no file.
+        texts[name] = re.sub(r'^#(include "|pragma once).*', "", text, flags=re.MULTILINE)
+
+    add("kernels.cu")
+    return texts
 
 
 def compiled(program: Program, arch: int, *more: str) -> tuple[bytes, str]:
     """Compile a program for an architecture (90: sm_90), and return the machine code and what the compiler says.
+
+    ``more`` are options of the assembler.
 
     Raises
     ------
     CudaError
         If the program does not compile.
     """
-    from cuda.bindings import nvrtc
+    from cuda import core
 
-    def done(result: Any) -> Any:
-        if int(result[0]) != 0:
-            raise CudaError(f"NVRTC: {result[0].name}")
-        return result[1] if len(result) > 1 else None
-
-    text, headers = sources()
-    options = [f"--gpu-architecture=sm_{arch}", "-default-device", "--std=c++20", *program.options, *more]
-    handle = done(
-        nvrtc.nvrtcCreateProgram(
-            text.encode(), f"{program.unit}.cu".encode(), len(headers),
-            [header.encode() for header in headers.values()], [name.encode() for name in headers],
-        )
+    said = io.StringIO()
+    options = core.ProgramOptions(
+        name=f"{program.unit}.cu", arch=f"sm_{arch}", std="c++20", device_as_default_execution_space=True,
+        define_macro=program.macros, ptxas_options=list(more),
     )  # fmt: skip
+    text = "\n".join(f'#line 1 "{name}"\n{text}' for name, text in sources().items())
     try:
-        status = nvrtc.nvrtcCompileProgram(handle, len(options), [option.encode() for option in options])[0]
-        # NVRTC writes into what it is given, and Python shares its bytes of length 1 (an empty log has one).
-        said = bytearray(done(nvrtc.nvrtcGetProgramLogSize(handle)))
-        done(nvrtc.nvrtcGetProgramLog(handle, said))
-        log = said.rstrip(b"\0").decode(errors="replace")
-        if int(status) != 0:
-            raise CudaError(f"NVRTC: {status.name}: {log}")
-        code = bytearray(done(nvrtc.nvrtcGetCUBINSize(handle)))
-        done(nvrtc.nvrtcGetCUBIN(handle, code))
-    finally:
-        nvrtc.nvrtcDestroyProgram(handle)
-    return bytes(code), log
+        made = core.Program(text, "c++", options).compile("cubin", logs=said)
+    except Exception as error:  # of NVRTC, or where it is missing
+        raise CudaError(f"NVRTC: {error}") from error
+    return bytes(made.code), said.getvalue()
 
 
 def folder() -> Path:
     """Return the folder of compiled programs: SUPPLE_CACHE, or supple/cuda in the user's folder of caches."""
-    given = os.environ.get("SUPPLE_CACHE")
-    if given:
+    if given := os.environ.get("SUPPLE_CACHE"):
         return Path(given)
     if sys.platform == "win32":
         home = os.environ.get("LOCALAPPDATA") or tempfile.gettempdir()
@@ -135,8 +125,7 @@ def folder() -> Path:
 
 def kept(program: Program, arch: int) -> bytes:
     """Return the machine code of a program: from disk, or compiled and kept there, if that can be written."""
-    text, headers = sources()
-    content = "\n".join([bindings(), str(arch), *program.options, text, *headers.values()])
+    content = "\n".join([bindings(), str(arch), *program.macros, *sources().values()])
     path = folder() / f"{program.unit}-sm_{arch}-{hashlib.sha256(content.encode()).hexdigest()[:32]}.cubin"
     with contextlib.suppress(OSError):
         return path.read_bytes()
@@ -149,17 +138,12 @@ def kept(program: Program, arch: int) -> bytes:
     return code
 
 
-@cache
-def _compilers() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(len(UNITS), "supple-nvrtc")
-
-
 def prepare(gpu: CudaDevice, program: Program) -> Future[Any]:
     """Begin to load a kernel, beside others; what is compiled first takes seconds."""
     key = (gpu.number, program)
     with _lock:
         if key not in _loaded:
-            _loaded[key] = _compilers().submit(_load, gpu, program)
+            _loaded[key] = _compilers.submit(_load, gpu, program)
         return _loaded[key]
 
 
@@ -174,23 +158,18 @@ def _load(gpu: CudaDevice, program: Program) -> Any:
         raise
 
 
-def launch(kernel: Future[Any], blocks: tuple[int, int, int] | int, job: np.ndarray[Any, Any], stream: Stream) -> None:
+def launch(kernel: Future[Any], job: np.ndarray[Any, Any], stream: Stream, x: int, y: int = 1, z: int = 1) -> None:
     """Launch a kernel on a stream of the current device, with one argument: a record, which is copied.
 
     Parameters
     ----------
     kernel : Future
         From `prepare`.
-    blocks : int or (int, int, int)
-        The grid, of blocks of `THREADS`.
     job : array of one record
     stream : Stream
+    x, y, z : int
+        The number of threads that there is work for, which go in blocks of `THREADS`; and of rows and layers of blocks.
     """
-    grid = (blocks, 1, 1) if isinstance(blocks, int) else blocks
     argument = np.array([job.ctypes.data], np.uintp)  # the driver takes an array of pointers to arguments
-    call("cuLaunchKernel", kernel.result(), *grid, THREADS, 1, 1, 0, stream.handle, int(argument.ctypes.data), 0)
-
-
-def blocks(items: int) -> int:
-    """Return the number of blocks for some items."""
-    return max(1, -(-items // THREADS))
+    blocks = max(1, -(-x // THREADS))
+    call("cuLaunchKernel", kernel.result(), blocks, y, z, THREADS, 1, 1, 0, stream.handle, int(argument.ctypes.data), 0)

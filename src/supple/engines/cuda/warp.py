@@ -20,7 +20,7 @@ from supple import _core
 from supple.engines.base import BETWEEN, FILTERS, OUTSIDE, Certificate, Space, Work
 from supple.engines.cuda.device import CudaDevice, Memory, Pinned, Stream
 from supple.engines.cuda.layout import JOB, TOLD, record
-from supple.engines.cuda.programs import Program, blocks, launch, prepare
+from supple.engines.cuda.programs import THREADS, Program, launch, prepare
 from supple.strokes import numbers
 
 Samples = tuple[int, ...]
@@ -125,144 +125,115 @@ class Told:
 
     def certificate(self, space: Space) -> Certificate:
         """Return the certificate; the stream has got there."""
-        said = self.here.bytes.view(TOLD)[0]
-        unsolved = int(said["unsolved"])
-        error = np.inf if unsolved else float(said["worst"])
-        if space.composite is None:
-            return Certificate(error, 0.0)
-        return Certificate(error, 0.0, unsolved, int(said["folded"]), int(said["outside"]))
+        worst, _rough, *counts = self.here.bytes.view(TOLD)[0].item()
+        return Certificate(np.inf if counts[0] else worst, 0.0, *(() if space.composite is None else counts))
 
 
-class Painter:
-    """The kernels for samples of a type, and what all planes have in common.
+def paint(
+    gpu: CudaDevice,
+    spaces: Sequence[Space],
+    dtype: np.dtype[Any],
+    told: Told,
+    source: Samples,
+    out: Samples,
+    planes: tuple[int, int],
+    *,
+    together: int = 1,
+    filter: int = MAP,
+    slab: int | None = None,
+    **values: Any,
+) -> Lattice:
+    """Launch the kernels for some planes in the order of the stream of ``told``, slab by slab.
 
     Parameters
     ----------
     gpu : CudaDevice
         The current device.
     spaces : sequence of Space
-        One map, or one for each plane.
+        One map, or one for each plane. Images of one map share its nodes; slices have nodes of their own.
     dtype : numpy.dtype
-    tolerance : float
+    told : Told
+    source, out : Samples
+        From the first frame that is there on, and from the first of the planes on.
+    planes : (int, int)
+        From, to.
     together, filter : int
         As in `Program`.
-    fill : Memory, optional
-        The fill value of each channel; None for a map itself.
+    slab : int, optional
+        The number of planes in one launch, at most; by default, as many as scratch memory has room for.
     **values
         Other fields of the job.
+
+    Returns
+    -------
+    Lattice
+        What must be kept until the kernels are done.
     """
-
-    def __init__(
-        self,
-        gpu: CudaDevice,
-        spaces: Sequence[Space],
-        dtype: np.dtype[Any],
-        tolerance: float,
-        together: int = 1,
-        filter: int = MAP,
-        fill: Memory | None = None,
-        **values: Any,
-    ) -> None:
-        kinds = {space.composite is not None for space in spaces}
-        one, composed = spaces[0], kinds.pop() if len(kinds) == 1 else None
-        painting = (*_TYPES[dtype.str[1:]], together, filter)
-        self.kernels = {
-            unit: prepare(gpu, Program(unit, one.ndim, composed, *(painting if unit in ("fill", "rough") else ())))
-            for unit in ("nodes", "cells", "fill", "rough")
-        }
-        self.lattice, self.size, self.fill = lattice_of(gpu, spaces), dtype.itemsize, fill
-        nx, ny = self.lattice.nodes
-        first = (0, 0) if one.grid is None else one.grid.first
-        self.job = values | {
-            "maps": self.lattice.memory.pointer,
-            "map_count": len(spaces),
-            "xs": self.lattice.places.pointer,
-            "ys": self.lattice.places.pointer + 4 * nx,
-            "nx": nx,
-            "ny": ny,
-            "from_x": first[0],
-            "from_y": first[1],
-            "height": one.planes[1],
-            "width": one.planes[2],
-            "tolerance": tolerance,
-            "fill": fill.pointer if fill else 0,
-        }
+    stream, lattice, space = told.there.stream, lattice_of(gpu, spaces), spaces[0]
+    kinds = {each.composite is not None for each in spaces}
+    n, composed = space.ndim, kinds.pop() if len(kinds) == 1 else None
+    painting = (*_TYPES[dtype.str[1:]], together, filter)
+    nodes, cells, fill, rough = (  # all, before the first is waited for
+        prepare(gpu, Program(unit, n, composed, *(painting if unit in ("fill", "rough") else ())))
+        for unit in ("nodes", "cells", "fill", "rough")
+    )
+    (nx, ny), (_, height, width) = lattice.nodes, space.planes
+    first_x, first_y, *depth = (0, 0) if space.grid is None else space.grid.first
+    each, shared = (nx - 1) * (ny - 1), n == 2 and len(spaces) == 1
+    sizes = {"nodes": nx * ny * _NODE[n], "leaves": each * _LEAF[n], "states": each * 4, "rough": each * 4}
+    room = max(1, min(SCRATCH // sum(sizes.values()), _MOST))
+    all_planes = planes[1] - planes[0]
+    solved = 1 if shared else min(all_planes, room, slab or room)
+    most = min(all_planes, _MOST) if shared else solved
+    scratch = {name: Memory(solved * size, stream) for name, size in sizes.items()}
+    values |= {name: memory.pointer for name, memory in scratch.items()}
+    xs = lattice.places.pointer
+    for start in range(*planes, most):
+        count = min(most, planes[1] - start)
+        many = 1 if shared else count
+        first = out[0] + (start - planes[0]) * out[1] * dtype.itemsize
+        job = record(JOB, **values, source=source, out=(first, *out[1:]), told=told.there.pointer, planes=many,
+                     first=sum(depth) + start, shared=count if shared else 0, maps=lattice.memory.pointer,
+                     map_count=len(spaces), xs=xs, ys=xs + 4 * nx, nx=nx, ny=ny, from_x=first_x, from_y=first_y,
+                     height=height, width=width)  # fmt: skip
+        launch(nodes, job, stream, many * nx * ny)
+        launch(cells, job, stream, many * each)
+        launch(fill, job, stream, width, ny - 1, count)
+        launch(rough, job, stream, THREADS * min(many * each, _BLOCKS))
+    return lattice
 
 
-def painter(gpu: CudaDevice, work: Work, dtype: np.dtype[Any], stream: Stream, held_from: int = 0) -> Painter:
-    """Return the painter of work on samples of a type, in the order of a stream, from the frame ``held_from`` on."""
+def warp(
+    gpu: CudaDevice,
+    work: Work,
+    dtype: np.dtype[Any],
+    told: Told,
+    source: Samples,
+    out: Samples,
+    planes: tuple[int, int],
+    *,
+    slab: int | None = None,
+    held_from: int = 0,
+) -> Lattice:
+    """Launch the kernels of work on samples of a type, as `paint` does; the source is there from a frame on."""
     space, sampling, group = work.space, work.sampling, work.layout.groups[0]
     nearest = sampling.filter == "nearest"
     (fill,) = work.fills
-    held = Memory(fill.nbytes, stream)
+    held = Memory(fill.nbytes, told.there.stream)
     held.upload(np.ascontiguousarray(fill))
     white = 1.0 if dtype == np.bool_ else work.layout.white
     high = min(white, int(np.iinfo(dtype).max)) if dtype.kind in "iu" else white
-    return Painter(
-        gpu,
-        work.spaces,
-        dtype,
-        sampling.tolerance,
-        1 if group.channels == 1 else 4,
-        FILTERS[sampling.filter],
-        held,
-        white=white,
-        high=high,
-        top=int(high),
-        w=space.shape[1],
-        h=space.shape[0],
-        count=space.count if space.ndim == 3 else 1,
-        held_from=held_from,
-        channels=group.channels,
+    return paint(
+        gpu, work.spaces, dtype, told, source, out, planes, slab=slab,
+        together=1 if group.channels == 1 else 4,
+        filter=FILTERS[sampling.filter],
+        tolerance=sampling.tolerance,
+        fill=held.pointer, white=white, high=high, top=int(high),
+        w=space.shape[1], h=space.shape[0], count=space.count if space.ndim == 3 else 1,
+        held_from=held_from, channels=group.channels,
         between=BETWEEN[sampling.between],
         rule=OUTSIDE[sampling.outside],
         average=sampling.time_filter and sampling.between != "nearest",
         alpha=group.channels - 1 if group.alpha and not nearest else -1,
         light=sampling.light and not nearest,
-    )
-
-
-def paint(
-    painter: Painter,
-    stream: Stream,
-    source: Samples,
-    out: Samples,
-    planes: tuple[int, int],
-    told: Told,
-    *,
-    slab: int | None = None,
-) -> None:
-    """Launch the kernels for some planes on a stream of the current device, slab by slab.
-
-    Parameters
-    ----------
-    painter : Painter
-    stream : Stream
-    source, out : Samples
-        From the first frame that is there on, and from the first of the planes on.
-    planes : (int, int)
-        From, to. All images share one map and its nodes, if there is only one; slices have nodes of their own.
-    told : Told
-    slab : int, optional
-        The number of planes in one launch, at most; by default, as many as scratch memory has room for.
-    """
-    lattice, kernels, space = painter.lattice, painter.kernels, painter.lattice.spaces[0]
-    (nx, ny), n, count = lattice.nodes, space.ndim, planes[1] - planes[0]
-    cells, shared = (nx - 1) * (ny - 1), n == 2 and len(lattice.spaces) == 1
-    sizes = {"nodes": nx * ny * _NODE[n], "leaves": cells * _LEAF[n], "states": cells * 4, "rough": cells * 4}
-    room = max(1, min(SCRATCH // sum(sizes.values()), _MOST))
-    solved = 1 if shared else min(count, room, slab or room)
-    together = min(count, _MOST) if shared else solved
-    scratch = {name: Memory(solved * size, stream) for name, size in sizes.items()}
-    common = painter.job | {name: memory.pointer for name, memory in scratch.items()}
-    above = 0 if space.grid is None or n == 2 else space.grid.first[2]
-    for start in range(*planes, together):
-        count = min(together, planes[1] - start)
-        many = 1 if shared else count
-        first = out[0] + (start - planes[0]) * out[1] * painter.size
-        job = record(JOB, **common, source=source, out=(first, *out[1:]), told=told.there.pointer, planes=many,
-                     first=above + start, shared=count if shared else 0)  # fmt: skip
-        launch(kernels["nodes"], blocks(many * nx * ny), job, stream)
-        launch(kernels["cells"], blocks(many * cells), job, stream)
-        launch(kernels["fill"], (blocks(space.planes[2]), ny - 1, count), job, stream)
-        launch(kernels["rough"], min(many * cells, _BLOCKS), job, stream)
+    )  # fmt: skip
