@@ -50,20 +50,22 @@ INLINE int frames_at(int between, double t, double width, int& first) {
     first -= 1;
     return 4;
 }
+// The weight of the k-th of the frames of a time that lies a fraction f after one of them.
+template <class N>
+INLINE N tap(int between, N f, int k) {
+    if (between == BETWEEN_NEAREST || f == 0) return 1;
+    if (between == BETWEEN_LINEAR) return k == 0 ? 1 - f : f;
+    const N half = N(0.5);
+    return k == 0   ? half * f * (f * (2 - f) - 1)
+           : k == 1 ? half * (f * f * (3 * f - 5) + 2)
+           : k == 2 ? half * f * (f * (4 - 3 * f) + 1)
+                    : half * f * f * (f - 1);
+}
 // The weight of the frame `first` + k.
 INLINE double time_weight(int between, double t, double width, int first, int k) {
-    const double f = t - floored(t);
-    if (between == BETWEEN_NEAREST) return 1;
-    if (width > 1e-3) {
-        const double d = first + k - t;
-        return (integral(between, d + width / 2) - integral(between, d - width / 2)) / width;
-    }
-    if (f == 0) return 1;
-    if (between == BETWEEN_LINEAR) return k == 0 ? 1 - f : f;
-    return k == 0   ? 0.5 * f * (f * (2 - f) - 1)
-           : k == 1 ? 0.5 * (f * f * (3 * f - 5) + 2)
-           : k == 2 ? 0.5 * f * (f * (4 - 3 * f) + 1)
-                    : 0.5 * f * f * (f - 1);
+    if (between == BETWEEN_NEAREST || !(width > 1e-3)) return tap(between, t - floored(t), k);
+    const double d = first + k - t;
+    return (integral(between, d + width / 2) - integral(between, d - width / 2)) / width;
 }
 
 // ---- light ---------------------------------------------------------------------------------------------------------

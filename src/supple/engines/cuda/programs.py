@@ -49,6 +49,8 @@ class Program:
     together : int
         How many channels are summed together: 1 or 4.
     filter : int
+    between, average, light : int
+        As in the job.
     """
 
     unit: str
@@ -58,15 +60,21 @@ class Program:
     number: str = ""
     together: int = 1
     filter: int = 0
+    between: int = 0
+    average: int = 0
+    light: int = 0
 
     @property
     def macros(self) -> list[str]:
         """The macros that choose it."""
-        composed = None if self.composed is None else int(self.composed)
-        chosen = {"UNIT": UNITS.index(self.unit), "DIM": self.dimensions, "COMPOSED": composed, "SAMPLE": self.sample,
-                  "NUMBER": self.number, "TOGETHER": self.together, "CHOSEN": self.filter,
-                  "JOB_BYTES": JOB.itemsize, "SOME_BYTES": SOME.itemsize}  # fmt: skip
-        return [f"{name}={value}" for name, value in chosen.items() if value not in (None, "")]
+        chosen: dict[str, object] = {"UNIT": UNITS.index(self.unit), "DIM": self.dimensions}
+        chosen |= {"JOB_BYTES": JOB.itemsize, "SOME_BYTES": SOME.itemsize}
+        if self.composed is not None:
+            chosen["COMPOSED"] = int(self.composed)
+        if self.sample:
+            chosen |= {"SAMPLE": self.sample, "NUMBER": self.number, "TOGETHER": self.together, "CHOSEN": self.filter,
+                       "BETWEEN": self.between, "AVERAGE": self.average, "LIGHT": self.light}  # fmt: skip
+        return [f"{name}={value}" for name, value in chosen.items()]
 
 
 @cache

@@ -172,7 +172,7 @@ def paint(
     stream, lattice, space = told.there.stream, lattice_of(gpu, spaces), spaces[0]
     kinds = {each.composite is not None for each in spaces}
     n, composed = space.ndim, kinds.pop() if len(kinds) == 1 else None
-    painting = (*_TYPES[dtype.str[1:]], together, filter)
+    painting = (*_TYPES[dtype.str[1:]], together, filter, *(int(values.get(k, 0)) for k in ("between", "average", "light")))
     nodes, cells, fill, rough = (  # all, before the first is waited for
         prepare(gpu, Program(unit, n, composed, *(painting if unit in ("fill", "rough") else ())))
         for unit in ("nodes", "cells", "fill", "rough")

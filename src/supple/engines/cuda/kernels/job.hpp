@@ -52,11 +52,20 @@ static_assert(sizeof(Leaf<2>) == 168 && sizeof(Leaf<3>) == 236, "as supple.engin
 
 enum State { GOOD = -1, RIM = -2, STILL = -3 };  // of a cell; from 0 on: its place among the rough ones
 
-// Programs are compiled for strokes, or for composites; tests for both.
+// Programs are compiled for strokes, or for composites; and for a way to sample; tests for all.
 #if defined(COMPOSED)
 INLINE constexpr bool composed(const Map&) { return COMPOSED; }
 #else
 INLINE bool composed(const Map& map) { return map.composite; }
+#endif
+#if defined(BETWEEN)
+INLINE constexpr int between_of(const Job&) { return BETWEEN; }
+INLINE constexpr bool averages(const Job&) { return AVERAGE; }
+INLINE constexpr bool in_light(const Job&) { return LIGHT; }
+#else
+INLINE int between_of(const Job& job) { return job.between; }
+INLINE bool averages(const Job& job) { return job.average; }
+INLINE bool in_light(const Job& job) { return job.light; }
 #endif
 INLINE int64_t thread() { return (int64_t)blockIdx.x * blockDim.x + threadIdx.x; }
 INLINE const Map& map_of(const Job& job, int plane) { return job.maps[job.map_count > 1 ? job.first + plane : 0]; }

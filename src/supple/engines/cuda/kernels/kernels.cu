@@ -1,20 +1,21 @@
 // The programs that NVRTC compiles, of one kernel each: UNIT, of DIM dimensions; and what is painted: SAMPLE, NUMBER,
-// TOGETHER (channels) and CHOSEN (the filter).
-#include "half.hpp"
+// TOGETHER (channels), CHOSEN (the filter), BETWEEN, AVERAGE and LIGHT.
+#include "gpu.hpp"
 #include "paint.hpp"
 #include "points.hpp"
 using namespace supple;
 using namespace supple::cuda;
 
+// Without __grid_constant__, a thread would copy its job before a call that is given its address.
 #define KERNEL extern "C" __global__ void __launch_bounds__(128)
 #if UNIT == 0
-KERNEL points(const Some job) { move_point<DIM>(job); }
+KERNEL points(const __grid_constant__ Some job) { move_point<DIM>(job); }
 #elif UNIT == 1
-KERNEL nodes(const Job job) { solve_node<DIM>(job); }
+KERNEL nodes(const __grid_constant__ Job job) { solve_node<DIM>(job); }
 #elif UNIT == 2
-KERNEL cells(const Job job) { check_cell<DIM>(job); }
+KERNEL cells(const __grid_constant__ Job job) { check_cell<DIM>(job); }
 #elif UNIT == 3
-KERNEL fill(const Job job) { fill_column<SAMPLE, NUMBER, TOGETHER, CHOSEN, DIM>(job); }
+KERNEL fill(const __grid_constant__ Job job) { fill_column<SAMPLE, NUMBER, TOGETHER, CHOSEN, DIM>(job); }
 #elif UNIT == 4
-KERNEL rough(const Job job) { fill_rough<SAMPLE, NUMBER, TOGETHER, CHOSEN, DIM>(job); }
+KERNEL rough(const __grid_constant__ Job job) { fill_rough<SAMPLE, NUMBER, TOGETHER, CHOSEN, DIM>(job); }
 #endif

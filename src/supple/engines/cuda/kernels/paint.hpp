@@ -39,46 +39,52 @@ struct Group {
         N weight = 1;
         if (C > 1 && job.alpha >= 0) {
             s.v[C - 1] = (N)value(job.alpha);
-            weight = (N)(s.v[C - 1] / job.white);
+            weight = s.v[C - 1] / (N)job.white;
         }
         for (int c = 0; c < C; c++)
             if (c < some) {
                 const auto v = value(first + c);
-                s.v[c] = weight * (N)(job.light ? job.white * to_light((double)v / job.white) : (N)v);
+                s.v[c] = weight * (in_light(job) ? (N)(job.white * to_light((double)v / job.white)) : (N)v);
             }
         return s;
     }
     INLINE Sum<N, C> read(const T* p) const {
-        return sum_of([&](int c) { return p[c * job.source.channel]; });
+        return sum_of([&](int c) { return sample_at(p + c * job.source.channel); });
     }
     INLINE Sum<N, C> constant() const {
         return sum_of([&](int c) { return job.fill[c]; });
     }
-    INLINE T rounded(double v) const {
+    INLINE T rounded(N v) const {
         if constexpr (WHOLE<T>) {
-            constexpr double low = T(-1) < T(0) ? -(double)(1ull << (8 * sizeof(T) - 1)) : 0;
-            v = floored(v + 0.5);
-            if (v >= job.high) return (T)job.top;
+            constexpr N low = T(-1) < T(0) ? -(N)(1ull << (8 * sizeof(T) - 1)) : 0;
+            v = floored(v + N(0.5));
+            if (v >= (N)job.high) return (T)job.top;
             if (v <= low) return (T)low;
             return v == v ? (T)v : T(0);
         } else
             return (T)v;
     }
     INLINE void write(const Sum<N, C>& s, T* p) const {
-        double opacity = 0;
+        N opacity = 0;
         if (C > 1 && job.alpha >= 0) {
             // A cubic overshoots: opacity is clamped, and colours are divided by what is not.
             opacity = s.v[C - 1];
-            p[job.alpha * job.out.channel] = rounded(within(opacity, 0, job.white));
+            p[job.alpha * job.out.channel] = rounded(least(most(opacity, N(0)), (N)job.white));
         }
         for (int c = 0; c < C; c++)
             if (c < some) {
-                double v = s.v[c];
-                if (C > 1 && job.alpha >= 0) v = opacity > 0 ? v * job.white / opacity : 0;
-                if (job.light) v = job.white * from_light(v / job.white);
+                N v = s.v[c];
+                if (C > 1 && job.alpha >= 0) v = opacity > 0 ? v * (N)job.white / opacity : 0;
+                if (in_light(job)) v = (N)(job.white * from_light((double)v / job.white));
                 p[(first + c) * job.out.channel] = rounded(v);
             }
     }
+};
+
+// Weights of RANK products of TAPS columns and rows.
+template <class N, int RANK, int TAPS>
+struct Taps {
+    N across[RANK][TAPS], down[RANK][TAPS];
 };
 
 // A frame, or the constant where there is none; or a level of its pyramid, whose samples are averages of 2ᵏ × 2ᵏ, made
@@ -111,34 +117,48 @@ struct Level {
         return i;
     }
     // Σ_r Σ_j d_rj Σ_i a_ri f(x + i, y + j)
-    template <int RANK, int TAPS>
-    INLINE Sum<N, C> window(int x, int y, const N (*across)[TAPS], const N (*down)[TAPS]) const {
-        const Job& job = group.job;
+    template <int RANK, int TAPS, class Sample>
+    INLINE static Sum<N, C> summed(const Taps<N, RANK, TAPS>& taps, Sample sample) {
         Sum<N, C> sum{};
-        const bool inside = k == 0 && frame && x >= 0 && y >= 0 && x + TAPS <= job.w && y + TAPS <= job.h;
-        const T* row = inside ? frame + y * job.source.row + x * job.source.column : frame;
         for (int j = 0; j < TAPS; j++) {
             Sum<N, C> along[RANK] = {};
             for (int i = 0; i < TAPS; i++) {
-                const Sum<N, C> v = inside ? group.read(row + i * job.source.column) : at(x + i, y + j);
-                for (int r = 0; r < RANK; r++) along[r].add(across[r][i], v);
+                const Sum<N, C> v = sample(i, j);
+                for (int r = 0; r < RANK; r++) along[r].add(taps.across[r][i], v);
             }
-            for (int r = 0; r < RANK; r++) sum.add(down[r][j], along[r]);
-            if (inside) row += job.source.row;
+            for (int r = 0; r < RANK; r++) sum.add(taps.down[r][j], along[r]);
         }
         return sum;
     }
+    // A call, so that what few pixels need takes no registers of the others.
+    template <int RANK, int TAPS>
+    NOINLINE static Sum<N, C> at_an_edge(Group<T, N, C> group, const T* frame, int k, int x, int y,
+                                         Taps<N, RANK, TAPS> taps) {
+        const Level level{group, frame, k};
+        return summed(taps, [&](int i, int j) { return level.at(x + i, y + j); });
+    }
+    template <int RANK, int TAPS>
+    INLINE Sum<N, C> window(int x, int y, const Taps<N, RANK, TAPS>& taps) const {
+        const Job& job = group.job;
+        if (k == 0 && frame && x >= 0 && y >= 0 && x + TAPS <= job.w && y + TAPS <= job.h) {
+            const T* first = frame + y * job.source.row + x * job.source.column;
+            return summed(taps, [&](int i, int j) {
+                return group.read(first + j * job.source.row + i * job.source.column);
+            });
+        }
+        return at_an_edge(group, frame, k, x, y, taps);
+    }
     template <class W>
     INLINE Sum<N, C> spot(int x, int y, Across<W> at, const W* left, const W* right) const {
-        N across[2][WINDOW], down[2][WINDOW];
+        Taps<N, 2, WINDOW> taps;
         for (int i = 0; i < WINDOW; i++) {
             const int j = i - at.shift;
-            across[0][i] = i < 4 ? N(0.5) * keys(i, N(at.first)) : 0;
-            across[1][i] = j >= 0 && j < 4 ? N(0.5) * keys(j, N(at.second)) : 0;
-            down[0][i] = left[i];
-            down[1][i] = right[i];
+            taps.across[0][i] = i < 4 ? N(0.5) * keys(i, N(at.first)) : 0;
+            taps.across[1][i] = j >= 0 && j < 4 ? N(0.5) * keys(j, N(at.second)) : 0;
+            taps.down[0][i] = left[i];
+            taps.down[1][i] = right[i];
         }
-        return window<2>(x - 1, y - 1, across, down);
+        return window(x - 1, y - 1, taps);
     }
     template <class Use>
     INLINE Sum<N, C> in(int k, Use use) const {
@@ -166,12 +186,12 @@ INLINE Sum<N, C> in_frame(const Level<T, N, C>& frame, const Point<D>& p, const 
         return wide<Sum<N, C>>(levels, x + u, y + v, square<N>(p, 0, 0), square<N>(p, 0, 1), square<N>(p, 1, 1));
     }
     constexpr int TAPS = FILTER == LINEAR ? 2 : 4, before = TAPS / 2 - 1;
-    N across[1][TAPS], down[1][TAPS];
+    Taps<N, 1, TAPS> taps;
     for (int i = 0; i < TAPS; i++) {
-        across[0][i] = FILTER == LINEAR ? (i ? u : 1 - u) : keys(i, u);
-        down[0][i] = FILTER == LINEAR ? (i ? v : 1 - v) : keys(i, v);
+        taps.across[0][i] = FILTER == LINEAR ? (i ? u : 1 - u) : keys(i, u);
+        taps.down[0][i] = FILTER == LINEAR ? (i ? v : 1 - v) : keys(i, v);
     }
-    return frame.template window<1>(x - before, y - before, across, down);
+    return frame.window(x - before, y - before, taps);
 }
 
 // Frame k of the source, or null for the constant.
@@ -181,17 +201,50 @@ INLINE const T* frame_of(const Job& job, int k) {
     return k < 0 ? nullptr : (const T*)job.source.first + (k - job.held_from) * job.source.plane;
 }
 
-// Paint the pixel (x, y) of a plane.
+// All frames that a pixel is made of.
+template <class T, class N, int C, int FILTER>
+INLINE Sum<N, C> in_time(const Group<T, N, C>& group, const Point<3>& p, const Print& print) {
+    const Job& job = group.job;
+    Sum<N, C> sum{};
+    auto add = [&](int k, N weight) {
+        const Level<T, N, C> frame{group, frame_of<T>(job, k)};
+        sum.add(weight, frame.frame ? in_frame<T, N, C, FILTER>(frame, p, print) : group.constant());
+    };
+    const int between = between_of(job);
+    const double width = averages(job) ? covered(p.rate2) : 0;
+    if (averages(job) && width > 1e-3) {
+        double t = p.whole[2] + (double)p.part[2];
+        if (job.rule != REFLECT) t = within(t, -3 - LONGEST / 2, job.count + 2 + LONGEST / 2);
+        int first;
+        const int n = frames_at(between, t, width, first);
+        for (int k = 0; k < n; k++) add(first + k, (N)time_weight(between, t, width, first, k));
+    } else if (between == BETWEEN_NEAREST)
+        add(p.whole[2] + (p.part[2] >= 0.5f), 1);
+    else {
+        const N f = p.part[2];
+        const int before = between == BETWEEN_CUBIC;
+        for (int k = 0; k < 2 + 2 * before; k++)
+            if (k == before || f != 0) add(p.whole[2] - before + k, f != 0 ? tap(between, f, k) : 1);
+    }
+    return sum;
+}
+
+// The pixel (x, y) of a plane of the output.
+template <class T>
+INLINE T* pixel_of(const Job& job, int plane, int x, int y) {
+    return (T*)job.out.first + plane * job.out.plane + (y - job.from_y) * job.out.row +
+           (x - job.from_x) * job.out.column;
+}
+
+// Paint the pixel (x, y) of a plane, which lies `to` there.
 template <class T, class N, int C, int FILTER, int D>
-INLINE void paint(const Job& job, int plane, int x, int y, const Point<D>& p) {
+INLINE void paint(const Job& job, int plane, int x, int y, const Point<D>& p, T* to) {
     const int own = job.first + plane;
-    T* to =
-        (T*)job.out.first + plane * job.out.plane + (y - job.from_y) * job.out.row + (x - job.from_x) * job.out.column;
     if constexpr (FILTER == MAP) {
         const int at[3] = {x, y, own};
         for (int d = 0; d < D; d++) {
             const double moved = p.same ? 0.0 : (double)(p.whole[d] - at[d]) + p.part[d];
-            to[d * job.out.channel] = (T)(job.average ? moved : at[d] + moved);
+            to[d * job.out.channel] = (T)(averages(job) ? moved : at[d] + moved);
         }
     } else {
         const T* here = (const T*)job.source.first + (own - job.held_from) * job.source.plane;
@@ -220,19 +273,8 @@ INLINE void paint(const Job& job, int plane, int x, int y, const Point<D>& p) {
                 const Group<T, N, C> group{job, first, colours - first < each ? colours - first : each};
                 if constexpr (D == 2)
                     group.write(in_frame<T, N, C, FILTER>(Level<T, N, C>{group, here}, p, print), to);
-                else {
-                    double t = p.whole[2] + (double)p.part[2], width = job.average ? covered(p.rate2) : 0;
-                    if (job.rule != REFLECT) t = within(t, -3 - LONGEST / 2, job.count + 2 + LONGEST / 2);
-                    int from;
-                    const int n = frames_at(job.between, t, width, from);
-                    Sum<N, C> sum{};
-                    for (int k = 0; k < n; k++) {
-                        const N weight = (N)time_weight(job.between, t, width, from, k);
-                        const Level<T, N, C> frame{group, frame_of<T>(job, from + k)};
-                        sum.add(weight, frame.frame ? in_frame<T, N, C, FILTER>(frame, p, print) : group.constant());
-                    }
-                    group.write(sum, to);
-                }
+                else
+                    group.write(in_time<T, N, C, FILTER>(group, p, print), to);
             }
         }
     }
@@ -244,7 +286,7 @@ INLINE void fill_column(const Job& job) {
     const int x = job.from_x + (int)thread(), j = blockIdx.y, plane = blockIdx.z;
     if (x >= job.from_x + job.width) return;
     const int wide = job.nx - 1, tall = job.ny - 1;
-    int k = (int)((int64_t)(x - job.from_x) * wide / job.width);  // near it
+    int k = least((int)((float)(x - job.from_x) * wide / job.width), wide - 1);  // near it
     while (k > 0 && job.xs[k] > x) k--;
     while (k < wide - 1 && job.xs[k + 1] <= x) k++;
     const int64_t cell = ((int64_t)(job.shared ? 0 : plane) * tall + j) * wide + k;
@@ -261,12 +303,20 @@ INLINE void fill_column(const Job& job) {
             a[d][i] = c[0] + s * (c[1] + s * (c[2] + s * c[3]));
             b[d][i] = c[1] + s * (2 * c[2] + 3 * s * c[3]);
         }
-    for (int y = top; y < bottom; y++) {
+    // On a fixed face there is no displacement across it.
+    bool on_face[2];
+    for (int d = 0; d < 2; d++)
+        on_face[d] = map.axes[d].fixed() && !composed(map) && (d ? bottom - 1 : x) * map.axes[d].spacing >= map.axes[d].last;
+    T* to = pixel_of<T>(job, plane, x, top);
+    for (int y = top; y < bottom; y++, to += job.out.row) {
         const float t = (float)(y - leaf.y);
-        const double place[3] = {x * map.axes[0].spacing, y * map.axes[1].spacing,
-                                 depth_of(job, plane) * map.axes[2].spacing};
         Point<D> p;
-        p.same = state == STILL || (state == RIM && unmoved<D>(map, place));
+        p.same = state == STILL;
+        if (state == RIM) {
+            const double place[3] = {x * map.axes[0].spacing, y * map.axes[1].spacing,
+                                     depth_of(job, plane) * map.axes[2].spacing};
+            p.same = unmoved<D>(map, place);
+        }
         if (!p.same) {
             for (int d = 0; d < D; d++) {
                 const float at = least(most(a[d][0] + t * (a[d][1] + t * (a[d][2] + t * a[d][3])), -1e9f), 1e9f);
@@ -274,14 +324,13 @@ INLINE void fill_column(const Job& job) {
                 p.whole[d] = (int)whole + leaf.anchor[d];
                 p.part[d] = at - whole;
             }
-            // On a fixed face there is no displacement across it.
             const int pixel[2] = {x, y};
             for (int d = 0; d < 2; d++)
-                if (map.axes[d].fixed() && !composed(map) && pixel[d] * map.axes[d].spacing >= map.axes[d].last) {
+                if (on_face[d] && (d == 0 || y == bottom - 1)) {
                     p.whole[d] = pixel[d];
                     p.part[d] = 0;
                 }
-            if (FILTER == AUTO || D == 3) {
+            if (FILTER == AUTO || (D == 3 && averages(job))) {
                 float rate2 = 0;
                 for (int d = 0; d < D; d++) {
                     const float across = b[d][0] + t * (b[d][1] + t * (b[d][2] + t * b[d][3]));
@@ -296,7 +345,7 @@ INLINE void fill_column(const Job& job) {
                 p.rate2 = rate2 + own * own;
             }
         }
-        paint<T, N, C, FILTER>(job, plane, x, y, p);
+        paint<T, N, C, FILTER>(job, plane, x, y, p, to);
     }
 }
 
@@ -313,7 +362,8 @@ INLINE void fill_rough(const Job& job) {
             Point<D> p;
             solve_pixel<D>(job, own, x, y, p);
             const int from = job.shared ? 0 : own, end = job.shared ? job.shared : own + 1;
-            for (int plane = from; plane < end; plane++) paint<T, N, C, FILTER>(job, plane, x, y, p);
+            for (int plane = from; plane < end; plane++)
+                paint<T, N, C, FILTER>(job, plane, x, y, p, pixel_of<T>(job, plane, x, y));
         }
     }
 }
