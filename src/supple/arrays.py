@@ -190,9 +190,9 @@ def spaces_of(deformations: Any) -> tuple[Space, ...]:
     """Return the spaces of one deformation, or of several of one shape; SuppleError for other values."""
     wanted = "a Deformation, or a sequence of them, of one shape"
     several = tuple(deformations) if isinstance(deformations, Sequence) else (deformations,)
-    if not several or not all(isinstance(getattr(d, "space", None), Space) for d in several):
+    spaces = tuple(getattr(d, "space", None) for d in several)
+    if not spaces or not all(isinstance(space, Space) for space in spaces):
         refuse("deformations", wanted, deformations)
-    spaces = tuple(d.space for d in several)
     shapes = [s.whole for s in spaces]
     if len(set(shapes)) > 1:
         other = next(shape for shape in shapes if shape != shapes[0])

@@ -99,10 +99,12 @@ def gpu(library: Path | None, monkeypatch: pytest.MonkeyPatch) -> Iterator[CudaD
     monkeypatch.setattr(programs, "_loaded", {})
     monkeypatch.setattr(arrays, "_viewed", lambda value, kind: View(value))
     monkeypatch.setattr(warp, "_lattices", OrderedDict())
+    monkeypatch.setattr(warp, "_spare", spare := [])
     yield device.open_device()
     warp._lattices.clear()
     device._kept.clear()
     gc.collect()
+    spare.clear()
     assert (made.memory, made.pinned, made.events, made.streams) == ({}, {}, {}, {0})
 
 

@@ -42,10 +42,13 @@ class Driver:
     CUdevice_attribute = SimpleNamespace(
         CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR=75, CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR=76
     )
+    CUmemPool_attribute = SimpleNamespace(CU_MEMPOOL_ATTR_RELEASE_THRESHOLD=4)
+    cuuint64_t = int
 
     def __init__(self, library: Path, memory: int = 8 << 30) -> None:
         self._run = ctypes.CDLL(str(library)).run
         self._run.restype = ctypes.c_bool
+        self.held_back = 0
         self.size, self.fails = memory, ""  # the function that fails the next time
         self.calls: list[tuple[str, tuple[Any, ...]]] = []
         self.memory: dict[int, np.ndarray] = {}
@@ -56,7 +59,7 @@ class Driver:
 
     def __getattribute__(self, name: str) -> Any:
         found = object.__getattribute__(self, name)
-        if not name.startswith("cu"):
+        if not callable(found) or isinstance(found, type) or not name.startswith("cu"):
             return found
 
         def called(*arguments: Any) -> Any:
@@ -65,6 +68,7 @@ class Driver:
                 self.fails = ""
                 return (Status(OUT_OF_MEMORY), *[None] * 3)
             free = {"cuInit", "cuDriverGetVersion", "cuDeviceGetCount", "cuDeviceGet", "cuDeviceGetName"}
+            free |= {"cuDeviceGetDefaultMemPool", "cuMemPoolGetAttribute", "cuMemPoolSetAttribute"}
             free |= {"cuDeviceGetAttribute", "cuDevicePrimaryCtxRetain", "cuCtxPushCurrent", "cuMemFreeAsync"}
             free |= {"cuStreamDestroy", "cuEventDestroy", "cuMemFreeHost", "cuEventQuery"}
             if name not in free and not self._contexts():
@@ -102,6 +106,16 @@ class Driver:
 
     def cuDeviceGetAttribute(self, attribute: int, device: int) -> int:  # noqa: N802
         return {75: 9, 76: 0}[attribute]
+
+    def cuDeviceGetDefaultMemPool(self, device: int) -> str:  # noqa: N802
+        return "the pool"
+
+    def cuMemPoolGetAttribute(self, pool: str, attribute: int) -> int:  # noqa: N802
+        return self.held_back
+
+    def cuMemPoolSetAttribute(self, pool: str, attribute: int, value: int) -> None:  # noqa: N802
+        assert (pool, attribute) == ("the pool", 4)
+        self.held_back = value
 
     def cuDevicePrimaryCtxRetain(self, device: int) -> str:  # noqa: N802
         return "the context"

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from supple.errors import SuppleError
 
 INSTALL = 'pip install "supple[cuda12]" or "supple[cuda13]", for drivers from 525 or 580 on'
+POOL = 1 << 29  # bytes of freed memory that a device keeps for the next warp, at least
 OLDEST = 75  # compute capability 7.5: the least that CUDA 13 compiles for
 
 Array = npt.NDArray[Any]
@@ -277,6 +278,10 @@ def _ready(number: int) -> CudaDevice:
             )
         context = call("cuDevicePrimaryCtxRetain", device)
         made = CudaDevice(number, name, 10 * major + minor, context)
+        # Otherwise memory goes back to the system whenever the GPU is waited for, and fetching it again takes milliseconds.
+        pool, kept = call("cuDeviceGetDefaultMemPool", device), driver().CUmemPool_attribute.CU_MEMPOOL_ATTR_RELEASE_THRESHOLD
+        if int(call("cuMemPoolGetAttribute", pool, kept)) < POOL:
+            call("cuMemPoolSetAttribute", pool, kept, driver().cuuint64_t(POOL))
         made.free  # noqa: B018 - it fails here, and not during a warp
     except CudaError as error:
         raise SuppleError(f"GPU {number} cannot be opened ({_short(error)}); device cpu needs no GPU") from None

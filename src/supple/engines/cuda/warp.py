@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import threading
+import weakref
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ from supple.strokes import numbers
 Samples = tuple[int, ...]
 """The address of the first sample, and the steps to the next plane, row, column and channel, in samples."""
 
-SIZE = 8  # pixels from node to node
+SIZES = 8, 16, 32  # pixels from node to node
 MAP = 4  # no filter: source points are written as float32, x first, or their displacements
 SCRATCH = 256 << 20  # bytes of scratch memory, at most
 _BLOCKS = 2048  # that share the rough cells
@@ -64,10 +65,25 @@ class Lattice:
 
 _lattices: OrderedDict[tuple[Any, ...], Lattice] = OrderedDict()
 _lock = threading.Lock()
+_spare: list[Pinned] = []
 
 
-def positions(first: int, n: int, axis: npt.NDArray[np.float64]) -> npt.NDArray[np.int32]:
-    """Return the positions of nodes along an axis of ``n`` samples from the ``first`` on, at most SIZE apart.
+def size_of(space: Space, tolerance: float) -> int:
+    """Return how many pixels nodes are apart.
+
+    A bicubic patch of the size h misses a stroke that moves pixels by its own radius r by about 0.15 h⁴/r³. What varies
+    over other lengths than radii (fields, masks) gets the smallest.
+    """
+    if space.composite is not None or space.freeze is not None or not space.table.size:
+        return SIZES[0]
+    widths = [np.sqrt(space.table["radius2"][:, 0].min()), space.table["reach"].min() / 3]  # over which a stroke ends
+    widths += [sigma for sigma in space.axes[: space.ndim, 2] if sigma > 0]
+    radius = min(widths) / space.axes[:2, 3].max()
+    return max([SIZES[0], *(h for h in SIZES if 0.15 * h**4 <= tolerance * radius**3)])
+
+
+def positions(first: int, n: int, axis: npt.NDArray[np.float64], size: int) -> npt.NDArray[np.int32]:
+    """Return the positions of nodes along an axis of ``n`` samples from the ``first`` on, at most ``size`` apart.
 
     ``axis`` is the row of the packed domain: the border's factor has a kink at its end, and a node there keeps cells
     from crossing it.
@@ -78,25 +94,25 @@ def positions(first: int, n: int, axis: npt.NDArray[np.float64]) -> npt.NDArray[
     kinks = [round(k / spacing) for k in (low + sigma, high - sigma)] if sigma > 0 else []
     end = first + n - 1
     ends = sorted({first, *(k for k in kinks if first < k < end), end})
-    return np.concatenate([*(np.arange(a, b, SIZE) for a, b in itertools.pairwise(ends)), [end]]).astype(np.int32)
+    return np.concatenate([*(np.arange(a, b, size) for a, b in itertools.pairwise(ends)), [end]]).astype(np.int32)
 
 
-def lattice_of(gpu: CudaDevice, spaces: Sequence[Space]) -> Lattice:
+def lattice_of(gpu: CudaDevice, spaces: Sequence[Space], tolerance: float = 0.01) -> Lattice:
     """Return the maps of deformations of one shape on a GPU, the current device; the last ones are kept there."""
     # Their arrays are immutable, and kept alive with the lattice, so that their ids stay unique.
     parts = [(s.shape, id(s.table), id(s.axes), id(s.composite), id(s.freeze), s.grid) for s in spaces]
-    key = (gpu.number, *parts)
+    key = (gpu.number, tolerance, *parts)
     with _lock:
         found = _lattices.get(key)
         if found is None:
-            found = _lattices[key] = _uploaded(gpu, tuple(spaces))
+            found = _lattices[key] = _uploaded(gpu, tuple(spaces), tolerance)
             while len(_lattices) > _KEPT:
                 _lattices.popitem(last=False)
         _lattices.move_to_end(key)
     return found
 
 
-def _uploaded(gpu: CudaDevice, spaces: tuple[Space, ...]) -> Lattice:
+def _uploaded(gpu: CudaDevice, spaces: tuple[Space, ...], tolerance: float) -> Lattice:
     stream = gpu.stream()  # it does not wait for other work of the GPU
     maps = [(numbers(s.table), s.axes, s.composite, s.freeze) for s in spaces]
     memory = Memory(len(_core.flatten(maps, 0)), stream)
@@ -104,8 +120,9 @@ def _uploaded(gpu: CudaDevice, spaces: tuple[Space, ...]) -> Lattice:
     one, axes = spaces[0], spaces[0].axes
     if any(not np.array_equal(axes, other.axes) for other in spaces[1:]):
         axes = np.full_like(axes, -1.0)  # no nodes at the ends of several borders: their cells are rough
+    size = min(size_of(space, tolerance) for space in spaces)
     first = (0, 0) if one.grid is None else one.grid.first[:2]
-    xs, ys = (positions(first[k], n, axes[k]) for k, n in enumerate(one.planes[:0:-1]))
+    xs, ys = (positions(first[k], n, axes[k], size) for k, n in enumerate(one.planes[:0:-1]))
     places = Memory(4 * (xs.size + ys.size), stream)
     places.upload(np.concatenate([xs, ys]))
     stream.synchronize()  # from here on, any stream may read them
@@ -116,7 +133,9 @@ class Told:
     """What kernels say of a map: on the GPU, and, when their stream gets there, on the host."""
 
     def __init__(self, stream: Stream) -> None:
-        self.there, self.here = Memory(TOLD.itemsize, stream), Pinned(TOLD.itemsize)
+        # Host memory that GPUs write to takes long to make: it is used again.
+        self.there, self.here = Memory(TOLD.itemsize, stream), _spare.pop() if _spare else Pinned(TOLD.itemsize)
+        weakref.finalize(self, _spare.append, self.here)
         self.there.clear()
 
     def send(self) -> None:
@@ -169,7 +188,7 @@ def paint(
     Lattice
         What must be kept until the kernels are done.
     """
-    stream, lattice, space = told.there.stream, lattice_of(gpu, spaces), spaces[0]
+    stream, lattice, space = told.there.stream, lattice_of(gpu, spaces, values["tolerance"]), spaces[0]
     kinds = {each.composite is not None for each in spaces}
     n, composed = space.ndim, kinds.pop() if len(kinds) == 1 else None
     painting = (*_TYPES[dtype.str[1:]], together, filter, *(int(values.get(k, 0)) for k in ("between", "average", "light")))
