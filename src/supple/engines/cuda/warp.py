@@ -33,7 +33,8 @@ SCRATCH = 256 << 20  # bytes of scratch memory, at most
 _BLOCKS = 2048  # that share the rough cells
 _MOST = 65535  # planes of one launch
 _KEPT = 16  # maps on the GPUs
-_NODE, _LEAF = {2: 80, 3: 136}, {2: 168, 3: 236}  # bytes of a Node and of a Leaf, by dimensions: as in job.hpp
+_NODE, _LEAF = {2: 48, 3: 80}, {2: 168, 3: 236}  # bytes of a Corner and of a Leaf, by dimensions: as in job.hpp
+_RUN = {2: 1, 3: 8}  # planes whose nodes are solved by one thread
 _TYPES = {
     "u1": ("uint8_t", "float"), "u2": ("uint16_t", "float"), "u4": ("uint32_t", "double"), "u8": ("uint64_t", "double"),
     "i1": ("int8_t", "float"), "i2": ("int16_t", "float"), "i4": ("int32_t", "double"), "i8": ("int64_t", "double"),
@@ -215,7 +216,7 @@ def paint(
                      first=sum(depth) + start, shared=count if shared else 0, maps=lattice.memory.pointer,
                      map_count=len(spaces), xs=xs, ys=xs + 4 * nx, nx=nx, ny=ny, from_x=first_x, from_y=first_y,
                      height=height, width=width)  # fmt: skip
-        launch(nodes, job, stream, many * nx * ny)
+        launch(nodes, job, stream, -(-many // _RUN[n]) * nx * ny)
         launch(cells, job, stream, many * each)
         launch(fill, job, stream, width, ny - 1, count)
         launch(rough, job, stream, THREADS * min(many * each, _BLOCKS))

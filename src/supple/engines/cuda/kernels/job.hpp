@@ -30,6 +30,15 @@ struct Point {
     int same;  // outside every ball, or frozen: what is there is copied
 };
 
+// A node: T⁻¹, its derivatives, and the length scales along x and y, as in `Node`.
+template <int D>
+struct Corner {
+    double p[D];
+    float m[D][D], mixed[D], smooth[2];
+};
+template <int D>
+constexpr int RUN = D == 3 ? 8 : 1;  // planes whose nodes are solved by one thread
+
 struct Job {
     const Map* maps;     // one for each plane, or one
     const int *xs, *ys;  // the nodes, in pixels
@@ -47,7 +56,7 @@ struct Job {
     int channels, between, rule, average, alpha, light;
 };
 static_assert(sizeof(Job) == JOB_BYTES, "the layout of jobs");
-static_assert(sizeof(Node<2>) == 80 && sizeof(Node<3>) == 136, "as supple.engines.cuda.warp makes room for them");
+static_assert(sizeof(Corner<2>) == 48 && sizeof(Corner<3>) == 80, "as supple.engines.cuda.warp makes room for them");
 static_assert(sizeof(Leaf<2>) == 168 && sizeof(Leaf<3>) == 236, "as supple.engines.cuda.warp makes room for them");
 
 enum State { GOOD = -1, RIM = -2, STILL = -3 };  // of a cell; from 0 on: its place among the rough ones

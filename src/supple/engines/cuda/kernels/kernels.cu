@@ -6,8 +6,11 @@
 using namespace supple;
 using namespace supple::cuda;
 
+#ifndef AT_ONCE
+#define AT_ONCE 1
+#endif
 // Without __grid_constant__, a thread would copy its job before a call that is given its address.
-#define KERNEL extern "C" __global__ void __launch_bounds__(128)
+#define KERNEL extern "C" __global__ void __launch_bounds__(128, AT_ONCE)
 #if UNIT == 0
 KERNEL points(const __grid_constant__ Some job) { move_point<DIM>(job); }
 #elif UNIT == 1

@@ -1,6 +1,5 @@
 // The kernels that find T⁻¹: at the nodes of a lattice of small cells, in patches between them, which
-// are certified, and at each pixel of the rough cells. GPUs have so many threads that nothing is guessed from
-// neighbours, and cells are not split.
+// are certified, and at each pixel of the rough cells, which are not split.
 #pragma once
 #include "job.hpp"
 
@@ -28,31 +27,45 @@ INLINE Passed<double> backwards(const Map& map, const double* q, Solved<D, doubl
     return passed;
 }
 
+// The node (k, j) of RUN<D> planes, one after the other: each is guessed from the last one.
 template <int D>
 INLINE void solve_node(const Job& job) {
     const int64_t i = thread(), each = (int64_t)job.nx * job.ny;
     if (i == 0) job.told->rough = 0;  // for the next kernel to count
-    if (i >= each * job.planes) return;
-    const int plane = (int)(i / each), j = (int)(i % each / job.nx), k = (int)(i % job.nx);
-    const Map& map = map_of(job, plane);
-    const double at[3] = {(double)job.xs[k], (double)job.ys[j], depth_of(job, plane)};
-    double q[D];
-    for (int d = 0; d < D; d++) q[d] = at[d] * map.axes[d].spacing;
+    const int first = (int)(i / each) * RUN<D>, j = (int)(i % each / job.nx), k = (int)(i % job.nx);
     Solved<D, double> found{};
-    if (composed(map)) {
-        if (!map.composite->smooth) return;  // every pixel is solved
-        const Passed<double> passed = backwards<D, true>(map, q, found);
-        found.at.done = passed.done && passed.within && passed.upright;
-    } else
-        found = solved<D>(map.chain, map.axes, q, map.finest(D), job.tolerance, Guess::NONE, found.at);
-    Node<D>& node = ((Node<D>*)job.nodes)[i];
-    for (int d = 0; d < D; d++) {
-        node.p[d] = found.at.p[d] / map.axes[d].spacing;
-        node.mixed[d] = found.mixed[d] * map.axes[0].spacing * map.axes[1].spacing / map.axes[d].spacing;
-        for (int e = 0; e < D; e++) node.m[e][d] = found.at.m[e][d] * map.axes[e].spacing / map.axes[d].spacing;
+    double slope[D], bent[D] = {};  // along the planes, and how it changes from one to the next
+    for (int plane = first; plane < job.planes && plane < first + RUN<D>; plane++) {
+        const Map& map = map_of(job, plane);
+        const double at[3] = {(double)job.xs[k], (double)job.ys[j], depth_of(job, plane)};
+        double q[D];
+        for (int d = 0; d < D; d++) q[d] = at[d] * map.axes[d].spacing;
+        if (composed(map)) {
+            if (!map.composite->smooth) return;  // every pixel is solved
+            const Passed<double> passed = backwards<D, true>(map, q, found);
+            found.at.done = passed.done && passed.within && passed.upright;
+        } else {
+            const bool known = D == 3 && plane > first && found.at.done;
+            for (int d = 0; known && d < D; d++) found.at.p[d] += (slope[d] + bent[d] / 2) * map.axes[2].spacing;
+            found = solved<D>(map.chain, map.axes, q, map.finest(D), job.tolerance, known ? Guess::PATCH : Guess::NONE,
+                              found.at);
+            for (int d = 0; D == 3 && d < D; d++) {
+                const double now = found.at.m[D - 1][d];
+                bent[d] = known ? now - slope[d] : 0;
+                slope[d] = now;
+            }
+        }
+        Corner<D>& node = ((Corner<D>*)job.nodes)[plane * each + i % each];
+        for (int d = 0; d < D; d++) {
+            const double per = 1 / map.axes[d].spacing;
+            node.p[d] = found.at.p[d] * per;
+            node.mixed[d] = (float)(found.mixed[d] * map.axes[0].spacing * map.axes[1].spacing * per);
+            for (int e = 0; e < D; e++) node.m[e][d] = (float)(found.at.m[e][d] * map.axes[e].spacing * per);
+        }
+        // Beside a node that is not solved, every pixel is.
+        for (int a = 0; a < 2; a++)
+            node.smooth[a] = found.at.done ? (float)(root(found.smooth2[a]) / map.axes[a].spacing) : 0;
     }
-    // Beside a node that is not solved, every pixel is.
-    for (int a = 0; a < 2; a++) node.smooth[a] = found.at.done ? root(found.smooth2[a]) / map.axes[a].spacing : 0;
 }
 
 // Whether no ball of a stroke reaches a box (STILL), or some of its points lie outside of all of them (RIM), or none.
@@ -106,49 +119,72 @@ INLINE void check_cell(const Job& job) {
     const int state = reached<D>(map, low, high);
     job.states[i] = state;
     if (state == STILL) return;
-    const Node<D>* corner[4];
-    for (int v = 0; v < 4; v++)
-        corner[v] = (const Node<D>*)job.nodes + ((int64_t)plane * job.ny + j + v / 2) * job.nx + k + v % 2;
-    double c[D][16], across_plane[D] = {}, smooth[2] = {1e300, 1e300};
+    const Corner<D>* corner[4];
+    float smooth[2] = {1e30f, 1e30f}, across_plane[D] = {};
+    for (int v = 0; v < 4; v++) {
+        corner[v] = (const Corner<D>*)job.nodes + ((int64_t)plane * job.ny + j + v / 2) * job.nx + k + v % 2;
+        for (int a = 0; a < 2; a++) smooth[a] = least(smooth[a], corner[v]->smooth[a]);
+        for (int d = 0; D == 3 && d < D; d++) across_plane[d] += 0.25f * corner[v]->m[D - 1][d];
+    }
+    const bool thin[2] = {w <= 1, h <= 1}, single = thin[0] && thin[1];
+    bool good = !(least(smooth[0], smooth[1]) <= 0);
+    if (!single) good = good && (thin[0] || w <= RESOLVED * smooth[0]) && (thin[1] || h <= RESOLVED * smooth[1]);
+    if (!good) return rough();
+    Leaf<D> leaf{};
+    leaf.x = (int)x0;
+    leaf.y = (int)y0;
+    double rounding = 0, per[D];
     for (int d = 0; d < D; d++) {
-        double value[4], along_x[4], along_y[4], twist[4];
+        per[d] = 1 / map.axes[d].spacing;
+        leaf.anchor[d] = (int)within(floored(corner[0]->p[d]), -1e9, 1e9);
+        float value[4], along_x[4], along_y[4], twist[4], ds, dt;
         for (int v = 0; v < 4; v++) {
-            value[v] = corner[v]->p[d];
+            value[v] = (float)(corner[v]->p[d] - leaf.anchor[d]);
             along_x[v] = corner[v]->m[0][d];
             along_y[v] = corner[v]->m[1][d];
             twist[v] = corner[v]->mixed[d];
-            if constexpr (D == 3) across_plane[d] += 0.25 * corner[v]->m[2][d];
         }
-        patch_of(value, along_x, along_y, twist, 1 / w, 1 / h, c[d]);
+        patch_of(value, along_x, along_y, twist, 1 / (float)w, 1 / (float)h, leaf.c[d]);
+        // The powers of a patch are steep, and cancel at the corners.
+        for (int v = 0; v < 4; v++) {
+            const float s = v & 1 ? (float)w : 0, t = v & 2 ? (float)h : 0;
+            const double off = leaf.anchor[d] + (double)at(leaf.c[d], s, t, ds, dt) - corner[v]->p[d];
+            rounding = most(rounding, magnitude(off));
+        }
     }
-    for (int v = 0; v < 4; v++)
-        for (int a = 0; a < 2; a++) smooth[a] = least(smooth[a], corner[v]->smooth[a]);
-    const bool thin[2] = {w <= 1, h <= 1}, single = thin[0] && thin[1];
-    const double reserve = composed(map) || map.freeze ? ROUGH : RESERVE;
+    // A patch is as far off as the Newton step from it, or, of a composite, from its solution.
+    const double reserve = composed(map) || map.freeze ? ROUGH : RESERVE, most_off = least(job.tolerance, COARSEST);
     double worst = 0;
-    bool good = !(least(smooth[0], smooth[1]) <= 0);
-    if (!single) good = good && (thin[0] || w <= RESOLVED * smooth[0]) && (thin[1] || h <= RESOLVED * smooth[1]);
     for (int n = 0; good && !single && n < SEEN; n++) {
-        const double s = thin[0] ? double(SEEN_X[n] > 0.5) : SEEN_X[n] * w;
-        const double t = thin[1] ? double(SEEN_Y[n] > 0.5) : SEEN_Y[n] * h;
-        const double at[3] = {x0 + s, y0 + t, z};
-        double step[D], steps = 0;
-        const double off2 = composed(map) ? off_composite<D>(*map.composite, map.axes, c, s, t, at, step, steps)
-                                          : off_chain<D>(map.chain, map.axes, c, s, t, at, across_plane, step);
-        worst = most(worst, off2);
-        good = reserve * root(off2) <= least(job.tolerance, COARSEST);  // also for NaN
+        const float s = thin[0] ? float(SEEN_X[n] > 0.5) : (float)(SEEN_X[n] * w);
+        const float t = thin[1] ? float(SEEN_Y[n] > 0.5) : (float)(SEEN_Y[n] * h);
+        const double q[3] = {x0 + s, y0 + t, z};
+        float ds[D], dt[D], e[D], off2 = 0;
+        Jet<D, 0, false, double> jet;
+        double p[D];
+        for (int d = 0; d < D; d++) p[d] = leaf.anchor[d] + (double)at(leaf.c[d], s, t, ds[d], dt[d]);
+        for (int d = 0; d < D; d++) jet.x[d] = (composed(map) ? q[d] : p[d]) * map.axes[d].spacing;
+        if (composed(map))
+            pass<D>(*map.composite, true, jet);
+        else
+            apply<D>(map.chain, map.axes, jet.x);
+        for (int d = 0; d < D; d++) e[d] = (float)(jet.x[d] * per[d] - (composed(map) ? p[d] : q[d]));
+        for (int d = 0; d < D; d++) {
+            float step = e[d];
+            if (!composed(map)) step = ds[d] * e[0] + dt[d] * e[1] + (D == 3 ? across_plane[d] * e[D - 1] : 0);
+            off2 += step * step;
+        }
+        worst = most(worst, (double)root(off2));
+        good = reserve * root(off2) <= most_off;  // also for NaN
     }
     if (!good) return rough();
-    Leaf<D>& leaf = ((Leaf<D>*)job.leaves)[i];
-    leaf.x = (int)x0;
-    leaf.y = (int)y0;
-    const double rounding = round_patch<D>(c, w, h, leaf);
     if constexpr (D == 3) {
         double v[4];
         for (int n = 0; n < 4; n++) v[n] = corner[n]->m[2][2];
         bilinear_of(v, w, h, leaf.depth);
     }
-    atomicMax(&job.told->worst, __float_as_int((float)(most(reserve * root(worst), rounding) * (1 + 1e-6))));
+    ((Leaf<D>*)job.leaves)[i] = leaf;
+    atomicMax(&job.told->worst, __float_as_int((float)(most(reserve * worst, rounding) * (1 + 1e-6))));
 }
 
 // The point of a pixel of a rough cell, which is solved.

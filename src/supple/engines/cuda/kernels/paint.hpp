@@ -26,6 +26,13 @@ struct Sum {
     INLINE friend Sum operator*(N by, const Sum& s) { return s * by; }
 };
 
+// Weights of RANK products of TAPS columns and rows.
+template <class N, int RANK, int TAPS>
+struct Taps {
+    static constexpr int before = TAPS / 2 - 1;  // those before the point
+    N across[RANK][TAPS], down[RANK][TAPS];
+};
+
 // A group of channels: C colours, or three and the opacity that weights them.
 template <class T, class N, int C>
 struct Group {
@@ -42,7 +49,7 @@ struct Group {
             weight = s.v[C - 1] / (N)job.white;
         }
         for (int c = 0; c < C; c++)
-            if (c < some) {
+            if (C == 1 || c < some) {
                 const auto v = value(first + c);
                 s.v[c] = weight * (in_light(job) ? (N)(job.white * to_light((double)v / job.white)) : (N)v);
             }
@@ -50,6 +57,24 @@ struct Group {
     }
     INLINE Sum<N, C> read(const T* p) const {
         return sum_of([&](int c) { return sample_at(p + c * job.source.channel); });
+    }
+    // Σ_r Σ_j d_rj Σ_i a_ri f(i, j)
+    template <int RANK, int TAPS, class Sample>
+    INLINE Sum<N, C> summed(const Taps<N, RANK, TAPS>& taps, Sample sample) const {
+        Sum<N, C> sum{};
+        for (int j = 0; j < TAPS; j++) {
+            Sum<N, C> along[RANK] = {};
+            for (int i = 0; i < TAPS; i++) {
+                const Sum<N, C> v = sample(i, j);
+                for (int r = 0; r < RANK; r++) along[r].add(taps.across[r][i], v);
+            }
+            for (int r = 0; r < RANK; r++) sum.add(taps.down[r][j], along[r]);
+        }
+        return sum;
+    }
+    template <int RANK, int TAPS>
+    INLINE Sum<N, C> summed(const T* first, const Taps<N, RANK, TAPS>& taps) const {
+        return summed(taps, [&](int i, int j) { return read(first + j * job.source.row + i * job.source.column); });
     }
     INLINE Sum<N, C> constant() const {
         return sum_of([&](int c) { return job.fill[c]; });
@@ -72,19 +97,13 @@ struct Group {
             p[job.alpha * job.out.channel] = rounded(least(most(opacity, N(0)), (N)job.white));
         }
         for (int c = 0; c < C; c++)
-            if (c < some) {
+            if (C == 1 || c < some) {
                 N v = s.v[c];
                 if (C > 1 && job.alpha >= 0) v = opacity > 0 ? v * (N)job.white / opacity : 0;
                 if (in_light(job)) v = (N)(job.white * from_light((double)v / job.white));
                 p[(first + c) * job.out.channel] = rounded(v);
             }
     }
-};
-
-// Weights of RANK products of TAPS columns and rows.
-template <class N, int RANK, int TAPS>
-struct Taps {
-    N across[RANK][TAPS], down[RANK][TAPS];
 };
 
 // A frame, or the constant where there is none; or a level of its pyramid, whose samples are averages of 2ᵏ × 2ᵏ, made
@@ -116,36 +135,18 @@ struct Level {
         for (int finer = k - 1; finer >= 0; finer--) i = least(2 * i + (n >> finer & 1), side(count, finer) - 1);
         return i;
     }
-    // Σ_r Σ_j d_rj Σ_i a_ri f(x + i, y + j)
-    template <int RANK, int TAPS, class Sample>
-    INLINE static Sum<N, C> summed(const Taps<N, RANK, TAPS>& taps, Sample sample) {
-        Sum<N, C> sum{};
-        for (int j = 0; j < TAPS; j++) {
-            Sum<N, C> along[RANK] = {};
-            for (int i = 0; i < TAPS; i++) {
-                const Sum<N, C> v = sample(i, j);
-                for (int r = 0; r < RANK; r++) along[r].add(taps.across[r][i], v);
-            }
-            for (int r = 0; r < RANK; r++) sum.add(taps.down[r][j], along[r]);
-        }
-        return sum;
-    }
     // A call, so that what few pixels need takes no registers of the others.
     template <int RANK, int TAPS>
     NOINLINE static Sum<N, C> at_an_edge(Group<T, N, C> group, const T* frame, int k, int x, int y,
                                          Taps<N, RANK, TAPS> taps) {
         const Level level{group, frame, k};
-        return summed(taps, [&](int i, int j) { return level.at(x + i, y + j); });
+        return level.group.summed(taps, [&](int i, int j) { return level.at(x + i, y + j); });
     }
     template <int RANK, int TAPS>
     INLINE Sum<N, C> window(int x, int y, const Taps<N, RANK, TAPS>& taps) const {
         const Job& job = group.job;
-        if (k == 0 && frame && x >= 0 && y >= 0 && x + TAPS <= job.w && y + TAPS <= job.h) {
-            const T* first = frame + y * job.source.row + x * job.source.column;
-            return summed(taps, [&](int i, int j) {
-                return group.read(first + j * job.source.row + i * job.source.column);
-            });
-        }
+        if (k == 0 && frame && x >= 0 && y >= 0 && x + TAPS <= job.w && y + TAPS <= job.h)
+            return group.summed(frame + y * job.source.row + x * job.source.column, taps);
         return at_an_edge(group, frame, k, x, y, taps);
     }
     template <class W>
@@ -172,6 +173,19 @@ INLINE N square(const Point<D>& p, int i, int j) {
     return (N)p.across[i] * p.across[j] + (N)p.down[i] * p.down[j];
 }
 
+// The weights of the samples around a point, without a footprint.
+template <class N, int FILTER, int D>
+INLINE auto taps_of(const Point<D>& p) {
+    constexpr int TAPS = FILTER == LINEAR ? 2 : 4;
+    const N u = p.part[0], v = p.part[1];
+    Taps<N, 1, TAPS> taps;
+    for (int i = 0; i < TAPS; i++) {
+        taps.across[0][i] = FILTER == LINEAR ? (i ? u : 1 - u) : keys(i, u);
+        taps.down[0][i] = FILTER == LINEAR ? (i ? v : 1 - v) : keys(i, v);
+    }
+    return taps;
+}
+
 // One frame at a point.
 template <class T, class N, int C, int FILTER, int D>
 INLINE Sum<N, C> in_frame(const Level<T, N, C>& frame, const Point<D>& p, const Print& print) {
@@ -185,13 +199,8 @@ INLINE Sum<N, C> in_frame(const Level<T, N, C>& frame, const Point<D>& p, const 
         while (levels.count < LEVELS && levels.side(side, levels.count) > 1) levels.count++;
         return wide<Sum<N, C>>(levels, x + u, y + v, square<N>(p, 0, 0), square<N>(p, 0, 1), square<N>(p, 1, 1));
     }
-    constexpr int TAPS = FILTER == LINEAR ? 2 : 4, before = TAPS / 2 - 1;
-    Taps<N, 1, TAPS> taps;
-    for (int i = 0; i < TAPS; i++) {
-        taps.across[0][i] = FILTER == LINEAR ? (i ? u : 1 - u) : keys(i, u);
-        taps.down[0][i] = FILTER == LINEAR ? (i ? v : 1 - v) : keys(i, v);
-    }
-    return frame.window(x - before, y - before, taps);
+    const auto taps = taps_of<N, FILTER>(p);
+    return frame.window(x - taps.before, y - taps.before, taps);
 }
 
 // Frame k of the source, or null for the constant.
@@ -222,9 +231,20 @@ INLINE Sum<N, C> in_time(const Group<T, N, C>& group, const Point<3>& p, const P
         add(p.whole[2] + (p.part[2] >= 0.5f), 1);
     else {
         const N f = p.part[2];
-        const int before = between == BETWEEN_CUBIC;
-        for (int k = 0; k < 2 + 2 * before; k++)
-            if (k == before || f != 0) add(p.whole[2] - before + k, f != 0 ? tap(between, f, k) : 1);
+        const int before = between == BETWEEN_CUBIC, count = 2 + 2 * before;
+        const auto taps = taps_of<N, FILTER>(p);
+        constexpr int TAPS = 2 * taps.before + 2;
+        const int x = p.whole[0] - taps.before, y = p.whole[1] - taps.before, first = p.whole[2] - before;
+        if (print.kind == PLAIN && f != 0 && x >= 0 && y >= 0 && first >= 0 && x + TAPS <= job.w &&
+            y + TAPS <= job.h && first + count <= job.count) {
+            // All samples are there, and none waits for another.
+            const T* from = (const T*)job.source.first + (first - job.held_from) * job.source.plane +
+                            y * job.source.row + x * job.source.column;
+            for (int k = 0; k < count; k++, from += job.source.plane)
+                sum.add(tap(between, f, k), group.summed(from, taps));
+        } else
+            for (int k = 0; k < count; k++)
+                if (k == before || f != 0) add(first + k, f != 0 ? tap(between, f, k) : 1);
     }
     return sum;
 }
@@ -268,8 +288,9 @@ INLINE void paint(const Job& job, int plane, int x, int y, const Point<D>& p, T*
                 const float xx = square<float>(p, 0, 0), xy = square<float>(p, 0, 1), yy = square<float>(p, 1, 1);
                 if (shrinks(xx, xy, yy)) print = print_of(xx, xy, yy, p.whole[0], p.whole[1], p.part[0], p.part[1]);
             }
-            const int colours = job.alpha < 0 ? job.channels : job.channels - 1, each = job.alpha < 0 ? C : C - 1;
-            for (int first = 0; first < colours; first += each) {
+            const int colours = C == 1 || job.alpha < 0 ? job.channels : job.channels - 1;
+            const int each = C == 1 || job.alpha < 0 ? C : C - 1;
+            for (int first = 0; first < (C == 1 ? 1 : colours); first += each) {
                 const Group<T, N, C> group{job, first, colours - first < each ? colours - first : each};
                 if constexpr (D == 2)
                     group.write(in_frame<T, N, C, FILTER>(Level<T, N, C>{group, here}, p, print), to);
@@ -296,6 +317,9 @@ INLINE void fill_column(const Job& job) {
     const Map& map = map_of(job, plane);
     const Leaf<D>& leaf = ((const Leaf<D>*)job.leaves)[cell];
     const float s = (float)(x - leaf.x);
+    const int leaf_y = leaf.y;
+    int anchor[D];
+    for (int d = 0; d < D; d++) anchor[d] = leaf.anchor[d];
     float a[D][4], b[D][4];  // of p, and of ∂p/∂s: powers of t
     for (int d = 0; d < D; d++)
         for (int i = 0; i < 4; i++) {
@@ -309,7 +333,7 @@ INLINE void fill_column(const Job& job) {
         on_face[d] = map.axes[d].fixed() && !composed(map) && (d ? bottom - 1 : x) * map.axes[d].spacing >= map.axes[d].last;
     T* to = pixel_of<T>(job, plane, x, top);
     for (int y = top; y < bottom; y++, to += job.out.row) {
-        const float t = (float)(y - leaf.y);
+        const float t = (float)(y - leaf_y);
         Point<D> p;
         p.same = state == STILL;
         if (state == RIM) {
@@ -321,7 +345,7 @@ INLINE void fill_column(const Job& job) {
             for (int d = 0; d < D; d++) {
                 const float at = least(most(a[d][0] + t * (a[d][1] + t * (a[d][2] + t * a[d][3])), -1e9f), 1e9f);
                 const float whole = floored(at);
-                p.whole[d] = (int)whole + leaf.anchor[d];
+                p.whole[d] = (int)whole + anchor[d];
                 p.part[d] = at - whole;
             }
             const int pixel[2] = {x, y};
