@@ -124,7 +124,7 @@ INLINE Radial<V> radial(const Stroke& k, V s) {
     Radial<V> f{};
     const double n = (double)k.power, n2 = n + 2, n4 = n2 * (n + 4);
     for (int i = 0; i < k.terms; i++) {
-        V v = 1.0 / root(V(s + k.radius2[i])), v2 = v * v;
+        V v = inverse_root(V(s + k.radius2[i])), v2 = v * v;
         if (k.power == 3) v *= v2;
         V next = v * v2;
         f.A[0] += k.p[i] * v + k.q[i] * next;

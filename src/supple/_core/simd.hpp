@@ -53,11 +53,16 @@ INLINE V magnitude(V a) {
 #if defined(__CUDACC_RTC__)
 INLINE double root(double x) { return sqrt(x); }
 INLINE float root(float x) { return sqrtf(x); }
+INLINE double inverse_root(double x) { return rsqrt(x); }
 INLINE double floored(double x) { return floor(x); }
 INLINE float floored(float x) { return floorf(x); }
 #else
 INLINE double root(double x) { return __builtin_sqrt(x); }
 INLINE float root(float x) { return __builtin_sqrtf(x); }
+template <class V>
+INLINE V inverse_root(V x) {
+    return 1.0 / root(x);
+}
 INLINE double floored(double x) { return __builtin_floor(x); }
 INLINE float floored(float x) { return __builtin_floorf(x); }
 #endif

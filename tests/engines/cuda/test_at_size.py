@@ -189,7 +189,7 @@ def test_the_map_is_as_exact_as_asked(room: str, border: float | None, tolerance
 @pytest.mark.parametrize("dtype", ["f4", "f8"])
 def test_points(room: str, dtype: str) -> None:
     shape = ROOMS[room][1]
-    d = bent(shape, 4, count=5, border=20.0)
+    d = bent(shape, 4, count=5, border=0.2 * min(shape))
     points = (np.random.default_rng(1).uniform(-0.1, 1.1, (100_000 // SCALE**2, len(shape))) * shape[::-1]).astype(
         dtype
     )

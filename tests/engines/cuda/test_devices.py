@@ -57,12 +57,17 @@ class Broken:
         CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR=0, CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR=1
     )
 
+    CUmemPool_attribute = SimpleNamespace(CU_MEMPOOL_ATTR_RELEASE_THRESHOLD=4)
+    cuuint64_t = int
+
     def __init__(self, **results: Any) -> None:
         self._results = {
             "cuInit": (Status(0),), "cuDriverGetVersion": (Status(0), 13000), "cuDeviceGetCount": (Status(0), 1),
             "cuDeviceGet": (Status(0), 0), "cuDeviceGetName": (Status(0), b"a GPU\0"),
             "cuDevicePrimaryCtxRetain": (Status(0), "context"), "cuCtxPushCurrent": (Status(0),),
             "cuCtxPopCurrent": (Status(0), None), "cuMemGetInfo": (Status(0), 1, 2),
+            "cuDeviceGetDefaultMemPool": (Status(0), "pool"), "cuMemPoolGetAttribute": (Status(0), 0),
+            "cuMemPoolSetAttribute": (Status(0),),
         }  # fmt: skip
         self._results |= results
 

@@ -50,7 +50,7 @@ def test_a_warp_is_four_kernels_on_the_stream_of_the_array(played: Driver) -> No
     assert {arguments[4] for arguments in launched} == {programs.THREADS}
     # What is written is waited for, and scratch memory is freed after the kernels, in their order.
     after = names(played)[::-1].index("cuLaunchKernel")
-    assert names(played)[-after:].count("cuMemFreeAsync") >= 5
+    assert names(played)[-after:].count("cuMemFreeAsync") >= 3
 
 
 def test_maps_and_programs_are_kept(played: Driver) -> None:

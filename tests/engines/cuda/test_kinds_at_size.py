@@ -12,11 +12,16 @@ import pytest
 
 import supple
 import supple.cuda
+from supple.engines.cuda.arrays import CudaArray
 from supple.engines.cuda.device import CudaDevice, call
 from tests.engines.cuda.at_size import CLOSE, TIGHT, apart, bent, host, only_on_a_card, sized, waves
-from tests.engines.cuda.driver import sent
+from tests.engines.cuda.driver import OnDevice, sent
 
-pytestmark = [only_on_a_card, pytest.mark.usefixtures("gpu")]
+pytestmark = [
+    only_on_a_card,
+    pytest.mark.usefixtures("gpu"),
+    pytest.mark.filterwarnings("ignore:The 'generic' unit for NumPy timedelta:DeprecationWarning"),  # of Numba's own
+]
 
 SHAPE, VOLUME = sized(480, 640), sized(48, 160, 192)
 OPTIONS: dict[str, Any] = {"filter": "linear", "tolerance": TIGHT}
@@ -61,19 +66,20 @@ def test_they_come_back_as_they_came(put: Callable[[np.ndarray], Any]) -> None:
     source = waves(SHAPE, 3)
     there = put(source)
     made = d.warp(there, **OPTIONS)
-    assert type(made) is type(there)
+    kind = CudaArray if isinstance(there, OnDevice) else type(there)  # nobody knows how that one is made
+    assert type(made) is kind
     assert made.dtype == there.dtype
-    assert getattr(made, "device", None) == getattr(there, "device", None)
+    assert kind is CudaArray or getattr(made, "device", None) == getattr(there, "device", None)
     wanted = d.warp(source, **OPTIONS)
     assert apart(host(made), wanted, source).max() <= CLOSE
     out = put(np.zeros_like(source))
     assert d.warp(there, out=out, **OPTIONS) is out
     np.testing.assert_array_equal(host(out), host(made))
-    assert type(d.inverse_map(like=there)) is type(there)
+    assert type(d.inverse_map(like=there)) is kind
     points = put(np.random.default_rng(0).uniform(0, min(SHAPE), (1000, 2)))
-    assert type(d.forward(points)) is type(d.inverse(points).points) is type(d.jacobian(points)) is type(points)
+    assert type(d.forward(points)) is type(d.inverse(points).points) is type(d.jacobian(points)) is kind
     batch = put(np.stack([source, source[::-1]]))
-    assert type(supple.warp_batch(batch, d, **OPTIONS)) is type(there)
+    assert type(supple.warp_batch(batch, d, **OPTIONS)) is kind
 
 
 VIEWS = {"every other": np.s_[::2, 1::3], "a window": np.s_[1:-1, 2:-1], "turned around": np.s_[::-1, ::-2]}
@@ -216,7 +222,7 @@ def test_gradients_are_those_of_the_cpu(shape: tuple[int, ...], filter: str, dty
     torch = torch_()
     import supple.torch
 
-    d = bent(shape, 3, border=6.0)
+    d = bent(shape, 3, border=12.0)
     kind = getattr(torch, dtype)
     weights = waves(shape[::-1]).T
     results = []

@@ -109,7 +109,7 @@ def test_layouts(gpu: CudaDevice, tmp_path: Path) -> None:
 def test_what_does_not_fit_is_done_by_the_cpu(gpu: CudaDevice, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(EngineError, match="GB for a plane do not fit into its memory"):
         by_device(gpu, bent(), noise(), 2 * FRAME)
-    monkeypatch.setattr(large, "ROOM", 1e-7)
+    monkeypatch.setattr(large, "ROOM", 1e-12)
     with pytest.warns(DeviceWarning, match="the CPU did what .* could not: .* do not fit into its memory"):
         made = bent().warp(noise(), filter="linear", device="cuda")
     np.testing.assert_array_equal(made, bent().warp(noise(), filter="linear"))

@@ -124,9 +124,9 @@ def is_on_device(value: object) -> bool:
     """Return whether a value is, or may be, an array on a GPU, without importing any library."""
     if isinstance(value, np.ndarray) or callable(value):
         return False
-    if _kind_of(value) == "torch":
-        return bool(value.is_cuda)  # type: ignore[attr-defined]
     try:
+        if _kind_of(value) == "torch":
+            return bool(value.is_cuda)  # type: ignore[attr-defined]
         if getattr(value, "__cuda_ndarray__", None) or hasattr(value, "__cuda_array_interface__"):
             return True
         where = getattr(value, "__dlpack_device__", None)

@@ -28,8 +28,8 @@ class CudaError(RuntimeError):
     """A call of the driver, or of its compiler, that failed."""
 
 
-FAILURES = RuntimeError, MemoryError, OSError
-"""What a GPU raises that fails, is full, or has no compiled kernel; the bindings, where a library is missing."""
+FAILURES = CudaError, MemoryError, OSError
+"""What is raised by a GPU that fails or is full, or has no compiled kernel."""
 
 
 @functools.cache
@@ -278,12 +278,13 @@ def _ready(number: int) -> CudaDevice:
             )
         context = call("cuDevicePrimaryCtxRetain", device)
         made = CudaDevice(number, name, 10 * major + minor, context)
-        # Otherwise memory goes back to the system whenever the GPU is waited for, and fetching it again takes milliseconds.
-        pool, kept = call("cuDeviceGetDefaultMemPool", device), driver().CUmemPool_attribute.CU_MEMPOOL_ATTR_RELEASE_THRESHOLD
+        # Otherwise memory goes back to the system whenever the GPU is waited for; to fetch it again takes milliseconds.
+        pool = call("cuDeviceGetDefaultMemPool", device)
+        kept = driver().CUmemPool_attribute.CU_MEMPOOL_ATTR_RELEASE_THRESHOLD
         if int(call("cuMemPoolGetAttribute", pool, kept)) < POOL:
             call("cuMemPoolSetAttribute", pool, kept, driver().cuuint64_t(POOL))
         made.free  # noqa: B018 - it fails here, and not during a warp
-    except CudaError as error:
+    except RuntimeError as error:  # of the bindings, where the driver lacks a function
         raise SuppleError(f"GPU {number} cannot be opened ({_short(error)}); device cpu needs no GPU") from None
     return made
 
@@ -301,4 +302,5 @@ def bindings() -> str:
 
 def toolkit() -> int:
     """Return the major version of CUDA that is installed; 0 if unknown."""
-    return int(bindings().split(".")[0] or 0)
+    major = bindings().split(".")[0]
+    return int(major) if major.isdigit() else 0

@@ -49,7 +49,7 @@ class Warping:
         """Wait for the warp; return how accurate it is."""
         with self._source.gpu.current():
             self._event.synchronize()
-        let_go()
+            let_go()
         self._certificate = self._told.certificate(self._work.space)
         return self._certificate
 

@@ -38,11 +38,11 @@ def _moved(space: Space, given: DeviceArray, results: dict[str, DeviceArray], *,
         job = record(SOME, map=lattice.memory.pointer, points=given.pointer, told=told.there.pointer, count=count,
                      tolerance=CONVERGED, wide=given.dtype == np.float64, back=back, **pointers)  # fmt: skip
         launch(kernel, job, stream, count)
-        told.send()
         # An unknown library may not keep an array alive until it is read.
         if space.composite is None and given.kind != "other":
             keep(stream, told, lattice, given)
             return Certificate(0.0, 0.0)
+        told.send()
         stream.synchronize()
     return told.certificate(space)
 
@@ -79,7 +79,7 @@ def inverse_map(space: Space, like: Any, tolerance: float, *, offsets: bool = Fa
     out = made_like(given, (*space.out, space.ndim), np.float32)
     with given.gpu.current():
         told, to = Told(given.stream), out.samples(0, coloured=True)
-        paint(given.gpu, (space,), out.dtype, told, (0,) * 5, to, (0, space.planes[0]), tolerance=tolerance,
+        _held = paint(given.gpu, (space,), out.dtype, told, (0,) * 5, to, (0, space.planes[0]), tolerance=tolerance,
               average=offsets)  # fmt: skip
         told.send()
         given.stream.synchronize()

@@ -105,15 +105,15 @@ def compiled(program: Program, arch: int, *more: str) -> tuple[bytes, str]:
     CudaError
         If the program does not compile.
     """
-    from cuda import core
-
     said = io.StringIO()
-    options = core.ProgramOptions(
-        name=f"{program.unit}.cu", arch=f"sm_{arch}", std="c++20", device_as_default_execution_space=True,
-        define_macro=program.macros, ptxas_options=list(more),
-    )  # fmt: skip
     text = "\n".join(f'#line 1 "{name}"\n{text}' for name, text in sources().items())
     try:
+        from cuda import core
+
+        options = core.ProgramOptions(
+            name=f"{program.unit}.cu", arch=f"sm_{arch}", std="c++20", device_as_default_execution_space=True,
+            define_macro=program.macros, ptxas_options=list(more),
+        )  # fmt: skip
         made = core.Program(text, "c++", options).compile("cubin", logs=said)
     except Exception as error:  # of NVRTC, or where it is missing
         raise CudaError(f"NVRTC: {error}") from error

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 import threading
-import weakref
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -134,18 +133,21 @@ class Told:
     """What kernels say of a map: on the GPU, and, when their stream gets there, on the host."""
 
     def __init__(self, stream: Stream) -> None:
-        # Host memory that GPUs write to takes long to make: it is used again.
-        self.there, self.here = Memory(TOLD.itemsize, stream), _spare.pop() if _spare else Pinned(TOLD.itemsize)
-        weakref.finalize(self, _spare.append, self.here)
+        self.there = Memory(TOLD.itemsize, stream)
         self.there.clear()
 
     def send(self) -> None:
         """Copy it to the host, when the stream gets there."""
-        self.there.download(self.here.bytes)
+        try:  # host memory that GPUs write to takes long to make
+            self._here = _spare.pop()
+        except IndexError:
+            self._here = Pinned(TOLD.itemsize)
+        self.there.download(self._here.bytes)
 
     def certificate(self, space: Space) -> Certificate:
-        """Return the certificate; the stream has got there."""
-        worst, _rough, *counts = self.here.bytes.view(TOLD)[0].item()
+        """Return the certificate, once; the stream has got there."""
+        worst, _rough, *counts = self._here.bytes.view(TOLD)[0].item()
+        _spare.append(self._here)
         return Certificate(np.inf if counts[0] else worst, 0.0, *(() if space.composite is None else counts))
 
 
@@ -205,8 +207,9 @@ def paint(
     all_planes = planes[1] - planes[0]
     solved = 1 if shared else min(all_planes, room, slab or room)
     most = min(all_planes, _MOST) if shared else solved
-    scratch = {name: Memory(solved * size, stream) for name, size in sizes.items()}
-    values |= {name: memory.pointer for name, memory in scratch.items()}
+    scratch = Memory(solved * sum(sizes.values()), stream)
+    starts = itertools.accumulate((solved * size for size in sizes.values()), initial=scratch.pointer)
+    values |= dict(zip(sizes, starts, strict=False))
     xs = lattice.places.pointer
     for start in range(*planes, most):
         count = min(most, planes[1] - start)

@@ -10,7 +10,14 @@ using namespace supple::cuda;
 #define AT_ONCE 1
 #endif
 // Without __grid_constant__, a thread would copy its job before a call that is given its address.
+#ifndef AT_ONCE2
+#define AT_ONCE2 1
+#endif
+#if UNIT >= 3
 #define KERNEL extern "C" __global__ void __launch_bounds__(128, AT_ONCE)
+#else
+#define KERNEL extern "C" __global__ void __launch_bounds__(128, AT_ONCE2)
+#endif
 #if UNIT == 0
 KERNEL points(const __grid_constant__ Some job) { move_point<DIM>(job); }
 #elif UNIT == 1

@@ -168,9 +168,9 @@ struct Level {
 };
 
 // The element of S = MMᵀ, of M in the plane.
-template <class N, int D>
-INLINE N square(const Point<D>& p, int i, int j) {
-    return (N)p.across[i] * p.across[j] + (N)p.down[i] * p.down[j];
+template <int D>
+INLINE float square(const Point<D>& p, int i, int j) {
+    return p.across[i] * p.across[j] + p.down[i] * p.down[j];
 }
 
 // The weights of the samples around a point, without a footprint.
@@ -197,7 +197,7 @@ INLINE Sum<N, C> in_frame(const Level<T, N, C>& frame, const Point<D>& p, const 
         Level<T, N, C> levels = frame;
         const int side = frame.group.job.w > frame.group.job.h ? frame.group.job.w : frame.group.job.h;
         while (levels.count < LEVELS && levels.side(side, levels.count) > 1) levels.count++;
-        return wide<Sum<N, C>>(levels, x + u, y + v, square<N>(p, 0, 0), square<N>(p, 0, 1), square<N>(p, 1, 1));
+        return wide<Sum<N, C>>(levels, x + u, y + v, N(square(p, 0, 0)), N(square(p, 0, 1)), N(square(p, 1, 1)));
     }
     const auto taps = taps_of<N, FILTER>(p);
     return frame.window(x - taps.before, y - taps.before, taps);
@@ -230,11 +230,12 @@ INLINE Sum<N, C> in_time(const Group<T, N, C>& group, const Point<3>& p, const P
     } else if (between == BETWEEN_NEAREST)
         add(p.whole[2] + (p.part[2] >= 0.5f), 1);
     else {
-        const N f = p.part[2];
+        const int up = p.part[2] >= 1;  // of a place just before a frame
+        const N f = p.part[2] - (float)up;
         const int before = between == BETWEEN_CUBIC, count = 2 + 2 * before;
         const auto taps = taps_of<N, FILTER>(p);
         constexpr int TAPS = 2 * taps.before + 2;
-        const int x = p.whole[0] - taps.before, y = p.whole[1] - taps.before, first = p.whole[2] - before;
+        const int x = p.whole[0] - taps.before, y = p.whole[1] - taps.before, first = p.whole[2] + up - before;
         if (print.kind == PLAIN && f != 0 && x >= 0 && y >= 0 && first >= 0 && x + TAPS <= job.w &&
             y + TAPS <= job.h && first + count <= job.count) {
             // All samples are there, and none waits for another.
@@ -285,7 +286,7 @@ INLINE void paint(const Job& job, int plane, int x, int y, const Point<D>& p, T*
         } else {
             Print print{};
             if constexpr (FILTER == AUTO) {
-                const float xx = square<float>(p, 0, 0), xy = square<float>(p, 0, 1), yy = square<float>(p, 1, 1);
+                const float xx = square(p, 0, 0), xy = square(p, 0, 1), yy = square(p, 1, 1);
                 if (shrinks(xx, xy, yy)) print = print_of(xx, xy, yy, p.whole[0], p.whole[1], p.part[0], p.part[1]);
             }
             const int colours = C == 1 || job.alpha < 0 ? job.channels : job.channels - 1;
@@ -316,12 +317,14 @@ INLINE void fill_column(const Job& job) {
     const int top = job.ys[j], bottom = j == tall - 1 ? job.from_y + job.height : job.ys[j + 1];
     const Map& map = map_of(job, plane);
     const Leaf<D>& leaf = ((const Leaf<D>*)job.leaves)[cell];
-    const float s = (float)(x - leaf.x);
-    const int leaf_y = leaf.y;
+    // What nothing moves has no patch.
+    const bool still = state == STILL;
+    const float s = still ? 0 : (float)(x - leaf.x);
+    const int leaf_y = still ? 0 : leaf.y;
     int anchor[D];
-    for (int d = 0; d < D; d++) anchor[d] = leaf.anchor[d];
+    for (int d = 0; d < D; d++) anchor[d] = still ? 0 : leaf.anchor[d];
     float a[D][4], b[D][4];  // of p, and of ∂p/∂s: powers of t
-    for (int d = 0; d < D; d++)
+    for (int d = 0; !still && d < D; d++)
         for (int i = 0; i < 4; i++) {
             const float* c = leaf.c[d] + 4 * i;
             a[d][i] = c[0] + s * (c[1] + s * (c[2] + s * c[3]));
@@ -335,7 +338,7 @@ INLINE void fill_column(const Job& job) {
     for (int y = top; y < bottom; y++, to += job.out.row) {
         const float t = (float)(y - leaf_y);
         Point<D> p;
-        p.same = state == STILL;
+        p.same = still;
         if (state == RIM) {
             const double place[3] = {x * map.axes[0].spacing, y * map.axes[1].spacing,
                                      depth_of(job, plane) * map.axes[2].spacing};
