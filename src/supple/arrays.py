@@ -190,8 +190,8 @@ def spaces_of(deformations: Any) -> tuple[Space, ...]:
     """Return the spaces of one deformation, or of several of one shape; SuppleError for other values."""
     wanted = "a Deformation, or a sequence of them, of one shape"
     several = tuple(deformations) if isinstance(deformations, Sequence) else (deformations,)
-    spaces = tuple(getattr(d, "space", None) for d in several)
-    if not spaces or not all(isinstance(space, Space) for space in spaces):
+    spaces = tuple(space for d in several if isinstance(space := getattr(d, "space", None), Space))
+    if not spaces or len(spaces) < len(several):
         refuse("deformations", wanted, deformations)
     shapes = [s.whole for s in spaces]
     if len(set(shapes)) > 1:

@@ -18,6 +18,12 @@ FILTERS = {"nearest": 0, "linear": 1, "cubic": 2, "auto": 3, "map": MAP}
 Used = tuple[int, int, int]  # registers, stack, spills
 
 
+def painting(unit: str, n: int, composed: bool, sample: str, number: str, together: int, name: str) -> Program:
+    """A kernel that paints, as it is compiled by default."""
+    between = int(n == 3 and name not in ("nearest", "map"))
+    return Program(unit, n, composed, sample, number, together, FILTERS[name], between)
+
+
 def rows() -> dict[str, tuple[Program, int]]:
     """All kernels of points and of the lattice on all architectures; of those that paint, the filters and sums."""
     made: dict[str, tuple[Program, int]] = {}
@@ -28,14 +34,18 @@ def rows() -> dict[str, tuple[Program, int]]:
                     made[f"{unit} {n}-D {'composite' if composed else 'strokes'} sm_{arch}"] = (
                         Program(unit, n, composed), arch,
                     )  # fmt: skip
-            made[f"fill {n}-D auto float sm_{arch}"] = Program("fill", n, False, "float", "float", 1, 3), arch
-            made[f"rough {n}-D auto float sm_{arch}"] = Program("rough", n, False, "float", "float", 1, 3), arch
+            for unit in ("fill", "rough"):
+                made[f"{unit} {n}-D auto float sm_{arch}"] = painting(unit, n, False, "float", "float", 1, "auto"), arch
     for n in (2, 3):
-        for name, chosen in FILTERS.items():
-            made[f"fill {n}-D {name} float sm_90"] = Program("fill", n, False, "float", "float", 1, chosen), 90
-        made[f"fill {n}-D auto uint8_t, four channels sm_90"] = Program("fill", n, False, "uint8_t", "float", 4, 3), 90
-        made[f"fill {n}-D auto double, four channels sm_90"] = Program("fill", n, False, "double", "double", 4, 3), 90
-        made[f"rough {n}-D auto uint8_t, composite sm_90"] = Program("rough", n, True, "uint8_t", "float", 4, 3), 90
+        for name in FILTERS:
+            made[f"fill {n}-D {name} float sm_90"] = painting("fill", n, False, "float", "float", 1, name), 90
+        for sample, number in (("uint8_t", "float"), ("double", "double")):
+            made[f"fill {n}-D auto {sample}, four channels sm_90"] = (
+                painting("fill", n, False, sample, number, 4, "auto"), 90,
+            )  # fmt: skip
+        made[f"rough {n}-D auto uint8_t, composite sm_90"] = (
+            painting("rough", n, True, "uint8_t", "float", 4, "auto"), 90,
+        )  # fmt: skip
     return made
 
 

@@ -74,7 +74,7 @@ class Program:
         if self.sample:
             chosen |= {"SAMPLE": self.sample, "NUMBER": self.number, "TOGETHER": self.together, "CHOSEN": self.filter,
                        "BETWEEN": self.between, "AVERAGE": self.average, "LIGHT": self.light}  # fmt: skip
-        return [f"{name}={value}" for name, value in chosen.items()] + os.environ.get("X_MACROS", "").split()
+        return [f"{name}={value}" for name, value in chosen.items()]
 
 
 @cache

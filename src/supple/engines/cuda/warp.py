@@ -194,11 +194,11 @@ def paint(
     stream, lattice, space = told.there.stream, lattice_of(gpu, spaces, values["tolerance"]), spaces[0]
     kinds = {each.composite is not None for each in spaces}
     n, composed = space.ndim, kinds.pop() if len(kinds) == 1 else None
-    painting = (*_TYPES[dtype.str[1:]], together, filter, *(int(values.get(k, 0)) for k in ("between", "average", "light")))
-    nodes, cells, fill, rough = (  # all, before the first is waited for
-        prepare(gpu, Program(unit, n, composed, *(painting if unit in ("fill", "rough") else ())))
-        for unit in ("nodes", "cells", "fill", "rough")
-    )
+    sample, number = _TYPES[dtype.str[1:]]
+    way = {name: int(values.get(name, 0)) for name in ("between", "average", "light")}
+    wanted = [Program("nodes", n, composed), Program("cells", n, composed)]
+    wanted += [Program(unit, n, composed, sample, number, together, filter, **way) for unit in ("fill", "rough")]
+    nodes, cells, fill, rough = [prepare(gpu, program) for program in wanted]  # all, before the first is waited for
     (nx, ny), (_, height, width) = lattice.nodes, space.planes
     first_x, first_y, *depth = (0, 0) if space.grid is None else space.grid.first
     each, shared = (nx - 1) * (ny - 1), n == 2 and len(spaces) == 1

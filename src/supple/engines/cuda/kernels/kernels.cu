@@ -6,18 +6,9 @@
 using namespace supple;
 using namespace supple::cuda;
 
-#ifndef AT_ONCE
-#define AT_ONCE 1
-#endif
+// To fill, a GPU waits for memory more than it computes: eight blocks at once are worth the registers that they cost.
 // Without __grid_constant__, a thread would copy its job before a call that is given its address.
-#ifndef AT_ONCE2
-#define AT_ONCE2 1
-#endif
-#if UNIT >= 3
-#define KERNEL extern "C" __global__ void __launch_bounds__(128, AT_ONCE)
-#else
-#define KERNEL extern "C" __global__ void __launch_bounds__(128, AT_ONCE2)
-#endif
+#define KERNEL extern "C" __global__ void __launch_bounds__(128, UNIT == 3 ? 8 : 1)
 #if UNIT == 0
 KERNEL points(const __grid_constant__ Some job) { move_point<DIM>(job); }
 #elif UNIT == 1

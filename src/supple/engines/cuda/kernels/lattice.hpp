@@ -99,6 +99,14 @@ INLINE bool unmoved(const Map& map, const double* q) {
     return reached<D>(map, q, q) == STILL || (map.freeze && is_frozen<D>(*map.freeze, q));
 }
 
+// Whether nothing moves at a pixel of a cell at the rim: a call, so that it takes no registers of all others.
+template <int D>
+NOINLINE bool unmoved_at(const Job& job, int plane, int x, int y) {
+    const Map& map = map_of(job, plane);
+    const double q[3] = {x * map.axes[0].spacing, y * map.axes[1].spacing, depth_of(job, plane) * map.axes[2].spacing};
+    return unmoved<D>(map, q);
+}
+
 template <int D>
 INLINE void check_cell(const Job& job) {
     const int wide = job.nx - 1, tall = job.ny - 1;

@@ -233,19 +233,8 @@ INLINE Sum<N, C> in_time(const Group<T, N, C>& group, const Point<3>& p, const P
         const int up = p.part[2] >= 1;  // of a place just before a frame
         const N f = p.part[2] - (float)up;
         const int before = between == BETWEEN_CUBIC, count = 2 + 2 * before;
-        const auto taps = taps_of<N, FILTER>(p);
-        constexpr int TAPS = 2 * taps.before + 2;
-        const int x = p.whole[0] - taps.before, y = p.whole[1] - taps.before, first = p.whole[2] + up - before;
-        if (print.kind == PLAIN && f != 0 && x >= 0 && y >= 0 && first >= 0 && x + TAPS <= job.w &&
-            y + TAPS <= job.h && first + count <= job.count) {
-            // All samples are there, and none waits for another.
-            const T* from = (const T*)job.source.first + (first - job.held_from) * job.source.plane +
-                            y * job.source.row + x * job.source.column;
-            for (int k = 0; k < count; k++, from += job.source.plane)
-                sum.add(tap(between, f, k), group.summed(from, taps));
-        } else
-            for (int k = 0; k < count; k++)
-                if (k == before || f != 0) add(first + k, f != 0 ? tap(between, f, k) : 1);
+        for (int k = 0; k < count; k++)
+            if (k == before || f != 0) add(p.whole[2] + up - before + k, f != 0 ? tap(between, f, k) : 1);
     }
     return sum;
 }
@@ -302,78 +291,140 @@ INLINE void paint(const Job& job, int plane, int x, int y, const Point<D>& p, T*
     }
 }
 
+// Paint a pixel if it has no footprint, and all samples around it are there: none of them waits for another.
+template <class T, class N, int C, int FILTER, int D>
+INLINE bool paint_inside(const Job& job, int plane, const Point<D>& p, T* to) {
+    if (FILTER == AUTO && shrinks(square(p, 0, 0), square(p, 0, 1), square(p, 1, 1))) return false;
+    const auto taps = taps_of<N, FILTER>(p);
+    constexpr int TAPS = 2 * taps.before + 2;
+    const int x = p.whole[0] - taps.before, y = p.whole[1] - taps.before, between = between_of(job);
+    const int before = between == BETWEEN_CUBIC, count = 2 + 2 * before;
+    int z = job.first + plane;
+    N f = 0;
+    if constexpr (D == 3) {
+        if (between == BETWEEN_NEAREST || (averages(job) && covered(p.rate2) > 1e-3)) return false;
+        f = p.part[2];
+        z = p.whole[2];
+        if (f >= 1 || z < before * (f != 0) || z + (count - before - 1) * (f != 0) >= job.count) return false;
+    }
+    if (x < 0 || y < 0 || x + TAPS > job.w || y + TAPS > job.h) return false;
+    const T* from = (const T*)job.source.first + (z - job.held_from) * job.source.plane + y * job.source.row +
+                    x * job.source.column;
+    const int colours = C == 1 || job.alpha < 0 ? job.channels : job.channels - 1;
+    const int each = C == 1 || job.alpha < 0 ? C : C - 1;
+    for (int first = 0; first < (C == 1 ? 1 : colours); first += each) {
+        const Group<T, N, C> group{job, first, colours - first < each ? colours - first : each};
+        Sum<N, C> sum{};
+        if (D == 2 || f == 0)
+            sum = group.summed(from, taps);
+        else
+            for (int k = 0; k < count; k++)
+                sum.add(tap(between, f, k), group.summed(from + (k - before) * job.source.plane, taps));
+        group.write(sum, to);
+    }
+    return true;
+}
+
 // A column of the pixels of a cell that is not rough: the powers of s are summed once for it.
+template <int D>
+struct Column {
+    int x, top, bottom, leaf_y = 0, anchor[D] = {}, face[2];
+    float a[D][4], b[D][4], depth[2];  // of p, and of ∂p/∂s: powers of t
+
+    INLINE Column(const Job& job, int plane, int x, int j, int64_t cell)
+        : x(x), top(job.ys[j]), bottom(j == job.ny - 2 ? job.from_y + job.height : job.ys[j + 1]) {
+        if (job.states[cell] == STILL) return;  // it has no patch
+        const Leaf<D>& leaf = ((const Leaf<D>*)job.leaves)[cell];
+        const float s = (float)(x - leaf.x);
+        leaf_y = leaf.y;
+        for (int d = 0; d < D; d++) {
+            anchor[d] = leaf.anchor[d];
+            for (int i = 0; i < 4; i++) {
+                const float* c = leaf.c[d] + 4 * i;
+                a[d][i] = c[0] + s * (c[1] + s * (c[2] + s * c[3]));
+                b[d][i] = c[1] + s * (2 * c[2] + 3 * s * c[3]);
+            }
+        }
+        for (int i = 0; i < 2; i++) depth[i] = leaf.depth[2 * i] + s * leaf.depth[2 * i + 1];
+        // On a fixed face there is no displacement across it.
+        const Map& map = map_of(job, plane);
+        for (int d = 0; d < 2; d++) {
+            const int last = d ? bottom - 1 : x;
+            const bool on = map.axes[d].fixed() && !composed(map) && last * map.axes[d].spacing >= map.axes[d].last;
+            face[d] = on ? last : -1;
+        }
+    }
+    // Where a pixel is sampled that is moved; with derivatives if they are asked for.
+    INLINE Point<D> at(int y, bool derivatives) const {
+        const float t = (float)(y - leaf_y);
+        Point<D> p;
+        p.same = false;
+        for (int d = 0; d < D; d++) {
+            const float at = least(most(a[d][0] + t * (a[d][1] + t * (a[d][2] + t * a[d][3])), -1e9f), 1e9f);
+            const float whole = floored(at);
+            p.whole[d] = (int)whole + anchor[d];
+            p.part[d] = at - whole;
+        }
+        for (int d = 0; d < 2; d++)
+            if (face[d] == (d ? y : x)) {
+                p.whole[d] = face[d];
+                p.part[d] = 0;
+            }
+        if (!derivatives) return p;
+        float rate2 = 0;
+        for (int d = 0; d < D; d++) {
+            const float across = b[d][0] + t * (b[d][1] + t * (b[d][2] + t * b[d][3]));
+            const float down = a[d][1] + t * (2 * a[d][2] + 3 * t * a[d][3]);
+            if (d < 2) {
+                p.across[d] = across;
+                p.down[d] = down;
+            } else
+                rate2 = across * across + down * down;
+        }
+        const float own = depth[0] + t * depth[1];
+        p.rate2 = rate2 + own * own;
+        return p;
+    }
+};
+
+// Paint the rows of a column that are not painted yet: a call, so that its registers are not those of most pixels.
+template <class T, class N, int C, int FILTER, int D>
+NOINLINE void paint_rest(const Job& job, int plane, int x, int j, int64_t cell, uint64_t painted) {
+    const Column<D> column(job, plane, x, j, cell);
+    const int state = job.states[cell];
+    T* to = pixel_of<T>(job, plane, x, column.top);
+    for (int y = column.top; y < column.bottom; y++, to += job.out.row) {
+        if (painted >> (y - column.top) & 1) continue;
+        Point<D> p;
+        p.same = state == STILL || (state == RIM && unmoved_at<D>(job, plane, x, y));
+        if (!p.same) p = column.at(y, FILTER == AUTO || averages(job));
+        paint<T, N, C, FILTER>(job, plane, x, y, p, to);
+    }
+}
+
 template <class T, class N, int C, int FILTER, int D>
 INLINE void fill_column(const Job& job) {
     const int x = job.from_x + (int)thread(), j = blockIdx.y, plane = blockIdx.z;
     if (x >= job.from_x + job.width) return;
-    const int wide = job.nx - 1, tall = job.ny - 1;
+    const int wide = job.nx - 1;
     int k = least((int)((float)(x - job.from_x) * wide / job.width), wide - 1);  // near it
     while (k > 0 && job.xs[k] > x) k--;
     while (k < wide - 1 && job.xs[k + 1] <= x) k++;
-    const int64_t cell = ((int64_t)(job.shared ? 0 : plane) * tall + j) * wide + k;
+    const int64_t cell = ((int64_t)(job.shared ? 0 : plane) * (job.ny - 1) + j) * wide + k;
     const int state = job.states[cell];
     if (state >= 0) return;
-    const int top = job.ys[j], bottom = j == tall - 1 ? job.from_y + job.height : job.ys[j + 1];
-    const Map& map = map_of(job, plane);
-    const Leaf<D>& leaf = ((const Leaf<D>*)job.leaves)[cell];
-    // What nothing moves has no patch.
-    const bool still = state == STILL;
-    const float s = still ? 0 : (float)(x - leaf.x);
-    const int leaf_y = still ? 0 : leaf.y;
-    int anchor[D];
-    for (int d = 0; d < D; d++) anchor[d] = still ? 0 : leaf.anchor[d];
-    float a[D][4], b[D][4];  // of p, and of ∂p/∂s: powers of t
-    for (int d = 0; !still && d < D; d++)
-        for (int i = 0; i < 4; i++) {
-            const float* c = leaf.c[d] + 4 * i;
-            a[d][i] = c[0] + s * (c[1] + s * (c[2] + s * c[3]));
-            b[d][i] = c[1] + s * (2 * c[2] + 3 * s * c[3]);
-        }
-    // On a fixed face there is no displacement across it.
-    bool on_face[2];
-    for (int d = 0; d < 2; d++)
-        on_face[d] = map.axes[d].fixed() && !composed(map) && (d ? bottom - 1 : x) * map.axes[d].spacing >= map.axes[d].last;
-    T* to = pixel_of<T>(job, plane, x, top);
-    for (int y = top; y < bottom; y++, to += job.out.row) {
-        const float t = (float)(y - leaf_y);
-        Point<D> p;
-        p.same = still;
-        if (state == RIM) {
-            const double place[3] = {x * map.axes[0].spacing, y * map.axes[1].spacing,
-                                     depth_of(job, plane) * map.axes[2].spacing};
-            p.same = unmoved<D>(map, place);
-        }
-        if (!p.same) {
-            for (int d = 0; d < D; d++) {
-                const float at = least(most(a[d][0] + t * (a[d][1] + t * (a[d][2] + t * a[d][3])), -1e9f), 1e9f);
-                const float whole = floored(at);
-                p.whole[d] = (int)whole + anchor[d];
-                p.part[d] = at - whole;
+    uint64_t painted = 0;  // a bit for each row
+    if constexpr (FILTER != NEAREST && FILTER != MAP)
+        if (state == GOOD) {
+            const Column<D> column(job, plane, x, j, cell);
+            T* to = pixel_of<T>(job, plane, x, column.top);
+            for (int y = column.top; y < column.bottom; y++, to += job.out.row) {
+                const Point<D> p = column.at(y, FILTER == AUTO || averages(job));
+                painted |= (uint64_t)paint_inside<T, N, C, FILTER>(job, plane, p, to) << (y - column.top);
             }
-            const int pixel[2] = {x, y};
-            for (int d = 0; d < 2; d++)
-                if (on_face[d] && (d == 0 || y == bottom - 1)) {
-                    p.whole[d] = pixel[d];
-                    p.part[d] = 0;
-                }
-            if (FILTER == AUTO || (D == 3 && averages(job))) {
-                float rate2 = 0;
-                for (int d = 0; d < D; d++) {
-                    const float across = b[d][0] + t * (b[d][1] + t * (b[d][2] + t * b[d][3]));
-                    const float down = a[d][1] + t * (2 * a[d][2] + 3 * t * a[d][3]);
-                    if (d < 2) {
-                        p.across[d] = across;
-                        p.down[d] = down;
-                    } else
-                        rate2 = across * across + down * down;
-                }
-                const float own = leaf.depth[0] + s * leaf.depth[1] + t * (leaf.depth[2] + s * leaf.depth[3]);
-                p.rate2 = rate2 + own * own;
-            }
+            if (painted + 1 == (uint64_t)1 << (column.bottom - column.top)) return;
         }
-        paint<T, N, C, FILTER>(job, plane, x, y, p, to);
-    }
+    paint_rest<T, N, C, FILTER, D>(job, plane, x, j, cell, painted);
 }
 
 // The pixels of rough cells, one of which is a block's at a time.
