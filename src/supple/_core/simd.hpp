@@ -59,10 +59,6 @@ INLINE float floored(float x) { return floorf(x); }
 #else
 INLINE double root(double x) { return __builtin_sqrt(x); }
 INLINE float root(float x) { return __builtin_sqrtf(x); }
-template <class V>
-INLINE V inverse_root(V x) {
-    return 1.0 / root(x);
-}
 INLINE double floored(double x) { return __builtin_floor(x); }
 INLINE float floored(float x) { return __builtin_floorf(x); }
 #endif
@@ -128,6 +124,10 @@ INLINE Lanes loaded(const double* from) {
 INLINE double lane(Lanes x, int i) { return x[i]; }
 INLINE bool lane(Mask x, int i) { return x[i] != 0; }
 INLINE void set_lane(Lanes& x, int l, double v) { x[l] = v; }
+template <class V>
+INLINE V inverse_root(V x) {
+    return 1.0 / root(x);
+}
 #endif
 
 }  // namespace supple
