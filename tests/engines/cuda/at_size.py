@@ -83,6 +83,8 @@ def host(array: Any) -> np.ndarray:
         return array
     if hasattr(array, "detach"):  # PyTorch's
         return np.asarray(array.detach().cpu())
+    if hasattr(array, "copy_to_host"):  # Numba's
+        return np.asarray(array.copy_to_host())
     return np.asarray(array.get()) if hasattr(array, "get") else on_host(array)
 
 

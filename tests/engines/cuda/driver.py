@@ -117,6 +117,9 @@ class Driver:
         assert (pool, attribute) == ("the pool", 4)
         self.held_back = value
 
+    def cuMemPoolTrimTo(self, pool: str, least: int) -> None:  # noqa: N802
+        assert (pool, least) == ("the pool", 0)
+
     def cuDevicePrimaryCtxRetain(self, device: int) -> str:  # noqa: N802
         return "the context"
 

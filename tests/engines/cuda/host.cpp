@@ -97,7 +97,6 @@ bool run_in(int unit, const char* sample, int together, int filter, const int* g
         case 0: return each(grid, threads, [&] { move_point<D>(*(const Some*)given); }), true;
         case 1: return each(grid, threads, [&] { solve_node<D>(job); }), true;
         case 2: return each(grid, threads, [&] { check_cell<D>(job); }), true;
-
         default: return with_type<D>(sample, together, filter, unit == 4, grid, threads, job);
     }
 }

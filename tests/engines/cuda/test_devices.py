@@ -67,7 +67,7 @@ class Broken:
             "cuDevicePrimaryCtxRetain": (Status(0), "context"), "cuCtxPushCurrent": (Status(0),),
             "cuCtxPopCurrent": (Status(0), None), "cuMemGetInfo": (Status(0), 1, 2),
             "cuDeviceGetDefaultMemPool": (Status(0), "pool"), "cuMemPoolGetAttribute": (Status(0), 0),
-            "cuMemPoolSetAttribute": (Status(0),),
+            "cuMemPoolSetAttribute": (Status(0),), "cuMemPoolTrimTo": (Status(0),),
         }  # fmt: skip
         self._results |= results
 

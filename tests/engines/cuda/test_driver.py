@@ -86,6 +86,13 @@ def test_a_warp_of_its_own_stream_waits_for_both_sides(played: Driver) -> None:
     assert "done" in repr(warping)
 
 
+def test_what_is_told_is_given_back_once(played: Driver) -> None:
+    source = sent(np.zeros(STACK, np.float32))
+    warping = supple.cuda.start(source, bent(STACK), **OPTIONS)
+    assert warping._known() == warping._known()  # as of two threads that wait
+    assert len(warp._spare) == len({id(held) for held in warp._spare}) == 1
+
+
 def test_what_is_under_way_lives_until_its_event(played: Driver) -> None:
     d = bent(STACK)
     source = np.random.default_rng(2).random(STACK).astype(np.float32)

@@ -354,6 +354,37 @@ def test_what_cannot_be_done_is_said() -> None:
     assert (on_host(source) == 0).all()
 
 
+@pytest.mark.parametrize(("radius", "size"), [(40.0, 8), (130.0, 16), (300.0, 32)])
+@pytest.mark.parametrize("shape", [(70, 99), (11, 40, 45)])
+def test_cells_are_as_large_as_strokes_allow(shape: tuple[int, ...], radius: float, size: int) -> None:
+    d = supple.Deformation(shape, border=None, on_fold="damp")
+    d = d.grab(np.array(shape[::-1]) / 3, by=[0.1 * radius] * len(shape), radius=radius, reach=None)
+    assert warp.size_of(d.space, 0.01) == size
+    assert warp.size_of(d.space, 1e-5) == 8
+    warping = supple.cuda.start(sent(np.zeros(shape, np.float32)), d, filter="linear")
+    assert 0 < warping.error <= 0.01
+    (lattice,) = warp._lattices.values()
+    assert lattice.nodes == tuple(-(-(n - 1) // size) + 1 for n in shape[:-3:-1])
+    made = on_host(d.inverse_map(like=warping.array))
+    apart = np.linalg.norm(made - d.inverse_map(tolerance=TIGHT), axis=-1)
+    assert apart.max() <= warping.error + TIGHT + 3e-5
+    for source in (waves(shape, 2).astype(np.float32), typed(waves(shape), "u1")):
+        for name in ("linear", "auto"):
+            made = on_host(d.warp(sent(source), filter=name))
+            wanted = d.warp(source, filter=name, tolerance=TIGHT)
+            off = np.abs(made.astype(np.float64) - wanted).max()
+            assert off <= 0.01 * range_of(source) + (source.dtype.kind == "u")
+
+
+@pytest.mark.parametrize("slab", [1, 2, 5])
+def test_no_bit_depends_on_slabs(slab: int) -> None:
+    d = bent((21, 12, 14), seed=2)
+    source = np.random.default_rng(3).random((21, 12, 14)).astype(np.float32)
+    whole = on_host(d.warp(sent(source), filter="linear"))
+    warping = supple.cuda.start(sent(source), d, filter="linear", slab=slab)
+    np.testing.assert_array_equal(on_host(warping.wait()), whole)
+
+
 def test_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """What large arrays take, on small ones."""
     monkeypatch.setattr(warp, "SCRATCH", 1)

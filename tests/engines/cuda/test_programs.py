@@ -41,7 +41,9 @@ def test_registers_and_spills(name: str) -> None:
 @pytest.mark.parametrize("sample", sorted({sample for sample, _ in _TYPES.values()}))
 def test_every_type_compiles(sample: str, filter: int) -> None:
     number = dict(_TYPES.values())[sample]
-    code, log = compiled(Program("fill", 3, False, sample, number, 1 if filter % 2 else 4, filter), 80)
+    rare = int(filter == 2)
+    program = Program("fill", 3, False, sample, number, 1 if filter % 2 else 4, filter, int(filter > 0), rare, rare)
+    code, log = compiled(program, 80)
     assert code[1:4] == b"ELF"
     assert "warning" not in log
     # An empty log is one byte, and Python shares all bytes of length 1: written to, a space is no space anywhere.

@@ -94,8 +94,9 @@ class CudaDevice:
 
     @property
     def free(self) -> int:
-        """Return the free memory in bytes."""
+        """Return the free memory in bytes, after what is kept for the next warp is given back."""
         with self.current():
+            call("cuMemPoolTrimTo", call("cuDeviceGetDefaultMemPool", call("cuDeviceGet", self.number)), 0)
             return int(call("cuMemGetInfo")[0])
 
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from supple.engines.base import Certificate, EngineError, Steps, Work
 from supple.engines.cuda.arrays import dense
 from supple.engines.cuda.device import FAILURES, CudaDevice, Memory, Stream
-from supple.engines.cuda.warp import Told, warp
+from supple.engines.cuda.warp import RUN, Told, warp
 from supple.engines.native import needed_by
 
 Array = npt.NDArray[Any]
@@ -73,7 +73,9 @@ def warp_host(gpu: CudaDevice, source: Array, target: Array, work: Work, *, room
 def _slabs(work: Work, source: Array, target: Array, room: int) -> Iterator[tuple[Range, Range]]:
     """Yield the planes of each slab and the frames that it needs: together, no more than ``room`` bytes."""
     plane, frame, count = target[0].nbytes, source[0].nbytes, len(target)
-    together, first = max(1, min(SLAB // plane, -(-count // 8))), 0
+    together, first, run = max(1, min(SLAB // plane, -(-count // 8))), 0, RUN[work.space.ndim]
+    if together > run:
+        together -= together % run
     while first < count:
         planes = first, min(first + together, count)
         frames = _needed(work, planes)

@@ -48,8 +48,7 @@ class Program:
         The types, in C++, of samples, and of their sums; for ``fill`` and ``rough`` alone.
     together : int
         How many channels are summed together: 1 or 4.
-    filter : int
-    between, average, light : int
+    filter, between, average, light : int
         As in the job.
     """
 
@@ -127,7 +126,9 @@ def folder() -> Path:
     if sys.platform == "win32":
         home = os.environ.get("LOCALAPPDATA") or tempfile.gettempdir()
     else:
-        home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+        home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    if home.startswith("~"):  # a user without a home
+        home = tempfile.gettempdir()
     return Path(home, "supple", "cuda")
 
 

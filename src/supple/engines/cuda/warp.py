@@ -33,7 +33,7 @@ _BLOCKS = 2048  # that share the rough cells
 _MOST = 65535  # planes of one launch
 _KEPT = 16  # maps on the GPUs
 _NODE, _LEAF = {2: 48, 3: 80}, {2: 168, 3: 236}  # bytes of a Corner and of a Leaf, by dimensions: as in job.hpp
-_RUN = {2: 1, 3: 8}  # planes whose nodes are solved by one thread
+RUN = {2: 1, 3: 8}  # planes whose nodes are solved by one thread
 _TYPES = {
     "u1": ("uint8_t", "float"), "u2": ("uint16_t", "float"), "u4": ("uint32_t", "double"), "u8": ("uint64_t", "double"),
     "i1": ("int8_t", "float"), "i2": ("int16_t", "float"), "i4": ("int32_t", "double"), "i8": ("int64_t", "double"),
@@ -135,6 +135,8 @@ class Told:
     def __init__(self, stream: Stream) -> None:
         self.there = Memory(TOLD.itemsize, stream)
         self.there.clear()
+        self._here: Pinned | None = None
+        self._said: tuple[Any, ...] = ()
 
     def send(self) -> None:
         """Copy it to the host, when the stream gets there."""
@@ -145,9 +147,13 @@ class Told:
         self.there.download(self._here.bytes)
 
     def certificate(self, space: Space) -> Certificate:
-        """Return the certificate, once; the stream has got there."""
-        worst, _rough, *counts = self._here.bytes.view(TOLD)[0].item()
-        _spare.append(self._here)
+        """Return the certificate; the stream has got there."""
+        with _lock:
+            if self._here is not None:
+                self._said = self._here.bytes.view(TOLD)[0].item()
+                _spare.append(self._here)
+                self._here = None
+        worst, _rough, *counts = self._said
         return Certificate(np.inf if counts[0] else worst, 0.0, *(() if space.composite is None else counts))
 
 
@@ -196,6 +202,8 @@ def paint(
     n, composed = space.ndim, kinds.pop() if len(kinds) == 1 else None
     sample, number = _TYPES[dtype.str[1:]]
     way = {name: int(values.get(name, 0)) for name in ("between", "average", "light")}
+    if n == 2 or filter == FILTERS["nearest"]:
+        way |= {"between": 0} if filter == MAP else {"between": 0, "average": 0}
     wanted = [Program("nodes", n, composed), Program("cells", n, composed)]
     wanted += [Program(unit, n, composed, sample, number, together, filter, **way) for unit in ("fill", "rough")]
     nodes, cells, fill, rough = [prepare(gpu, program) for program in wanted]  # all, before the first is waited for
@@ -213,13 +221,13 @@ def paint(
     xs = lattice.places.pointer
     for start in range(*planes, most):
         count = min(most, planes[1] - start)
-        many = 1 if shared else count
+        many, own = 1 if shared else count, sum(depth) + start
         first = out[0] + (start - planes[0]) * out[1] * dtype.itemsize
         job = record(JOB, **values, source=source, out=(first, *out[1:]), told=told.there.pointer, planes=many,
-                     first=sum(depth) + start, shared=count if shared else 0, maps=lattice.memory.pointer,
+                     first=own, shared=count if shared else 0, maps=lattice.memory.pointer,
                      map_count=len(spaces), xs=xs, ys=xs + 4 * nx, nx=nx, ny=ny, from_x=first_x, from_y=first_y,
                      height=height, width=width)  # fmt: skip
-        launch(nodes, job, stream, -(-many // _RUN[n]) * nx * ny)
+        launch(nodes, job, stream, (-(-(own + many) // RUN[n]) - own // RUN[n]) * nx * ny)
         launch(cells, job, stream, many * each)
         launch(fill, job, stream, width, ny - 1, count)
         launch(rough, job, stream, THREADS * min(many * each, _BLOCKS))

@@ -27,12 +27,15 @@ INLINE Passed<double> backwards(const Map& map, const double* q, Solved<D, doubl
     return passed;
 }
 
-// The node (k, j) of RUN<D> planes, one after the other: each is guessed from the last one.
+// The node (k, j) of RUN<D> planes, one after the other: each is guessed from the last one. Runs are those of all
+// planes, so that no bit depends on which of them a launch begins with; what lies before that is solved, and not
+// written.
 template <int D>
 INLINE void solve_node(const Job& job) {
     const int64_t i = thread(), each = (int64_t)job.nx * job.ny;
     if (i == 0) job.told->rough = 0;  // for the next kernel to count
-    const int first = (int)(i / each) * RUN<D>, j = (int)(i % each / job.nx), k = (int)(i % job.nx);
+    const int first = (int)(i / each + job.first / RUN<D>)*RUN<D> - job.first;
+    const int j = (int)(i % each / job.nx), k = (int)(i % job.nx);
     Solved<D, double> found{};
     double slope[D], bent[D] = {};  // along the planes, and how it changes from one to the next
     for (int plane = first; plane < job.planes && plane < first + RUN<D>; plane++) {
@@ -41,7 +44,7 @@ INLINE void solve_node(const Job& job) {
         double q[D];
         for (int d = 0; d < D; d++) q[d] = at[d] * map.axes[d].spacing;
         if (composed(map)) {
-            if (!map.composite->smooth) return;  // every pixel is solved
+            if (plane < 0 || !map.composite->smooth) continue;  // without, every pixel is solved
             const Passed<double> passed = backwards<D, true>(map, q, found);
             found.at.done = passed.done && passed.within && passed.upright;
         } else {
@@ -55,6 +58,7 @@ INLINE void solve_node(const Job& job) {
                 slope[d] = now;
             }
         }
+        if (plane < 0) continue;
         Corner<D>& node = ((Corner<D>*)job.nodes)[plane * each + i % each];
         for (int d = 0; d < D; d++) {
             const double per = 1 / map.axes[d].spacing;
