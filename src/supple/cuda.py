@@ -34,7 +34,7 @@ def start(
 ) -> Warping:
     """Start a warp on a GPU, and return at once.
 
-    It begins after earlier work on the source's stream, and runs in parallel with later work.
+    It begins after earlier work on the streams of ``source`` and ``out``, and runs in parallel with later work.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def start(
     slab : int, optional
         The number of planes of a stack in one launch: between slabs, kernels of other streams can run.
         By default, as many as need 256 MB beside the arrays.
-    stream : stream of PyTorch, CuPy or Numba, optional
+    stream : stream of PyTorch, CuPy, Numba or cuda-core, optional
         The stream of the warp; by default, one of its own.
     out : array on the same GPU, optional
         The array for the result.

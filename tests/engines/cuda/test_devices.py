@@ -111,7 +111,7 @@ def refused(capfd: pytest.CaptureFixture[str], *arguments: str) -> str:
 
 
 def test_it_says_what_to_install(without: None) -> None:
-    wanted = f'{MISSING}: pip install "supple[cuda12]" or "supple[cuda13]", for drivers from 525 or 580 on'
+    wanted = f'{MISSING}: pip install "supple[cuda]" for drivers from 580 on, or "supple[cuda12]" from 525 on'
     for ask in (
         devices.open_device,
         lambda: supple.Deformation((9, 9)).warp(np.zeros((9, 9)), device="cuda"),

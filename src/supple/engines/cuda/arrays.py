@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,7 +34,7 @@ class CudaArray:
 
     def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any], gpu: CudaDevice, stream: Stream) -> None:
         self.shape, self.dtype, self._gpu = shape, dtype, gpu
-        self._memory = Memory(int(np.prod(shape, dtype=np.int64)) * dtype.itemsize, stream)
+        self._memory = Memory(math.prod(shape) * dtype.itemsize, stream)
 
     @property
     def __cuda_array_interface__(self) -> dict[str, Any]:
@@ -98,7 +99,7 @@ class DeviceArray:
     @property
     def size(self) -> int:
         """The number of samples."""
-        return int(np.prod(self.shape, dtype=np.int64))
+        return math.prod(self.shape)
 
     def samples(self, item: int, coloured: bool) -> tuple[int, ...]:
         """Return the address and the steps of planes, rows, columns and channels: of a stack of a batch, or of all."""
@@ -152,7 +153,8 @@ def taken(value: Any, name: str) -> DeviceArray:
         If CUDA cannot be used, or the array is not on a GPU, or of an unknown kind.
     """
     if not is_on_device(value):
-        refuse(name, "an array on a GPU", value)
+        where = f"{type(value).__name__} of the host, which tensor.cuda() or cupy.asarray copies there"
+        refuse(name, "an array on a GPU", value, told=where if hasattr(value, "shape") else "")
     check_gradients(value, name)
     kind = _kind_of(value)
     # A GPU is opened before any call that needs the driver: that of the array, if its library names it.
@@ -192,7 +194,7 @@ def plain(value: Any) -> Any:
 
 def dense(shape: Sequence[int]) -> tuple[int, ...]:
     """Return the strides of a contiguous array, in samples."""
-    return tuple(int(np.prod(shape[k + 1 :], dtype=np.int64)) for k in range(len(shape)))
+    return tuple(math.prod(shape[k + 1 :]) for k in range(len(shape)))
 
 
 def stream_of(value: Any, kind: str) -> Stream:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError
 
-INSTALL = 'pip install "supple[cuda12]" or "supple[cuda13]", for drivers from 525 or 580 on'
+INSTALL = 'pip install "supple[cuda]" for drivers from 580 on, or "supple[cuda12]" from 525 on'
 POOL = 1 << 29  # bytes of freed memory that a device keeps for the next warp, at least
 OLDEST = 75  # compute capability 7.5: the least that CUDA 13 compiles for
 
