@@ -32,8 +32,8 @@ SCRATCH = 256 << 20  # bytes of scratch memory, at most
 _BLOCKS = 2048  # that share the rough cells
 _MOST = 65535  # planes of one launch
 _KEPT = 16  # maps on the GPUs
-_NODE, _LEAF = {2: 48, 3: 80}, {2: 168, 3: 236}  # bytes of a Corner and of a Leaf, by dimensions: as in job.hpp
-RUN = {2: 1, 3: 8}  # planes whose nodes are solved by one thread
+_NODE, _LEAF = {2: 48, 3: 80}, {2: 168, 3: 236}  # bytes of a Node and of a Leaf, by dimensions: as in job.hpp
+RUN = {2: 1, 3: 8}  # planes whose nodes are solved by one thread: as in job.hpp
 _TYPES = {
     "u1": ("uint8_t", "float"), "u2": ("uint16_t", "float"), "u4": ("uint32_t", "double"), "u8": ("uint64_t", "double"),
     "i1": ("int8_t", "float"), "i2": ("int16_t", "float"), "i4": ("int32_t", "double"), "i8": ("int64_t", "double"),
@@ -202,8 +202,6 @@ def paint(
     n, composed = space.ndim, kinds.pop() if len(kinds) == 1 else None
     sample, number = _TYPES[dtype.str[1:]]
     way = {name: int(values.get(name, 0)) for name in ("between", "average", "light")}
-    if n == 2 or filter == FILTERS["nearest"]:
-        way |= {"between": 0} if filter == MAP else {"between": 0, "average": 0}
     wanted = [Program("nodes", n, composed), Program("cells", n, composed)]
     wanted += [Program(unit, n, composed, sample, number, together, filter, **way) for unit in ("fill", "rough")]
     nodes, cells, fill, rough = [prepare(gpu, program) for program in wanted]  # all, before the first is waited for
@@ -249,6 +247,7 @@ def warp(
     """Launch the kernels of work on samples of a type, as `paint` does; the source is there from a frame on."""
     space, sampling, group = work.space, work.sampling, work.layout.groups[0]
     nearest = sampling.filter == "nearest"
+    timed = space.ndim == 3 and not nearest  # otherwise a pixel is of one frame, whatever is asked for
     (fill,) = work.fills
     held = Memory(fill.nbytes, told.there.stream)
     held.upload(np.ascontiguousarray(fill))
@@ -262,9 +261,9 @@ def warp(
         fill=held.pointer, white=white, high=high, top=int(high),
         w=space.shape[1], h=space.shape[0], count=space.count if space.ndim == 3 else 1,
         held_from=held_from, channels=group.channels,
-        between=BETWEEN[sampling.between],
+        between=BETWEEN[sampling.between] if timed else 0,
         rule=OUTSIDE[sampling.outside],
-        average=sampling.time_filter and sampling.between != "nearest",
+        average=timed and sampling.time_filter and sampling.between != "nearest",
         alpha=group.channels - 1 if group.alpha and not nearest else -1,
         light=sampling.light and not nearest,
     )  # fmt: skip

@@ -30,12 +30,6 @@ struct Point {
     int same;  // outside every ball, or frozen: what is there is copied
 };
 
-// A node: T⁻¹, its derivatives, and the length scales along x and y, as in `Node`.
-template <int D>
-struct Corner {
-    double p[D];
-    float m[D][D], mixed[D], smooth[2];
-};
 template <int D>
 constexpr int RUN = D == 3 ? 8 : 1;  // planes whose nodes are solved by one thread
 
@@ -56,7 +50,7 @@ struct Job {
     int channels, between, rule, average, alpha, light;
 };
 static_assert(sizeof(Job) == JOB_BYTES, "the layout of jobs");
-static_assert(sizeof(Corner<2>) == 48 && sizeof(Corner<3>) == 80, "as supple.engines.cuda.warp makes room for them");
+static_assert(sizeof(Node<2, float>) == 48 && sizeof(Node<3, float>) == 80, "as supple.engines.cuda.warp has them");
 static_assert(sizeof(Leaf<2>) == 168 && sizeof(Leaf<3>) == 236, "as supple.engines.cuda.warp makes room for them");
 
 enum State { GOOD = -1, RIM = -2, STILL = -3 };  // of a cell; from 0 on: its place among the rough ones

@@ -59,7 +59,7 @@ INLINE void solve_node(const Job& job) {
             }
         }
         if (plane < 0) continue;
-        Corner<D>& node = ((Corner<D>*)job.nodes)[plane * each + i % each];
+        Node<D, float>& node = ((Node<D, float>*)job.nodes)[plane * each + i % each];
         for (int d = 0; d < D; d++) {
             const double per = 1 / map.axes[d].spacing;
             node.p[d] = found.at.p[d] * per;
@@ -97,18 +97,12 @@ INLINE int reached(const Map& map, const double* low, const double* high) {
     return !touched ? STILL : covered && !map.freeze ? GOOD : RIM;
 }
 
-// Whether nothing moves at a point.
+// Whether nothing moves at a pixel: a call, so that it takes no registers of the many that need not ask.
 template <int D>
-INLINE bool unmoved(const Map& map, const double* q) {
-    return reached<D>(map, q, q) == STILL || (map.freeze && is_frozen<D>(*map.freeze, q));
-}
-
-// Whether nothing moves at a pixel of a cell at the rim: a call, so that it takes no registers of all others.
-template <int D>
-NOINLINE bool unmoved_at(const Job& job, int plane, int x, int y) {
+NOINLINE bool unmoved(const Job& job, int plane, int x, int y) {
     const Map& map = map_of(job, plane);
     const double q[3] = {x * map.axes[0].spacing, y * map.axes[1].spacing, depth_of(job, plane) * map.axes[2].spacing};
-    return unmoved<D>(map, q);
+    return reached<D>(map, q, q) == STILL || (map.freeze && is_frozen<D>(*map.freeze, q));
 }
 
 template <int D>
@@ -131,10 +125,10 @@ INLINE void check_cell(const Job& job) {
     const int state = reached<D>(map, low, high);
     job.states[i] = state;
     if (state == STILL) return;
-    const Corner<D>* corner[4];
+    const Node<D, float>* corner[4];
     float smooth[2] = {1e30f, 1e30f}, across_plane[D] = {};
     for (int v = 0; v < 4; v++) {
-        corner[v] = (const Corner<D>*)job.nodes + ((int64_t)plane * job.ny + j + v / 2) * job.nx + k + v % 2;
+        corner[v] = (const Node<D, float>*)job.nodes + ((int64_t)plane * job.ny + j + v / 2) * job.nx + k + v % 2;
         for (int a = 0; a < 2; a++) smooth[a] = least(smooth[a], corner[v]->smooth[a]);
         for (int d = 0; D == 3 && d < D; d++) across_plane[d] += 0.25f * corner[v]->m[D - 1][d];
     }
@@ -186,8 +180,9 @@ INLINE void check_cell(const Job& job) {
             if (!composed(map)) step = ds[d] * e[0] + dt[d] * e[1] + (D == 3 ? across_plane[d] * e[D - 1] : 0);
             off2 += step * step;
         }
-        worst = most(worst, (double)root(off2));
-        good = reserve * root(off2) <= most_off;  // also for NaN
+        const double off = root(off2);
+        worst = most(worst, off);
+        good = reserve * off <= most_off;  // also for NaN
     }
     if (!good) return rough();
     if constexpr (D == 3) {
@@ -206,7 +201,7 @@ NOINLINE void solve_pixel(const Job& job, int plane, int x, int y, Point<D>& poi
     const double at[3] = {(double)x, (double)y, depth_of(job, plane)};
     double q[D];
     for (int d = 0; d < D; d++) q[d] = at[d] * map.axes[d].spacing;
-    point.same = !composed(map) && unmoved<D>(map, q);
+    point.same = !composed(map) && unmoved<D>(job, plane, x, y);
     if (point.same) return;
     Solved<D, double> solution{};
     Solution<D, double>& found = solution.at;

@@ -106,6 +106,15 @@ struct Group {
     }
 };
 
+// Call use(group) with each group of the channels.
+template <class T, class N, int C, class Use>
+INLINE void each_group(const Job& job, Use use) {
+    const bool opaque = C == 1 || job.alpha < 0;
+    const int colours = opaque ? job.channels : job.channels - 1, each = opaque ? C : C - 1;
+    for (int first = 0; first < (C == 1 ? 1 : colours); first += each)
+        use(Group<T, N, C>{job, first, colours - first < each ? colours - first : each});
+}
+
 // A frame, or the constant where there is none; or a level of its pyramid, whose samples are averages of 2ᵏ × 2ᵏ, made
 // as they are read; an odd edge repeats its last one. `count` levels may be asked for.
 template <class T, class N, int C>
@@ -203,11 +212,16 @@ INLINE Sum<N, C> in_frame(const Level<T, N, C>& frame, const Point<D>& p, const 
     return frame.window(x - taps.before, y - taps.before, taps);
 }
 
+// Frame k of the source, which is there.
+template <class T>
+INLINE const T* frame_at(const Job& job, int k) {
+    return (const T*)job.source.first + (k - job.held_from) * job.source.plane;
+}
 // Frame k of the source, or null for the constant.
 template <class T>
 INLINE const T* frame_of(const Job& job, int k) {
     k = placed(k, job.count, job.rule);
-    return k < 0 ? nullptr : (const T*)job.source.first + (k - job.held_from) * job.source.plane;
+    return k < 0 ? nullptr : frame_at<T>(job, k);
 }
 
 // All frames that a pixel is made of.
@@ -257,7 +271,7 @@ INLINE void paint(const Job& job, int plane, int x, int y, const Point<D>& p, T*
             to[d * job.out.channel] = (T)(averages(job) ? moved : at[d] + moved);
         }
     } else {
-        const T* here = (const T*)job.source.first + (own - job.held_from) * job.source.plane;
+        const T* here = frame_at<T>(job, own);
         if (p.same) {
             const T* from = here + y * job.source.row + x * job.source.column;
             for (int c = 0; c < job.channels; c++) to[c * job.out.channel] = from[c * job.source.channel];
@@ -278,15 +292,12 @@ INLINE void paint(const Job& job, int plane, int x, int y, const Point<D>& p, T*
                 const float xx = square(p, 0, 0), xy = square(p, 0, 1), yy = square(p, 1, 1);
                 if (shrinks(xx, xy, yy)) print = print_of(xx, xy, yy, p.whole[0], p.whole[1], p.part[0], p.part[1]);
             }
-            const int colours = C == 1 || job.alpha < 0 ? job.channels : job.channels - 1;
-            const int each = C == 1 || job.alpha < 0 ? C : C - 1;
-            for (int first = 0; first < (C == 1 ? 1 : colours); first += each) {
-                const Group<T, N, C> group{job, first, colours - first < each ? colours - first : each};
+            each_group<T, N, C>(job, [&](const Group<T, N, C>& group) {
                 if constexpr (D == 2)
                     group.write(in_frame<T, N, C, FILTER>(Level<T, N, C>{group, here}, p, print), to);
                 else
                     group.write(in_time<T, N, C, FILTER>(group, p, print), to);
-            }
+            });
         }
     }
 }
@@ -308,12 +319,8 @@ INLINE bool paint_inside(const Job& job, int plane, const Point<D>& p, T* to) {
         if (f >= 1 || z < before * (f != 0) || z + (count - before - 1) * (f != 0) >= job.count) return false;
     }
     if (x < 0 || y < 0 || x + TAPS > job.w || y + TAPS > job.h) return false;
-    const T* from = (const T*)job.source.first + (z - job.held_from) * job.source.plane + y * job.source.row +
-                    x * job.source.column;
-    const int colours = C == 1 || job.alpha < 0 ? job.channels : job.channels - 1;
-    const int each = C == 1 || job.alpha < 0 ? C : C - 1;
-    for (int first = 0; first < (C == 1 ? 1 : colours); first += each) {
-        const Group<T, N, C> group{job, first, colours - first < each ? colours - first : each};
+    const T* from = frame_at<T>(job, z) + y * job.source.row + x * job.source.column;
+    each_group<T, N, C>(job, [&](const Group<T, N, C>& group) {
         Sum<N, C> sum{};
         if (D == 2 || f == 0)
             sum = group.summed(from, taps);
@@ -321,19 +328,22 @@ INLINE bool paint_inside(const Job& job, int plane, const Point<D>& p, T* to) {
             for (int k = 0; k < count; k++)
                 sum.add(tap(between, f, k), group.summed(from + (k - before) * job.source.plane, taps));
         group.write(sum, to);
-    }
+    });
     return true;
 }
 
 // A column of the pixels of a cell that is not rough: the powers of s are summed once for it.
 template <int D>
 struct Column {
-    int x, top, bottom, leaf_y = 0, anchor[D] = {}, face[2];
+    int x, state, top, bottom, leaf_y = 0, anchor[D] = {}, face[2];
     float a[D][4], b[D][4], depth[2];  // of p, and of ∂p/∂s: powers of t
 
     INLINE Column(const Job& job, int plane, int x, int j, int64_t cell)
-        : x(x), top(job.ys[j]), bottom(j == job.ny - 2 ? job.from_y + job.height : job.ys[j + 1]) {
-        if (job.states[cell] == STILL) return;  // it has no patch
+        : x(x),
+          state(job.states[cell]),
+          top(job.ys[j]),
+          bottom(j == job.ny - 2 ? job.from_y + job.height : job.ys[j + 1]) {
+        if (state == STILL) return;  // it has no patch
         const Leaf<D>& leaf = ((const Leaf<D>*)job.leaves)[cell];
         const float s = (float)(x - leaf.x);
         leaf_y = leaf.y;
@@ -391,12 +401,11 @@ struct Column {
 template <class T, class N, int C, int FILTER, int D>
 NOINLINE void paint_rest(const Job& job, int plane, int x, int j, int64_t cell, uint64_t painted) {
     const Column<D> column(job, plane, x, j, cell);
-    const int state = job.states[cell];
     T* to = pixel_of<T>(job, plane, x, column.top);
     for (int y = column.top; y < column.bottom; y++, to += job.out.row) {
         if (painted >> (y - column.top) & 1) continue;
         Point<D> p;
-        p.same = state == STILL || (state == RIM && unmoved_at<D>(job, plane, x, y));
+        p.same = column.state == STILL || (column.state == RIM && unmoved<D>(job, plane, x, y));
         if (!p.same) p = column.at(y, FILTER == AUTO || averages(job));
         paint<T, N, C, FILTER>(job, plane, x, y, p, to);
     }
