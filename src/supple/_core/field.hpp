@@ -173,7 +173,7 @@ struct Jet {
 // Add one stroke's part to a jet, at the point and the tangents `at`: x += K, t += J t, mixed += J mixed + K''(t₀, t₁).
 // `jet` may be `at` itself: then it goes through the stroke.
 template <int D, int TANGENTS, bool MIXED, class V>
-INLINE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V>& at,
+ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V>& at,
                 Jet<D, TANGENTS, MIXED, V>& jet) {
     constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
     constexpr int N = TANGENTS > 0 ? TANGENTS : 1;

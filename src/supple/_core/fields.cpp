@@ -104,11 +104,10 @@ struct Guesses {
 };
 
 // A row of the result.
-template <int D, class T>
+template <int D>
 void invert_row(const Inversion& job, int y, int z, Guesses& guesses) {
     const Sampled& k = job.field;
     const size_t start = ((size_t)z * job.size[1] + y) * job.size[0];
-    T* values = (T*)job.values + start * D;
     double near[D] = {}, stretch = 0;  // the largest distance in space for one of the index, or more
     for (int a = 0; a < D; a++)
         for (int b = 0; b < D; b++) stretch += k.to_place[a][b] * k.to_place[a][b];
@@ -145,11 +144,11 @@ void invert_row(const Inversion& job, int y, int z, Guesses& guesses) {
         }
         // The distance to the solution, and the rounding of the result: in space, and in samples.
         Lanes lost[D], space2{}, samples2{};
-        typedef T Kept __attribute__((vector_size(sizeof(T) * LANES)));
-        Kept kept[D];
+        typedef float Kept __attribute__((vector_size(sizeof(float) * LANES)));
+        Lanes kept[D];
         for (int a = 0; a < D; a++) {
-            kept[a] = __builtin_convertvector(place[a], Kept);
-            lost[a] = __builtin_convertvector(kept[a], Lanes) - place[a];
+            kept[a] = job.wide ? place[a] : __builtin_convertvector(__builtin_convertvector(place[a], Kept), Lanes);
+            lost[a] = kept[a] - place[a];
             space2 += lost[a] * lost[a];
         }
         for (int a = 0; a < D; a++) {
@@ -169,7 +168,9 @@ void invert_row(const Inversion& job, int y, int z, Guesses& guesses) {
         }
         for (int l = 0; l < n; l++) {
             const size_t at = start + x + l;
-            for (int a = 0; a < D; a++) values[(size_t)(x + l) * D + a] = kept[a][l];
+            for (int a = 0; a < D; a++)
+                job.wide ? ((double*)job.values)[at * D + a] = kept[a][l]
+                         : ((float*)job.values)[at * D + a] = (float)kept[a][l];
             job.error[at] = found.done[l] ? (float)error[l] * (1 + 1e-6f) : std::numeric_limits<float>::infinity();
             uint8_t known = !exact[l] ? UNCONVERGED : !upright[l] ? FOLDED : !in[l] ? OUTSIDE : OK;
             if (known != OK && (job.status[at] != FOLDED || known == UNCONVERGED)) job.status[at] = known;
@@ -210,7 +211,7 @@ void invert_all(const Inversion& job) {
         Guesses guesses(job.size[0], D);
         const int z = item / down, first = item % down * BLOCK;
         for (int y = first; y < std::min(first + BLOCK, job.size[1]); y++, guesses.rows++)
-            job.wide ? invert_row<D, double>(job, y, z, guesses) : invert_row<D, float>(job, y, z, guesses);
+            invert_row<D>(job, y, z, guesses);
     });
 }
 

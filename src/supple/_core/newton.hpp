@@ -42,13 +42,15 @@ template <int D, int TANGENTS, bool MIXED, class V>
 INLINE void add_for(int lanes, const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V>& at,
                     Jet<D, TANGENTS, MIXED, V>& jet) {
     constexpr int EVERY = (1 << Masked<V>::lanes) - 1;
-    if ((lanes & EVERY) == EVERY) return add(k, axes, at, jet);
+    const bool all = (lanes & EVERY) == EVERY;
     if ((lanes & EVERY) == 0) return;
-    const Jet<D, TANGENTS, MIXED, V> before = jet;
+    Jet<D, TANGENTS, MIXED, V> before;
+    if (!all) before = jet;
+    add(k, axes, at, jet);
+    if (all) return;
     V bits{};
     for (int l = 0; l < Masked<V>::lanes; l++) set_lane(bits, l, lanes >> l & 1);
     const auto own = bits > 0.5;
-    add(k, axes, at, jet);
     for (int i = 0; i < D; i++) jet.x[i] = choose(own, jet.x[i], before.x[i]);
     for (int j = 0; j < TANGENTS; j++)
         for (int i = 0; i < D; i++) jet.t[j][i] = choose(own, jet.t[j][i], before.t[j][i]);
@@ -68,7 +70,7 @@ NOINLINE void add_group(const Chain& group, const Axis* axes, Jet<D, TANGENTS, M
 // Send a jet through a chain: x ← T(x), t ← T'(x) t, mixed ← T'(x) mixed + T''(x)(t₀, t₁). One stroke of a group is
 // added as more of it are, so that the others, which a lane may not need, change no bit.
 template <int D, int TANGENTS, bool MIXED, class V>
-INLINE void carry(const Chain& chain, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& jet) {
+ONCE void carry(const Chain& chain, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& jet) {
     for (int k = 0, end; k < chain.count; k = end) {
         end = chain.end_of(k);
         if (chain[k].shared)

@@ -137,6 +137,53 @@ INLINE Floats dot3(const Triple& a, const V& b) {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
+// A volume of any kind, between its voxels, at a point of each of some rays: in voxels. Kernels of rays call it, so that
+// they are compiled once for all kinds.
+struct Volume {
+    const bool coloured;
+
+    virtual Floats values(const Triple& p, Chosen lanes) const = 0;
+    // The gradients, per voxel.
+    virtual void slopes(const Triple& p, Chosen lanes, Triple& found) const = 0;
+    // The colours of their own, with the opacity of the transfer function.
+    virtual void paint(const Triple& p, Chosen lanes, Triple& colour) const = 0;
+
+protected:
+    explicit Volume(bool coloured) : coloured(coloured) {}
+    ~Volume() = default;
+};
+// `V` is Voxels, Labels or Coloured.
+template <class V>
+struct VolumeOf final : Volume {
+    const V voxels;
+    explicit VolumeOf(const V& voxels) : Volume(V::COLOURED), voxels(voxels) {}
+
+    Floats values(const Triple& p, Chosen lanes) const override {
+        Number made;
+        if constexpr (V::PLAIN) {
+            Each<Chosen, int32_t> cell[3];
+            Triple part;
+            for (int i = 0; i < 3; i++) {
+                const Floats q = least(most(p[i], Floats{}), Floats{} + float(voxels.last[i] + 1));
+                cell[i].all = least(__builtin_convertvector(q, Chosen), Chosen{} + voxels.last[i]);
+                part[i] = q - __builtin_convertvector(cell[i].all, Floats);
+            }
+            each(lanes, [&](int l) {
+                made.one[l] = voxels.sample(cell[0].one[l], cell[1].one[l], cell[2].one[l], part.part[0].one[l],
+                                            part.part[1].one[l], part.part[2].one[l]);
+            });
+        } else
+            each(lanes, [&](int l) { made.one[l] = voxels.sample(p.of(l)); });
+        return made.all;
+    }
+    void slopes(const Triple& p, Chosen lanes, Triple& found) const override {
+        each(lanes, [&](int l) { found.set(l, voxels.slopes(p.of(l))); });
+    }
+    void paint(const Triple& p, Chosen lanes, Triple& colour) const override {
+        if constexpr (V::COLOURED) each(lanes, [&](int l) { colour.set(l, voxels.painted(p.of(l), colour.of(l))); });
+    }
+};
+
 // Some rays, and their results so far. They start where they enter the box, from where distances along them are
 // measured, in millimetres; steps are counted, since a running sum would lose accuracy.
 struct Beam {
@@ -184,9 +231,9 @@ struct Beam {
         if (enters > boxed) face.one[l] = float(std::abs(lamp));
     }
 
-    // March through a volume. `V` is Voxels, Labels or Coloured; `source` has the source of a point.
-    template <class V, class Source>
-    INLINE void march(const Look& look, const V& voxels, Source&& source) {
+    // March through a volume; `source` has the source of a point.
+    template <class Source>
+    void march(const Look& look, const Volume& voxels, Source&& source) {
         live = Floats{} <= end.all;
         if (look.projection) return project(look, voxels, source);
         for (int i = 0; i < 3; i++) half[i] = look.lamp[i] - along[i];
@@ -291,26 +338,10 @@ private:
     }
 
     // The values at some distances, of chosen rays.
-    template <class V, class Source>
-    INLINE Floats values(const V& voxels, Source& source, const Number& t, Chosen lanes) {
+    template <class Source>
+    NOINLINE Floats values(const Volume& voxels, Source& source, const Number& t, Chosen lanes) {
         samples.all -= lanes;
-        const Triple p = source.place(*this, t, lanes);
-        Number made;
-        if constexpr (V::PLAIN) {
-            Each<Chosen, int32_t> cell[3];
-            Triple part;
-            for (int i = 0; i < 3; i++) {
-                const Floats q = least(most(p[i], Floats{}), Floats{} + float(voxels.last[i] + 1));
-                cell[i].all = least(__builtin_convertvector(q, Chosen), Chosen{} + voxels.last[i]);
-                part[i] = q - __builtin_convertvector(cell[i].all, Floats);
-            }
-            each(lanes, [&](int l) {
-                made.one[l] = voxels.sample(cell[0].one[l], cell[1].one[l], cell[2].one[l], part.part[0].one[l],
-                                            part.part[1].one[l], part.part[2].one[l]);
-            });
-        } else
-            each(lanes, [&](int l) { made.one[l] = voxels.sample(p.of(l)); });
-        return made.all;
+        return voxels.values(source.place(*this, t, lanes), lanes);
     }
 
     // The side of the visible range on which values are: -1, 0 in between, or 1.
@@ -318,8 +349,8 @@ private:
 
     // Look for the first surface of rays in a step. Those within whose step it lies begin anew from it; they are
     // returned.
-    template <class V, class Source>
-    INLINE Chosen find(const Look& look, const V& voxels, Source& source, const Number& start, const Number& stop,
+    template <class Source>
+    INLINE Chosen find(const Look& look, const Volume& voxels, Source& source, const Number& start, const Number& stop,
                        Chosen lanes) {
         const Chosen outer = side(look, before.all), within = lanes & (outer != 0) & (outer != side(look, after.all));
         surface.all = lanes & (outer == 0) ? start.all : surface.all;
@@ -383,8 +414,8 @@ private:
     }
 
     // Add the light of a step. Returns the rays that see something of it.
-    template <class V, class Source>
-    INLINE Chosen shade(const Look& look, const V& voxels, Source& source, const Number& start, const Number& stop,
+    template <class Source>
+    INLINE Chosen shade(const Look& look, const Volume& voxels, Source& source, const Number& start, const Number& stop,
                         Chosen lanes) {
         Triple colour;
         Number opacity, middle;
@@ -402,11 +433,11 @@ private:
         samples.all -= seen;
         const Number t(start.all + middle.all * (stop.all - start.all));
         const Triple p = source.place(*this, t, seen);
-        if constexpr (V::COLOURED) each(seen, [&](int l) { colour.set(l, voxels.painted(p.of(l), colour.of(l))); });
+        if (voxels.coloured) voxels.paint(p, seen, colour);
         Floats lit = Floats{} + 1, shine{};
         if (look.shaded) {
             Triple slope;
-            each(seen, [&](int l) { slope.set(l, voxels.slopes(p.of(l))); });
+            voxels.slopes(p, seen, slope);
             source.turn(look, t, slope);
             // Ambient and diffuse light, and the highlight; both sides of a surface are lit.
             const Floats size = root(dot3(slope, slope)), over = size > 0 ? 1 / size : Floats{};
@@ -440,8 +471,8 @@ private:
     }
 
     // The extreme or the average value of each ray, and the transfer function's colour for it.
-    template <class V, class Source>
-    INLINE void project(const Look& look, const V& voxels, Source& source) {
+    template <class Source>
+    INLINE void project(const Look& look, const Volume& voxels, Source& source) {
         Number value;
         for (Floats t{}; bits(live); count = count + 1, t = count * look.step, live &= t <= end.all) {
             const Floats next = values(voxels, source, t, live);

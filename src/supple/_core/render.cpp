@@ -27,8 +27,8 @@ void with_samples(const Samples& samples, F&& f) {
 typedef std::optional<nb::ndarray<nb::ro, nb::ndim<4>, nb::c_contig, nb::device::cpu>> Colours;
 
 // Call `f` with the samples of a volume between its voxels: of values, of labels, or of values with colours.
-template <class F>
-void with_voxels(const Samples& samples, const Colours& colours, bool labelled, F&& f) {
+void with_volume(const Samples& samples, const Colours& colours, bool labelled,
+                 const std::function<void(const Volume&)>& f) {
     for (int i = 0; i < 3; i++) {
         if (samples.shape(i) < 2) throw nb::value_error("a volume must have two voxels along each axis");
         if (colours && colours->shape(i) != samples.shape(i))
@@ -39,11 +39,11 @@ void with_voxels(const Samples& samples, const Colours& colours, bool labelled, 
     with_samples(samples, [&]<class T>(const T* data) {
         const int64_t nx = samples.shape(2), ny = samples.shape(1), nz = samples.shape(0);
         if constexpr (std::is_unsigned_v<T>) {
-            if (labelled) return f(Labels<T>(data, nx, ny, nz));
-            if (colours) return f(Coloured<T>(data, (const T*)colours->data(), nx, ny, nz));
+            if (labelled) return f(VolumeOf<Labels<T>>({data, nx, ny, nz}));
+            if (colours) return f(VolumeOf<Coloured<T>>({data, (const T*)colours->data(), nx, ny, nz}));
         } else if (labelled || colours)
             throw nb::type_error("labels and colours must be uint8 or uint16");
-        f(Voxels<T>(data, nx, ny, nz));
+        f(VolumeOf<Voxels<T>>({data, nx, ny, nz}));
     });
 }
 // The shape of an array (Z, Y, X) as (x, y, z).
@@ -101,11 +101,15 @@ void between(SolidLattice& lattice, Array<const float, 2> points, Array<float, 3
 void look_up(Samples samples, Array<const float, 2> points, Array<float, 2> out, bool labelled) {
     if (points.shape(1) != 3 || out.shape(0) != points.shape(0) || out.shape(1) != 4)
         throw nb::value_error("points must be (N, 3), and out (N, 4)");
-    with_voxels(samples, {}, labelled, [&](auto voxels) {
+    with_volume(samples, {}, labelled, [&](const Volume& voxels) {
+        Chosen first{};
+        first[0] = -1;
         for (size_t i = 0; i < points.shape(0); i++) {
-            Float4 p = point_of(points.data() + 3 * i), g = voxels.slopes(p);
-            out(i, 0) = voxels.sample(p);
-            for (int c = 0; c < 3; c++) out(i, 1 + c) = g[c];
+            Triple p, slope;
+            p.set(0, point_of(points.data() + 3 * i));
+            voxels.slopes(p, first, slope);
+            out(i, 0) = voxels.values(p, first)[0];
+            for (int c = 0; c < 3; c++) out(i, 1 + c) = slope[c][0];
         }
     });
 }
@@ -172,7 +176,7 @@ void draw(Samples samples, Colours colours, const Look& look, const SolidLattice
     if (!fits(light, 4) || !fits(depth, 2) || !fits(work, 2) || (ends && !fits(*ends, 4)))
         throw nb::value_error("a picture must have its rows and columns");
     const int across = (width + TILE - 1) / TILE, down = (height + TILE - 1) / TILE;
-    with_voxels(samples, colours, look.labelled, [&](auto voxels) {
+    with_volume(samples, colours, look.labelled, [&](const Volume& voxels) {
         auto draw_tile = [&](int tile, int) {
             const int top = tile / across * TILE, left = tile % across * TILE;
             const int bottom = least(top + TILE, height), right = least(left + TILE, width);

@@ -189,6 +189,12 @@ struct Places {
     alignas(64) int at[STRIDE];
     bool inside;
 
+    // Whether one is, in a row of which some are not; and its place.
+    template <int LEFT, int RIGHT, int C, class T>
+    INLINE bool inner(const Frames<T>& f, int x, int y, ptrdiff_t& place) const {
+        place = (ptrdiff_t)y * f.row + (ptrdiff_t)x * C;
+        return supple::inner<C, LEFT, RIGHT>(f, x, y);
+    }
     template <int LEFT, int RIGHT, int C, class T>
     INLINE void find(const Frames<T>& f, const int* x, const int* y, int from, int end) {
         int least_x = x[from], most_x = x[from], least_y = y[from], most_y = y[from];
@@ -213,7 +219,7 @@ struct Places {
 };
 
 template <Filter FILTER, class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
-NOINLINE void sample_each(const Frames<T>& given, const Row<D>& row, Run run, int from, int end, MixOf mix_of,
+INLINE void sample_each(const Frames<T>& given, const Row<D>& row, Run run, int from, int end, MixOf mix_of,
                           Put put) {
     constexpr int left = FILTER == LINEAR ? 0 : 1, right = FILTER == LINEAR ? 1 : 2;
     const Frames<T> f = given;
@@ -229,9 +235,9 @@ NOINLINE void sample_each(const Frames<T>& given, const Row<D>& row, Run run, in
             else
                 return cubic_at<N, C>(taps, r, fx, fy);
         };
-        put(k, places.inside && (!SEVERAL || mix.n > 0)
-                   ? within<N, C, SEVERAL>(f, mix, places.at[k], kernel)
-                   : around<N, C, left, right, SEVERAL>(f, mix, x[k], y[k], kernel));
+        ptrdiff_t place = places.at[k];
+        const bool inside = places.inside || places.inner<left, right, C>(f, x[k], y[k], place);
+        put(k, around<N, C, left, right, SEVERAL>(f, mix, x[k], y[k], inside, place, kernel));
     }
 }
 
@@ -245,7 +251,7 @@ NOINLINE void sample_footprints(const Frames<T>& given, const Pyramid<N>& pyrami
     for (int k = from; k < end; k++) {
         const N fx = (N)row.part[0][k], fy = (N)row.part[1][k];
         const Mix<N> mix = mix_of(k);
-        const bool inside = places.inside && (!SEVERAL || mix.n > 0);
+        ptrdiff_t place = places.at[k];
         auto cubic = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA { return cubic_at<N, C>(taps, r, fx, fy); };
         auto spot = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
             Across<N> across{(N)prints.first[k], (N)prints.second[k], prints.shift[k]};
@@ -258,13 +264,14 @@ NOINLINE void sample_footprints(const Frames<T>& given, const Pyramid<N>& pyrami
             }
         };
         if (prints.kind[k] == PLAIN)
-            put(k, inside ? within<N, C, SEVERAL>(f, mix, places.at[k], cubic)
-                          : around<N, C, 1, 2, SEVERAL>(f, mix, x[k], y[k], cubic));
+            put(k, around<N, C, 1, 2, SEVERAL>(f, mix, x[k], y[k],
+                                         places.inside || places.inner<1, 2, C>(f, x[k], y[k], place), place, cubic));
         else if (prints.kind[k] == SPOT)
-            put(k, inside ? within<N, C, SEVERAL>(f, mix, prints.y[k] * f.row + prints.x[k] * C, spot)
-                          : around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[k], prints.y[k], spot));
+            put(k, around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[k], prints.y[k],
+                                         places.inside || inner<C, 1, 3>(f, prints.x[k], prints.y[k]),
+                                         prints.y[k] * f.row + prints.x[k] * C, spot));
         else
-            put(k, wide<Pixel<N>>(Levels<N, C, SEVERAL, T>{f, pyramid, mix}, (N)x[k] + fx, (N)y[k] + fy,
+            put(k, wide<Pixel<N>>(levels_in<C, SEVERAL>(f, pyramid, mix), (N)x[k] + fx, (N)y[k] + fy,
                                   (N)prints.xx[k], (N)prints.xy[k], (N)prints.yy[k]));
     }
 }

@@ -162,30 +162,17 @@ INLINE Pixel<N> within(const Frames<T>& f, const Mix<N>& mix, ptrdiff_t place, U
     return v;
 }
 
-// Call use(taps, row) with the samples around (x, y): LEFT before it and RIGHT after it on each axis.
-template <class N, int C, int LEFT, int RIGHT, bool SEVERAL, class T, class Use>
-INLINE Pixel<N> around(const Frames<T>& f, const Mix<N>& mix, int x, int y, Use use) {
-    constexpr int reading =
-        lanes_for((LEFT + 1 + RIGHT) * C > 16 ? 16 : (LEFT + 1 + RIGHT) * C) + (C == 4 && RIGHT == 3 ? 4 : 0);
-    ptrdiff_t place = (ptrdiff_t)y * f.row + (ptrdiff_t)x * C;
-    bool inside =
-        x >= LEFT && x < f.w - RIGHT && y >= LEFT && y < f.h - RIGHT && f.has(y + RIGHT, (x - LEFT) * C + reading, C);
-    if (__builtin_expect(inside && mix.n > 0, 1)) return within<N, C, SEVERAL>(f, mix, place, use);
-    N own[PATCH * (WINDOW + 1)] = {};
-    gather<N, C>(f, mix, x, y, own);
-    return use(One<N>{own + PATCH + C}, (ptrdiff_t)PATCH);
-}
-// A mixed window of samples, some of which lie beyond the edge.
+// A mixed window of samples around (x, y), some of which lie beyond the edge.
 template <class N, int C, class T>
-NOINLINE void gather(const Frames<T>& f, const Mix<N>& mix, int x, int y, N* own) {
+NOINLINE void gather(const Frames<T>& f, const Mix<N>& mix, int x, int y, int left, int right, N* own) {
     int columns[WINDOW], rows[WINDOW];
     for (int i = 0; i < WINDOW; i++) {
         columns[i] = placed(x - 1 + i, f.w, f.rule);
         rows[i] = placed(y - 1 + i, f.h, f.rule);
     }
     const N one = 1, *weight = mix.n == 1 && mix.constant == 0 ? &one : mix.weight;
-    for (int j = 0; j < WINDOW; j++)
-        for (int i = 0; i < WINDOW; i++) {
+    for (int j = 1 - left; j <= 1 + right; j++)
+        for (int i = 1 - left; i <= 1 + right; i++) {
             bool beyond = columns[i] < 0 || rows[j] < 0;
             N sum[C];
             for (int c = 0; c < C; c++) sum[c] = mix.constant * (N)f.fill[c];
@@ -195,6 +182,22 @@ NOINLINE void gather(const Frames<T>& f, const Mix<N>& mix, int x, int y, N* own
             }
             for (int c = 0; c < C; c++) own[j * PATCH + i * C + c] = sum[c];
         }
+}
+// Whether the samples around (x, y) all lie within the frames: LEFT before it and RIGHT after it on each axis.
+template <int C, int LEFT, int RIGHT, class T>
+INLINE bool inner(const Frames<T>& f, int x, int y) {
+    constexpr int reading =
+        lanes_for((LEFT + 1 + RIGHT) * C > 16 ? 16 : (LEFT + 1 + RIGHT) * C) + (C == 4 && RIGHT == 3 ? 4 : 0);
+    return x >= LEFT && x < f.w - RIGHT && y >= LEFT && y < f.h - RIGHT &&
+           f.has(y + RIGHT, (x - LEFT) * C + reading, C);
+}
+// Call use(taps, row) with the samples around (x, y): from `place` on, or a window of its own.
+template <class N, int C, int LEFT, int RIGHT, bool SEVERAL, class T, class Use>
+INLINE Pixel<N> around(const Frames<T>& f, const Mix<N>& mix, int x, int y, bool inside, ptrdiff_t place, Use use) {
+    if (__builtin_expect(inside && (!SEVERAL || mix.n > 0), 1)) return within<N, C, SEVERAL>(f, mix, place, use);
+    N own[PATCH * (WINDOW + 1)] = {};
+    gather<N, C>(f, mix, x, y, LEFT, RIGHT, own);
+    return use(One<N>{own + PATCH + C}, (ptrdiff_t)PATCH);
 }
 
 // ---- footprints -----------------------------------------------------------------------------------------------------
@@ -271,23 +274,45 @@ struct Level {
     const Frames<T>& frames;
     const Mix<N>& mix;
     INLINE Pixel<N> spot(int x, int y, Across<N> across, const N* left, const N* right) const {
-        return around<N, C, 1, 3, SEVERAL>(frames, mix, x, y, [&](auto taps, ptrdiff_t row) INLINE_LAMBDA {
-            return spot_at<N, C, 1>(taps, row, across, left, right);
-        });
+        const bool inside = inner<C, 1, 3>(frames, x, y);
+        return around<N, C, 1, 3, SEVERAL>(frames, mix, x, y, inside, (ptrdiff_t)y * frames.row + (ptrdiff_t)x * C,
+                                     [&](auto taps, ptrdiff_t row) INLINE_LAMBDA {
+                                         return spot_at<N, C, 1>(taps, row, across, left, right);
+                                     });
     }
 };
-// The frames, and their pyramid.
-template <class N, int C, bool SEVERAL, class T>
-struct Levels {
-    const Frames<T>& frames;
-    const Pyramid<N>& pyramid;
+// A level of any type, so that `wide` is compiled once for all.
+template <class N>
+struct AnyLevel {
+    typedef Pixel<N> (*Spots)(const void* frames, const Mix<N>& mix, int n, N x, N y, N ux, N uy, N length, N w2);
+    const void* frames;
     const Mix<N>& mix;
+    Spots read;
+};
+template <class N, int C, bool SEVERAL, class T>
+NOINLINE Pixel<N> spots_of(const void* frames, const Mix<N>& mix, int n, N x, N y, N ux, N uy, N length, N w2) {
+    const Level<N, C, SEVERAL, T> level{*(const Frames<T>*)frames, mix};
+    return spots<Pixel<N>>(level, n, x, y, ux, uy, length, w2);
+}
+template <class P, class N>
+INLINE P spots(const AnyLevel<N>& level, int n, N x, N y, N ux, N uy, N length, N w2) {
+    return level.read(level.frames, level.mix, n, x, y, ux, uy, length, w2);
+}
+// The frames, and their pyramid.
+template <class N>
+struct Levels {
+    AnyLevel<N> samples;
+    const Pyramid<N>& pyramid;
+    typename AnyLevel<N>::Spots averages;
     int count = pyramid.levels;
     template <class Use>
     INLINE Pixel<N> in(int k, Use use) const {
-        if (k == 0) return use(Level<N, C, SEVERAL, T>{frames, mix});
-        return use(Level<N, C == 1 ? 1 : 4, SEVERAL, N>{pyramid.level[k - 1], mix});
+        return use(k == 0 ? samples : AnyLevel<N>{&pyramid.level[k - 1], samples.mix, averages});
     }
 };
+template <int C, bool SEVERAL, class N, class T>
+INLINE Levels<N> levels_in(const Frames<T>& frames, const Pyramid<N>& pyramid, const Mix<N>& mix) {
+    return {{&frames, mix, spots_of<N, C, SEVERAL, T>}, pyramid, spots_of<N, C == 1 ? 1 : 4, SEVERAL, N>};
+}
 
 }  // namespace supple

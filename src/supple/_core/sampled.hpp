@@ -161,7 +161,7 @@ INLINE void sum_samples(const Sampled& k, const V* i, const V* a, const V* b, Lo
 
 // w at an index; of ORDER 2, the second derivative along a and b.
 template <int D, int ORDER, class V>
-INLINE void sample_field(const Sampled& k, const V* i, const V* a, const V* b, Local<D, V>& found) {
+ONCE void sample_field(const Sampled& k, const V* i, const V* a, const V* b, Local<D, V>& found) {
     if (k.order == 1)
         k.wide ? sum_samples<D, 2, ORDER, double>(k, i, a, b, found)
                : sum_samples<D, 2, ORDER, float>(k, i, a, b, found);

@@ -17,16 +17,23 @@ typedef unsigned long long uint64_t;
 #define INLINE __forceinline__
 #define NOINLINE __noinline__
 #define CALLED __noinline__
+#define ONCE __forceinline__
 #define INLINE_LAMBDA
 #else
+#include <stddef.h>
 #include <stdint.h>
 #include <string.h>
 #if defined(__x86_64__) || defined(_M_X64)
 #include <immintrin.h>
 #endif
 #define INLINE inline __attribute__((always_inline))
+#if defined(__clang__)
 #define NOINLINE __attribute__((noinline))
-#define CALLED inline __attribute__((always_inline))  // a call on GPUs, for which it is compiled at the first need
+#else
+#define NOINLINE __attribute__((noinline, noclone))
+#endif
+#define CALLED NOINLINE  // a call on GPUs, too, for which it is compiled at the first need
+#define ONCE NOINLINE    // compiled once for each instruction set (`solvers.hpp`); on GPUs, where it is used
 #define INLINE_LAMBDA __attribute__((always_inline))
 #endif
 

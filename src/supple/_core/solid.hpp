@@ -4,7 +4,7 @@
 // a part s of the way h from a node to the next, the line between their values is off by ½ s (1 - s) h (u'₀ - u'₁), up
 // to the third order: so only the nodes of a cell are read, and the error falls with h³ at least.
 #pragma once
-#include "newton.hpp"
+#include "solvers.hpp"
 #include "table.hpp"
 #include "voxels.hpp"
 

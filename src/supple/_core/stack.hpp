@@ -87,11 +87,7 @@ struct Numbers {
     int lanes, colours;  // numbers a pixel, and how many of a group are colours
     std::vector<N> table;
 
-    explicit Numbers(const Job& job) : job(job), lanes(job.channels == 1 ? 1 : 4), colours(job.alpha < 0 ? lanes : 3) {
-        if (!job.light || bytes_of(job.type) > 2 || job.type == I8 || job.type == I16) return;
-        table.resize(job.type == U8 ? 256 : 65536);
-        for (size_t i = 0; i < table.size(); i++) table[i] = (N)(job.white * to_light(i / job.white));
-    }
+    explicit Numbers(const Job& job);
     int groups() const {
         int all = job.alpha < 0 ? job.channels : job.channels - 1;
         return (all + colours - 1) / colours;
@@ -100,95 +96,23 @@ struct Numbers {
         int all = job.alpha < 0 ? job.channels : job.channels - 1;
         return std::min(colours, all - group * colours);
     }
-    template <class T>
-    N number(T v) const {
-        if (!job.light) return (N)v;
-        if constexpr (sizeof(T) <= 2)
-            if (!table.empty()) return table[v];
-        return (N)(job.white * to_light((double)v / job.white));
-    }
-    template <class T>
-    void convert(const T* p, int n, int group, N* out) const {
-        int some = count(group), first = group * colours;
-        for (int i = 0; i < n; i++, p += job.channels, out += lanes) {
-            N weight = job.alpha < 0 ? 1 : (N)((double)p[job.alpha] / job.white);
-            for (int c = 0; c < some; c++) out[c] = number(p[first + c]) * weight;
-            for (int c = some; c < lanes; c++) out[c] = 0;
-            if (job.alpha >= 0) out[lanes - 1] = (N)p[job.alpha];
-        }
-    }
-    void convert(const char* frame, int x, int y, int n, int group, N* out) const {
-        const char* p = job.sample(frame, x, y);
-        switch (job.type) {
-            case U8: return convert((const uint8_t*)p, n, group, out);
-            case U16: return convert((const uint16_t*)p, n, group, out);
-            case I16: return convert((const int16_t*)p, n, group, out);
-            case F32: return convert((const float*)p, n, group, out);
-            case F64: return convert((const double*)p, n, group, out);
-            case I8: return convert((const int8_t*)p, n, group, out);
-            case I32: return convert((const int32_t*)p, n, group, out);
-            case U32: return convert((const uint32_t*)p, n, group, out);
-            case I64: return convert((const int64_t*)p, n, group, out);
-            default: return convert((const uint64_t*)p, n, group, out);
-        }
-    }
+    // Of n samples of a row.
+    void convert(const char* frame, int x, int y, int n, int group, N* out) const;
+    void store(const N* from, int n, int group, char* p) const;  // four numbers a pixel
     // The fill value as such numbers.
-    void constant(int group, double* out) const {
-        int some = count(group), first = group * colours;
-        double weight = job.alpha < 0 ? 1 : job.fill[job.alpha] / job.white;
-        for (int c = 0; c < 4; c++) out[c] = 0;
-        for (int c = 0; c < some; c++)
-            out[c] = weight * (job.light ? job.white * to_light(job.fill[first + c] / job.white) : job.fill[first + c]);
-        if (job.alpha >= 0) out[lanes - 1] = job.fill[job.alpha];
-    }
-    template <class T>
-    void store(const Pixel<N>* from, int n, int group, T* p) const {
-        constexpr bool whole = std::numeric_limits<T>::is_integer;
-        int some = count(group), first = group * colours;
-        double low = whole ? (double)std::numeric_limits<T>::lowest() : 0;
-        double high = whole ? std::min((double)std::numeric_limits<T>::max(), job.white) : 0;
-        auto put = [&](double v) {
-            if constexpr (whole) {
-                v = floor(v + 0.5);
-                if (!(v > low)) return v == v ? (T)low : T(0);
-                return v >= high ? limit_of<T>(high) : (T)v;
-            } else
-                return (T)v;
-        };
-        for (int i = 0; i < n; i++, p += job.channels) {
-            double opacity = 0;
-            if (job.alpha >= 0) {
-                // A cubic overshoots: clamp opacity to its range. The colours overshoot with it, and are divided by the
-                // unclamped value.
-                opacity = from[i][lanes - 1];
-                p[job.alpha] = put(std::clamp(opacity, 0.0, job.white));
-            }
-            for (int c = 0; c < some; c++) {
-                double v = from[i][c];
-                if (job.alpha >= 0) v = opacity > 0 ? v * job.white / opacity : 0;
-                if (job.light) v = job.white * from_light(v / job.white);
-                p[first + c] = put(v);
-            }
-        }
-    }
+    void constant(int group, double* out) const;
     template <class T>
     static T limit_of(double high) {
         return high >= (double)std::numeric_limits<T>::max() ? std::numeric_limits<T>::max() : (T)high;
     }
-    void store(const Pixel<N>* from, int n, int group, char* p) const {
-        switch (job.type) {
-            case U8: return store(from, n, group, (uint8_t*)p);
-            case U16: return store(from, n, group, (uint16_t*)p);
-            case I16: return store(from, n, group, (int16_t*)p);
-            case F32: return store(from, n, group, (float*)p);
-            case F64: return store(from, n, group, (double*)p);
-            case I8: return store(from, n, group, (int8_t*)p);
-            case I32: return store(from, n, group, (int32_t*)p);
-            case U32: return store(from, n, group, (uint32_t*)p);
-            case I64: return store(from, n, group, (int64_t*)p);
-            default: return store(from, n, group, (uint64_t*)p);
-        }
-    }
+
+private:
+    template <class T>
+    N number(T v) const;
+    template <class T>
+    void convert(const T* p, int n, int group, N* out) const;
+    template <class T>
+    void store(const N* from, int n, int group, T* p) const;
 };
 
 // Write pixels of a row, which ends at `end`, in a type of the kernels: rounded to the nearest, and clamped to the
@@ -264,14 +188,7 @@ struct Putting {
 // -----------------------------------------------------------------------------------------------------------
 
 // The levels that a map needs, by its largest squared footprint (`Plan::widest`).
-inline int levels_of(const Job& job, double widest) {
-    int levels = 0, side = std::max(job.w, job.h);
-    if (job.filter != AUTO) return 0;
-    for (double want = widest * (1 + 1e-5); want >= 3.2 && side > 1 && levels < LEVELS;
-         want /= 4, side = (side + 1) / 2)
-        levels++;
-    return levels;
-}
+int levels_of(const Job& job, double widest);
 
 // Averages of the frames in `span`, as deep as a map's smallest singular values need.
 template <class N>
@@ -289,51 +206,7 @@ struct Averages {
         return made;
     }
 
-    Averages(const Job& job, const Numbers<N>& numbers, int group, Span span, double widest) : first(span.first) {
-        if (job.filter != AUTO) return;
-        numbers.constant(group, fill);
-        int w = job.w, h = job.h, lanes = numbers.lanes, depth = levels_of(job, widest);
-        int x0 = job.held[0], x1 = job.held[1], y0 = job.held[2], y1 = job.held[3];
-        while (pyramid.levels < depth) {
-            const int half[4] = {x0 / 2, (x1 + 1) / 2, y0 / 2, (y1 + 1) / 2};
-            const ptrdiff_t line = (ptrdiff_t)(half[1] - half[0]) * lanes, first = half[2] * line + half[0] * lanes;
-            std::vector<const N*> level;
-            for (int k = span.first; k <= span.last; k++) {
-                const char* frame = job.frame(k);
-                const N* above = pyramid.levels ? frames.back()[k - span.first] : nullptr;
-                if (!frame) {
-                    level.push_back(nullptr);
-                    continue;
-                }
-                const size_t wide = (size_t)(x1 - x0) * lanes;
-                std::vector<N> made((size_t)line * (half[3] - half[2]) + 32), rows(2 * wide);
-                for (int y = half[2]; y < half[3]; y++) {
-                    for (int r = 0; r < 2; r++) {
-                        int from = std::min(2 * y + r, h - 1);
-                        N* row = rows.data() + r * wide;
-                        if (above)
-                            memcpy(row, above + (ptrdiff_t)from * wide + (ptrdiff_t)x0 * lanes, sizeof(N) * wide);
-                        else
-                            numbers.convert(frame, x0, from, x1 - x0, group, row);
-                    }
-                    for (int x = half[0]; x < half[1]; x++)
-                        for (int c = 0; c < lanes; c++) {
-                            int i = (2 * x - x0) * lanes + c, j = (std::min(2 * x + 1, w - 1) - x0) * lanes + c;
-                            const N *a = rows.data(), *b = a + wide;
-                            made[y * line + (ptrdiff_t)x * lanes + c - first] = (a[i] + a[j] + b[i] + b[j]) / 4;
-                        }
-                }
-                samples.push_back(std::move(made));
-                level.push_back(samples.back().data() - first);
-            }
-            frames.push_back(std::move(level));
-            w = (w + 1) / 2;
-            h = (h + 1) / 2;
-            x0 = half[0], x1 = half[1], y0 = half[2], y1 = half[3];
-            const ptrdiff_t limit = (ptrdiff_t)w * h * lanes;
-            pyramid.level[pyramid.levels++] = {frames.back().data(), w, h, line, limit, job.rule, fill};
-        }
-    }
+    Averages(const Job& job, const Numbers<N>& numbers, int group, Span span, double widest);
 };
 
 // ---- a plane
@@ -370,7 +243,13 @@ struct Mixing {
             weight[0] = 1 - f;
             weight[1] = f;
             return {row.whole[2][k] - span.first, f == 0 ? 1 : 2, weight, 0};
-        } else {
+        } else
+            return any(k);
+    }
+    NOINLINE Mix<N> any(int k) const {
+        if constexpr (D == 2)
+            return {0, 1, weight, 0};
+        else {
             double t = row.whole[2][k] + (double)row.part[2][k], width = job.average ? covered(row.depth2[k]) : 0;
             if (job.rule != REFLECT) t = std::clamp(t, -3.0 - LONGEST / 2, job.count + 2.0 + LONGEST / 2);
             int first, n = time_weights(job.between, t, width, first, weight);
@@ -390,7 +269,6 @@ struct Mixing {
     // Of n samples from k on. False if they need too many frames.
     INLINE bool operator()(int k, int n, Times& times) const {
         if constexpr (D == 2) return true;
-        int end = 0;
         times.first = std::numeric_limits<int>::max();
         if (pairs) {
             Eights whole = first_of(row.whole[2] + k, n) - span.first;
@@ -402,6 +280,10 @@ struct Mixing {
                 times.weight[i] = whole == times.first + i ? 1 - part : whole == times.first + i - 1 ? part : Eight{};
             return true;
         }
+        return any(k, n, times);
+    }
+    NOINLINE bool any(int k, int n, Times& times) const {
+        int end = 0;
         std::fill(times.weight, times.weight + Times::MOST, Eight{});
         for (int pass = 0; pass < 2; pass++)
             for (int l = 0; l < n; l++) {
@@ -490,18 +372,43 @@ Span frames_of(const Plan<D>& plan, const Job& job) {
     return frames_of(job, e.low[D - 1], e.high[D - 1], e.rate);
 }
 
-// Sample frames of the kernels' types, in place.
+// Sample n source points of a row, from `at` on. The rest of a plane's work is compiled once for all types.
+template <class N, int D>
+struct Sampler {
+    virtual void operator()(const Row<D>& row, const Prints& prints, N* weight, int at, int n, void* to) const = 0;
+
+protected:
+    ~Sampler() = default;
+};
+
+// From frames of the kernels' types.
 template <class T, int C, int D>
-void sample_direct(const Plan<D>& plan, const Job& job) {
-    Numbers<float> numbers(job);
-    const Span span = frames_of(plan, job);
-    std::vector<const T*> frames;
-    for (int k = span.first; k <= span.last; k++) frames.push_back((const T*)job.frame(k));
-    // A pyramid's groups have one channel or four; two or three channels are padded with a fourth.
-    Averages<float> averages(job, numbers, 0, span, plan.widest);
-    ptrdiff_t line = job.row() * C, limit = (ptrdiff_t)job.w * job.h * C;
-    Frames<T> source{frames.data(), job.w, job.h, line, limit, job.rule, job.fill};
-    const float high = (float)std::min((double)std::numeric_limits<T>::max(), job.white);
+struct Direct final : Sampler<float, D> {
+    const Job& job;
+    Span span;
+    std::vector<const T*> at;
+    Frames<T> frames;
+    float high;
+    const Pyramid<float>& pyramid;
+
+    Direct(const Job& job, Span span, const Pyramid<float>& pyramid)
+        : job(job),
+          span(span),
+          high((float)std::min((double)std::numeric_limits<T>::max(), job.white)),
+          pyramid(pyramid) {
+        for (int k = span.first; k <= span.last; k++) at.push_back((const T*)job.frame(k));
+        frames = {at.data(), job.w, job.h, job.row() * C, (ptrdiff_t)job.w * job.h * C, job.rule, job.fill};
+    }
+    void operator()(const Row<D>& row, const Prints& prints, float* weight, int at, int n, void* to) const override {
+        Mixing<float, D> mixing(job, span, row, weight, (const void* const*)frames.at);
+        Putting<C, T> put{(T*)to - at * C, at + n, high};
+        sample_row<float, C, D == 3>(frames, pyramid, job.filter, row, prints, at, at + n, mixing, put);
+    }
+};
+
+// Sample frames in place.
+template <int D>
+void sample_direct(const Plan<D>& plan, const Job& job, const Sampler<float, D>& sample) {
     parallel(plan.roots_down(), [&](int j, int) {
         Prints prints;
         prints.any = false;
@@ -511,10 +418,7 @@ void sample_direct(const Plan<D>& plan, const Job& job) {
                           const char* own = own_frame(plan, job);
                           if (row.idle) return copy_same(job, own, x, y, n, nullptr);
                           if (job.filter == AUTO) prints.find(row);
-                          Mixing<float, D> mixing(job, span, row, weight, (const void* const*)frames.data());
-                          Putting<C, T> put{(T*)job.target(x, y) - at * C, at + n, high};
-                          sample_row<float, C, D == 3>(source, averages.pyramid, job.filter, row, prints, at, at + n,
-                                                       mixing, put);
+                          sample(row, prints, weight, at, n, job.target(x, y));
                           if (row.some_same) copy_same(job, own, x, y, n, row.same + at);
                       });
     });
@@ -533,8 +437,25 @@ struct Keeping {
 #endif
 };
 
-// Sample frames of any type, converted to numbers, root by root.
+// From numbers, which are kept as such.
 template <class N, int C, int D>
+struct Converted final : Sampler<N, D> {
+    const Job& job;
+    Span span;
+    Frames<N> frames;
+    Pyramid<N> pyramid;
+
+    Converted(const Job& job, Span span, const Frames<N>& frames, const Pyramid<N>& pyramid)
+        : job(job), span(span), frames(frames), pyramid(pyramid) {}
+    void operator()(const Row<D>& row, const Prints& prints, N* weight, int at, int n, void* to) const override {
+        Mixing<N, D> mixing(job, span, row, weight, (const void* const*)frames.at);
+        const Keeping<N, C> put{(Pixel<N>*)to};
+        sample_row<N, C, D == 3>(frames, pyramid, job.filter, row, prints, at, at + n, mixing, put);
+    }
+};
+
+// Sample frames of any type, converted to numbers, root by root.
+template <class N, int D>
 void sample_converted(const Plan<D>& plan, const Job& job) {
     Numbers<N> numbers(job);
     const Span whole = frames_of(plan, job);
@@ -566,26 +487,27 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
                 if (D == 3) span = frames_of(job, e.low[D - 1], e.high[D - 1], e.rate);
                 seen(job, e, 0, box);
                 int across = box[1] - box[0], tall = box[3] - box[2];
-                ptrdiff_t line = (ptrdiff_t)across * C, size = line * tall;
+                ptrdiff_t line = (ptrdiff_t)across * numbers.lanes, size = line * tall;
                 tile.resize((size_t)size * (span.last - span.first + 1) + 64);
                 for (int k = span.first; k <= span.last; k++) {
                     const char* frame = job.frame(k);
                     N* at = tile.data() + (k - span.first) * size;
                     // As if it were the whole frame: its first sample is that at (0, 0).
-                    frames[k - span.first] = frame ? at - (box[2] * line + (ptrdiff_t)box[0] * C) : nullptr;
+                    frames[k - span.first] = frame ? at - (box[2] * line + (ptrdiff_t)box[0] * numbers.lanes) : nullptr;
                     for (int y = box[2]; frame && y < box[3]; y++)
                         numbers.convert(frame, box[0], y, across, group, at + (y - box[2]) * line);
                 }
-                Frames<N> source{frames.data(), job.w, job.h, line, std::numeric_limits<ptrdiff_t>::max(),
-                                 job.rule,      fill};
-                Pyramid<N> pyramid = averages.from(span.first);
+                const Frames<N> held{frames.data(), job.w, job.h, line, std::numeric_limits<ptrdiff_t>::max(),
+                                     job.rule,      fill};
+                const Pyramid<N> pyramid = averages.from(span.first);
+                const Converted<N, 1, D> one(job, span, held, pyramid);
+                const Converted<N, 4, D> four(job, span, held, pyramid);
+                const Sampler<N, D>& sample = numbers.lanes == 1 ? (const Sampler<N, D>&)one : four;
                 plan.each_row(job.grid, j, wanted, job.filter == AUTO || job.average,
                               [&](const Row<D>& row, int x, int y, int n, int at) {
                                   if (job.filter == AUTO) prints.find(row);
-                                  Mixing<N, D> mixing(job, span, row, weight, (const void* const*)frames.data());
-                                  sample_row<N, C, D == 3>(source, pyramid, job.filter, row, prints, at, at + n, mixing,
-                                                           Keeping<N, C>{values});
-                                  numbers.store(values + at, n, group, job.target(x, y));
+                                  sample(row, prints, weight, at, n, values);
+                                  numbers.store((const N*)(values + at), n, group, job.target(x, y));
                                   if (row.some_same) copy_same(job, own_frame(plan, job), x, y, n, row.same + at);
                               });
             }
@@ -689,26 +611,23 @@ template <int D>
 void sample(const Plan<D>& plan, const Job& job) {
     if (job.filter == NEAREST) return sample_nearest(plan, job);
     if (job.direct()) {
-        switch (job.type * 8 + job.channels) {
-            case U8 * 8 + 1: return sample_direct<uint8_t, 1>(plan, job);
-            case U8 * 8 + 2: return sample_direct<uint8_t, 2>(plan, job);
-            case U8 * 8 + 3: return sample_direct<uint8_t, 3>(plan, job);
-            case U8 * 8 + 4: return sample_direct<uint8_t, 4>(plan, job);
-            case U16 * 8 + 1: return sample_direct<uint16_t, 1>(plan, job);
-            case U16 * 8 + 2: return sample_direct<uint16_t, 2>(plan, job);
-            case U16 * 8 + 3: return sample_direct<uint16_t, 3>(plan, job);
-            case U16 * 8 + 4: return sample_direct<uint16_t, 4>(plan, job);
-            case F32 * 8 + 1: return sample_direct<float, 1>(plan, job);
-            case F32 * 8 + 2: return sample_direct<float, 2>(plan, job);
-            case F32 * 8 + 3: return sample_direct<float, 3>(plan, job);
-            case F32 * 8 + 4: return sample_direct<float, 4>(plan, job);
-            default: return sample_direct<int16_t, 1>(plan, job);
-        }
+        const Span span = frames_of(plan, job);
+        // A pyramid's groups have one channel or four; two or three channels are padded with a fourth.
+        const Averages<float> averages(job, Numbers<float>(job), 0, span, plan.widest);
+        auto as = [&]<class T, int C>() { sample_direct(plan, job, Direct<T, C, D>(job, span, averages.pyramid)); };
+        auto of = [&]<class T>() {
+            job.channels == 1   ? as.template operator()<T, 1>()
+            : job.channels == 2 ? as.template operator()<T, 2>()
+            : job.channels == 3 ? as.template operator()<T, 3>()
+                                : as.template operator()<T, 4>();
+        };
+        return job.type == U8    ? of.template operator()<uint8_t>()
+               : job.type == U16 ? of.template operator()<uint16_t>()
+               : job.type == F32 ? of.template operator()<float>()
+                                 : as.template operator()<int16_t, 1>();
     }
     bool exact = job.type == F64 || bytes_of(job.type) > 4 || job.type == I32 || job.type == U32;
-    if (exact)
-        return job.channels == 1 ? sample_converted<double, 1>(plan, job) : sample_converted<double, 4>(plan, job);
-    return job.channels == 1 ? sample_converted<float, 1>(plan, job) : sample_converted<float, 4>(plan, job);
+    exact ? sample_converted<double>(plan, job) : sample_converted<float>(plan, job);
 }
 
 }  // namespace supple

@@ -6,6 +6,7 @@
 // by the ranges of nine numbers; where that does not suffice, the cell is cut in halves.
 #pragma once
 #include <algorithm>
+#include <functional>
 #include <vector>
 
 #include "sampled.hpp"
@@ -78,7 +79,7 @@ INLINE typename Masked<V>::type surely_above_0(const V (*low)[D], const V (*high
 
 // Whether the determinant of the derivatives of a patch is above 0 in all of it.
 template <int D, int N>
-inline bool surely_upright(const Patch<D, N>& p) {
+NOINLINE bool surely_upright(const Patch<D, N>& p) {
     double low[D][D], high[D][D];  // [b][a]: ∂a/∂b
     int step = 1;
     for (int b = 0; b < D; b++, step *= N)
@@ -99,7 +100,7 @@ inline bool surely_upright(const Patch<D, N>& p) {
 
 // The part of a patch in one of the 2^D octants.
 template <int D, int N>
-inline Patch<D, N> octant(const Patch<D, N>& whole, int which) {
+NOINLINE Patch<D, N> octant(const Patch<D, N>& whole, int which) {
     Patch<D, N> p = whole;
     int step = 1;
     for (int b = 0; b < D; b++, step *= N)
@@ -123,7 +124,7 @@ inline Patch<D, N> octant(const Patch<D, N>& whole, int which) {
 
 // The patch of the cell at `at`; along an axis, cells -1 and size - 1 are those beyond the first and last index.
 template <int D, int N>
-inline Patch<D, N> patch_of(const Sampled& k, const int* at) {
+NOINLINE Patch<D, N> patch_of(const Sampled& k, const int* at) {
     Patch<D, N> p;
     constexpr int TAPS = N;
     int sample[D][TAPS];
@@ -300,8 +301,8 @@ private:
 };
 
 // Visit the cells of a field in which it may fold: visit(cell, patch), with those beyond its ends if `ends`.
-template <int D, int N, class Visit>
-void each_bad_cell(const Sampled& k, bool ends, Visit visit) {
+template <int D, int N>
+void each_bad_cell(const Sampled& k, bool ends, const std::function<void(const int* at, const Patch<D, N>&)>& visit) {
     constexpr int BLOCK = 16;  // lines
     int from[3] = {0, 0, 0}, to[3] = {1, 1, 1};
     for (int d = 0; d < D; d++) {

@@ -1,0 +1,882 @@
+// Plans: how T⁻¹ on a plane is solved, checked, filled in and bounded.
+#include "plan.hpp"
+
+#include "patch.hpp"
+#include "table.hpp"
+#include "threads.hpp"
+
+namespace supple {
+
+// max(λ₋, λ₊/400) of MMᵀ, of ∂p/∂x = (xx, xy) and ∂p/∂y = (yx, yy).
+inline double widest_of(double xx, double xy, double yx, double yy) {
+    double a = xx * xx + yx * yx, c = xy * xy + yy * yy, b = xx * xy + yx * yy;
+    double h = (a + c) / 2, d = sqrt((a - c) * (a - c) / 4 + b * b);
+    return std::max(h - d, (h + d) / 400);
+}
+
+// ---- which strokes reach which cells ------------------------------------------------------------------------------
+
+// Bounds of |K_β| and |J_β|, with the additional terms of a border's slope and a mask's.
+inline Bound bound_within(const Stroke& k, const Axis* axes, int dimensions) {
+    Bound bound = bound_of(k);
+    for (int i = 0; i < dimensions; i++)
+        if (axes[i].sigma > 0 && !k.inner) bound.slope += 2 * bound.value / axes[i].sigma;
+    if (k.freeze) {
+        const Vicinity near(k);
+        bound.slope += bound.value * mask_of(k).bounds_in(near.low, near.high)[1];
+    }
+    return bound;
+}
+
+template <int D>
+Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int height, double z, double tolerance,
+              std::shared_ptr<const Composite> composite, const std::array<int, 4>* wanted)
+    : width(width),
+      height(height),
+      z(z),
+      tolerance(tolerance),
+      map(std::move(composite)),
+      box(wanted ? *wanted : std::array<int, 4>{0, width, 0, height}),
+      strokes(std::move(table)),
+      size{width, height},
+      last{std::max(width - 1, 1), std::max(height - 1, 1)},
+      across((last[0] - 1) / ROOT + 1),
+      down((last[1] - 1) / ROOT + 1),
+      words((strokes.size() + 63) / 64) {
+    std::copy(given, given + 3, axes);
+    const int count = (int)strokes.size();
+    freeze = nullptr;
+    for (const Stroke& k : strokes)
+        if (k.freeze) freeze = &mask_of(k);
+    while (first_limited < count && !(strokes[first_limited].per_reach > 0)) first_limited++;
+    while (first_limited + 1 < count && strokes[first_limited + 1].group == strokes[first_limited].group)
+        first_limited++;
+    for (int i = 0; i < count; i++) bounds.push_back(bound_within(strokes[i], axes, D));
+    for (int i = 0; i < count; i++) all.push_back(i);
+    roots.resize((size_t)across * down);
+    reaching.assign(roots.size() * words, 0);
+    bands.resize((down + BAND - 1) / BAND);
+    parallel((int)bands.size(), [this](int i, int) { solve_band(i); });
+    for (const Band& b : bands) {
+        error = std::max({error, reserve() * sqrt(b.worst), b.rounding});
+        evaluations += b.evaluations;
+        unsolved += b.unsolved;
+        folds += b.folds;
+        outside += b.outside;
+        widest = std::max(widest, b.extent.widest);
+        identity = identity && b.leaves.empty() && b.pixels.empty();
+    }
+    if (unsolved) error = std::numeric_limits<double>::infinity();
+}
+
+// The strokes that reach any of some roots, in order.
+template <int D>
+template <class RootOf>
+Chain Plan<D>::chain_of(Work& w, RootOf root_of) const {
+    w.list.clear();
+    w.reached.clear();
+    for (size_t word = 0; word < words; word++) {
+        uint64_t set = 0;
+        for (int i = 0; i < LANES; i++) set |= reaching[(size_t)root_of(i) * words + word];
+        for (; set; set &= set - 1) {
+            const int bit = __builtin_ctzll(set);
+            uint8_t lanes = 0;
+            for (int i = 0; i < LANES; i++)
+                lanes |= (uint8_t)((reaching[(size_t)root_of(i) * words + word] >> bit & 1) << i);
+            w.list.push_back((int)(64 * word) + bit);
+            w.reached.push_back(lanes);
+        }
+    }
+    return {strokes.data(), w.list.data(), (int)w.list.size(), w.reached.data()};
+}
+
+// A ball around each root of a row is carried back through the chain: its centre by a fixed point of each group of
+// strokes that it touches, its radius by a bound of that inverse's slope, or of the displacement.
+template <int D>
+void Plan<D>::find_reaching(int j, int left, int right) {
+    // The same groups of roots as of the whole row.
+    for (int first = left - left % LANES; first < std::min(right + 1, across); first += LANES) {
+        Lanes low[D], high[D], centre[D], radius2{};
+        for (int l = 0; l < LANES; l++) {
+            int i = std::min(first + l, across - 1);
+            low[0][l] = column(i) * axes[0].spacing;
+            high[0][l] = column(i + 1) * axes[0].spacing;
+        }
+        low[1] = splat<Lanes>(line(j) * axes[1].spacing);
+        high[1] = splat<Lanes>(line(j + 1) * axes[1].spacing);
+        if constexpr (D == 3) low[2] = high[2] = splat<Lanes>(z * axes[2].spacing);
+        for (int d = 0; d < D; d++) {
+            centre[d] = 0.5 * (low[d] + high[d]);
+            radius2 += (high[d] - centre[d]) * (high[d] - centre[d]);
+        }
+        Lanes radius = root(radius2) * (1 + 1e-9);
+        Mask rim = radius == radius;
+        const Chain whole{strokes.data(), all.data(), (int)all.size()};
+        for (int end = whole.count; end > 0;) {
+            const Chain group = whole.last_before(end);
+            const int begin = end - group.count;
+            end = begin;
+            // No displacement is longer than `size`. One stroke keeps points in its ball, or out of it; others of its
+            // group move them across, so that these are looked for that much farther.
+            double size = 0, bend = 0;
+            for (int n = begin; n < begin + group.count; n++) {
+                size += bounds[n].value;
+                bend += bounds[n].slope;
+            }
+            const double known = strokes[begin].most;
+            size = std::min(size, known);
+            Mask touched = radius != radius;
+            const auto away = [&](const Stroke& k) {
+                Lanes distance2{};
+                for (int d = 0; d < D; d++) distance2 += (centre[d] - k.pivot[d]) * (centre[d] - k.pivot[d]);
+                return root(distance2);
+            };
+            for (int n = begin; n < begin + group.count; n++) {
+                const Stroke& k = strokes[n];
+                Lanes far2{};
+                for (int d = 0; d < D; d++) {
+                    Lanes corner = most(magnitude(Lanes(low[d] - k.pivot[d])), magnitude(Lanes(high[d] - k.pivot[d])));
+                    far2 += corner * corner;
+                }
+                Mask by = without(Mask{} == 0, away(k) >= k.reach + radius);  // also for NaN
+                rim = without(rim, both(by, far2 < k.reach * k.reach));
+                touched = either(touched, by);
+            }
+            for (int n = begin; n < begin + group.count; n++) {
+                const Stroke& k = strokes[n];
+                const double reach = k.reach + (group.count > 1 ? size : 0);
+                Mask by = without(touched, away(k) >= reach + radius);
+                for (int l = 0; l < LANES && first + l < across; l++)
+                    if (by[l]) reaching[((size_t)j * across + first + l) * words + n / 64] |= 1ull << (n % 64);
+            }
+            if (begin <= first_limited || !any(touched)) continue;
+            Lanes x[D], off2{};
+            for (int d = 0; d < D; d++) x[d] = centre[d];
+            for (int round = 0; round < 3; round++) {
+                Lanes y[D];
+                for (int d = 0; d < D; d++) y[d] = x[d];
+                apply<D>(group, axes, y);
+                off2 = Lanes{};
+                for (int d = 0; d < D; d++) {
+                    Lanes e = centre[d] - y[d];
+                    off2 += e * e;
+                    if (round < 2) x[d] += e;
+                }
+            }
+            // No displacement within the ball's preimage is longer than the sizes allow at its point nearest to a
+            // pivot.
+            Lanes zero{}, one = splat<Lanes>(1.0), off = root(off2), moved{};
+            for (int n = begin; n < begin + group.count; n++) {
+                Lanes near = (away(strokes[n]) - most(radius, off) - size) * strokes[n].per_reach;
+                Lanes t = least(most(near, zero), one), v = one - t;
+                Lanes faded = bounds[n].unlimited * v * v * v * (1.0 + t * (3.0 + 6.0 * t));
+                moved += least(faded, splat<Lanes>(bounds[n].value));
+            }
+            Lanes grown = radius + off + 2.0 * least(moved, splat<Lanes>(known));
+            if (bend < 0.9) grown = least(grown, Lanes((radius + off) * (1 / (1 - bend))));
+            radius = choose(touched, grown, radius);
+            for (int d = 0; d < D; d++) centre[d] = choose(touched, x[d], centre[d]);
+        }
+        for (int l = 0; l < LANES && first + l < across; l++) {
+            const int index = j * across + first + l;
+            roots[index].rim = rim[l];
+            if (freeze) thaw(index);
+        }
+    }
+}
+
+// What is frozen is the identity: all of a root, or samples of it, as outside of every ball.
+template <int D>
+void Plan<D>::thaw(int index) {
+    const int i = index % across, j = index / across;
+    const double low[3] = {column(i) * axes[0].spacing, line(j) * axes[1].spacing, z * axes[2].spacing};
+    const double high[3] = {column(i + 1) * axes[0].spacing, line(j + 1) * axes[1].spacing, low[2]};
+    if (freeze->is_frozen(low, high))
+        std::fill_n(reaching.data() + (size_t)index * words, words, 0);
+    else if (!freeze->is_free(low, high))
+        roots[index].rim = true;
+}
+
+// ---- nodes ----------------------------------------------------------------------------------------------------------
+
+// Solve a composite map at some points, with its derivatives.
+template <int D>
+Passed<Lanes> Plan<D>::solve_composite(const Lanes (&q)[D], Jet<D, D, true, Lanes>& jet) const {
+    for (int d = 0; d < D; d++) {
+        jet.x[d] = q[d];
+        jet.mixed[d] = Lanes{};
+        for (int e = 0; e < D; e++) jet.t[e][d] = splat<Lanes>(d == e);
+    }
+    jet.smooth2[0] = jet.smooth2[1] = splat<Lanes>(1e300);
+    return pass<D>(*map, true, jet);
+}
+
+// Store the solutions of the asks from `start` on at their nodes.
+template <int D>
+void Plan<D>::keep(Work& w, const Solution<D, Lanes>& found, const Lanes (&mixed)[D], const Lanes (&smooth2)[2],
+                   int start) {
+    const Lanes determinant = determinant_of(found.m);
+    for (int i = 0; i < LANES && start + i < (int)w.asks.size(); i++) {
+        Node<D>& node = w.nodes[w.asks[start + i].node];
+        for (int d = 0; d < D; d++) {
+            node.p[d] = found.p[d][i] / axes[d].spacing;
+            node.mixed[d] = mixed[d][i] * axes[0].spacing * axes[1].spacing / axes[d].spacing;
+            for (int e = 0; e < D; e++) node.m[e][d] = found.m[e][d][i] * axes[e].spacing / axes[d].spacing;
+        }
+        for (int j = 0; j < 2; j++) node.smooth[j] = sqrt(smooth2[j][i]) / axes[j].spacing;
+        w.band->evaluations += found.steps[i];
+        w.band->unsolved += !found.done[i];
+        w.band->folds += !map && !(determinant[i] > 0);  // a composite may mirror, and knows what folds
+    }
+}
+
+template <int D>
+void Plan<D>::solve(Work& w, Guess guess) {
+    const double finest = this->finest();
+    int count = (int)w.asks.size();
+    for (int start = 0; start < count; start += LANES) {
+        auto ask = [&](int i) -> Ask& { return w.asks[std::min(start + i, count - 1)]; };
+        Lanes q[D];
+        Solution<D, Lanes> found{};
+        for (int i = 0; i < LANES; i++) {
+            const Ask& a = ask(i);
+            for (int d = 0; d < D; d++) {
+                q[d][i] = (d < 2 ? a.q[d] : z) * axes[d].spacing;
+                found.p[d][i] = guess == Guess::NONE ? q[d][i] : a.p[d] * axes[d].spacing;
+                for (int e = 0; e < D; e++) found.m[e][d][i] = a.m[e][d] * axes[d].spacing / axes[e].spacing;
+            }
+        }
+        if (map) {
+            Jet<D, D, true, Lanes> jet;
+            Passed<Lanes> passed = solve_composite(q, jet);
+            Solved<D, Lanes> known{};
+            for (int d = 0; d < D; d++) {
+                known.at.p[d] = jet.x[d];
+                known.mixed[d] = jet.mixed[d];
+                for (int e = 0; e < D; e++) known.at.m[e][d] = jet.t[e][d];
+            }
+            for (int j = 0; j < 2; j++) known.smooth2[j] = jet.smooth2[j];
+            known.at.steps = passed.steps;
+            known.at.done = passed.done;
+            for (int i = 0; i < LANES && start + i < count; i++) {
+                w.band->outside += !passed.within[i];
+                w.band->folds += !passed.upright[i];
+            }
+            keep(w, known.at, known.mixed, known.smooth2, start);
+            continue;
+        }
+        const Chain chain = chain_of(w, [&](int i) { return ask(i).root; });
+        const Solved<D, Lanes> known = solved<D>(chain, axes, q, finest, tolerance, guess, found);
+        keep(w, known.at, known.mixed, known.smooth2, start);
+    }
+    w.asks.clear();
+}
+
+// ---- cells ----------------------------------------------------------------------------------------------------------
+
+template <int D>
+void Plan<D>::emit(Work& w, int root, int x, int y, int wide, int high, const double (*c)[16], const float* depth) {
+    Leaf<D> leaf{};
+    leaf.x = x;
+    leaf.y = y;
+    leaf.w = wide;
+    leaf.h = high;
+    std::copy(depth, depth + 4, leaf.depth);
+    const double far_x = wide - (x + wide == size[0]), far_y = high - (y + high == size[1]);
+    w.band->rounding = std::max(w.band->rounding, round_patch<D>(c, far_x, far_y, leaf));
+    Root& r = roots[root];
+    w.band->leaves.push_back(leaf);
+    w.band->next.push_back(r.first);
+    r.first = (int)w.band->leaves.size() - 1;
+    r.leaves++;
+}
+
+template <int D>
+void Plan<D>::solve_band(int index) {
+    int first = index * BAND, end = std::min(first + BAND, down);
+    if (line(first) >= box[3] || past(1, line(end)) <= box[2]) return;
+    Work w;
+    w.band = &bands[index];
+    // The columns and rows of roots that the box meets.
+    int left = 0, right = across, top = first, bottom = end;
+    while (left < across - 1 && past(0, column(left + 1)) <= box[0]) left++;
+    while (right > left + 1 && column(right - 1) >= box[1]) right--;
+    while (top < end - 1 && past(1, line(top + 1)) <= box[2]) top++;
+    while (bottom > top + 1 && line(bottom - 1) >= box[3]) bottom--;
+    for (int j = first; j < end; j++) {
+        if (!map && j <= bottom) find_reaching(j, left, right);
+        for (int i = 0; i < across; i++) roots[j * across + i].band = index;
+    }
+    if (map && !map->smooth) {
+        w.band->anchors.resize((size_t)(end - first) * across);
+        w.band->extents.resize(w.band->anchors.size());
+        for (int root = first * across; root < end * across; root++) solve_pixels(root);
+        return;
+    }
+    w.nodes.resize((size_t)(end - first + 1) * (across + 1));
+    // Each row from the one above.
+    for (int j = first; j <= bottom; j++) {
+        for (int i = left; i <= right; i++) {
+            Ask a{};
+            a.q[0] = column(i);
+            a.q[1] = line(j);
+            a.node = (j - first) * (across + 1) + i;
+            a.root = std::min(j, end - 1) * across + std::min(i, across - 1);
+            if (j > first) {
+                const Node<D>& above = w.nodes[a.node - across - 1];
+                double h = line(j) - line(j - 1);
+                for (int d = 0; d < D; d++) a.p[d] = above.p[d] + h * above.m[1][d];
+                if (j > first + 1) {
+                    const Node<D>& before = w.nodes[a.node - 2 * (across + 1)];
+                    for (int d = 0; d < D; d++) a.p[d] += 0.5 * h * (above.m[1][d] - before.m[1][d]);
+                }
+            }
+            w.asks.push_back(a);
+        }
+        solve(w, j > first ? Guess::POINT : Guess::NONE);
+    }
+    for (int j = top; j < bottom; j++)
+        for (int i = left; i < right; i++) {
+            int root = j * across + i, node = (j - first) * (across + 1) + i;
+            const uint64_t* set = reaching.data() + (size_t)root * words;
+            if (!map && std::all_of(set, set + words, [](uint64_t s) { return s == 0; })) continue;
+            w.cells.push_back({root,
+                               column(i),
+                               line(j),
+                               column(i + 1),
+                               line(j + 1),
+                               {node, node + 1, node + across + 1, node + across + 2}});
+        }
+    while (!w.cells.empty()) {
+        check(w);
+        w.cells.swap(w.split);
+        w.split.clear();
+    }
+    for (int j = top; j < bottom; j++)
+        for (int i = left; i < right; i++) w.band->extent |= extent(j * across + i);
+}
+
+// Solve every pixel of a root within the box's columns.
+template <int D>
+void Plan<D>::solve_pixels(int index) {
+    const int i = index % across, j = index / across;
+    const int left = column(i), top = line(j), right = past(0, column(i + 1)), bottom = past(1, line(j + 1));
+    if (right <= box[0] || left >= box[1] || bottom <= box[2] || top >= box[3]) return;
+    Root& root = roots[index];
+    Band& band = bands[root.band];
+    const int own = (j % BAND) * across + i;
+    Extent<D>& extent = band.extents[own];
+    std::array<int, D>& anchor = band.anchors[own];
+    root.first_pixel = (ptrdiff_t)band.pixels.size();
+    band.pixels.resize(band.pixels.size() + (size_t)(right - left) * (bottom - top));
+    Pixel* first = band.pixels.data() + root.first_pixel;
+    for (int y = top; y < bottom; y++)
+        for (int x = left; x < right; x += LANES) {
+            const int n = std::min(LANES, right - x);
+            Pixel* to = first + (ptrdiff_t)(y - top) * (right - left) + (x - left);
+            Lanes q[D];
+            for (int l = 0; l < LANES; l++) q[0][l] = (x + std::min(l, n - 1)) * axes[0].spacing;
+            q[1] = splat<Lanes>(y * axes[1].spacing);
+            if constexpr (D == 3) q[2] = splat<Lanes>(z * axes[2].spacing);
+            Jet<D, D, false, Lanes> jet;
+            for (int d = 0; d < D; d++) {
+                jet.x[d] = q[d];
+                for (int e = 0; e < D; e++) jet.t[e][d] = splat<Lanes>(d == e);
+            }
+            Passed<Lanes> passed = pass<D>(*map, true, jet);
+            for (int d = 0; d < D; d++) {
+                jet.x[d] /= axes[d].spacing;
+                for (int e = 0; e < D; e++) jet.t[e][d] *= axes[e].spacing / axes[d].spacing;
+            }
+            for (int d = 0; d < D; d++) {  // a guess, which must not take the memory of all frames up to there
+                const Lanes at = q[d] / axes[d].spacing;
+                jet.x[d] = choose(passed.done, jet.x[d], most(least(jet.x[d], at + FAR), at - FAR));
+            }
+            if (x == left && y == top)
+                for (int d = 0; d < D; d++) anchor[d] = (int)std::clamp(floor(jet.x[d][0]), -1e9, 1e9);
+            for (int l = 0; l < n; l++) {
+                Pixel& pixel = to[l];
+                double moved = 0, spread = 0, rate = 0;
+                for (int d = 0; d < D; d++) {
+                    const double p = std::clamp(jet.x[d][l], -1e9, 1e9), off = p - anchor[d];
+                    pixel.part[d] = (float)off;
+                    band.rounding = std::max(band.rounding, fabs(pixel.part[d] - off));
+                    extent.low[d] = std::min(extent.low[d], p);
+                    extent.high[d] = std::max(extent.high[d], p);
+                    moved = std::max(moved, fabs(p - (d == 0 ? x + l : d == 1 ? y : z)));
+                    (d < 2 ? spread : rate) += jet.t[0][d][l] * jet.t[0][d][l] + jet.t[1][d][l] * jet.t[1][d][l];
+                }
+                for (int d = 0; d < 2; d++) {
+                    pixel.across[d] = (float)jet.t[0][d][l];
+                    pixel.down[d] = (float)jet.t[1][d][l];
+                }
+                if constexpr (D == 3) rate += jet.t[2][2][l] * jet.t[2][2][l];
+                pixel.depth2 = (float)rate;
+                extent.moved = std::max(extent.moved, moved);
+                extent.spread = std::max(extent.spread, spread);
+                extent.rate = std::max(extent.rate, sqrt(rate));
+                extent.widest =
+                    std::max(extent.widest, widest_of(jet.t[0][0][l], jet.t[0][1][l], jet.t[1][0][l], jet.t[1][1][l]));
+                band.evaluations += passed.steps[l];
+                band.unsolved += !passed.done[l];
+                band.folds += !passed.upright[l];
+                band.outside += !passed.within[l];
+            }
+        }
+    band.extent |= extent;
+}
+
+// Keep the good cells, split the others.
+template <int D>
+void Plan<D>::check(Work& w) {
+    const double allowed = pow(std::min(tolerance, COARSEST) / reserve(), 2);
+    int count = (int)w.cells.size();
+    for (int start = 0; start < count; start += LANES) {
+        auto cell = [&](int i) -> const Cell& { return w.cells[std::min(start + i, count - 1)]; };
+        Chain chain{};
+        if (!map) chain = chain_of(w, [&](int i) { return cell(i).root; });
+        // Of each corner: p, ∂p/∂x, ∂p/∂y, the twist; and the mean of ∂p/∂z.
+        Lanes x0, y0, h, k, value[D][4], slope[2][D][4], twist[D][4], across_plane[D] = {};
+        Lanes smooth[2] = {splat<Lanes>(1e300), splat<Lanes>(1e300)}, c[D][16], worst{};
+        for (int i = 0; i < LANES; i++) {
+            const Cell& e = cell(i);
+            x0[i] = e.x0;
+            y0[i] = e.y0;
+            h[i] = e.x1 - e.x0;
+            k[i] = e.y1 - e.y0;
+            for (int v = 0; v < 4; v++) {
+                const Node<D>& node = w.nodes[e.corner[v]];
+                for (int d = 0; d < D; d++) {
+                    value[d][v][i] = node.p[d];
+                    slope[0][d][v][i] = node.m[0][d];
+                    slope[1][d][v][i] = node.m[1][d];
+                    twist[d][v][i] = node.mixed[d];
+                    if constexpr (D == 3) across_plane[d][i] += 0.25 * node.m[2][d];
+                }
+                for (int j = 0; j < 2; j++) smooth[j][i] = std::min(smooth[j][i], node.smooth[j]);
+            }
+        }
+        Lanes per_h = 1.0 / h, per_k = 1.0 / k;
+        for (int d = 0; d < D; d++) patch_of(value[d], slope[0][d], slope[1][d], twist[d], per_h, per_k, c[d]);
+        // Of a cell a pixel wide or high, only the sides are sampled.
+        Lanes step[5][D], side[2] = {};
+        Mask thin[2] = {h <= 1.0, k <= 1.0}, single = both(thin[0], thin[1]);
+        Mask coarse[2] = {without(h > RESOLVED * smooth[0], thin[0]), without(k > RESOLVED * smooth[1], thin[1])};
+        for (int n = 0; n < SEEN; n++) {
+            if (!any(without(Mask{} == 0, single))) break;  // single pixels are exact
+            if (n == 5 && !any(without(worst <= allowed, either(coarse[0], coarse[1])))) break;  // all are split
+
+            Lanes q[D], g[D], off, steps{};
+            const Lanes s = choose(thin[0], splat<Lanes>(SEEN_X[n] > 0.5), SEEN_X[n] * h);
+            const Lanes t = choose(thin[1], splat<Lanes>(SEEN_Y[n] > 0.5), SEEN_Y[n] * k);
+            q[0] = x0 + s;
+            q[1] = y0 + t;
+            if constexpr (D == 3) q[2] = splat<Lanes>(z);
+            if (map) {
+                off = off_composite<D>(*map, axes, c, s, t, q, g, steps);
+                for (int i = 0; i < LANES && start + i < count; i++) w.band->evaluations += steps[i];
+            } else
+                off = off_chain<D>(chain, axes, c, s, t, q, across_plane, g);
+            for (int d = 0; n < 5 && d < D; d++) step[n][d] = g[d];
+            off = choose(off == off, off, splat<Lanes>(1e300));
+            worst = most(worst, off);
+            // Along an edge of the cell, only its length counts.
+            if (n > 0 && n < 5) side[n > 2] = most(side[n > 2], off);
+        }
+        for (int i = 0; i < LANES && start + i < count; i++) {
+            const Cell e = cell(i);
+            if (!single[i] && (!(worst[i] <= allowed) || coarse[0][i] || coarse[1][i])) {
+                Checked found;
+                for (int d = 0; d < D; d++) {
+                    for (int n = 0; n < 16; n++) found.c[d][n] = c[d][n][i];
+                    for (int n = 0; n < 5; n++) found.step[n][d] = step[n][d][i];
+                    found.across_plane[d] = across_plane[d][i];
+                }
+                // A side with a small error is not split.
+                found.too_wide = coarse[0][i] || !(4 * side[0][i] <= allowed);
+                found.too_high = coarse[1][i] || !(4 * side[1][i] <= allowed);
+                split(w, e, found);
+                continue;
+            }
+            double own[D][16];
+            for (int d = 0; d < D; d++)
+                for (int n = 0; n < 16; n++) own[d][n] = c[d][n][i];
+            float depth[4] = {1, 0, 0, 0};
+            if constexpr (D == 3) {
+                double v[4];
+                for (int n = 0; n < 4; n++) v[n] = w.nodes[e.corner[n]].m[2][2];
+                bilinear_of(v, e.x1 - e.x0, e.y1 - e.y0, depth);
+            }
+            emit(w, e.root, e.x0, e.y0, past(0, e.x1) - e.x0, past(1, e.y1) - e.y0, own, depth);
+            if (!single[i]) w.band->worst = std::max(w.band->worst, worst[i]);
+        }
+    }
+    solve(w, Guess::PATCH);
+}
+
+// Split a cell along each side that is too long, in halves or into single pixels; the guesses of the new nodes are from
+// its patch and its error.
+template <int D>
+void Plan<D>::split(Work& w, const Cell& e, const Checked& found) {
+    const int wide = e.x1 - e.x0, high = e.y1 - e.y0;
+    // A good side is not split, unless both are.
+    const bool across = wide > 1 && (found.too_wide || !(found.too_high && high > 1));
+    const bool down = high > 1 && (found.too_high || !(found.too_wide && wide > 1));
+    int xs[SMALL + 1], ys[SMALL + 1], node[SMALL + 1][SMALL + 1];
+    auto cuts = [&](int from, int to, bool cut, int* at) {
+        int n = !cut ? 1 : to - from <= SMALL ? to - from : 2;
+        for (int i = 0; i <= n; i++) at[i] = from + (to - from) * i / n;
+        return n;
+    };
+    const int nx = cuts(e.x0, e.x1, across, xs), ny = cuts(e.y0, e.y1, down, ys);
+    for (int v = 0; v <= ny; v++)
+        for (int u = 0; u <= nx; u++) {
+            if ((u == 0 || u == nx) && (v == 0 || v == ny)) {
+                node[v][u] = e.corner[(u ? 1 : 0) + (v ? 2 : 0)];
+                continue;
+            }
+            Ask a{};
+            a.q[0] = xs[u];
+            a.q[1] = ys[v];
+            a.root = e.root;
+            a.node = node[v][u] = (int)w.nodes.size();
+            w.nodes.emplace_back();
+            // The nearest checked point.
+            int near = v == 0 ? 1 : v == ny ? 2 : u == 0 ? 3 : u == nx ? 4 : 0;
+            for (int d = 0; d < D; d++) {
+                a.p[d] = at(found.c[d], double(xs[u] - e.x0), double(ys[v] - e.y0), a.m[0][d], a.m[1][d]) -
+                         found.step[near][d];
+                if (D == 3) a.m[D - 1][d] = found.across_plane[d];
+            }
+            w.asks.push_back(a);
+        }
+    for (int v = 0; v < ny; v++)
+        for (int u = 0; u < nx; u++)
+            w.split.push_back({e.root,
+                               xs[u],
+                               ys[v],
+                               xs[u + 1],
+                               ys[v + 1],
+                               {node[v][u], node[v][u + 1], node[v + 1][u], node[v + 1][u + 1]}});
+}
+
+// ---- filling --------------------------------------------------------------------------------------------------------
+
+// The position of the upper face, in pixels; samples on it are not displaced across it.
+inline double face_of(const Axis& a) { return a.last / a.spacing; }
+constexpr double ON_FACE = 1e-6;
+
+// The samples `from` to `to` - 1 of the grid's row y, all within a leaf; `left` is the first of the row's.
+template <int D>
+void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left, bool slopes,
+                          Row<D>& __restrict row) const {
+    // On a fixed face and beyond, which the chroma of a last pixel may reach, the map along it is that on the face: the
+    // patch of the last cell continues from the last pixel's centre to there.
+    const double below = y * grid.step[1] + grid.offset[1];
+    const bool on_face = axes[1].fixed() && below > face_of(axes[1]) - ON_FACE;
+    const float t = (float)((on_face ? face_of(axes[1]) : below) - leaf.y);
+    const float start = (float)(from * grid.step[0] + grid.offset[0] - leaf.x), stride = (float)grid.step[0];
+    const int n = to - from, at = from - left;
+    int inner = n;  // samples before the face
+    if (axes[0].fixed()) {
+        const double face = face_of(axes[0]) - ON_FACE;
+        inner = std::clamp((int)floor((face - grid.offset[0]) / grid.step[0]) + 1 - from, 0, n);
+    }
+    float along[D][4], rise[D][4];
+    for (int d = 0; d < D; d++)
+        for (int i = 0; i < 4; i++) {
+            const float* b = leaf.c[d] + i;
+            along[d][i] = b[0] + t * (b[4] + t * (b[8] + t * b[12]));
+            rise[d][i] = b[4] + t * (2 * b[8] + 3 * t * b[12]);
+        }
+    const float edge = (float)(face_of(axes[0]) - leaf.x);
+    auto each = [&](auto f) INLINE_LAMBDA {
+        for (int i = 0; i < inner; i++) f(i, start + stride * (float)i);
+        for (int i = inner; i < n; i++) f(i, edge);
+    };
+    for (int d = 0; d < D; d++) {
+        // In samples of the grid: (p - offset) / step.
+        int anchor = leaf.anchor[d];
+        float scale = 1, shift = 0;
+        if (d < 2 && (grid.step[d] > 1 || grid.offset[d] != 0)) {
+            double base = (leaf.anchor[d] - grid.offset[d]) / grid.step[d];
+            anchor = (int)floor(base);
+            scale = 1.0f / grid.step[d];
+            shift = (float)(base - anchor);
+        }
+        const float* a = along[d];
+        each([&](int i, float s) INLINE_LAMBDA {
+            float x = (a[0] + s * (a[1] + s * (a[2] + s * a[3]))) * scale + shift;
+            x = std::min(std::max(x, -1e9f), 1e9f);  // a sample so far away is beyond any edge
+            int whole = (int)x;
+            whole -= (float)whole > x;
+            row.whole[d][at + i] = whole + anchor;
+            row.part[d][at + i] = x - (float)whole;
+        });
+    }
+    for (int i = inner; i < n; i++) {  // no displacement across a face
+        row.whole[0][at + i] = from + i;
+        row.part[0][at + i] = 0;
+    }
+    for (int i = 0; on_face && i < n; i++) {
+        row.whole[1][at + i] = y;
+        row.part[1][at + i] = 0;
+    }
+    if (!slopes) return;
+    for (int d = 0; d < 2; d++) {
+        const float *a = along[d], *b = rise[d], to_down = (float)grid.step[1] / grid.step[d],
+                    to_across = stride / grid.step[d];
+        each([&](int i, float s) INLINE_LAMBDA {
+            row.across[d][at + i] = (a[1] + s * (2 * a[2] + 3 * s * a[3])) * to_across;
+            row.down[d][at + i] = (b[0] + s * (b[1] + s * (b[2] + s * b[3]))) * to_down;
+        });
+    }
+    if constexpr (D == 3) {
+        const float *a = along[2], *b = rise[2], *r = leaf.depth, down = (float)grid.step[1];
+        each([&](int i, float s) INLINE_LAMBDA {
+            float across = (a[1] + s * (2 * a[2] + 3 * s * a[3])) * stride;
+            float dt = (b[0] + s * (b[1] + s * (b[2] + s * b[3]))) * down;
+            float own = r[0] + s * r[1] + t * (r[2] + s * r[3]);
+            row.depth2[at + i] = across * across + dt * dt + own * own;
+        });
+    }
+}
+
+// The pixels of a row of a root in which every pixel is solved.
+template <int D>
+void Plan<D>::fill_pixels(const Root& root, int index, int y, int n, Row<D>& row) const {
+    const Band& band = bands[root.band];
+    const int j = index / across;
+    const std::array<int, D>& anchor = band.anchors[(size_t)(j % BAND) * across + index % across];
+    const Pixel* from = band.pixels.data() + root.first_pixel + (ptrdiff_t)(y - line(j)) * n;
+    for (int i = 0; i < n; i++) {
+        for (int d = 0; d < D; d++) {
+            const float whole = floorf(from[i].part[d]);
+            row.whole[d][i] = (int)whole + anchor[d];
+            row.part[d][i] = from[i].part[d] - whole;
+        }
+        for (int d = 0; d < 2; d++) {
+            row.across[d][i] = from[i].across[d];
+            row.down[d][i] = from[i].down[d];
+        }
+        row.depth2[i] = from[i].depth2;
+    }
+}
+
+// Find the samples that lie outside the ball of every stroke, or are frozen, and set them to the identity.
+template <int D>
+void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const {
+    row.some_same = false;
+    if (!root.rim) return;
+    std::fill(row.same, row.same + n, true);
+    double py = (y * grid.step[1] + grid.offset[1]) * axes[1].spacing, sx = axes[0].spacing;
+    for (size_t word = 0; word < words; word++)
+        for (uint64_t set = reaching[(size_t)index * words + word]; set; set &= set - 1) {
+            const Stroke& k = strokes[64 * word + __builtin_ctzll(set)];
+            double chord = k.reach * k.reach - (py - k.pivot[1]) * (py - k.pivot[1]);
+            if (D == 3) chord -= (z * axes[2].spacing - k.pivot[2]) * (z * axes[2].spacing - k.pivot[2]);
+            if (chord < 0) continue;
+            chord = sqrt(chord);
+            // In samples from x on; the rim itself, where the displacement is 0, is left out despite rounding.
+            double first = ((k.pivot[0] - chord) / sx - grid.offset[0]) / grid.step[0] - x;
+            double final = ((k.pivot[0] + chord) / sx - grid.offset[0]) / grid.step[0] - x;
+            int from = (int)std::clamp(floor(first + 1e-9) + 1, 0.0, (double)n);
+            int to = (int)std::clamp(ceil(final - 1e-9), 0.0, (double)n);
+            for (int i = from; i < to; i++) row.same[i] = false;
+        }
+    if (freeze)
+        for (int i = 0; i < n; i++) {
+            const double at[3] = {((x + i) * grid.step[0] + grid.offset[0]) * sx, py, z * axes[2].spacing};
+            row.same[i] = row.same[i] || is_frozen<3>(*freeze, at);
+        }
+    for (int i = 0; i < n; i++) {
+        if (!row.same[i]) continue;
+        row.some_same = true;
+        row.whole[0][i] = x + i;
+        row.whole[1][i] = y;
+        row.part[0][i] = row.part[1][i] = 0;
+        row.across[0][i] = row.down[1][i] = row.depth2[i] = 1;
+        row.across[1][i] = row.down[0][i] = 0;
+        if constexpr (D == 3) {
+            row.whole[2][i] = (int)z;
+            row.part[2][i] = 0;
+        }
+    }
+}
+
+template <int D>
+void Plan<D>::visit_rows(const Grid& grid, int root_row, const int (&box)[4], bool slopes, const void* use,
+                         Visit visit) const {
+    Row<D> row{};  // vectors of eight read past a row's end
+    int top, bottom;
+    rows_of(grid, root_row, top, bottom);
+    // Whole rows, so that frames are read, and results written, in order.
+    for (int y = std::max(top, box[2]); y < std::min(bottom, box[3]); y++) {
+        const double at = y * grid.step[1] + grid.offset[1];
+        for (int i = 0; i < across; i++) {
+            int left, right, index = root_row * across + i;
+            columns_of(grid, i, left, right);
+            int a = std::max(left, box[0]), b = std::min(right, box[1]);
+            if (a >= b) continue;
+            const Root& root = roots[index];
+            const Band& band = bands[root.band];
+            row.idle = is_still(index);
+            if (row.idle) {
+                visit(use, row, a, y, b - a, 0);
+                continue;
+            }
+            if (root.first_pixel >= 0) fill_pixels(root, index, y, right - left, row);
+            for (int l = root.first; l >= 0; l = band.next[l]) {
+                const Leaf<D>& leaf = band.leaves[l];
+                bool lowest = leaf.y + leaf.h >= size[1], rightmost = leaf.x + leaf.w >= size[0];
+                if (at < leaf.y ? leaf.y > 0 : !lowest && at >= leaf.y + leaf.h) continue;
+                int from = leaf.x == 0 ? 0 : grid.from(0, leaf.x);
+                int to = rightmost ? grid.size[0] : grid.from(0, leaf.x + leaf.w);
+                if (from < to) fill(leaf, grid, y, from, to, left, slopes, row);
+            }
+            row.count = right - left;
+            mark(root, index, grid, left, y, right - left, row);
+            visit(use, row, a, y, b - a, a - left);
+        }
+    }
+}
+
+// ---- what is known of the whole -------------------------------------------------------------------------------------
+
+template <int D>
+void Plan<D>::widen(const Leaf<D>& leaf, Extent<D>& e) const {
+    // The patch's Bézier points, whose hull contains it; and that of their differences its slopes. Samples lie up to
+    // the next leaf, or the last pixel, or a fixed face; of a composite, at its pixels, beyond which slopes at folds
+    // lead anywhere.
+    auto reached = [this](int axis, double from, double to) {
+        if (map) return std::max(to - from - 1, 1e-3);
+        if (to >= size[axis]) to = axes[axis].fixed() ? face_of(axes[axis]) : size[axis] - 1.0;
+        return std::max(to - from, 1e-3);
+    };
+    const double side[2] = {reached(0, leaf.x, leaf.x + leaf.w), reached(1, leaf.y, leaf.y + leaf.h)};
+    auto controls = [](double* c, int step, double h) {
+        double c0 = c[0], c1 = c[step] * h, c2 = c[2 * step] * h * h, c3 = c[3 * step] * h * h * h;
+        c[step] = c0 + c1 / 3;
+        c[2 * step] = c0 + 2 * c1 / 3 + c2 / 3;
+        c[3 * step] = c0 + c1 + c2 + c3;
+    };
+    double spread[2] = {0, 0}, rate = 0;
+    for (int d = 0; d < D; d++) {
+        double b[16], slope[2] = {0, 0};
+        for (int i = 0; i < 16; i++) b[i] = leaf.c[d][i];
+        for (int j = 0; j < 4; j++) controls(b + 4 * j, 1, side[0]);
+        for (int i = 0; i < 4; i++) controls(b + i, 4, side[1]);
+        for (int j = 0; j < 4; j++)
+            for (int i = 0; i < 4; i++) {
+                double p = b[4 * j + i] + leaf.anchor[d];
+                double q = d == 0 ? leaf.x + side[0] * i / 3 : d == 1 ? leaf.y + side[1] * j / 3 : z;
+                e.low[d] = std::min(e.low[d], p);
+                e.high[d] = std::max(e.high[d], p);
+                e.moved = std::max(e.moved, fabs(p - q));
+                if (i < 3) slope[0] = std::max(slope[0], fabs(b[4 * j + i + 1] - b[4 * j + i]) * 3 / side[0]);
+                if (j < 3) slope[1] = std::max(slope[1], fabs(b[4 * j + i + 4] - b[4 * j + i]) * 3 / side[1]);
+            }
+        for (int j = 0; j < 2; j++) (d < 2 ? spread[j] : rate) += slope[j] * slope[j];
+    }
+    if constexpr (D == 3) {
+        const float* r = leaf.depth;
+        double own = 0;
+        for (double s : {0.0, (double)leaf.w})
+            for (double t : {0.0, (double)leaf.h}) own = std::max(own, fabs(r[0] + s * r[1] + t * (r[2] + s * r[3])));
+        e.rate = std::max(e.rate, sqrt(rate + own * own));
+    }
+    e.spread = std::max(e.spread, spread[0] + spread[1]);
+    // No eigenvalue of MᵀM is above its trace, and the least is at most the least of its diagonal.
+    e.widest = std::max({e.widest, std::min(spread[0], spread[1]), (spread[0] + spread[1]) / 400});
+}
+
+template <int D>
+Extent<D> Plan<D>::extent(int index) const {
+    Extent<D> e;
+    const Root& root = roots[index];
+    if (root.first_pixel >= 0)
+        return bands[root.band].extents[(size_t)(index / across % BAND) * across + index % across];
+    if (is_still(index) || root.rim) {  // the identity is included
+        int i = index % across, j = index / across;
+        double low[3] = {(double)column(i), (double)line(j), z}, high[3] = {column(i + 1) + 1.0, line(j + 1) + 1.0, z};
+        for (int d = 0; d < D; d++) {
+            e.low[d] = std::min(e.low[d], low[d]);
+            e.high[d] = std::max(e.high[d], high[d]);
+        }
+    }
+    for (int l = root.first; l >= 0; l = bands[root.band].next[l]) widen(bands[root.band].leaves[l], e);
+    return e;
+}
+
+template <int D>
+Extent<D> Plan<D>::extent() const {
+    Extent<D> all;
+    for (const Band& b : bands) all |= b.extent;
+    return all;
+}
+
+template <int D>
+void Plan<D>::measure(double finest, double& worst, long& unknown) const {
+    struct Found {
+        double worst = 0;
+        long unknown = 0;
+    };
+    std::vector<Found> found(down);
+    std::vector<int> all(strokes.size());
+    for (size_t i = 0; i < all.size(); i++) all[i] = (int)i;
+    Chain chain{strokes.data(), all.data(), (int)all.size()};
+    const double spacing = this->finest();
+    Grid grid;
+    grid.size[0] = width;
+    grid.size[1] = height;
+    parallel(down, [&](int j, int) {
+        const int all[4] = {box[0], box[1], box[2], box[3]};
+        each_row(grid, j, all, false, [&](const Row<D>& row, int x, int y, int n, int at) {
+            if (row.idle) return;
+            for (int start = 0; start < n; start += LANES) {
+                Lanes q[D], given[D] = {}, off{};
+                Solution<D, Lanes> exact{};
+                for (int i = 0; i < LANES; i++) {
+                    int k = std::min(start + i, n - 1);
+                    for (int d = 0; d < D; d++) {
+                        given[d][i] = row.whole[d][at + k] + (double)row.part[d][at + k];
+                        exact.p[d][i] = given[d][i] * axes[d].spacing;
+                        q[d][i] = (d == 0 ? x + k : d == 1 ? y : z) * axes[d].spacing;
+                    }
+                }
+                if (map) {
+                    Jet<D, 0, false, Lanes> jet;
+                    for (int d = 0; d < D; d++) jet.x[d] = q[d];
+                    exact.done = pass<D>(*map, true, jet).done;
+                    for (int d = 0; d < D; d++) exact.p[d] = jet.x[d];
+                } else
+                    newton<D>(chain, axes, q, finest * spacing, 8, exact, 1e-3 * spacing);
+                if (!map && any(without(Mask{} == 0, exact.done))) {
+                    Solution<D, Lanes> again;
+                    undo<D>(chain, axes, q, finest * spacing, again);
+                    for (int d = 0; d < D; d++) exact.p[d] = choose(exact.done, exact.p[d], again.p[d]);
+                    exact.done = either(exact.done, again.done);
+                }
+                for (int d = 0; d < D; d++) {
+                    Lanes e = exact.p[d] / axes[d].spacing - given[d];
+                    off += e * e;
+                }
+                for (int i = 0; i < LANES && start + i < n; i++) {
+                    found[j].unknown += !exact.done[i];
+                    found[j].worst = std::max(found[j].worst, off[i]);
+                }
+            }
+        });
+    });
+    worst = 0;
+    unknown = 0;
+    for (const Found& f : found) {
+        worst = std::max(worst, sqrt(f.worst) + finest);
+        unknown += f.unknown;
+    }
+}
+
+template class Plan<2>;
+template class Plan<3>;
+
+}  // namespace supple
