@@ -160,8 +160,8 @@ INLINE Radial<V> radial(const Stroke& k, V s) {
 }
 
 // The jet beside the point x: tangents t[j] = ∂x/∂u_j and, if MIXED, ∂²x/∂u₀∂u₁; and the squared length scales of the
-// map along u₀ and u₁: ρ² / |t|², 4 max(D, σ)² / |t|² at the distance D from a fixed face, and
-// that of the freeze mask.
+// map along u₀ and u₁: ρ² / |t|², 4 max(D_i, σ_i)² / t_i² at the distance D_i from a fixed face of axis i, and that of
+// the freeze mask.
 template <int D, int TANGENTS, bool MIXED, class V>
 struct Jet {
     V x[D];
@@ -174,7 +174,7 @@ struct Jet {
 // `jet` may be `at` itself: then it goes through the stroke.
 template <int D, int TANGENTS, bool MIXED, class V>
 ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V>& at,
-                Jet<D, TANGENTS, MIXED, V>& jet) {
+              Jet<D, TANGENTS, MIXED, V>& jet) {
     constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
     constexpr int N = TANGENTS > 0 ? TANGENTS : 1;
     V place[D], r[D], f[D], inside[D], beta[D][3], s = V{};
@@ -249,15 +249,18 @@ ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V
                 jet.mixed[i] += beta[i][0] * second + beta[i][1] * (u[0][i] * J1 + u[1][i] * J0 + n[i] * moved) +
                                 beta[i][2] * u[0][i] * u[1][i] * moved;
             }
-            V scale2 = s + k.radius2[0];
-            for (int i = 0; i < D; i++)
-                if (axes[i].sigma > 0 && !k.inner) {
-                    // β varies over σ at a face, and is constant farther in.
-                    V scale = 2.0 * most(depth(at.x[i], axes[i]), splat<V>(axes[i].sigma));
-                    scale2 = least(scale2, V(scale * scale));
-                }
-            if (k.freeze) scale2 = least(scale2, V(free.smooth * free.smooth));
-            for (int j = 0; j < 2; j++) jet.smooth2[j] = least(jet.smooth2[j], V(scale2 / dot<D>(at.t[j], at.t[j])));
+            V round2 = s + k.radius2[0];
+            if (k.freeze) round2 = least(round2, V(free.smooth * free.smooth));
+            for (int j = 0; j < 2; j++) {
+                V scale2 = round2 / dot<D>(at.t[j], at.t[j]);
+                for (int i = 0; i < D; i++)
+                    if (axes[i].sigma > 0 && !k.inner) {
+                        // β varies along its own axis alone: over σ at a face, and it is constant farther in.
+                        V scale = 2.0 * most(depth(at.x[i], axes[i]), splat<V>(axes[i].sigma)), along = at.t[j][i];
+                        scale2 = least(scale2, V(scale * scale / most(V(along * along), splat<V>(1e-300))));
+                    }
+                jet.smooth2[j] = least(jet.smooth2[j], scale2);
+            }
         }
         if (k.freeze)
             for (int j = 0; j < TANGENTS; j++) {

@@ -182,23 +182,30 @@ void invert_row(const Inversion& job, int y, int z, Guesses& guesses) {
 // continuations, there is always a third that is turned over.
 template <int D, int N>
 void mark_folds(const Inversion& job) {
-    std::mutex lock;
     const Sampled& k = job.field;
+    // Call f for the samples of a spot, until it returns false. Threads that meet at a sample write the same.
+    auto each_of = [&](const Spot<D>& s, auto f) {
+        for (int z = D == 3 ? s.low[D - 1] : 0; z < (D == 3 ? s.high[D - 1] : 1); z++)
+            for (int y = s.low[1]; y < s.high[1]; y++) {
+                uint8_t* row = job.status + ((size_t)z * job.size[1] + y) * job.size[0];
+                for (uint8_t* at = row + s.low[0]; at < row + s.high[0]; at++)
+                    if (!f(at)) return false;
+            }
+        return true;
+    };
+    auto all = [&](const Spot<D>& s) {
+        return each_of(s, [](const uint8_t* at) { return __atomic_load_n(at, __ATOMIC_RELAXED) == FOLDED; });
+    };
+    auto mark = [&](const Spot<D>& s) {
+        each_of(s, [](uint8_t* at) { return __atomic_store_n(at, (uint8_t)FOLDED, __ATOMIC_RELAXED), true; });
+    };
     each_bad_cell<D, N>(k, true, [&](const int* at, const Patch<D, N>& p) {
-        std::vector<Spot<D>> some;
         bool low[D], high[D];
         for (int d = 0; d < D; d++) {
             low[d] = at[d] < k.first[d];
             high[d] = at[d] >= k.last[d];
         }
-        find_folds(p, job.back, 1e9, 0, low, high, job.size, some);
-        std::lock_guard guard(lock);
-        for (const Spot<D>& s : some)
-            for (int z = D == 3 ? s.low[D - 1] : 0; z < (D == 3 ? s.high[D - 1] : 1); z++)
-                for (int y = s.low[1]; y < s.high[1]; y++) {
-                    uint8_t* row = job.status + ((size_t)z * job.size[1] + y) * job.size[0];
-                    std::fill(row + s.low[0], row + s.high[0], (uint8_t)FOLDED);
-                }
+        Folds<D, N, decltype(all), decltype(mark)>(job.back, job.size, all, mark).find(p, low, high);
     });
 }
 
@@ -241,10 +248,11 @@ template <int D, int N>
 void find_cells(const Sampled& k, uint8_t* cells, const int* shape) {
     each_bad_cell<D, N>(k, false, [&](const int* at, const Patch<D, N>& p) {
         auto bad = [](auto&& self, const Patch<D, N>& p, int cuts) -> bool {  // of one that is not surely upright
-            if (cuts == CUTS + 1) return true;
+            if (cuts == CUTS + 1 || turned_at_corner(p)) return true;
+            const Halves<D, N> halves(p);
             for (int which = 0; which < 1 << D; which++) {
-                const Patch<D, N> part = octant(p, which);
-                if (!surely_upright(part) && self(self, part, cuts + 1)) return true;
+                const Patch<D, N> part = halves.part(which);
+                if (sign_of(part) <= 0 && self(self, part, cuts + 1)) return true;
             }
             return false;
         };

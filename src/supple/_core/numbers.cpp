@@ -4,8 +4,7 @@
 namespace supple {
 
 template <class N>
-Numbers<N>::Numbers(const Job& job)
-    : job(job), lanes(job.channels == 1 ? 1 : 4), colours(job.alpha < 0 ? lanes : 3) {
+Numbers<N>::Numbers(const Job& job) : job(job), lanes(job.channels == 1 ? 1 : 4), colours(job.alpha < 0 ? lanes : 3) {
     if (!job.light || bytes_of(job.type) > 2 || job.type == I8 || job.type == I16) return;
     table.resize(job.type == U8 ? 256 : 65536);
     for (size_t i = 0; i < table.size(); i++) table[i] = (N)(job.white * to_light(i / job.white));
@@ -110,7 +109,8 @@ int levels_of(const Job& job, double widest) {
 }
 
 template <class N>
-Averages<N>::Averages(const Job& job, const Numbers<N>& numbers, int group, Span span, double widest) : first(span.first) {
+Averages<N>::Averages(const Job& job, const Numbers<N>& numbers, int group, Span span, double widest)
+    : first(span.first) {
     if (job.filter != AUTO) return;
     numbers.constant(group, fill);
     int w = job.w, h = job.h, lanes = numbers.lanes, depth = levels_of(job, widest);

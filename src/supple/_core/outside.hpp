@@ -1,4 +1,5 @@
-// Headers of others, which are read once for all files (see CMakeLists.txt); each file includes what it uses all the same.
+// Headers of others, which are read once for all files (see CMakeLists.txt); each file includes what it uses all the
+// same.
 #pragma once
 #include <math.h>
 #include <stddef.h>
@@ -8,6 +9,15 @@
 #if defined(__x86_64__) || defined(_M_X64)
 #include <immintrin.h>
 #endif
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
 
 #include <algorithm>
 #include <array>
@@ -27,12 +37,3 @@
 #include <utility>
 #include <variant>
 #include <vector>
-
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
-#include <nanobind/stl/array.h>
-#include <nanobind/stl/optional.h>
-#include <nanobind/stl/pair.h>
-#include <nanobind/stl/string.h>
-#include <nanobind/stl/tuple.h>
-#include <nanobind/stl/vector.h>

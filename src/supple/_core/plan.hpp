@@ -100,9 +100,10 @@ public:
     // [x0, x1) × [y0, y1).
     template <class Use>
     void each_row(const Grid& grid, int root_row, const int (&box)[4], bool slopes, const Use& use) const {
-        visit_rows(grid, root_row, box, slopes, &use, [](const void* use, const Row<D>& row, int x, int y, int n, int at) {
-            (*(const Use*)use)(row, x, y, n, at);
-        });
+        visit_rows(grid, root_row, box, slopes, &use,
+                   [](const void* use, const Row<D>& row, int x, int y, int n, int at) {
+                       (*(const Use*)use)(row, x, y, n, at);
+                   });
     }
     // Bounds of the source points of a root, or of all.
     Extent<D> extent(int root) const;
@@ -122,7 +123,8 @@ public:
 
 private:
     typedef void (*Visit)(const void* use, const Row<D>& row, int x, int y, int n, int at);
-    void visit_rows(const Grid& grid, int root_row, const int (&box)[4], bool slopes, const void* use, Visit visit) const;
+    void visit_rows(const Grid& grid, int root_row, const int (&box)[4], bool slopes, const void* use,
+                    Visit visit) const;
     struct Cell {
         int root, x0, y0, x1, y1;
         int corner[4];

@@ -137,8 +137,8 @@ INLINE Floats dot3(const Triple& a, const V& b) {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-// A volume of any kind, between its voxels, at a point of each of some rays: in voxels. Kernels of rays call it, so that
-// they are compiled once for all kinds.
+// A volume of any kind, between its voxels, at a point of each of some rays: in voxels. Kernels of rays call it, so
+// that they are compiled once for all kinds.
 struct Volume {
     const bool coloured;
 

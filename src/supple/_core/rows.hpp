@@ -219,8 +219,7 @@ struct Places {
 };
 
 template <Filter FILTER, class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
-INLINE void sample_each(const Frames<T>& given, const Row<D>& row, Run run, int from, int end, MixOf mix_of,
-                          Put put) {
+INLINE void sample_each(const Frames<T>& given, const Row<D>& row, Run run, int from, int end, MixOf mix_of, Put put) {
     constexpr int left = FILTER == LINEAR ? 0 : 1, right = FILTER == LINEAR ? 1 : 2;
     const Frames<T> f = given;
     const int *x = row.whole[0], *y = row.whole[1];
@@ -264,15 +263,15 @@ NOINLINE void sample_footprints(const Frames<T>& given, const Pyramid<N>& pyrami
             }
         };
         if (prints.kind[k] == PLAIN)
-            put(k, around<N, C, 1, 2, SEVERAL>(f, mix, x[k], y[k],
-                                         places.inside || places.inner<1, 2, C>(f, x[k], y[k], place), place, cubic));
+            put(k, around<N, C, 1, 2, SEVERAL>(
+                       f, mix, x[k], y[k], places.inside || places.inner<1, 2, C>(f, x[k], y[k], place), place, cubic));
         else if (prints.kind[k] == SPOT)
             put(k, around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[k], prints.y[k],
-                                         places.inside || inner<C, 1, 3>(f, prints.x[k], prints.y[k]),
-                                         prints.y[k] * f.row + prints.x[k] * C, spot));
+                                               places.inside || inner<C, 1, 3>(f, prints.x[k], prints.y[k]),
+                                               prints.y[k] * f.row + prints.x[k] * C, spot));
         else
-            put(k, wide<Pixel<N>>(levels_in<C, SEVERAL>(f, pyramid, mix), (N)x[k] + fx, (N)y[k] + fy,
-                                  (N)prints.xx[k], (N)prints.xy[k], (N)prints.yy[k]));
+            put(k, wide<Pixel<N>>(levels_in<C, SEVERAL>(f, pyramid, mix), (N)x[k] + fx, (N)y[k] + fy, (N)prints.xx[k],
+                                  (N)prints.xy[k], (N)prints.yy[k]));
     }
 }
 

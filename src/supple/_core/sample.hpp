@@ -275,10 +275,9 @@ struct Level {
     const Mix<N>& mix;
     INLINE Pixel<N> spot(int x, int y, Across<N> across, const N* left, const N* right) const {
         const bool inside = inner<C, 1, 3>(frames, x, y);
-        return around<N, C, 1, 3, SEVERAL>(frames, mix, x, y, inside, (ptrdiff_t)y * frames.row + (ptrdiff_t)x * C,
-                                     [&](auto taps, ptrdiff_t row) INLINE_LAMBDA {
-                                         return spot_at<N, C, 1>(taps, row, across, left, right);
-                                     });
+        return around<N, C, 1, 3, SEVERAL>(
+            frames, mix, x, y, inside, (ptrdiff_t)y * frames.row + (ptrdiff_t)x * C,
+            [&](auto taps, ptrdiff_t row) INLINE_LAMBDA { return spot_at<N, C, 1>(taps, row, across, left, right); });
     }
 };
 // A level of any type, so that `wide` is compiled once for all.
@@ -312,7 +311,7 @@ struct Levels {
 };
 template <int C, bool SEVERAL, class N, class T>
 INLINE Levels<N> levels_in(const Frames<T>& frames, const Pyramid<N>& pyramid, const Mix<N>& mix) {
-    return {{&frames, mix, spots_of<N, C, SEVERAL, T>}, pyramid, spots_of<N, C == 1 ? 1 : 4, SEVERAL, N>};
+    return {{&frames, mix, spots_of<N, C, SEVERAL, T>}, pyramid, spots_of < N, C == 1 ? 1 : 4, SEVERAL, N > };
 }
 
 }  // namespace supple

@@ -412,6 +412,8 @@ NOINLINE bool follow_field(const Sampled& k, const double* target, const double*
     return way >= 1;
 }
 
+constexpr int RELAXED = 16, RETRIES = 8;
+
 // Solve for a batch, with other starts where Newton's method fails from the guess in `found.i`. Within a cell of a
 // linear field, the distance to the solution is proved, and may be `in_cells`; FINISH as in `undo_in_cells`.
 template <int D, bool FINISH, class V>
@@ -423,6 +425,19 @@ INLINE void undo_field_surely(const Sampled& k, const V* target, double toleranc
                : undo_in_cells<D, FINISH, float, V>(k, target, in_cells, found);
     if (!any(without(all, found.done))) return;
     undo_field<D, V>(k, target, tolerance, 24, found);
+    // Steps of half the residual pass folds, which stop Newton's method: by some of them, and then by Newton's again.
+    for (int retry = 0; retry < RETRIES && any(without(all, found.done)); retry++) {
+        V x[D];
+        for (int d = 0; d < D; d++) x[d] = retry == 0 ? target[d] : found.i[d];
+        for (int n = 0; n < RELAXED; n++) {
+            Local<D, V> at;
+            sample_field<D, 0, V>(k, x, nullptr, nullptr, at);
+            for (int d = 0; d < D; d++) x[d] -= 0.5 * (x[d] + at.w[d] - target[d]);
+        }
+        for (int d = 0; d < D; d++) found.i[d] = choose(found.done, found.i[d], x[d]);
+        found.steps += choose(found.done, V{}, splat<V>(RELAXED));
+        undo_field<D, V>(k, target, tolerance, 12, found);
+    }
     if (!any(without(all, found.done))) return;
     for (int l = 0; l < Masked<V>::lanes; l++) {
         if (lane(found.done, l)) continue;
@@ -430,21 +445,10 @@ INLINE void undo_field_surely(const Sampled& k, const V* target, double toleranc
         Undone<D, double> one{};
         Local<D, double> at;
         for (int d = 0; d < D; d++) start[d] = goal[d] = lane(target[d], l);
-        bool known = false;
-        for (int attempt = 0; attempt < 4 && !known; attempt++) {
-            if (attempt == 1) {
-                field_at<D, 0, double>(k, goal, nullptr, nullptr, at);
-                for (int d = 0; d < D; d++) start[d] = goal[d] - at.w[d];
-            } else if (attempt == 2)
-                for (int d = 0; d < D; d++) start[d] = lane(found.i[d], l);
-            else if (attempt == 3) {  // by the residual alone, which passes folds
-                for (int d = 0; d < D; d++) start[d] = goal[d];
-                for (int n = 0; n < 100; n++) {
-                    field_at<D, 0, double>(k, start, nullptr, nullptr, at);
-                    for (int d = 0; d < D; d++) start[d] -= 0.5 * (start[d] + at.w[d] - goal[d]);
-                }
-                one.steps += 100;
-            }
+        bool known = follow_field<D>(k, goal, start, tolerance, one);
+        if (!known) {
+            field_at<D, 0, double>(k, goal, nullptr, nullptr, at);
+            for (int d = 0; d < D; d++) start[d] = goal[d] - at.w[d];
             known = follow_field<D>(k, goal, start, tolerance, one);
         }
         if constexpr (Masked<V>::lanes == 1) {

@@ -6,7 +6,7 @@ namespace supple {
 
 #define CARRIES(OF, D, TANGENTS, MIXED) \
     OF template void carry(const Chain&, const Axis*, Jet<D, TANGENTS, MIXED, Lanes>&);
-#define PASSES(OF, D, TANGENTS, MIXED)                                                                         \
+#define PASSES(OF, D, TANGENTS, MIXED)                                                                               \
     OF template void pass_strokes(const Chain&, const Axis*, bool, Jet<D, TANGENTS, MIXED, Lanes>&, Passed<Lanes>&); \
     OF template void pass_field(const Sampled&, bool, Jet<D, TANGENTS, MIXED, Lanes>&, Passed<Lanes>&);
 #define SOLVERS(OF, D)                                                                                             \

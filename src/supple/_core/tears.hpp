@@ -3,7 +3,8 @@
 //
 // Within a cell, i + w(i) is a polynomial in Bézier form: of degree 1 or 3 along each axis. It lies in the hull of its
 // control points, and its derivatives in that of their differences. So the determinant of a cell is bounded from below
-// by the ranges of nine numbers; where that does not suffice, the cell is cut in halves.
+// by the ranges of nine numbers; where that does not suffice, of a linear cell by the control points of the determinant
+// itself, and at last the cell is cut in halves.
 #pragma once
 #include <algorithm>
 #include <functional>
@@ -77,9 +78,51 @@ INLINE typename Masked<V>::type surely_above_0(const V (*low)[D], const V (*high
     return either(dominant, bound > 1e-12 * (1.0 + scale));
 }
 
-// Whether the determinant of the derivatives of a patch is above 0 in all of it.
+// The sign of the determinant of a linear patch, or 0 if its control points, of degree D - 1 along each axis, differ in
+// it.
+template <int D>
+NOINLINE int sign_of_determinant(const Patch<D, 2>& p) {
+    constexpr int SIDES = 1 << (D - 1), COUNT = D == 3 ? 27 : 4;
+    double slope[D][SIDES][D];  // ∂/∂b at the corners of the other axes, by their bits in order
+    for (int b = 0; b < D; b++)
+        for (int side = 0; side < SIDES; side++) {
+            const int below = side & ((1 << b) - 1), corner = below | (side - below) << 1;
+            for (int a = 0; a < D; a++) slope[b][side][a] = p.c[a][corner | 1 << b] - p.c[a][corner];
+        }
+    double sum[COUNT] = {}, scale = 0;
+    if constexpr (D == 2) {
+        for (int n = 0; n < COUNT; n++) {
+            const double *u = slope[0][n >> 1], *v = slope[1][n & 1];
+            sum[n] = u[0] * v[1] - u[1] * v[0];
+            scale = std::max(scale, fabs(u[0] * v[1]) + fabs(u[1] * v[0]));
+        }
+    } else {
+        constexpr int PLACE[3] = {1, 3, 9};
+        for (int i = 0; i < SIDES; i++)
+            for (int j = 0; j < SIDES; j++) {
+                const double *u = slope[0][i], *v = slope[1][j];
+                const double w[3] = {u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]};
+                for (int k = 0; k < SIDES; k++) {
+                    const double* t = slope[2][k];
+                    // Along x there are the bits of the second and the third, along y of the first and third, …
+                    const int x = (j & 1) + (k & 1), y = (i & 1) + (k >> 1), z = (i >> 1) + (j >> 1);
+                    sum[x * PLACE[0] + y * PLACE[1] + z * PLACE[2]] += w[0] * t[0] + w[1] * t[1] + w[2] * t[2];
+                    scale = std::max(scale, fabs(w[0] * t[0]) + fabs(w[1] * t[1]) + fabs(w[2] * t[2]));
+                }
+            }
+    }
+    double low = sum[0], high = sum[0];  // each sum is a control point times a weight of 1, 2, 4 or 8
+    for (int n = 1; n < COUNT; n++) {
+        low = std::min(low, sum[n]);
+        high = std::max(high, sum[n]);
+    }
+    const double rounding = 1e-11 * (1.0 + scale);
+    return low > rounding ? 1 : high < -rounding ? -1 : 0;
+}
+
+// The sign of the determinant of the derivatives in all of a patch, or 0 if it is not known.
 template <int D, int N>
-NOINLINE bool surely_upright(const Patch<D, N>& p) {
+NOINLINE int sign_of(const Patch<D, N>& p) {
     double low[D][D], high[D][D];  // [b][a]: ∂a/∂b
     int step = 1;
     for (int b = 0; b < D; b++, step *= N)
@@ -95,32 +138,74 @@ NOINLINE bool surely_upright(const Patch<D, N>& p) {
             });
         }
     // Along an axis, all derivatives are the differences of control points times N - 1.
-    return surely_above_0<D, double>(low, high);
+    if (surely_above_0<D, double>(low, high)) return 1;
+    if constexpr (N == 2)
+        return sign_of_determinant(p);
+    else
+        return 0;
 }
 
-// The part of a patch in one of the 2^D octants.
+// Whether the determinant of the derivatives is not above 0 at a corner of a patch, which is quickly known.
 template <int D, int N>
-NOINLINE Patch<D, N> octant(const Patch<D, N>& whole, int which) {
-    Patch<D, N> p = whole;
-    int step = 1;
-    for (int b = 0; b < D; b++, step *= N)
-        for (int a = 0; a < D; a++)
-            each_line<D, N>(step, [&](int first) {
-                double v[N], *to = p.c[a] + first;
-                for (int i = 0; i < N; i++) v[i] = to[i * step];
-                if (which >> b & 1)  // the upper half: from the last control point on, backwards
-                    for (int r = 0; r < N; r++) {
-                        to[(N - 1 - r) * step] = v[N - 1];
-                        for (int i = N - 1; i > r; i--) v[i] = 0.5 * (v[i] + v[i - 1]);
-                    }
-                else
-                    for (int r = 0; r < N; r++) {
-                        to[r * step] = v[0];
-                        for (int i = 0; i < N - 1 - r; i++) v[i] = 0.5 * (v[i] + v[i + 1]);
-                    }
-            });
-    return p;
+NOINLINE bool turned_at_corner(const Patch<D, N>& p) {
+    for (int which = 0; which < 1 << D; which++) {
+        int corner = 0, step = 1;
+        for (int b = 0; b < D; b++, step *= N) corner += which >> b & 1 ? (N - 1) * step : 0;
+        double slope[D][D];
+        step = 1;
+        for (int b = 0; b < D; b++, step *= N)
+            for (int a = 0; a < D; a++)
+                slope[b][a] =
+                    which >> b & 1 ? p.c[a][corner] - p.c[a][corner - step] : p.c[a][corner + step] - p.c[a][corner];
+        if (!(determinant_of(slope) > 0)) return true;
+    }
+    return false;
 }
+
+// A patch that is cut in halves along each axis: the control points of its 2^D parts, which share those between them.
+template <int D, int N>
+struct Halves {
+    static constexpr int SIDE = 2 * N - 1, COUNT = D == 3 ? SIDE * SIDE * SIDE : SIDE * SIDE;
+    double c[D][COUNT];
+
+    // `from` and `to` have lines along the axes not yet cut, and then SIDE points along those that are.
+    explicit Halves(const Patch<D, N>& p) {
+        for (int a = 0; a < D; a++) {
+            double held[2][COUNT];
+            const double* from = p.c[a];
+            for (int b = 0, inner = 1; b < D; b++, inner *= SIDE) {
+                double* to = b == D - 1 ? c[a] : held[b];
+                int outer = 1;
+                for (int d = b + 1; d < D; d++) outer *= N;
+                for (int o = 0; o < outer; o++)
+                    for (int i = 0; i < inner; i++) {
+                        double v[N];
+                        for (int n = 0; n < N; n++) v[n] = from[(o * N + n) * inner + i];
+                        double* line = to + o * SIDE * inner + i;
+                        for (int r = 0; r < N; r++) {
+                            line[r * inner] = v[0];
+                            line[(SIDE - 1 - r) * inner] = v[N - 1 - r];
+                            for (int n = 0; n < N - 1 - r; n++) v[n] = 0.5 * (v[n] + v[n + 1]);
+                        }
+                    }
+                from = to;
+            }
+        }
+    }
+
+    // Where control point n of a part stands.
+    static constexpr int place(int which, int n) {
+        int at = 0;
+        for (int b = 0, side = 1; b < D; b++, side *= SIDE, n /= N) at += (n % N + (which >> b & 1) * (N - 1)) * side;
+        return at;
+    }
+    Patch<D, N> part(int which) const {
+        Patch<D, N> p;
+        for (int a = 0; a < D; a++)
+            for (int n = 0; n < Patch<D, N>::COUNT; n++) p.c[a][n] = c[a][place(which, n)];
+        return p;
+    }
+};
 
 // The patch of the cell at `at`; along an axis, cells -1 and size - 1 are those beyond the first and last index.
 template <int D, int N>
@@ -174,50 +259,85 @@ NOINLINE Patch<D, N> patch_of(const Sampled& k, const int* at) {
 constexpr int CUTS = 3;       // times that a cell is cut, at most
 constexpr double FINE = 0.5;  // of a sample: the extent of a part below which it is not cut
 
-// The range of samples of another grid that a part of a folded cell may be mapped to.
+// The range of samples of another grid that a part of a folded cell may be mapped to; and the extent of that part.
 template <int D>
 struct Spot {
     int low[D], high[D];
+    double extent;
 };
 
-// Collect what folds of a patch that is not surely upright.
-template <int D, int N>
-inline void find_folds(const Patch<D, N>& p, const double (*out)[4], double growth, int cuts, const bool* low_end,
-                       const bool* high_end, const int* size, std::vector<Spot<D>>& spots) {
-    double low[D], high[D], widest = 0;
-    for (int a = 0; a < D; a++) {
-        low[a] = 1e300;
-        high[a] = -1e300;
+// Find the samples of a grid of some size that what folds may be mapped to, by the affine map `out`: mark(spot). Where
+// all(spot) is true, all of it is marked already.
+template <int D, int N, class All, class Mark>
+class Folds {
+public:
+    Folds(const double (*out)[4], const int* size, All all, Mark mark) : out(out), size(size), all(all), mark(mark) {}
+
+    // A patch that is not surely upright. Ends of the field are continued without an end.
+    void find(const Patch<D, N>& p, const bool* low_end, const bool* high_end) {
+        this->low_end = low_end;
+        this->high_end = high_end;
+        double q[D][Patch<D, N>::COUNT];
+        for (int n = 0; n < Patch<D, N>::COUNT; n++) send(p.c, n, q);
+        Spot<D> spot;
+        if (!spot_of(q, [](int n) { return n; }, spot)) return;
+        spot.extent <= FINE ? mark(spot) : cut(p, sign_of(p) < 0, 1);
     }
-    for (int n = 0; n < Patch<D, N>::COUNT; n++)
+
+private:
+    static constexpr double CONTINUED = 1e9;
+    const double (*out)[4];
+    const int* size;
+    All all;
+    Mark mark;
+    const bool *low_end, *high_end;
+
+    template <int COUNT>
+    INLINE void send(const double (&c)[D][COUNT], int n, double (&q)[D][COUNT]) const {
         for (int a = 0; a < D; a++) {
-            double v = out[a][3];
-            for (int b = 0; b < D; b++) v += out[a][b] * p.c[b][n];
-            low[a] = std::min(low[a], v);
-            high[a] = std::max(high[a], v);
+            q[a][n] = out[a][3];
+            for (int b = 0; b < D; b++) q[a][n] += out[a][b] * c[b][n];
         }
-    for (int a = 0; a < D; a++) widest = std::max(widest, high[a] - low[a]);
-    for (int b = 0; b < D; b++)  // an end of the field, whose continuation has no end
-        if (low_end[b] || high_end[b])
-            for (int a = 0; a < D; a++) {
-                double way = out[a][b] * growth * (low_end[b] ? -1 : 1);
-                low[a] = std::min(low[a], low[a] + way);
-                high[a] = std::max(high[a], high[a] + way);
+    }
+
+    // Whether there are samples to mark in the hull of some points.
+    template <int COUNT, class Place>
+    INLINE bool spot_of(const double (&q)[D][COUNT], Place place, Spot<D>& spot) const {
+        spot.extent = 0;
+        for (int a = 0; a < D; a++) {
+            double low = q[a][place(0)], high = low;
+            for (int n = 1; n < Patch<D, N>::COUNT; n++) {
+                low = std::min(low, q[a][place(n)]);
+                high = std::max(high, q[a][place(n)]);
             }
-    Spot<D> spot;
-    for (int a = 0; a < D; a++) {
-        spot.low[a] = (int)std::clamp(ceil(low[a] - 1e-6), 0.0, (double)size[a]);
-        spot.high[a] = (int)std::clamp(floor(high[a] + 1e-6) + 1, 0.0, (double)size[a]);
-        if (spot.low[a] >= spot.high[a]) return;  // between the samples, or beyond the result's grid
+            spot.extent = std::max(spot.extent, high - low);
+            for (int b = 0; b < D; b++)
+                if (low_end[b] || high_end[b]) {
+                    const double way = out[a][b] * CONTINUED * (low_end[b] ? -1 : 1);
+                    low = std::min(low, low + way);
+                    high = std::max(high, high + way);
+                }
+            spot.low[a] = (int)std::clamp(ceil(low - 1e-6), 0.0, (double)size[a]);
+            spot.high[a] = (int)std::clamp(floor(high + 1e-6) + 1, 0.0, (double)size[a]);
+            if (spot.low[a] >= spot.high[a]) return false;  // between the samples, or beyond the result's grid
+        }
+        return !all(spot);
     }
-    if (cuts > 0 && surely_upright(p)) return;
-    if (cuts == CUTS || widest <= FINE) {
-        spots.push_back(spot);
-        return;
+
+    void cut(const Patch<D, N>& p, bool turned, int cuts) {
+        const Halves<D, N> halves(p);
+        double q[D][Halves<D, N>::COUNT];
+        for (int n = 0; n < Halves<D, N>::COUNT; n++) send(halves.c, n, q);
+        for (int which = 0; which < 1 << D; which++) {
+            Spot<D> spot;
+            if (!spot_of(q, [which](int n) INLINE_LAMBDA { return Halves<D, N>::place(which, n); }, spot)) continue;
+            const Patch<D, N> part = halves.part(which);
+            const int sign = turned ? -1 : sign_of(part);
+            if (sign > 0) continue;
+            cuts == CUTS || spot.extent <= FINE ? mark(spot) : cut(part, sign < 0, cuts + 1);
+        }
     }
-    for (int which = 0; which < 1 << D; which++)
-        find_folds(octant(p, which), out, growth, cuts + 1, low_end, high_end, size, spots);
-}
+};
 
 // Rows of w about a line of cells, kept while y ascends, by which most cells are known not to fold.
 template <int D, int N>
@@ -318,7 +438,7 @@ void each_bad_cell(const Sampled& k, bool ends, const std::function<void(const i
             for (at[0] = from[0]; at[0] < to[0]; at[0]++) {
                 if (at[0] >= 0 && at[0] < k.size[0] && sure[at[0]]) continue;
                 Patch<D, N> p = patch_of<D, N>(k, at);
-                if (!surely_upright(p)) visit(at, p);
+                if (sign_of(p) <= 0) visit(at, p);
             }
         }
     });

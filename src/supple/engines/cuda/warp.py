@@ -72,13 +72,15 @@ def size_of(space: Space, tolerance: float) -> int:
     """Return how many pixels nodes are apart.
 
     A bicubic patch of the size h misses a stroke that moves pixels by its own radius r by about 0.15 h⁴/r³. What varies
-    over other lengths than radii (fields, masks) gets the smallest.
+    over other lengths than radii (fields, masks) gets the smallest. Borders along other axes than the planes' do not
+    count: in a plane, their factors vary no faster than the map does.
     """
     if space.composite is not None or space.freeze is not None or not space.table.size:
         return SIZES[0]
-    widths = [np.sqrt(space.table["radius2"][:, 0].min()), space.table["reach"].min() / 3]  # over which a stroke ends
-    widths += [sigma for sigma in space.axes[: space.ndim, 2] if sigma > 0]
-    radius = min(widths) / space.axes[:2, 3].max()
+    radius, reach = np.sqrt(space.table["radius2"][:, 0].min()), space.table["reach"].min()
+    widths = [length / space.axes[:2, 3].max() for length in (radius, reach / 3)]  # over which a stroke ends, in pixels
+    widths += [sigma / spacing for sigma, spacing in space.axes[:2, 2:4] if sigma > 0]
+    radius = min(widths)
     return max([SIZES[0], *(h for h in SIZES if 0.15 * h**4 <= tolerance * radius**3)])
 
 
