@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, field
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from supple.errors import ScaleWarning, SuppleError
+from supple.errors import LayerWarning, ScaleWarning, SuppleError
 
 if TYPE_CHECKING:
     from supple.deformation import Arrival, Deformation
@@ -351,7 +351,7 @@ def _warnings(console: Console) -> Iterator[None]:
 
     def show(message: Warning | str, category: type[Warning], *rest: object, **named: object) -> None:
         if category.__module__.startswith("supple."):
-            console.warn(message, meant=issubclass(category, ScaleWarning))
+            console.warn(message, meant=issubclass(category, ScaleWarning | LayerWarning))
 
     with warnings.catch_warnings():
         if os.environ.get("SUPPLE_DEBUG") != "1":

@@ -56,8 +56,7 @@ WEBP = Format("WebP", (".webp",), ("webp",), saver="webpsave", limit=16_383, gre
 AVIF = Format("AVIF", (".avif",), saver="heifsave", limit=16_384, bits=12, grey=False,
               quality=90, lossless=("lossless",),  # effort 4 takes six times as long for 7 %
               options={"compression": "av1", "subsample_mode": "off", "effort": 3})
-EXR = Format("OpenEXR", (".exr",), ("openexr",), {rb"v/1\x01": "exr"}, "exr", bits=32,
-             options={"compression": "zip16"}, pixel_formats={"f4": {**_REAL, 4: "gbrapf32le"}})
+EXR = Format("OpenEXR", (".exr",), saver="exr", bits=32, pixel_formats={"f4": {**_REAL, 4: "gbrapf32le"}})
 FORMATS = (
     PNG, JPEG, TIFF, WEBP, AVIF, EXR,
     Format("Radiance", (".hdr",), (), {rb"#\?(RADIANCE|RGBE)": "hdr"}, "hdr", bits=32, grey=False, alpha=False,
