@@ -20,7 +20,7 @@ from supple.errors import LayerWarning, ScaleWarning, SuppleError
 
 if TYPE_CHECKING:
     from supple.deformation import Arrival, Deformation
-    from supple.geometry import Geometry
+    from supple.geometry import Geometry, Grid
 
 DONE, FAULT, REFUSED = 0, 1, 2
 INTERRUPTED = 128 + signal.SIGINT
@@ -241,10 +241,15 @@ def say_convention(console: Console, world: bool, geometry: Geometry | None, nam
         console.say(f"points are {geometry.convention} millimetres, as {name} has them")
 
 
-def told(*deformations: Deformation) -> dict[str, Any]:
-    """Return what became of the strokes, as JSON holds it: of those that move, the worst of all frames."""
+def told(*deformations: Deformation, own: Grid | None = None) -> dict[str, Any]:
+    """Return what became of the strokes, as JSON holds it: of those that move, the worst of all frames.
+
+    ``own`` is the grid of the input, if it is not that of the deformations.
+    """
+    from supple.files.grids import arrivals_on
+
     each = [deformation.resolution() for deformation in dict.fromkeys(deformations)]
-    arrivals = zip(*(made["arrivals"] for made in each), strict=True)
+    arrivals = zip(*(arrivals_on(own, deformations[0].grid, made["arrivals"]) for made in each), strict=True)
 
     def miss(arrival: Arrival) -> float:
         return max(point.miss for point in (arrival, *arrival.also))

@@ -283,7 +283,7 @@ def _kept(recipe: Recipe, made: Warped | WarpedClip | WarpedVolume | WarpedStore
     size, space = recipe.size or own.sizes, recipe.space or "pixels"
     if world:
         space = getattr(made, "geometry").convention  # noqa: B009
-    scale, shape = recipe.time_scale, made.deformation.shape
+    scale, shape = recipe.time_scale, own.shape
     if made.deformation.domain.time and (recipe.size is None or recipe.size == shape[::-1]):
         scale = made.deformation.domain.spacing[2]
     return replace(recipe, size=size if recipe.strokes else None, space=space, time_scale=scale)
@@ -316,8 +316,8 @@ def _facts_of(job: Job, made: Warped | WarpedClip | WarpedVolume) -> dict[str, A
     facts = picture_facts(job, made.deformation, report) | _map_facts(made)
     if not math.isfinite(report.error):
         facts["error"] = None
-    if made.grid is not None:
-        facts["width"], facts["height"] = made.grid.sizes
+    if (grid := made.grid or made.own) is not None:
+        facts["width"], facts["height"] = grid.sizes
     return facts
 
 
@@ -352,8 +352,7 @@ def _volume_facts(made: WarpedVolume) -> dict[str, Any]:
 
 
 def _clip_facts(made: WarpedClip) -> dict[str, Any]:
-    deformation = made.deformation
-    height, width = deformation.shape[-2:]
+    width, height = (made.own or made.deformation.grid).sizes[:2]
     return {
         "input": str(made.source),
         "output": str(made.target),
@@ -366,7 +365,7 @@ def _clip_facts(made: WarpedClip) -> dict[str, Any]:
         "tolerance": made.tolerance,
         "error": made.error,
         "moves": len(made.deformations) > 1,
-        **told(*made.deformations),
+        **told(*made.deformations, own=made.own),
     }
 
 

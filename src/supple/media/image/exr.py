@@ -209,14 +209,19 @@ def _box(window: Any) -> Box:
     return x0, y0, x1 + 1, y1 + 1
 
 
-def windows_of(path: PathLike) -> tuple[Box, tuple[Box, ...], tuple[tuple[int, str], ...]]:
-    """Return the display window, the data window of each part, and the names of all channels, from the header."""
+def head_only(path: PathLike) -> tuple[Exr, tuple[tuple[int, str], ...]]:
+    """Return an OpenEXR without channels, and the part and the name of each that it has."""
     with opened(path, header_only=True) as file:
-        headers = [part.header for part in file.parts]
-        names = tuple((k, each.name) for k, header in enumerate(headers) for each in header["channels"])
-        return (
-            _box(headers[0]["displayWindow"]), tuple(_box(header["dataWindow"]) for header in headers), names
-        )  # fmt: skip
+        headers = tuple(dict(part.header) for part in file.parts)
+    names = tuple((k, each.name) for k, header in enumerate(headers) for each in header["channels"])
+    return _of_headers(headers), names
+
+
+def _of_headers(headers: tuple[dict[str, Any], ...]) -> Exr:
+    windows, display = tuple(_box(header["dataWindow"]) for header in headers), _box(headers[0]["displayWindow"])
+    for header in headers:
+        header.pop("preview", None)  # of the old pixels
+    return Exr(headers, windows, display, around([display, *windows]), ())
 
 
 def read(path: PathLike, box: Box | None = None) -> Exr:
@@ -235,14 +240,14 @@ def read(path: PathLike, box: Box | None = None) -> Exr:
             for k, part in enumerate(file.parts)
             for name, each in part.channels.items()
         }
-    windows, display = tuple(_box(header["dataWindow"]) for header in headers), _box(headers[0]["displayWindow"])
-    box = box or around([display, *windows])
+    made = _of_headers(headers)
+    box = box or made.box
     groups = _grouped(path, list(planes), headers)
     arrays = []
     for _, channels in groups:
-        each = [_over(part, windows[c.part], box) for c in channels for part in _split(planes[c])]
+        each = [_over(part, made.windows[c.part], box) for c in channels for part in _split(planes[c])]
         arrays.append(np.ascontiguousarray(np.stack(each, axis=-1)))
-    return Exr(headers, windows, display, box, groups, tuple(arrays))
+    return replace(made, box=box, groups=groups, arrays=tuple(arrays))
 
 
 def _split(plane: Array) -> list[Array]:
@@ -340,7 +345,7 @@ def write(path: PathLike, name: PathLike, exr: Exr) -> None:
         if not own:
             continue
         box = around([_common(window, exr.box), *_filled(own.values(), exr.box)])
-        header = {key: value for key, value in attributes.items() if key not in ("channels", "chunkCount", "preview")}
+        header = {key: value for key, value in attributes.items() if key not in ("channels", "chunkCount")}
         header |= {"dataWindow": _window(box), "displayWindow": _window(exr.display)}
         if "tiles" in header:
             header["tiles"].mode = module.ONE_LEVEL
