@@ -183,7 +183,7 @@ class Console:
         """
         file, line = self.file, as_options(one_line(text))
         names = tuple(one_line(name) for name in (file.source, file.target) if name)
-        if names and (file.named or self.strict) and not line.startswith(names):
+        if names and not meant and (file.named or self.strict) and not line.startswith(names):
             line = f"{names[0]}: {line}"
         with self._lock:
             fresh = line not in self._said

@@ -192,6 +192,7 @@ def warp(
         return
     if running.given is not None:
         raise SuppleError(f"{running.given} is for Zarr stores, and {shown(paths[0])} is none: leave it out")
+    paths = _as_clip(paths, recipe)
     single = len(paths) == 2 and not _stands_for_several(paths[0]) and not holds_volumes(paths[0])
     if single and (
         is_volume_job(paths[0], paths[1], recipe, reading, grid=sampling["grid"]) or is_clip(paths[0], paths[1], recipe)
@@ -295,6 +296,31 @@ def _shared(recipe: Recipe, kept: Collection[Recipe]) -> Recipe:
         if len(known) == 1:
             return next(iter(known))
     return recipe
+
+
+def _as_clip(paths: tuple[str, ...], recipe: Recipe) -> tuple[str, ...]:
+    """Return ``f.*.exr`` as the pattern of a clip, if it is to become one; refuse pictures for strokes with a time."""
+    from supple.media.codecs import SUFFIXES_OUT as CLIPS
+    from supple.media.image import SUFFIXES
+    from supple.media.numbering import has_number, of_star
+
+    source, target = paths[0], paths[-1]
+    timed = recipe.moves or (bool(recipe.strokes) and recipe.strokes[0].ndim == 3)
+    name = os.path.basename(source)
+    star = name.count("*") == 1 and glob.escape(source) == source.replace("*", "[*]") and not os.path.exists(source)
+    known = os.path.splitext(name)[1].lower() in SUFFIXES
+    if len(paths) == 2 and star and known:
+        clip = "%05d.png" if "*" in os.path.basename(target) else target
+        if timed or has_number(clip) or clip.lower().endswith(CLIPS):
+            source = of_star(source)
+            number = os.path.basename(source)[name.index("*") :].partition("d")[0] + "d"
+            return source, target.replace("*", number)
+    elif timed and len(paths) > 2 and all(os.path.splitext(path)[1].lower() in SUFFIXES for path in paths[:-1]):
+        raise SuppleError(
+            f"strokes with a time or with keys are for clips, and {source} and the others are pictures: name them as a "
+            "sequence, by a pattern such as f.%04d.exr or by their folder"
+        )
+    return paths
 
 
 def _stands_for_several(source: str) -> bool:

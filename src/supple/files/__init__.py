@@ -275,7 +275,7 @@ def warp_file(
             rest = [warped(a, replace(nearest if x else sampling, fill=0.0), False)[0] for (x, _), a in pairs]
             layers = layers if regrid is None else layers.sized(pixels.shape[:2])
             header["exr"] = replace(layers, arrays=(pixels, *rest))
-            warn_of_exact(source, layers)
+            warn_of_exact(layers)
         warn_of(certificate, tolerance, 3, folds_of(maps), only_name(maps))
         # Only the header of the input is still needed: free its pixels for the encoder.
         like = replace(picture, pixels=np.empty((0, *picture.pixels.shape[1:]), picture.pixels.dtype), _header=header)

@@ -31,6 +31,7 @@ from supple.media.numbering import (
     has_number,
     matching,
     numbered,
+    percent,
     pictures_in,
     spelling,
 )
@@ -172,7 +173,7 @@ class Layered(Pictures):
         if held.box != held.display:
             (x, y), (height, width) = held.corner, held.shown
             self.display = -x, -y, width, height
-        pictures.warn_of_exact(name, held)
+        pictures.warn_of_exact(held)
 
     def frames(self) -> Iterator[Frame]:
         """Yield the frames in order; each is read when it is copied."""
@@ -436,7 +437,7 @@ def writer(
 
 def _numbers(clip: Clip, text: str) -> Callable[[int], str]:
     """Return the names of a pattern, with the numbers of the source."""
-    spell = spelling(Path(text).name, text)
+    spell = spelling(Path(percent(text)).name, text)
     first = clip.first if isinstance(clip, Pictures) and clip.first is not None else 1
     return lambda k: spell(first + k)
 

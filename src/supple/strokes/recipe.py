@@ -164,10 +164,9 @@ class Recipe:
 
     def placed(self, offset: Sequence[float], size: Sequence[int]) -> Self:
         """Return the recipe, which has a size, in a larger medium: its own first sample is at ``offset`` there."""
-        ones = (1.0,) * len(offset)
-        return self._scaled(Scaling(ones, tuple(map(float, offset)), 1.0), tuple(size)) if any(offset) else replace(
-            self, size=tuple(size)
-        )
+        if not any(offset) or (self.strokes and self.strokes[0].ndim != len(offset)):  # the latter is refused later
+            return replace(self, size=tuple(size)) if len(offset) == len(self.size or ()) else self
+        return self._scaled(Scaling((1.0,) * len(offset), tuple(map(float, offset)), 1.0), tuple(size))
 
     def _scaled(self, scaling: Scaling, size: tuple[int, ...]) -> Self:
         strokes = [

@@ -178,10 +178,10 @@ def read(path: PathLike, *, pages: bool = False, whole: bool = False) -> Picture
     return Picture(pixels, has_alpha(image), icc, bits, form, image.interpretation, held, header)
 
 
-def warn_of_exact(path: PathLike, held: exr.Exr) -> None:
+def warn_of_exact(held: exr.Exr) -> None:
     """Say which channels of an OpenEXR are not filtered."""
     if held.exact:
-        text = f"{shown(path)}: {held.exact} take the nearest pixel's values, as averages would mean nothing"
+        text = f"channels take the nearest pixel's values where averages would mean nothing: {held.exact}"
         warnings.warn(text, LayerWarning, stacklevel=3)
 
 

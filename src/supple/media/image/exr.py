@@ -179,7 +179,7 @@ def opened(path: PathLike, *, header_only: bool = False) -> Iterator[Any]:
         raise unreadable(path, "it does not begin as an EXR does", "give the name of an EXR")
     try:
         # what it writes of damaged files, to both streams; what other threads write is passed on
-        with silence(), contextlib.redirect_stdout(said):
+        with silence(r".*\(EXR_ERR"), contextlib.redirect_stdout(said):
             file = module.File(os.fspath(path), separate_channels=True, header_only=header_only)
     except (RuntimeError, ValueError, TypeError, MemoryError) as error:
         raise _damaged(path, str(error).splitlines()[0]) from error
