@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,9 +16,10 @@ import pyvips
 
 from supple.errors import LayerWarning, SuppleError, shown
 from supple.media.files import PathLike, check_suffix, replacing
-from supple.media.image import exif, exr
+from supple.media.image import dpx, exif, exr
 from supple.media.image.formats import (
     AVIF,
+    DPX,
     DTYPES,
     EXR,
     JPEG,
@@ -326,6 +328,8 @@ def write(
         raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
     have = like.bits if like is not None and like.pixels.dtype == array.dtype else array.dtype.itemsize * 8
     bits = 10 if form is AVIF and 8 < have <= 10 else min(form.bits, array.dtype.itemsize * 8)
+    film = form is DPX and have in (10, 12) and channels == 3
+    bits = have if film else bits
     if bits < have:
         text = f"{name}: {form.name} holds {bits} bits a channel, and the {have} of the pixels are rounded"
         warnings.warn(text, DepthWarning, stacklevel=2)
@@ -334,6 +338,10 @@ def write(
     layers: exr.Exr | None = header.pop("exr", None)
     if layers is not None and (lost := layers.lost(exr=form is EXR)):
         text = f"{name} cannot take over {' and '.join(lost)} of an OpenEXR"
+        warnings.warn(text, MetadataWarning, stacklevel=2)
+    head: bytes = header.pop("dpx", b"")
+    if head and form is not DPX:
+        text = f"{name} cannot take over the header of a DPX, with its transfer curve and timecode"
         warnings.warn(text, MetadataWarning, stacklevel=2)
     if form.pixel_formats:
         if taken := [what for key, what in _BESIDE.items() if key in header] + ["the colour profile"] * bool(icc):
@@ -351,8 +359,13 @@ def write(
         if bits < array.dtype.itemsize * 8:
             array = decoded(image, 1)
         with replacing(path, force=force) as temporary, ffmpeg.writing(path):
-            kinds = form.pixel_formats[array.dtype.str[1:]]
-            temporary.write_bytes(ffmpeg.encoded(array, form.saver, kinds[channels], form.options))
+            kind = form.pixel_formats[array.dtype.str[1:]][channels]
+            if film:
+                array, kind = array >> (16 - bits), f"gbrp{bits}be"
+            if dpx.is_little(head):
+                kind = re.sub("be$", "le", kind)
+            data = ffmpeg.encoded(array, form.saver, kind, form.options)
+            temporary.write_bytes(dpx.dressed(data, head, path) if form is DPX and head else data)
         return
     image, lost = dressed(image, header, icc, form, channels - alpha)
     if lost:

@@ -15,7 +15,7 @@ import pyvips
 
 from supple.errors import SuppleError
 from supple.media.files import PathLike, head_of, unreadable, unwritable
-from supple.media.image import exr
+from supple.media.image import dpx, exr
 from supple.media.image.exif import retagged, tag_of
 from supple.media.image.formats import DTYPES, LOADERS, Array, meant, wrapped
 from supple.media.image.headers import png_frames
@@ -67,6 +67,9 @@ def opened(path: PathLike) -> tuple[Any, str]:
 
         if (found := ffmpeg.codec_of(path, head)) is not None:
             return _by_ffmpeg(path, *found)
+        if head.startswith((b"\x80\x2a\x5f\xd7", b"\xd7\x5f\x2a\x80")):
+            advice = "convert it, to DPX for instance, which holds the same values"
+            raise unreadable(path, "it is Cineon, which is not supported here", advice) from error
         form = None
     if form is None or image.format not in DTYPES or image.coding != "none":
         raise unreadable(path, "it is no image of a known kind", kinds)
@@ -82,6 +85,8 @@ def _by_ffmpeg(path: PathLike, codec: str, form: str) -> tuple[Any, str]:
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
     image = wrapped(np.ascontiguousarray(pixels), meant(pixels.dtype, channels - (channels in (2, 4)), ""), 32)
     image.set_type(pyvips.GValue.gint_type, "bits-per-sample", bits)
+    if form == "DPX":
+        image.set_type(pyvips.GValue.blob_type, "dpx", dpx.header_of(path))
     return image, form
 
 
