@@ -365,7 +365,7 @@ def write(
             if dpx.is_little(head):
                 kind = re.sub("be$", "le", kind)
             data = ffmpeg.encoded(array, form.saver, kind, form.options)
-            temporary.write_bytes(dpx.dressed(data, head, path) if form is DPX and head else data)
+            temporary.write_bytes(dpx.dressed(data, head, path) if form is DPX else data)
         return
     image, lost = dressed(image, header, icc, form, channels - alpha)
     if lost:

@@ -36,8 +36,11 @@ def _order(head: bytes) -> str:
 def dressed(data: bytes, head: bytes, path: PathLike) -> bytes:
     """Return an encoded file with the header of another one, but for how its pixels are stored.
 
-    Samples of more than 8 bits are of that one's byte order. The transfer curve and the colorimetry are those of the other one, too; with as many bits, so are black and white.
+    Samples of more than 8 bits are of that one's byte order. The transfer curve and the colorimetry are that one's,
+    too; with as many bits, so are black and white. Without a header, FFmpeg's is kept, but for its curve, linear.
     """
+    if not head:
+        return data[:801] + bytes(2) + data[803:]
     order, own = _order(head), _order(data)
     made = bytearray(head)
     fields = [(768, "HHIII"), (804, "HHIII"), *([(784, "IfIf")] if head[803] != data[803] else [])]
