@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import math
 import os
+import re
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +33,7 @@ from supple.cli.options_strokes import StrokeOptions
 from supple.cli.options_tracks import TrackOptions
 from supple.cli.options_volume import VOLUME, VolumeArguments
 from supple.engines.workers import workers
-from supple.errors import SuppleError
+from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
     from supple.cli.jobs import Job
@@ -125,10 +126,9 @@ def warp(
         volumes).
     """
     console = current()
-    from supple.cli.jobs import Crew, check_recipe_file, make_folders, pair, piped
+    from supple.cli.jobs import Crew, check_recipe_file, make_folders, pair, piped, summary
     from supple.engines.base import FINEST, check_filter
     from supple.engines.choice import check_device, check_host
-    from supple.errors import shown
     from supple.files import check_job, grid_of, warp_file, write_recipe
     from supple.files.clips import is_clip
     from supple.files.grids import grid_on
@@ -197,9 +197,9 @@ def warp(
     if single and (
         is_volume_job(paths[0], paths[1], recipe, reading, grid=sampling["grid"]) or is_clip(paths[0], paths[1], recipe)
     ):
-        jobs, many = [(Path(paths[0]), Path(paths[1]))], False
+        jobs, many, left = [(Path(paths[0]), Path(paths[1]))], False, []
     else:
-        jobs, many = pair(paths[:-1], paths[-1])
+        jobs, many, left = pair(paths[:-1], paths[-1])
     if save_recipe is not None:
         check_recipe_file(save_recipe, jobs, options.force)
 
@@ -238,7 +238,10 @@ def warp(
                 console.note(f"{shown(job[1])} is written on {describe_grid(grid_facts(grid), units)}")
             say_convention(console, reading.world, getattr(made, "geometry", None), job[0])
 
+    lost: set[Job] = set()
+
     def failed(job: Job, message: str) -> None:
+        lost.add(job)
         if options.json:
             with about(files[job]):
                 error = as_options(one_line(message))
@@ -261,6 +264,8 @@ def warp(
         large = any(is_clip(*job, recipe) or is_volume_job(*job, recipe, reading) for job in jobs)
         crew = 1 if large else min(len(jobs), threads())
         failures = Crew(crew).work(jobs, do, console, failed)
+        if len(jobs) > 1 or left:
+            console.note(summary(jobs, len(lost), paths[-1], left))
     else:
         failures = 0
         _alone(console, jobs[0], do, failed)
@@ -306,19 +311,19 @@ def _as_clip(paths: tuple[str, ...], recipe: Recipe) -> tuple[str, ...]:
 
     source, target = paths[0], paths[-1]
     timed = recipe.moves or (bool(recipe.strokes) and recipe.strokes[0].ndim == 3)
-    name = os.path.basename(source)
-    star = name.count("*") == 1 and glob.escape(source) == source.replace("*", "[*]") and not os.path.exists(source)
-    known = os.path.splitext(name)[1].lower() in SUFFIXES
-    if len(paths) == 2 and star and known:
-        clip = "%05d.png" if "*" in os.path.basename(target) else target
-        if timed or has_number(clip) or clip.lower().endswith(CLIPS):
-            source = of_star(source)
-            number = os.path.basename(source)[name.index("*") :].partition("d")[0] + "d"
-            return source, target.replace("*", number)
-    elif timed and len(paths) > 2 and all(os.path.splitext(path)[1].lower() in SUFFIXES for path in paths[:-1]):
+    if any(os.path.isdir(path) or Path(path).suffix.lower() not in SUFFIXES for path in paths[:-1]):
+        return paths
+    folder, name = os.path.split(source)
+    star = not glob.has_magic(name.replace("*", "", 1)) and "*" in name and not glob.has_magic(folder)
+    if len(paths) == 2 and star and not os.path.exists(source):
+        many = has_number(target) or "*" in os.path.basename(target) or target.lower().endswith(CLIPS)
+        if (timed or many) and (pattern := of_star(source)) is not None:
+            number = re.sub("d.*", "d", os.path.basename(pattern)[name.index("*") :])
+            return pattern, target.replace("*", number)
+    if timed and (len(paths) > 2 or _stands_for_several(source)):
         raise SuppleError(
-            f"strokes with a time or with keys are for clips, and {source} and the others are pictures: name them as a "
-            "sequence, by a pattern such as f.%04d.exr or by their folder"
+            f"strokes with a time or with keys are for clips, and {shown(source)} stands for several pictures: give the "
+            "pattern of a numbered sequence, such as f.%04d.exr, or a folder"
         )
     return paths
 

@@ -38,14 +38,14 @@ def percent(path: PathLike) -> str:
     return os.path.join(folder, f"{name[:start]}%{f'0{width}' if width > 1 else ''}d{name[end:]}")
 
 
-def of_star(path: str) -> str:
-    """Return the pattern of numbered images, ``f.%04d.exr``, for ``f.*.exr``; SuppleError if they are not numbered."""
+def of_star(path: str) -> str | None:
+    """Return the pattern of numbered images, ``f.%04d.exr``, for ``f.*.exr``; None if they are not numbered."""
     folder, name = os.path.split(path)
     before, _, after = name.partition("*")
     found = [n for n in _names_in(Path(folder)) if n.startswith(before) and n.endswith(after)]
     digits = [n[len(before) : len(n) - len(after)] for n in found]
     if not digits or not all(each.isascii() and each.isdecimal() for each in digits):
-        raise SuppleError(f"{shown(path)} names no numbered pictures: give a pattern such as f.%04d.exr, or a folder")
+        return None
     widths = {len(each) for each in digits}
     width = widths.pop() if len(widths) == 1 else 1
     return os.path.join(folder, f"{before}%{f'0{width}' if width > 1 else ''}d{after}")
