@@ -87,16 +87,16 @@ def warp(
     """Bend pictures, videos and volumes.
 
     Several files, a folder or a pattern in quotes are written to a folder under the same names. Numbered pictures
-    (frames/%05d.png) are a video, and so is a folder of pictures if the strokes have a time. A folder of DICOM
-    slices is a volume. A Zarr array or an OME-Zarr image, in a folder or at an address, is written block by block to
-    another one, and goes on where it was interrupted.
+    (frames/%05d.png or frames/#####.png) are a video, and so is a folder of pictures if the strokes have a time. A
+    folder of DICOM slices is a volume. A Zarr array or an OME-Zarr image, in a folder or at an address, is written
+    block by block to another one, and goes on where it was interrupted.
 
     Parameters
     ----------
     paths
         Files to read, and last the file or folder to write. The suffix of OUT is its format: PNG, JPEG, TIFF,
-        WebP, AVIF; MP4, MOV, MKV, WebM, AVI, GIF; NIfTI, NRRD, MHA; Zarr, of pictures and volumes. A dash, -, is
-        standard input or output, in the input's format.
+        WebP, AVIF, OpenEXR, DPX and others; MP4, MOV, MKV, WebM, AVI, GIF; NIfTI, NRRD, MHA; Zarr, of pictures and
+        volumes. A dash, -, is standard input or output, in the input's format.
     filter
         Interpolation: auto (cubic, averaged where the picture shrinks), cubic, linear or nearest.
     outside
@@ -193,11 +193,12 @@ def warp(
     if running.given is not None:
         raise SuppleError(f"{running.given} is for Zarr stores, and {shown(paths[0])} is none: leave it out")
     paths = _as_clip(paths, recipe)
+    left: list[Path] = []
     single = len(paths) == 2 and not _stands_for_several(paths[0]) and not holds_volumes(paths[0])
     if single and (
         is_volume_job(paths[0], paths[1], recipe, reading, grid=sampling["grid"]) or is_clip(paths[0], paths[1], recipe)
     ):
-        jobs, many, left = [(Path(paths[0]), Path(paths[1]))], False, []
+        jobs, many = [(Path(paths[0]), Path(paths[1]))], False
     else:
         jobs, many, left = pair(paths[:-1], paths[-1])
     if save_recipe is not None:
@@ -322,8 +323,8 @@ def _as_clip(paths: tuple[str, ...], recipe: Recipe) -> tuple[str, ...]:
             return pattern, target.replace("*", number)
     if timed and (len(paths) > 2 or _stands_for_several(source)):
         raise SuppleError(
-            f"strokes with a time or with keys are for clips, and {shown(source)} stands for several pictures: give the "
-            "pattern of a numbered sequence, such as f.%04d.exr, or a folder"
+            f"strokes with a time or with keys are for clips, and {shown(source)} stands for several pictures: give "
+            "the pattern of a numbered sequence, such as f.%04d.exr, or a folder"
         )
     return paths
 

@@ -110,9 +110,9 @@ def warp_file(
     Parameters
     ----------
     source : str or os.PathLike
-        An image (PNG, JPEG, TIFF, WebP, AVIF, GIF, OpenEXR, Radiance, JPEG 2000, BMP, TGA, PNM); a video; a pattern
-        such as ``frames/%05d.png``, or a folder of images; a volume
-        in NIfTI, NRRD, MetaImage, a stack of TIFF pages, ``.dat``, or a folder of DICOM slices.
+        An image (PNG, JPEG, TIFF, WebP, AVIF, GIF, OpenEXR, DPX, SGI, Radiance, JPEG 2000, BMP, TGA, PNM); a video; a
+        pattern such as ``frames/%05d.png``, or a folder of images; a volume in NIfTI, NRRD, MetaImage, a stack of TIFF
+        pages, ``.dat``, or a folder of DICOM slices.
     target : str or os.PathLike
         The output; its suffix determines the format: one of those of images, except GIF; for clips, MP4, MOV, MKV,
         WebM, AVI or GIF, or a pattern or a folder for images; for volumes, NIfTI, NRRD, MetaImage or TIFF;
@@ -255,14 +255,16 @@ def warp_file(
             2, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light
         )
 
+        pages = picture.pages
+
         def warped(samples: Array, sampling: Sampling, alpha: bool | None) -> tuple[Array, Certificate]:
             """Return samples of all pages, warped."""
             rows, columns = space.out[-2:]
-            made = np.empty((rows * picture.pages, columns, *samples.shape[2:]), samples.dtype)
-            pages, out = (a.reshape(*n, *a.shape[2:]) for a, n in ((samples, space.whole), (made, space.out)))
-            _, certificate = warp_array(pages, space, sampling, alpha=alpha, device=device, out=out)
+            made = np.empty((rows * pages, columns, *samples.shape[2:]), samples.dtype)
+            held, out = (a.reshape(*n, *a.shape[2:]) for a, n in ((samples, space.whole), (made, space.out)))
+            _, certificate = warp_array(held, space, sampling, alpha=alpha, device=device, out=out)
             if (made.dtype.kind == "f" if clamp is None else clamp) and not space.is_identity:
-                for k in range(picture.pages):  # each by itself
+                for k in range(pages):  # each by itself
                     clamp_to(samples[k * height : (k + 1) * height], made[k * rows : (k + 1) * rows], sampling)
             return made, certificate
 

@@ -165,9 +165,7 @@ class Layered(Pictures):
         held = exr.read(paths[0], exr.around([head.box for head in self._heads]))
         picture = pictures.of_layers(held)
         self.format, self.interpretation, self._bits = picture.format, picture.interpretation, held.bits
-        groups = [
-            Group(held.shape, n, exact=exact) for (exact, _), n in zip(held.groups, held.planes, strict=True)
-        ]
+        groups = [Group(held.shape, n, exact=exact) for (exact, _), n in zip(held.groups, held.planes, strict=True)]
         self.layout = Layout(tuple(groups), np.dtype(np.float32), 1.0)
         self._like = replace(held, arrays=())
         if held.box != held.display:
@@ -248,8 +246,9 @@ def open_clip(path: PathLike, *, rate: float | Fraction = 24, target: PathLike |
     Parameters
     ----------
     path : str or os.PathLike
-        A pattern such as ``frames/%05d.png`` for consecutively numbered images, from any first number. Or a folder, for
-        all its images, the 9th before the 10th. Or an animated WebP, which has times of its own.
+        A pattern such as ``frames/%05d.png`` or ``frames/#####.png`` for consecutively numbered images, from any first
+        number. Or a folder, for all its images, the 9th before the 10th. Or an animated WebP, which has times of its
+        own.
     rate : float or Fraction
         Frames a second. 23.976, 29.97 and the like are rounded to 24000/1001 and 30000/1001.
     target : str or os.PathLike, optional

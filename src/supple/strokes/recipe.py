@@ -180,7 +180,9 @@ class Recipe:
                 widths = tuple(width * s for width, s in zip(given, scaling.widths, strict=True))
                 border = widths[0] if isinstance(border, float) and len(set(widths)) == 1 else widths
         freeze = self.freeze
-        if freeze is not None and freeze.samples == (self.size or ())[: freeze.ndim]:  # or it is the medium's, or refused
+        if (
+            freeze is not None and freeze.samples == (self.size or ())[: freeze.ndim]
+        ):  # or it is the medium's, or refused
             freeze = freeze.fitted(size, scaling.point)
         return replace(self, size=size, strokes=tuple(strokes), border=border, freeze=freeze)
 

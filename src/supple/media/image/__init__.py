@@ -159,8 +159,8 @@ def read(path: PathLike, *, pages: bool = False, whole: bool = False) -> Picture
         The file has damaged EXIF or any IPTC in a TIFF, or a gain map for HDR in a JPEG.
     """
     if exr.is_exr(path):
-        held = exr.read(path)
-        return of_layers(held if whole else held.alone())
+        layers = exr.read(path)
+        return of_layers(layers if whole else layers.alone())
     image, form = opened(path)
     name = shown(path)
     count, orientation, bits = facts(image)

@@ -1,7 +1,7 @@
 """OpenEXR files by the package OpenEXR: the channels of all parts, data and display windows, and attributes.
 
-Channels of colour (R, G, B, A and Y, of any layer) are filtered. Averages of ids, cryptomattes, depths, normals, positions
-and vectors would mean nothing: these channels are exact, and each pixel takes the values of the nearest one.
+Channels of colour (R, G, B, A and Y, of any layer) are filtered. Averages of ids, cryptomattes, depths, normals,
+positions and vectors would mean nothing: these channels are exact, and each pixel takes the values of the nearest one.
 """
 
 from __future__ import annotations

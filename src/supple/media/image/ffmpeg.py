@@ -1,4 +1,4 @@
-"""Image formats that libvips lacks, by FFmpeg's codecs: Radiance, JPEG 2000, BMP, TGA and PNM."""
+"""Image formats that libvips lacks, by FFmpeg's codecs: DPX, SGI, Radiance, JPEG 2000, BMP, TGA and PNM."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 from supple.errors import need
 
-need("video", "Radiance, JPEG 2000, BMP, TGA and PNM pictures", "av")
+need("video", "DPX, SGI, Radiance, JPEG 2000, BMP, TGA and PNM pictures", "av")
 
 import av
 import numpy as np
