@@ -107,6 +107,8 @@ class Exr:
         own = sorted({name for each in self.attributes for name in each} - _OWN)
         parts = [("channel", self.left)] if exr else [("channel", self.left or names), ("attribute", own)]
         told = [f"the {what}{'s' * (len(some) > 1)} {_listed(some)}" for what, some in parts if some]
+        levels = any(each["tiles"].mode.value for each in self.attributes if "tiles" in each)
+        told += ["the smaller levels"] * levels
         return told + ["the data window"] * (not exr and self.windows != (self.display,))
 
     @property
@@ -172,13 +174,31 @@ def is_exr(path: PathLike) -> bool:
 @contextlib.contextmanager
 def opened(path: PathLike, *, header_only: bool = False) -> Iterator[Any]:
     """Open an OpenEXR that is not deep: its parts, with separate channels; errors are one sentence."""
-    from supple.media.volume.itk import silence
-
-    module, said = imported(), io.StringIO()
+    module = imported()
     if not head_of(path, 4).startswith(MAGIC):
         raise unreadable(path, "it does not begin as an EXR does", "give the name of an EXR")
+    with _file(module, path, True) as file:
+        for part in file.parts:
+            if part.header["type"] in (module.deepscanline, module.deeptile):
+                raise unreadable(path, "it is a deep EXR, several samples for a pixel", "flatten it first")
+            for each in part.header["channels"]:
+                if (each.xSampling, each.ySampling) != (1, 1):
+                    what = f"its channel {each.name} has a sample for every {each.xSampling} x {each.ySampling} pixels"
+                    raise unreadable(path, what, "write it with all channels at full resolution, as RGB")
+        if header_only:
+            yield file
+    if not header_only:
+        with _file(module, path, False) as file:
+            yield file
+
+
+def _file(module: Any, path: PathLike, header_only: bool) -> Any:
+    """Open an OpenEXR, without what the package writes of a damaged one."""
+    from supple.media.volume.itk import silence
+
+    said = io.StringIO()
     try:
-        # what it writes of damaged files, to both streams; what other threads write is passed on
+        # to both streams; what other threads write is passed on
         with silence(r".*\(EXR_ERR"), contextlib.redirect_stdout(said):
             file = module.File(os.fspath(path), separate_channels=True, header_only=header_only)
     except (RuntimeError, ValueError, TypeError, MemoryError) as error:
@@ -186,18 +206,9 @@ def opened(path: PathLike, *, header_only: bool = False) -> Iterator[Any]:
     finally:
         if rest := re.sub(r"(?m)^Warning: .*\n", "", said.getvalue()):
             sys.stdout.write(rest)
-    with file:
-        if not file.parts:
-            raise _damaged(path, said.getvalue().strip().rpartition(" - ")[2] or "it has no parts")
-        kinds = {part.header["type"] for part in file.parts}
-        if kinds & {module.deepscanline, module.deeptile}:
-            raise unreadable(path, "it is a deep EXR, several samples for a pixel", "flatten it first")
-        for part in file.parts:
-            for each in part.header["channels"]:
-                if (each.xSampling, each.ySampling) != (1, 1):
-                    what = f"its channel {each.name} has a sample for every {each.xSampling} x {each.ySampling} pixels"
-                    raise unreadable(path, what, "write it with all channels at full resolution, as RGB")
-        yield file
+    if not file.parts:
+        raise _damaged(path, said.getvalue().strip().rpartition(" - ")[2] or "it has no parts")
+    return file
 
 
 def _damaged(path: PathLike, why: str) -> Exception:

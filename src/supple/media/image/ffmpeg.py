@@ -85,12 +85,12 @@ def encoded(pixels: Array, codec: str, pixel_format: str, options: Mapping[str, 
 
 
 @contextlib.contextmanager
-def reading(path: PathLike) -> Iterator[None]:
-    """Convert a codec's errors to one sentence."""
+def reading(path: PathLike, kind: str = "") -> Iterator[None]:
+    """Convert a codec's errors to one sentence, with the kind of the file, if it is known."""
     try:
         yield
     except av.FFmpegError as error:
-        what = f"it is damaged, cut short or of a kind that is not supported ({said(error)})"
+        what = f"it is damaged, cut short or of a kind that is not supported ({kind or said(error)})"
         raise unreadable(path, what, "give a whole copy of it, or convert it to PNG or TIFF") from error
 
 

@@ -80,13 +80,14 @@ def _by_ffmpeg(path: PathLike, codec: str, form: str) -> tuple[Any, str]:
     """Decode an image that libvips does not support."""
     from supple.media.image import ffmpeg
 
-    with ffmpeg.reading(path):
+    header = dpx.header_of(path) if form == "DPX" else b""
+    with ffmpeg.reading(path, dpx.described(header) if header else ""):
         pixels, bits = ffmpeg.decoded(path, codec)
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
     image = wrapped(np.ascontiguousarray(pixels), meant(pixels.dtype, channels - (channels in (2, 4)), ""), 32)
     image.set_type(pyvips.GValue.gint_type, "bits-per-sample", bits)
-    if form == "DPX":
-        image.set_type(pyvips.GValue.blob_type, "dpx", dpx.header_of(path))
+    if header:
+        image.set_type(pyvips.GValue.blob_type, "dpx", header)
     return image, form
 
 
