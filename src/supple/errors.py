@@ -42,6 +42,10 @@ class ScaleWarning(UserWarning):
     """A recipe was made for another size of the same proportions, and was scaled."""
 
 
+class LayerWarning(UserWarning):
+    """Channels of a picture are sampled by the nearest pixel, since their averages would mean nothing."""
+
+
 class ToleranceWarning(UserWarning):
     """The inverse map is not within the tolerance everywhere."""
 

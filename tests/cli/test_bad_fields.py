@@ -195,7 +195,7 @@ LINES: list[tuple[str, str]] = [
     ("check u.mha --convention fsl-relative --source head.nii", "no NIfTI file, and those of the convention fsl-rel"),
     ("check rgb.nii", "its voxels are colours (RGB)"),
     ("check a.tfm", "and not one field: supple compose makes one, on the grid of an image (--reference)"),
-    ("check cut.exr", "cannot read cut.exr: it is no EXR, damaged or cut short"),
+    ("check cut.exr", "cannot read cut.exr: it is damaged, cut short or of a kind that is not supported"),
     ("compose u.nii", "give --out FILE"),
     # maps of another size than the picture that they are for
     ("warp small.png o.png --field flow.yml", "flow.yml is a map of 48 x 40 pixels, and small.png, on whose pixels"),

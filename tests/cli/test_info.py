@@ -142,3 +142,22 @@ def test_a_fault_of_ours_is_one_line(run: Run, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setenv("SUPPLE_DEBUG", "1")
     with pytest.raises(RuntimeError):
         run("warp", "in.png", "out.png", *GRAB)
+
+
+VERBS = ("warp", "plot", "render", "points", "plan", "info", "view", "invert", "check", "compose", "convert", "demo")
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+@pytest.mark.parametrize("verb", ["", *VERBS])
+def test_help_fits_the_terminal(run: Run, monkeypatch: pytest.MonkeyPatch, verb: str, width: int) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    status, out, _ = run(*verb.split(), "--help")
+    assert status == 0
+    assert max(map(len, out.splitlines())) <= width
+
+
+def test_help_breaks_lines_where_the_terminal_ends(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "400")
+    assert "Pixels are counted from the top left one, which is 0,0. In a video, a third" in run("warp", "--help")[1]
+    monkeypatch.setenv("COLUMNS", "80")
+    assert " --twist 195,160:20 --radius 40\n" in run("warp", "--help")[1].replace(" \\\n     ", "")

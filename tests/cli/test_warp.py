@@ -150,7 +150,7 @@ def test_several_files_share_what_is_saved(run: Run) -> None:
     image.write("tall.png", noise(80, 48))
     assert run("warp", "in.png", "tall.png", "new/", *GRAB, "--save-recipe", "r.json")[0] == 0
     assert (saved().size, saved().space) == (None, "pixels")
-    assert run("warp", "in.png", "tall.png", "other/", "--recipe", "r.json") == (0, "", "")
+    assert run("warp", "in.png", "tall.png", "other/", "--recipe", "r.json", "--quiet") == (0, "", "")
 
 
 @pytest.mark.parametrize("text", ["30%", "0.3", " 30 %"])

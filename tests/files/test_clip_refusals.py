@@ -20,7 +20,7 @@ def test_a_folder_of_videos_is_no_clip(run: Run) -> None:
     clips.make("in/a.mp4", count=12)
     clips.make("in/b.mp4", count=12)
     for grab in (GRAB, GRAB_2D):
-        assert run("warp", "in", "out", *grab, "--force") == (0, "", "")
+        assert run("warp", "in", "out", *grab, "--force", "--quiet") == (0, "", "")
         assert sorted(os.listdir("out")) == ["a.mp4", "b.mp4"]
         assert info("out/b.mp4")["frames"] == 12
 

@@ -43,7 +43,7 @@ def test_a_folder_is_a_clip_if_strokes_have_a_time_and_many_pictures_if_not(run:
     frames = pictures("in", 6, "pic{}.png")
     grab = ["--grab", "30,20,2:33,22,4", "--radius", "10", "--border", "none"]
     assert run("warp", "in", "timed", *grab) == (0, "", "")
-    assert run("warp", "in", "flat", *GRAB_2D) == (0, "", "")
+    assert run("warp", "in", "flat", *GRAB_2D, "--quiet") == (0, "", "")
     names = [f"pic{k}.png" for k in range(1, 7)]
     assert sorted(os.listdir("timed")) == sorted(os.listdir("flat")) == names
     recipe = supple.Recipe(border=None, strokes=(supple.Stroke.grab((30, 20, 2), to=(33, 22, 4), radius=10),))
@@ -86,3 +86,39 @@ def test_a_rate_may_be_a_ratio(run: Run) -> None:
     pictures("in")
     assert run("warp", "in", "a.mkv", *GRAB, "--codec", "ffv1", "--fps", "24000/1001") == (0, "", "")
     assert info("a.mkv")["rate"] == Fraction(24000, 1001)
+
+
+@pytest.mark.parametrize(
+    ("source", "target"),
+    [
+        ("f.####.png", "out/g.####.png"),
+        ("f.@@@@.png", "out/g.%04d.png"),
+        ("f.$F4.png", "out/g.$F4.png"),
+        ("f.*.png", "out/g.*.png"),
+        ("f.#.png", "out/g.####.png"),
+    ],
+)
+def test_patterns_of_other_programs(run: Run, source: str, target: str) -> None:
+    numbers = range(998, 1002) if source == "f.#.png" else range(1001, 1005)
+    pictures(".", 4, "f.{}.png", first=numbers[0])
+    assert run("warp", source, target, *GRAB) == (0, "", "")
+    assert sorted(os.listdir("out")) == [f"g.{k:04d}.png" for k in numbers]
+    status, _, err = run("warp", "f.###.png" if "*" not in source else "x.*.png", target, *GRAB)
+    assert status == 2
+    assert err.count("\n") == 1
+
+
+def test_pictures_for_strokes_with_a_time_are_refused_once(run: Run) -> None:
+    pictures(".", 3, "a{}.png")
+    Path("a4x.png").write_bytes(Path("a1.png").read_bytes())
+    for given in (["a1.png", "a2.png", "a3.png"], ["*.png"]):
+        status, _, err = run("warp", *given, "out", *GRAB)
+        assert (status, err.count("\n")) == (2, 1)
+        assert f"{given[0]} stands for several pictures: give the pattern of a numbered sequence" in err
+
+
+def test_a_name_with_signs_of_a_file_that_is_there_is_a_name(run: Run) -> None:
+    pictures(".", 1, "photo##.png")
+    assert run("warp", "photo##.png", "out.png", *GRAB_2D) == (0, "", "")
+    pictures(".", 1, "icon@2x.png")
+    assert run("warp", "icon@2x.png", "icon@3x.png", *GRAB_2D) == (0, "", "")

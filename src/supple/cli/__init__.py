@@ -6,9 +6,11 @@ import contextlib
 import itertools
 import os
 import re
+import shutil
 import sys
+import textwrap
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from cyclopts import App, CycloptsError, Parameter
 
@@ -128,15 +130,16 @@ def _dispatch(arguments: Sequence[str]) -> None:
     app = App(
         name="supple",
         help="Bend pictures, videos and volumes with elastic brushes, exactly inverted and sampled once.",
-        help_epilogue=_EXAMPLES,
+        help_epilogue=_broken(_EXAMPLES),
         help_format="plaintext",
+        help_formatter=_formatter() if not arguments or {"--help", "-h"} & {*arguments} else None,
         version=_version,
         default_parameter=Parameter(negative=(), show_default=_unless_false),
         suppress_keyboard_interrupt=False,
         result_action="return_value",
     )
     for where, usage, examples in _COMMANDS:
-        app.command(f"supple.{where}", usage=f"Usage: supple {usage}", help_epilogue=examples)
+        app.command(f"supple.{where}", usage=f"Usage: supple {usage}", help_epilogue=_broken(examples))
     if not arguments or arguments[0] in app.help_flags:
         app.resolved_commands()  # otherwise their first lines would be missing
     # Otherwise a single dash would be parsed as an option.
@@ -167,6 +170,37 @@ def _advised(text: str) -> str:
     if "option: --device" in wrong:
         return f"{wrong} It is for warp, render and demo"
     return text
+
+
+def _broken(examples: str) -> str:
+    """Return examples with lines that fit the terminal: a shell takes what is after a backslash for the same line."""
+    width, lines = shutil.get_terminal_size().columns - 8, []
+    for line in examples.splitlines():
+        parts = textwrap.wrap(line.strip(), width, break_long_words=False, break_on_hyphens=False)
+        lines.append("  " + " \\\n      ".join(parts) if line.startswith("  ") else line)
+    return "\n".join(lines)
+
+
+def _formatter() -> Any:
+    """Return cyclopts' formatter of help, for paragraphs that are as wide as the terminal, and not as their source."""
+    from cyclopts.help import DefaultFormatter
+
+    def join(text: Any) -> None:
+        held = getattr(text, "primary_renderable", None)
+        if held is not None:
+            held.plain = re.sub(r"(?<!\n)\n(?!\n)", " ", held.plain)
+
+    class Formatter(DefaultFormatter):
+        def __call__(self, console: Any, options: Any, panel: Any) -> None:
+            for entry in panel.entries:
+                join(entry.description)
+            super().__call__(console, options, panel)
+
+        def render_description(self, console: Any, options: Any, description: Any) -> None:
+            join(description)
+            super().render_description(console, options, description)
+
+    return Formatter()
 
 
 def _unless_false(value: object) -> object:

@@ -16,11 +16,11 @@ from dataclasses import asdict, dataclass, field
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from supple.errors import ScaleWarning, SuppleError
+from supple.errors import LayerWarning, ScaleWarning, SuppleError
 
 if TYPE_CHECKING:
     from supple.deformation import Arrival, Deformation
-    from supple.geometry import Geometry
+    from supple.geometry import Geometry, Grid
 
 DONE, FAULT, REFUSED = 0, 1, 2
 INTERRUPTED = 128 + signal.SIGINT
@@ -183,7 +183,7 @@ class Console:
         """
         file, line = self.file, as_options(one_line(text))
         names = tuple(one_line(name) for name in (file.source, file.target) if name)
-        if names and (file.named or self.strict) and not line.startswith(names):
+        if names and not meant and (file.named or self.strict) and not line.startswith(names):
             line = f"{names[0]}: {line}"
         with self._lock:
             fresh = line not in self._said
@@ -241,10 +241,15 @@ def say_convention(console: Console, world: bool, geometry: Geometry | None, nam
         console.say(f"points are {geometry.convention} millimetres, as {name} has them")
 
 
-def told(*deformations: Deformation) -> dict[str, Any]:
-    """Return what became of the strokes, as JSON holds it: of those that move, the worst of all frames."""
+def told(*deformations: Deformation, own: Grid | None = None) -> dict[str, Any]:
+    """Return what became of the strokes, as JSON holds it: of those that move, the worst of all frames.
+
+    ``own`` is the grid of the input, if it is not that of the deformations.
+    """
+    from supple.files.grids import arrivals_on
+
     each = [deformation.resolution() for deformation in dict.fromkeys(deformations)]
-    arrivals = zip(*(made["arrivals"] for made in each), strict=True)
+    arrivals = zip(*(arrivals_on(own, deformations[0].grid, made["arrivals"]) for made in each), strict=True)
 
     def miss(arrival: Arrival) -> float:
         return max(point.miss for point in (arrival, *arrival.also))
@@ -351,7 +356,7 @@ def _warnings(console: Console) -> Iterator[None]:
 
     def show(message: Warning | str, category: type[Warning], *rest: object, **named: object) -> None:
         if category.__module__.startswith("supple."):
-            console.warn(message, meant=issubclass(category, ScaleWarning))
+            console.warn(message, meant=issubclass(category, ScaleWarning | LayerWarning))
 
     with warnings.catch_warnings():
         if os.environ.get("SUPPLE_DEBUG") != "1":

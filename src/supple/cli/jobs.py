@@ -26,7 +26,7 @@ Job = tuple[Path, Path]
 PathLike = str | os.PathLike[str]
 
 
-def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool]:
+def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool, list[Path]]:
     """Find the pictures, and name what each becomes.
 
     Parameters
@@ -42,21 +42,27 @@ def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool]:
         Sources and targets, in order.
     bool
         Whether the target is a folder.
+    list of pathlib.Path
+        Folders within those that are given, or that match a pattern, which are not entered.
     """
+    left: list[Path] = []
     found: list[tuple[Path, Path]] = []  # with the name below the target
     several = len(given) > 1
     for name in given:
         path = Path(name)
         if os.path.isdir(name):
             several = True
-            inside = _pictures_in(path)
+            inside, folders = _pictures_in(path)
+            left += folders
             if not inside:
                 told = f"the folder {shown(name)} holds no pictures or DICOM slices"
                 raise SuppleError(f"{told}: give another, or their names")
             found += [(p, p.relative_to(path)) for p in inside]
         elif glob.has_magic(name) and not os.path.exists(name):
             several = True
-            matching = sorted(Path(p) for p in glob.glob(name, recursive=True) if not os.path.isdir(p))
+            every = sorted(Path(p) for p in glob.glob(name, recursive=True))
+            matching = [path for path in every if not os.path.isdir(path)]
+            left += [path for path in every if os.path.isdir(path)] if "**" not in name else []
             if not matching:
                 raise SuppleError(f"no file matches {shown(name)}: check the pattern")
             base = _fixed_part(name)
@@ -64,7 +70,7 @@ def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool]:
         else:
             found.append((path, Path(path.name)))
     if not several and not os.path.isdir(target) and not target.endswith(("/", os.sep)):
-        return [(found[0][0], Path(target))], False
+        return [(found[0][0], Path(target))], False, []
     if not target:
         raise SuppleError("several pictures need a folder to go into: name one, last")
     if is_media_name(target) and not os.path.isdir(target):
@@ -86,17 +92,28 @@ def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool]:
             raise SuppleError(
                 f"{shown(source)} would become {shown(goal)}, which is to be read too: use another folder"
             )
-    return list(dict.fromkeys(jobs)), True
+    return list(dict.fromkeys(jobs)), True, left
 
 
-def _pictures_in(folder: Path) -> list[Path]:
+def _pictures_in(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Return the files of a folder that can be warped, and the folders in it."""
     try:
         names = sorted(os.listdir(folder))
     except OSError as error:
         raise SuppleError(f"cannot read the folder {shown(folder)}: {error.strerror}: check its rights") from error
     seen = [folder / name for name in names if not name.startswith(".")]
     known = SUFFIXES_IN | SUFFIXES | ONE_FILE
-    return [path for path in seen if suffix_of(path) in known and os.path.isfile(path)]
+    files = [path for path in seen if suffix_of(path) in known and os.path.isfile(path)]
+    return files, [path for path in seen if os.path.isdir(path)]
+
+
+def summary(jobs: Sequence[Job], failed: int, target: str, left: Sequence[Path]) -> str:
+    """Return what became of several files, in one line."""
+    count = len(jobs)
+    done = f"{count - failed} of {count} files" if failed else f"{count} file{'s' * (count > 1)}"
+    some = ", ".join(map(shown, left[:5])) + (f" and {len(left) - 5} more" if len(left) > 5 else "")
+    entered = f"; folders that were not entered: {some}" if left else ""
+    return f"{done} written into {shown(target)}{f', {failed} failed' if failed else ''}{entered}"
 
 
 def make_folders(jobs: Sequence[Job]) -> None:

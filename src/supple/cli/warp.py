@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import math
 import os
+import re
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +33,7 @@ from supple.cli.options_strokes import StrokeOptions
 from supple.cli.options_tracks import TrackOptions
 from supple.cli.options_volume import VOLUME, VolumeArguments
 from supple.engines.workers import workers
-from supple.errors import SuppleError
+from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
     from supple.cli.jobs import Job
@@ -86,16 +87,16 @@ def warp(
     """Bend pictures, videos and volumes.
 
     Several files, a folder or a pattern in quotes are written to a folder under the same names. Numbered pictures
-    (frames/%05d.png) are a video, and so is a folder of pictures if the strokes have a time. A folder of DICOM
-    slices is a volume. A Zarr array or an OME-Zarr image, in a folder or at an address, is written block by block to
-    another one, and goes on where it was interrupted.
+    (frames/%05d.png or frames/#####.png) are a video, and so is a folder of pictures if the strokes have a time. A
+    folder of DICOM slices is a volume. A Zarr array or an OME-Zarr image, in a folder or at an address, is written
+    block by block to another one, and goes on where it was interrupted.
 
     Parameters
     ----------
     paths
         Files to read, and last the file or folder to write. The suffix of OUT is its format: PNG, JPEG, TIFF,
-        WebP, AVIF; MP4, MOV, MKV, WebM, AVI, GIF; NIfTI, NRRD, MHA; Zarr, of pictures and volumes. A dash, -, is
-        standard input or output, in the input's format.
+        WebP, AVIF, OpenEXR, DPX and others; MP4, MOV, MKV, WebM, AVI, GIF; NIfTI, NRRD, MHA; Zarr, of pictures and
+        volumes. A dash, -, is standard input or output, in the input's format.
     filter
         Interpolation: auto (cubic, averaged where the picture shrinks), cubic, linear or nearest.
     outside
@@ -125,10 +126,9 @@ def warp(
         volumes).
     """
     console = current()
-    from supple.cli.jobs import Crew, check_recipe_file, make_folders, pair, piped
+    from supple.cli.jobs import Crew, check_recipe_file, make_folders, pair, piped, summary
     from supple.engines.base import FINEST, check_filter
     from supple.engines.choice import check_device, check_host
-    from supple.errors import shown
     from supple.files import check_job, grid_of, warp_file, write_recipe
     from supple.files.clips import is_clip
     from supple.files.grids import grid_on
@@ -192,13 +192,15 @@ def warp(
         return
     if running.given is not None:
         raise SuppleError(f"{running.given} is for Zarr stores, and {shown(paths[0])} is none: leave it out")
+    paths = _as_clip(paths, recipe)
+    left: list[Path] = []
     single = len(paths) == 2 and not _stands_for_several(paths[0]) and not holds_volumes(paths[0])
     if single and (
         is_volume_job(paths[0], paths[1], recipe, reading, grid=sampling["grid"]) or is_clip(paths[0], paths[1], recipe)
     ):
         jobs, many = [(Path(paths[0]), Path(paths[1]))], False
     else:
-        jobs, many = pair(paths[:-1], paths[-1])
+        jobs, many, left = pair(paths[:-1], paths[-1])
     if save_recipe is not None:
         check_recipe_file(save_recipe, jobs, options.force)
 
@@ -237,7 +239,10 @@ def warp(
                 console.note(f"{shown(job[1])} is written on {describe_grid(grid_facts(grid), units)}")
             say_convention(console, reading.world, getattr(made, "geometry", None), job[0])
 
+    lost: set[Job] = set()
+
     def failed(job: Job, message: str) -> None:
+        lost.add(job)
         if options.json:
             with about(files[job]):
                 error = as_options(one_line(message))
@@ -260,6 +265,8 @@ def warp(
         large = any(is_clip(*job, recipe) or is_volume_job(*job, recipe, reading) for job in jobs)
         crew = 1 if large else min(len(jobs), threads())
         failures = Crew(crew).work(jobs, do, console, failed)
+        if len(jobs) > 1 or left:
+            console.note(summary(jobs, len(lost), paths[-1], left))
     else:
         failures = 0
         _alone(console, jobs[0], do, failed)
@@ -283,7 +290,7 @@ def _kept(recipe: Recipe, made: Warped | WarpedClip | WarpedVolume | WarpedStore
     size, space = recipe.size or own.sizes, recipe.space or "pixels"
     if world:
         space = getattr(made, "geometry").convention  # noqa: B009
-    scale, shape = recipe.time_scale, made.deformation.shape
+    scale, shape = recipe.time_scale, own.shape
     if made.deformation.domain.time and (recipe.size is None or recipe.size == shape[::-1]):
         scale = made.deformation.domain.spacing[2]
     return replace(recipe, size=size if recipe.strokes else None, space=space, time_scale=scale)
@@ -295,6 +302,31 @@ def _shared(recipe: Recipe, kept: Collection[Recipe]) -> Recipe:
         if len(known) == 1:
             return next(iter(known))
     return recipe
+
+
+def _as_clip(paths: tuple[str, ...], recipe: Recipe) -> tuple[str, ...]:
+    """Return ``f.*.exr`` as the pattern of a clip, if it is to become one; refuse pictures for strokes with a time."""
+    from supple.media.codecs import SUFFIXES_OUT as CLIPS
+    from supple.media.image import SUFFIXES
+    from supple.media.numbering import has_number, of_star
+
+    source, target = paths[0], paths[-1]
+    timed = recipe.moves or (bool(recipe.strokes) and recipe.strokes[0].ndim == 3)
+    if any(os.path.isdir(path) or Path(path).suffix.lower() not in SUFFIXES for path in paths[:-1]):
+        return paths
+    folder, name = os.path.split(source)
+    star = not glob.has_magic(name.replace("*", "", 1)) and "*" in name and not glob.has_magic(folder)
+    if len(paths) == 2 and star and not os.path.exists(source):
+        many = has_number(target) or "*" in os.path.basename(target) or target.lower().endswith(CLIPS)
+        if (timed or many) and (pattern := of_star(source)) is not None:
+            number = re.sub("d.*", "d", os.path.basename(pattern)[name.index("*") :])
+            return pattern, target.replace("*", number)
+    if timed and (len(paths) > 2 or _stands_for_several(source)):
+        raise SuppleError(
+            f"strokes with a time or with keys are for clips, and {shown(source)} stands for several pictures: give "
+            "the pattern of a numbered sequence, such as f.%04d.exr, or a folder"
+        )
+    return paths
 
 
 def _stands_for_several(source: str) -> bool:
@@ -316,8 +348,8 @@ def _facts_of(job: Job, made: Warped | WarpedClip | WarpedVolume) -> dict[str, A
     facts = picture_facts(job, made.deformation, report) | _map_facts(made)
     if not math.isfinite(report.error):
         facts["error"] = None
-    if made.grid is not None:
-        facts["width"], facts["height"] = made.grid.sizes
+    if (grid := made.grid or made.own) is not None:
+        facts["width"], facts["height"] = grid.sizes
     return facts
 
 
@@ -352,8 +384,7 @@ def _volume_facts(made: WarpedVolume) -> dict[str, Any]:
 
 
 def _clip_facts(made: WarpedClip) -> dict[str, Any]:
-    deformation = made.deformation
-    height, width = deformation.shape[-2:]
+    width, height = (made.own or made.deformation.grid).sizes[:2]
     return {
         "input": str(made.source),
         "output": str(made.target),
@@ -366,7 +397,7 @@ def _clip_facts(made: WarpedClip) -> dict[str, Any]:
         "tolerance": made.tolerance,
         "error": made.error,
         "moves": len(made.deformations) > 1,
-        **told(*made.deformations),
+        **told(*made.deformations, own=made.own),
     }
 
 

@@ -198,6 +198,8 @@ class Group:
         The position of the first sample, in pixels of the frame, x first: the chroma siting.
     alpha : bool
         Whether the last channel is opacity.
+    exact : bool
+        Whether samples are those of the nearest pixel and frame, whatever the filter is.
     """
 
     shape: tuple[int, int]
@@ -205,6 +207,7 @@ class Group:
     step: tuple[int, int] = (1, 1)
     offset: tuple[float, float] = (0.0, 0.0)
     alpha: bool = False
+    exact: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -394,6 +397,12 @@ class Work:
     def is_identity(self) -> bool:
         """Return whether all maps are the identity."""
         return all(space.is_identity for space in self.spaces)
+
+    @property
+    def samplings(self) -> list[Sampling]:
+        """The sampling options of each group."""
+        nearest = replace(self.sampling, filter="nearest", between="nearest", time_filter=False)
+        return [nearest if group.exact else self.sampling for group in self.layout.groups]
 
     @property
     def fills(self) -> list[npt.NDArray[np.float64]]:

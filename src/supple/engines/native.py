@@ -173,7 +173,6 @@ def samplings_of(
     corner : (int, int, int), optional
         If ``frames`` are a part of those of the layout: the position x, y, and the frame, of their first sample.
     """
-    sampling = work.sampling
     return [
         _core.Sampling(
             held,
@@ -192,7 +191,9 @@ def samplings_of(
             corner,
             None if corner is None else group.shape,
         )
-        for group, held, fill, out in zip(work.layout.groups, frames, work.fills, outs, strict=True)
+        for group, sampling, held, fill, out in zip(
+            work.layout.groups, work.samplings, frames, work.fills, outs, strict=True
+        )
     ]
 
 

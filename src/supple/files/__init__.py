@@ -16,19 +16,19 @@ import numpy as np
 from supple.arrays import clamp_to, warp_array
 from supple.deformation import Deformation, Report
 from supple.domain import choice, refuse
-from supple.engines.base import Sampling, warn_of
+from supple.engines.base import Array, Certificate, Sampling, warn_of
 from supple.engines.choice import DEVICES, check_device, check_host
 from supple.errors import SuppleError, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
 from supple.files.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, refuse_places, warp_clip
-from supple.files.grids import GridOptions, grid_on, picture_grid
+from supple.files.grids import GridOptions, arrivals_on, grid_on, picture_grid
 from supple.files.volumes import VolumeOptions, WarpedVolume, check_volume_target, is_volume_job, warp_volume
 from supple.geometry import Grid
 from supple.media.codecs import SUFFIXES as CLIPS
 from supple.media.files import check_output, replacing, same_file
 from supple.media.image import SUFFIXES as SUFFIXES_IN
-from supple.media.image import check_quality, check_target, read, write
+from supple.media.image import check_quality, check_target, read, warn_of_exact, write
 from supple.media.volume import SUFFIXES as VOLUMES
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import grid_of as volume_grid
@@ -55,6 +55,8 @@ class Warped:
         The largest distance of a source point from T⁻¹(q), in pixels.
     grid : Grid, optional
         The grid of the output, if it is not that of the input.
+    own : Grid, optional
+        The grid of the input as it is shown, if it is not that of the deformation: an OpenEXR may have pixels beyond.
     folded, outside, unsolved : int
         The numbers of the points solved at which a field folds, to which no point of a field's grid is mapped, and for
         which no solution was found.
@@ -68,10 +70,12 @@ class Warped:
     folded: int = 0
     outside: int = 0
     unsolved: int = 0
+    own: Grid | None = None
 
     def report(self) -> Report:
         """Return the report on the strokes and the certified error of the map, which is solved again."""
-        return self.deformation.report(tolerance=self.tolerance, grid=self.grid)
+        made = self.deformation.report(tolerance=self.tolerance, grid=self.grid)
+        return replace(made, arrivals=arrivals_on(self.own, self.deformation.grid, made.arrivals))
 
 
 def warp_file(
@@ -106,9 +110,9 @@ def warp_file(
     Parameters
     ----------
     source : str or os.PathLike
-        An image (PNG, JPEG, TIFF, WebP, AVIF, GIF, OpenEXR, Radiance, JPEG 2000, BMP, TGA, PNM); a video; a pattern
-        such as ``frames/%05d.png``, or a folder of images; a volume
-        in NIfTI, NRRD, MetaImage, a stack of TIFF pages, ``.dat``, or a folder of DICOM slices.
+        An image (PNG, JPEG, TIFF, WebP, AVIF, GIF, OpenEXR, DPX, SGI, Radiance, JPEG 2000, BMP, TGA, PNM); a video; a
+        pattern such as ``frames/%05d.png``, or a folder of images; a volume in NIfTI, NRRD, MetaImage, a stack of TIFF
+        pages, ``.dat``, or a folder of DICOM slices.
     target : str or os.PathLike
         The output; its suffix determines the format: one of those of images, except GIF; for clips, MP4, MOV, MKV,
         WebM, AVI or GIF, or a pattern or a folder for images; for volumes, NIfTI, NRRD, MetaImage or TIFF;
@@ -228,13 +232,18 @@ def warp_file(
                 tell(part, _PARTS.index(part), len(_PARTS))
 
         begin("read")
-        picture = read(source, pages=_suffix(target) == ".tiff")
+        picture = read(source, pages=_suffix(target) == ".tiff", whole=_suffix(target) == ".exr")
         begin("warp")
+        layers = picture.layers
         height, width = len(picture.pixels) // picture.pages, picture.pixels.shape[1]
-        fitted = fit_recipe(recipe, (width, height), fit, shown(source))
-        own = Grid((height, width))
+        own = Grid((height, width) if layers is None else layers.shown)
+        fitted = fit_recipe(recipe, own.sizes, fit, shown(source))
         regrid = grid_on(grid, own, shown(source), maps)
-        deformation = Deformation.from_recipe(fitted, own, maps=maps, warn=False)
+        held = own
+        if layers is not None and layers.box != layers.display:  # points count from the display window's first pixel
+            held = Grid((height, width), origin=layers.corner)
+            fitted = fitted.placed([-x for x in layers.corner], held.sizes)
+        deformation = Deformation.from_recipe(fitted, held, maps=maps, warn=False)
         space = replace(deformation.space_on(regrid), count=picture.pages)
         if space.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
             # Encoding a lossy image again would change it.
@@ -242,26 +251,41 @@ def warp_file(
             with replacing(target, force=force) as place:
                 shutil.copyfile(source, place)
             return Warped(Path(source), Path(target), deformation, tolerance)
-        rows, columns = space.out[-2:]
-        pixels = np.empty((rows * picture.pages, columns, *picture.pixels.shape[2:]), picture.pixels.dtype)
-        bounded = pixels.dtype.kind == "f" if clamp is None else clamp
-        pages = picture.pixels.reshape(*space.whole, *pixels.shape[2:])
-        out = pixels.reshape(*space.out, *pixels.shape[2:])
         sampling = Sampling.checked(
             2, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light
         )
-        _, certificate = warp_array(pages, space, sampling, alpha=picture.alpha, device=device, out=out)
-        if bounded and not space.is_identity:
-            for k in range(picture.pages):  # each by itself
-                clamp_to(picture.pixels[k * height : (k + 1) * height], pixels[k * rows : (k + 1) * rows], sampling)
+
+        pages = picture.pages
+
+        def warped(samples: Array, sampling: Sampling, alpha: bool | None) -> tuple[Array, Certificate]:
+            """Return samples of all pages, warped."""
+            rows, columns = space.out[-2:]
+            made = np.empty((rows * pages, columns, *samples.shape[2:]), samples.dtype)
+            held, out = (a.reshape(*n, *a.shape[2:]) for a, n in ((samples, space.whole), (made, space.out)))
+            _, certificate = warp_array(held, space, sampling, alpha=alpha, device=device, out=out)
+            if (made.dtype.kind == "f" if clamp is None else clamp) and not space.is_identity:
+                for k in range(pages):  # each by itself
+                    clamp_to(samples[k * height : (k + 1) * height], made[k * rows : (k + 1) * rows], sampling)
+            return made, certificate
+
+        nearest = replace(sampling, filter="nearest")
+        exact = layers is not None and layers.groups[0][0]
+        pixels, certificate = warped(picture.pixels, nearest if exact else sampling, picture.alpha)
+        header = dict(picture._header)
+        if layers is not None:
+            pairs = list(zip(layers.groups, layers.arrays, strict=True))[1:]
+            rest = [warped(a, replace(nearest if x else sampling, fill=0.0), False)[0] for (x, _), a in pairs]
+            layers = layers if regrid is None else layers.sized(pixels.shape[:2])
+            header["exr"] = replace(layers, arrays=(pixels, *rest))
+            warn_of_exact(layers)
         warn_of(certificate, tolerance, 3, folds_of(maps), only_name(maps))
         # Only the header of the input is still needed: free its pixels for the encoder.
-        like = replace(picture, pixels=np.empty((0, *picture.pixels.shape[1:]), picture.pixels.dtype))
-        del picture, pages
+        like = replace(picture, pixels=np.empty((0, *picture.pixels.shape[1:]), picture.pixels.dtype), _header=header)
+        del picture, layers
         begin("write")
         write(target, pixels, like=like, quality=quality, lossless=lossless, force=force)
     found = certificate.folded, certificate.outside, certificate.unknown
-    return Warped(Path(source), Path(target), deformation, tolerance, regrid, *found)
+    return Warped(Path(source), Path(target), deformation, tolerance, regrid, *found, None if held == own else own)
 
 
 def check_job(

@@ -13,6 +13,7 @@ from supple.domain import length, refuse
 from supple.engines.base import Array, Layout, Sampling, Work
 from supple.errors import SuppleError
 from supple.files.motion import motion_of
+from supple.geometry import Grid
 from supple.media.base import Clip, ClipWarning
 from supple.pipeline import Tell, make_plan, stream
 from supple.strokes import Fit, Recipe, fit_recipe, scaling_of
@@ -25,19 +26,24 @@ def deformation_of(
     time_scale: float | None,
     name: str,
     fit: Fit | None = None,
+    display: tuple[int, int, int, int] | None = None,
 ) -> Deformation:
-    """Return a recipe on a clip: strokes with a time warp the clip, those without one warp each of its frames."""
+    """Return a recipe on a clip: strokes with a time warp the clip, those without one warp each of its frames.
+
+    Points count in the part ``display`` of frames, as in `supple.media.base.Clip`.
+    """
     known = recipe.time_scale if time_scale is None else length("time_scale", time_scale)
     worth = 1.0 if known is None else known
-    height, width = shape
+    x, y, width, height = display or (0, 0, *shape[::-1])
     if not recipe.strokes or recipe.strokes[0].ndim == 2:
-        return Deformation.from_recipe(fit_recipe(recipe, (width, height), fit, name), shape)
+        made = fit_recipe(recipe, (width, height), fit, name)
+        return Deformation.from_recipe(made.placed((x, y), shape[::-1]), Grid(shape, origin=(-x, -y)))
     size = (width, height, count)
     scaling = None if recipe.size is None else scaling_of(recipe.size, size, fit, time=True, name=name)
     if scaling is not None:
         worth *= scaling.frame  # so that the brush covers the same part of the clip
-    recipe = fit_recipe(recipe, size, fit, name, time=True)
-    return Deformation.from_recipe(recipe, (count, *shape), spacing=(1.0, 1.0, worth), time=True)
+    recipe = fit_recipe(recipe, size, fit, name, time=True).placed((x, y, 0), (*shape[::-1], count))
+    return Deformation.from_recipe(recipe, Grid((count, *shape), (1.0, 1.0, worth), (-x, -y, 0)), time=True)
 
 
 def deformations_of(
@@ -50,8 +56,9 @@ def deformations_of(
     """Return a recipe on a clip: one deformation, or, if its strokes move, one for each frame."""
     count, shape, name = clip.count, clip.layout.shape, clip.name
     if not recipe.moves:
-        return (deformation_of(recipe, count, shape, time_scale, name, fit),)
-    return motion_of(fit_recipe(recipe, shape[::-1], fit, name), count, shape, tell)
+        return (deformation_of(recipe, count, shape, time_scale, name, fit, clip.display),)
+    x, y, *size = clip.display or (0, 0, *shape[::-1])
+    return motion_of(fit_recipe(recipe, size, fit, name).placed((x, y), shape[::-1]), count, shape, tell)
 
 
 def sampling_of(
@@ -85,7 +92,7 @@ def _filled(clip: Clip, fill: float | Sequence[float]) -> tuple[float, ...]:
     values = [float(value) for value in np.asarray(fill, np.float64).ravel()]
     paint = getattr(clip, "painted", None)  # only videos, whose planes may not be RGB
     alpha = layout.groups[0].alpha
-    grey = len(layout.groups) == 1 and layout.groups[0].channels - alpha == 1
+    grey = (len(layout.groups) == 1 or not paint) and layout.groups[0].channels - alpha == 1
     full = (1 if grey else 3) + alpha if paint else layout.groups[0].channels
     allowed = {1, full, 3} if paint and not grey else {1, full}
     if len(values) not in allowed or not np.isfinite(values).all():
@@ -96,7 +103,7 @@ def _filled(clip: Clip, fill: float | Sequence[float]) -> tuple[float, ...]:
     if len(values) == 1:
         values *= full
     if not paint:
-        return tuple(values)
+        return (*values, *(0.0 for group in layout.groups[1:] for _ in range(group.channels)))
     return tuple(paint([*values, layout.white] if alpha and len(values) < full else values))
 
 

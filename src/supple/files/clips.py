@@ -16,6 +16,7 @@ from supple.engines.base import Certificate, warn_of
 from supple.engines.choice import check_device, engine_for
 from supple.errors import SuppleError, shown
 from supple.files.clip_work import deformations_of, sampling_of, warn_of_rotation, work_on
+from supple.geometry import Grid
 from supple.media import codecs
 from supple.media.base import Clip, CountError
 from supple.media.codecs import SUFFIXES
@@ -92,6 +93,8 @@ class WarpedClip:
         The error estimate from the checks of the map, in pixels and frames; `report` measures it.
     copied : int
         The number of unchanged frames that were not encoded again: their packets are those of the source.
+    own : Grid, optional
+        The grid of the frames as they are shown, if it is not that of the deformation: OpenEXR may have pixels beyond.
     """
 
     source: Path
@@ -103,6 +106,7 @@ class WarpedClip:
     held: int
     error: float
     copied: int = 0
+    own: Grid | None = None
 
     @property
     def deformation(self) -> Deformation:
@@ -151,12 +155,18 @@ def _holds_videos_alone(folder: PathLike) -> bool:
 
 
 @contextlib.contextmanager
-def open_clip(source: PathLike, *, rate: float | Fraction | None = None, count: int | None = None) -> Iterator[Clip]:
-    """Open a video file, or an image sequence by its pattern or folder."""
+def open_clip(
+    source: PathLike,
+    *,
+    rate: float | Fraction | None = None,
+    count: int | None = None,
+    target: PathLike | None = None,
+) -> Iterator[Clip]:
+    """Open a video file, or an image sequence by its pattern or folder; ``target`` is what is written of it, if any."""
     if is_sequence(source) and not os.path.isfile(source):
         from supple.media import sequence
 
-        with sequence.open_clip(source, rate=24 if rate is None else rate) as pictures:
+        with sequence.open_clip(source, rate=24 if rate is None else rate, target=target) as pictures:
             yield pictures
         return
     if rate is None and _suffix(source) == ".webp" and _is_animated(source):
@@ -226,7 +236,7 @@ def warp_clip(
     count: int | None = None
     while True:  # twice at most: what a container says of the number of frames may be wrong
         try:
-            with open_clip(source, rate=known.rate, count=count) as clip:
+            with open_clip(source, rate=known.rate, count=count, target=target) as clip:
                 deformations = deformations_of(recipe, clip, known.time_scale, fit, tell)
                 if count is None:
                     warn_of_rotation(clip, deformations)
@@ -258,12 +268,19 @@ def warp_clip(
                     copied = getattr(sink, "copied", 0)
                 return WarpedClip(
                     Path(source), Path(target), deformations, tolerance, clip.count, done.still, done.held,
-                    done.certificate.error, copied,
+                    done.certificate.error, copied, _own(clip, deformations[0]),
                 )  # fmt: skip
         except CountError as miscounted:
             if count is not None:
                 raise fickle(source) from None
             count = miscounted.found
+
+
+def _own(clip: Clip, deformation: Deformation) -> Grid | None:
+    if clip.display is None:
+        return None
+    grid, (width, height) = deformation.grid, clip.display[2:]
+    return Grid((*grid.shape[:-2], height, width), grid.spacing)
 
 
 def fickle(source: PathLike) -> SuppleError:

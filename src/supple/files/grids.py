@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from supple.deformation import Arrival
 from supple.domain import checked_spacing, integer, items, refuse
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Placed, check_path
@@ -193,6 +194,11 @@ def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[P
     else:  # what is seen of the input itself may lead out of it, as one wishes
         check_path(reversed(maps), made, name)
     return None if made == grid else made
+
+
+def arrivals_on(own: Grid | None, grid: Grid, arrivals: tuple[Arrival, ...]) -> tuple[Arrival, ...]:
+    """Return the arrivals of strokes on ``grid`` in samples of the grid of the input, if it is another one."""
+    return arrivals if own is None else tuple(arrival.on(own, grid) for arrival in arrivals)
 
 
 def listed(numbers: object) -> str:

@@ -22,7 +22,7 @@ from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import check_device, engine_for
 from supple.errors import GapWarning, SuppleError, VolumeWarning, shown
 from supple.fields import Placed, folds_of, only_name
-from supple.files.grids import GridOptions, grid_on, warn_of_place
+from supple.files.grids import GridOptions, arrivals_on, grid_on, warn_of_place
 from supple.files.transforms import write_transform
 from supple.geometry import Floats, Geometry, Grid
 from supple.media import transforms
@@ -130,8 +130,7 @@ class WarpedVolume:
     @property
     def arrivals(self) -> tuple[Arrival, ...]:
         """For each stroke, the target of its point, and its position, in voxels of the input."""
-        found, own, grid = self.deformation.arrivals, self.own, self.deformation.grid
-        return found if own is None else tuple(arrival.on(own, grid) for arrival in found)
+        return arrivals_on(self.own, self.deformation.grid, self.deformation.arrivals)
 
 
 def is_volume_job(

@@ -80,6 +80,10 @@ class Clip(Protocol):
         """The rotation of frames for display, in degrees counterclockwise."""
 
     @property
+    def display(self) -> tuple[int, int, int, int] | None:
+        """The part of frames in which points count: x and y of its first pixel, width and height; None for all."""
+
+    @property
     def unpictured(self) -> tuple[str, ...]:
         """Streams that have no place in images of its frames: sound, subtitles."""
 

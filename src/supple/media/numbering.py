@@ -12,6 +12,7 @@ from supple.media.files import PathLike
 from supple.media.image.formats import SUFFIXES
 
 _NUMBER = re.compile("%(?:0[1-9][0-9]?)?d")
+_SIGNS = re.compile(r"#{2,}|@{2,}|(?<=[._-])#(?=\.)|\$F[1-9]?(?=\.)")
 
 
 def is_sequence(path: PathLike) -> bool:
@@ -22,7 +23,32 @@ def is_sequence(path: PathLike) -> bool:
 
 def has_number(path: PathLike) -> bool:
     """Return whether a name is a pattern."""
-    return bool(_NUMBER.search(Path(path).name)) and not os.path.isdir(path)
+    return bool(_NUMBER.search(Path(percent(path)).name)) and not os.path.isdir(path)
+
+
+def percent(path: PathLike) -> str:
+    """Return a pattern as ``f.%04d.exr`` that may be ``f.####.exr``, ``f.@@@@.exr`` or ``f.$F4.exr``."""
+    text = os.fspath(path)
+    folder, name = os.path.split(text)
+    found = list(_SIGNS.finditer(name))
+    if not found or _NUMBER.search(name) or os.path.lexists(text):
+        return text
+    signs, (start, end) = found[-1][0], found[-1].span()
+    width = (int(signs[2:] or 1)) if signs[0] == "$" else len(signs)
+    return os.path.join(folder, f"{name[:start]}%{f'0{width}' if width > 1 else ''}d{name[end:]}")
+
+
+def of_star(path: str) -> str | None:
+    """Return the pattern of numbered images, ``f.%04d.exr``, for ``f.*.exr``; None if they are not numbered."""
+    folder, name = os.path.split(path)
+    before, _, after = name.partition("*")
+    found = [n for n in _names_in(Path(folder)) if n.startswith(before) and n.endswith(after)]
+    digits = [n[len(before) : len(n) - len(after)] for n in found]
+    if not digits or not all(each.isascii() and each.isdecimal() for each in digits):
+        return None
+    widths = {len(each) for each in digits}
+    width = widths.pop() if len(widths) == 1 else 1
+    return os.path.join(folder, f"{before}%{f'0{width}' if width > 1 else ''}d{after}")
 
 
 def first_number(paths: list[Path]) -> int | None:
@@ -41,7 +67,7 @@ def spelling(pattern: str, whole: str) -> Callable[[int], str]:
 
 def matching(text: str) -> tuple[list[Path], list[int], Callable[[int], str]]:
     """Return the images that match a pattern, in order, with their numbers."""
-    path = Path(text)
+    path = Path(percent(text))
     spell = spelling(path.name, text)
     before, after = _NUMBER.split(path.name)
     numbers = []

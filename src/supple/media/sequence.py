@@ -7,7 +7,7 @@ import itertools
 import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -21,7 +21,8 @@ from supple.errors import SuppleError, shown
 from supple.media import image as pictures
 from supple.media.base import Clip, ClipWarning
 from supple.media.files import PathLike, check_outputs, replacing_all
-from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture
+from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture, exr
+from supple.media.image.exr import Exr
 from supple.media.image.formats import DTYPES
 from supple.media.image.headers import collected, facts, has_alpha
 from supple.media.image.vips import apart, decoded, opened, reading, sequential, widen
@@ -30,6 +31,7 @@ from supple.media.numbering import (
     has_number,
     matching,
     numbered,
+    percent,
     pictures_in,
     spelling,
 )
@@ -68,6 +70,7 @@ class Pictures:
     starts: Sequence[int] = ()  # start times of the frames, and the end, in milliseconds; empty for a constant rate
     rotation = 0.0
     unpictured: tuple[str, ...] = ()
+    display: tuple[int, int, int, int] | None = None
 
     def __init__(self, name: str, paths: list[Path], rate: Fraction, first: int | None) -> None:
         self.name, self.paths, self.rate, self.first = name, paths, rate, first
@@ -134,6 +137,54 @@ class Pictures:
 
 
 @dataclass(frozen=True, slots=True)
+class _LayeredStill:
+    """An OpenEXR that is read in `copy_to`, over the box of all frames."""
+
+    path: Path
+    like: Exr
+
+    def copy_to(self, arrays: Sequence[Array]) -> None:
+        held = exr.read(self.path, self.like.box)
+        if held.groups != self.like.groups:
+            raise SuppleError(f"{shown(self.path)} has channels of other types than the first picture: make them alike")
+        for array, samples in zip(arrays, held.arrays, strict=True):
+            np.copyto(array, samples)
+
+
+class Layered(Pictures):
+    """OpenEXR files as the frames of a clip, with all channels, over the box around the windows of all frames."""
+
+    def __init__(self, name: str, paths: list[Path], rate: Fraction, first: int | None) -> None:
+        self.name, self.paths, self.rate, self.first = name, paths, rate, first
+        heads = [exr.head_only(path) for path in paths]
+        (like, channels), self._heads = heads[0], [head for head, _ in heads]
+        for path, (head, names) in zip(paths, heads, strict=True):
+            if names != channels or head.display != like.display:
+                what = "channels" if names != channels else "a display window"
+                raise SuppleError(f"{shown(path)} has {what} other than {shown(paths[0])}: make them alike")
+        held = exr.read(paths[0], exr.around([head.box for head in self._heads]))
+        picture = pictures.of_layers(held)
+        self.format, self.interpretation, self._bits = picture.format, picture.interpretation, held.bits
+        groups = [Group(held.shape, n, exact=exact) for (exact, _), n in zip(held.groups, held.planes, strict=True)]
+        self.layout = Layout(tuple(groups), np.dtype(np.float32), 1.0)
+        self._like = replace(held, arrays=())
+        if held.box != held.display:
+            (x, y), (height, width) = held.corner, held.shown
+            self.display = -x, -y, width, height
+        pictures.warn_of_exact(held)
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield the frames in order; each is read when it is copied."""
+        for path in self.paths:
+            yield _LayeredStill(path, self._like)
+
+    def layered(self, arrays: Sequence[Array], k: int) -> Picture:
+        """Return frame ``k`` with other samples, and the header of its file."""
+        head, like = self._heads[k], self._like
+        return pictures.of_layers(replace(head, box=like.box, groups=like.groups, arrays=tuple(arrays)))
+
+
+@dataclass(frozen=True, slots=True)
 class _Page:
     """A decoded frame of an animation."""
 
@@ -189,16 +240,19 @@ def is_animated(path: PathLike) -> bool:
 
 
 @contextlib.contextmanager
-def open_clip(path: PathLike, *, rate: float | Fraction = 24) -> Iterator[Pictures]:
+def open_clip(path: PathLike, *, rate: float | Fraction = 24, target: PathLike | None = None) -> Iterator[Pictures]:
     """Open an image sequence as a clip.
 
     Parameters
     ----------
     path : str or os.PathLike
-        A pattern such as ``frames/%05d.png`` for consecutively numbered images, from any first number. Or a folder, for
-        all its images, the 9th before the 10th. Or an animated WebP, which has times of its own.
+        A pattern such as ``frames/%05d.png`` or ``frames/#####.png`` for consecutively numbered images, from any first
+        number. Or a folder, for all its images, the 9th before the 10th. Or an animated WebP, which has times of its
+        own.
     rate : float or Fraction
         Frames a second. 23.976, 29.97 and the like are rounded to 24000/1001 and 30000/1001.
+    target : str or os.PathLike, optional
+        What is written of it. Only a sequence of OpenEXR takes over all channels and windows of another.
 
     Yields
     ------
@@ -219,7 +273,14 @@ def open_clip(path: PathLike, *, rate: float | Fraction = 24) -> Iterator[Pictur
     else:
         paths = pictures_in(Path(text))
         first = first_number(paths)
-    yield Pictures(shown(text), paths, known, first)
+    if target is not None and exr.is_exr(paths[0]):
+        if (Path(target).suffix.lower() or paths[0].suffix.lower()) == ".exr":
+            yield Layered(shown(text), paths, known, first)
+            return
+        if lost := exr.read(paths[0]).lost(exr=False):
+            text = f"{shown(target)} cannot take over {' and '.join(lost)} of {shown(path)}"
+            warnings.warn(text, MetadataWarning, stacklevel=3)
+    yield Pictures(shown(os.fspath(path)), paths, known, first)
 
 
 def info(path: PathLike) -> dict[str, object]:
@@ -284,7 +345,9 @@ class PictureSink:
         """Write frame ``k``: arrays in the clip's layout."""
         name = self._names(k)
         like = None
-        if isinstance(self._clip, Pictures):
+        if isinstance(self._clip, Layered):
+            like, pixels = self._clip.layered(arrays, k), arrays[0]
+        elif isinstance(self._clip, Pictures):
             like, lost = self._clip.picture(k)
             pixels = arrays[0]
             if lost:
@@ -373,7 +436,7 @@ def writer(
 
 def _numbers(clip: Clip, text: str) -> Callable[[int], str]:
     """Return the names of a pattern, with the numbers of the source."""
-    spell = spelling(Path(text).name, text)
+    spell = spelling(Path(percent(text)).name, text)
     first = clip.first if isinstance(clip, Pictures) and clip.first is not None else 1
     return lambda k: spell(first + k)
 

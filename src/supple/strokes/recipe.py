@@ -22,7 +22,7 @@ from supple.domain import (
 )
 from supple.errors import ScaleWarning, SuppleError
 from supple.freezing import Freeze
-from supple.strokes.scaling import Fit, scaling_of, spoken
+from supple.strokes.scaling import Fit, Scaling, scaling_of, spoken
 from supple.strokes.stroke import PART, Stroke
 from supple.strokes.text import read, written
 
@@ -160,6 +160,15 @@ class Recipe:
             if freeze is not None and freeze.samples == self.size[: freeze.ndim]:
                 freeze = freeze.fitted(size, None)
             return replace(self, size=size, freeze=freeze)
+        return self._scaled(scaling, size)
+
+    def placed(self, offset: Sequence[float], size: Sequence[int]) -> Self:
+        """Return the recipe, which has a size, in a larger medium: its own first sample is at ``offset`` there."""
+        if not any(offset) or (self.strokes and self.strokes[0].ndim != len(offset)):  # the latter is refused later
+            return replace(self, size=tuple(size)) if len(offset) == len(self.size or ()) else self
+        return self._scaled(Scaling((1.0,) * len(offset), tuple(map(float, offset)), 1.0), tuple(size))
+
+    def _scaled(self, scaling: Scaling, size: tuple[int, ...]) -> Self:
         strokes = [
             replace(stroke.mapped(scaling.point, scaling.drag), radius=stroke.radius * scaling.length)
             for stroke in self.strokes
@@ -171,7 +180,9 @@ class Recipe:
                 widths = tuple(width * s for width, s in zip(given, scaling.widths, strict=True))
                 border = widths[0] if isinstance(border, float) and len(set(widths)) == 1 else widths
         freeze = self.freeze
-        if freeze is not None and freeze.samples == self.size[: freeze.ndim]:  # or else it is the medium's, or refused
+        if (
+            freeze is not None and freeze.samples == (self.size or ())[: freeze.ndim]
+        ):  # or it is the medium's, or refused
             freeze = freeze.fitted(size, scaling.point)
         return replace(self, size=size, strokes=tuple(strokes), border=border, freeze=freeze)
 

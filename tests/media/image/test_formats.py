@@ -18,8 +18,7 @@ from PIL import Image
 import supple
 from supple.errors import SuppleError
 from supple.files import warp_file
-from supple.media.image import DepthWarning, MetadataWarning, PageWarning, info, read, write
-from supple.media.image.ffmpeg import encoded
+from supple.media.image import DepthWarning, MetadataWarning, PageWarning, Picture, info, read, write
 from supple.media.video import open_clip as open_video
 
 Array = npt.NDArray[Any]
@@ -88,6 +87,7 @@ def noise(dtype: str, *shape: int) -> Array:
     ("suffix", "dtype", "channels"),
     [
         *[(".exr", "f4", channels) for channels in ((), (3,), (4,))],
+        *[(suffix, dtype, n) for suffix in (".dpx", ".sgi") for dtype in ("u1", "u2") for n in ((), (3,), (4,))],
         *[(".pfm", "f4", channels) for channels in ((), (3,))],
         *[(suffix, "u1", channels) for suffix in (".bmp", ".tga") for channels in ((), (3,), (4,))],
         *[(".pgm", dtype, ()) for dtype in ("u1", "u2")],
@@ -118,7 +118,7 @@ def test_radiance(tmp_path: Path) -> None:
 def test_openexr_keeps_half_and_float(tmp_path: Path, half: bool) -> None:
     pixels = noise("f4", 40, 60, 3)
     path = tmp_path / "in.exr"
-    path.write_bytes(encoded(pixels, "exr", "gbrpf32le", half=half))
+    write(path, pixels, like=Picture(pixels, bits=16 if half else 32))
     picture = read(path)
     assert (picture.format, picture.bits, picture.pixels.dtype) == ("OpenEXR", 16 if half else 32, np.float32)
     np.testing.assert_array_equal(picture.pixels, pixels.astype("f2").astype("f4") if half else pixels)
@@ -335,3 +335,69 @@ def test_tiff_of_doubles(tmp_path: Path, order: str, channels: tuple[int, ...]) 
     true = supple.Deformation.from_recipe(recipe, (40, 60)).warp(pixels, alpha=picture.alpha, clamp=True)
     np.testing.assert_array_equal(tifffile.imread(tmp_path / "out.tif"), true)
     np.testing.assert_array_equal(read(tmp_path / "out.tif").pixels, true)
+
+
+def dpx(path: Path, pixels: Array, bits: int, order: str, curve: int = 1, elements: int = 1, kind: int = 50) -> bytes:
+    """Write a DPX as scanners do, with what is told of film and television; return its header."""
+    head = bytearray(8192)
+    head[:4] = b"SDPX" if order == ">" else b"XPDS"
+    head[8:12], head[36:43], head[1664:1668] = b"V1.0", b"old.dpx", b"12AB"
+    struct.pack_into(f"{order}HHII", head, 768, 0, elements, pixels.shape[1], pixels.shape[0])
+    struct.pack_into(f"{order}IIfIf", head, 780, 0, 95, 0.0, 685, 2.046)
+    head[800:804] = bytes((kind, curve, curve, bits))
+    struct.pack_into(f"{order}HHI", head, 804, int(bits in (10, 12)), 0, len(head))
+    struct.pack_into(f"{order}I", head, 1920, 0x01020304)  # the timecode
+    wide = pixels.astype(np.uint32)
+    if bits == 10:
+        data = (wide[..., 0] << 22 | wide[..., 1] << 12 | wide[..., 2] << 2).astype(f"{order}u4")
+    else:
+        data = (wide << (4 if bits == 12 else 0)).astype("u1" if bits == 8 else f"{order}u2")
+    struct.pack_into(f"{order}I", head, 4, len(head))
+    struct.pack_into(f"{order}III", head, 16, len(head) + data.nbytes, 1, 1664)
+    path.write_bytes(bytes(head) + data.tobytes())
+    return bytes(head)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("bits", [8, 10, 12, 16])
+def test_a_dpx_keeps_its_bits_and_its_header(tmp_path: Path, bits: int, order: str) -> None:
+    pixels = np.random.default_rng(bits).integers(0, 2**bits, (19, 24, 3))
+    head = dpx(tmp_path / "in.dpx", pixels, bits, order)
+    picture = read(tmp_path / "in.dpx")
+    assert (picture.format, picture.bits, picture.alpha) == ("DPX", bits, False)
+    np.testing.assert_array_equal(picture.pixels >> (8 if bits == 8 else 16) - bits, pixels)
+    write(tmp_path / "out.dpx", picture.pixels, picture)
+    made = (tmp_path / "out.dpx").read_bytes()
+    assert made[2048:] == (tmp_path / "in.dpx").read_bytes()[8192:]
+    assert made[36:44] == b"out.dpx\0"
+    assert struct.unpack_from(f"{order}I", made, 4) == struct.unpack_from(f"{order}I", made, 808) == (2048,)
+    for part in (slice(0, 4), slice(136, 808), slice(812, 2048)):  # all but names and places
+        assert made[part] == head[part]
+    with pytest.warns(MetadataWarning, match="cannot take over the header of a DPX"):
+        write(tmp_path / "out.tif", picture.pixels, picture)
+
+
+def test_dpx_as_a_sequence(tmp_path: Path) -> None:
+    heads = [
+        dpx(tmp_path / f"a.{k:07d}.dpx", np.random.default_rng(k).integers(0, 1024, (40, 60, 3)), 10, ">", curve=k)
+        for k in range(3)
+    ]
+    recipe = supple.Recipe(strokes=[supple.Stroke.grab((20, 20), to=(24, 20), radius=6)])
+    warp_file(tmp_path / "a.#######.dpx", tmp_path / "b.#######.dpx", recipe)
+    for k, head in enumerate(heads):
+        made = (tmp_path / f"b.{k:07d}.dpx").read_bytes()
+        assert made[784:804] == head[784:804]
+        assert made[1664:2048] == head[1664:2048]
+        true = supple.Deformation.from_recipe(recipe, (40, 60)).warp(read(tmp_path / f"a.{k:07d}.dpx").pixels)
+        off = read(tmp_path / f"b.{k:07d}.dpx").pixels.astype(int) - true
+        assert np.abs(off).max() <= 33  # half of a step of 10 bits
+
+
+def test_what_a_dpx_is_not_read_for(tmp_path: Path) -> None:
+    pixels = np.zeros((8, 8, 3), int)
+    dpx(tmp_path / "two.dpx", pixels, 10, ">", elements=2)
+    dpx(tmp_path / "yuv.dpx", pixels, 8, ">", kind=102)
+    (tmp_path / "a.cin").write_bytes(b"\x80\x2a\x5f\xd7" + bytes(4000))
+    for name, text in (("two.dpx", "2 image elements"), ("yuv.dpx", "samples of kind 102"), ("a.cin", "it is Cineon")):
+        with pytest.raises(SuppleError, match=f"{name}: .*{text}.*not supported.*: "):
+            read(tmp_path / name)

@@ -155,7 +155,8 @@ class TestWhatCannotBeRead:
 
 class TestWhatCannotBeWritten:
     def test_unknown_suffixes(self, tmp_path):
-        known = "use .png, .jpg, .jpeg, .tif, .tiff, .webp, .avif, .exr, .hdr, .pfm, .pgm, .ppm, .bmp, .tga, .jp2"
+        known = "use .png, .jpg, .jpeg, .tif, .tiff, .webp, .avif, .exr, .dpx, .sgi, .hdr, .pfm, .pgm, .ppm, .bmp, .tga"
+        known += ", .jp2"
         assert ", ".join(SUFFIXES_OUT) in known
         assert refused(check_target, "out.gif") == (
             f"cannot write out.gif: the suffix .gif is no image format: {known}"

@@ -172,7 +172,7 @@ def test_conventions_are_chosen_by_suffixes_that_leave_no_doubt(tmp_path: Path) 
 
 def test_the_library_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(errors, "find_spec", lambda name: None)
-    with pytest.raises(SuppleError, match=r"STMaps as EXR files need OpenEXR, .*'supple\[exr\]'"):
+    with pytest.raises(SuppleError, match=r"OpenEXR pictures and maps need OpenEXR, .*'supple\[exr\]'"):
         read(DATA / "stmap-float.exr")
     with pytest.raises(SuppleError, match=r"supple\[exr\]"):
         write(tmp_path / "a.exr", [Displacements(np.zeros((*SHAPE, 2)), Grid(SHAPE))])

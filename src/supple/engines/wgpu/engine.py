@@ -33,9 +33,9 @@ from supple.engines.wgpu.warp import warp
 
 def groups_of(work: Work) -> tuple[GpuGroup, ...]:
     """Return the groups of samples of a frame, as shaders take them."""
-    space, sampling = work.space, work.sampling
+    space = work.space
     timed = space.ndim == 3
-    early, late = times_seen(sampling.outside, space.count, sampling.time_filter)
+    early, late = times_seen(work.sampling.outside, space.count, work.sampling.time_filter)
     return tuple(
         GpuGroup(
             group.shape,
@@ -56,7 +56,7 @@ def groups_of(work: Work) -> tuple[GpuGroup, ...]:
             group.step,
             group.offset,
         )
-        for group, fill in zip(work.layout.groups, work.fills, strict=True)
+        for group, sampling, fill in zip(work.layout.groups, work.samplings, work.fills, strict=True)
     )
 
 

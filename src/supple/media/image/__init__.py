@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,11 +14,12 @@ from typing import Any
 import numpy as np
 import pyvips
 
-from supple.errors import SuppleError, shown
+from supple.errors import LayerWarning, SuppleError, shown
 from supple.media.files import PathLike, check_suffix, replacing
-from supple.media.image import exif
+from supple.media.image import dpx, exif, exr
 from supple.media.image.formats import (
     AVIF,
+    DPX,
     DTYPES,
     EXR,
     JPEG,
@@ -32,7 +34,7 @@ from supple.media.image.formats import (
     wrapped,
 )
 from supple.media.image.headers import collected, dressed, facts, finish, has_alpha, kept, profile_name
-from supple.media.image.vips import apart, decoded, is_ycbcr, opened, reading, sequential, widen, writing
+from supple.media.image.vips import apart, decoded, is_ycbcr, of_exr, opened, reading, sequential, widen, writing
 
 __all__ = [
     "SUFFIXES",
@@ -100,6 +102,11 @@ class Picture:
     pages: int = 1
     _header: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
+    @property
+    def layers(self) -> exr.Exr | None:
+        """The channels and the windows of an OpenEXR."""
+        return self._header.get("exr")
+
 
 def check_target(path: PathLike) -> None:
     """Raise SuppleError for a name whose suffix is not in `SUFFIXES_OUT`."""
@@ -125,10 +132,11 @@ def check_quality(path: PathLike, quality: int | None) -> None:
         warnings.warn(text, ImageWarning, stacklevel=3)
 
 
-def read(path: PathLike, *, pages: bool = False) -> Picture:
+def read(path: PathLike, *, pages: bool = False, whole: bool = False) -> Picture:
     """Read an image, upright: an orientation in its header is applied.
 
-    With ``pages``, all pages of a TIFF are read, if they are of one size and type.
+    With ``pages``, all pages of a TIFF are read, if they are of one size and type. An OpenEXR is read as its display
+    window shows it; with ``whole``, over the box around all its windows, with all its channels for `write`.
 
     Colours are not converted. A palette becomes RGB or RGBA; fewer than 8 bits become 8; 10 or 12 bits become
     16, with white at 65535.
@@ -150,6 +158,9 @@ def read(path: PathLike, *, pages: bool = False) -> Picture:
     MetadataWarning
         The file has damaged EXIF or any IPTC in a TIFF, or a gain map for HDR in a JPEG.
     """
+    if exr.is_exr(path):
+        layers = exr.read(path)
+        return of_layers(layers if whole else layers.alone())
     image, form = opened(path)
     name = shown(path)
     count, orientation, bits = facts(image)
@@ -167,6 +178,20 @@ def read(path: PathLike, *, pages: bool = False) -> Picture:
     icc = header.pop("icc-profile-data", None)
     held = count if tall is not None else 1
     return Picture(pixels, has_alpha(image), icc, bits, form, image.interpretation, held, header)
+
+
+def warn_of_exact(held: exr.Exr) -> None:
+    """Say which channels of an OpenEXR are not filtered."""
+    if held.exact:
+        text = f"channels take the nearest pixel's values where averages would mean nothing: {held.exact}"
+        warnings.warn(text, LayerWarning, stacklevel=3)
+
+
+def of_layers(held: exr.Exr) -> Picture:
+    """Return an OpenEXR as a picture, whose header has all that `write` keeps of it."""
+    pixels, meaning = held.arrays[0], of_exr(held).interpretation
+    flat = pixels[..., 0] if pixels.shape[2] == 1 else pixels
+    return Picture(flat, False, None, held.bits, EXR.name, meaning, 1, {"exr": held})
 
 
 def _decoded(path: PathLike, image: Any, form: str, orientation: int) -> Array:
@@ -303,26 +328,44 @@ def write(
         raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
     have = like.bits if like is not None and like.pixels.dtype == array.dtype else array.dtype.itemsize * 8
     bits = 10 if form is AVIF and 8 < have <= 10 else min(form.bits, array.dtype.itemsize * 8)
+    film = form is DPX and have in (10, 12) and channels == 3
+    bits = have if film else bits
     if bits < have:
         text = f"{name}: {form.name} holds {bits} bits a channel, and the {have} of the pixels are rounded"
         warnings.warn(text, DepthWarning, stacklevel=2)
     image = wrapped(array, meaning, bits)
-    header, icc = (like._header, like.icc) if like is not None else ({}, None)
+    header, icc = (dict(like._header), like.icc) if like is not None else ({}, None)
+    layers: exr.Exr | None = header.pop("exr", None)
+    if layers is not None and (lost := layers.lost(exr=form is EXR)):
+        text = f"{name} cannot take over {' and '.join(lost)} of an OpenEXR"
+        warnings.warn(text, MetadataWarning, stacklevel=2)
+    head: bytes = header.pop("dpx", b"")
+    if head and form is not DPX:
+        text = f"{name} cannot take over the header of a DPX, with its transfer curve and timecode"
+        warnings.warn(text, MetadataWarning, stacklevel=2)
     if form.pixel_formats:
         if taken := [what for key, what in _BESIDE.items() if key in header] + ["the colour profile"] * bool(icc):
             text = f"{name}: {form.name} cannot take over {' and '.join(taken)}"
             warnings.warn(text, MetadataWarning, stacklevel=2)
+        if form is EXR:
+            if alpha:  # EXR is premultiplied
+                array = np.concatenate([array[..., :3] * array[..., 3:], array[..., 3:]], axis=2)
+            made = exr.with_pixels(layers if same else None, array.reshape(*array.shape[:2], -1), half=have == 16)
+            with replacing(path, force=force) as temporary:
+                exr.write(temporary, path, made)
+            return
         from supple.media.image import ffmpeg
 
-        if alpha and form is EXR:  # EXR is premultiplied
-            array = np.concatenate([array[..., :3] * array[..., 3:], array[..., 3:]], axis=2)
-        elif bits < array.dtype.itemsize * 8:
+        if bits < array.dtype.itemsize * 8:
             array = decoded(image, 1)
         with replacing(path, force=force) as temporary, ffmpeg.writing(path):
-            kinds = form.pixel_formats[array.dtype.str[1:]]
-            temporary.write_bytes(
-                ffmpeg.encoded(array, form.saver, kinds[channels], form.options, half=have == 16 and form is EXR)
-            )
+            kind = form.pixel_formats[array.dtype.str[1:]][channels]
+            if film:
+                array, kind = array >> (16 - bits), f"gbrp{bits}be"
+            if dpx.is_little(head):
+                kind = re.sub("be$", "le", kind)
+            data = ffmpeg.encoded(array, form.saver, kind, form.options)
+            temporary.write_bytes(dpx.dressed(data, head, path) if form is DPX else data)
         return
     image, lost = dressed(image, header, icc, form, channels - alpha)
     if lost:

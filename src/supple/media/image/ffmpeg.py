@@ -1,4 +1,4 @@
-"""Image formats that libvips lacks, by FFmpeg's codecs: OpenEXR, Radiance, JPEG 2000, BMP, TGA and PNM."""
+"""Image formats that libvips lacks, by FFmpeg's codecs: DPX, SGI, Radiance, JPEG 2000, BMP, TGA and PNM."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 from supple.errors import need
 
-need("video", "OpenEXR, Radiance, JPEG 2000, BMP, TGA and PNM pictures", "av")
+need("video", "DPX, SGI, Radiance, JPEG 2000, BMP, TGA and PNM pictures", "av")
 
 import av
 import numpy as np
@@ -71,9 +71,7 @@ def _least(pixels: Array) -> Array:
     return np.ascontiguousarray(pixels)
 
 
-def encoded(
-    pixels: Array, codec: str, pixel_format: str, options: Mapping[str, str] | None = None, *, half: bool = False
-) -> bytes:
+def encoded(pixels: Array, codec: str, pixel_format: str, options: Mapping[str, str] | None = None) -> bytes:
     """Encode an image without loss, within the format's depth."""
     height, width = pixels.shape[:2]
     known = form(pixel_format)
@@ -81,21 +79,18 @@ def encoded(
     context: Any = av.CodecContext.create(codec, "w")
     context.width, context.height, context.pix_fmt = width, height, pixel_format
     context.time_base = Fraction(1)
-    context.options = {**(options or {}), **({"format": "half"} if half else {})}
-    if half:  # rounded here, since FFmpeg drops the low bits
-        with np.errstate(over="ignore"):
-            pixels = pixels.astype(np.float16).astype(np.float32)
+    context.options = dict(options or {})
     frame = pack([pixels.reshape(height, width, -1)], known, width, height)
     return b"".join(bytes(packet) for packet in (*context.encode(frame), *context.encode(None)))
 
 
 @contextlib.contextmanager
-def reading(path: PathLike) -> Iterator[None]:
-    """Convert a codec's errors to one sentence."""
+def reading(path: PathLike, kind: str = "") -> Iterator[None]:
+    """Convert a codec's errors to one sentence, with the kind of the file, if it is known."""
     try:
         yield
     except av.FFmpegError as error:
-        what = f"it is damaged, cut short or of a kind that is not supported ({said(error)})"
+        what = f"it is damaged, cut short or of a kind that is not supported ({kind or said(error)})"
         raise unreadable(path, what, "give a whole copy of it, or convert it to PNG or TIFF") from error
 
 

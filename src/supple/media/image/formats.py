@@ -41,6 +41,7 @@ class Format:
 _BGR = {"u1": {1: "gray", 3: "bgr24", 4: "bgra"}}
 _REAL = {1: "grayf32le", 3: "gbrpf32le"}
 _WHOLE = {"u1": {1: "gray", 3: "rgb24"}, "u2": {1: "gray16le", 3: "rgb48le"}}
+_FULL = {"u1": {1: "gray", 3: "rgb24", 4: "rgba"}, "u2": {1: "gray16be", 3: "rgb48be", 4: "rgba64be"}}
 _PGM, _PPM = {"u1": {1: "gray"}, "u2": {1: "gray16be"}}, {"u1": {3: "rgb24"}, "u2": {3: "rgb48be"}}
 _PNM = {
     rb"P[14]\s": "pbm", rb"P[25]\s": "pgm", rb"P[36]\s": "ppm", rb"P7\s": "pam", rb"P[Ff]\s": "pfm", rb"P[Hh]\s": "phm"
@@ -56,10 +57,11 @@ WEBP = Format("WebP", (".webp",), ("webp",), saver="webpsave", limit=16_383, gre
 AVIF = Format("AVIF", (".avif",), saver="heifsave", limit=16_384, bits=12, grey=False,
               quality=90, lossless=("lossless",),  # effort 4 takes six times as long for 7 %
               options={"compression": "av1", "subsample_mode": "off", "effort": 3})
-EXR = Format("OpenEXR", (".exr",), ("openexr",), {rb"v/1\x01": "exr"}, "exr", bits=32,
-             options={"compression": "zip16"}, pixel_formats={"f4": {**_REAL, 4: "gbrapf32le"}})
+EXR = Format("OpenEXR", (".exr",), saver="exr", bits=32, pixel_formats={"f4": {**_REAL, 4: "gbrapf32le"}})
+DPX = Format("DPX", (".dpx",), (), {rb"SDPX|XPDS": "dpx"}, "dpx", bits=16, pixel_formats=_FULL)
 FORMATS = (
-    PNG, JPEG, TIFF, WEBP, AVIF, EXR,
+    PNG, JPEG, TIFF, WEBP, AVIF, EXR, DPX,
+    Format("SGI", (".sgi",), (), {rb"\x01\xda": "sgi"}, "sgi", bits=16, pixel_formats=_FULL),
     Format("Radiance", (".hdr",), (), {rb"#\?(RADIANCE|RGBE)": "hdr"}, "hdr", bits=32, grey=False, alpha=False,
            pixel_formats={"f4": {3: "gbrpf32le"}}),
     Format("PFM", (".pfm",), saver="pfm", bits=32, alpha=False, pixel_formats={"f4": _REAL}),

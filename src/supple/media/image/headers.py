@@ -18,7 +18,7 @@ from supple.media.image import exif
 from supple.media.image.formats import COLOURS, DTYPES, JPEG, PNG, TIFF, Format
 
 _ICC_COLOURS = {b"GRAY": 1, b"RGB ": 3, b"Lab ": 3, b"CMYK": 4}
-_KEPT = ("icc-profile-data", "exif-data", "xmp-data", "iptc-data", "image-description", "png-comment-")
+_KEPT = ("dpx", "icc-profile-data", "exif-data", "xmp-data", "iptc-data", "image-description", "png-comment-")
 _THUMBNAIL = ("exif-ifd1-", "jpeg-thumbnail-data")
 _ALL, _EXIF = 63, 1  # libvips' flags for the parts of a header
 _UNKNOWN = 0.1  # a pixel a centimetre, which `finish` removes

@@ -15,6 +15,7 @@ import pyvips
 
 from supple.errors import SuppleError
 from supple.media.files import PathLike, head_of, unreadable, unwritable
+from supple.media.image import dpx, exr
 from supple.media.image.exif import retagged, tag_of
 from supple.media.image.formats import DTYPES, LOADERS, Array, meant, wrapped
 from supple.media.image.headers import png_frames
@@ -37,6 +38,8 @@ def opened(path: PathLike) -> tuple[Any, str]:
     kinds = "give a PNG, JPEG, TIFF, WebP, AVIF or GIF file"
     head = head_of(path, 12, kinds, kinds)
     known = head.startswith(_MAGIC) or head[4:8] == b"ftyp"
+    if head.startswith(exr.MAGIC):
+        return of_exr(exr.read(path).alone()), "OpenEXR"
     try:
         image = (
             _of_doubles(path) if head.startswith(_TIFF) and _holds_doubles(path) else apart(lambda: sequential(path))
@@ -64,6 +67,9 @@ def opened(path: PathLike) -> tuple[Any, str]:
 
         if (found := ffmpeg.codec_of(path, head)) is not None:
             return _by_ffmpeg(path, *found)
+        if head.startswith((b"\x80\x2a\x5f\xd7", b"\xd7\x5f\x2a\x80")):
+            advice = "convert it, to DPX for instance, which holds the same values"
+            raise unreadable(path, "it is Cineon, which is not supported here", advice) from error
         form = None
     if form is None or image.format not in DTYPES or image.coding != "none":
         raise unreadable(path, "it is no image of a known kind", kinds)
@@ -74,14 +80,23 @@ def _by_ffmpeg(path: PathLike, codec: str, form: str) -> tuple[Any, str]:
     """Decode an image that libvips does not support."""
     from supple.media.image import ffmpeg
 
-    with ffmpeg.reading(path):
+    header = dpx.header_of(path) if form == "DPX" else b""
+    with ffmpeg.reading(path, dpx.described(header) if header else ""):
         pixels, bits = ffmpeg.decoded(path, codec)
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
-    # OpenEXR is premultiplied, and averaged as such
-    colours = channels if form == "OpenEXR" else channels - (channels in (2, 4))
-    image = wrapped(np.ascontiguousarray(pixels), meant(pixels.dtype, colours, ""), 32)
+    image = wrapped(np.ascontiguousarray(pixels), meant(pixels.dtype, channels - (channels in (2, 4)), ""), 32)
     image.set_type(pyvips.GValue.gint_type, "bits-per-sample", bits)
+    if header:
+        image.set_type(pyvips.GValue.blob_type, "dpx", header)
     return image, form
+
+
+def of_exr(held: exr.Exr) -> Any:
+    """Return the picture of an OpenEXR; it is premultiplied, and averaged as such."""
+    pixels = held.arrays[0]
+    image = wrapped(np.ascontiguousarray(pixels), meant(pixels.dtype, pixels.shape[2], ""), 32)
+    image.set_type(pyvips.GValue.gint_type, "bits-per-sample", held.bits)
+    return image
 
 
 # Kept: libvips takes it for RGB (test_a_tiff_in_ycbcr_has_its_colours), and reads no doubles (test_tiff_of_doubles).

@@ -7,24 +7,20 @@ reads it with ``flip_t``.
 
 from __future__ import annotations
 
-import contextlib
-import io
-import os
-import re
-import sys
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from supple.errors import need
+from supple.errors import OutsideWarning, shown
 from supple.geometry import Grid
 from supple.media import image
-from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable, unwritable
+from supple.media.files import PathLike, check_suffix, unreadable, unwritable
+from supple.media.image import exr
 from supple.media.transforms.base import Array, Content
 from supple.media.transforms.positions import of_positions, to_positions
-from supple.media.volume.itk import silence
 
 SUFFIXES = (".exr", ".tif", ".tiff", ".png")
 SUFFIXES_OUT = (".exr", ".tif", ".tiff")
@@ -65,6 +61,10 @@ def read(path: PathLike, *, source: Grid | None = None) -> tuple[Content, ...]:
     if opacity is not None and (thin := np.count_nonzero(opacity != opacity.flat[0])):
         what = f"its opacity changes, at {thin} pixels, and where it is transparent an STMap is not defined"
         raise unreadable(path, what, "fill these parts, or write it without alpha")
+    (height, width), (x0, y0) = s.shape, first
+    if x0 > 0 or y0 > 0 or x0 + width < own[0] or y0 + height < own[1]:
+        text = f"{shown(path)} holds {width} x {height} pixels of its {own[0]} x {own[1]}: beyond, its edge goes on"
+        warnings.warn(text, OutsideWarning, stacklevel=2)
     if source is not None and source.ndim != 2:
         raise unreadable(path, "an STMap is of a picture, and the source is a volume", "give the grid of a picture")
     width, height = own if source is None else source.sizes
@@ -104,7 +104,7 @@ def write(path: PathLike, contents: Sequence[Content], *, source: Grid | None = 
     st[..., 1] = 1 - st[..., 1]
     if suffix == ".exr":
         red, green = (np.ascontiguousarray(st[..., i], np.float32) for i in range(2))
-        _write_exr(path, {"R": red, "G": green, "B": np.zeros_like(red)}, force)
+        image.write(path, np.stack([red, green, np.zeros_like(red)], axis=-1), force=force)
         return
     if outside := np.count_nonzero(((st < 0) | (st > 1)).any(axis=-1)):
         raise unwritable(path, f"{outside} positions are outside the source, and a TIFF ends there", "write an EXR")
@@ -128,49 +128,15 @@ def _picture(path: PathLike) -> _Planes:
     return scaled[..., 0], scaled[..., 1], opacity, (0, 0), (pixels.shape[1], pixels.shape[0])
 
 
-def imported() -> Any:
-    """Return the module OpenEXR, imported at the first use."""
-    need("exr", "STMaps as EXR files", "OpenEXR")
-    import OpenEXR
-
-    return OpenEXR
-
-
-@contextlib.contextmanager
-def _failing(path: PathLike) -> Iterator[None]:
-    try:
-        yield
-    except (RuntimeError, ValueError, TypeError, MemoryError) as error:
-        raise unreadable(path, f"it is no EXR, damaged or cut short ({str(error).splitlines()[0]})") from error
-
-
-@contextlib.contextmanager
-def _silence() -> Iterator[None]:
-    """Suppress what OpenEXR writes of a damaged file, to both streams; what other threads write is passed on."""
-    said = io.StringIO()
-    try:
-        with silence(), contextlib.redirect_stdout(said):
-            yield
-    finally:
-        if rest := re.sub(r"(?m)^Warning: .*\n", "", said.getvalue()):
-            sys.stdout.write(rest)
-
-
 def _exr(path: PathLike) -> _Planes:
     """Return s, t, the opacity, the first pixel and the size of an EXR."""
-    module = imported()
-    if not head_of(path, 4).startswith(b"v/1\x01"):
-        raise unreadable(path, "it does not begin as an EXR does", "give the name of an EXR")
-    with _failing(path), _silence(), module.File(os.fspath(path), separate_channels=True) as file:
-        channels, header = dict(file.channels()), file.header()
-        names = {
-            name: channel for name, channel in channels.items() if (channel.xSampling, channel.ySampling) == (1, 1)
-        }
+    with exr.opened(path) as file:
+        names, header = dict(file.channels()), file.header()
         windows = [np.array(header[key], np.int64) for key in ("dataWindow", "displayWindow")]
     pairs = _pairs(names)
     if len(pairs) != 1:
         which = "more than one pair" if pairs else "no pair"
-        raise unreadable(path, f"its channels {', '.join(channels) or '(none)'} hold {which} of s and t", _WANTED)
+        raise unreadable(path, f"its channels {', '.join(names)} hold {which} of s and t", _WANTED)
     ((red, green),) = pairs
     planes = [names[name].pixels for name in (red, green)]
     if any(plane.dtype.kind != "f" for plane in planes):
@@ -196,14 +162,3 @@ def _pairs(names: dict[str, Any]) -> list[tuple[str, str]]:
     plain = [pair for pair in found if "." not in pair[0]]
     coloured = [pair for pair in plain if pair[0] == "R"]
     return coloured or plain or found
-
-
-def _write_exr(path: PathLike, channels: dict[str, Array], force: bool) -> None:
-    module = imported()
-    header = {"compression": module.ZIP_COMPRESSION, "type": module.scanlineimage}
-    with replacing(path, force=force) as temporary:
-        try:
-            with module.File(header, channels) as file:
-                file.write(os.fspath(temporary))
-        except RuntimeError as error:
-            raise unwritable(path, f"OpenEXR fails ({str(error).splitlines()[0]})", "choose another place") from error

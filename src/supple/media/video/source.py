@@ -54,6 +54,7 @@ class VideoSource:
     grading = Grading()
     source: av.container.InputContainer | None = None
     passage: Passage | None = None  # receives the packets of other streams during writing
+    display: tuple[int, int, int, int] | None = None
     copies = False  # whether packets of frames are kept, to be copied
 
     def __init__(self, name: str, rate: Fraction, base: Fraction) -> None:

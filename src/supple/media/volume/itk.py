@@ -48,8 +48,11 @@ def imported() -> Any:
 
 
 @contextlib.contextmanager
-def silence() -> Iterator[None]:
-    """Suppress standard error: ITK's readers, and OpenEXR's, print the messages of their exceptions there."""
+def silence(own: str = "") -> Iterator[None]:
+    """Suppress standard error: ITK's readers, and OpenEXR's, print the messages of their exceptions there.
+
+    With ``own``, a regular expression, only lines that it matches: what other threads write is passed on.
+    """
     with _SILENCE, contextlib.ExitStack() as stack:
         try:
             kept = os.dup(2)
@@ -57,10 +60,16 @@ def silence() -> Iterator[None]:
             yield
             return
         stack.callback(os.close, kept)
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        stack.callback(os.close, nowhere)
-        stack.callback(os.dup2, kept, 2)
-        os.dup2(nowhere, 2)
+        caught = stack.enter_context(tempfile.TemporaryFile())
+
+        def back() -> None:
+            os.dup2(kept, 2)
+            caught.seek(0)
+            lines = caught.readlines() if own else []
+            os.write(2, b"".join(line for line in lines if not re.match(own.encode(), line)))
+
+        stack.callback(back)
+        os.dup2(caught.fileno(), 2)
         yield
 
 

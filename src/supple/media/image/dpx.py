@@ -1,0 +1,62 @@
+"""The header of DPX files: FFmpeg reads and writes their pixels, and nothing of it."""
+
+from __future__ import annotations
+
+import os
+import struct
+
+from supple.media.files import PathLike, unreadable
+
+SIZE = 2048  # bytes: of the generic header and those of film and television; what users append is not read
+_RGB = (6, 50, 51)  # the descriptors of luminance, RGB and RGBA
+
+
+def header_of(path: PathLike) -> bytes:
+    """Return the header; SuppleError for samples that FFmpeg does not read, or of which it reads a part."""
+    with open(path, "rb") as file:
+        head = file.read(SIZE)
+    if len(head) < SIZE:
+        raise unreadable(path, "it is cut short")
+    (count,) = struct.unpack_from(f"{_order(head)}H", head, 770)
+    if count != 1 or head[800] not in _RGB:
+        kind = f"{count} image elements" if count != 1 else f"samples of kind {head[800]}"
+        raise unreadable(path, f"a DPX with {kind} is not supported", "write it as one of RGB, RGBA or grey")
+    return head
+
+
+def described(head: bytes) -> str:
+    """Return how the samples are stored, in words."""
+    packing, encoding = struct.unpack_from(f"{_order(head)}HH", head, 804)
+    stored = ", run-length encoded" if encoding else ""
+    return f"a DPX of {head[803]} bits, packing {packing}{stored}"
+
+
+def is_little(head: bytes) -> bool:
+    """Return whether a file with this header is in little-endian order."""
+    return head[:4] == b"XPDS"
+
+
+def _order(head: bytes) -> str:
+    return "<" if is_little(head) else ">"
+
+
+def dressed(data: bytes, head: bytes, path: PathLike) -> bytes:
+    """Return an encoded file with the header of another one, but for how its pixels are stored.
+
+    Samples of more than 8 bits are of that one's byte order. The transfer curve and the colorimetry are that one's,
+    too; with as many bits, so are black and white. Without a header, FFmpeg's is kept, but for its curve, linear.
+    """
+    if not head:
+        return data[:801] + bytes(2) + data[803:]
+    order, own = _order(head), _order(data)
+    made = bytearray(head)
+    fields = [(768, "HHIII"), (804, "HHIII"), *([(784, "IfIf")] if head[803] != data[803] else [])]
+    for at, form in fields:
+        struct.pack_into(order + form, made, at, *struct.unpack_from(own + form, data, at))
+    made[800], made[803] = data[800], data[803]
+    (start,) = struct.unpack_from(f"{own}I", data, 4)
+    size = SIZE + len(data) - start
+    for at, value in ((4, SIZE), (16, size), (24, 1664), (28, SIZE - 1664), (32, 0), (808, SIZE)):
+        struct.pack_into(f"{order}I", made, at, value)
+    made[36:136] = os.fsencode(os.path.basename(path))[:99].ljust(100, b"\0")
+    return bytes(made) + data[start:]
