@@ -429,3 +429,30 @@ def test_an_error_is_no_less_than_it_is() -> None:
         steep = steep.add(stroke, warn=False)
     p = plan(steep, 1e-2)
     assert off_by(steep, p)[0] <= 1.05 * p.error
+
+
+THIN = [
+    ((8, 270, 480), (1, 1, 1)), ((40, 270, 480), (1, 1, 1)), ((20, 256, 256), (1, 1, 5)), ((12, 256, 256), (1, 1, 1)),
+    ((256, 20, 256), (1, 1, 1)), ((64, 64, 64), (1, 1, 1)), ((300, 6000), (1, 1)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("shape", "spacing"), THIN)
+@pytest.mark.parametrize(
+    "place", [(0.5, 0.5, 0.5), (0.5, 0.06, 0.5), (0.05, 0.06, 0.3)], ids=["middle", "edge", "corner"]
+)
+@pytest.mark.parametrize("part", [0.08, 0.3])
+def test_a_border_costs_as_its_axis_needs(
+    shape: tuple[int, ...], spacing: tuple[float, ...], place: tuple[float, ...], part: float
+) -> None:
+    """However narrow the border of a short axis is, cells stay long along the others."""
+    size = np.array(shape[::-1]) - 1.0
+    at = size * place[: len(shape)]
+    radius = part * min(shape[-2:])
+    to = at + np.eye(len(shape))[0] * 0.5 * radius
+    cost = []
+    for border in ("default", None):
+        d = Deformation(shape, spacing=spacing, **({} if border else {"border": None}))
+        d = d.grab(tuple(at), to=tuple(np.clip(to, 1, size - 1)), radius=radius)
+        cost.append(sum(plan(d, 0.01, z).evaluations for z in range(0, shape[0] if len(shape) == 3 else 1, 4)))
+    assert cost[0] <= 5 * cost[1]  # at its own axes, cells are shorter there, too

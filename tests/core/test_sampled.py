@@ -9,10 +9,12 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
+from scipy.optimize import brentq
 
 from supple import _core
 from supple.domain import FREE
-from supple.fields import FOLDED, OK, OUTSIDE, Field
+from supple.fields import FOLDED, OK, OUTSIDE, UNCONVERGED, Field
 from supple.geometry import Grid, overlap
 from tests.effort import examples
 from tests.fields import OPTIONS, along_x, checked, drawn, drawn_grid, moved, on_grid, positions_of, settled, solutions
@@ -255,3 +257,42 @@ def test_what_folds_is_not_called_ok(shape: tuple[int, ...], beyond: str, interp
         sample = Grid((1,) * len(shape), 1.0, y.tolist())
         if on_grid(field, y[None])[0]:
             assert field.invert(sample).status.ravel()[0] != OK
+
+
+@pytest.mark.parametrize("shape", [(12, 15), (6, 7, 8)])
+def test_cells_of_a_linear_field_are_decided_by_their_determinant(shape: tuple[int, ...]) -> None:
+    """A cell is marked where the determinant, sampled densely, comes near 0, and hardly elsewhere."""
+    rng = np.random.default_rng(5)
+    n = len(shape)
+    field = drawn(rng, Grid(shape), 4.0, beyond="edge")
+    cells = np.zeros([k - 1 for k in shape], np.uint8)
+    field.packed(np.eye(n + 1)).folded_cells(cells)
+    steps = np.stack(np.meshgrid(*[np.linspace(0, 1, 9)] * n, indexing="ij"), -1).reshape(-1, n) * (1 - 1e-9)
+    lowest = np.empty(cells.shape)
+    for at in np.ndindex(*cells.shape):
+        _, slopes, _ = through(field, np.array(at[::-1]) + steps)
+        lowest[at] = np.linalg.det(slopes).min()
+    assert 0.1 < (lowest < 0).mean() < 0.9
+    assert cells[lowest < 0].all()
+    assert not cells[lowest > 0.05].any()
+
+
+@pytest.mark.parametrize("roughness", [1.0, 3.0])
+def test_points_of_a_field_that_folds_are_found(roughness: float) -> None:
+    """A fifth of the field is turned over, and yet nearly every sample of its inverse is solved."""
+    rng = np.random.default_rng(2)
+    shape = (40, 44, 48)
+    values = np.stack([gaussian_filter(rng.normal(size=shape), roughness) for _ in range(3)], -1)
+
+    def turned(strength: float) -> float:
+        slopes = np.stack([np.gradient(strength * values[..., k])[::-1] for k in range(3)], 0)
+        return float((np.linalg.det(np.moveaxis(slopes, (0, 1), (-2, -1)) + np.eye(3)) <= 0).mean())
+
+    strength = brentq(lambda s: turned(s) - 0.2, 0, 1e4, xtol=1e-3)
+    field = Field.from_array(strength * values, beyond="edge")
+    inverse = field.invert()
+    assert (inverse.status == UNCONVERGED).mean() < 5e-4
+    solved = inverse.status != UNCONVERGED
+    q = np.stack(np.meshgrid(*(np.arange(k, dtype=float) for k in shape), indexing="ij")[::-1], -1)
+    back, _, _ = through(field, (q + inverse.field.values)[solved])
+    assert np.abs(back - q[solved]).max() < 0.05
