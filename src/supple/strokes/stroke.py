@@ -47,7 +47,7 @@ class Stroke:
         The reach in radii, from 1: beyond, the displacement is exactly 0. None: unlimited, as in the paper.
     brush : str
         ``"grab"`` moves the pivot by the drag. The others are affine at the pivot, and fade with the distance:
-        ``"twist"`` turns it by the angle; ``"scale"`` magnifies it by the factor (in a clip, in x and y alone);
+        ``"twist"`` turns it by the angle, about which points keep their distance from the pivot; ``"scale"`` magnifies it by the factor (in a clip, in x and y alone);
         ``"pinch"`` stretches it by the factor along the axis, and by the inverse across it (in a volume, by the
         inverse's root along both axes across).
     angle : float or None
@@ -56,6 +56,9 @@ class Stroke:
         Of a scale or a pinch: above 1, it bloats or stretches; below 1, it puckers or squeezes.
     axis : sequence of float or None
         Of a twist of three coordinates, and of a pinch: a direction, in samples. None: z or time; and x.
+    chord : bool
+        Of a twist: whether points move along chords, and so nearer to the pivot, as in recipes before version 3.
+        Otherwise they keep their distance from it.
     also : sequence of (sequence of float, sequence of float)
         Of a grab: further points and their drags, in samples. All are carried out at once, so that each point arrives;
         a point with a drag of 0 is a pin.
@@ -82,6 +85,7 @@ class Stroke:
     angle: float | None = None
     factor: float | None = None
     axis: Place | None = None
+    chord: bool = False
     also: tuple[tuple[Place, Place], ...] = ()
     path: tuple[Place, ...] = ()
     hidden: bool = False
@@ -93,6 +97,8 @@ class Stroke:
         choice("brush", self.brush, get_args(Brush))
         if not isinstance(self.hidden, bool):
             refuse("hidden", "true or false", self.hidden)
+        if not isinstance(self.chord, bool) or (self.chord and self.brush != "twist"):
+            refuse("chord", "true or false, and false but for a twist", self.chord)
         if not isinstance(self.name, str | None):
             refuse("name", "text", self.name)
         at = point("at", self.at)
