@@ -22,6 +22,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 
 from supple.domain import PROFILE_CODES
@@ -71,6 +72,21 @@ class Kind:
     turn: Sequence[float] | None = None
     joined: bool = False
 
+    @classmethod
+    def of(cls, row: np.void, ndim: int, part: float = 1.0) -> Kind:
+        """Return what a row of a table says."""
+        e, p, q, r = (float(row[name][0]) for name in ("radius2", "p", "q", "r"))
+        return cls(
+            r * e / (2 * q) if r else 0.0,
+            int(row["terms"]),
+            float(row["reach"]) / math.sqrt(e),
+            part,
+            matrix=row["matrix"][:ndim, :ndim].tolist() if row["power"] == 3 else None,
+            angle=2.5 * p / e**1.5,
+            turn=row["turn"][:ndim].tolist() if row["turn"].any() else None,
+            joined=bool(row["joined"]),
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strokes:
@@ -114,24 +130,7 @@ class Strokes:
         at, by, radius = (
             torch.tensor(x, dtype=dtype, device=device) for x in (*columns, table["radius2"][:, 0] ** 0.5)
         )
-        first = {name: table[name][:, 0] for name in ("radius2", "q", "r")}
-        columns = [
-            first["r"] * first["radius2"] / (2 * first["q"]),
-            table["terms"],
-            table["reach"] / first["radius2"] ** 0.5,
-        ]
-        kinds = [
-            Kind(
-                ratio,
-                scales,
-                reach,
-                matrix=row["matrix"][:n, :n].tolist() if row["power"] == 3 else None,
-                angle=float(2.5 * row["p"][0] / row["radius2"][0] ** 1.5),
-                turn=row["turn"][:n].tolist() if row["turn"].any() else None,
-                joined=bool(row["joined"]),
-            )
-            for row, ratio, scales, reach in zip(table, *(column.tolist() for column in columns), strict=True)
-        ]
+        kinds = [Kind.of(row, n) for row in table]
         freedom = Freedom.of(space.freeze, dtype, device)
         return cls(at, by, radius, kinds, axes_of(space), freedom=freedom)
 
