@@ -143,7 +143,7 @@ class TestJson:
         hint = "unknown key 'chord' in strokes[0]: it is of version 3 (\"supple\": 3)"
         assert read_refusal(text.replace('"radius": 9', '"radius": 9, "chord": true')) == hint
         assert read_refusal(with_stroke(GRAB[:-1] + ', "chord": true}').replace('"supple": 2', '"supple": 3')) == (
-            "strokes[1]: chord must be true or false, and false but for a twist, found True"
+            "strokes[1]: chord must be left out for a grab, found True"
         )
 
     def test_what_may_be_left_out(self) -> None:

@@ -30,8 +30,8 @@ GRADES = (1.0, 1.1, 1.21)
 class Turned:
     """An affine brush as it is carried out: with the matrix that it has at its pivot, in physical units.
 
-    Of a twist that keeps distances, the stroke has the part of the angle that it turns by, and the matrix multiplies its
-    displacement.
+    Of a twist that keeps distances, the stroke has the part of the angle that it turns by, and the matrix multiplies
+    its displacement.
     """
 
     stroke: Stroke
@@ -127,8 +127,8 @@ def turn(m: Floats, brush: str, radius: float, poisson: float, r: Floats) -> tup
 def twist(stroke: Stroke, spacing: Floats, r: Floats) -> tuple[Floats, Floats]:
     """Return K of a twist that turns r about its axis by an angle that fades, θ w(|r|); and its Jacobian.
 
-    K = R r - r and J = R - I + (dR/dφ) r ∇φᵀ, where R is a rotation by φ = θ w, in space, and w is the profile of a skew
-    matrix, 1 at the pivot, times that of the reach.
+    K = R r - r and J = R - I + (dR/dφ) r ∇φᵀ, where R is a rotation by φ = θ w, in space, and w is the profile of a
+    skew matrix, 1 at the pivot, times that of the reach.
     """
     n, axis = r.shape[-1], np.array([0.0, 0.0, 1.0])
     if n == 3 and stroke.axis is not None:

@@ -47,7 +47,7 @@ class Stroke:
         The reach in radii, from 1: beyond, the displacement is exactly 0. None: unlimited, as in the paper.
     brush : str
         ``"grab"`` moves the pivot by the drag. The others are affine at the pivot, and fade with the distance:
-        ``"twist"`` turns it by the angle, about which points keep their distance from the pivot; ``"scale"`` magnifies it by the factor (in a clip, in x and y alone);
+        ``"twist"`` turns it by the angle; ``"scale"`` magnifies it by the factor (in a clip, in x and y alone);
         ``"pinch"`` stretches it by the factor along the axis, and by the inverse across it (in a volume, by the
         inverse's root along both axes across).
     angle : float or None
@@ -97,8 +97,8 @@ class Stroke:
         choice("brush", self.brush, get_args(Brush))
         if not isinstance(self.hidden, bool):
             refuse("hidden", "true or false", self.hidden)
-        if not isinstance(self.chord, bool) or (self.chord and self.brush != "twist"):
-            refuse("chord", "true or false, and false but for a twist", self.chord)
+        if not isinstance(self.chord, bool):
+            refuse("chord", "true or false", self.chord)
         if not isinstance(self.name, str | None):
             refuse("name", "text", self.name)
         at = point("at", self.at)
@@ -156,17 +156,18 @@ class Stroke:
 
     def _checked_shape(self, ndim: int) -> dict[str, object]:
         """Return the angle, the factor and the axis, each if the brush has one."""
-        takes = {"grab": (), "twist": ("angle", "axis"), "scale": ("factor",), "pinch": ("factor", "axis")}[self.brush]
-        for name in ("angle", "factor", "axis"):
-            if name not in takes and getattr(self, name) is not None:
+        takes = {"twist": ("angle", "axis", "chord"), "scale": ("factor",), "pinch": ("factor", "axis")}
+        own = takes.get(self.brush, ())
+        for name in ("angle", "factor", "axis", "chord"):
+            if name not in own and getattr(self, name) not in (None, False):
                 refuse(name, f"left out for a {self.brush}", getattr(self, name))
         if self.brush != "grab" and self.scales != 1:
             refuse("scales", f"1 for a {self.brush}, which fades as 1/r² of itself", self.scales)
         checked: dict[str, object] = {}
-        if "angle" in takes:
+        if "angle" in own:
             wanted = f"a number of degrees from {-LARGEST_ANGLE:g} to {LARGEST_ANGLE:g}"
             checked["angle"] = number("angle", self.angle, wanted, -LARGEST_ANGLE, LARGEST_ANGLE)
-        if "factor" in takes:
+        if "factor" in own:
             wanted = f"a number from {1 / LARGEST_FACTOR:g} to {LARGEST_FACTOR:g}"
             checked["factor"] = number("factor", self.factor, wanted, 1 / LARGEST_FACTOR, LARGEST_FACTOR)
         if self.axis is not None:

@@ -4,8 +4,9 @@ Of one stroke, in physical units, with r = p - pivot, s = |r|² and p taken into
 
     K(p) = diag(β) m(√s/R) [A(s) v + B(s) (r·v) r],    m(t) = (1-t)³ (1 + 3t + 6t²) for t < 1, 0 beyond,
 
-times the m of a freeze mask (`freedom`), where v is the force f of a grab, or M r. For a twist, diag(β) is times R r - r,
-with the rotation R by the angle m(√s/R) A(s). Strokes that act at once move one point, and their displacements are added.
+times the m of a freeze mask (`freedom`), where v is the force f of a grab, or M r. A twist has R r - r in place of what
+is after diag(β), with the rotation R by the angle m(√s/R) A(s). Strokes that act at once move one point, and their
+displacements are added.
 
 An image is the plane z = 0 of a volume, without displacement along z.
 
@@ -54,7 +55,8 @@ class Kind:
     part : float
         The applied fraction of its force.
     matrix : sequence of D rows, or None
-        ∂K/∂p at the pivot of a brush that is affine there, in physical units; of a twist, the cross product with its axis.
+        ∂K/∂p at the pivot of a brush that is affine there, in physical units; of a twist, that of the cross
+        product with its axis.
     angle : float
         Of a twist, in radians.
     turn : sequence of D numbers, or None
