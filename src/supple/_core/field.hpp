@@ -196,7 +196,8 @@ struct Moving {
 };
 
 template <int D, int TANGENTS, bool MIXED, class V>
-INLINE void displace(const Stroke& k, const V* r, V s, const V (*u)[D], const V* n, Moving<D, TANGENTS, MIXED, V>& part) {
+INLINE void displace(const Stroke& k, const V* r, V s, const V (*u)[D], const V* n,
+                     Moving<D, TANGENTS, MIXED, V>& part) {
     constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
     constexpr int N = TANGENTS > 0 ? TANGENTS : 1;
     const bool affine = k.power == 3;
@@ -239,9 +240,10 @@ INLINE void displace(const Stroke& k, const V* r, V s, const V (*u)[D], const V*
 }
 
 // The same of a twist; with φ' = ∂φ/∂u, K''(u₀, u₁) = ∂R/∂φ (φ'₀ u₁ + φ'₁ u₀) + ∂²R/∂φ² r φ'₀ φ'₁ + ∂R/∂φ r φ''.
+// `steep2` gets the squares of φ'.
 template <int D, int TANGENTS, bool MIXED, class V>
 INLINE void swing(const Stroke& k, const V* r, V s, const V (*u)[D], const V* n, Moving<D, TANGENTS, MIXED, V>& part,
-                  V& steep2) {
+                  V* steep2) {
     constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
     Radial<V> g = radial<ORDER>(k, s);
     V half[2];
@@ -269,7 +271,7 @@ INLINE void swing(const Stroke& k, const V* r, V s, const V (*u)[D], const V* n,
             put(u[1], cos_phi * rise[0], sin_phi * rise[0], part.second);
             put(u[0], cos_phi * rise[1], sin_phi * rise[1], part.second);
             put(r, bend * cos_phi - both * sin_phi, bend * sin_phi + both * cos_phi, part.second);
-            steep2 = g.A[1] * g.A[1] * s;
+            for (int j = 0; j < 2; j++) steep2[j] = rise[j] * rise[j];
         }
     }
 }
@@ -278,7 +280,7 @@ INLINE void swing(const Stroke& k, const V* r, V s, const V (*u)[D], const V* n,
 // `jet` may be `at` itself: then it goes through the stroke.
 template <int D, int TANGENTS, bool MIXED, class V>
 ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V>& at,
-                Jet<D, TANGENTS, MIXED, V>& jet) {
+              Jet<D, TANGENTS, MIXED, V>& jet) {
     constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
     constexpr int N = TANGENTS > 0 ? TANGENTS : 1;
     V place[D], r[D], inside[D], beta[D][3], s = V{};
@@ -300,7 +302,7 @@ ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V
         s += r[i] * r[i];
     }
     // The tangents as they are at the nearest point.
-    V u[N][D], n[MIXED ? D : 1], steep2 = V{};
+    V u[N][D], n[MIXED ? D : 1], steep2[2];
     for (int j = 0; j < TANGENTS; j++)
         for (int i = 0; i < D; i++) u[j][i] = inside[i] * at.t[j][i];
     if constexpr (MIXED)
@@ -342,8 +344,9 @@ ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V
                     scale2 = least(scale2, V(scale * scale));
                 }
             if (k.freeze) scale2 = least(scale2, V(free.smooth * free.smooth));
-            if (k.turns()) scale2 = least(scale2, V(1.0 / most(steep2, splat<V>(1e-300))));  // over which R stays
             for (int j = 0; j < 2; j++) jet.smooth2[j] = least(jet.smooth2[j], V(scale2 / dot<D>(at.t[j], at.t[j])));
+            for (int j = 0; j < 2 && k.turns(); j++)  // and a radian of a twist
+                jet.smooth2[j] = least(jet.smooth2[j], V(1.0 / most(steep2[j], splat<V>(1e-300))));
         }
         if (k.freeze)
             for (int j = 0; j < TANGENTS; j++) {

@@ -45,9 +45,9 @@
 //
 // over vectors g whose hull has all ∇m in the box: λ_min is concave, so that the minimum is at one of them.
 //
-// The reach multiplies K, or φ, by m = 1 - 10t³ + 15t⁴ - 6t⁵, t = |r|/R. Its first three derivatives are at most 30 t² (1-t)²,
-// 10/√3 and 60, over R, R² and R³; those of the product follow by Leibniz. The third jumps at t = 0 and 1, but the
-// second derivatives of S are bounded all the same, which is all that (1) asks for.
+// The reach multiplies K, or φ, by m = 1 - 10t³ + 15t⁴ - 6t⁵, t = |r|/R. Its first three derivatives are at most 30 t²
+// (1-t)², 10/√3 and 60, over R, R² and R³; those of the product follow by Leibniz. The third jumps at t = 0 and 1, but
+// the second derivatives of S are bounded all the same, which is all that (1) asks for.
 //
 // Bounds are reduced by the rounding error.
 #pragma once

@@ -572,7 +572,7 @@ constexpr double ON_FACE = 1e-6;
 // The samples `from` to `to` - 1 of the grid's row y, all within a leaf; `left` is the first of the row's.
 template <int D>
 void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left, bool slopes,
-                          Row<D>& __restrict row) const {
+                   Row<D>& __restrict row) const {
     // On a fixed face and beyond, which the chroma of a last pixel may reach, the map along it is that on the face: the
     // patch of the last cell continues from the last pixel's centre to there.
     const double below = y * grid.step[1] + grid.offset[1];

@@ -51,8 +51,8 @@ inline double strength_of(const Stroke& k) {
 //
 //     |K| ≤ (|A| + |B| r²) V,    |J| ≤ (|2A'| r + |2B'| r³ + 2 |B| r) V + (|A| + |B| r²) |M|.
 //
-// and of |K| without its reach: the product of bounds with the reach's factor at one distance bounds |K| beyond it. Of a
-// twist, |R - I| ≤ 2, too.
+// and of |K| without its reach: the product of bounds with the reach's factor at one distance bounds |K| beyond it. Of
+// a twist, |R - I| ≤ 2, too.
 struct Bound {
     double value, slope, unlimited;
 };

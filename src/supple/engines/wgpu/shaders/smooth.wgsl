@@ -36,8 +36,8 @@ fn smoothness(q: vec3f, w: vec3f, m: mat3x3f) -> f32 {
         let d = (q - strokes[k].pivot) + (start.offset - strokes[k].rest.xyz);
         least = min(least, sqrt((dot(d, d) + strokes[k].radius2.x) / max(dot(x, x), dot(y, y))));
         if (!GRABS && strokes[k].turn.x > 0.0) {
-            let steep = abs(profile_of(k, dot(d, d)).z) * length(d);
-            least = min(least, 1.0 / max(steep * sqrt(max(dot(x, x), dot(y, y))), 1e-12));
+            let steep = abs(profile_of(k, dot(d, d)).z) * max(abs(dot(d, x)), abs(dot(d, y)));
+            least = min(least, 1.0 / max(steep, 1e-12));
         }
         if (FROZEN) {
             let near = clamped_to_domain(q, start.offset);
