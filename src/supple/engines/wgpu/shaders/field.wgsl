@@ -3,9 +3,9 @@
 // With r = p' - pivot (p' is p, clamped to the domain along axes with a fixed border), s = |r|² and ρᵢ² = s + eᵢ,
 //     K(p) = m [ A v + B (r·v) r ],  A = Σᵢ pᵢ wᵢⁿ + qᵢ wᵢⁿ⁺²,  B = Σᵢ rᵢ wᵢⁿ⁺²,  wᵢ = √eᵢ / ρᵢ,
 // and m = (1-t)³(1+3t+6t²), t = √s/R, and 0 from t = 1 on. A grab has n = 1 and v = f; the brushes that are affine at
-// their pivot have n = 3 and v = M r. A twist turns r by the angle m A about an axis, with M r the cross product of both, and
-// `turn` multiplies the components of its displacement. Strokes that are joined to the one before them act at the same point as that.
-// With a freeze mask (freeze.wgsl), K is multiplied by its m as well.
+// their pivot have n = 3 and v = M r. A twist turns r by the angle m A about an axis, with M r the cross product of
+// both, and `turn` multiplies the components of its displacement. Strokes that are joined to the one before them act at
+// the same point as that. With a freeze mask (freeze.wgsl), K is multiplied by its m as well.
 //
 // A point is an anchor q and an offset w from it, in physical units: the accuracy of w, and of distances to pivots, in
 // float32 does not depend on the distance of q from the origin. Likewise, a pivot is the sum of two numbers.
@@ -86,7 +86,8 @@ fn edge(q: f32, w: f32, axis: u32) -> vec3f {
 // sin(x) on [0, π/2] by its Taylor series: not all drivers' is that accurate.
 fn sine(x: f32) -> f32 {
     let t = x * x;
-    return x - x * t * (1.6666667e-1 - t * (8.3333333e-3 - t * (1.9841270e-4 - t * (2.7557319e-6 - t * (2.5052108e-8 - t * 1.6059044e-10)))));
+    let y = 2.7557319e-6 - t * (2.5052108e-8 - t * 1.6059044e-10);
+    return x - x * t * (1.6666667e-1 - t * (8.3333333e-3 - t * (1.9841270e-4 - t * y)));
 }
 
 // The sine and the cosine of half an angle; in every other turn, both with the other sign.
@@ -166,7 +167,8 @@ fn moved_by(k: u32, q: vec3f, start: Moved, at: Moved) -> Moved {
     if (affine && strokes[k].turn.x > 0.0) {
         let half = half_turn(a);
         let turn = strokes[k].turn;
-        let rotation = 2.0 * half.x * (half.y * strokes[k].matrix + half.x * strokes[k].matrix * strokes[k].matrix); // less I
+        let cross_ = strokes[k].matrix;
+        let rotation = 2.0 * half.x * (half.y * cross_ + half.x * cross_ * cross_); // less I
         moving = turn * (rotation * d);
         let way = da * turn * (v + rotation * v);
         m = mat3x3f(turn * rotation[0] + way * d.x, turn * rotation[1] + way * d.y, turn * rotation[2] + way * d.z);

@@ -60,8 +60,8 @@ fn newton(first: u32, last: u32, q: vec3f, goal: vec3f, guess: vec3f, tolerance:
     return best;
 }
 
-// A point sent back by a twist: turned to the other side, which mirrors its way about the plane of the axis and the point.
-// That is T⁻¹ where there is neither a border nor a mask, and a guess otherwise.
+// A point sent back by a twist: turned to the other side, which mirrors its way about the plane of the axis and the
+// point. That is T⁻¹ where there is neither a border nor a mask, and a guess otherwise.
 fn turned_back(k: u32, q: vec3f, w: vec3f) -> vec3f {
     let v = strokes[k].matrix * ((q - strokes[k].pivot) + (w - strokes[k].rest.xyz));
     let way = moved(k, k + 1u, q, w).offset - w;
