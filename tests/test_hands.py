@@ -205,7 +205,7 @@ def test_the_first_and_the_last_frame_are_restored_and_smoothed(border: Any, t: 
 @pytest.mark.parametrize(
     ("stroke", "near", "far"),
     [
-        (Stroke.twist((0, 256), angle=30, radius=60), 1.9, 0.1),
+        (Stroke.twist((0, 256), angle=30, radius=60), 2.1, 0.1),
         (Stroke.scale((0, 256), factor=1.4, radius=60), 1.3, 0.1),
         (Stroke.pinch((0, 256), factor=0.7, radius=60), 0.9, 0.12),
         (Stroke.grab((0, 256), path=[(-14, 250)], to=(-24, 240), radius=60), 7.0, 1.2),

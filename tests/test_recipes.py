@@ -125,6 +125,27 @@ class TestJson:
         old = f'{{"supple": 1, "strokes": [{GRAB[:-1]}, "reach": 4}}]}}'
         assert read_refusal(old) == f"unknown key 'reach' in strokes[0]: {hint}"
 
+    def test_twists_of_version_2_move_points_along_chords(self) -> None:
+        text = '{"supple": 2, "strokes": [{"brush": "twist", "at": [30, 30], "angle": 90, "radius": 9}]}'
+        old = Recipe.from_json(text)
+        assert old.strokes == (replace(Stroke.twist((30, 30), angle=90, radius=9), chord=True),)
+        assert json.loads(old.to_json())["supple"] == 3
+        assert Recipe.from_json(old.to_json()) == old
+        new = Recipe.from_json(text.replace('"supple": 2', '"supple": 3'))
+        assert json.loads(new.to_json())["supple"] == 3
+        assert "chord" not in new.to_json()
+        assert Recipe.from_json(new.to_json()) == new
+        shrunk, kept = (
+            np.linalg.norm(Deformation.from_recipe(r, (61, 61)).forward((36, 30)) - (30, 30)) for r in (old, new)
+        )
+        assert shrunk < 5.9
+        assert kept == pytest.approx(6, abs=1e-12)
+        hint = "unknown key 'chord' in strokes[0]: it is of version 3 (\"supple\": 3)"
+        assert read_refusal(text.replace('"radius": 9', '"radius": 9, "chord": true')) == hint
+        assert read_refusal(with_stroke(GRAB[:-1] + ', "chord": true}').replace('"supple": 2', '"supple": 3')) == (
+            "strokes[1]: chord must be left out for a grab, found True"
+        )
+
     def test_what_may_be_left_out(self) -> None:
         text = '{"strokes": [{"radius": 100, "by": [0, 90], "at": [256.0, 256], "brush": "grab"}], "supple": 2}'
         assert Recipe.from_json(text) == Recipe(strokes=(grab(),))
@@ -144,13 +165,13 @@ class TestJson:
 
     def test_missing_keys(self) -> None:
         assert read_refusal('{"supple": 1}') == 'the key "strokes" is missing in the recipe'
-        assert read_refusal('{"strokes": []}').startswith('the key "supple", a recipe\'s version (2), is missing')
+        assert read_refusal('{"strokes": []}').startswith('the key "supple", a recipe\'s version (3), is missing')
         assert read_refusal("{}").endswith("is missing in {}")
 
-    @pytest.mark.parametrize("version", ["3", "0", "-1", "1.0", "true", "null", '"1"', "[1]", "9" * 5000])
+    @pytest.mark.parametrize("version", ["4", "0", "-1", "1.0", "true", "null", '"1"', "[1]", "9" * 5000])
     def test_other_versions(self, version: str) -> None:
         message = read_refusal(f'{{"supple": {version}, "new": 1, "strokes": []}}')
-        assert message.startswith('"supple" must be 1 or 2 (the versions that this release reads), found ')
+        assert message.startswith('"supple" must be 1, 2 or 3 (the versions that this release reads), found ')
 
     @pytest.mark.parametrize(
         ("key", "hint"),

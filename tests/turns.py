@@ -12,6 +12,7 @@ from tests.reference import Step
 AFFINE: dict[int, tuple[Stroke, ...]] = {
     2: (
         Stroke(brush="twist", at=(20.3, 17.7), angle=70, radius=7),
+        Stroke(brush="twist", at=(20.3, 17.7), angle=70, radius=7, chord=True),
         Stroke(brush="scale", at=(20.3, 17.7), factor=1.6, radius=7, reach=2.5),
         Stroke(brush="pinch", at=(20.3, 17.7), factor=0.7, axis=(1, 2), radius=7, reach=None),
     ),

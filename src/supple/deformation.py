@@ -110,8 +110,9 @@ class Report:
     arrivals : tuple of Arrival
         For each given stroke, the target of its point, and its position.
     margin : float
-        A lower bound, over all points and strokes, of the smallest eigenvalue of the symmetric part of I + J. It is
-        above 0: no stroke folds. Fields are not covered.
+        A lower bound, over all points and strokes, of the smallest eigenvalue of the symmetric part of I + J; of a
+        twist that is carried out whole, of the smallest singular value of I + J. It is above 0: no stroke folds. Fields
+        are not covered.
     folds : int
         The number of lattice nodes at which the Jacobian determinant is negative. Without fields, ``margin`` proves
         that it is 0.
@@ -640,7 +641,9 @@ class Deformation:
     ) -> Self:
         """Return the deformation with one more stroke, which turns the material around a point.
 
-        At the point, the turn is a rotation by exactly the angle; it fades with the distance.
+        At the point, the turn is a rotation by exactly the angle, which fades with the distance; all points keep their
+        distance from it. That folds at no angle; where a fixed border or a freeze mask holds a part back, ``on_fold``
+        applies.
 
         Parameters
         ----------
@@ -669,7 +672,7 @@ class Deformation:
         OutsideWarning, MissWarning
             If its pivot is outside the samples, or frozen.
         FoldWarning
-            If it was damped, under ``on_fold="damp"``.
+            If it was damped, under ``on_fold="damp"``, beside a border or a freeze mask.
         """
         return self.add(Stroke.twist(at, angle=angle, axis=axis, radius=radius, reach=reach, strength=strength))
 

@@ -163,8 +163,11 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
 
 
 def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
-    """Resolve an affine brush: its pivot stays, and equal parts of it add up to the whole there."""
+    """Resolve an affine brush or a twist: its pivot stays, and equal parts of it add up to the whole there."""
     axes, weights = domain.packed(), np.ones(3)
+    table = pack([stroke], domain.spacing, time=domain.time)
+    if _core.is_whole(numbers(table), axes, mask_of(domain)):
+        return Resolved(table, stroke.at, margin=_narrowness(table[0]))
     held = is_held(padded(stroke.at, domain), axes)
     if held and on_fold == "flow":
         weights = beta_at(padded(stroke.at, domain), axes)
@@ -178,7 +181,10 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
 
     def rows(part: float) -> Table:
         table = pack([stroke.weakened(part)], domain.spacing, time=domain.time)
-        table["matrix"] /= weights[:, None]
+        if table["turn"].any():
+            table["turn"] /= weights
+        else:
+            table["matrix"] /= weights[:, None]
         return table
 
     def lowest(part: float, target: float, gap: float) -> float:
@@ -221,6 +227,18 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         warning = f"{described(stroke)} folds: damped to {cut(alpha, 2):g} of it (on_fold='flow' goes all the way)"
     cause = "outside" if not held else "fold" if alpha < 1 else None
     return Resolved(rows(alpha), stroke.at, alpha, 1 + lower, cause, warning)
+
+
+def _narrowness(row: np.void) -> float:
+    """Return the smallest singular value of a twist's Jacobian, a rotation times a shear: where |r φ'| is largest."""
+    r = np.linspace(0, min(row["reach"], 8 * math.sqrt(row["radius2"][0])), 2001)
+    rho2, m = r**2 + row["radius2"][0], 1.0
+    if row["reach"] < math.inf:
+        t = r / row["reach"]
+        m = (1 - t) ** 3 * (1 + t * (3 + 6 * t))
+    phi = m * (row["p"][0] * rho2**-1.5 + row["q"][0] * rho2**-2.5)
+    half = 0.505 * float(np.abs(r * np.gradient(phi, r)).max())  # a hundredth more than is seen
+    return math.hypot(1, half) - half
 
 
 def _arrived(stroke: Stroke, table: Table, domain: Domain) -> tuple[float, ...]:

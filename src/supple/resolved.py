@@ -40,7 +40,8 @@ class Resolved:
     alpha : float
         The applied fraction of the drag: 1, unless it was damped.
     margin : float
-        A proven lower bound of λ_min(sym(I + J_β)), for every row and at every point.
+        A proven lower bound of λ_min(sym(I + J_β)), for every row and at every point; of a twist that neither a border
+        nor a mask changes, the smallest singular value of I + J.
     arrived : tuple of float
         The position of the stroke's point after it, in samples.
     cause : str or None

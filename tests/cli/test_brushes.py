@@ -113,7 +113,7 @@ def _strokes() -> tuple[Stroke, ...]:
 
 
 def test_a_turn_that_folds_is_named(run: Run) -> None:
-    strokes = ("--twist", "24,20:200", "--radius", "4", "--border", "none")
+    strokes = ("--twist", "24,20:200", "--radius", "4", "--border", "10")
     status, _, err = run("warp", "in.png", "out.png", *strokes, "--on-fold", "error")
     assert status == 2
     said = one_line(err)
@@ -121,7 +121,7 @@ def test_a_turn_that_folds_is_named(run: Run) -> None:
     most = float(said.split("at most a twist by ")[1].split("°")[0])
     assert 30 < most < 200
     for angle, status in ((most, 0), (1.01 * most, 2)):
-        strokes = ("--twist", f"24,20:{angle}", "--radius", "4", "--border", "none", "--on-fold", "error")
+        strokes = ("--twist", f"24,20:{angle}", "--radius", "4", "--border", "10", "--on-fold", "error")
         assert run("warp", "in.png", "out.png", *strokes, "--force")[0] == status
 
 

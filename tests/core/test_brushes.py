@@ -74,7 +74,7 @@ def test_the_pivot_is_turned_exactly(stroke: Stroke, time: bool, border: Any, on
 
 def test_a_flow_turns_any_number_of_times() -> None:
     for angle in (180.0, 360.0, -1000.0):
-        d = Deformation((80, 90), border=None).twist((40, 40), angle=angle, radius=12)
+        d = Deformation((80, 90), border=30).twist((40, 40), angle=angle, radius=12)
         assert len(d.space.table) > 2
         c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
         np.testing.assert_allclose(d.jacobian((40, 40)), [[c, -s], [s, c]], atol=1e-9)
@@ -87,7 +87,7 @@ def test_a_flow_turns_any_number_of_times() -> None:
 
 @pytest.mark.parametrize("angle", [270.0, 360.0, -700.0])
 def test_whole_turns_are_not_taken_for_none(angle: float) -> None:
-    d = Deformation((80, 90), border=None, on_fold="damp").twist((40, 40), angle=angle, radius=12)
+    d = Deformation((80, 90), border=30, on_fold="damp").twist((40, 40), angle=angle, radius=12)
     turned = d.report().damping[0] * angle
     assert 60 < abs(turned) < 90
     c, s = math.cos(math.radians(turned)), math.sin(math.radians(turned))
@@ -159,6 +159,12 @@ def test_nothing_is_below_the_margin(seed: int, on_fold: Any, flat: bool) -> Non
     spread = np.exp(rng.uniform(-2, 1.5, (6000, 1))) * radius * rng.normal(size=(6000, 3))
     points = np.concatenate([rng.uniform(*axes[:, :2].T, (4000, 3)), resolved.rows[0]["pivot"] + spread])
     points = np.where(axes[:, 2] < 0, np.where(axes[:, 1] > axes[:, 0], points, 0.0), np.clip(points, *axes[:, :2].T))
+    if _core.is_whole(numbers(resolved.rows[:1]), axes):  # a rotation of a shear
+        _, jacobian = _core.forward(numbers(resolved.rows), axes, points, True)
+        narrowest = float(np.linalg.svd(jacobian[:, :n, :n], compute_uv=False).min())
+        assert 0 < resolved.margin <= narrowest + 1e-9
+        assert resolved.alpha == len(resolved.rows) == 1
+        return
     found = lowest(resolved.rows[:1], domain, points)
     assert found >= resolved.margin - 1e-9
     assert resolved.margin >= MARGIN - 1e-9
@@ -167,7 +173,7 @@ def test_nothing_is_below_the_margin(seed: int, on_fold: Any, flat: bool) -> Non
 
 
 def test_damped_brushes_are_as_strong_as_can_be() -> None:
-    domain = Domain((200, 200), 1.0, None)
+    domain = Domain((200, 200), 1.0, 60.0)
     x, y = (a.ravel() for a in np.meshgrid(np.linspace(40, 160, 481), np.linspace(40, 160, 481)))
     for stroke in (
         Stroke(brush="twist", at=(100, 100), angle=170, radius=20),

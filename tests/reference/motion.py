@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline
+from scipy.spatial.transform import Rotation
 
 from supple.deformation import Deformation
 from supple.domain import Domain
@@ -27,7 +28,11 @@ GRADES = (1.0, 1.1, 1.21)
 
 @dataclass(frozen=True, eq=False)
 class Turned:
-    """An affine brush as it is carried out: with the matrix that it has at its pivot, in physical units."""
+    """An affine brush as it is carried out: with the matrix that it has at its pivot, in physical units.
+
+    Of a twist that keeps distances, the stroke has the part of the angle that it turns by, and the matrix multiplies
+    its displacement.
+    """
 
     stroke: Stroke
     matrix: Floats
@@ -119,6 +124,32 @@ def turn(m: Floats, brush: str, radius: float, poisson: float, r: Floats) -> tup
     return k * scale, j * scale
 
 
+def twist(stroke: Stroke, spacing: Floats, r: Floats) -> tuple[Floats, Floats]:
+    """Return K of a twist that turns r about its axis by an angle that fades, θ w(|r|); and its Jacobian.
+
+    K = R r - r and J = R - I + (dR/dφ) r ∇φᵀ, where R is a rotation by φ = θ w, in space, and w is the profile of a
+    skew matrix, 1 at the pivot, times that of the reach.
+    """
+    n, axis = r.shape[-1], np.array([0.0, 0.0, 1.0])
+    if n == 3 and stroke.axis is not None:
+        axis = np.array(stroke.axis) * spacing
+    axis = axis / np.linalg.norm(axis)
+    lifted = np.zeros((*r.shape[:-1], 3))
+    lifted[..., :n] = r
+    e2, rho2 = stroke.radius**2, (r**2).sum(axis=-1) + stroke.radius**2
+    m, slope = support(r, radius_of_support(stroke))
+    w = (rho2**-1.5 + 1.5 * e2 * rho2**-2.5) * stroke.radius**3 / 2.5
+    change = (-3 * rho2**-2.5 - 7.5 * e2 * rho2**-3.5) * stroke.radius**3 / 2.5
+    assert stroke.angle is not None
+    theta = math.radians(stroke.angle)
+    phi, gradient = theta * m * w, theta * (m * change)[..., None] * r + theta * w[..., None] * slope
+    rotation = Rotation.from_rotvec(phi.reshape(-1, 1) * axis).as_matrix().reshape(*phi.shape, 3, 3)
+    seen = (rotation @ lifted[..., None])[..., 0]
+    k, j = seen - lifted, rotation - np.eye(3)
+    j[..., :n] += np.cross(axis, seen)[..., :, None] * gradient[..., None, :]
+    return k[..., :n], j[..., :n, :n]
+
+
 def support(r: Floats, reach: float) -> tuple[Floats, Floats]:
     """Return m(|r|/R) = 1 - 10t³ + 15t⁴ - 6t⁵, and its gradient in r; 1 without a limit."""
     if reach == math.inf:
@@ -208,12 +239,17 @@ def displacement(step: Step, domain: Domain, points: Floats) -> tuple[Floats, Fl
     steps, (first, last) = np.array(domain.spacing), faces(domain)
     near = points if domain.border is None else np.clip(points, first, last)
     r, material = near - np.array(stroke.at) * steps, poisson_of(stroke, time=domain.time)
-    if stroke.brush == "grab":
+    turns = stroke.brush == "twist" and not stroke.chord
+    if turns:
+        k, j = twist(stroke, steps, r)
+        if isinstance(step, Turned):
+            k, j = k @ step.matrix.T, step.matrix @ j
+    elif stroke.brush == "grab":
         k, j = grab(np.array(stroke.by) * steps, stroke.radius, material, stroke.scales, r)
     else:
         whole = step.matrix if isinstance(step, Turned) else matrix_of(stroke, domain.spacing, time=domain.time)
         k, j = turn(whole[: domain.ndim, : domain.ndim], stroke.brush, stroke.radius, material, r)
-    m, slope = support(r, radius_of_support(stroke))
+    m, slope = support(r, math.inf if turns else radius_of_support(stroke))
     k, j = m[..., None] * k, m[..., None, None] * j + k[..., :, None] * slope[..., None, :]
     if domain.freeze is not None:
         m = freedom(domain.freeze, near / steps)
@@ -318,7 +354,10 @@ def carried_out(d: Deformation) -> list[Step]:
     n, steps = d.ndim, np.array(d.domain.spacing)
     for stroke in d.strokes:
         resolved = resolve(stroke, d.domain, d.on_fold)
-        if stroke.brush != "grab":
+        if stroke.brush == "twist" and not stroke.chord:
+            part = stroke.weakened(resolved.alpha / max(len(resolved.rows), 1))
+            made += [Turned(part, np.diag(row["turn"][:n])) for row in resolved.rows]
+        elif stroke.brush != "grab":
             made += [Turned(stroke, row["matrix"]) for row in resolved.rows]
         elif d.on_fold == "flow":
             ways = [(row["pivot"][:n] / steps, row["force"][:n] / steps) for row in resolved.rows]

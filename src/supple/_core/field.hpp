@@ -5,7 +5,13 @@
 //     K(p) = A(s) v + B(s) (r·v) r,     A = Σ p_i ρ_i⁻ⁿ + q_i ρ_i⁻ⁿ⁻²,  B = Σ r_i ρ_i⁻ⁿ⁻²,  ρ_i² = s + e_i
 //     J(p) u = 2A' (r·u) v + A M u + 2B' (r·u) (r·v) r + B [(u·v + r·M u) r + (r·v) u]              (' = d/ds)
 //
-// where v = f, M = 0 and n = 1 for a grab; and v = M r and n = 3 for the affine brushes: twist, scale and pinch.
+// where v = f, M = 0 and n = 1 for a grab; and v = M r and n = 3 for the affine brushes: scale and pinch. A twist turns
+// by the angle φ = A(s), which is 0 from the reach on: with M x = axis × x, R the rotation by φ, and S, C the sine and
+// the cosine of φ/2,
+//
+//     K(p) = R r - r = 2S (C M r + S M² r)
+//     J(p) u = R u - u + 2A' (r·u) R M r
+//
 // Strokes of one group act at once: their displacements at the same point are added.
 //
 // With a reach R, A and B are multiplied by m(t) = (1-t)³ (1 + 3t + 6t²), t = √s / R: 0 beyond, and C². With a fixed
@@ -30,10 +36,12 @@ struct Stroke {
     int64_t group;         // neighbours of one number act at once
     double reach;          // R, or infinity
     double most;           // a bound of the displacement of the strokes that act at once, or infinity
+    double turn[3];        // of a twist: the factor of each component of its displacement; of others 0
     double per_reach;      // 1/R, or 0
     bool shared;           // others act at once with it
     bool inner;            // the ball of its reach touches no fixed border: β is 1 in all of it
     const Freeze* freeze;  // or null: m is 1 in all of its ball
+    bool turns() const { return turn[0] != 0; }
 };
 
 enum Profile : int64_t { QUARTIC = 0, SINE = 1 };
@@ -73,6 +81,17 @@ INLINE V sine(V x) {
     y = y * t - 8.3333333333333332e-03;
     y = y * t + 1.6666666666666666e-01;
     return x - x * t * y;
+}
+
+// The sine and the cosine of half an angle of up to some turns; in every other turn, both with the other sign.
+template <class V>
+INLINE void half_turn(V angle, V& s, V& c) {
+    // π as the sum of two numbers, of which the first times a small whole number is exact.
+    const double first = 0x1.921fb544p1, rest = 0x1.0b4611a626331p-33, shift = 0x1.8p52;
+    V turns = V(angle * 0.15915494309189535 + shift) - shift;
+    V t = (0.5 * angle - turns * first) - turns * rest;
+    s = sine(t);
+    c = sine(V((1.5707963267948966 - magnitude(t)) + 6.123233995736766e-17));
 }
 
 // β of a coordinate within the domain, and its first and second derivative, up to ORDER.
@@ -170,6 +189,93 @@ struct Jet {
     V smooth2[MIXED ? 2 : 1];
 };
 
+// A stroke's part of a jet without mask and border: K, J u of the tangents u, and J n + K''(u₀, u₁).
+template <int D, int TANGENTS, bool MIXED, class V>
+struct Moving {
+    V K[D], J[TANGENTS > 0 ? TANGENTS : 1][D], second[MIXED ? D : 1];
+};
+
+template <int D, int TANGENTS, bool MIXED, class V>
+INLINE void displace(const Stroke& k, const V* r, V s, const V (*u)[D], const V* n,
+                     Moving<D, TANGENTS, MIXED, V>& part) {
+    constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
+    constexpr int N = TANGENTS > 0 ? TANGENTS : 1;
+    const bool affine = k.power == 3;
+    V f[D];
+    for (int i = 0; i < D; i++) f[i] = affine ? turned<D>(k, r, i) : splat<V>(k.force[i]);
+    Radial<V> g = radial<ORDER>(k, s);
+    V rf = dot<D>(r, f);
+    for (int i = 0; i < D; i++) part.K[i] = g.A[0] * f[i] + g.B[0] * rf * r[i];
+    if constexpr (TANGENTS > 0) {
+        // w = M u, and uf = u·v + r·w, the derivative of r·v.
+        V w[N][D], ru[N], uf[N], h[N];
+        for (int j = 0; j < TANGENTS; j++) {
+            ru[j] = dot<D>(r, u[j]);
+            uf[j] = dot<D>(u[j], f);
+            for (int i = 0; i < D; i++) w[j][i] = affine ? turned<D>(k, u[j], i) : V{};
+            if (affine) uf[j] += dot<D>(r, w[j]);
+            h[j] = g.B[1] * ru[j] * rf + g.B[0] * uf[j];
+            for (int i = 0; i < D; i++) part.J[j][i] = g.A[1] * ru[j] * f[i] + h[j] * r[i] + g.B[0] * rf * u[j][i];
+            if (affine)
+                for (int i = 0; i < D; i++) part.J[j][i] += g.A[0] * w[j][i];
+        }
+        if constexpr (MIXED) {
+            V uv = dot<D>(u[0], u[1]), a = g.A[2] * ru[0] * ru[1] + g.A[1] * uv;
+            V b = g.B[2] * ru[0] * ru[1] * rf + g.B[1] * (uv * rf + ru[0] * uf[1] + ru[1] * uf[0]);
+            V rn = dot<D>(r, n), nf = dot<D>(n, f), wn[D];
+            for (int i = 0; i < D; i++) wn[i] = V{};
+            if (affine) {
+                for (int i = 0; i < D; i++) wn[i] = turned<D>(k, n, i);
+                nf += dot<D>(r, wn);
+                b += g.B[0] * (dot<D>(u[0], w[1]) + dot<D>(u[1], w[0]));
+            }
+            V hn = g.B[1] * rn * rf + g.B[0] * nf;
+            for (int i = 0; i < D; i++) {
+                V Jn = g.A[1] * rn * f[i] + hn * r[i] + g.B[0] * rf * n[i];
+                part.second[i] = a * f[i] + b * r[i] + h[0] * u[1][i] + h[1] * u[0][i] + Jn;
+                if (affine) part.second[i] += g.A[0] * wn[i] + g.A[1] * (ru[0] * w[1][i] + ru[1] * w[0][i]);
+            }
+        }
+    }
+}
+
+// The same of a twist; with φ' = ∂φ/∂u, K''(u₀, u₁) = ∂R/∂φ (φ'₀ u₁ + φ'₁ u₀) + ∂²R/∂φ² r φ'₀ φ'₁ + ∂R/∂φ r φ''.
+// `steep2` gets the squares of φ'.
+template <int D, int TANGENTS, bool MIXED, class V>
+INLINE void swing(const Stroke& k, const V* r, V s, const V (*u)[D], const V* n, Moving<D, TANGENTS, MIXED, V>& part,
+                  V* steep2) {
+    constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
+    Radial<V> g = radial<ORDER>(k, s);
+    V half[2];
+    half_turn(g.A[0], half[0], half[1]);
+    const V sin_phi = 2.0 * half[0] * half[1], less = 2.0 * half[0] * half[0], cos_phi = 1.0 - less;
+    // a M x + b M² x: with (sin φ, 1 - cos φ), R x - x; with (cos φ, sin φ), ∂R/∂φ x; with (-sin φ, cos φ), ∂²R/∂φ² x.
+    auto put = [&](const V* x, V a, V b, V* to) INLINE_LAMBDA {
+        V once[D];
+        for (int i = 0; i < D; i++) once[i] = turned<D>(k, x, i);
+        for (int i = 0; i < D; i++) to[i] += k.turn[i] * (a * once[i] + b * turned<D>(k, once, i));
+    };
+    part = {};
+    put(r, sin_phi, less, part.K);
+    if constexpr (TANGENTS > 0) {
+        V rise[TANGENTS];
+        for (int j = 0; j < TANGENTS; j++) {
+            rise[j] = g.A[1] * dot<D>(r, u[j]);
+            put(u[j], sin_phi, less, part.J[j]);
+            put(r, cos_phi * rise[j], sin_phi * rise[j], part.J[j]);
+        }
+        if constexpr (MIXED) {
+            V both = rise[0] * rise[1], bend = g.A[2] * dot<D>(r, u[0]) * dot<D>(r, u[1]) + g.A[1] * dot<D>(u[0], u[1]);
+            bend += g.A[1] * dot<D>(r, n);
+            put(n, sin_phi, less, part.second);
+            put(u[1], cos_phi * rise[0], sin_phi * rise[0], part.second);
+            put(u[0], cos_phi * rise[1], sin_phi * rise[1], part.second);
+            put(r, bend * cos_phi - both * sin_phi, bend * sin_phi + both * cos_phi, part.second);
+            for (int j = 0; j < 2; j++) steep2[j] = rise[j] * rise[j];
+        }
+    }
+}
+
 // Add one stroke's part to a jet, at the point and the tangents `at`: x += K, t += J t, mixed += J mixed + K''(t₀, t₁).
 // `jet` may be `at` itself: then it goes through the stroke.
 template <int D, int TANGENTS, bool MIXED, class V>
@@ -177,7 +283,7 @@ ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V
               Jet<D, TANGENTS, MIXED, V>& jet) {
     constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
     constexpr int N = TANGENTS > 0 ? TANGENTS : 1;
-    V place[D], r[D], f[D], inside[D], beta[D][3], s = V{};
+    V place[D], r[D], inside[D], beta[D][3], s = V{};
     for (int i = 0; i < D; i++) {
         V near = at.x[i];
         inside[i] = splat<V>(1.0);
@@ -195,51 +301,32 @@ ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V
         r[i] = near - k.pivot[i];
         s += r[i] * r[i];
     }
-    const bool affine = k.power == 3;
-    for (int i = 0; i < D; i++) f[i] = affine ? turned<D>(k, r, i) : splat<V>(k.force[i]);
-    Radial<V> g = radial<ORDER>(k, s);
-    V rf = dot<D>(r, f), K[D];
-    for (int i = 0; i < D; i++) K[i] = g.A[0] * f[i] + g.B[0] * rf * r[i];
+    // The tangents as they are at the nearest point.
+    V u[N][D], n[MIXED ? D : 1], steep2[2];
+    for (int j = 0; j < TANGENTS; j++)
+        for (int i = 0; i < D; i++) u[j][i] = inside[i] * at.t[j][i];
+    if constexpr (MIXED)
+        for (int i = 0; i < D; i++) n[i] = inside[i] * at.mixed[i];
+    Moving<D, TANGENTS, MIXED, V> part;
+    if (k.turns())
+        swing<D>(k, r, s, u, n, part, steep2);
+    else
+        displace<D>(k, r, s, u, n, part);
+    V(&K)[D] = part.K;
     Freed<D, ORDER, V> free{};
     if (k.freeze) free = freed<D, ORDER, V>(*k.freeze, place);
 
     if constexpr (TANGENTS > 0) {
-        // With each tangent u as it is at the nearest point, w = M u, and uf = u·v + r·w, the derivative of r·v.
-        V u[N][D], w[N][D], ru[N], uf[N], h[N], Ju[N][D];
-        for (int j = 0; j < TANGENTS; j++) {
-            for (int i = 0; i < D; i++) u[j][i] = inside[i] * at.t[j][i];
-            ru[j] = dot<D>(r, u[j]);
-            uf[j] = dot<D>(u[j], f);
-            for (int i = 0; i < D; i++) w[j][i] = affine ? turned<D>(k, u[j], i) : V{};
-            if (affine) uf[j] += dot<D>(r, w[j]);
-            h[j] = g.B[1] * ru[j] * rf + g.B[0] * uf[j];
-            for (int i = 0; i < D; i++) Ju[j][i] = g.A[1] * ru[j] * f[i] + h[j] * r[i] + g.B[0] * rf * u[j][i];
-            if (affine)
-                for (int i = 0; i < D; i++) Ju[j][i] += g.A[0] * w[j][i];
-        }
+        V(&Ju)[N][D] = part.J;
         if constexpr (MIXED) {
-            V n[D];
-            for (int i = 0; i < D; i++) n[i] = inside[i] * at.mixed[i];
-            V uv = dot<D>(u[0], u[1]), a = g.A[2] * ru[0] * ru[1] + g.A[1] * uv;
-            V b = g.B[2] * ru[0] * ru[1] * rf + g.B[1] * (uv * rf + ru[0] * uf[1] + ru[1] * uf[0]);
-            V rn = dot<D>(r, n), nf = dot<D>(n, f), wn[D];
-            for (int i = 0; i < D; i++) wn[i] = V{};
-            if (affine) {
-                for (int i = 0; i < D; i++) wn[i] = turned<D>(k, n, i);
-                nf += dot<D>(r, wn);
-                b += g.B[0] * (dot<D>(u[0], w[1]) + dot<D>(u[1], w[0]));
-            }
-            V hn = g.B[1] * rn * rf + g.B[0] * nf, turn[2], way{};  // of m: ∇m·u, and ∇m·n + u₀ᵀ ∇∇m u₁
+            V turn[2], way{};  // of m: ∇m·u, and ∇m·n + u₀ᵀ ∇∇m u₁
             if (k.freeze) {
                 for (int j = 0; j < 2; j++) turn[j] = dot<D>(free.slope, u[j]);
                 way = dot<D>(free.slope, n);
                 for (int i = 0; i < D; i++) way += u[0][i] * dot<D>(free.bend[i], u[1]);
             }
             for (int i = 0; i < D; i++) {
-                V Jn = g.A[1] * rn * f[i] + hn * r[i] + g.B[0] * rf * n[i];
-                V second = a * f[i] + b * r[i] + h[0] * u[1][i] + h[1] * u[0][i] + Jn;
-                if (affine) second += g.A[0] * wn[i] + g.A[1] * (ru[0] * w[1][i] + ru[1] * w[0][i]);
-                V J0 = Ju[0][i], J1 = Ju[1][i], moved = K[i];
+                V second = part.second[i], J0 = Ju[0][i], J1 = Ju[1][i], moved = K[i];
                 if (k.freeze) {
                     second = free.m * second + turn[0] * J1 + turn[1] * J0 + way * moved;
                     J0 = free.m * J0 + turn[0] * moved;
@@ -261,6 +348,8 @@ ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V
                     }
                 jet.smooth2[j] = least(jet.smooth2[j], scale2);
             }
+            for (int j = 0; j < 2 && k.turns(); j++)  // and a radian of a twist
+                jet.smooth2[j] = least(jet.smooth2[j], V(1.0 / most(steep2[j], splat<V>(1e-300))));
         }
         if (k.freeze)
             for (int j = 0; j < TANGENTS; j++) {

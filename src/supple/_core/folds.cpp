@@ -41,6 +41,13 @@ double largest_displacement(const Table& table, const Rows& domain, Masking free
     return folds::largest_displacement(strokes, axes.data());
 }
 
+bool turns_whole(const Table& table, const Rows& domain, Masking freeze) {
+    const Axes axes = load_axes(domain.data());
+    const std::vector<Stroke> strokes =
+        load_strokes(table.data(), table.shape(0), axes.data(), freeze.value_or(nullptr));
+    return strokes.size() == 1 && supple::is_whole(strokes[0]);
+}
+
 }  // namespace
 
 void bind_folds(nb::module_& m) {
@@ -51,6 +58,8 @@ void bind_folds(nb::module_& m) {
           "the upper one is reached.");
     m.def("largest_displacement", &largest_displacement, "strokes"_a, "axes"_a, "freeze"_a = nb::none(),
           "Bound |K| of strokes that act at once from above.");
+    m.def("is_whole", &turns_whole, "stroke"_a, "axes"_a, "freeze"_a = nb::none(),
+          "True for a twist where neither a border nor a mask changes it.");
 }
 
 }  // namespace supple

@@ -33,6 +33,9 @@
 // The affine brushes. The derivatives of M r are at most |M| |r| and |M|, those of (rᵀ M r) r at most 1, 3, 6 and 6
 // times |M| |r|³, |M| |r|², |M| |r| and |M|; products with powers of ρ follow by Leibniz. Bounds of a sum are sums.
 //
+// A twist. With Φ_n the bounds of φ, those of R(φ) - I are 2 or Φ₀, Φ₁, Φ₂ + Φ₁² and Φ₃ + 3 Φ₁ Φ₂ + Φ₁³; and r has the
+// first derivative alone.
+//
 // A freeze mask multiplies K, too; of a spline, the coefficients' differences bound the derivatives (`frozen.hpp`).
 //
 // Where m varies much faster than K, (1) needs many boxes. Within one of its cells, with K' = β∘K at the middle, up to
@@ -42,9 +45,9 @@
 //
 // over vectors g whose hull has all ∇m in the box: λ_min is concave, so that the minimum is at one of them.
 //
-// The reach multiplies K by m = 1 - 10t³ + 15t⁴ - 6t⁵, t = |r|/R. Its first three derivatives are at most 30 t² (1-t)²,
-// 10/√3 and 60, over R, R² and R³; those of the product follow by Leibniz. The third jumps at t = 0 and 1, but the
-// second derivatives of S are bounded all the same, which is all that (1) asks for.
+// The reach multiplies K, or φ, by m = 1 - 10t³ + 15t⁴ - 6t⁵, t = |r|/R. Its first three derivatives are at most 30 t²
+// (1-t)², 10/√3 and 60, over R, R² and R³; those of the product follow by Leibniz. The third jumps at t = 0 and 1, but
+// the second derivatives of S are bounded all the same, which is all that (1) asks for.
 //
 // Bounds are reduced by the rounding error.
 #pragma once
@@ -149,6 +152,30 @@ inline Derivatives grab_bounds(const Stroke& stroke, double near2, double far2) 
     return found;
 }
 
+// Of the factor of the reach, likewise.
+inline Derivatives support_bounds(const Stroke& stroke, double near2, double far2) {
+    const double i = stroke.per_reach, a = i * std::sqrt(near2), b = i * std::sqrt(far2), t = std::clamp(0.5, a, b);
+    const double m = (1 - a) * (1 - a) * (1 - a) * (1 + a * (3 + 6 * a));
+    return i == 0 ? Derivatives{1, 0, 0, 0}
+                  : Derivatives{m, 30 * i * t * t * (1 - t) * (1 - t), 5.7736 * i * i, 60 * i * i * i};
+}
+
+// Of a twist.
+inline Derivatives twist_bounds(const Stroke& stroke, double near2, double far2) {
+    const double e = stroke.radius2[0], rho2 = near2 + e, far = std::sqrt(far2), x = std::sqrt(far2 / (far2 + e));
+    const Derivatives third = power_bounds(3, x), fifth = power_bounds(5, x);
+    double scale = strength_of(stroke) / (rho2 * std::sqrt(rho2));
+    Derivatives phi;
+    for (int n = 0; n < 4; n++) {
+        phi[n] = scale * (std::abs(stroke.p[0]) * third[n] + std::abs(stroke.q[0]) / rho2 * fifth[n]);
+        scale /= std::sqrt(rho2);
+    }
+    phi = product(support_bounds(stroke, near2, far2), phi);
+    const Derivatives turned{std::min(phi[0], 2.0), phi[1], phi[2] + phi[1] * phi[1],
+                             phi[3] + 3 * phi[1] * phi[2] + phi[1] * phi[1] * phi[1]};
+    return product(turned, {far, 1, 0, 0});
+}
+
 // Of an affine brush without reach, likewise.
 inline Derivatives affine_bounds(const Stroke& stroke, double near2, double far2) {
     const double e = stroke.radius2[0], rho2 = near2 + e, x = std::sqrt(far2 / (far2 + e));
@@ -173,12 +200,9 @@ inline Derivatives affine_bounds(const Stroke& stroke, double near2, double far2
 
 // Of K: the N_n.
 inline Derivatives displacement_bounds(const Stroke& stroke, double near2, double far2) {
+    if (stroke.turns()) return twist_bounds(stroke, near2, far2);
     const Derivatives n = stroke.power == 3 ? affine_bounds(stroke, near2, far2) : grab_bounds(stroke, near2, far2);
-    if (stroke.per_reach == 0) return n;
-    const double i = stroke.per_reach, a = i * std::sqrt(near2), b = i * std::sqrt(far2), t = std::clamp(0.5, a, b);
-    const double m = (1 - a) * (1 - a) * (1 - a) * (1 + a * (3 + 6 * a));
-    const double m1 = 30 * i * t * t * (1 - t) * (1 - t), m2 = 5.7736 * i * i, m3 = 60 * i * i * i;
-    return product({m, m1, m2, m3}, n);
+    return stroke.per_reach == 0 ? n : product(support_bounds(stroke, near2, far2), n);
 }
 
 // ---- S at points, and its smallest eigenvalue ----------------------------------------------------------------------

@@ -80,6 +80,20 @@ ONCE void carry(const Chain& chain, const Axis* axes, Jet<D, TANGENTS, MIXED, V>
     }
 }
 
+// Send a point back through a group of one twist: by its turn to the other side, which is T⁻¹ where there is neither a
+// border nor a mask, and a guess otherwise.
+template <int D, class V>
+INLINE void turn_back(const Chain& group, const Axis* axes, V* x) {
+    if (group.count > 1 || !group[0].turns()) return;
+    Stroke back = group[0];
+    back.p[0] = -back.p[0];
+    back.q[0] = -back.q[0];
+    Jet<D, 0, false, V> jet;
+    for (int i = 0; i < D; i++) jet.x[i] = x[i];
+    add_for(group.lanes_of(0), back, axes, jet, jet);
+    for (int i = 0; i < D; i++) x[i] = jet.x[i];
+}
+
 // A point p with T(p) = q, the columns of (∂T/∂p)⁻¹ there, the evaluations of T with its Jacobian, and the mask of
 // converged lanes.
 template <int D, class V>
@@ -223,6 +237,7 @@ NOINLINE void undo(const Chain& chain, const Axis* axes, const V* q, double tole
         const Chain one = chain.last_before(k);
         k -= one.count;
         for (int i = 0; i < D; i++) found.p[i] = at[i];
+        turn_back<D>(one, axes, found.p);
         newton<D>(one, axes, at, tolerance, 40, found);
         for (int l = 0; l < Masked<V>::lanes; l++)
             if (!lane(found.done, l)) {

@@ -152,6 +152,7 @@ void Plan<D>::find_reaching(int j, int left, int right) {
             if (begin <= first_limited || !any(touched)) continue;
             Lanes x[D], off2{};
             for (int d = 0; d < D; d++) x[d] = centre[d];
+            turn_back<D>(group, axes, x);
             for (int round = 0; round < 3; round++) {
                 Lanes y[D];
                 for (int d = 0; d < D; d++) y[d] = x[d];
@@ -174,6 +175,8 @@ void Plan<D>::find_reaching(int j, int left, int right) {
             }
             Lanes grown = radius + off + 2.0 * least(moved, splat<Lanes>(known));
             if (bend < 0.9) grown = least(grown, Lanes((radius + off) * (1 / (1 - bend))));
+            // A twist is a rotation of a shear.
+            if (is_whole(strokes[begin]) && group.count == 1) grown = least(grown, Lanes((radius + off) * (1 + bend)));
             radius = choose(touched, grown, radius);
             for (int d = 0; d < D; d++) centre[d] = choose(touched, x[d], centre[d]);
         }

@@ -1,5 +1,6 @@
 // The tables of strokes and axes, as Python packs them (`supple.strokes.STROKE_DTYPE`, `supple.domain.Domain.packed`).
 #pragma once
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <vector>
@@ -10,7 +11,7 @@
 namespace supple {
 
 constexpr int STROKE_NUMBERS =
-    32;                          // pivot, force; matrix; radius2, p, q, r; terms, power, joined, of int64; reach, most
+    35;  // pivot, force; matrix; radius2, p, q, r; terms, power, joined, of int64; reach, most; turn
 constexpr int AXIS_NUMBERS = 5;  // first, last, sigma, spacing, profile
 
 typedef std::array<Axis, 3> Axes;
@@ -35,8 +36,9 @@ inline bool is_inner(const Stroke& k, const Axis* axes) {
     return true;
 }
 
-// |M| by Frobenius' norm, or |f|.
+// |M| by Frobenius' norm, or |f|; of a twist, the largest factor.
 inline double strength_of(const Stroke& k) {
+    if (k.turns()) return std::max({k.turn[0], k.turn[1], k.turn[2]});
     double sum = 0;
     for (int i = 0; i < 3; i++) {
         sum += k.force[i] * k.force[i];
@@ -49,7 +51,8 @@ inline double strength_of(const Stroke& k) {
 //
 //     |K| ≤ (|A| + |B| r²) V,    |J| ≤ (|2A'| r + |2B'| r³ + 2 |B| r) V + (|A| + |B| r²) |M|.
 //
-// and of |K| without its reach: the product of bounds with the reach's factor at one distance bounds |K| beyond it.
+// and of |K| without its reach: the product of bounds with the reach's factor at one distance bounds |K| beyond it. Of
+// a twist, |R - I| ≤ 2, too.
 struct Bound {
     double value, slope, unlimited;
 };
@@ -61,7 +64,7 @@ inline Bound bound_of(const Stroke& k) {
     for (int i = 0; i <= 64; i++) {
         const double r = farthest * i / 64, length = k.power == 3 ? r : 1.0;
         const Radial<double> g = radial<1>(k, r * r);
-        const double both = fabs(g.A[0]) + fabs(g.B[0]) * r * r;
+        const double any = fabs(g.A[0]) + fabs(g.B[0]) * r * r, both = k.turns() ? std::min(any, 2.0) : any;
         const double bend = (fabs(g.A[1]) + fabs(g.B[1]) * r * r + 2 * fabs(g.B[0])) * r * length;
         const Radial<double> u = radial<0>(free, r * r);
         most.value = std::max(most.value, both * length);
@@ -88,6 +91,9 @@ inline bool is_free(const Stroke& k, const Frozen* freeze) {
     return !freeze || freeze->is_free(near.low, near.high);
 }
 
+// True if neither a border nor a mask changes a twist: one-to-one, whatever its angle.
+inline bool is_whole(const Stroke& k) { return k.turns() && k.inner && !k.freeze; }
+
 // The mask that a stroke is subject to, which has one.
 inline const Frozen& mask_of(const Stroke& k) { return *static_cast<const Frozen*>(k.freeze); }
 
@@ -105,6 +111,7 @@ inline std::vector<Stroke> load_strokes(const double* rows, size_t count, const 
         k.group = joined ? group : ++group;
         k.reach = *rows++;
         k.most = *rows++;
+        for (double& factor : k.turn) factor = *rows++;
         k.per_reach = std::isfinite(k.reach) ? 1.0 / k.reach : 0.0;
         k.inner = is_inner(k, axes);
         k.freeze = is_free(k, freeze) ? nullptr : freeze;

@@ -200,6 +200,7 @@ class Recipe:
         text : str
             The JSON text. All keys but ``supple`` and ``strokes``, and of a stroke ``brush``, ``at``, ``radius`` and
             ``by`` (or ``to``), have defaults. A recipe of version 1 has no ``reach``, and the border is ``"sine"``.
+            Twists of version 2 move points along chords (``chord``).
 
         Raises
         ------

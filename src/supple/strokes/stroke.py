@@ -56,6 +56,9 @@ class Stroke:
         Of a scale or a pinch: above 1, it bloats or stretches; below 1, it puckers or squeezes.
     axis : sequence of float or None
         Of a twist of three coordinates, and of a pinch: a direction, in samples. None: z or time; and x.
+    chord : bool
+        Of a twist: whether points move along chords, and so nearer to the pivot, as in recipes before version 3.
+        Otherwise they keep their distance from it.
     also : sequence of (sequence of float, sequence of float)
         Of a grab: further points and their drags, in samples. All are carried out at once, so that each point arrives;
         a point with a drag of 0 is a pin.
@@ -82,6 +85,7 @@ class Stroke:
     angle: float | None = None
     factor: float | None = None
     axis: Place | None = None
+    chord: bool = False
     also: tuple[tuple[Place, Place], ...] = ()
     path: tuple[Place, ...] = ()
     hidden: bool = False
@@ -93,6 +97,8 @@ class Stroke:
         choice("brush", self.brush, get_args(Brush))
         if not isinstance(self.hidden, bool):
             refuse("hidden", "true or false", self.hidden)
+        if not isinstance(self.chord, bool):
+            refuse("chord", "true or false", self.chord)
         if not isinstance(self.name, str | None):
             refuse("name", "text", self.name)
         at = point("at", self.at)
@@ -150,17 +156,18 @@ class Stroke:
 
     def _checked_shape(self, ndim: int) -> dict[str, object]:
         """Return the angle, the factor and the axis, each if the brush has one."""
-        takes = {"grab": (), "twist": ("angle", "axis"), "scale": ("factor",), "pinch": ("factor", "axis")}[self.brush]
-        for name in ("angle", "factor", "axis"):
-            if name not in takes and getattr(self, name) is not None:
+        takes = {"twist": ("angle", "axis", "chord"), "scale": ("factor",), "pinch": ("factor", "axis")}
+        own = takes.get(self.brush, ())
+        for name in ("angle", "factor", "axis", "chord"):
+            if name not in own and getattr(self, name) not in (None, False):
                 refuse(name, f"left out for a {self.brush}", getattr(self, name))
         if self.brush != "grab" and self.scales != 1:
             refuse("scales", f"1 for a {self.brush}, which fades as 1/r² of itself", self.scales)
         checked: dict[str, object] = {}
-        if "angle" in takes:
+        if "angle" in own:
             wanted = f"a number of degrees from {-LARGEST_ANGLE:g} to {LARGEST_ANGLE:g}"
             checked["angle"] = number("angle", self.angle, wanted, -LARGEST_ANGLE, LARGEST_ANGLE)
-        if "factor" in takes:
+        if "factor" in own:
             wanted = f"a number from {1 / LARGEST_FACTOR:g} to {LARGEST_FACTOR:g}"
             checked["factor"] = number("factor", self.factor, wanted, 1 / LARGEST_FACTOR, LARGEST_FACTOR)
         if self.axis is not None:

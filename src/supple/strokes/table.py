@@ -28,6 +28,7 @@ STROKE_DTYPE = np.dtype(
         ("joined", np.int64),
         ("reach", np.float64),
         ("most", np.float64),
+        ("turn", np.float64, (3,)),
     ],
     align=True,
 )
@@ -43,8 +44,10 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = Fa
 
     With ``d = point - pivot`` and ``rho_i² = |d|² + radius2_i``, a row is the displacement
     ``sum_i (p_i / rho_iⁿ + q_i / rho_iⁿ⁺²) v + (r_i / rho_iⁿ⁺²) (d · v) d``. A grab has the ``power`` n = 1, and v is
-    its ``force``, the displacement of the pivot; the other brushes have n = 3, and v is ``matrix @ d``, where the
+    its ``force``, the displacement of the pivot; a scale and a pinch have n = 3, and v is ``matrix @ d``, where the
     matrix is the displacement's Jacobian at the pivot (de Goes and James, "Regularized Kelvinlets", 2017; section 5).
+    A twist has the profile of these, but that is the angle, in radians, by which d is turned about an axis: the matrix
+    makes the cross product with it, and ``turn`` has a factor for each component of the displacement, 0 for others.
     Where ``reach`` is finite, that is multiplied by ``1 - 10t³ + 15t⁴ - 6t⁵``, ``t = |d| / reach``, and 0 beyond.
     Rows that are ``joined`` act at once with the one before them: all are evaluated at the same point, and added;
     ``most`` bounds their displacement, if it is known, and is infinite otherwise.
@@ -70,9 +73,12 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = Fa
             (*(x * step for x, step in zip(v, spacing, strict=True)), 0.0)[:3] for v in (stroke.at, stroke.by)
         )
         matrix, power = matrix_of(stroke, spacing, time=time), 1 if stroke.brush == "grab" else 3
-        terms = _terms(stroke.radius, poisson_of(stroke, time=time), stroke.scales, stroke.brush)
+        terms, turn = _terms(stroke.radius, poisson_of(stroke, time=time), stroke.scales, stroke.brush), 0.0
+        if stroke.angle is not None and not stroke.chord:
+            matrix, turn = _skew(_axis_of(stroke, spacing)), 1.0
+            terms = np.concatenate([terms[:1], math.radians(stroke.angle) * terms[1:]])
         reach = math.inf if stroke.reach is None else stroke.reach * stroke.radius
-        rows.append((pivot, force, matrix, *terms, stroke.scales, power, 0, reach, math.inf))
+        rows.append((pivot, force, matrix, *terms, stroke.scales, power, 0, reach, math.inf, (turn,) * 3))
     return np.array(rows, STROKE_DTYPE)
 
 
@@ -88,15 +94,9 @@ def matrix_of(stroke: Stroke, spacing: Sequence[float], *, time: bool = False) -
         Whether the third axis is time.
     """
     made, plane = np.zeros((3, 3)), time or stroke.ndim == 2
-    axis = np.array((0.0, 0.0, 1.0))
-    if (direction := stroke.direction) is not None:
-        axis[: stroke.ndim] = np.multiply(direction, spacing)
-        axis[stroke.ndim :] = 0.0
-        axis /= np.abs(axis).max()  # so that no square overflows
-        axis /= np.linalg.norm(axis)
+    axis = _axis_of(stroke, spacing)
     if stroke.angle is not None:
-        angle, (x, y, z) = math.radians(stroke.angle), axis
-        skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        angle, skew = math.radians(stroke.angle), _skew(axis)
         made = math.sin(angle) * skew + 2 * math.sin(angle / 2) ** 2 * (skew @ skew)
     elif stroke.factor is not None:
         within = np.diag([1.0, 1.0, 0.0 if plane else 1.0])
@@ -108,6 +108,23 @@ def matrix_of(stroke: Stroke, spacing: Sequence[float], *, time: bool = False) -
         else:
             made = math.expm1(power) * along + math.expm1(-power if plane else -power / 2) * (within - along)
     return made
+
+
+def _axis_of(stroke: Stroke, spacing: Sequence[float]) -> npt.NDArray[np.float64]:
+    """Return the unit vector along the axis of a twist or a pinch, in physical units."""
+    axis = np.array((0.0, 0.0, 1.0))
+    if (direction := stroke.direction) is not None:
+        axis[: stroke.ndim] = np.multiply(direction, spacing)
+        axis[stroke.ndim :] = 0.0
+        axis /= np.abs(axis).max()  # so that no square overflows
+        axis /= np.linalg.norm(axis)
+    return axis
+
+
+def _skew(axis: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the matrix of the cross product with an axis."""
+    x, y, z = axis
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def poisson_of(stroke: Stroke, *, time: bool = False) -> float:
@@ -147,5 +164,5 @@ def _terms(radius: float, poisson: float, scales: int, brush: Brush) -> npt.NDAr
 
 
 def numbers(table: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
-    """Return a table's rows in the layout of the native core: float64 (n, 32), with the bits of the integers."""
+    """Return a table's rows in the layout of the native core: float64 (n, 35), with the bits of the integers."""
     return np.ascontiguousarray(table).view(np.float64).reshape(len(table), STROKE_DTYPE.itemsize // 8)

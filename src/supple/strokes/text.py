@@ -16,13 +16,14 @@ from supple.keys import Key
 from supple.strokes.stroke import Brush, Stroke
 from supple.strokes.table import POISSON
 
-VERSION = 2
+VERSION = 3
 
 # Keys added after version 1.
 _NEW = (
     "border_profile", "reach", "size", "space", "amount", "time_scale", "name", "strength", "to", "angle", "factor",
     "axis", "also", "path", "keys", "freeze",
 )  # fmt: skip
+_NEWER = ("chord",)  # and after version 2
 
 
 def written(members: Mapping[str, object], strokes: Iterable[Stroke]) -> str:
@@ -34,7 +35,10 @@ def written(members: Mapping[str, object], strokes: Iterable[Stroke]) -> str:
         The fields of the recipe, but for its strokes.
     strokes : iterable of Stroke
     """
-    head = {"supple": VERSION, **{k: v for k, v in members.items() if v is not None or k == "border"}}
+    strokes = list(strokes)
+    # Twists alone differ from those of version 2.
+    version = VERSION if any(stroke.brush == "twist" for stroke in strokes) else 2
+    head = {"supple": version, **{k: v for k, v in members.items() if v is not None or k == "border"}}
     lines = [f"  {_dump(key)}: {_dump(_plain(value))}" for key, value in head.items()]
     entries = ",\n".join(f"    {_dump(_entry(stroke))}" for stroke in strokes)
     lines.append(f'  "strokes": [\n{entries}\n  ]' if entries else '  "strokes": []')
@@ -60,7 +64,7 @@ def read(text: str, names: Sequence[str]) -> dict[str, Any]:
         refuse("a recipe", "a JSON object", data)
     if "supple" not in data:
         raise SuppleError(f'the key "supple", a recipe\'s version ({VERSION}), is missing in {value_shown(data)}')
-    version = integer('"supple"', data.pop("supple"), "1 or 2 (the versions that this release reads)", 1, VERSION)
+    version = integer('"supple"', data.pop("supple"), "1, 2 or 3 (the versions that this release reads)", 1, VERSION)
     _check_keys("the recipe", data, _known(names, version), ["strokes"])
     if version == 1:
         data = {"border": 50.0, "on_fold": "damp", **data, "border_profile": "sine"}
@@ -94,6 +98,8 @@ def _entry(stroke: Stroke) -> dict[str, object]:
     shape.update({name: x for name, x in (("also", stroke.also), ("path", stroke.path)) if x})
     if stroke.axis is not None:
         shape["axis"] = stroke.axis
+    if stroke.chord:
+        shape["chord"] = True
     entry: dict[str, object] = {
         "brush": stroke.brush,
         "at": stroke.at,
@@ -120,7 +126,7 @@ def _key_entry(key: Key) -> dict[str, object]:
 
 def _known(names: Iterable[str], version: int) -> list[str]:
     """Return the keys of a version."""
-    return [name for name in names if version > 1 or name not in _NEW]
+    return [name for name in names if (version > 1 or name not in _NEW) and (version > 2 or name not in _NEWER)]
 
 
 def _stroke(where: str, entry: object, version: int) -> Stroke:
@@ -141,6 +147,8 @@ def _stroke(where: str, entry: object, version: int) -> Stroke:
         del entry["to"]
     if version == 1:
         entry = {"poisson": POISSON, **entry, "reach": None}
+    if version < 3 and entry["brush"] == "twist":
+        entry = {**entry, "chord": True}
     if entry.get("poisson") == "-inf":
         entry["poisson"] = -math.inf
     if "keys" in entry:
@@ -182,8 +190,9 @@ def _check_keys(where: str, entry: dict[str, object], known: list[str], required
 
             near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
             hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
-            if key in _NEW:
-                hint = f'it is of version {VERSION} ("supple": {VERSION})'
+            if key in (*_NEW, *_NEWER):
+                version = 2 if key in _NEW else VERSION
+                hint = f'it is of version {version} ("supple": {version})'
             raise SuppleError(f"unknown key {value_shown(key)} in {where}: {hint}")
     for key in required:
         if key not in entry:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +13,7 @@ from supple.domain import refuse
 from supple.engines.torch.field import Kind, Strokes, axes_of
 from supple.engines.torch.freedom import Freedom
 from supple.errors import FoldWarning, MissWarning, SuppleError
-from supple.strokes import Stroke, matrix_of, poisson_of
+from supple.strokes import pack
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,20 +61,12 @@ class Item:
             torch.tensor(known, dtype=dtype, device=device) if given is None else given.to(device, dtype)
             for given, known in zip((self.at, self.by, self.radius), numbers, strict=True)
         )
-        kinds = [_kind(stroke, part, d) for part, stroke in zip(d.resolution()["damping"], d.strokes, strict=True)]
+        damping = d.resolution()["damping"]
+        parts = [stroke.weakened(part) for part, stroke in zip(damping, d.strokes, strict=True)]
+        rows = pack(parts, d.domain.spacing, time=d.domain.time)
+        kinds = [Kind.of(row, d.ndim, part) for row, part in zip(rows, damping, strict=True)]
         freedom = Freedom.of(d.space.freeze, dtype, device)
         return Strokes(at, by, radius, kinds, axes_of(d.space), flows, freedom)
-
-
-def _kind(stroke: Stroke, part: float, d: Deformation) -> Kind:
-    """Return what of a stroke has no gradients; part of it is applied."""
-    ratio = 1 / (4 * (1 - poisson_of(stroke, time=d.domain.time)))
-    matrix = None
-    if stroke.brush != "grab":
-        whole = matrix_of(stroke.weakened(part), d.domain.spacing, time=d.domain.time)
-        matrix = whole[: d.ndim, : d.ndim].tolist()
-        ratio = ratio if stroke.brush == "pinch" else 0.0
-    return Kind(ratio, stroke.scales, math.inf if stroke.reach is None else stroke.reach, part, matrix)
 
 
 def items(

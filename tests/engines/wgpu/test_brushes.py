@@ -50,6 +50,22 @@ def test_points_there_and_back(gpu: Gpu, shape: tuple[int, ...], spacing: Any, b
     assert residual.max() < 5e-3
 
 
+@pytest.mark.parametrize("angle", [180, -720])
+@pytest.mark.parametrize("shape", [(60, 80), (20, 30, 40)])
+def test_twists_of_several_turns(gpu: Gpu, shape: tuple[int, ...], angle: float) -> None:
+    n, at = len(shape), 0.5 * np.array(shape[::-1])
+    kind: dict[str, Any] = {} if n == 2 else {"axis": (1, -2, 0.5)}
+    d = supple.Deformation(shape, border=None).twist(at, angle=angle, radius=8, **kind)
+    points = np.random.default_rng(2).uniform(0, 1, (500, n)) * shape[::-1]
+    anchors = np.pad(points, ((0, 0), (0, 3 - n)))
+    moved, _ = field.forward(gpu, d.space.table, d.space.axes, anchors, np.zeros_like(anchors))
+    seen = (anchors + moved)[:, :n]
+    np.testing.assert_allclose(seen, d.forward(points), atol=1e-4)
+    np.testing.assert_allclose(np.linalg.norm(seen - at, axis=1), np.linalg.norm(points - at, axis=1), atol=1e-4)
+    shift, _, _ = field.inverse(gpu, d.space.table, d.space.axes, anchors, 1e-4)
+    np.testing.assert_allclose((anchors + shift)[:, :n], d.inverse(points).points, atol=1e-3)
+
+
 @pytest.mark.parametrize("border", [None, 9.0])
 @pytest.mark.parametrize("shape", [(60, 80), (20, 30, 40)])
 def test_strokes_that_act_at_once(gpu: Gpu, shape: tuple[int, ...], border: float | None) -> None:

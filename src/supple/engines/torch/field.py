@@ -4,8 +4,9 @@ Of one stroke, in physical units, with r = p - pivot, s = |r|² and p taken into
 
     K(p) = diag(β) m(√s/R) [A(s) v + B(s) (r·v) r],    m(t) = (1-t)³ (1 + 3t + 6t²) for t < 1, 0 beyond,
 
-times the m of a freeze mask (`freedom`), where v is the force f of a grab, or M r. Strokes that act at once move one
-point, and their displacements are added.
+times the m of a freeze mask (`freedom`), where v is the force f of a grab, or M r. A twist has R r - r in place of what
+is after diag(β), with the rotation R by the angle m(√s/R) A(s). Strokes that act at once move one point, and their
+displacements are added.
 
 An image is the plane z = 0 of a volume, without displacement along z.
 
@@ -22,6 +23,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 
 from supple.domain import PROFILE_CODES
@@ -53,7 +55,12 @@ class Kind:
     part : float
         The applied fraction of its force.
     matrix : sequence of D rows, or None
-        ∂K/∂p at the pivot of a brush that is affine there, in physical units.
+        ∂K/∂p at the pivot of a brush that is affine there, in physical units; of a twist, that of the cross
+        product with its axis.
+    angle : float
+        Of a twist, in radians.
+    turn : sequence of D numbers, or None
+        Of a twist, the factors of its displacement.
     joined : bool
         Whether it acts at once with the stroke before it.
     """
@@ -63,7 +70,24 @@ class Kind:
     reach: float
     part: float = 1.0
     matrix: Sequence[Sequence[float]] | None = None
+    angle: float = 0.0
+    turn: Sequence[float] | None = None
     joined: bool = False
+
+    @classmethod
+    def of(cls, row: np.void, ndim: int, part: float = 1.0) -> Kind:
+        """Return what a row of a table says."""
+        e, p, q, r = (float(row[name][0]) for name in ("radius2", "p", "q", "r"))
+        return cls(
+            r * e / (2 * q) if r else 0.0,
+            int(row["terms"]),
+            float(row["reach"]) / math.sqrt(e),
+            part,
+            matrix=row["matrix"][:ndim, :ndim].tolist() if row["power"] == 3 else None,
+            angle=2.5 * p / e**1.5,
+            turn=row["turn"][:ndim].tolist() if row["turn"].any() else None,
+            joined=bool(row["joined"]),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,22 +132,7 @@ class Strokes:
         at, by, radius = (
             torch.tensor(x, dtype=dtype, device=device) for x in (*columns, table["radius2"][:, 0] ** 0.5)
         )
-        first = {name: table[name][:, 0] for name in ("radius2", "q", "r")}
-        columns = [
-            first["r"] * first["radius2"] / (2 * first["q"]),
-            table["terms"],
-            table["reach"] / first["radius2"] ** 0.5,
-        ]
-        kinds = [
-            Kind(
-                ratio,
-                scales,
-                reach,
-                matrix=row["matrix"][:n, :n].tolist() if row["power"] == 3 else None,
-                joined=bool(row["joined"]),
-            )
-            for row, ratio, scales, reach in zip(table, *(column.tolist() for column in columns), strict=True)
-        ]
+        kinds = [Kind.of(row, n) for row in table]
         freedom = Freedom.of(space.freeze, dtype, device)
         return cls(at, by, radius, kinds, axes_of(space), freedom=freedom)
 
@@ -141,17 +150,22 @@ def moved(points: Columns, strokes: Strokes) -> Columns:
         pivot = [x * axis[3] for x, axis in zip(strokes.at[k], strokes.axes, strict=True)]
         near, beta = _edges(start, strokes.axes)
         r = [x - p for x, p in zip(near, pivot, strict=True)]
-        if kind.matrix is None:
-            v: Columns = [x * (axis[3] * kind.part) for x, axis in zip(strokes.by[k], strokes.axes, strict=True)]
-        else:
-            v = [sum((m * x for m, x in zip(row, r, strict=True)), torch.zeros_like(r[0])) for row in kind.matrix]
-        if strokes.flows:
-            v = _arriving(pivot, v, strokes.axes)
         s = _dot(r, r)
         a, b = _profiles(s, strokes.radius[k], kind)
         if kind.reach < math.inf:
             m = _support(s / (strokes.radius[k] * kind.reach) ** 2)
             a, b = m * a, m * b
+        if kind.matrix is None:
+            v: Columns = [x * (axis[3] * kind.part) for x, axis in zip(strokes.by[k], strokes.axes, strict=True)]
+        else:
+            v = _product(kind.matrix, r)
+            if kind.turn is not None:
+                angle = kind.angle * a
+                once, twice = torch.sin(angle), 2 * torch.sin(angle / 2) ** 2
+                v = [f * (once * x + twice * y) for f, x, y in zip(kind.turn, v, _product(kind.matrix, v), strict=True)]
+                a = torch.ones_like(a)  # and b is 0
+        if strokes.flows:
+            v = _arriving(pivot, v, strokes.axes)
         if strokes.freedom is not None:
             m = strokes.freedom.at(near)
             a, b = m * a, m * b
@@ -197,6 +211,10 @@ def _dot(a: Sequence[torch.Tensor], b: Sequence[torch.Tensor]) -> torch.Tensor:
     for x, y in zip(a[1:], b[1:], strict=True):
         total = total + x * y
     return total
+
+
+def _product(matrix: Sequence[Sequence[float]], x: Columns) -> Columns:
+    return [sum((m * c for m, c in zip(row, x, strict=True)), torch.zeros_like(x[0])) for row in matrix]
 
 
 def _cross(a: Sequence[torch.Tensor], b: Sequence[torch.Tensor]) -> Columns:

@@ -26,7 +26,8 @@ STROKE = np.dtype(
         ("p", np.float32, 4),
         ("q", np.float32, 4),
         ("r", np.float32, 4),
-        ("joined", np.uint32, 4),
+        ("turn", np.float32, 3),
+        ("joined", np.uint32),
     ]
 )
 FIELD = ("field", "freeze", "newton")
@@ -50,7 +51,7 @@ def packed(table: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
         out["rest"][:, 3] = 1.0 / table["reach"]
         out["force"], out["terms"], out["power"] = table["force"], table["terms"], table["power"]
         out["matrix"][..., :3] = np.swapaxes(table["matrix"], 1, 2)  # columns
-        out["joined"][:, 0] = table["joined"]
+        out["joined"], out["turn"] = table["joined"], table["turn"]
         out["radius2"][:, :3] = table["radius2"]
         for name, n in (("p", power), ("q", power + 2), ("r", power + 2)):
             out[name][:, :3] = table[name] / radius**n
@@ -66,7 +67,7 @@ def constants(table: npt.NDArray[np.void], freeze: Mask | None) -> dict[str, int
 def fits(table: npt.NDArray[np.void]) -> bool:
     """Return whether float32 holds all numbers of a table and their products."""
     made = packed(table)
-    names = ("pivot", "force", "matrix", "radius2", "p", "q", "r")
+    names = ("pivot", "force", "matrix", "radius2", "p", "q", "r", "turn")
     return all(bool((np.abs(made[name]) < 1e18).all()) for name in names)
 
 

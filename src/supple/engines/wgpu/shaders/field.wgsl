@@ -3,8 +3,9 @@
 // With r = p' - pivot (p' is p, clamped to the domain along axes with a fixed border), s = |r|² and ρᵢ² = s + eᵢ,
 //     K(p) = m [ A v + B (r·v) r ],  A = Σᵢ pᵢ wᵢⁿ + qᵢ wᵢⁿ⁺²,  B = Σᵢ rᵢ wᵢⁿ⁺²,  wᵢ = √eᵢ / ρᵢ,
 // and m = (1-t)³(1+3t+6t²), t = √s/R, and 0 from t = 1 on. A grab has n = 1 and v = f; the brushes that are affine at
-// their pivot have n = 3 and v = M r. Strokes that are joined to the one before them act at the same point as that.
-// With a freeze mask (freeze.wgsl), K is multiplied by its m as well.
+// their pivot have n = 3 and v = M r. A twist turns r by the angle m A about an axis, with M r the cross product of
+// both, and `turn` multiplies the components of its displacement. Strokes that are joined to the one before them act at
+// the same point as that. With a freeze mask (freeze.wgsl), K is multiplied by its m as well.
 //
 // A point is an anchor q and an offset w from it, in physical units: the accuracy of w, and of distances to pivots, in
 // float32 does not depend on the distance of q from the origin. Likewise, a pivot is the sum of two numbers.
@@ -20,7 +21,7 @@ struct Stroke {
     p: vec4f,
     q: vec4f,
     r: vec4f,
-    joined: u32,
+    turn: vec3f, joined: u32,
 }
 
 struct Domain {
@@ -82,23 +83,25 @@ fn edge(q: f32, w: f32, axis: u32) -> vec3f {
     return vec3f(t * (2.0 + t * t * (t - 2.0)), side * (2.0 + t * t * (4.0 * t - 6.0)), inside);
 }
 
-// A point and its Jacobian after stroke k, too, which acts at `start`, where the strokes that act at once begin.
-fn moved_by(k: u32, q: vec3f, start: Moved, at: Moved) -> Moved {
-    let near = clamped_to_domain(q, start.offset);
-    let d = (q - strokes[k].pivot) + (near - strokes[k].rest.xyz);
-    let d2 = dot(d, d);
-    let over = strokes[k].rest.w; // 1/R
-    let t2 = d2 * over * over;
-    if (t2 >= RIM) {
-        return at;
-    }
-    let x = edge(q.x, start.offset.x, 0u);
-    let y = edge(q.y, start.offset.y, 1u);
-    let z = edge(q.z, start.offset.z, 2u);
-    let beta = vec3f(x.x, y.x, z.x);
-    let slope = vec3f(x.y, y.y, z.y);
-    let inside = vec3f(x.z, y.z, z.z);
+// sin(x) on [0, π/2] by its Taylor series: not all drivers' is that accurate.
+fn sine(x: f32) -> f32 {
+    let t = x * x;
+    let y = 2.7557319e-6 - t * (2.5052108e-8 - t * 1.6059044e-10);
+    return x - x * t * (1.6666667e-1 - t * (8.3333333e-3 - t * (1.9841270e-4 - t * y)));
+}
+
+// The sine and the cosine of half an angle; in every other turn, both with the other sign.
+fn half_turn(angle: f32) -> vec2f {
+    let turns = round(angle / (4.0 * HALF_PI));
+    // π as the sum of two numbers, of which the first times a small whole number is exact.
+    let t = (0.5 * angle - turns * 3.140625) - turns * 9.6765359e-4;
+    return vec2f(sine(t), sine(HALF_PI - abs(t)));
+}
+
+// A, B and twice their derivatives by s, times m.
+fn profile_of(k: u32, d2: f32) -> vec4f {
     let affine = !GRABS && strokes[k].power == 3.0;
+    let over = strokes[k].rest.w; // 1/R
     let n = select(1.0, 3.0, affine);
     var a = 0.0;
     var b = 0.0;
@@ -121,14 +124,35 @@ fn moved_by(k: u32, q: vec3f, start: Moved, at: Moved) -> Moved {
         db -= over_rho2 * (n + 2.0) * r;
     }
     // m, and 2 dm/ds = -30 t (1-t)² / R².
-    let t = sqrt(t2);
+    let t = min(sqrt(d2) * over, 1.0);
     let left = 1.0 - t;
     let m_ = left * left * left * (1.0 + t * (3.0 + 6.0 * t));
     let dm = -30.0 * t * left * left * over * over;
-    da = m_ * da + dm * a;
-    db = m_ * db + dm * b;
-    a *= m_;
-    b *= m_;
+    return vec4f(m_ * a, m_ * b, m_ * da + dm * a, m_ * db + dm * b);
+}
+
+// A point and its Jacobian after stroke k, too, which acts at `start`, where the strokes that act at once begin.
+fn moved_by(k: u32, q: vec3f, start: Moved, at: Moved) -> Moved {
+    let near = clamped_to_domain(q, start.offset);
+    let d = (q - strokes[k].pivot) + (near - strokes[k].rest.xyz);
+    let d2 = dot(d, d);
+    let over = strokes[k].rest.w; // 1/R
+    let t2 = d2 * over * over;
+    if (t2 >= RIM) {
+        return at;
+    }
+    let x = edge(q.x, start.offset.x, 0u);
+    let y = edge(q.y, start.offset.y, 1u);
+    let z = edge(q.z, start.offset.z, 2u);
+    let beta = vec3f(x.x, y.x, z.x);
+    let slope = vec3f(x.y, y.y, z.y);
+    let inside = vec3f(x.z, y.z, z.z);
+    let affine = !GRABS && strokes[k].power == 3.0;
+    let profile = profile_of(k, d2);
+    let a = profile.x;
+    let b = profile.y;
+    let da = profile.z;
+    let db = profile.w;
     var v = strokes[k].force;
     if (affine) {
         v = strokes[k].matrix * d;
@@ -140,7 +164,15 @@ fn moved_by(k: u32, q: vec3f, start: Moved, at: Moved) -> Moved {
     let along = b * d;
     // Column j of β (c dᵀ + b d (v + Mᵀd)ᵀ + A M + g I) + diag(β' K): 0 along j beyond a fixed face.
     var m = mat3x3f(c * d.x + along * v.x, c * d.y + along * v.y, c * d.z + along * v.z);
-    if (affine) {
+    if (affine && strokes[k].turn.x > 0.0) {
+        let half = half_turn(a);
+        let turn = strokes[k].turn;
+        let cross_ = strokes[k].matrix;
+        let rotation = 2.0 * half.x * (half.y * cross_ + half.x * cross_ * cross_); // less I
+        moving = turn * (rotation * d);
+        let way = da * turn * (v + rotation * v);
+        m = mat3x3f(turn * rotation[0] + way * d.x, turn * rotation[1] + way * d.y, turn * rotation[2] + way * d.z);
+    } else if (affine) {
         let bent = d * strokes[k].matrix;
         m += a * strokes[k].matrix + mat3x3f(along * bent.x, along * bent.y, along * bent.z);
     }

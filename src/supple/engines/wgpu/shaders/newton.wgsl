@@ -60,6 +60,14 @@ fn newton(first: u32, last: u32, q: vec3f, goal: vec3f, guess: vec3f, tolerance:
     return best;
 }
 
+// A point sent back by a twist: turned to the other side, which mirrors its way about the plane of the axis and the
+// point. That is T⁻¹ where there is neither a border nor a mask, and a guess otherwise.
+fn turned_back(k: u32, q: vec3f, w: vec3f) -> vec3f {
+    let v = strokes[k].matrix * ((q - strokes[k].pivot) + (w - strokes[k].rest.xyz));
+    let way = moved(k, k + 1u, q, w).offset - w;
+    return w + way - v * (2.0 * dot(way, v) / max(dot(v, v), 1e-30));
+}
+
 // T⁻¹(q) without a guess: strokes, or those that act at once, undone from last to first, and polished together.
 fn undo(q: vec3f, tolerance: f32) -> Found {
     let count = u32(settings.strokes);
@@ -70,7 +78,11 @@ fn undo(q: vec3f, tolerance: f32) -> Found {
         while (!GRABS && first > 0u && strokes[first].joined != 0u) {
             first--;
         }
-        let found = newton(first, last, q, w, w, tolerance, 40u);
+        var guess = w;
+        if (!GRABS && last == first + 1u && strokes[first].turn.x > 0.0) {
+            guess = turned_back(first, q, w);
+        }
+        let found = newton(first, last, q, w, guess, tolerance, 40u);
         last = first;
         w = found.offset;
         steps += found.steps;

@@ -20,9 +20,9 @@ fn norm_of(m: mat3x3f) -> f32 {
     return sqrt(dot(m[0], m[0]) + dot(m[1], m[1]) + dot(m[2], m[2]));
 }
 
-// The length scale of the map at a point, in pixels: a stroke varies over ρ, and its border, along each axis by itself,
-// over σ or the distance to it, and a freeze mask as far as it is smooth; all are scaled by the derivative of the
-// stroke's input with respect to q.
+// The length scale of the map at a point, in pixels: a stroke varies over ρ, a twist over a radian of its turn, and its
+// border, along each axis by itself, over σ or the distance to it, and a freeze mask as far as it is smooth; all are
+// scaled by the derivative of the stroke's input with respect to q.
 fn smoothness(q: vec3f, w: vec3f, m: mat3x3f) -> f32 {
     var at = Moved(w, mat3x3f(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
     var start = at;
@@ -35,6 +35,10 @@ fn smoothness(q: vec3f, w: vec3f, m: mat3x3f) -> f32 {
         let y = start.jacobian * (m[1] * domain.spacing.xyz);
         let d = (q - strokes[k].pivot) + (start.offset - strokes[k].rest.xyz);
         least = min(least, sqrt((dot(d, d) + strokes[k].radius2.x) / max(dot(x, x), dot(y, y))));
+        if (!GRABS && strokes[k].turn.x > 0.0) {
+            let steep = abs(profile_of(k, dot(d, d)).z) * max(abs(dot(d, x)), abs(dot(d, y)));
+            least = min(least, 1.0 / max(steep, 1e-12));
+        }
         if (FROZEN) {
             let near = clamped_to_domain(q, start.offset);
             least = min(least, smoothness_of_mask(q, near) / sqrt(max(dot(x, x), dot(y, y))));
