@@ -450,8 +450,9 @@ class Deformation:
         scales : int
             1: a wide effect, fading as 1/r. 2 and 3: more local, as 1/r³ and 1/r⁵.
         reach : float or None
-            The reach in radii, from 1; the default of 4 looks as natural as no limit. Beyond it, samples keep every
-            bit. None: unlimited, as in the paper.
+            The reach in radii, from 1; the default of 4 looks as natural as no limit. Farther than that from the way of
+            the point, from its start (through the ``path``) to its target, samples keep every bit. None: unlimited, as
+            in the paper.
         strength : float
             The applied part of the drag, from 0 to 1.
 

@@ -104,8 +104,8 @@ class StrokeOptions:
     scales
         How fast the movement of a grab fades with distance r: 1 as 1/r (default), 2 as 1/r³, 3 as 1/r⁵.
     reach
-        Distance from the stroke, in radii, beyond which nothing moves and values stay as they are: at least 1
-        (default 4), or none for no limit.
+        Distance from the line between a stroke's start and its target, in radii, beyond which nothing moves and
+        values stay as they are: at least 1 (default 4), or none for no limit.
     recipe
         Read strokes from a recipe (JSON). They are applied before those of the command line, which are in pixels of
         the size that the recipe names, if it names one.

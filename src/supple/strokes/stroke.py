@@ -44,7 +44,8 @@ class Stroke:
     scales : int
         1 reaches farthest (fading as 1/r), 2 fades as 1/r³, 3 as 1/r⁵.
     reach : float or None
-        The reach in radii, from 1: beyond, the displacement is exactly 0. None: unlimited, as in the paper.
+        The reach in radii, from 1: farther than that from the way of its points, from start to target, the displacement
+        is exactly 0. None: unlimited, as in the paper.
     brush : str
         ``"grab"`` moves the pivot by the drag. The others are affine at the pivot, and fade with the distance:
         ``"twist"`` turns it by the angle; ``"scale"`` magnifies it by the factor (in a clip, in x and y alone);

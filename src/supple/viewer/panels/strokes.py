@@ -26,7 +26,10 @@ _POISSON = (
     "How much the material keeps its volume while it is pulled: at 0.5 it keeps all of it, as rubber does; at lower "
     "values it may be squeezed"
 )
-_REACH = "Beyond it, nothing moves at all: the outer ring. Without a limit, the pull fades, but never ends"
+_REACH = (
+    "Farther than this from the drag, nothing moves at all: the outer ring. Without a limit, the pull fades, but never "
+    "ends"
+)
 
 
 def brush(view: View) -> None:
