@@ -45,6 +45,7 @@ def copy_inputs(folder: Path) -> None:
     (folder / "nose.csv").write_text("frame,x,y\n10,330,160\n30,342,153\n")
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=lambda page: page.stem)
 def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
