@@ -847,8 +847,8 @@ class Deformation:
         worst: dict[int, tuple[float, int, str]] = {}
         owners = np.repeat(np.arange(len(self.strokes)), [len(stroke.handles) for stroke in self.strokes])
         for k in carried:
-            ends = (self._points[k, 1:, : self.ndim] / self.domain.spacing).tolist()
-            found = math.dist(*ends), int(self._carriers[k]), apart(*ends, self.domain)
+            here, there = (self._points[k, 1:, : self.ndim] / self.domain.spacing).tolist()
+            found = math.dist(here, there), int(self._carriers[k]), apart(here, there, self.domain)
             worst[owners[k]] = max(found, worst.get(owners[k], found))
         (i, (_, j, far)), *more = sorted(worst.items(), key=lambda pair: -pair[1][0])
         one, other = self.strokes[i], self.strokes[j]
