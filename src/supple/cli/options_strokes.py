@@ -291,6 +291,11 @@ class StrokeOptions:
             else:
                 scale = next(scales) if option == "--grab" else 1
                 stroke, space = _stroke(option, text, radius=radius, poisson=ratio, reach=reach, scales=scale), None
+            if made and made[0].stroke.ndim != stroke.ndim:
+                first = f"{made[0].told} of {made[0].stroke.ndim}"
+                raise SuppleError(
+                    f"{option} {text} has points of {stroke.ndim} numbers, and {first}: give all strokes as many"
+                )
             made.append(_Given(f"{option} {text}", stroke, space))
         placed = next((one for one in made if one.space is not None), None)
         other = next((one for one in made if one.space is None), None)
@@ -394,9 +399,10 @@ def _border(text: str) -> Border:
     word = text.strip().lower()
     if word in ("auto", "none"):
         return "auto" if word == "auto" else None
-    widths = tuple(
-        parse_number("--border", part, "auto, none, a width, or one for each axis") for part in text.split(",")
-    )
+    wanted = "auto, none, a width, or one for each axis"
+    if not {"auto", "none"}.isdisjoint(part.strip().lower() for part in text.split(",")):
+        raise SuppleError(f"--border must be {wanted}, found {text!r}")
+    widths = tuple(parse_number("--border", part, wanted) for part in text.split(","))
     return widths[0] if len(widths) == 1 else widths
 
 

@@ -459,7 +459,7 @@ def _rows(space: Space, points: npt.ArrayLike) -> tuple[Floats, Floats]:
     except (TypeError, ValueError):
         refuse("points", f"numbers in an array of shape (..., {n})", points)
     if given.ndim == 0 or given.shape[-1] != n:
-        refuse("points", f"an array of shape (..., {n}), x first", f"shape {given.shape}")
+        refuse("points", f"an array of shape (..., {n}), x first", told=f"shape {given.shape}")
     if not np.isfinite(given).all():
         raise SuppleError("points must be finite, found NaN or infinity among them")
     rows = np.zeros((given.size // n, 3))
