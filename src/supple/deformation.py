@@ -78,8 +78,8 @@ class Arrival:
     also : tuple of Arrival
         Of a pull, those of its further points, in order.
     carried_by : int or None
-        The number, from 0, of the later stroke that carries the point more than half a sample away; None if none does,
-        or if one does so on purpose (`MissWarning`).
+        Of a grab or a pull, the number, from 0, of the later stroke that carries the point more than half a sample
+        away; None if none does, or if one does so on purpose (`MissWarning`).
     """
 
     target: tuple[float, ...]
