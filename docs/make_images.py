@@ -386,6 +386,8 @@ def inputs(folder: Path) -> None:
     for source, name in (("astronaut.jpg", "portrait.jpg"), ("bunny.mp4", "clip.mp4"), ("coffee.jpg", "photo.jpg")):
         shutil.copy(DATA / source, folder / name)
     bowed_wall().pngsave(folder / "wall.png")
+    (folder / "bow.csv").write_text("x,y\n102,100\n95,200\n93.5,300\n")
+    (folder / "line.csv").write_text("x,y\n110,100\n106,200\n102,300\n")
     head, brain = (sitk.ReadImage(str(DATA / f"{name}.nii.gz")) for name in ("head", "brain"))
     values, mask = sitk.GetArrayFromImage(head), sitk.GetArrayFromImage(brain)
     off = supple.Deformation(mask.shape, spacing=(2, 2, 2)).grab((17, 89, 40), by=(4, -5, 0), radius=30, scales=2)

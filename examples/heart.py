@@ -12,11 +12,13 @@ PHOTO = Path(supple.__file__).parent / "examples" / "data" / "coffee.jpg"
 
 
 def heart(shape: tuple[int, int]) -> supple.Deformation:
-    d = supple.Deformation(shape)
-    d = d.grab((290, 24), by=(0, 44), radius=34, scales=2)  # the rim's far side down, into a notch
-    d = d.grab((290, 206), by=(0, 42), radius=60, scales=2)  # the near side down, to a tip
-    d = d.grab((222, 48), by=(-16, -10), radius=45, scales=2)  # and two round shoulders
-    return d.grab((358, 48), by=(16, -10), radius=45, scales=2)
+    strokes = [
+        supple.Stroke.grab((290, 24), by=(0, 44), radius=34, scales=2),  # the rim's far side down, into a notch
+        supple.Stroke.grab((290, 206), by=(0, 42), radius=60, scales=2),  # the near side down, to a tip
+        supple.Stroke.grab((222, 48), by=(-16, -10), radius=45, scales=2),  # and two round shoulders
+        supple.Stroke.grab((358, 48), by=(16, -10), radius=45, scales=2),
+    ]
+    return supple.Deformation.from_recipe(supple.Recipe(strokes=strokes), shape)
 
 
 def main(folder: Path) -> None:

@@ -39,7 +39,7 @@ class TestPaths:
     def test_a_straight_path_is_a_straight_grab(self, count: int) -> None:
         line = np.linspace((60, 60), (150, 120), count)
         d = Deformation(SHAPE).grab(line[0], path=line[1:], radius=30)
-        assert len(legs(d.strokes[0])) == 1
+        assert len(legs(d.strokes[0], (1, 1))) == 1
         straight = Deformation(SHAPE).grab((60, 60), to=(150, 120), radius=30)
         np.testing.assert_array_equal(d.space.table, straight.space.table)
 
@@ -47,7 +47,7 @@ class TestPaths:
         line = np.random.default_rng(3).uniform((60, 60), (180, 140), (60, 2))
         stroke = Stroke.grab(line[0], path=line[1:], radius=40)
         length = np.linalg.norm(np.diff(line, axis=0), axis=1).sum()
-        assert 1 < len(legs(stroke)) <= 4 * length / 40
+        assert 1 < len(legs(stroke, (1, 1))) <= 4 * length / 40
 
     def test_a_closed_path_stirs_and_returns(self) -> None:
         angle = np.linspace(0, 2 * math.pi, 50)

@@ -20,14 +20,15 @@ from supple.engines.choice import DEVICES, engine_at
 from supple.engines.native import NATIVE, measured, plan_of
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, caller
 from supple.fields import Field, Placed, check_path, folds_of
-from supple.folding import resolve
+from supple.folding import NEAR, resolve
 from supple.freezing import Freeze
 from supple.geometry import Grid
-from supple.resolved import FREE_ENOUGH, Resolved, described, freedom_at, padded
+from supple.resolved import FREE_ENOUGH, Resolved, apart, described, freedom_at, padded
 from supple.strain import mask_of
-from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
+from supple.strokes import PAINTINGS, REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
 
 _HIT = 1e-6  # samples: a point of a pull that is as near as this has arrived
+_FREE, _TAKEN = -1, -2  # of a point that no later stroke carries away, or one on purpose
 
 Floats = npt.NDArray[np.float64]
 Source = npt.NDArray[Any] | Callable[[Floats], npt.ArrayLike]
@@ -76,6 +77,9 @@ class Arrival:
         and freeze"``; ``"outside"`` if the stroke starts outside a fixed border, where it moves nothing; or None.
     also : tuple of Arrival
         Of a pull, those of its further points, in order.
+    carried_by : int or None
+        Of a grab or a pull, the number, from 0, of the later stroke that carries the point more than half a sample
+        away; None if none does, or if one does so on purpose (`MissWarning`).
     """
 
     target: tuple[float, ...]
@@ -85,6 +89,7 @@ class Arrival:
     moved: float
     cause: str | None
     also: tuple[Arrival, ...] = ()
+    carried_by: int | None = None
 
     def on(self, grid: Grid, own: Grid) -> Arrival:
         """Return the arrival in samples of another grid; those of this one are of ``own``."""
@@ -92,7 +97,8 @@ class Arrival:
             tuple, grid.indices(own.positions([self.target, self.arrived, self.final])).tolist()
         )
         miss, moved = math.dist(arrived, target), math.dist(final, arrived)
-        return Arrival(target, arrived, final, miss, moved, self.cause, tuple(one.on(grid, own) for one in self.also))
+        also = tuple(one.on(grid, own) for one in self.also)
+        return Arrival(target, arrived, final, miss, moved, self.cause, also, self.carried_by)
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,6 +199,9 @@ class Deformation:
     _table: npt.NDArray[np.void] = field(repr=False)
     grid: Grid = field(repr=False)
     maps: tuple[Placed, ...] = field(repr=False)
+    # Of each point of each stroke, in physical units: where it arrived, where maps have it since then, where it is now.
+    _points: Floats = field(repr=False)
+    _carriers: npt.NDArray[np.int64] = field(repr=False)
 
     def __init__(
         self,
@@ -232,6 +241,8 @@ class Deformation:
             "_table": np.zeros(0, STROKE_DTYPE),
             "grid": grid,
             "maps": (),
+            "_points": np.zeros((0, 3, 3)),
+            "_carriers": np.zeros(0, np.int64),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -312,17 +323,15 @@ class Deformation:
                 outside = None if i in roaming else last_outside(made)
             except SuppleError as error:
                 raise type(error)(f"{which}{error}") from None
-            if outside and say is None:
-                warnings.warn(f"{which}{outside}", OutsideWarning, stacklevel=caller())
-            elif outside and say is not None:
-                say(f"{which}{outside}", OutsideWarning)
-            _warn(made._resolved[-1], which, say)
+            _warn(outside and f"{which}{outside}", OutsideWarning, say)
+            _warn(*_missed(made._resolved[-1], which), say)
             last = visible[k + 1][0] if k + 1 < len(visible) else len(recipe.strokes)
             for placed in maps:
                 if i < placed.after <= last:
                     same = whole is made
                     made = made._with(placed, warn)
                     whole = made if same else whole._with(placed, False)
+        _warn(made._carried(0, [i for i, _ in visible], len(recipe.strokes)), MissWarning, say)
         return made
 
     def without_strokes(self) -> Self:
@@ -451,8 +460,9 @@ class Deformation:
         scales : int
             1: a wide effect, fading as 1/r. 2 and 3: more local, as 1/r³ and 1/r⁵.
         reach : float or None
-            The reach in radii, from 1; the default of 4 looks as natural as no limit. Beyond it, samples keep every
-            bit. None: unlimited, as in the paper.
+            The reach in radii, from 1; the default of 4 looks as natural as no limit. Farther than that from the way of
+            the point, from its start (through the ``path``) to its target, samples keep every bit. None: unlimited, as
+            in the paper.
         strength : float
             The applied part of the drag, from 0 to 1.
 
@@ -470,7 +480,8 @@ class Deformation:
             If it was damped, under ``on_fold="damp"``.
         MissWarning
             If it ends more than half a pixel from its target: what is frozen holds it back, or the border, under
-            ``on_fold="damp"``.
+            ``on_fold="damp"``; or if it carries the point of an earlier stroke more than half a pixel away, and does
+            not begin within a tenth of its radius of that point.
         """
         if len(point("at", at)) != self.ndim:
             refuse("at", f"{self._coordinates}, as a point of {self._kind} has{colours_hint(self.shape)}", at)
@@ -794,12 +805,63 @@ class Deformation:
         count = self._table.size
         table = np.empty(count + resolved.substrokes, STROKE_DTYPE)
         table[:count], table[count:] = self._table, resolved.rows
-        made = self._changed(strokes=(*self.strokes, stroke), _resolved=(*self._resolved, resolved), _table=table)
+        made = self._changed(
+            strokes=(*self.strokes, stroke),
+            _resolved=(*self._resolved, resolved),
+            _table=table,
+            **self._after(stroke, resolved),
+        )
         if warn:
-            if outside := last_outside(made):
-                warnings.warn(outside, OutsideWarning, stacklevel=caller())
-            _warn(resolved)
+            _warn(last_outside(made), OutsideWarning)
+            _warn(*_missed(resolved))
+            _warn(made._carried(len(self.strokes), range(len(made.strokes)), len(made.strokes)), MissWarning)
         return made
+
+    def _after(self, stroke: Stroke, resolved: Resolved) -> dict[str, npt.NDArray[Any]]:
+        """Return the points of all strokes, and what carries them, after one more."""
+        own = padded([at for at, _ in stroke.handles], self.domain)
+        points = np.concatenate([self._points[:, 2], own])
+        if resolved.substrokes:
+            points, _ = _core.forward(numbers(resolved.rows), self._axes, points, False, mask_of(self.domain))
+        points[len(self._points)] = padded(resolved.arrived, self.domain)
+        known, carriers, now = self._points.copy(), self._carriers.copy(), points[: len(self._points)]
+        off = np.linalg.norm((now - known[:, 1])[:, : self.ndim] / self.domain.spacing, axis=1)
+        if len(fresh := np.flatnonzero((off > NEAR) & (carriers == _FREE))):
+            grip = max(0.1 * stroke.radius, NEAR * min(self.domain.spacing))
+            taken = np.linalg.norm(known[fresh, 2, None] - own, axis=2).min(axis=1) <= grip
+            if self.strokes[-1].is_image(stroke):
+                taken |= fresh >= len(known) - len(self.strokes[-1].handles)
+            carriers[fresh] = np.where(taken | (stroke.name in PAINTINGS), _TAKEN, len(self.strokes))
+        carriers[(off <= NEAR) & (carriers >= 0)] = _FREE
+        known[:, 2] = now
+        new = np.repeat(points[len(known) :, None], 3, axis=1)
+        aimed = stroke.brush == "grab" and stroke.name not in PAINTINGS
+        free = np.full(len(new), _FREE if aimed else _TAKEN)
+        return {"_points": np.concatenate([known, new]), "_carriers": np.concatenate([carriers, free])}
+
+    def _carried(self, first: int, shown: Sequence[int], count: int) -> str | None:
+        """Return the warning of points that strokes from one on carry away; None if there are none.
+
+        ``shown`` are the indices of the strokes by which people know them, and ``count`` is how many there are.
+        """
+        carried = np.flatnonzero(self._carriers >= first).tolist()
+        if not carried:
+            return None
+        worst: dict[int, tuple[float, int, str]] = {}
+        owners = np.repeat(np.arange(len(self.strokes)), [len(stroke.handles) for stroke in self.strokes])
+        for k in carried:
+            here, there = (self._points[k, 1:, : self.ndim] / self.domain.spacing).tolist()
+            found = math.dist(here, there), int(self._carriers[k]), apart(here, there, self.domain)
+            worst[owners[k]] = max(found, worst.get(owners[k], found))
+        (i, (_, j, far)), *more = sorted(worst.items(), key=lambda pair: -pair[1][0])
+        one, other = self.strokes[i], self.strokes[j]
+        both = ", or both at once, as a pull" if one.brush == other.brush == "grab" else ""
+        text = (
+            f"stroke {shown[j] + 1} of {count}, {described(other)}, carries {'a' if one.also else 'the'} point of "
+            f"stroke {shown[i] + 1}, {described(one)}, away by {far}: apply stroke {shown[i] + 1} later{both}"
+        )
+        some = [f"; stroke {shown[j] + 1} that of stroke {shown[i] + 1} by {far}" for i, (_, j, far) in more[:3]]
+        return "".join([text, *some, f"; and {len(more) - 3} more" if len(more) > 3 else ""])
 
     @property
     def _kind(self) -> str:
@@ -857,8 +919,10 @@ class Deformation:
             raise SuppleError(f"the {what} has {placed.map.ndim} axes, and the shape {self.shape} has {self.ndim}")
         if warn:
             warn_of(Certificate(0.0, 0.0), math.inf, 4, folds_of([placed]))
-        here = replace(placed, after=len(self.strokes), row=len(self._table))
-        return self._changed(maps=(*self.maps, here))
+        here, points = replace(placed, after=len(self.strokes), row=len(self._table)), self._points.copy()
+        if len(points):
+            points[:, 1:] = self._moved(placed, points[:, 1:].reshape(-1, 3)).reshape(-1, 2, 3)
+        return self._changed(maps=(*self.maps, here), _points=points)
 
     def _changed(self, **changes: Any) -> Self:
         made = object.__new__(type(self))
@@ -1094,56 +1158,23 @@ class Deformation:
     @property
     def arrivals(self) -> tuple[Arrival, ...]:
         """For each stroke, the target of its point, and its position."""
-        return self._arrivals(0)
+        return tuple(map(self.arrival, range(len(self.strokes))))
 
     def arrival(self, i: int) -> Arrival:
-        """Return one of `arrivals`: that of the last stroke is known at once, and that of the first takes longest."""
+        """Return one of `arrivals`."""
         count = len(self.strokes)
-        return self._arrivals(integer("a stroke's number", i, f"one of {count}, from 0", 0, count - 1))[0]
-
-    def _arrivals(self, first: int) -> tuple[Arrival, ...]:
-        """Return the arrivals from one stroke on."""
-        strokes, resolved = self.strokes[first:], self._resolved[first:]
-        arrived = [self._arrived(stroke, each) for stroke, each in zip(strokes, resolved, strict=True)]
-        ends = arrived
-        if len(strokes) > 1 or self.maps:
-            ends = self._ends(first, arrived)
-        found = []
-        for stroke, each, here, there in zip(strokes, resolved, arrived, ends, strict=True):
-            made = []
-            for (at, by), now, end in zip(stroke.handles, here, there, strict=True):
-                target = tuple(a + b for a, b in zip(at, by, strict=True))
-                miss = math.dist(now, target)
-                cause = each.cause if not stroke.also or miss > _HIT else None
-                made.append(Arrival(target, now, end, miss, math.dist(end, now), cause))
-            found.append(replace(made[0], also=tuple(made[1:])))
-        return tuple(found)
-
-    def _arrived(self, stroke: Stroke, resolved: Resolved) -> list[tuple[float, ...]]:
-        """Return where the points of a stroke are after it."""
-        if not stroke.also:
-            return [resolved.arrived]
-        points = padded([at for at, _ in stroke.also], self.domain)
-        if resolved.substrokes:
-            points, _ = _core.forward(numbers(resolved.rows), self._axes, points, False, mask_of(self.domain))
-        return [resolved.arrived, *map(tuple, (points[:, : self.ndim] / self.domain.spacing).tolist())]
-
-    def _ends(self, first: int, arrived: Sequence[Sequence[tuple[float, ...]]]) -> list[list[tuple[float, ...]]]:
-        """Return where the points of the strokes from one on, which have arrived, are after all strokes."""
-        resolved, steps, table = self._resolved[first:], np.array(self.domain.spacing), numbers(self._table)
-        stops = [0, *itertools.accumulate(map(len, arrived))]  # of the points of each stroke
-        final = padded(np.reshape([*itertools.chain(*arrived)], (-1, self.ndim)), self.domain)
-        row = len(table) - sum(each.substrokes for each in resolved[1:])
-        for i in range(1, len(resolved) + 1):
-            before = final[: stops[i]]
-            for placed in self.maps:
-                if placed.after == first + i:
-                    before[:] = self._moved(placed, before)
-            if i < len(resolved) and resolved[i].substrokes:
-                start, row = row, row + resolved[i].substrokes
-                before[:], _ = _core.forward(table[start:row], self._axes, before, False, mask_of(self.domain))
-        ends = [tuple(end) for end in (final[:, : self.ndim] / steps).tolist()]
-        return [ends[a:b] for a, b in itertools.pairwise(stops)]
+        stroke = self.strokes[integer("a stroke's number", i, f"one of {count}, from 0", 0, count - 1)]
+        start, each, found = sum(1 + len(one.also) for one in self.strokes[:i]), self._resolved[i], []
+        for k, (at, by) in enumerate(stroke.handles, start):
+            here, _, there = (tuple(p) for p in (self._points[k, :, : self.ndim] / self.domain.spacing).tolist())
+            target = tuple(a + b for a, b in zip(at, by, strict=True))
+            arrived = each.arrived if k == start else here
+            final = arrived if (self._points[k, 0] == self._points[k, 2]).all() else there
+            miss, carrier = math.dist(arrived, target), int(self._carriers[k])
+            cause = each.cause if not stroke.also or miss > _HIT else None
+            moved, carried_by = math.dist(final, arrived), None if carrier < 0 else carrier
+            found.append(Arrival(target, arrived, final, miss, moved, cause, carried_by=carried_by))
+        return replace(found[0], also=tuple(found[1:]))
 
     def _moved(self, placed: Placed, points: Floats) -> Floats:
         """Return points (N, 3) of the domain as one map alone moves them."""
@@ -1248,10 +1279,14 @@ def last_outside(made: Deformation) -> str | None:
     return text
 
 
-def _warn(resolved: Resolved, which: str = "", say: Callable[[str, type[Warning]], None] | None = None) -> None:
-    if resolved.warning:
-        category = FoldWarning if resolved.alpha < 1 else MissWarning
-        if say is None:
-            warnings.warn(f"{which}{resolved.warning}", category, stacklevel=caller())
-        else:
-            say(f"{which}{resolved.warning}", category)
+def _missed(resolved: Resolved, which: str = "") -> tuple[str | None, type[Warning]]:
+    """Return the warning of a stroke that misses its target, or None, and its category."""
+    text = resolved.warning and f"{which}{resolved.warning}"
+    return text, FoldWarning if resolved.alpha < 1 else MissWarning
+
+
+def _warn(text: str | None, category: type[Warning], say: Callable[[str, type[Warning]], None] | None = None) -> None:
+    if text and say is not None:
+        say(text, category)
+    elif text:
+        warnings.warn(text, category, stacklevel=caller())

@@ -23,7 +23,11 @@ class FoldError(SuppleError):
 
 
 class MissWarning(UserWarning):
-    """A stroke's point ends more than half a pixel from its target."""
+    """A stroke's point ends more than half a pixel from its target, or a later stroke carries it away from there.
+
+    The point of a twist, a scale or a pinch has no target. No warning is given of a later stroke that begins at the
+    point (within a tenth of its radius), that is the mirror image of the one before it, or that restores or smooths.
+    """
 
 
 class FoldWarning(MissWarning):

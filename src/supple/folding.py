@@ -126,7 +126,7 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     if stroke.path:
         if on_fold != "flow":
             raise SuppleError(f"{described(stroke)} follows a path, which takes on_fold='flow'")
-        made = [_resolve(leg, domain, on_fold) for leg in legs(stroke)]
+        made = [_resolve(leg, domain, on_fold) for leg in legs(stroke, domain.spacing)]
         rows = np.concatenate([leg.rows for leg in made])
         return Resolved(rows, made[-1].arrived, margin=min(leg.margin for leg in made), cause=made[0].cause)
     if on_fold == "flow":

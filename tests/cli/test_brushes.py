@@ -385,3 +385,17 @@ def test_a_convention_is_about_what_stands_before_it(run: Run) -> None:
     assert status == 0, err
     status, _, err = run("warp", "in.png", "out.png", "--grab", "20,10:21,11", *pull[2:], "--convention", "itk")
     assert "--convention is for the --field, --affine or --pull before it, and there is none" in one_line(err)
+
+
+def test_a_point_that_is_carried_away_is_one_sentence(run: Run) -> None:
+    strokes = ("--grab", "16,16:22,16", "--grab", "24,22:24,28", "--radius", "8")
+    status, out, err = run("warp", "in.png", "out.png", *strokes, "--json")
+    assert status == 0
+    assert "stroke 2 of 2, a drag by (0, 6) at (24, 22) with radius 8, carries the point of stroke 1" in one_line(err)
+    first, second = json.loads(out)["arrivals"]
+    assert f"away by {first['moved']:.3g} pixels" in err
+    assert (first["carried_by"], second["carried_by"]) == (1, None)
+    status, _, err = run("warp", "in.png", "strict.png", *strokes, "--strict")
+    assert status == 2
+    assert "carries the point of stroke 1" in one_line(err)
+    assert not Path("strict.png").exists()

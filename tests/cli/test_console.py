@@ -69,7 +69,7 @@ def test_json_holds_the_warnings_and_where_strokes_arrive(run: Run, medium: str)
     assert len(facts["warnings"]) == 1
     assert f"supple: warning: {facts['warnings'][0]}\n" == err
     [arrival] = facts["arrivals"]
-    assert set(arrival) == {"target", "arrived", "final", "miss", "moved", "cause", "also"}
+    assert set(arrival) == {"target", "arrived", "final", "miss", "moved", "cause", "also", "carried_by"}
     assert (arrival["cause"], arrival["also"]) == ("fold", [])
     assert arrival["miss"] == pytest.approx(np.linalg.norm(np.subtract(arrival["target"], arrival["arrived"])))
     assert f"{arrival['miss'] * (2 if medium == 'volume' else 1):.3g} " in facts["warnings"][0]  # of 2 mm

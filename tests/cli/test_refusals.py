@@ -213,3 +213,31 @@ def test_recipes_are_not_overwritten(run: Run) -> None:
     assert not Path("out.png").exists()
     assert run("warp", "in.png", "out.png", *GRAB, "--save-recipe", "r.json", "--force")[0] == 0
     assert supple.Recipe.from_json(Path("r.json").read_text()).strokes
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["warp"], "give the files: supple warp IN... OUT --grab"),
+        (["convert", "x.nii"], "give the files: supple convert IN OUT [--from NAME]"),
+        (["points", "a.csv", "b.csv"], "give --on FILE"),
+        (["warp", "in.png", "x.png", "--radius"], "--radius needs a value after it"),
+        (["plan", "in.png", "out.zarr"], "more names than this command takes: leave out 'out.zarr'"),
+        (
+            ["wrap", "in.png"],
+            'Unknown command "wrap". Did you mean "warp"? The commands are warp, plot, render, points,',
+        ),
+        (["frob"], "plan, info, view, invert, check, compose, convert, demo (supple --help"),
+        (["--versio"], 'Unknown option "--versio"'),
+        (["warp", "in.png", "x.png", *GRAB, "--border", "none,3"], "for each axis, found 'none,3'"),
+        (
+            ["warp", "in.png", "x.png", "--grab", "9,9:12,9", "--grab", "9,9,1:12,9,1", "--radius", "5"],
+            "--grab 9,9,1:12,9,1 has points of 3 numbers, and --grab 9,9:12,9 of 2: give all strokes as many",
+        ),
+    ],
+)
+def test_what_is_missing_or_too_much_is_said_in_plain_words(run: Run, arguments: list[str], told: str) -> None:
+    status, out, err = run(*arguments)
+    assert (status, out) == (2, "")
+    assert told in one_line(err)
+    assert not Path("x.png").exists()

@@ -87,7 +87,7 @@ def test_every_picture_has_its_views_and_its_certified_error(gallery: Path) -> N
     errors = [float(found) for found in re.findall(r"Error at most ([\d.]+) px", text)]
     assert len(errors) == len(STILLS) + len(TAKES) == len(SHOTS) - len(LOOKS)
     assert all(0 < error <= 0.01 for error in errors)
-    assert text.count("supple: warning: ") == 1
+    assert text.count("supple: warning: ") == 2  # a stroke that is damped, and one that carries another's point away
 
 
 def test_every_clip_plays_beside_what_became_of_it(gallery: Path) -> None:

@@ -42,9 +42,12 @@ def copy_inputs(folder: Path) -> None:
     image.write(folder / "mask.png", np.where(face, 255, 0).astype(np.uint8))
     (folder / "before.csv").write_text("label,x,y\nleft,186,148\nright,265,148\nnose,225,120\n")
     (folder / "after.csv").write_text("label,x,y\nnose,225,120\nleft,190,147\nright,261,147\n")
+    (folder / "bow.csv").write_text("x,y\n102,100\n95,200\n93.5,300\n")
+    (folder / "line.csv").write_text("x,y\n110,100\n106,200\n102,300\n")
     (folder / "nose.csv").write_text("frame,x,y\n10,330,160\n30,342,153\n")
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=lambda page: page.stem)
 def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -213,7 +213,7 @@ def test_what_is_not_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     from supple.viewer.window import launch, qt
 
     def none() -> Gpu:
-        raise supple.SuppleError("no GPU was found: install one; device cpu needs none")
+        raise supple.SuppleError("no GPU was found: install one; device='cpu' needs none")
 
     with monkeypatch.context() as patch:
         patch.setattr(launch, "open_gpu", none)

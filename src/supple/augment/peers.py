@@ -41,7 +41,8 @@ def filter_of(name: str, given: Any, known: Mapping[Any, str]) -> str:
 @lru_cache(maxsize=8)
 def deformation_of(recipe: str, shape: tuple[int, ...], spacing: tuple[float, ...]) -> Deformation:
     """Return the deformation of a recipe's JSON, which is what libraries keep of a draw."""
-    return Deformation.from_recipe(Recipe.from_json(recipe), shape, spacing=spacing)
+    made, quiet = Recipe.from_json(recipe), lambda text, kind: None  # what was drawn at random misses no target
+    return Deformation.from_recipe(made, shape, spacing=spacing, say=quiet)
 
 
 def bent_stack(d: Deformation, images: npt.NDArray[Any], filter: str, outside: str) -> npt.NDArray[Any]:

@@ -106,7 +106,8 @@ _COMMANDS = (
 )
 
 
-_LEFT_OUT = re.compile(r'Command "\w+" parameter (--out) requires an argument')
+_LEFT_OUT = re.compile(r'Command "(\w+)" parameter (.+) requires an argument')
+_UNUSED = re.compile(r"Unused Tokens: \[(.*)\]")
 _OF_FILES = ("--recipe", "--save-recipe", "--save-field", "--on", "--field", "--affine", "--reference")
 
 
@@ -164,7 +165,19 @@ def _advised(text: str) -> str:
     if '"cuda" for --device' in wrong:
         return "--device cuda is for warp, of pictures and volumes: here it is cpu, gpu or auto"
     if left_out := _LEFT_OUT.fullmatch(wrong):
-        return f"give {left_out[1]} FILE"
+        verb, what = left_out.groups()
+        usage = next(usage for _, usage, _ in _COMMANDS if usage.startswith(verb))
+        if not what.startswith("--"):
+            return f"give the files: supple {usage}"
+        return f"give {what} FILE" if what in (*_OF_FILES, "--out") else f"{what} needs a value after it"
+    if unused := _UNUSED.fullmatch(wrong):
+        return f"more names than this command takes: leave out {unused[1]}"
+    if wrong.startswith("Unknown command "):
+        kind = "option" if wrong.startswith('Unknown command "-') else "command"
+        meant = re.search(r'Did you mean "[\w-]+"\?', text)
+        known = ", ".join(usage.partition(" ")[0] for _, usage, _ in _COMMANDS)
+        name = wrong.split('"')[1]
+        return f'Unknown {kind} "{name}".{f" {meant[0]}" if meant else ""} The commands are {known}'
     if "option: --restore" in wrong or "option: --smooth" in wrong:
         return f"{wrong} Restoring and smoothing are for Python (Deformation.restore) and for the window (supple view)"
     if "option: --device" in wrong:

@@ -251,14 +251,15 @@ def told(*deformations: Deformation, own: Grid | None = None) -> dict[str, Any]:
     each = [deformation.resolution() for deformation in dict.fromkeys(deformations)]
     arrivals = zip(*(arrivals_on(own, deformations[0].grid, made["arrivals"]) for made in each), strict=True)
 
-    def miss(arrival: Arrival) -> float:
-        return max(point.miss for point in (arrival, *arrival.also))
+    def off(arrival: Arrival) -> tuple[float, float]:
+        points = arrival, *arrival.also
+        return max(point.miss for point in points), max(point.moved for point in points)
 
     return {
         "strokes": each[0]["strokes"],
         "applied": max(made["applied"] for made in each),
         "damping": tuple(map(min, zip(*(made["damping"] for made in each), strict=True))),
-        "arrivals": [asdict(max(some, key=miss)) for some in arrivals],
+        "arrivals": [asdict(max(some, key=off)) for some in arrivals],
         "margin": min(made["margin"] for made in each),
     }
 

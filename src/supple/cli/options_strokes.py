@@ -104,8 +104,8 @@ class StrokeOptions:
     scales
         How fast the movement of a grab fades with distance r: 1 as 1/r (default), 2 as 1/r³, 3 as 1/r⁵.
     reach
-        Distance from the stroke, in radii, beyond which nothing moves and values stay as they are: at least 1
-        (default 4), or none for no limit.
+        Distance from the line between a stroke's start and its target, in radii, beyond which nothing moves and
+        values stay as they are: at least 1 (default 4), or none for no limit.
     recipe
         Read strokes from a recipe (JSON). They are applied before those of the command line, which are in pixels of
         the size that the recipe names, if it names one.
@@ -291,6 +291,11 @@ class StrokeOptions:
             else:
                 scale = next(scales) if option == "--grab" else 1
                 stroke, space = _stroke(option, text, radius=radius, poisson=ratio, reach=reach, scales=scale), None
+            if made and made[0].stroke.ndim != stroke.ndim:
+                first = f"{made[0].told} of {made[0].stroke.ndim}"
+                raise SuppleError(
+                    f"{option} {text} has points of {stroke.ndim} numbers, and {first}: give all strokes as many"
+                )
             made.append(_Given(f"{option} {text}", stroke, space))
         placed = next((one for one in made if one.space is not None), None)
         other = next((one for one in made if one.space is None), None)
@@ -394,9 +399,10 @@ def _border(text: str) -> Border:
     word = text.strip().lower()
     if word in ("auto", "none"):
         return "auto" if word == "auto" else None
-    widths = tuple(
-        parse_number("--border", part, "auto, none, a width, or one for each axis") for part in text.split(",")
-    )
+    wanted = "auto, none, a width, or one for each axis"
+    if not {"auto", "none"}.isdisjoint(part.strip().lower() for part in text.split(",")):
+        raise SuppleError(f"--border must be {wanted}, found {text!r}")
+    widths = tuple(parse_number("--border", part, wanted) for part in text.split(","))
     return widths[0] if len(widths) == 1 else widths
 
 

@@ -329,28 +329,27 @@ class Native:
             moved, certificate = forward_of(space, points)
             warn_of(certificate, 1.0, 4)
             return moved
-        given, shape = _rows(space, points)
+        rows, given = _rows(space, points)
         if space.composite is not None:
-            return _slopes_through(space, given, shape)
-        _, found = _core.forward(numbers(space.table), space.axes, given, True, space.freeze)
+            return _slopes_through(space, rows, given.shape)
+        _, found = _core.forward(numbers(space.table), space.axes, rows, True, space.freeze)
         n, steps = space.ndim, space.axes[: space.ndim, 3]
         full = found[:, :n, :n] * (steps[None, :] / steps[:, None])
-        return np.ascontiguousarray(full.reshape(*shape[:-1], n, n))
+        return np.ascontiguousarray(full.reshape(*given.shape[:-1], n, n))
 
     def inverse(
         self, space: Space, points: npt.ArrayLike
     ) -> tuple[Floats, Floats, npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
         """See `Engine.inverse`; the residual is in pixels, by the least spacing."""
-        targets, shape = _rows(space, points)
+        targets, given = _rows(space, points)
+        shape = given.shape
         finest = float(space.axes[: space.ndim, 3].min())
         if space.composite is not None:
-            return _back(space, targets, shape, finest)
+            return _back(space, targets, given, finest)
         found, residual, steps = _core.inverse(
             numbers(space.table), space.axes, targets, space.ndim, 1e-9 * finest, space.freeze
         )
-        solved = _points(space, found, shape)
-        if space.is_identity:
-            solved = np.array(np.broadcast_to(np.asarray(points, np.float64), shape))
+        solved = _points(space, found, targets, given)
         # A bound on the residual in pixels, which for one spacing along all axes is the residual.
         off = residual.reshape(shape[:-1]) / finest
         scale = np.abs(targets).max(axis=1, initial=0.0).reshape(shape[:-1]) / finest
@@ -375,13 +374,13 @@ NATIVE = Native()
 
 def forward_of(space: Space, points: npt.ArrayLike) -> tuple[Floats, Certificate]:
     """Return T of points, as `Engine.forward` does, and its certificate: without fields, T is explicit."""
-    given, shape = _rows(space, points)
+    rows, given = _rows(space, points)
     if space.composite is None:
-        found, _ = _core.forward(numbers(space.table), space.axes, given, False, space.freeze)
-        return _points(space, found, shape), Certificate(0.0, 0.0)
-    status = np.zeros(len(given), np.uint8)
-    found, _, _ = space.composite.through(given, False, False, status)
-    return _points(space, found, shape), certificate_of_status(status)
+        found, _ = _core.forward(numbers(space.table), space.axes, rows, False, space.freeze)
+        return _points(space, found, rows, given), Certificate(0.0, 0.0)
+    status = np.zeros(len(rows), np.uint8)
+    found, _, _ = space.composite.through(rows, False, False, status)
+    return _points(space, found, rows, given), certificate_of_status(status)
 
 
 def _slopes_through(space: Space, given: Floats, shape: tuple[int, ...]) -> Floats:
@@ -397,17 +396,18 @@ def _slopes_through(space: Space, given: Floats, shape: tuple[int, ...]) -> Floa
 
 
 def _back(
-    space: Space, targets: Floats, shape: tuple[int, ...], finest: float
+    space: Space, targets: Floats, given: Floats, finest: float
 ) -> tuple[Floats, Floats, npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
     """Return T⁻¹ of points for a composite map, as `Native.inverse` does."""
     assert space.composite is not None
     status, again = np.zeros(len(targets), np.uint8), np.zeros(len(targets), np.uint8)
     found, _, steps = space.composite.through(targets, True, False, status)
     seen, _, _ = space.composite.through(found, False, False, again)
+    shape = given.shape
     off = np.linalg.norm((seen - targets)[:, : space.ndim], axis=1).reshape(shape[:-1]) / finest
     scale = np.abs(targets).max(axis=1, initial=0.0).reshape(shape[:-1]) / finest
     near = (off <= np.maximum(CONVERGED, 1e-14 * scale)) & (status.reshape(shape[:-1]) & 4 == 0)
-    return _points(space, found, shape), off, steps.astype(np.int64).reshape(shape[:-1]), near
+    return _points(space, found, targets, given), off, steps.astype(np.int64).reshape(shape[:-1]), near
 
 
 class _Window:
@@ -452,24 +452,27 @@ def _stacked(
         yield some.stop, _certificate(space, error, steps, (unknown, folded, outside))
 
 
-def _rows(space: Space, points: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]:
-    """Return points in the core's form, (N, 3) in physical units, and their original shape."""
+def _rows(space: Space, points: npt.ArrayLike) -> tuple[Floats, Floats]:
+    """Return points in the core's form, (N, 3) in physical units, and as given."""
     n = space.ndim
     try:
         given = np.asarray(points, np.float64)
     except (TypeError, ValueError):
         refuse("points", f"numbers in an array of shape (..., {n})", points)
     if given.ndim == 0 or given.shape[-1] != n:
-        refuse("points", f"an array of shape (..., {n}), x first", f"shape {given.shape}")
+        refuse("points", f"an array of shape (..., {n}), x first", told=f"shape {given.shape}")
     if not np.isfinite(given).all():
         raise SuppleError("points must be finite, found NaN or infinity among them")
     rows = np.zeros((given.size // n, 3))
     rows[:, :n] = given.reshape(-1, n) * space.axes[:n, 3]
-    return rows, given.shape
+    return rows, given
 
 
-def _points(space: Space, rows: Floats, shape: tuple[int, ...]) -> Floats:
-    return np.ascontiguousarray((rows[:, : space.ndim] / space.axes[: space.ndim, 3]).reshape(shape))
+def _points(space: Space, found: Floats, rows: Floats, given: Floats) -> Floats:
+    """Return the images of points in samples; a coordinate that did not change keeps every bit."""
+    n, flat = space.ndim, given.reshape(-1, space.ndim)
+    made = np.where(found[:, :n] == rows[:, :n], flat, found[:, :n] / space.axes[:n, 3])
+    return made.reshape(given.shape)
 
 
 def _same_bytes(out: Array, source: Array) -> bool:

@@ -125,7 +125,7 @@ def move_points(
         solved = deformation.inverse(start)
         end, seen = solved.points, start
     else:
-        end = seen = start if deformation.is_identity else deformation.forward(start)  # avoids rounding
+        end = seen = deformation.forward(start)
         solved = deformation.inverse(seen)
     made = read.points.copy()
     # added to the original, so that unchanged points keep every bit

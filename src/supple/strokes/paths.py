@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -11,18 +12,20 @@ import numpy.typing as npt
 from supple.strokes.stroke import Stroke
 
 
-def legs(stroke: Stroke) -> tuple[Stroke, ...]:
+def legs(stroke: Stroke, spacing: Sequence[float]) -> tuple[Stroke, ...]:
     """Return the straight grabs, one after the other, that make up a grab along a path.
 
     Points within a twentieth of the radius of the straight line between others are left out; of crooked paths,
-    more, so that a path has at most four legs for each radius of its length.
+    more, so that a path has at most four legs for each radius of its length. ``spacing`` is in physical units per
+    sample, as the radius is.
     """
     end = tuple(a + b for a, b in zip(stroke.at, stroke.by, strict=True))
     points = np.array([stroke.at, *stroke.path, end])
-    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    places = points * spacing
+    length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
     tolerance, kept = 0.05 * stroke.radius, [0, len(points) - 1]
     while True:
-        kept = [0, *_corners(points, 0, len(points) - 1, tolerance), len(points) - 1]
+        kept = [0, *_corners(places, 0, len(points) - 1, tolerance), len(points) - 1]
         if len(kept) - 1 <= 4 * max(1.0, length / stroke.radius):
             break
         tolerance *= 2

@@ -23,6 +23,8 @@ REACH = 4.0  # as natural as an unlimited reach, and local
 LARGEST_ANGLE = 3600.0  # degrees
 LARGEST_FACTOR = 100.0
 MOST_HANDLES = 1000
+PAINTINGS = frozenset(("restore", "smooth"))
+"""The names of strokes that were painted, many at a time."""
 PART = "a number from 0 to 1"
 
 
@@ -44,7 +46,8 @@ class Stroke:
     scales : int
         1 reaches farthest (fading as 1/r), 2 fades as 1/r³, 3 as 1/r⁵.
     reach : float or None
-        The reach in radii, from 1: beyond, the displacement is exactly 0. None: unlimited, as in the paper.
+        The reach in radii, from 1: farther than that from the way of its points, from start to target, the displacement
+        is exactly 0. None: unlimited, as in the paper.
     brush : str
         ``"grab"`` moves the pivot by the drag. The others are affine at the pivot, and fade with the distance:
         ``"twist"`` turns it by the angle; ``"scale"`` magnifies it by the factor (in a clip, in x and y alone);
@@ -322,6 +325,20 @@ class Stroke:
             self.mapped(placed, turned),
             angle=None if self.angle is None else -self.angle,
             axis=self.axis if axis == self.direction else axis,
+        )
+
+    def is_image(self, other: Stroke) -> bool:
+        """Return whether another stroke is the mirror image of this one, about what lies midway between them."""
+        across = np.subtract(other.at, self.at)
+        if (other.brush, other.radius) != (self.brush, self.radius) or not across.any():
+            return False
+        image = self.mirrored(np.add(self.at, other.at) / 2, across)
+        near = 1e-6 * self.radius
+        places, others = ([each.by, *each.path] for each in (image, other))
+        return (
+            len(places) == len(others)
+            and np.allclose(places, others, rtol=0, atol=near)
+            and (image == replace(other, at=image.at, by=image.by, path=image.path, axis=image.axis))
         )
 
     def symmetric(self, at: Point, normal: Point) -> tuple[Self, ...]:

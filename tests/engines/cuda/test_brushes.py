@@ -33,6 +33,14 @@ def test_strokes_that_act_at_once(shape: tuple[int, ...]) -> None:
     _agrees(replace(d.space, table=table), steps, d)
 
 
+def test_points_beyond_the_reach_keep_every_bit() -> None:
+    d = supple.Deformation((40, 60), border=None, spacing=(0.7, 1.9)).grab((10, 20), by=(9, 0), radius=3, reach=2)
+    places = np.random.default_rng(1).uniform((30, 0), (60, 40), (50, 2))
+    given = sent(places)
+    np.testing.assert_array_equal(on_host(points.forward(d.space, given, matrices=False)), places)
+    np.testing.assert_array_equal(on_host(points.inverse(d.space, given)[0]), places)
+
+
 def _agrees(space: Space, steps: list[reference.Step], d: supple.Deformation) -> None:
     places = np.random.default_rng(0).uniform(-0.1, 1.1, (12, d.ndim)) * d.shape[::-1]
     given = sent(places)

@@ -433,7 +433,7 @@ def test_shaders_have_the_numbers_of_the_host() -> None:
 
 def test_without_an_adapter_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(devices, "adapters", lambda: ())
-    with pytest.raises(SuppleError, match=r"no GPU was found: .* is needed.*; device cpu needs none"):
+    with pytest.raises(SuppleError, match=r"no GPU was found: .* is needed.*; device='cpu' needs none"):
         gpu_of("gpu")
     assert gpu_of("auto") is None
     assert gpu_of("cpu") is None

@@ -249,12 +249,12 @@ def _ready(number: int) -> CudaDevice:
         known, count = int(call("cuDriverGetVersion")), int(call("cuDeviceGetCount"))
     except CudaError as error:
         if "NO_DEVICE" not in str(error):
-            raise SuppleError(f"NVIDIA's driver does not work ({_short(error)}); device cpu needs none") from None
+            raise SuppleError(f"NVIDIA's driver does not work ({_short(error)}); device='cpu' needs none") from None
         count = 0
     except Exception:  # the bindings raise errors of their own where there is no library
-        raise SuppleError("CUDA needs NVIDIA's driver, which is not installed; device cpu needs none") from None
+        raise SuppleError("CUDA needs NVIDIA's driver, which is not installed; device='cpu' needs none") from None
     if not count:
-        raise SuppleError("no NVIDIA GPU was found: the driver sees none; device cpu needs none")
+        raise SuppleError("no NVIDIA GPU was found: the driver sees none; device='cpu' needs none")
     needed = toolkit()
     if known < 1000 * needed:
         older = ', or pip install "supple[cuda12]"' if known >= 12000 else ""

@@ -182,7 +182,7 @@ def open_gpu(software: bool = True) -> Gpu:
                 name, kind == "CPU", backend, device, {}, threading.RLock(), [], binding, max(binding, TEXTURE)
             )
             return _opened[k]
-    raise SuppleError(f"no GPU was found: {reason}{missing()}; device cpu needs none")
+    raise SuppleError(f"no GPU was found: {reason}{missing()}; device='cpu' needs none")
 
 
 def forget(gpu: Gpu) -> None:

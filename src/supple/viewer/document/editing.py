@@ -12,8 +12,8 @@ from supple.errors import SuppleError
 from supple.files.volumes import indexed, placed
 from supple.freezing import Freeze
 from supple.geometry import Geometry
-from supple.strokes import FoldPolicy, Recipe, Stroke, spoken
-from supple.viewer.document.state import PAINTINGS, Handle, History, Item, Kind, Solved, State, Track, handles_of
+from supple.strokes import PAINTINGS, FoldPolicy, Recipe, Stroke, spoken
+from supple.viewer.document.state import Handle, History, Item, Kind, Solved, State, Track, handles_of
 
 _HIDDEN = attrgetter("hidden")
 
@@ -89,7 +89,13 @@ class Document:
     def misses(self, i: int) -> bool:
         """Return whether a stroke's point ends elsewhere than at its target; False if the stroke is hidden."""
         known = self._nth(i)
-        return known is not None and self._now.tracks[known].wanted is not None
+        return known is not None and (self._now.tracks[known].wanted is not None or self.carrier(i) is not None)
+
+    def carrier(self, i: int) -> int | None:
+        """Return the index of the later stroke that carries the point of a stroke away; None if none does."""
+        arrival = self.arrival(i)
+        found = [] if arrival is None else [each.carried_by for each in (arrival, *arrival.also)]
+        return next((self._now.visible[k][0] for k in found if k is not None), None)
 
     def warning(self, i: int) -> str | None:
         """Return a sentence on a stroke that misses its target."""

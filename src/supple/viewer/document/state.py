@@ -15,8 +15,6 @@ Point = tuple[float, ...]
 Handle = tuple[Point, Point]
 """A point of a stroke, and where it ends."""
 S = TypeVar("S")
-PAINTINGS = frozenset(("restore", "smooth"))
-"""The names of strokes that were painted, many at a time."""
 _EMPTY = Recipe()
 
 

@@ -9,8 +9,8 @@ from functools import lru_cache
 from supple.deformation import Arrival
 from supple.folding import NEAR
 from supple.freezing import Freeze
-from supple.strokes import FoldPolicy, Recipe, Stroke
-from supple.viewer.document.state import PAINTINGS, Item, State
+from supple.strokes import PAINTINGS, FoldPolicy, Recipe, Stroke
+from supple.viewer.document.state import Item, State
 
 CAUSES = {"fold": "all of it would fold", "border": "the fixed border holds it back", "outside": "it starts outside"}
 CAUSES["freeze"] = "what is frozen holds it back"

@@ -12,7 +12,7 @@ from imgui_bundle import imgui
 from supple.geometry import SIDES
 from supple.render.box import whole_box
 from supple.render.marks import rounded
-from supple.viewer.document.state import PAINTINGS
+from supple.strokes import PAINTINGS
 from supple.viewer.panels import cube, theme
 from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.panels.view import COMPUTING, View

@@ -10,8 +10,8 @@ from typing import Any, get_args
 from imgui_bundle import imgui
 
 from supple.folding import NEAR
-from supple.strokes import POISSON, REACH, FoldPolicy
-from supple.viewer.document.state import PAINTINGS, Item
+from supple.strokes import PAINTINGS, POISSON, REACH, FoldPolicy
+from supple.viewer.document.state import Item
 from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, listed, others
 from supple.viewer.panels import legend, theme
 from supple.viewer.panels.actions import ACTIONS
@@ -26,7 +26,10 @@ _POISSON = (
     "How much the material keeps its volume while it is pulled: at 0.5 it keeps all of it, as rubber does; at lower "
     "values it may be squeezed"
 )
-_REACH = "Beyond it, nothing moves at all: the outer ring. Without a limit, the pull fades, but never ends"
+_REACH = (
+    "Farther than this from the drag, nothing moves at all: the outer ring. Without a limit, the pull fades, but never "
+    "ends"
+)
 
 
 def brush(view: View) -> None:
@@ -229,7 +232,10 @@ def _arrival(view: View, i: int) -> None:
         if document.state.on_fold != "flow" and imgui.button("Go all the way, in small steps", (REST, 0)):
             view.attempt(lambda: document.set_on_fold("flow"))
         hint("No step folds; for all strokes")
-    if arrival is not None and arrival.moved > NEAR:
+    if arrival is not None and (carrier := document.carrier(i)) is not None:
+        far = max(each.moved for each in (arrival, *arrival.also) if each.carried_by is not None)
+        wrapped(f"Stroke {carrier + 1} carries it away: it ends {far:.3g} {unit} from there.", colour=theme.WARNING)
+    elif arrival is not None and arrival.moved > NEAR:
         wrapped(f"Later strokes move it by {arrival.moved:.3g} {unit}.")
 
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from supple.freezing import Freeze
-from supple.strokes import LARGEST_ANGLE, LARGEST_FACTOR, Stroke
-from supple.viewer.document.state import PAINTINGS
+from supple.strokes import LARGEST_ANGLE, LARGEST_FACTOR, PAINTINGS, Stroke
 from supple.viewer.tools.keys import Tool
 
 Pair = tuple[float, float]

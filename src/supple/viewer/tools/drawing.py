@@ -9,9 +9,8 @@ from dataclasses import replace
 
 from supple.domain import Domain
 from supple.errors import SuppleError
-from supple.strokes import REACH, Stroke
+from supple.strokes import PAINTINGS, REACH, Stroke
 from supple.viewer.document.editing import Document
-from supple.viewer.document.state import PAINTINGS
 from supple.viewer.tools.drags import IMMATERIAL, LIGHTEST, MASKS, SHAPES, Handle, Held, Pair, Part, nearest
 from supple.viewer.tools.keys import Tool
 

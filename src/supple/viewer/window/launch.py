@@ -205,7 +205,7 @@ def _gpu() -> Gpu:
     try:
         return open_gpu()
     except SuppleError as error:
-        raise SuppleError(str(error).removesuffix("; device cpu needs none")) from None
+        raise SuppleError(str(error).removesuffix("; device='cpu' needs none")) from None
 
 
 @contextlib.contextmanager

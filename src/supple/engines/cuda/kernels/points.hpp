@@ -25,10 +25,11 @@ INLINE void move_point(const Some& job) {
     const Map& map = *job.map;
     const double finest = map.finest(D);
     Jet<D, D, false, double> jet{};
-    double q[D], size = 0;
+    double from[D], q[D], size = 0;
     for (int d = 0; d < D; d++) {
         const int64_t at = i * D + d;
-        q[d] = (job.wide ? ((const double*)job.from)[at] : (double)((const float*)job.from)[at]) * map.axes[d].spacing;
+        from[d] = job.wide ? ((const double*)job.from)[at] : (double)((const float*)job.from)[at];
+        q[d] = from[d] * map.axes[d].spacing;
         size = most(size, magnitude(q[d]));
         jet.x[d] = q[d];
         jet.t[d][d] = 1;
@@ -55,7 +56,7 @@ INLINE void move_point(const Some& job) {
     if (!passed.upright) atomicAdd(&job.told->folded, 1);
     if (!passed.within) atomicAdd(&job.told->outside, 1);
     for (int d = 0; d < D; d++) {
-        job.to[i * D + d] = jet.x[d] / map.axes[d].spacing;
+        job.to[i * D + d] = jet.x[d] == q[d] ? from[d] : jet.x[d] / map.axes[d].spacing;  // what is unmoved keeps its bits
         for (int e = 0; job.matrices && e < D; e++)
             job.matrices[(i * D + d) * D + e] = jet.t[e][d] * map.axes[e].spacing / map.axes[d].spacing;
     }
