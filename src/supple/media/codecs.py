@@ -26,6 +26,9 @@ class Container:
     counted: bool = False  # whether it has one rate instead of times, and no colour tags
     mp4: bool = False  # whether it holds the pixel aspect ratio itself, and adds up the durations of packets
     attachments: bool = False  # whether it holds files, and a cover as one of these
+    timecode: bool = True  # whether it holds the timecode of the first frame
+    loops: bool = False  # whether it holds how often it plays
+    refused: frozenset[str] = frozenset()  # codecs that FFmpeg lists for it, and then refuses
     streams: frozenset[str] | None = None  # the supported codecs: others would be written, but hardly play
     options: Options = field(default_factory=dict)  # for every encoder
 
@@ -33,13 +36,14 @@ class Container:
 _WEBM = frozenset(("vp8", "vp9", "av1", "opus", "vorbis", "webvtt"))
 CONTAINERS = (
     Container("mp4", (".mp4", ".m4v"), "h264", "ffv1", longest=2**31 - 1, mp4=True),
-    Container("mov", (".mov",), "h264", "ffv1", longest=2**31 - 1, mp4=True),
-    Container("matroska", (".mkv",), "h264", "ffv1", "ffv1", attachments=True),
+    Container("mov", (".mov",), "h264", "h264", longest=2**31 - 1, mp4=True, refused=frozenset(("vp8", "vp9", "av1"))),
+    Container("matroska", (".mkv",), "h264", "ffv1", "ffv1", attachments=True, refused=frozenset(("rv10", "rv20"))),
     Container("webm", (".webm",), "vp9", streams=_WEBM),
     Container(
         "avi", (".avi",), "mpeg4", "ffv1", "ffv1", chapters=False, rotation=False, counted=True, options={"bf": "0"}
     ),
-    Container("gif", (".gif",), "gif", longest=65535, tick=Fraction(1, 100), chapters=False, rotation=False),
+    Container("gif", (".gif",), "gif", longest=65535, tick=Fraction(1, 100), chapters=False, rotation=False,
+              timecode=False, loops=True),
 )
 _ALL = frozenset(container.name for container in CONTAINERS)
 SUFFIXES_OUT = tuple(container.suffixes[0] for container in CONTAINERS)
@@ -129,7 +133,7 @@ _ROWS = (
             graded=("mastering-display", "content-light"), timed=True),
     Encoder("prores_ks", "prores", profiles=_PRORES),
     Encoder("dnxhd", "dnxhd", profiles={"DNXHR LB": "dnxhr_lb", "DNXHR SQ": "dnxhr_sq"}),
-    Encoder("ffv1", "ffv1", options={"slicecrc": "1", "g": "1", "strict": "experimental"}),
+    Encoder("ffv1", "ffv1", options={"slicecrc": "1", "g": "1", "strict": "experimental"}, exact={}),
     Encoder("flv", "flv1", options=_FINE),
     Encoder("msmpeg4", "msmpeg4v3", options=_FINE),
     *(Encoder(name, name, options=_FINE)

@@ -66,27 +66,40 @@ def _pixel_formats(encoder: str) -> list[str]:
     return [video.name for video in (found.video_formats or [])] if found else []
 
 
-def _named(target: PathLike, container: Container, codec: str | None, source: str, lossless: bool) -> str:
+def _usable(container: Container) -> dict[str, str]:
+    """Return the codecs of the table that a container holds, with their encoders here."""
+    held = _held(container)
+    return {name: row.encoder for name, row in CODECS.items() if row.encoder in held and _found(row.encoder)}
+
+
+def _held(container: Container) -> set[str]:
+    """Return the encoders whose output a container holds."""
+    with av.open(os.devnull, "w", format=container.name) as trial:
+        listed = trial.supported_codecs
+    return {name for name in listed if (found := _found(name)) and found.canonical_name not in container.refused}
+
+
+def _named(
+    target: PathLike, container: Container, codec: str | None, source: str, lossless: bool, exact: bool
+) -> str:
     """Return an encoder: the user's, or the source's, or the container's default.
 
-    `lossless` is true if the source's codec is lossless. SuppleError for an unknown encoder, or if the container does
-    not support its codec.
+    `lossless` is true if the source's codec is lossless, `exact` if the output is to be. SuppleError for an unknown
+    encoder, or if the container does not support its codec.
     """
-    with av.open(os.devnull, "w", format=container.name) as trial:
-        supported = trial.supported_codecs
-    usable = {name: row.encoder for name, row in CODECS.items() if row.encoder in supported and _found(row.encoder)}
+    held, usable = _held(container), _usable(container)
     if codec is not None:
-        advice, asked = f"use {', '.join(usable)}", ALIASES.get(codec.lower(), codec.lower())
+        advice, asked = f"use {_exact_in(container) if exact else ', '.join(usable)}", ALIASES.get(codec.lower(), codec.lower())
         encoder = _found(codec_of(asked).encoder or asked)
         if encoder is None:
             raise unwritable(target, f"no video encoder is called {shown(codec)}", advice)
-        if encoder.name not in supported:
+        if encoder.name not in held:
             raise unwritable(target, f"{Path(target).suffix} cannot hold {encoder.canonical_name}", advice)
         return encoder.name
     if source in usable:
         return usable[source]
     own = _found(source)
-    if own is not None and source in supported and source != "rawvideo" and not own.experimental:
+    if own is not None and source in held and source != "rawvideo" and not own.experimental:
         return own.name
     return usable.get(container.keeping if lossless else "") or CODECS[container.usual].encoder
 
@@ -103,7 +116,7 @@ def _options(
     """Return the settings of an encoder; SuppleError if it has no such factor or preset, or is not lossless."""
     name, chosen = encoder.name, {**encoder.options, **container.options}
     if lossless:
-        chosen |= _exact(target, encoder, crf)
+        chosen |= _exact(target, encoder, container, crf)
     elif encoder.crf:
         low, high, usual = encoder.crf
         quality = usual if crf is None else crf
@@ -111,13 +124,13 @@ def _options(
             raise unwritable(target, f"crf {crf:g} is none of {name}'s", f"choose from {low} (best) to {high}")
         chosen["crf"] = f"{quality:g}"
     elif crf is not None:
-        raise unwritable(target, f"{name} has no crf", f"leave it out, or use {_have('crf')}")
+        raise unwritable(target, f"{name} has no crf", _without(container, "crf"))
     if encoder.presets:
         chosen["preset"] = encoder.preset if preset is None else str(preset)
         if chosen["preset"] not in encoder.presets:
             raise unwritable(target, f"{name} has no preset {shown(str(preset))}", f"use {', '.join(encoder.presets)}")
     elif preset is not None:
-        raise unwritable(target, f"{name} has no presets", f"leave it out, or use {_have('presets')}")
+        raise unwritable(target, f"{name} has no presets", _without(container, "presets"))
     if name == "libsvtav1" and int(chosen["preset"]) >= HASTY and float(chosen.get("crf", 0)) < FINE_CRF:
         when = "if lossless" if lossless else f"below crf {FINE_CRF}"
         or_else = "" if lossless else f", or crf {FINE_CRF} or more"
@@ -128,7 +141,7 @@ def _options(
     return chosen
 
 
-def _exact(target: PathLike, encoder: Encoder, crf: float | None) -> dict[str, str]:
+def _exact(target: PathLike, encoder: Encoder, container: Container, crf: float | None) -> dict[str, str]:
     """Return the options that make an encoder lossless."""
     if crf is not None:
         raise unwritable(target, f"crf {crf:g} is for what may lose something", "leave out either it or lossless")
@@ -136,7 +149,7 @@ def _exact(target: PathLike, encoder: Encoder, crf: float | None) -> dict[str, s
         return dict(encoder.exact)
     found = _found(encoder.name)
     if found is None or encoder.name == "gif" or found.lossy or not found.lossless:
-        advice = "use ffv1, h264, hevc, vp9 or av1, or leave out lossless"
+        advice = f"use {_exact_in(container)}, or leave out lossless"
         raise unwritable(target, f"{encoder.codec} always loses something", advice)
     return {}
 
@@ -145,9 +158,21 @@ def _joined(*parts: str | None) -> str:
     return ":".join(part for part in parts if part)
 
 
-def _have(what: str) -> str:
-    known = (each for each in ENCODERS.values() if getattr(each, what) and _found(each.name))
-    return f"a codec that has: {', '.join(dict.fromkeys(each.codec for each in known))}"
+def _having(container: Container, what: str) -> list[str]:
+    """Return the codecs that a container holds, and whose encoder has a property."""
+    found = {name: getattr(ENCODERS.get(encoder), what, None) for name, encoder in _usable(container).items()}
+    return [name for name, value in found.items() if value not in (None, ())]
+
+
+def _exact_in(container: Container) -> str:
+    """Return the codecs for lossless output; of another container, if this one holds none."""
+    return ", ".join(_having(container, "exact")) or "ffv1 in .mkv"
+
+
+def _without(container: Container, what: str) -> str:
+    """Return what would do where an encoder does not have an option."""
+    others = _having(container, what)
+    return "leave it out" + (f", or use a codec that has: {', '.join(others)}" if others else "")
 
 
 def _read_as(name: str, container: Container, height: int) -> Colour:
@@ -179,10 +204,10 @@ class WritePlan:
         self.video, self.target, self.workers, self.lossless = video, target, workers, lossless
         self.container = container_of(target)
         wanted = (self.container.exact or None) if lossless and codec is None else codec
-        name = _named(target, self.container, wanted, video.codec, video.lossless)
+        name = _named(target, self.container, wanted, video.codec, video.lossless, lossless)
         self._use(name, crf, preset)
         self.base = self._base()
-        self._asked = pixel_format
+        self._asked, self._why = pixel_format, f"{Path(target).suffix} cannot hold {video.codec}"
         if name == "gif":
             if pixel_format not in (None, "pal8"):
                 raise unwritable(target, f"gif does not take the pixel format {pixel_format!r}", "use pal8")
@@ -197,8 +222,9 @@ class WritePlan:
                     raise
                 self._use(other, None, None)
                 self.match = self._matched(None)
-                self.warn(f"is written as {self.encoder.codec}: {video.codec} cannot be written as the source has it")
+                self._why = f"{video.codec} cannot be written as the source has it"
         self._require_exact()
+        self._say_codec(codec)
         if video.stills and video.form.kind.real and not self.match.form.kind.real:
             what = f"{self.encoder.codec} cannot hold the floating point of {video.name}"
             first = "" if video.form.kind.alpha else "use codec ffv1 in .mkv, or "
@@ -208,6 +234,14 @@ class WritePlan:
         site = sited(video.colour, video.codec, video.form.kind)
         if self.match.same and kind.step != (1, 1) and site != self.colour.site:  # default sitings of codecs differ
             self.match = replace(self.match, colour=replace(self.match.colour, site=site))
+
+    def _say_codec(self, asked: str | None) -> None:
+        """Warn of a codec that is neither the source's nor the user's; GIF and WebM have few, and say so by their name."""
+        used, source = self.encoder.codec, self.video.codec
+        expected = used in (source, "gif", "ffv1") or source in ("", "gif")
+        if not (asked or self.lossless or expected or (self.container.streams and not self.video.lossless)):
+            held = _found(source) or codec_of(source).encoder
+            self.warn(f"is written as {used}: {self._why if held else f'nothing here encodes {source}'}")
 
     def _use(self, name: str, crf: float | None, preset: str | None) -> None:
         """Choose an encoder."""
@@ -238,7 +272,8 @@ class WritePlan:
             if self._starts():
                 raise
             what = f"{encoder.name} cannot be started here: it needs a device or a driver that is missing"
-            raise unwritable(self.target, what, "use another codec, such as h264 or ffv1") from None
+            advice = f"use another codec, such as {self.container.usual}"
+            raise unwritable(self.target, what, advice) from None
         strange = made.colour.full(made.form) or made.colour.coefficients(video.height) not in (told.matrix, 5)
         if not lossy and made.form.kind.family == "yuv" and told != Colour() and strange:
             self.warn("cannot say what its colours mean, and may look different")
@@ -251,7 +286,9 @@ class WritePlan:
             advice = f": --pixel-format {found} keeps more" if found and not self._asked else ""
             self.warn(f"loses {lost}{advice}" if ", which" not in lost else f"is not in {lost}")
         if video.grading != Grading() and not self.encoder.graded:
-            self.warn(f"loses the light levels of HDR, which {self.encoder.codec} cannot hold: hevc, h264 and av1 can")
+            others = _having(self.container, "graded")
+            advice = f": --codec {' or '.join(others)} keeps them" if others else ""
+            self.warn(f"loses the light levels of HDR, which {self.encoder.codec} cannot hold{advice}")
         sound = video.source is not None and any(stream.type == "audio" for stream in video.source.streams)
         if sound and self.container.counted and self.encoder.codec in ("h264", "hevc"):
             # measured: its first frame is taken for a delayed one, with any encoder
@@ -309,6 +346,8 @@ class WritePlan:
             settings["chroma_sample_location"] = chosen.colour.site
         if self.encoder.name == "libx265" and video.count < _DELAYED:
             settings["x265-params"] += ":bframes=0"
+        if self.encoder.name == "libvpx" and chosen.form.kind.alpha:
+            settings["auto-alt-ref"] = "0"  # which opacity excludes
         if self.encoder.name == "dnxhd":
             settings["profile"] = self._dnxhr(chosen.form.kind)
         if self.encoder.name == "prores_ks" and video.codec == "prores" and chosen.same:
