@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import mmap
 import os
 import re
 import stat
@@ -106,6 +107,21 @@ def _ends(path: str) -> bool:
         file.seek(0, os.SEEK_END)
         file.seek(max(0, file.tell() - 512))
         return file.read().rstrip(b"\0").endswith(b";")
+
+
+# Kept: FFmpeg obeys it or not, but does not tell it (test_how_often_it_plays_comes_through).
+def plays_of(container: av.container.InputContainer) -> int | None:
+    """Return how often an animation plays, 0 for ever; None for a film."""
+    kind = container.format.name
+    if kind not in ("gif", "apng"):
+        return None
+    with open(container.name, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        if kind == "apng":
+            found = re.search(rb"acTL....(....)", data, re.DOTALL)
+            return int.from_bytes(found[1], "big") if found else None
+        found = re.search(rb"\x21\xff\x0b(?:NETSCAPE2\.0|ANIMEXTS1\.0)\x03\x01(..)", data, re.DOTALL)
+        again = int.from_bytes(found[1], "little") if found else None
+        return 1 if again is None else again and again + 1
 
 
 def _attend(container: av.container.InputContainer, streams: Sequence[av.stream.Stream]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import re
 import warnings
 from dataclasses import replace
 from fractions import Fraction
@@ -39,6 +40,7 @@ from supple.media.video.source import VideoSource
 _FINEST = 1_000_000  # the finest ticks a second that encoders handle well
 _TICKS = 50_000_000  # a second, the most in MP4
 _DELAYED = 3  # frames: with fewer, x265 reports wrong decoding times, if it may reorder them
+_TIMECODE = re.compile(r"\d+:\d\d:\d\d([:;.])(\d+)")
 _SLICED = 16  # pixels along each side that FFV1 needs for slices
 _PACES = 8  # ticks for each frame in AVI, so that frames keep their times
 os.environ.setdefault("SVT_LOG", "0")  # otherwise it prints to the terminal
@@ -248,6 +250,7 @@ class WritePlan:
         found = av.Codec(name, "w")
         self.encoder = ENCODERS.get(name) or Encoder(name, found.canonical_name)
         self.options = _options(self.target, self.encoder, self.container, crf, preset, self.workers, self.lossless)
+        self.fields = self.video.fields if self.encoder.fields else ""  # that are coded as fields
         self._lossy = (found.lossy or not found.lossless) and not self.lossless
 
     def _matched(self, asked: str | None) -> Match:
@@ -269,6 +272,9 @@ class WritePlan:
         try:
             made = match(self.target, encoder.name, names, wish, asked, self._opens)
         except SuppleError:
+            if self.fields:  # of which encoders take some sizes only
+                self.fields = ""
+                return self._matched(asked)
             if self._starts():
                 raise
             what = f"{encoder.name} cannot be started here: it needs a device or a driver that is missing"
@@ -295,11 +301,37 @@ class WritePlan:
             self.warn("is out of step by a frame in players that rest on FFmpeg: use codec mpeg4, or .mkv")
         for what in video.unheld:
             self.warn(f"cannot hold {what}")
+        self.timecode = video.timecode if self._says_time() else ""
+        if video.timecode and not self.timecode:
+            self.warn(f"cannot hold the timecode {video.timecode}: it is left out")
+        if video.plays not in (None, 1) and not self.container.loops:
+            often = f"{video.plays} times" if video.plays else "over and over"
+            self.warn(f"cannot say that it plays {often}: most players play it once")
+        if video.fields and not self.fields and not self.container.fields:
+            self.warn(f"cannot say that frames are interlaced, {video.fields} field first")
         square = video.aspect in (None, Fraction(1))
         if not square and not self.container.mp4 and not codec_of(self.encoder.codec).aspect:
             self.warn(f"cannot say that pixels are {video.aspect} as wide as high: they are left as they are stored")
         if video.matrix and not self.container.rotation:
             self.warn("cannot say which way up it is shown: it is left as it is stored")
+
+    def _says_time(self) -> bool:
+        """Return whether the file can hold the timecode: a count of frames, at a whole rate."""
+        rate, found = round(self.video.rate), _TIMECODE.fullmatch(self.video.timecode)
+        if not found or not self.container.mp4:
+            return self.container.timecode
+        return int(found[2]) < rate and (found[1] == ":" or rate % 30 == 0)
+
+    def muxing(self) -> dict[str, str]:
+        """Return the options of the container."""
+        video = self.video
+        if self.container.loops:  # GIF counts repetitions
+            return {"loop": str(video.plays - 1 if video.plays else 0) if video.plays != 1 else "-1"}
+        if not self.container.mp4:
+            return {}
+        tags = video.source.metadata if video.source else {}
+        own = any(key.startswith("com.") for key in tags)  # not in the list of MP4's own
+        return {"movie_timescale": str(timescale(video))} | ({"movflags": "use_metadata_tags"} if own else {})
 
     def _base(self) -> Fraction:
         """Return the unit of the file's time stamps."""
@@ -335,9 +367,11 @@ class WritePlan:
         colour = chosen.colour
         context.color_range, context.colorspace = colour.range, colour.matrix
         context.color_primaries, context.color_trc = colour.primaries, colour.transfer
-        if video.field_order > 1:
-            context.field_order = video.field_order
         context.options = dict(self.options)
+        if video.fields:
+            context.field_order = video.field_order
+        if self.fields:
+            context.options["flags"] = "+ildct+ilme"
         self._extras(context, chosen)
 
     def _extras(self, context: av.VideoCodecContext, chosen: Match) -> None:
@@ -353,8 +387,6 @@ class WritePlan:
         if self.encoder.name == "prores_ks" and video.codec == "prores" and chosen.same:
             settings["profile"] = self.encoder.profiles.get(video.profile, "auto")
         key, words = self.encoder.params, video.grading.words(self.encoder.graded) if self.encoder.graded else []
-        if key == "x264-params" and video.field_order in (2, 4, 3, 5):
-            words.append("tff=1" if video.field_order in (2, 4) else "bff=1")
         if words:
             settings[key] = _joined(settings.get(key), *words)
         if self.encoder.codec == "hevc" and self.container.mp4:
