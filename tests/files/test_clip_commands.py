@@ -329,7 +329,7 @@ def test_info_of_videos_and_sequences(run: Run) -> None:
     for words in ("h264", "64 x 48", "12, 25 a second, 0.480 s", "yuv420p, 8 bit", "aac (fin)", "range limited"):
         assert words in out, words
     assert "primaries BT.2020, transfer PQ, matrix BT.2020" in out
-    assert "90° counterclockwise, applied when it is played" in out
+    assert "turned by 90° counterclockwise when it is played" in out
     assert "pixels are 4/3 as wide as high" in out
     assert out.count("6, from in/001.png to in/006.png") == 2
     status, out, err = run("info", "a.mp4", "in", "b.gif", "--json")

@@ -15,7 +15,7 @@ from supple.domain import integer, number
 from supple.engines.base import Certificate, warn_of
 from supple.engines.choice import check_device, engine_for
 from supple.errors import SuppleError, shown
-from supple.files.clip_work import deformations_of, sampling_of, warn_of_rotation, work_on
+from supple.files.clip_work import deformations_of, sampling_of, warn_of_frames, work_on
 from supple.media import codecs
 from supple.media.base import Clip, CountError
 from supple.media.codecs import SUFFIXES
@@ -229,7 +229,7 @@ def warp_clip(
             with open_clip(source, rate=known.rate, count=count) as clip:
                 deformations = deformations_of(recipe, clip, known.time_scale, fit, tell)
                 if count is None:
-                    warn_of_rotation(clip, deformations)
+                    warn_of_frames(clip, deformations)
                 sampling = sampling_of(
                     clip,
                     filter=filter,

@@ -23,7 +23,7 @@ class Container:
     tick: Fraction = Fraction(0)  # seconds; 0 for any
     chapters: bool = True  # whether it holds chapters
     rotation: bool = True  # whether it holds the rotation for display
-    fields: bool = True  # whether it holds the order of fields itself
+    fields: bool = True  # whether it holds the order of fields, of any codec
     counted: bool = False  # whether it has one rate instead of times, and no colour tags
     mp4: bool = False  # whether it holds the pixel aspect ratio itself, and adds up the durations of packets
     attachments: bool = False  # whether it holds files, and a cover as one of these
@@ -40,7 +40,7 @@ CONTAINERS = (
     Container("mp4", (".mp4", ".m4v"), "h264", "ffv1", longest=2**31 - 1, mp4=True),
     Container("mov", (".mov",), "h264", "h264", longest=2**31 - 1, mp4=True, refused=frozenset(("vp8", "vp9", "av1"))),
     Container("matroska", (".mkv",), "h264", "ffv1", "ffv1", attachments=True, refused=frozenset(("rv10", "rv20"))),
-    Container("webm", (".webm",), "vp9", streams=_WEBM),
+    Container("webm", (".webm",), "vp9", fields=False, streams=_WEBM),
     Container("avi", (".avi",), "mpeg4", "ffv1", "ffv1", chapters=False, rotation=False, fields=False, counted=True,
               options={"bf": "0"}),
     Container("gif", (".gif",), "gif", longest=65535, tick=Fraction(1, 100), chapters=False, rotation=False,
@@ -135,7 +135,7 @@ _ROWS = (
             exact={"svtav1-params": "lossless=1"}, params="svtav1-params", threads="lp={}",
             graded=("mastering-display", "content-light"), timed=True),
     Encoder("prores_ks", "prores", profiles=_PRORES, fields=True),
-    Encoder("dnxhd", "dnxhd", profiles={"DNXHR LB": "dnxhr_lb", "DNXHR SQ": "dnxhr_sq"}),
+    Encoder("dnxhd", "dnxhd", profiles={"DNXHR LB": "dnxhr_lb", "DNXHR SQ": "dnxhr_sq"}, fields=True),
     Encoder("ffv1", "ffv1", options={"slicecrc": "1", "g": "1", "strict": "experimental"}, exact={}, fields=True),
     Encoder("flv", "flv1", options=_FINE),
     Encoder("msmpeg4", "msmpeg4v3", options=_FINE),

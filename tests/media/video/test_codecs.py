@@ -244,6 +244,7 @@ def test_codecs_in_advice_are_lossless_where_that_is_asked(tmp_path, suffix, cod
         assert_same_frames(source, tmp_path / f"b.{suffix}")
 
 
+@pytest.mark.filterwarnings("ignore:.* plays over and over")
 def test_one_frame(tmp_path):
     for suffix in ("mp4", "mkv", "avi", "gif", "webm", "mov"):
         source = clips.make(tmp_path / "a.mkv", "libx264", count=1)

@@ -271,8 +271,10 @@ class WritePlan:
             self.options.update({"level": "1", "slices": "1"})  # too small to be cut into slices
         try:
             made = match(self.target, encoder.name, names, wish, asked, self._opens)
+            if self.fields and ", which" in made.lost:
+                raise unwritable(self.target, made.lost, "leave out fields")
         except SuppleError:
-            if self.fields:  # of which encoders take some sizes only
+            if self.fields:  # which encoders take in some sizes only
                 self.fields = ""
                 return self._matched(asked)
             if self._starts():
@@ -306,8 +308,8 @@ class WritePlan:
             self.warn(f"cannot hold the timecode {video.timecode}: it is left out")
         if video.plays not in (None, 1) and not self.container.loops:
             often = f"{video.plays} times" if video.plays else "over and over"
-            self.warn(f"cannot say that it plays {often}: most players play it once")
-        if video.fields and not self.fields and not self.container.fields:
+            self.warn(f"cannot say that it plays {often}: players show it once")
+        if video.fields and not self.fields and (self.encoder.fields or not self.container.fields):
             self.warn(f"cannot say that frames are interlaced, {video.fields} field first")
         square = video.aspect in (None, Fraction(1))
         if not square and not self.container.mp4 and not codec_of(self.encoder.codec).aspect:
@@ -384,6 +386,8 @@ class WritePlan:
             settings["auto-alt-ref"] = "0"  # which opacity excludes
         if self.encoder.name == "dnxhd":
             settings["profile"] = self._dnxhr(chosen.form.kind)
+            if self.fields:  # which DNxHR does not know, and DNxHD in one size
+                settings.update({"profile": "dnxhd", "b": "185M" if video.rate <= 25 else "220M"})
         if self.encoder.name == "prores_ks" and video.codec == "prores" and chosen.same:
             settings["profile"] = self.encoder.profiles.get(video.profile, "auto")
         key, words = self.encoder.params, video.grading.words(self.encoder.graded) if self.encoder.graded else []

@@ -86,26 +86,26 @@ def picture(path: str, index: int) -> bytes:
 
 
 def holds(container: Container, template: av.stream.Stream) -> bool:
-    """Return whether a container can hold a stream, by writing its header into memory."""
+    """Return whether a container can hold a stream, by writing its header, and a packet of data, into memory."""
     if container.streams is not None and name_of(template) not in container.streams:
         return False
     if template.type == "attachment" and not container.attachments:
         return False  # some would drop it silently
     if template.disposition & av.stream.Disposition.attached_pic and not container.mp4:
         return False
-    trial = None
-    with io.BytesIO() as memory:
-        try:
-            trial = av.open(memory, "w", format=container.name, metadata_errors="surrogateescape")
-            copied(trial, template)
+    with io.BytesIO() as memory, contextlib.suppress(av.FFmpegError, ValueError):
+        with av.open(memory, "w", format=container.name, metadata_errors="surrogateescape") as trial:
+            made = copied(trial, template)
             trial.start_encoding()
-        except (av.FFmpegError, ValueError):
-            return False
-        finally:
-            if trial is not None:
-                with contextlib.suppress(av.FFmpegError, ValueError):
-                    trial.close()
-    return True
+            if template.type != "data":
+                return True
+            packet = av.Packet(bytes(16))
+            packet.stream, packet.time_base, packet.pts, packet.dts = made, Fraction(1, 1000), 0, 0
+            trial.mux_one(packet)
+        memory.seek(0)  # MP4's muxer writes data that it does not know without saying what it is
+        with av.open(memory) as again:
+            return kind_of(template.container, template) in (kind_of(again, found) for found in again.streams)
+    return False
 
 
 class Passage:
