@@ -167,8 +167,8 @@ def survey(container: av.container.InputContainer, film: av.VideoStream) -> Surv
     damaged |= container.format.name == "gif" and not _ends(container.name)
     base = film.time_base or Fraction(1)
     span = Fraction(last - first) * base if first is not None and last is not None else Fraction(0)
-    if total and sums_up(container):
-        span = total * base
+    if sums_up(container):  # of VP9, packets do not say how long they last
+        span = (total or film.duration or 0) * base or span
     told = _told(film)
     end = span if last is None else max(span, last * base)  # its duration may count from zero
     reached = last if is_counted(container) and last is not None else packets
