@@ -267,3 +267,22 @@ def test_encoders_are_silent(tmp_path):
     command = [sys.executable, "-c", SILENT, str(source), str(tmp_path / "b.mkv"), str(ROOT)]
     done = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=100, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_depth_is_said_to_be_lost_if_a_frame_has_it(tmp_path, lost):
+    with av.open(str(tmp_path / "a.mkv"), "w") as out:
+        film = out.add_stream("ffv1", rate=25)
+        film.width, film.height, film.pix_fmt = 64, 48, "yuv422p12le"
+        for k in range(3):
+            frame = av.VideoFrame(64, 48, "yuv422p12le")
+            for plane in frame.planes:
+                values = 4 * np.arange(plane.buffer_size // 2) % 4000 + (lost and k == 1)
+                plane.update(values.astype("<u2").tobytes())
+            frame.pts = k
+            out.mux(film.encode(frame))
+        out.mux(film.encode(None))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        copy(tmp_path / "a.mkv", tmp_path / "b.mkv", codec="h264")
+    assert ["loses depth (12 to 10 bits)" in str(each.message) for each in caught] == [True] * lost

@@ -179,6 +179,11 @@ class Sink:
         if chosen.opacity and (arrays[0][..., -1] < video.layout.white).any():
             self._plan.warn("loses opacity")
             self._plan.match = chosen = Match(chosen.form, chosen.colour, chosen.same, chosen.lost, False)
+        if self._plan.depth:
+            cut = (1 << video.form.kind.bits - chosen.form.kind.bits) - 1
+            if any((each & cut).any() for each in arrays):
+                self._plan.warn(self._plan.depth)
+                self._plan.depth = ""
         if not chosen.same:
             return self._fielded(recast(arrays, video.form, colour, chosen.form, self._plan.colour, shape))
         frame = pack(arrays, chosen.form, video.width, video.height)

@@ -288,11 +288,15 @@ class WritePlan:
         return made
 
     def _warn_of_losses(self) -> None:
-        video, lost = self.video, self.match.lost
+        video, lost, self.depth = self.video, self.match.lost, ""  # said when a frame is seen to have such bits
         if lost and not (video.stills and self._asked):
             found = finer(video.form, self.match, self._formats(), self._opens)
             advice = f": --pixel-format {found} keeps more" if found and not self._asked else ""
-            self.warn(f"loses {lost}{advice}" if ", which" not in lost else f"is not in {lost}")
+            text = f"loses {lost}{advice}" if ", which" not in lost else f"is not in {lost}"
+            if lost.startswith("depth") and not video.stills and not video.form.kind.real:
+                self.depth = text
+            else:
+                self.warn(text)
         if video.grading != Grading() and not self.encoder.graded:
             others = _having(self.container, "graded")
             advice = f": --codec {' or '.join(others)} keeps them" if others else ""
