@@ -120,7 +120,9 @@ class Encoder:
 _SPEEDS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo")
 _FINE = {"qmin": "2", "qmax": "3", "b": "400000000", "maxrate": "0"}  # near the best quality, without a crf
 _VPX = {"deadline": "good", "cpu-used": "2"}
-_X264 = Encoder("libx264rgb", "h264", (0, 51, 18), presets=_SPEEDS, preset="medium", exact={"qp": "0"}, timed=True, fields=True)
+_X264 = Encoder(
+    "libx264rgb", "h264", (0, 51, 18), presets=_SPEEDS, preset="medium", exact={"qp": "0"}, timed=True, fields=True
+)
 _PRORES = {"Proxy": "proxy", "LT": "lt", "Standard": "standard", "HQ": "hq", "4444": "4444", "XQ": "4444xq"}
 # fmt: off
 _ROWS = (

@@ -85,7 +85,9 @@ def renamed(source, target, kind):
         (b"abcd", "data 'abcd'"),
     ],
 )
-@pytest.mark.parametrize("chapters", [None, [{"id": 1, "start": 0, "end": 200, "time_base": Fraction(1, 1000), "metadata": {}}]])
+@pytest.mark.parametrize(
+    "chapters", [None, [{"id": 1, "start": 0, "end": 200, "time_base": Fraction(1, 1000), "metadata": {}}]]
+)
 def test_data_is_named(tmp_path, kind, told, chapters):
     made = clips.make(tmp_path / "t.mp4", tags={"timecode": "01:00:00:00"}, chapters=chapters)
     source = renamed(made, tmp_path / "a.mp4", kind)
@@ -217,9 +219,7 @@ def test_pictures_of_a_clip_are_upright(tmp_path, kind):
 
 def through(frame, name, arguments=None):
     graph = Graph()
-    source = graph.add_buffer(
-        width=frame.width, height=frame.height, format=frame.format, time_base=Fraction(1, 25)
-    )
+    source = graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=Fraction(1, 25))
     step, sink = graph.add(name, arguments), graph.add("buffersink")
     source.link_to(step)
     step.link_to(sink)
@@ -232,7 +232,9 @@ def through(frame, name, arguments=None):
 def interlaced(path, codec, pixel_format, order, size=(64, 48), encoding=None, coded=True):
     """Write frames of two fields, one brighter than the other, as a codec or the container says."""
     with av.open(str(path), "w") as out:
-        film = out.add_stream(codec, rate=25, options={**({"flags": "+ildct+ilme"} if coded else {}), **(encoding or {})})
+        film = out.add_stream(
+            codec, rate=25, options={**({"flags": "+ildct+ilme"} if coded else {}), **(encoding or {})}
+        )
         film.width, film.height, film.pix_fmt = *size, pixel_format
         if not coded:
             film.codec_context.field_order = {"top": 2, "bottom": 3}[order]
@@ -280,9 +282,7 @@ def test_field_order_comes_through(tmp_path, source, codec, pixel_format, target
     encoding = {"b": "120M"} if codec == "dnxhd" else {}
     if codec == "dvvideo":
         order = "bottom"  # always
-    made = interlaced(
-        tmp_path / f"a.{source}", codec, pixel_format, order, size, encoding, coded=codec != "v210"
-    )
+    made = interlaced(tmp_path / f"a.{source}", codec, pixel_format, order, size, encoding, coded=codec != "v210")
     said, first = fields_of(made)
     assert first == order
     assert (info(made)["interlaced"], info(made)["fields"]) == (True, order)
@@ -292,7 +292,9 @@ def test_field_order_comes_through(tmp_path, source, codec, pixel_format, target
     assert after[0] in (said, {"top": 2, "bottom": 3}[order])
 
 
-@pytest.mark.parametrize(("codec", "target", "kept"), [("libx265", "mov", True), ("libvpx-vp9", "mkv", True), ("libvpx-vp9", "webm", False)])
+@pytest.mark.parametrize(
+    ("codec", "target", "kept"), [("libx265", "mov", True), ("libvpx-vp9", "mkv", True), ("libvpx-vp9", "webm", False)]
+)
 def test_field_order_that_only_the_container_says_is_kept_or_its_loss_said(tmp_path, codec, target, kept):
     source = interlaced(tmp_path / "a.mkv", codec, "yuv420p", "bottom", coded=False)
     assert (fields_of(source), info(source)["fields"]) == ((3, ""), "bottom")

@@ -81,9 +81,7 @@ def _held(container: Container) -> set[str]:
     return {name for name in listed if (found := _found(name)) and found.canonical_name not in container.refused}
 
 
-def _named(
-    target: PathLike, container: Container, codec: str | None, source: str, lossless: bool, exact: bool
-) -> str:
+def _named(target: PathLike, container: Container, codec: str | None, source: str, lossless: bool, exact: bool) -> str:
     """Return an encoder: the user's, or the source's, or the container's default.
 
     `lossless` is true if the source's codec is lossless, `exact` if the output is to be. SuppleError for an unknown
@@ -91,7 +89,10 @@ def _named(
     """
     held, usable = _held(container), _usable(container)
     if codec is not None:
-        advice, asked = f"use {_exact_in(container) if exact else ', '.join(usable)}", ALIASES.get(codec.lower(), codec.lower())
+        advice, asked = (
+            f"use {_exact_in(container) if exact else ', '.join(usable)}",
+            ALIASES.get(codec.lower(), codec.lower()),
+        )
         encoder = _found(codec_of(asked).encoder or asked)
         if encoder is None:
             raise unwritable(target, f"no video encoder is called {shown(codec)}", advice)
@@ -238,7 +239,7 @@ class WritePlan:
             self.match = replace(self.match, colour=replace(self.match.colour, site=site))
 
     def _say_codec(self, asked: str | None) -> None:
-        """Warn of a codec that is neither the source's nor the user's; GIF and WebM have few, and say so by their name."""
+        """Warn of a codec that is neither the source's nor the user's; the names of GIF and WebM say which few they hold."""
         used, source = self.encoder.codec, self.video.codec
         expected = used in (source, "gif", "ffv1") or source in ("", "gif")
         if not (asked or self.lossless or expected or (self.container.streams and not self.video.lossless)):

@@ -20,7 +20,9 @@ from supple.media.video.colour import described
 
 _HELD = 64 << 20  # bytes of packets that wait for the film before they are written first
 # tags of the file, not of its contents
-_OWN = frozenset(("encoder", "duration", "timecode", "major_brand", "minor_version", "compatible_brands", "rotate", "alpha_mode"))
+_OWN = frozenset(
+    ("encoder", "duration", "timecode", "major_brand", "minor_version", "compatible_brands", "rotate", "alpha_mode")
+)
 # data streams by the four characters of their kind
 _DATA = {
     "gpmd": "GoPro telemetry (GPMF)",
