@@ -102,7 +102,7 @@ def _named(target: PathLike, container: Container, codec: str | None, source: st
     if source in usable:
         return usable[source]
     own = _found(source)
-    if own is not None and source in held and source != "rawvideo" and not own.experimental:
+    if own is not None and own.name in held and source != "rawvideo" and not own.experimental:
         return own.name
     return usable.get(container.keeping if lossless else "") or CODECS[container.usual].encoder
 
@@ -210,7 +210,7 @@ class WritePlan:
         name = _named(target, self.container, wanted, video.codec, video.lossless, lossless)
         self._use(name, crf, preset)
         self.base = self._base()
-        self._asked, self._why = pixel_format, f"{Path(target).suffix} cannot hold {video.codec}"
+        self._asked, self._why = pixel_format, ""
         if name == "gif":
             if pixel_format not in (None, "pal8"):
                 raise unwritable(target, f"gif does not take the pixel format {pixel_format!r}", "use pal8")
@@ -239,12 +239,14 @@ class WritePlan:
             self.match = replace(self.match, colour=replace(self.match.colour, site=site))
 
     def _say_codec(self, asked: str | None) -> None:
-        """Warn of a codec that is neither the source's nor the user's; the names of GIF and WebM say which few they hold."""
+        """Warn of a codec that is neither the source's nor the user's; GIF and WebM hold few, as their names say."""
         used, source = self.encoder.codec, self.video.codec
         expected = used in (source, "gif", "ffv1") or source in ("", "gif")
-        if not (asked or self.lossless or expected or (self.container.streams and not self.video.lossless)):
-            held = _found(source) or codec_of(source).encoder
-            self.warn(f"is written as {used}: {self._why if held else f'nothing here encodes {source}'}")
+        if asked or self.lossless or expected or (self.container.streams and not self.video.lossless):
+            return
+        own = _found(codec_of(source).encoder or source)
+        only = f"{source} is only read" if own is None or own.name in _held(self.container) else ""
+        self.warn(f"is written as {used}: {self._why or only or f'{Path(self.target).suffix} cannot hold {source}'}")
 
     def _use(self, name: str, crf: float | None, preset: str | None) -> None:
         """Choose an encoder."""

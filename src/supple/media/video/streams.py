@@ -66,7 +66,7 @@ def name_of(stream: av.stream.Stream) -> str:
     return str(name or "unknown")
 
 
-def kind_of(container: av.container.InputContainer, stream: av.stream.Stream) -> str:
+def kind_of(container: av.container.Container, stream: av.stream.Stream) -> str:
     """Return the four characters that name the kind of a stream in its file; empty if there are none."""
     found = re.search(r"\(([\w ]{4}) / 0x", described(container, stream.index))
     return found[1] if found else ""
@@ -106,7 +106,7 @@ def holds(container: Container, template: av.stream.Stream) -> bool:
             trial.mux_one(packet)
         memory.seek(0)  # MP4's muxer writes data that it does not know without saying what it is
         with av.open(memory) as again:
-            return kind_of(template.container, template) in (kind_of(again, found) for found in again.streams)
+            return kind_of(template.container, template) in [kind_of(again, found) for found in again.streams]
     return False
 
 
