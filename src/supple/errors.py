@@ -39,7 +39,7 @@ class DeviceWarning(UserWarning):
 
 
 class OutsideWarning(UserWarning):
-    """A stroke starts outside the image, the clip or the volume."""
+    """A stroke starts outside the image, the clip or the volume, or moves nothing of it."""
 
 
 class ScaleWarning(UserWarning):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -11,7 +12,7 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.domain import Domain, border_factor
-from supple.errors import shown
+from supple.errors import OutsideWarning, caller, shown
 from supple.strain import mask_of
 from supple.strokes import Stroke, numbers
 
@@ -74,6 +75,15 @@ def described(stroke: Stroke) -> str:
         return f"a drag by {spelled(stroke.by)} {where}"
     amount = f"{stroke.angle:g}°" if stroke.angle is not None else f"{stroke.factor:g}"
     return f"a {stroke.brush} by {amount} {where}"
+
+
+def warn_of_still(strokes: Sequence[Stroke]) -> None:
+    """Warn of strokes that move nothing, wherever they are."""
+    for i, stroke in enumerate(strokes):
+        if stroke.is_still and not stroke.hidden:
+            which = f"stroke {i + 1} of {len(strokes)}: " if len(strokes) > 1 else ""
+            text = f"{which}{described(stroke)} moves nothing: give it another target, or leave it out"
+            warnings.warn(text, OutsideWarning, stacklevel=caller())
 
 
 def spelled(values: Iterable[float]) -> str:

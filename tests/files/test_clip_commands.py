@@ -16,6 +16,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import pytest
 
@@ -330,7 +331,7 @@ def test_info_of_videos_and_sequences(run: Run) -> None:
     for words in ("h264", "64 x 48", "12, 25 a second, 0.480 s", "yuv420p, 8 bit", "aac (fin)", "range limited"):
         assert words in out, words
     assert "primaries BT.2020, transfer PQ, matrix BT.2020" in out
-    assert "90° counterclockwise, applied when it is played" in out
+    assert "turned by 90° counterclockwise when it is played" in out
     assert "pixels are 4/3 as wide as high" in out
     assert out.count("6, from in/001.png to in/006.png") == 2
     status, out, err = run("info", "a.mp4", "in", "b.gif", "--json")
@@ -367,3 +368,46 @@ def test_info_of_a_video_without_suffix(run: Run) -> None:
     status, out, err = run("info", "a")
     assert (status, err) == (0, "")
     assert "h264" in out
+
+
+@pytest.mark.parametrize("order", ["t", "b"])
+def test_interlaced_clips_that_are_bent_are_warned_of(run: Run, order: str) -> None:
+    def setup(stream: Any) -> None:
+        stream.codec_context.field_order = {"t": 2, "b": 3}[order]
+
+    clips.make("in.mkv", "libvpx-vp9", count=3, setup=setup)
+    status, _, err = run("warp", "in.mkv", "out.mkv", *GRAB_2D)
+    assert status == 0
+    first = {"t": "top", "b": "bottom"}[order]
+    assert f"in.mkv is interlaced, {first} field first, and the two fields" in err
+    assert "deinterlace it first, with FFmpeg's filter bwdif" in err
+    assert err.count("\n") == 1
+    status, _, err = run("info", "in.mkv")
+    assert status == 0
+    assert run("warp", "in.mkv", "strict.mkv", *GRAB_2D, "--strict")[0] == 2
+    assert run("info", "in.mkv")[1].count(f"interlaced, {first} field first") == 1
+
+
+def test_without_strokes_there_is_nothing_to_do(run: Run) -> None:
+    clips.make("in.mp4", count=3)
+    refused(run("warp", "in.mp4", "out.mp4"), "nothing to do")
+    refused(run("warp", "in.mp4", "out.mkv"), "nothing to do")
+
+
+def test_metadata_of_quicktime_comes_through(run: Run) -> None:
+    tags = {"com.apple.quicktime.make": "A", "com.apple.quicktime.location.ISO6709": "+48.1+011.5/", "title": "B"}
+    clips.make("plain.mov", count=3)
+    with (
+        av.open("plain.mov") as source,
+        av.open("in.mov", "w", container_options={"movflags": "use_metadata_tags"}) as made,
+    ):
+        made.metadata.update(tags)
+        stream = made.add_stream_from_template(source.streams.video[0])
+        for packet in source.demux(video=0):
+            if packet.size:
+                packet.stream = stream
+                made.mux(packet)
+    for name in ("out.mov", "out.mp4"):
+        assert run("warp", "in.mov", name, *GRAB_2D) == (0, "", "")
+        with av.open(name) as made:
+            assert tags.items() <= made.metadata.items()

@@ -162,7 +162,7 @@ def test_of_a_turned_video_points_are_those_of_frames_as_stored(run: Run) -> Non
     assert run("plot", "in.mp4", "out.png", *GRAB, "--what", "sheet") == (0, "", said)
     assert run("plot", "in.mp4", "out.png", *GRAB, "--what", "sheet", "--force", "--quiet") == (0, "", "")
     assert info("out.mp4")["rotation"] == 90
-    none = ["--grab", "3,3,0:3,3,0", "--radius", "9"]
+    none = ["--grab", "3,3,0:3,3,0", "--radius", "9", "--quiet"]
     assert run("warp", "in.mp4", "same.mp4", *none) == (0, "", "")
     with pytest.warns(ClipWarning, match="180°"):
         warp_file(turned("b.mp4", 180), "c.mp4", TIMED)

@@ -244,3 +244,18 @@ def test_options_of_tracks_that_lead_nowhere_are_refused(run: Run) -> None:
     timed = ("--grab", "30,20,1:33,22,2", "--radius", "10")
     refused(run(*warp, *timed, "--track", "t.csv"), "keys are for strokes with points of 2 numbers")
     assert not os.path.exists("out.mkv")
+
+
+@pytest.mark.parametrize(
+    ("keys", "told"),
+    [
+        ((Key(100, strength=0), Key(120, strength=1)), "no stroke moves a pixel of any frame of in.mkv"),
+        ((Key(0, at=(-20, -20)), Key(11, at=(-30, -20))), "in every frame"),
+    ],
+)
+def test_a_stroke_that_moves_no_pixel_is_said(
+    here: Path, keys: tuple[Key, ...], told: str, recwarn: pytest.WarningsRecorder
+) -> None:
+    noisy("in.mkv", "yuv420p", 12)
+    warp_file("in.mkv", "out.mkv", Recipe(strokes=[Stroke(at=(30, 20), by=(4, 0), radius=4, keys=keys)]))
+    assert any(told in str(each.message) for each in recwarn)

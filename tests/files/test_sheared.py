@@ -25,6 +25,8 @@ from tests.media.volume.test_dicom import slices
 from tests.media.volume.test_frames import PLACES, VALUES, enhanced, places_in
 from tests.media.volume.volumes import SPACING
 
+pytestmark = pytest.mark.filterwarnings("ignore:.* moves nothing")
+
 Floats = npt.NDArray[np.float64]
 
 SIZES = (22, 24, 20)

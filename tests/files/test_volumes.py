@@ -417,6 +417,7 @@ def test_the_sidecar_of_bids_comes_along(here: Path) -> None:
         assert not (here / "other.json").exists()
 
 
+@pytest.mark.filterwarnings("ignore:.* moves nothing")
 def test_nothing_to_do_is_a_copy(here: Path) -> None:
     stored("in.nii.gz", made())
     still = supple.Recipe(strokes=[supple.Stroke.grab((5, 5, 5), by=(0, 0, 0), radius=5)])

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from supple.errors import SuppleError, shown
-from supple.files.clip_work import turned
+from supple.files.clip_work import displayed
 from supple.media.codecs import SUFFIXES
 from supple.media.numbering import is_sequence
 from supple.media.volume import RawLayout
@@ -183,7 +183,7 @@ def _picture(name: str, facts: Mapping[str, Any]) -> str:
 
 
 def _video(name: str, facts: Mapping[str, Any]) -> str:
-    rate, turn = facts["rate"], facts["rotation"]
+    rate, how = facts["rate"], displayed(facts["rotation"], facts["mirrored"])
     exact = f" ({rate})" if rate.denominator > 1 else ""
     tags = [f"{tag} {facts[tag]}" for tag in ("range", *_TAGS, "siting") if facts[tag] != "unknown"]
     vary = ", at a variable rate" if facts["variable"] else ""
@@ -194,12 +194,16 @@ def _video(name: str, facts: Mapping[str, Any]) -> str:
         "pixels": f"{facts['pixel_format']}, {facts['bits']} bit{', with opacity' if facts['alpha'] else ''}",
         "colours": ", ".join(tags) or "not said",
     }
-    if turn:
-        lines["rotation"] = f"{abs(turn):g}° {turned(turn)}, applied when it is played"
+    if how:
+        lines["display"] = f"{how} when it is played"
     if facts["aspect"] != 1:
         lines["aspect"] = f"pixels are {facts['aspect']} as wide as high"
     if facts["interlaced"]:
-        lines["fields"] = "interlaced"
+        lines["fields"] = f"interlaced, {facts['fields']} field first"
+    if facts["timecode"]:
+        lines["timecode"] = facts["timecode"]
+    if facts["plays"] is not None:
+        lines["plays"] = f"{facts['plays']} times" if facts["plays"] > 1 else "once" if facts["plays"] else "for ever"
     for key in ("audio", "subtitles", "other"):
         if facts[key]:
             lines[key] = ", ".join(facts[key])

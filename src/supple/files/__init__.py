@@ -34,6 +34,7 @@ from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import grid_of as volume_grid
 from supple.media.volume import suffix_of
 from supple.progress import counted, staged
+from supple.resolved import warn_of_still
 from supple.strokes import Fit, Recipe, fit_recipe
 
 PathLike = str | os.PathLike[str]
@@ -244,6 +245,7 @@ def warp_file(
             held = Grid((height, width), origin=layers.corner)
             fitted = fitted.placed([-x for x in layers.corner], held.sizes)
         deformation = Deformation.from_recipe(fitted, held, maps=maps, warn=False)
+        warn_of_still(recipe.strokes)
         space = replace(deformation.space_on(regrid), count=picture.pages)
         if space.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
             # Encoding a lossy image again would change it.

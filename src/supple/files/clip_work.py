@@ -129,19 +129,23 @@ def work_on(clip: Clip, deformations: Sequence[Deformation], sampling: Sampling)
     return Work(space, clip.layout, sampling, tuple(each[id(deformation)] for deformation in deformations))
 
 
-def turned(rotation: float) -> str:
-    """Return the direction in which players rotate a video."""
-    return "clockwise" if rotation < 0 else "counterclockwise"
+def displayed(rotation: float, mirrored: bool) -> str:
+    """Return what players do to the frames of a video; empty if nothing."""
+    turn = f"turned by {abs(rotation):g}° {'clockwise' if rotation < 0 else 'counterclockwise'}" if rotation else ""
+    return " and ".join(filter(None, ("mirrored" if mirrored else "", turn)))
 
 
-def warn_of_rotation(clip: Clip, deformations: Sequence[Deformation]) -> None:
-    """Warn that points are those of stored frames, if players rotate them."""
-    rotation = clip.rotation
-    if rotation and not all(each.is_identity for each in deformations):
+def warn_of_frames(clip: Clip, deformations: Sequence[Deformation]) -> None:
+    """Warn that points are those of stored frames, if players turn these; and that fields are bent together."""
+    if all(each.is_identity for each in deformations):
+        return
+    if how := displayed(clip.rotation, clip.mirrored):
         height, width = clip.layout.shape
-        warnings.warn(
-            f"{clip.name} is turned by {abs(rotation):g}° {turned(rotation)} when it is played: points are in the "
-            f"frame as it is stored, {width} x {height}",
-            ClipWarning,
-            stacklevel=4,
+        what = f"is {how} when it is played: points are in the frame as it is stored, {width} x {height}"
+        warnings.warn(f"{clip.name} {what}", ClipWarning, stacklevel=4)
+    if clip.fields:
+        what = (
+            f"is interlaced, {clip.fields} field first, and the two fields of a frame are bent as one picture, which "
+            "mixes them: deinterlace it first, with FFmpeg's filter bwdif for instance"
         )
+        warnings.warn(f"{clip.name} {what}", ClipWarning, stacklevel=4)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,8 +15,8 @@ from supple.deformation import Deformation, Report
 from supple.domain import integer, number
 from supple.engines.base import Certificate, warn_of
 from supple.engines.choice import check_device, engine_for
-from supple.errors import SuppleError, shown
-from supple.files.clip_work import deformations_of, sampling_of, warn_of_rotation, work_on
+from supple.errors import OutsideWarning, SuppleError, caller, shown
+from supple.files.clip_work import deformations_of, sampling_of, warn_of_frames, work_on
 from supple.geometry import Grid
 from supple.media import codecs
 from supple.media.base import Clip, CountError
@@ -26,6 +27,7 @@ from supple.media.image.formats import SUFFIXES as SUFFIXES_IN
 from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.numbering import has_number, is_sequence
 from supple.pipeline import Done, Tell, run
+from supple.resolved import warn_of_still
 from supple.strokes import Fit, Recipe
 
 if TYPE_CHECKING:
@@ -239,7 +241,8 @@ def warp_clip(
             with open_clip(source, rate=known.rate, count=count, target=target) as clip:
                 deformations = deformations_of(recipe, clip, known.time_scale, fit, tell)
                 if count is None:
-                    warn_of_rotation(clip, deformations)
+                    warn_of_still(recipe.strokes)
+                    warn_of_frames(clip, deformations)
                 sampling = sampling_of(
                     clip,
                     filter=filter,
@@ -255,6 +258,7 @@ def warp_clip(
                 if untouched and not lossless and os.path.isfile(source) and _suffix(source) == _suffix(target):
                     # Encoding a clip again would change it.
                     check_output(target, force=force)
+                    _warn_of_none(recipe, clip)
                     with replacing(target, force=force) as place:
                         shutil.copyfile(source, place)
                     done, copied = Done(Certificate(0.0, 0.0), still=clip.count), clip.count
@@ -265,6 +269,8 @@ def warp_clip(
                     with _writer(clip, target, known, quality, lossless, force) as sink:
                         done = run(clip, sink, work, engine, memory=known.memory, tell=tell)
                         warn_of(done.certificate, tolerance, 3)  # before the target is renamed
+                        if done.still == clip.count:
+                            _warn_of_none(recipe, clip)
                     copied = getattr(sink, "copied", 0)
                 return WarpedClip(
                     Path(source), Path(target), deformations, tolerance, clip.count, done.still, done.held,
@@ -281,6 +287,14 @@ def _own(clip: Clip, deformation: Deformation) -> Grid | None:
         return None
     grid, (width, height) = deformation.grid, clip.display[2:]
     return Grid((*grid.shape[:-2], height, width), grid.spacing)
+
+
+def _warn_of_none(recipe: Recipe, clip: Clip) -> None:
+    """Warn that strokes that move something do not in this clip."""
+    able = (each for each in recipe.strokes if each.strength > 0 and not each.hidden and not each.is_still)
+    if recipe.amount and any(able):
+        text = f"no stroke moves a pixel of any frame of {clip.name}: its frames are as they were"
+        warnings.warn(text, OutsideWarning, stacklevel=caller())
 
 
 def fickle(source: PathLike) -> SuppleError:

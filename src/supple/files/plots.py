@@ -13,7 +13,7 @@ from supple.deformation import Deformation
 from supple.domain import choice, integer
 from supple.engines.base import Array, Sampling
 from supple.errors import SuppleError, shown
-from supple.files.clip_work import deformations_of, frames_of, sampling_of, warn_of_rotation, work_on
+from supple.files.clip_work import deformations_of, frames_of, sampling_of, warn_of_frames, work_on
 from supple.files.clips import ClipOptions, PathLike, fickle, is_clip, open_clip, refuse_picture, refuse_places
 from supple.media.base import CountError
 from supple.media.files import check_output
@@ -135,7 +135,7 @@ def _plot_clip(
         deformations = deformations_of(recipe, clip, options.time_scale, fit, tell)
         deformation = deformations[0]
         if count is None:
-            warn_of_rotation(clip, deformations)
+            warn_of_frames(clip, deformations)
         if what == "slice":
             if (x is None) == (y is None):
                 raise SuppleError("a slice shows one column or one row over time: give --x or --y")

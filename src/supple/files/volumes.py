@@ -42,6 +42,7 @@ from supple.media.volume import (
 )
 from supple.media.volume import place_of as volume_place
 from supple.pipeline import Tell
+from supple.resolved import warn_of_still
 from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke, fit_recipe
 
 Array = npt.NDArray[Any]
@@ -377,6 +378,7 @@ def warp_volume(
         warn_of_place(volume.geometry, volume.name)
     regrid = grid_on(grid, volume.grid, volume.name, maps)
     deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
+    warn_of_still(recipe.strokes)
     like = volume if grid is None or regrid is None else _moved(volume, regrid, grid)
     if grid is not None:
         check_target(target, like, force=force)

@@ -77,7 +77,15 @@ class Clip(Protocol):
 
     @property
     def rotation(self) -> float:
-        """The rotation of frames for display, in degrees counterclockwise."""
+        """The rotation of frames for display, in degrees counterclockwise, after they are mirrored."""
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether frames are mirrored for display, left to right, before they are rotated."""
+
+    @property
+    def fields(self) -> str:
+        """The field of interlaced frames that is shown first, ``"top"`` or ``"bottom"``; else empty."""
 
     @property
     def display(self) -> tuple[int, int, int, int] | None:
@@ -92,6 +100,9 @@ class Clip(Protocol):
 
     def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> Array:
         """Return a frame as RGB of 8 bits, (H, W, 3), or of 16 if ``deep`` and the frame has more than 8."""
+
+    def upright(self, pixels: Array) -> Array:
+        """Return a view of a frame's pixels, (H, W, …), as it is displayed: mirrored, and turned by quarters."""
 
     def info(self) -> dict[str, Any]:
         """Return the facts for users."""

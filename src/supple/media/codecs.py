@@ -23,24 +23,30 @@ class Container:
     tick: Fraction = Fraction(0)  # seconds; 0 for any
     chapters: bool = True  # whether it holds chapters
     rotation: bool = True  # whether it holds the rotation for display
+    fields: bool = True  # whether it holds the order of fields, of any codec
     counted: bool = False  # whether it has one rate instead of times, and no colour tags
     mp4: bool = False  # whether it holds the pixel aspect ratio itself, and adds up the durations of packets
     attachments: bool = False  # whether it holds files, and a cover as one of these
+    timecode: bool = True  # whether it holds the timecode of the first frame
+    loops: bool = False  # whether it holds how often it plays
+    refused: frozenset[str] = frozenset()  # codecs that FFmpeg lists for it, and then refuses
     streams: frozenset[str] | None = None  # the supported codecs: others would be written, but hardly play
     options: Options = field(default_factory=dict)  # for every encoder
 
 
 _WEBM = frozenset(("vp8", "vp9", "av1", "opus", "vorbis", "webvtt"))
+# fmt: off
 CONTAINERS = (
     Container("mp4", (".mp4", ".m4v"), "h264", "ffv1", longest=2**31 - 1, mp4=True),
-    Container("mov", (".mov",), "h264", "ffv1", longest=2**31 - 1, mp4=True),
-    Container("matroska", (".mkv",), "h264", "ffv1", "ffv1", attachments=True),
-    Container("webm", (".webm",), "vp9", streams=_WEBM),
-    Container(
-        "avi", (".avi",), "mpeg4", "ffv1", "ffv1", chapters=False, rotation=False, counted=True, options={"bf": "0"}
-    ),
-    Container("gif", (".gif",), "gif", longest=65535, tick=Fraction(1, 100), chapters=False, rotation=False),
+    Container("mov", (".mov",), "h264", "h264", longest=2**31 - 1, mp4=True, refused=frozenset(("vp8", "vp9", "av1"))),
+    Container("matroska", (".mkv",), "h264", "ffv1", "ffv1", attachments=True, refused=frozenset(("rv10", "rv20"))),
+    Container("webm", (".webm",), "vp9", fields=False, streams=_WEBM),
+    Container("avi", (".avi",), "mpeg4", "ffv1", "ffv1", chapters=False, rotation=False, fields=False, counted=True,
+              options={"bf": "0"}),
+    Container("gif", (".gif",), "gif", longest=65535, tick=Fraction(1, 100), chapters=False, rotation=False,
+              fields=False, timecode=False, loops=True),
 )
+# fmt: on
 _ALL = frozenset(container.name for container in CONTAINERS)
 SUFFIXES_OUT = tuple(container.suffixes[0] for container in CONTAINERS)
 # Suffixes that are always taken for videos; other files are if the user says so.
@@ -70,7 +76,7 @@ class Codec:
 _OPAQUE = _ALL - {"matroska", "webm"}
 CODECS = {
     "h264": Codec("libx264", colours=True, aspect=True),
-    "hevc": Codec("libx265", colours=True, aspect=True),
+    "hevc": Codec("libx265", colours=True, aspect=True, opaque_in=_ALL),
     "vp9": Codec("libvpx-vp9", colours=True, opaque_in=_OPAQUE, opacity="libvpx-vp9", hides=True),
     "vp8": Codec("libvpx", limited_in=_ALL, opaque_in=_OPAQUE, opacity="libvpx", bt601=True, centred=True, hides=True),
     "av1": Codec("libsvtav1", colours=True, hides=True),
@@ -108,12 +114,15 @@ class Encoder:
     # whether it takes any times; others count frames, and times are set on their packets afterwards
     timed: bool = False
     profiles: Options = field(default_factory=dict)  # names of the profiles that FFmpeg decodes
+    fields: bool = False  # whether it codes interlaced frames
 
 
 _SPEEDS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo")
 _FINE = {"qmin": "2", "qmax": "3", "b": "400000000", "maxrate": "0"}  # near the best quality, without a crf
 _VPX = {"deadline": "good", "cpu-used": "2"}
-_X264 = Encoder("libx264rgb", "h264", (0, 51, 18), presets=_SPEEDS, preset="medium", exact={"qp": "0"}, timed=True)
+_X264 = Encoder(
+    "libx264rgb", "h264", (0, 51, 18), presets=_SPEEDS, preset="medium", exact={"qp": "0"}, timed=True, fields=True
+)
 _PRORES = {"Proxy": "proxy", "LT": "lt", "Standard": "standard", "HQ": "hq", "4444": "4444", "XQ": "4444xq"}
 # fmt: off
 _ROWS = (
@@ -127,12 +136,13 @@ _ROWS = (
     Encoder("libsvtav1", "av1", (1, 63, 25), presets=tuple(map(str, range(14))), preset="8",
             exact={"svtav1-params": "lossless=1"}, params="svtav1-params", threads="lp={}",
             graded=("mastering-display", "content-light"), timed=True),
-    Encoder("prores_ks", "prores", profiles=_PRORES),
-    Encoder("dnxhd", "dnxhd", profiles={"DNXHR LB": "dnxhr_lb", "DNXHR SQ": "dnxhr_sq"}),
-    Encoder("ffv1", "ffv1", options={"slicecrc": "1", "g": "1", "strict": "experimental"}),
+    Encoder("prores_ks", "prores", profiles=_PRORES, fields=True),
+    Encoder("dnxhd", "dnxhd", profiles={"DNXHR LB": "dnxhr_lb", "DNXHR SQ": "dnxhr_sq"}, fields=True),
+    Encoder("ffv1", "ffv1", options={"slicecrc": "1", "g": "1", "strict": "experimental"}, exact={}, fields=True),
     Encoder("flv", "flv1", options=_FINE),
     Encoder("msmpeg4", "msmpeg4v3", options=_FINE),
-    *(Encoder(name, name, options=_FINE)
+    Encoder("dvvideo", "dvvideo", fields=True),
+    *(Encoder(name, name, options=_FINE, fields=name in ("mpeg4", "mpeg2video"))
       for name in ("mpeg4", "mpeg2video", "mpeg1video", "mjpeg", "h263p", "msmpeg4v2", "wmv1", "wmv2")),
 )
 # fmt: on

@@ -68,7 +68,8 @@ class Pictures:
     first: int | None  # the number of the first image, if the names are numbered
     rate: Fraction  # frames a second, given by the caller
     starts: Sequence[int] = ()  # start times of the frames, and the end, in milliseconds; empty for a constant rate
-    rotation = 0.0
+    rotation, mirrored, fields = 0.0, False, ""
+    plays: int | None = None  # how often it plays, as in `supple.media.video.source.VideoSource`
     unpictured: tuple[str, ...] = ()
     display: tuple[int, int, int, int] | None = None
 
@@ -106,6 +107,10 @@ class Pictures:
             scaled = np.clip(pixels * np.float32(white / self.layout.white), 0, white)
             pixels = np.rint(np.nan_to_num(scaled, copy=False)).astype(dtype)
         return np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3)))
+
+    def upright(self, pixels: Array) -> Array:
+        """Return a frame's pixels as it is displayed: images are read upright."""
+        return pixels
 
     def picture(self, k: int) -> tuple[Picture, list[str]]:
         """Return the image of frame ``k`` with its header, but without pixels; and a list of losses."""
@@ -201,6 +206,7 @@ class Animation(Pictures):
         image, self.format = opened(path)
         self._path = Path(path)
         pages = facts(image)[0]
+        self.plays = image.get("loop") if image.get_typeof("loop") else None
         delays = image.get("delay") if image.get_typeof("delay") else []
         self.starts = list(itertools.accumulate((max(1, delay) for delay in delays), initial=0))
         if len(self.starts) != pages + 1:
@@ -376,8 +382,7 @@ class PictureSink:
             white = np.iinfo(pixels.dtype).max
             opacity = np.rint(arrays[0][..., -1:] * (white / layout.white)).astype(pixels.dtype)
             pixels = np.concatenate([pixels, opacity], axis=2)
-        # Images are stored upright, without a rotation for players.
-        return np.rot90(pixels, round(self._clip.rotation / 90))
+        return self._clip.upright(pixels)
 
     def _say(self, category: type[Warning], text: str, kind: str) -> None:
         """Warn of each kind of loss once, not for every frame."""

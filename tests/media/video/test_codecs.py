@@ -10,33 +10,43 @@ import numpy as np
 import pytest
 
 from supple.errors import SuppleError
+from supple.media import codecs
 from supple.media.video import ClipWarning, info, plan
 from tests import clips
 from tests.children import ROOT
-from tests.media.video.copies import assert_nothing_left, copy, read
+from tests.media.video.copies import assert_nothing_left, assert_same_frames, copy, read
 
 
 @pytest.mark.parametrize(
-    ("codec", "suffix", "target", "want"),
+    ("codec", "suffix", "target", "want", "said"),
     [
-        ("libx264", "mp4", "mp4", "h264"),
-        ("libx265", "mp4", "mkv", "hevc"),
-        ("libvpx-vp9", "webm", "webm", "vp9"),
-        ("libx264", "mp4", "webm", "vp9"),
-        ("mpeg4", "avi", "avi", "mpeg4"),
-        ("ffv1", "mkv", "mkv", "ffv1"),
-        ("ffv1", "mkv", "mov", "h264"),
-        ("utvideo", "avi", "mkv", "ffv1"),
-        ("libsvtav1", "mkv", "mp4", "av1"),
-        ("mpeg2video", "ts", "mp4", "mpeg2video"),
-        ("libx264", "mp4", "gif", "gif"),
+        ("libx264", "mp4", "mp4", "h264", ""),
+        ("libx265", "mp4", "mkv", "hevc", ""),
+        ("libvpx-vp9", "webm", "webm", "vp9", ""),
+        ("libx264", "mp4", "webm", "vp9", ""),
+        ("mpeg4", "avi", "avi", "mpeg4", ""),
+        ("ffv1", "mkv", "mkv", "ffv1", ""),
+        ("ffv1", "mkv", "mov", "h264", "is written as h264: .mov cannot hold ffv1"),
+        ("utvideo", "avi", "mkv", "ffv1", ""),
+        ("libsvtav1", "mkv", "mp4", "av1", ""),
+        ("libsvtav1", "mkv", "mov", "h264", "is written as h264: .mov cannot hold av1"),
+        ("libvpx-vp9", "webm", "mov", "h264", "is written as h264: .mov cannot hold vp9"),
+        ("libvpx", "webm", "mov", "h264", "is written as h264: .mov cannot hold vp8"),
+        ("libvpx", "webm", "mp4", "h264", "is written as h264: .mp4 cannot hold vp8"),
+        ("qtrle", "mov", "mkv", "ffv1", ""),
+        ("rv10", "rm", "mkv", "h264", "is written as h264: .mkv cannot hold rv10"),
+        ("mpeg2video", "ts", "mp4", "mpeg2video", ""),
+        ("libx264", "mp4", "gif", "gif", ""),
+        ("ffv1", "mkv", "webm", "vp9", "is written as vp9: .webm cannot hold ffv1"),
     ],
 )
-def test_the_codec_is_the_sources_or_the_containers(tmp_path, codec, suffix, target, want):
-    source = clips.make(tmp_path / f"a.{suffix}", codec, count=10)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+def test_the_codec_is_the_sources_or_the_containers(tmp_path, codec, suffix, target, want, said):
+    form, size = ("rgb24", (64, 48)) if codec == "qtrle" else ("yuv420p", (176, 144) if codec == "rv10" else (64, 48))
+    source = clips.make(tmp_path / f"a.{suffix}", codec, form, count=10, size=size)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
         copy(source, tmp_path / f"b.{target}")
+    assert [str(each.message).partition(f"b.{target} ")[2] for each in caught] == ([said] if said else [])
     assert info(tmp_path / f"b.{target}")["codec"] == want
     assert info(tmp_path / f"b.{target}")["frames"] == 10
 
@@ -205,9 +215,39 @@ def test_a_format_changed_for_an_odd_size_is_said(tmp_path):
         copy(source, tmp_path / "b.mp4", codec="h264")
 
 
+@pytest.mark.parametrize("container", codecs.CONTAINERS, ids=lambda each: each.name)
+def test_every_codec_that_is_listed_can_be_written(tmp_path, container):
+    target = tmp_path / f"b{container.suffixes[0]}"
+    source = clips.make(tmp_path / "a.mkv", "ffv1", count=4)
+    with pytest.raises(SuppleError, match="use ") as told:
+        copy(source, target, codec="nothing")
+    listed = str(told.value).rpartition("use ")[2].split(", ")
+    assert container.usual in listed
+    for codec in listed:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ClipWarning)  # of pixel formats
+            copy(source, target, codec=codec)
+        with av.open(str(target)) as made:
+            assert made.streams.video[0].codec_context.codec.canonical_name == codec
+            assert len(list(made.decode(video=0))) == 4
+
+
+@pytest.mark.parametrize("suffix", ["mp4", "mov", "mkv", "webm", "avi"])
+@pytest.mark.parametrize("codec", ["nothing", "mpeg4"])
+def test_codecs_in_advice_are_lossless_where_that_is_asked(tmp_path, suffix, codec):
+    source = clips.make(tmp_path / "a.mkv", "ffv1", count=2)
+    with pytest.raises(SuppleError, match="use ") as told:
+        copy(source, tmp_path / f"b.{suffix}", lossless=True, codec=codec)
+    listed = str(told.value).rpartition("use ")[2].removesuffix(", or leave out lossless")
+    for codec in listed.split(", "):
+        copy(source, tmp_path / f"b.{suffix}", lossless=True, codec=codec)
+        assert_same_frames(source, tmp_path / f"b.{suffix}")
+
+
+@pytest.mark.filterwarnings("ignore:.* plays over and over")
 def test_one_frame(tmp_path):
     for suffix in ("mp4", "mkv", "avi", "gif", "webm", "mov"):
-        source = clips.make(tmp_path / "a.mkv", "ffv1", count=1)
+        source = clips.make(tmp_path / "a.mkv", "libx264", count=1)
         copy(source, tmp_path / f"b.{suffix}", codec=None if suffix in ("gif", "webm") else "h264")
         assert info(tmp_path / f"b.{suffix}")["frames"] == 1
         assert copy(tmp_path / f"b.{suffix}", tmp_path / "c.mkv", codec="ffv1") == 1
@@ -227,3 +267,22 @@ def test_encoders_are_silent(tmp_path):
     command = [sys.executable, "-c", SILENT, str(source), str(tmp_path / "b.mkv"), str(ROOT)]
     done = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=100, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_depth_is_said_to_be_lost_if_a_frame_has_it(tmp_path, lost):
+    with av.open(str(tmp_path / "a.mkv"), "w") as out:
+        film = out.add_stream("ffv1", rate=25)
+        film.width, film.height, film.pix_fmt = 64, 48, "yuv422p12le"
+        for k in range(3):
+            frame = av.VideoFrame(64, 48, "yuv422p12le")
+            for plane in frame.planes:
+                values = 4 * np.arange(plane.buffer_size // 2) % 4000 + (lost and k == 1)
+                plane.update(values.astype("<u2").tobytes())
+            frame.pts = k
+            out.mux(film.encode(frame))
+        out.mux(film.encode(None))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        copy(tmp_path / "a.mkv", tmp_path / "b.mkv", codec="h264")
+    assert ["loses depth (12 to 10 bits)" in str(each.message) for each in caught] == [True] * lost

@@ -3,6 +3,7 @@
 import warnings
 from fractions import Fraction
 
+import av
 import numpy as np
 import pytest
 
@@ -186,3 +187,61 @@ def test_colours_that_a_file_cannot_tell_look_the_same(tmp_path, codec, name, lo
             shown.append([clip.to_rgb(arrays).astype(int) for arrays in read(path)])
     for a, b in zip(*shown, strict=True):
         assert np.abs((a - b).mean(axis=(0, 1))).max() < 2
+
+
+def discs(path, codec, pixel_format, encoding=None):
+    """Write a clip whose opacity is a disc."""
+    y, x = np.mgrid[:48, :64]
+    with av.open(str(path), "w") as out:
+        film = out.add_stream(codec, rate=25, options=encoding or {})
+        film.width, film.height, film.pix_fmt = 64, 48, pixel_format
+        for k in range(4):
+            pixels = np.full((48, 64, 4), 200, np.uint8)
+            pixels[..., 3] = 255 * ((x - 30) ** 2 + (y - 24) ** 2 < 144)
+            frame = av.VideoFrame.from_ndarray(pixels, format="rgba").reformat(format=pixel_format)
+            frame.pts = k
+            out.mux(film.encode(frame))
+        out.mux(film.encode(None))
+    return path
+
+
+def opacity(path):
+    """Return the opacity of the third frame, by a decoder that knows it."""
+    with av.open(str(path)) as file:
+        name = file.streams.video[0].codec_context.codec.canonical_name
+        decoder = av.CodecContext.create({"vp8": "libvpx", "vp9": "libvpx-vp9"}[name], "r") if "vp" in name else None
+        packets = file.demux(video=0)
+        frames = [frame for packet in packets for frame in (decoder or packet.stream).decode(packet)]
+    assert "a" in frames[2].format.name or frames[2].format.has_palette
+    return frames[2].to_ndarray(format="rgba")[..., 3]
+
+
+@pytest.mark.parametrize(
+    ("source", "codec", "pixel_format", "target"),
+    [
+        ("a.webm", "libvpx", "yuva420p", "b.webm"),
+        ("a.webm", "libvpx", "yuva420p", "b.mkv"),
+        ("a.mkv", "libvpx-vp9", "yuva420p", "b.webm"),
+        ("a.mov", "prores_ks", "yuva444p10le", "b.mov"),
+        ("a.mov", "prores_ks", "yuva444p10le", "b.webm"),
+        ("a.mov", "qtrle", "argb", "b.mov"),
+        ("a.mov", "png", "rgba", "b.mov"),
+        ("a.mkv", "ffv1", "yuva420p", "b.mkv"),
+        ("a.mkv", "ffv1", "bgra", "b.avi"),
+        ("a.gif", "gif", "rgb8", "b.gif"),
+    ],
+)
+def test_opacity_comes_through(tmp_path, source, codec, pixel_format, target):
+    if codec == "gif":
+        discs(tmp_path / "a.mkv", "ffv1", "bgra")
+        copy(tmp_path / "a.mkv", tmp_path / source)
+    else:
+        still = {"auto-alt-ref": "0", "crf": "4", "b": "2M"} if "vpx" in codec else {}
+        discs(tmp_path / source, codec, pixel_format, still)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".* loses (exact|detail|depth)")
+        copy(tmp_path / source, tmp_path / target)
+    y, x = np.mgrid[:48, :64]
+    seen, far = opacity(tmp_path / target), (x - 30) ** 2 + (y - 24) ** 2
+    assert seen[far < 100].min() > 240
+    assert seen[far > 200].max() < 15

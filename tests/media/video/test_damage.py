@@ -79,6 +79,7 @@ def test_a_cut_clip_is_used_with_a_warning(tmp_path):
     assert 4 <= count <= 6
 
 
+@pytest.mark.filterwarnings("ignore:.* plays over and over")
 def test_a_cut_gif_is_used_with_a_warning(tmp_path):
     whole = clips.make(tmp_path / "a.mkv", "ffv1", count=10, smooth=False)
     copy(whole, tmp_path / "a.gif")

@@ -39,6 +39,9 @@ class Video:
     def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> Array:
         return np.repeat(arrays[0][..., :1], 3, axis=2) * np.array(64 if deep else 1, "u2" if deep else "u1")
 
+    def upright(self, pixels: Array) -> Array:
+        return np.rot90(pixels, round(self.rotation / 90))
+
 
 @pytest.mark.parametrize(("white", "alpha"), [(255.0, False), (255.0, True), (1023.0, False), (1023.0, True)])
 def test_videos_become_pictures(tmp_path: Path, white: float, alpha: bool) -> None:

@@ -5,6 +5,7 @@ import threading
 import types
 from fractions import Fraction
 
+import av
 import numpy as np
 import pytest
 
@@ -182,3 +183,25 @@ def test_facts(tmp_path):
         ["subrip (deu)"],
     )
     assert found["duration"] == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("codec", ["libx264", "libvpx-vp9", "mpeg4"])
+def test_the_last_frame_keeps_its_duration_in_mp4(tmp_path, codec):
+    times = [0, 40, 120, 160, 400, 410, 470, 500]
+    with av.open(str(tmp_path / "a.mkv"), "w") as out:
+        film = out.add_stream(codec, rate=25)
+        film.width, film.height, film.pix_fmt = 64, 48, "yuv420p"
+        film.time_base = film.codec_context.time_base = Fraction(1, 1000)
+        made = []
+        for k, start in enumerate(times):
+            frame = clips.noise("yuv420p", clips.SIZE, k, True)
+            frame.pts, frame.time_base = start, Fraction(1, 1000)
+            made += film.encode(frame)
+        for packet in made + film.encode(None):
+            packet.duration = 700 if packet.pts == 500 else 40
+            out.mux_one(packet)
+    copy(tmp_path / "a.mkv", tmp_path / "b.mp4")
+    copy(tmp_path / "b.mp4", tmp_path / "c.mkv")
+    for name in ("b.mp4", "c.mkv"):
+        with av.open(str(tmp_path / name)) as file:
+            assert file.duration == pytest.approx(1.2e6, abs=1e3), name

@@ -18,6 +18,8 @@ from supple.strokes import Recipe, Stroke
 from tests.media.volume.test_dicom import slices
 from tests.media.volume.volumes import SHAPE, SPACING, noise, refused
 
+pytestmark = pytest.mark.filterwarnings("ignore:.* moves nothing")
+
 STILL = Recipe(strokes=(Stroke.grab((2, 2, 2), by=(0, 0, 0), radius=3),))
 BENT = Recipe(strokes=(Stroke.grab((3, 2, 2), by=(0.5, 0.3, 0.2), radius=3, reach=9),), border=None)
 

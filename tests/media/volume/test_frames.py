@@ -17,6 +17,8 @@ from supple.strokes import Recipe, Stroke
 from tests.media.volume.test_derived import SAMPLES, STILL
 from tests.media.volume.volumes import ORIGIN, SHAPE, SPACING, noise, refused, turned
 
+pytestmark = pytest.mark.filterwarnings("ignore:.* moves nothing")
+
 DIRECTION = turned(flipped=False)
 PLACES = np.array(ORIGIN) + SPACING[2] * np.outer(np.arange(SHAPE[0]), DIRECTION[:, 2])
 BENT = Recipe(strokes=(Stroke.grab((3, 2, 2), by=(0.5, 0.3, 0.2), radius=3, reach=9),), border=None)

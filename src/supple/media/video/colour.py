@@ -73,7 +73,7 @@ class Colour:
 
 
 # Kept: PyAV tells no place of chroma (test_siting_is_read_and_written), and no numbers of side data.
-def described(container: av.container.InputContainer, index: int) -> str:
+def described(container: av.container.Container, index: int) -> str:
     """Return FFmpeg's description of a stream; some of it, such as the chroma siting, is not available otherwise."""
     with _lock:  # the level is global
         level = av.logging.get_level()
@@ -84,7 +84,7 @@ def described(container: av.container.InputContainer, index: int) -> str:
         finally:
             av.logging.set_libav_level(_USUAL)
             av.logging.set_level(level)
-    found = re.search(rf"^ *Stream #0:{index}\b.*: Video: (.*)$", text, re.MULTILINE)
+    found = re.search(rf"^ *Stream #0:{index}\b.*?: [A-Z]\w+: (.*)$", text, re.MULTILINE)
     return found.group(1) if found else ""
 
 
@@ -183,34 +183,46 @@ def recast(
         full, wanted = True, wanted or not (colour.range == FULL and meant.range == LIMITED)
     source = colour.coefficients(height) if staging.kind.family in yuv else meant.coefficients(height)
     goal = meant.coefficients(height) if target.kind.family in yuv else source
-    made = _scaled(
-        pack(arrays, staging, width, height),
-        target.name,
-        in_color_matrix=_swscale(source),
-        out_color_matrix=_swscale(goal),
-        in_range="full" if full else "limited",
-        out_range="full" if wanted else "limited",
-        in_chroma_loc=colour.site or "left",
-        out_chroma_loc=meant.site or "left",
-        flags=_FLAGS,
-    )
+    settings = {
+        "in_color_matrix": _swscale(source),
+        "out_color_matrix": _swscale(goal),
+        "in_range": "full" if full else "limited",
+        "out_range": "full" if wanted else "limited",
+        "in_chroma_loc": colour.site or "left",
+        "out_chroma_loc": meant.site or "left",
+        "flags": _FLAGS,
+    }
+    frame = pack(arrays, staging, width, height)
+    scale = ":".join(f"{key}={value}" for key, value in settings.items())  # unlike `reformat`, with the chroma siting
+    made = filtered(frame, ("scale", scale), ("format", f"pix_fmts={target.name}"))
+    assert made is not None
     meant.mark(made)
     return made
 
 
-def _scaled(frame: av.VideoFrame, to: str, **settings: str) -> av.VideoFrame:
-    """Convert a frame, with its chroma siting, unlike `VideoFrame.reformat`."""
+def filtered(frame: av.VideoFrame, *filters: tuple[str, str]) -> av.VideoFrame | None:
+    """Return a frame that has passed filters, each with its arguments; None if they drop it."""
     graph = Graph()
     frame.pts, frame.time_base = 0, Fraction(1, 25)
-    source = graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base)
-    scale = graph.add("scale", ":".join(f"{key}={value}" for key, value in settings.items()))
-    shape, sink = graph.add("format", f"pix_fmts={to}"), graph.add("buffersink")
-    source.link_to(scale)
-    scale.link_to(shape)
-    shape.link_to(sink)
+    last = graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base)
+    for name, arguments in (*filters, ("buffersink", "")):
+        added = graph.add(name, arguments or None)
+        last.link_to(added)
+        last = added
     graph.configure()
     graph.vpush(frame)
-    return graph.vpull()
+    try:
+        return graph.vpull()
+    except av.error.BlockingIOError:
+        return None
+
+
+# Kept: PyAV neither reads nor sets which field is first (test_field_order_comes_through).
+def first_field(frame: av.VideoFrame) -> str:
+    """Return the field of an interlaced frame that is shown first, "top" or "bottom"; else an empty string."""
+    if not frame.interlaced_frame:
+        return ""
+    return "top" if filtered(frame, ("select", "eq(interlace_type,TOPFIRST)")) else "bottom"
 
 
 def _swscale(matrix: int) -> str:

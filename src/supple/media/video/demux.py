@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import mmap
 import os
 import re
 import stat
@@ -108,6 +109,21 @@ def _ends(path: str) -> bool:
         return file.read().rstrip(b"\0").endswith(b";")
 
 
+# Kept: FFmpeg obeys it or not, but does not tell it (test_how_often_it_plays_comes_through).
+def plays_of(container: av.container.InputContainer) -> int | None:
+    """Return how often an animation plays, 0 for ever; None for a film."""
+    kind = container.format.name
+    if kind not in ("gif", "apng"):
+        return None
+    with open(container.name, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        if kind == "apng":
+            found = re.search(rb"acTL....(....)", data, re.DOTALL)
+            return int.from_bytes(found[1], "big") if found else None
+        found = re.search(rb"\x21\xff\x0b(?:NETSCAPE2\.0|ANIMEXTS1\.0)\x03\x01(..)", data, re.DOTALL)
+        again = int.from_bytes(found[1], "little") if found else None
+        return 1 if again is None else again and again + 1
+
+
 def _attend(container: av.container.InputContainer, streams: Sequence[av.stream.Stream]) -> None:
     """Discard the packets of all other streams."""
     for stream in container.streams:
@@ -151,8 +167,8 @@ def survey(container: av.container.InputContainer, film: av.VideoStream) -> Surv
     damaged |= container.format.name == "gif" and not _ends(container.name)
     base = film.time_base or Fraction(1)
     span = Fraction(last - first) * base if first is not None and last is not None else Fraction(0)
-    if total and sums_up(container):
-        span = total * base
+    if sums_up(container):  # of VP9, packets do not say how long they last
+        span = (total or film.duration or 0) * base or span
     told = _told(film)
     end = span if last is None else max(span, last * base)  # its duration may count from zero
     reached = last if is_counted(container) and last is not None else packets

@@ -17,10 +17,10 @@ from supple.engines.base import Array
 from supple.media.codecs import codec_of
 from supple.media.files import PathLike, check_output, replacing, unwritable
 from supple.media.sequence import Pictures
-from supple.media.video.colour import Colour, recast, sited
+from supple.media.video.colour import Colour, filtered, recast, sited
 from supple.media.video.demux import said, usual_step
 from supple.media.video.pixel_format import Match
-from supple.media.video.plan import WritePlan, container_of, timescale, workers
+from supple.media.video.plan import WritePlan, container_of, workers
 from supple.media.video.planes import form, pack
 from supple.media.video.source import Stills, VideoSource
 from supple.media.video.streams import Passage, kept_tags, titled
@@ -89,7 +89,7 @@ class Sink:
             "w",
             format=plan.container.name,
             metadata_errors="surrogateescape",
-            container_options={"movie_timescale": str(timescale(video))} if plan.container.mp4 else {},
+            container_options=plan.muxing(),
         )
         try:
             self._stream = self._film()
@@ -97,6 +97,8 @@ class Sink:
             self._passage = Passage(video.source, video.index, self._output, plan.container, plan.target)
             video.passage, video.copies = self._passage, self.copies
             self._output.metadata.update(kept_tags(video.source.metadata if video.source else {}))
+            if plan.timecode:  # MP4 has one for each film
+                (self._stream if plan.container.mp4 else self._output).metadata["timecode"] = plan.timecode
             chapters = video.chapters()
             if chapters and plan.container.chapters:
                 self._output.set_chapters(chapters)
@@ -177,11 +179,24 @@ class Sink:
         if chosen.opacity and (arrays[0][..., -1] < video.layout.white).any():
             self._plan.warn("loses opacity")
             self._plan.match = chosen = Match(chosen.form, chosen.colour, chosen.same, chosen.lost, False)
+        if self._plan.depth:
+            cut = (1 << video.form.kind.bits - chosen.form.kind.bits) - 1
+            if any((each & cut).any() for each in arrays):
+                self._plan.warn(self._plan.depth)
+                self._plan.depth = ""
         if not chosen.same:
-            return recast(arrays, video.form, colour, chosen.form, self._plan.colour, shape)
+            return self._fielded(recast(arrays, video.form, colour, chosen.form, self._plan.colour, shape))
         frame = pack(arrays, chosen.form, video.width, video.height)
         chosen.colour.mark(frame)
-        return frame
+        return self._fielded(frame)
+
+    def _fielded(self, frame: av.VideoFrame) -> av.VideoFrame:
+        """Return a frame that says which of its fields is first."""
+        if not self._plan.fields:
+            return frame
+        made = filtered(frame, ("setfield", f"{self._plan.fields[0]}ff"))
+        assert made is not None
+        return made
 
     def _warn_of_half_opacity(self, arrays: Sequence[Array]) -> None:
         group = self._video.layout.groups[0]

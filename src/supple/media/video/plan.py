@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import re
 import warnings
 from dataclasses import replace
 from fractions import Fraction
@@ -39,6 +40,7 @@ from supple.media.video.source import VideoSource
 _FINEST = 1_000_000  # the finest ticks a second that encoders handle well
 _TICKS = 50_000_000  # a second, the most in MP4
 _DELAYED = 3  # frames: with fewer, x265 reports wrong decoding times, if it may reorder them
+_TIMECODE = re.compile(r"\d+:\d\d:\d\d([:;.])(\d+)")
 _SLICED = 16  # pixels along each side that FFV1 needs for slices
 _PACES = 8  # ticks for each frame in AVI, so that frames keep their times
 os.environ.setdefault("SVT_LOG", "0")  # otherwise it prints to the terminal
@@ -66,27 +68,41 @@ def _pixel_formats(encoder: str) -> list[str]:
     return [video.name for video in (found.video_formats or [])] if found else []
 
 
-def _named(target: PathLike, container: Container, codec: str | None, source: str, lossless: bool) -> str:
+def _usable(container: Container) -> dict[str, str]:
+    """Return the codecs of the table that a container holds, with their encoders here."""
+    held = _held(container)
+    return {name: row.encoder for name, row in CODECS.items() if row.encoder in held and _found(row.encoder)}
+
+
+def _held(container: Container) -> set[str]:
+    """Return the encoders whose output a container holds."""
+    with av.open(os.devnull, "w", format=container.name) as trial:
+        listed = trial.supported_codecs
+    return {name for name in listed if (found := _found(name)) and found.canonical_name not in container.refused}
+
+
+def _named(target: PathLike, container: Container, codec: str | None, source: str, lossless: bool, exact: bool) -> str:
     """Return an encoder: the user's, or the source's, or the container's default.
 
-    `lossless` is true if the source's codec is lossless. SuppleError for an unknown encoder, or if the container does
-    not support its codec.
+    `lossless` is true if the source's codec is lossless, `exact` if the output is to be. SuppleError for an unknown
+    encoder, or if the container does not support its codec.
     """
-    with av.open(os.devnull, "w", format=container.name) as trial:
-        supported = trial.supported_codecs
-    usable = {name: row.encoder for name, row in CODECS.items() if row.encoder in supported and _found(row.encoder)}
+    held, usable = _held(container), _usable(container)
     if codec is not None:
-        advice, asked = f"use {', '.join(usable)}", ALIASES.get(codec.lower(), codec.lower())
+        advice, asked = (
+            f"use {_exact_in(container) if exact else ', '.join(usable)}",
+            ALIASES.get(codec.lower(), codec.lower()),
+        )
         encoder = _found(codec_of(asked).encoder or asked)
         if encoder is None:
             raise unwritable(target, f"no video encoder is called {shown(codec)}", advice)
-        if encoder.name not in supported:
+        if encoder.name not in held:
             raise unwritable(target, f"{Path(target).suffix} cannot hold {encoder.canonical_name}", advice)
         return encoder.name
     if source in usable:
         return usable[source]
     own = _found(source)
-    if own is not None and source in supported and source != "rawvideo" and not own.experimental:
+    if own is not None and own.name in held and source != "rawvideo" and not own.experimental:
         return own.name
     return usable.get(container.keeping if lossless else "") or CODECS[container.usual].encoder
 
@@ -103,7 +119,7 @@ def _options(
     """Return the settings of an encoder; SuppleError if it has no such factor or preset, or is not lossless."""
     name, chosen = encoder.name, {**encoder.options, **container.options}
     if lossless:
-        chosen |= _exact(target, encoder, crf)
+        chosen |= _exact(target, encoder, container, crf)
     elif encoder.crf:
         low, high, usual = encoder.crf
         quality = usual if crf is None else crf
@@ -111,13 +127,13 @@ def _options(
             raise unwritable(target, f"crf {crf:g} is none of {name}'s", f"choose from {low} (best) to {high}")
         chosen["crf"] = f"{quality:g}"
     elif crf is not None:
-        raise unwritable(target, f"{name} has no crf", f"leave it out, or use {_have('crf')}")
+        raise unwritable(target, f"{name} has no crf", _without(container, "crf"))
     if encoder.presets:
         chosen["preset"] = encoder.preset if preset is None else str(preset)
         if chosen["preset"] not in encoder.presets:
             raise unwritable(target, f"{name} has no preset {shown(str(preset))}", f"use {', '.join(encoder.presets)}")
     elif preset is not None:
-        raise unwritable(target, f"{name} has no presets", f"leave it out, or use {_have('presets')}")
+        raise unwritable(target, f"{name} has no presets", _without(container, "presets"))
     if name == "libsvtav1" and int(chosen["preset"]) >= HASTY and float(chosen.get("crf", 0)) < FINE_CRF:
         when = "if lossless" if lossless else f"below crf {FINE_CRF}"
         or_else = "" if lossless else f", or crf {FINE_CRF} or more"
@@ -128,7 +144,7 @@ def _options(
     return chosen
 
 
-def _exact(target: PathLike, encoder: Encoder, crf: float | None) -> dict[str, str]:
+def _exact(target: PathLike, encoder: Encoder, container: Container, crf: float | None) -> dict[str, str]:
     """Return the options that make an encoder lossless."""
     if crf is not None:
         raise unwritable(target, f"crf {crf:g} is for what may lose something", "leave out either it or lossless")
@@ -136,7 +152,7 @@ def _exact(target: PathLike, encoder: Encoder, crf: float | None) -> dict[str, s
         return dict(encoder.exact)
     found = _found(encoder.name)
     if found is None or encoder.name == "gif" or found.lossy or not found.lossless:
-        advice = "use ffv1, h264, hevc, vp9 or av1, or leave out lossless"
+        advice = f"use {_exact_in(container)}, or leave out lossless"
         raise unwritable(target, f"{encoder.codec} always loses something", advice)
     return {}
 
@@ -145,9 +161,21 @@ def _joined(*parts: str | None) -> str:
     return ":".join(part for part in parts if part)
 
 
-def _have(what: str) -> str:
-    known = (each for each in ENCODERS.values() if getattr(each, what) and _found(each.name))
-    return f"a codec that has: {', '.join(dict.fromkeys(each.codec for each in known))}"
+def _having(container: Container, what: str) -> list[str]:
+    """Return the codecs that a container holds, and whose encoder has a property."""
+    found = {name: getattr(ENCODERS.get(encoder), what, None) for name, encoder in _usable(container).items()}
+    return [name for name, value in found.items() if value not in (None, ())]
+
+
+def _exact_in(container: Container) -> str:
+    """Return the codecs for lossless output; of another container, if this one holds none."""
+    return ", ".join(_having(container, "exact")) or "ffv1 in .mkv"
+
+
+def _without(container: Container, what: str) -> str:
+    """Return what would do where an encoder does not have an option."""
+    others = _having(container, what)
+    return "leave it out" + (f", or use a codec that has: {', '.join(others)}" if others else "")
 
 
 def _read_as(name: str, container: Container, height: int) -> Colour:
@@ -179,10 +207,10 @@ class WritePlan:
         self.video, self.target, self.workers, self.lossless = video, target, workers, lossless
         self.container = container_of(target)
         wanted = (self.container.exact or None) if lossless and codec is None else codec
-        name = _named(target, self.container, wanted, video.codec, video.lossless)
+        name = _named(target, self.container, wanted, video.codec, video.lossless, lossless)
         self._use(name, crf, preset)
         self.base = self._base()
-        self._asked = pixel_format
+        self._asked, self._why = pixel_format, ""
         if name == "gif":
             if pixel_format not in (None, "pal8"):
                 raise unwritable(target, f"gif does not take the pixel format {pixel_format!r}", "use pal8")
@@ -197,8 +225,9 @@ class WritePlan:
                     raise
                 self._use(other, None, None)
                 self.match = self._matched(None)
-                self.warn(f"is written as {self.encoder.codec}: {video.codec} cannot be written as the source has it")
+                self._why = f"{video.codec} cannot be written as the source has it"
         self._require_exact()
+        self._say_codec(codec)
         if video.stills and video.form.kind.real and not self.match.form.kind.real:
             what = f"{self.encoder.codec} cannot hold the floating point of {video.name}"
             first = "" if video.form.kind.alpha else "use codec ffv1 in .mkv, or "
@@ -209,11 +238,22 @@ class WritePlan:
         if self.match.same and kind.step != (1, 1) and site != self.colour.site:  # default sitings of codecs differ
             self.match = replace(self.match, colour=replace(self.match.colour, site=site))
 
+    def _say_codec(self, asked: str | None) -> None:
+        """Warn of a codec that is neither the source's nor the user's; GIF and WebM hold few, as their names say."""
+        used, source = self.encoder.codec, self.video.codec
+        expected = used in (source, "gif", "ffv1") or source in ("", "gif")
+        if asked or self.lossless or expected or (self.container.streams and not self.video.lossless):
+            return
+        own = _found(codec_of(source).encoder or source)
+        only = f"{source} is only read" if own is None or own.name in _held(self.container) else ""
+        self.warn(f"is written as {used}: {self._why or only or f'{Path(self.target).suffix} cannot hold {source}'}")
+
     def _use(self, name: str, crf: float | None, preset: str | None) -> None:
         """Choose an encoder."""
         found = av.Codec(name, "w")
         self.encoder = ENCODERS.get(name) or Encoder(name, found.canonical_name)
         self.options = _options(self.target, self.encoder, self.container, crf, preset, self.workers, self.lossless)
+        self.fields = self.video.fields if self.encoder.fields else ""  # that are coded as fields
         self._lossy = (found.lossy or not found.lossless) and not self.lossless
 
     def _matched(self, asked: str | None) -> Match:
@@ -234,35 +274,73 @@ class WritePlan:
             self.options.update({"level": "1", "slices": "1"})  # too small to be cut into slices
         try:
             made = match(self.target, encoder.name, names, wish, asked, self._opens)
+            if self.fields and ", which" in made.lost:
+                raise unwritable(self.target, made.lost, "leave out fields")
         except SuppleError:
+            if self.fields:  # which encoders take in some sizes only
+                self.fields = ""
+                return self._matched(asked)
             if self._starts():
                 raise
             what = f"{encoder.name} cannot be started here: it needs a device or a driver that is missing"
-            raise unwritable(self.target, what, "use another codec, such as h264 or ffv1") from None
+            advice = f"use another codec, such as {self.container.usual}"
+            raise unwritable(self.target, what, advice) from None
         strange = made.colour.full(made.form) or made.colour.coefficients(video.height) not in (told.matrix, 5)
         if not lossy and made.form.kind.family == "yuv" and told != Colour() and strange:
             self.warn("cannot say what its colours mean, and may look different")
         return made
 
     def _warn_of_losses(self) -> None:
-        video, lost = self.video, self.match.lost
+        video, lost, self.depth = self.video, self.match.lost, ""  # said when a frame is seen to have such bits
         if lost and not (video.stills and self._asked):
             found = finer(video.form, self.match, self._formats(), self._opens)
             advice = f": --pixel-format {found} keeps more" if found and not self._asked else ""
-            self.warn(f"loses {lost}{advice}" if ", which" not in lost else f"is not in {lost}")
+            text = f"loses {lost}{advice}" if ", which" not in lost else f"is not in {lost}"
+            if lost.startswith("depth") and not video.stills and not video.form.kind.real:
+                self.depth = text
+            else:
+                self.warn(text)
         if video.grading != Grading() and not self.encoder.graded:
-            self.warn(f"loses the light levels of HDR, which {self.encoder.codec} cannot hold: hevc, h264 and av1 can")
+            others = _having(self.container, "graded")
+            advice = f": --codec {' or '.join(others)} keeps them" if others else ""
+            self.warn(f"loses the light levels of HDR, which {self.encoder.codec} cannot hold{advice}")
         sound = video.source is not None and any(stream.type == "audio" for stream in video.source.streams)
         if sound and self.container.counted and self.encoder.codec in ("h264", "hevc"):
             # measured: its first frame is taken for a delayed one, with any encoder
             self.warn("is out of step by a frame in players that rest on FFmpeg: use codec mpeg4, or .mkv")
         for what in video.unheld:
             self.warn(f"cannot hold {what}")
+        self.timecode = video.timecode if self._says_time() else ""
+        if video.timecode and not self.timecode:
+            self.warn(f"cannot hold the timecode {video.timecode}: it is left out")
+        if video.plays not in (None, 1) and not self.container.loops:
+            often = f"{video.plays} times" if video.plays else "over and over"
+            self.warn(f"cannot say that it plays {often}: players show it once")
+        if video.fields and not self.fields and (self.encoder.fields or not self.container.fields):
+            self.warn(f"cannot say that frames are interlaced, {video.fields} field first")
         square = video.aspect in (None, Fraction(1))
         if not square and not self.container.mp4 and not codec_of(self.encoder.codec).aspect:
             self.warn(f"cannot say that pixels are {video.aspect} as wide as high: they are left as they are stored")
         if video.matrix and not self.container.rotation:
             self.warn("cannot say which way up it is shown: it is left as it is stored")
+
+    def _says_time(self) -> bool:
+        """Return whether the file can hold the timecode: a count of frames, at a whole rate."""
+        rate, found = round(self.video.rate), _TIMECODE.fullmatch(self.video.timecode)
+        if not found or not self.container.mp4:
+            return self.container.timecode
+        return int(found[2]) < rate and (found[1] == ":" or rate % 30 == 0)
+
+    def muxing(self) -> dict[str, str]:
+        """Return the options of the container."""
+        video = self.video
+        if self.container.loops:  # GIF counts repetitions
+            return {"loop": str(video.plays - 1 if video.plays else 0) if video.plays != 1 else "-1"}
+        if not self.container.mp4:
+            return {}
+        tags = video.source.metadata if video.source else {}
+        own = any(key.startswith("com.") for key in tags)  # not in the list of MP4's own
+        return {"movie_timescale": str(timescale(video))} | ({"movflags": "use_metadata_tags"} if own else {})
 
     def _base(self) -> Fraction:
         """Return the unit of the file's time stamps."""
@@ -298,9 +376,11 @@ class WritePlan:
         colour = chosen.colour
         context.color_range, context.colorspace = colour.range, colour.matrix
         context.color_primaries, context.color_trc = colour.primaries, colour.transfer
-        if video.field_order > 1:
-            context.field_order = video.field_order
         context.options = dict(self.options)
+        if video.fields:
+            context.field_order = video.field_order
+        if self.fields:
+            context.options["flags"] = "+ildct+ilme"
         self._extras(context, chosen)
 
     def _extras(self, context: av.VideoCodecContext, chosen: Match) -> None:
@@ -309,13 +389,15 @@ class WritePlan:
             settings["chroma_sample_location"] = chosen.colour.site
         if self.encoder.name == "libx265" and video.count < _DELAYED:
             settings["x265-params"] += ":bframes=0"
+        if self.encoder.name == "libvpx" and chosen.form.kind.alpha:
+            settings["auto-alt-ref"] = "0"  # which opacity excludes
         if self.encoder.name == "dnxhd":
             settings["profile"] = self._dnxhr(chosen.form.kind)
+            if self.fields:  # which DNxHR does not know, and DNxHD in one size
+                settings.update({"profile": "dnxhd", "b": "185M" if video.rate <= 25 else "220M"})
         if self.encoder.name == "prores_ks" and video.codec == "prores" and chosen.same:
             settings["profile"] = self.encoder.profiles.get(video.profile, "auto")
         key, words = self.encoder.params, video.grading.words(self.encoder.graded) if self.encoder.graded else []
-        if key == "x264-params" and video.field_order in (2, 4, 3, 5):
-            words.append("tff=1" if video.field_order in (2, 4) else "bff=1")
         if words:
             settings[key] = _joined(settings.get(key), *words)
         if self.encoder.codec == "hevc" and self.container.mp4:

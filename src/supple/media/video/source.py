@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -10,7 +11,7 @@ from typing import Any
 import av
 import numpy as np
 
-from supple.engines.base import Layout
+from supple.engines.base import Array, Layout
 from supple.errors import SuppleError, shown
 from supple.media.codecs import STILLS
 from supple.media.files import PathLike
@@ -23,6 +24,7 @@ from supple.media.video.colour import (
     Grading,
     black,
     described,
+    first_field,
     graded,
     named_site,
     painted,
@@ -30,9 +32,9 @@ from supple.media.video.colour import (
     sited,
     siting,
 )
-from supple.media.video.demux import Survey, chosen
+from supple.media.video.demux import Survey, chosen, plays_of
 from supple.media.video.planes import Form, form, palette, wider
-from supple.media.video.streams import Passage, name_of
+from supple.media.video.streams import Passage, named
 
 _LEAST, _UTMOST = Fraction(1, 10_000), Fraction(100_000)
 _MOST = 1000  # frames a second; higher rates are tick counts
@@ -47,7 +49,11 @@ class VideoSource:
     count: int  # of frames
     stills = False  # whether it consists of images, so that any format of players will do
     unheld: tuple[str, ...] = ()  # contents that no video file holds
-    codec, profile, lossless, field_order, index = "", "", False, 0, -1
+    codec, profile, lossless, index = "", "", False, -1
+    field_order = 1  # of interlaced frames, as the stream codes and shows them: AVFieldOrder
+    fields = ""  # the field of interlaced frames that is shown first, "top" or "bottom"
+    timecode = ""  # of the first frame
+    plays: int | None = None  # how often an animation plays; 0 for ever
     header = b""  # the stream header (extradata), which a decoder needs
     pace = Fraction(0)  # ticks a second in which all times are integers, as far as can be inferred
     aspect: Fraction | None = None
@@ -107,7 +113,7 @@ class Stills(VideoSource):
         found = form(known[count - 1])
         assert found is not None
         self.form, self.colour = found, Colour(FULL, BT709, BT709, RGB)
-        self._starts = pictures.starts
+        self._starts, self.plays = pictures.starts, pictures.plays
         if self._starts:
             self.base = Fraction(1, 1000)
         profile = pictures.picture(0)[0].icc
@@ -139,6 +145,9 @@ class VideoFile(VideoSource):
         self.codec, self.lossless = context.codec.canonical_name, context.codec.lossless and not context.codec.lossy
         self.tags, self.disposition = dict(film.metadata), film.disposition
         self.field_order, self.profile = context.field_order, context.profile or ""
+        tagged = [film, *(stream for stream in self.source.streams if stream.type == "data"), self.source]
+        self.timecode = next((found for each in tagged if (found := said_of(each, "timecode"))), "")
+        self.plays = plays_of(self.source)
         header = context.extradata or b""
         self.header = b"" if header == context.codec_tag.encode("latin-1", "replace") else header  # ProRes in Matroska
         self.pace = Fraction(film.base_rate or 0)
@@ -160,8 +169,14 @@ class VideoFile(VideoSource):
         matrix = side_data(frame, "DISPLAYMATRIX")
         turned = [int(value) for value in np.frombuffer(matrix, "=i4")] if matrix else []
         self.matrix = turned if turned != [65536, 0, 0, 0, 65536, 0, 0, 0, 1 << 30] else []
-        self.rotation = frame.rotation
-        self.interlaced = frame.interlaced_frame
+        a, b, _, c, d, *_ = turned or [1, 0, 0, 0, 1, 0]
+        self.mirrored = a * d < b * c
+        sign = -1 if self.mirrored else 1
+        self.rotation = -round(math.degrees(math.atan2(sign * b, sign * a)))
+        # the frame knows what is shown first, and the stream, or the container, in which order fields are coded
+        self.fields = first_field(frame) or {2: "top", 3: "bottom", 4: "bottom", 5: "top"}.get(self.field_order, "")
+        if self.fields and self.field_order < 2:
+            self.field_order = 2 if self.fields == "top" else 3
         found = form(self.pixel_format)
         if found is None and frame.format.has_palette:
             opaque = (palette(frame)[..., 3] == 255).all()
@@ -178,7 +193,12 @@ class VideoFile(VideoSource):
     def unpictured(self) -> tuple[str, ...]:
         """Streams that have no place in images of its frames."""
         held = {stream.type for stream in self.source.streams}
-        return tuple(name for kind, name in (("audio", "sound"), ("subtitle", "subtitles")) if kind in held)
+        found = [name for kind, name in (("audio", "sound"), ("subtitle", "subtitles")) if kind in held]
+        return (*found, *(["timecode"] if self.timecode else []))
+
+    def upright(self, pixels: Array) -> Array:
+        """Return a view of a frame's pixels, (H, W, …), as it is displayed: mirrored, and turned by quarters."""
+        return np.rot90(pixels[:, ::-1] if self.mirrored else pixels, round(self.rotation / 90))
 
     def painted(self, values: Sequence[float]) -> tuple[float, ...]:
         """Convert grey or RGB, in the depth of the clip, and opacity, to components of the layout."""
@@ -190,7 +210,7 @@ class VideoFile(VideoSource):
         names: dict[str, list[str]] = {"audio": [], "subtitle": [], "other": []}
         for stream in self.source.streams:
             if stream.index != self.index:
-                codec, tongue = name_of(stream), stream.metadata.get("language", "und")
+                codec, tongue = named(self.source, stream), stream.metadata.get("language", "und")
                 sort = stream.type if stream.type in names else "other"
                 names[sort].append(codec if tongue == "und" else f"{codec} ({tongue})")
         kind = self.form.kind
@@ -212,8 +232,12 @@ class VideoFile(VideoSource):
             "matrix": self.colour.matrix,
             "siting": self.colour.site or "unknown",
             "rotation": self.rotation,
+            "mirrored": self.mirrored,
             "aspect": self.aspect or Fraction(1),
-            "interlaced": self.interlaced,
+            "interlaced": bool(self.fields),
+            "fields": self.fields or None,
+            "timecode": self.timecode or None,
+            "plays": self.plays,
             "damaged": self.survey.damaged,
             "audio": names["audio"],
             "subtitles": names["subtitle"],
@@ -222,8 +246,8 @@ class VideoFile(VideoSource):
         }
 
 
-def said_of(film: av.VideoStream, key: str) -> str | None:
-    """Return metadata of a stream, for any case of its key."""
+def said_of(film: Any, key: str) -> str | None:
+    """Return metadata of a stream or a file, for any case of its key."""
     return next((value for name, value in film.metadata.items() if name.lower() == key), None)
 
 

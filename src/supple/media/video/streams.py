@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 import warnings
 from collections import deque
 from fractions import Fraction
@@ -15,10 +16,27 @@ from supple.errors import shown
 from supple.media.base import ClipWarning
 from supple.media.codecs import Container
 from supple.media.files import PathLike
+from supple.media.video.colour import described
 
 _HELD = 64 << 20  # bytes of packets that wait for the film before they are written first
 # tags of the file, not of its contents
-_OWN = frozenset(("encoder", "duration", "major_brand", "minor_version", "compatible_brands", "rotate", "alpha_mode"))
+_OWN = frozenset(
+    ("encoder", "duration", "timecode", "major_brand", "minor_version", "compatible_brands", "rotate", "alpha_mode")
+)
+# data streams by the four characters of their kind
+_DATA = {
+    "gpmd": "GoPro telemetry (GPMF)",
+    "fdsc": "GoPro file description",
+    "djmd": "DJI metadata",
+    "dbgi": "DJI debug data",
+    "mebx": "timed metadata of Apple",
+    "rtmd": "Sony metadata (RTMD)",
+    "camm": "camera motion metadata (CAMM)",
+    "KLVA": "KLV metadata",
+    "ID3 ": "timed ID3 metadata",
+    "tmcd": "timecode",
+    "text": "text of chapters",
+}
 _FELT = Fraction(1, 50)  # seconds between image and sound: a larger error is reported
 _COUNTED = ("_STATISTICS", "BPS", "NUMBER_OF_", "DURATION")
 
@@ -48,6 +66,21 @@ def name_of(stream: av.stream.Stream) -> str:
     return str(name or "unknown")
 
 
+def kind_of(container: av.container.Container, stream: av.stream.Stream) -> str:
+    """Return the four characters that name the kind of a stream in its file; empty if there are none."""
+    found = re.search(r"\(([\w ]{4}) / 0x", described(container, stream.index))
+    return found[1] if found else ""
+
+
+def named(container: av.container.InputContainer, stream: av.stream.Stream) -> str:
+    """Return the name of a stream's contents: of its codec, or of what is known of its data."""
+    name = name_of(stream)
+    if stream.type != "data":
+        return name
+    kind = kind_of(container, stream)
+    return _DATA.get(kind) or (f"data {kind!r}" if kind and name in ("unknown", "bin_data") else f"{name} data")
+
+
 def picture(path: str, index: int) -> bytes:
     """Return the first packet of a stream."""
     with av.open(path, metadata_errors="surrogateescape") as source:
@@ -55,26 +88,26 @@ def picture(path: str, index: int) -> bytes:
 
 
 def holds(container: Container, template: av.stream.Stream) -> bool:
-    """Return whether a container can hold a stream, by writing its header into memory."""
+    """Return whether a container can hold a stream, by writing its header, and a packet of data, into memory."""
     if container.streams is not None and name_of(template) not in container.streams:
         return False
     if template.type == "attachment" and not container.attachments:
         return False  # some would drop it silently
     if template.disposition & av.stream.Disposition.attached_pic and not container.mp4:
         return False
-    trial = None
-    with io.BytesIO() as memory:
-        try:
-            trial = av.open(memory, "w", format=container.name, metadata_errors="surrogateescape")
-            copied(trial, template)
+    with io.BytesIO() as memory, contextlib.suppress(av.FFmpegError, ValueError):
+        with av.open(memory, "w", format=container.name, metadata_errors="surrogateescape") as trial:
+            made = copied(trial, template)
             trial.start_encoding()
-        except (av.FFmpegError, ValueError):
-            return False
-        finally:
-            if trial is not None:
-                with contextlib.suppress(av.FFmpegError, ValueError):
-                    trial.close()
-    return True
+            if template.type != "data":
+                return True
+            packet = av.Packet(bytes(16))
+            packet.stream, packet.time_base, packet.pts, packet.dts = made, Fraction(1, 1000), 0, 0
+            trial.mux_one(packet)
+        memory.seek(0)  # MP4's muxer writes data that it does not know without saying what it is
+        with av.open(memory) as again:
+            return kind_of(template.container, template) in [kind_of(again, found) for found in again.streams]
+    return False
 
 
 class Passage:
@@ -102,7 +135,9 @@ class Passage:
             return
         marked = bool(source.chapters())
         for stream in source.streams:
-            if stream.index == film or (marked and name_of(stream) == "bin_data"):  # repeated chapters
+            kind = kind_of(source, stream) if stream.type == "data" else ""
+            # chapters are repeated, and the muxer writes a timecode from the metadata
+            if stream.index == film or (marked and kind == "text") or kind == "tmcd":
                 continue
             cover = bool(stream.disposition & av.stream.Disposition.attached_pic)
             if cover and container.attachments:
@@ -110,8 +145,10 @@ class Passage:
             elif holds(container, stream):
                 self._streams[stream.index] = copied(output, stream)
             else:
-                kind = "cover" if cover else stream.type
-                self._warn(f"cannot hold the {name_of(stream)} {kind} (stream {stream.index}): it is left out")
+                what = named(source, stream)
+                if stream.type != "data":
+                    what += f" {'cover' if cover else stream.type}"
+                self._warn(f"cannot hold the {what} (stream {stream.index}): it is left out")
 
     def _attach(self, source: av.container.InputContainer, cover: av.stream.Stream) -> None:
         """Write a cover into the header of Matroska, as an attachment."""
