@@ -86,6 +86,42 @@ def warp_array(
     return result, done.certificate
 
 
+def warp_picture(
+    picture: Any, space: Space, sampling: Sampling, *, clamp: bool, device: str, regridded: bool, name: str = ""
+) -> tuple[Any, Certificate]:
+    """Sample all pages of a picture, a `supple.media.image.Picture`, each channel as what it is.
+
+    Parameters
+    ----------
+    picture : Picture
+    space, sampling, clamp, device
+        As in `warp_array`; the space is of all pages.
+    regridded : bool
+        Whether the grid of the output is another one.
+    name : str
+        The name of the picture, for warnings.
+
+    Returns
+    -------
+    Picture
+        With new pixels.
+    Certificate
+        The accuracy of the map.
+    """
+    found = Certificate(0.0, 0.0)
+
+    def warp(pixels: Array, alpha: bool) -> Array:
+        nonlocal found
+        made, certificate = warp_array(pixels, space, sampling, alpha=alpha, device=device)
+        found |= certificate
+        if clamp and not space.is_identity:
+            for before, after in zip(pixels, made, strict=True) if picture.pages > 1 else ((pixels, made),):
+                clamp_to(before, after, sampling)  # each page by itself
+        return np.asarray(made)
+
+    return picture.warped(warp, regridded=regridded, name=name), found
+
+
 def work_of(held: Any, space: Space, sampling: Sampling, alpha: bool | None) -> Work:
     """Return the work on an image or on frames; SuppleError if they do not fit."""
     layout = Layout.of_array(held.shape, held.dtype, space.whole, alpha=alpha, light=sampling.light)

@@ -23,7 +23,7 @@ from supple.media.base import Clip, ClipWarning
 from supple.media.files import PathLike, check_outputs, replacing_all
 from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture
 from supple.media.image.formats import DTYPES
-from supple.media.image.headers import collected, facts, has_alpha
+from supple.media.image.headers import collected, extra_of, facts
 from supple.media.image.vips import apart, decoded, opened, reading, sequential, widen
 from supple.media.numbering import (
     first_number,
@@ -114,7 +114,8 @@ class Pictures:
         icc = header.pop("icc-profile-data", None)
         channels = (group.channels,) if group.channels > 1 else ()
         empty = np.empty((0, group.shape[1], *channels), self.layout.dtype)
-        return Picture(empty, group.alpha, icc, bits, form, image.interpretation, 1, header), lost
+        extra = extra_of(image)
+        return Picture(empty, group.alpha, icc, bits, form, image.interpretation, 1, header, extra), lost
 
     def info(self) -> dict[str, object]:
         """Return the facts for `supple info`."""
@@ -247,7 +248,9 @@ def _layout(path: Path, image: Any) -> Layout:
     dtype = np.dtype(DTYPES[image.format])
     if dtype.name not in _WHITE:
         raise SuppleError(f"{shown(path)} holds {dtype} values: a frame must be of uint8, uint16 or float32")
-    return Layout((Group(shape, image.bands, alpha=has_alpha(image)),), dtype, _WHITE[dtype.name])
+    if len(extra := extra_of(image)) > 1 and 2 in extra:
+        raise SuppleError(f"{shown(path)} has opacity and other channels beside it: a frame may have one of them")
+    return Layout((Group(shape, image.bands, alpha=extra == (2,)),), dtype, _WHITE[dtype.name])
 
 
 def _require(path: Path, found: Layout, wanted: Layout, like: str) -> None:

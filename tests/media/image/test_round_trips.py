@@ -223,10 +223,17 @@ class TestColours:
         write(tmp_path / "out.png", pixels, alpha=True)
         np.testing.assert_array_equal(read(tmp_path / "out.png").pixels, pixels)
 
-    def test_premultiplied_alpha_becomes_straight(self, tmp_path):
+    def test_premultiplied_colours_stay_so_in_tiff_alone(self, tmp_path):
         pixels = np.full((8, 8, 4), (200, 100, 50, 128), np.uint8)
         save(tmp_path / "in.tif", pixels, premultiply=True)
-        assert np.abs(read(tmp_path / "in.tif").pixels.astype(int) - pixels).max() <= 1
+        picture = read(tmp_path / "in.tif")
+        assert (picture.alpha, picture.extra) == (False, (1,))
+        np.testing.assert_array_equal(picture.pixels, np.full((8, 8, 4), (100, 50, 25, 128)))
+        for suffix in (".tif", ".png"):
+            write(tmp_path / f"out{suffix}", picture.pixels, like=picture)
+        assert read(tmp_path / "out.tif").extra == (1,)
+        np.testing.assert_array_equal(read(tmp_path / "out.tif").pixels, picture.pixels)
+        assert np.abs(read(tmp_path / "out.png").pixels.astype(int) - pixels).max() <= 1
 
 
 class TestPages:
