@@ -13,7 +13,7 @@ import numpy as np
 import pyvips
 
 from supple.media.files import PathLike
-from supple.media.image import exif
+from supple.media.image import exif, previews
 from supple.media.image.formats import COLOURS, DTYPES, JPEG, PNG, TIFF, Format
 from supple.media.image.tiff import Page
 
@@ -52,7 +52,12 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
                 header[name] = image.get(name)
     if "xmp-data" in header:  # it may repeat the orientation
         pattern = rb"(tiff:Orientation(?:=[\"']|>)\s*)[2-8]"
-        header["xmp-data"] = re.sub(pattern, rb"\g<1>1", header["xmp-data"])
+        header["xmp-data"] = previews.without_pictures(re.sub(pattern, rb"\g<1>1", header["xmp-data"]))
+    if "iptc-data" in header:
+        header["iptc-data"] = previews.without_thumbnails(header["iptc-data"])
+    for name in [name for name in header if "-Raw profile type " in name]:  # in hexadecimal digits
+        if "ffd8ff" in "".join(header[name].lower().split()):
+            del header[name]
     sizes = (image.yres, image.xres) if turned else (image.xres, image.yres)
     if min(sizes) > 0 and sizes != (1, 1) and _tells_size(path, image, form):  # libvips' code for unknown
         header["xres"], header["yres"] = sizes
@@ -70,6 +75,8 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
             lost.append("a part of its EXIF")
         if image.get_typeof("iptc-data"):  # libvips garbles it
             lost.append("its IPTC")
+    if "exif-data" in header:
+        header["exif-data"] = previews.blanked(header["exif-data"])
     if image.get_typeof("gainmap-data"):
         lost.append("its HDR gain map")
     return header, lost
