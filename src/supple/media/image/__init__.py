@@ -27,6 +27,7 @@ from supple.media.image.formats import (
     TIFF,
     Array,
     check,
+    divided,
     meant,
     settings,
     wrapped,
@@ -105,7 +106,9 @@ class Picture:
     _header: Mapping[str, Any] = field(default_factory=dict, repr=False)
     extra: tuple[int, ...] = ()
 
-    def warped(self, warp: Callable[[Array, bool], Array], *, regridded: bool = False, name: str = "") -> Picture:
+    def warped(
+        self, warp: Callable[[Array, bool], Array], *, regridded: bool = False, averaged: bool = True, name: str = ""
+    ) -> Picture:
         """Return a picture with new pixels, which `supple.Deformation.warp` returns of this one.
 
         Parameters
@@ -115,6 +118,8 @@ class Picture:
             last channel is opacity or not.
         regridded : bool
             Whether the new grid is another one, for which a georeference does not hold.
+        averaged : bool
+            Whether samples are averages of several: where one of these has no value, the average has none.
         name : str
             The name of the picture, for warnings.
 
@@ -129,7 +134,7 @@ class Picture:
         if self.pages > 1:
             pixels = pixels.reshape(self.pages, -1, *pixels.shape[1:])
         nodata = tiff.nodata if tiff is not None else None
-        real = pixels.dtype.kind == "f"
+        real, nodata = pixels.dtype.kind == "f", nodata if averaged else None
         gaps = pixels == pixels.dtype.type(nodata) if nodata is not None and _fits(nodata, pixels.dtype) else None
         if gaps is not None and gaps.any():
             what = "their neighbours too, as far as the filter reaches" if real else "they are mixed with others"
@@ -137,7 +142,7 @@ class Picture:
             text = f"{name}: {np.count_nonzero(gaps)} samples are marked as no data ({nodata:g}), and "
             warnings.warn(f"{text}{what}{advice}", GapWarning, stacklevel=caller())
             pixels = np.where(gaps, pixels.dtype.type(np.nan), pixels) if real else pixels
-        if real and (count := pixels.size - np.count_nonzero(np.isfinite(self.pixels))):
+        if real and averaged and (count := pixels.size - np.count_nonzero(np.isfinite(self.pixels))):
             text = f"{name}: {count} samples are NaN or infinite, and so are those that are computed from them"
             warnings.warn(text, GapWarning, stacklevel=caller())
         extra = self.extra or ((2,) if self.alpha else ())
@@ -313,7 +318,7 @@ def info(path: PathLike) -> dict[str, object]:
 
 def write(
     path: PathLike,
-    pixels: Array,
+    pixels: Array | Picture,
     like: Picture | None = None,
     *,
     alpha: bool | None = None,
@@ -327,9 +332,9 @@ def write(
     ----------
     path : str or os.PathLike
         One of `SUFFIXES_OUT`.
-    pixels : ndarray
+    pixels : ndarray or Picture
         Shape (H, W) or (H, W, C): uint8, uint16, and for TIFF also floats and integers up to 32 bits. Contiguous arrays
-        are not copied.
+        are not copied. A picture is its own ``like``, unless another is given.
     like : Picture, optional
         The source of profile, EXIF, XMP and resolution, and of the meaning of the channels and pages of `pixels`.
     alpha : bool, optional
@@ -354,6 +359,9 @@ def write(
         IPTC outside a JPEG, EXIF that is damaged or too large, or a grey profile in a format without grey.
     """
     check_target(path)
+    if isinstance(pixels, Picture):
+        like = like or pixels
+        pixels = pixels.pixels
     name, form = shown(path), OUT[Path(path).suffix.lower()]
     array = np.ascontiguousarray(pixels, np.asarray(pixels).dtype.newbyteorder("="))
     channels = array.shape[2] if array.ndim == 3 else 1
@@ -424,13 +432,3 @@ def write(
             tagged(temporary, tiff, added, is_sized(image))
         else:
             finish(temporary, image, form)
-
-
-def divided(pixels: Array) -> Array:
-    """Return pixels whose colours are not multiplied by their opacity, the last channel."""
-    white = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else 1.0
-    opacity = pixels[..., -1:].astype(np.float64)
-    colours = pixels[..., :-1] * float(white)
-    np.divide(colours, opacity, out=colours, where=opacity > 0)
-    colours = np.rint(np.minimum(colours, white)) if pixels.dtype.kind in "iu" else colours
-    return np.concatenate([colours.astype(pixels.dtype), pixels[..., -1:]], axis=-1)

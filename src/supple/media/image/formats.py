@@ -157,3 +157,13 @@ def settings(form: Format, array: Array, bits: int, quality: int | None, lossles
     if form is AVIF:
         chosen["bitdepth"] = bits
     return chosen
+
+
+def divided(pixels: Array) -> Array:
+    """Return pixels whose colours are not multiplied by their opacity, the last channel."""
+    white = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else 1.0
+    opacity = pixels[..., -1:].astype(np.float64)
+    colours = pixels[..., :-1] * float(white)
+    np.divide(colours, opacity, out=colours, where=opacity > 0)
+    colours = np.rint(np.minimum(colours, white)) if pixels.dtype.kind in "iu" else colours
+    return np.concatenate([colours.astype(pixels.dtype), pixels[..., -1:]], axis=-1)

@@ -214,7 +214,7 @@ class Page:
 
     def _refuse(self, what: str) -> NoReturn:
         raise unreadable(
-            self._path, f"it is of a kind that is not supported: {what}", "convert it, to PNG for instance"
+            self._path, f"it is of a kind that is not supported ({what})", "convert it, to PNG for instance"
         )
 
     def _plane(self, read: Callable[[Any, int], Array], k: int) -> Array:
