@@ -40,8 +40,8 @@ def test_an_endless_fill_is_beyond_the_edge_alone(filter: str, fill: Any, clamp:
 
 def test_a_border_that_does_not_move_stays_whole() -> None:
     d = supple.Deformation(SIZE).grab((40, 30), by=(6, 2), radius=8)
-    for filter in FILTERS:
-        assert np.isfinite(d.warp(noise(*SIZE), filter=filter, outside="constant", fill=np.nan)).all()
+    for name in FILTERS:
+        assert np.isfinite(d.warp(noise(*SIZE), filter=name, outside="constant", fill=np.nan)).all()
 
 
 def test_of_a_volume() -> None:

@@ -197,7 +197,8 @@ def read(path: PathLike, *, pages: bool = False) -> Picture:
     With ``pages``, all pages of a TIFF are read, if they are of one size and type.
 
     Colours are not converted. A palette becomes RGB or RGBA; fewer than 8 bits become 8; 10 or 12 bits become
-    16, with white at 65535.
+    16, with white at 65535. White is the largest value, even if a TIFF stores it as 0; in Lab of integers, a* and
+    b* are 0 in the middle of the range.
 
     Returns
     -------
