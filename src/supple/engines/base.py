@@ -261,7 +261,7 @@ class Layout:
             If the array does not fit the deformation, or its type is not supported.
         """
         if dtype.kind not in "biuf" or dtype.itemsize > 8:
-            refuse("source", "an array of bool, integers or floats of up to 64 bits", told=f"{dtype}")
+            refuse("source", "an array of bool, integers or floats of up to 64 bits", told=f"dtype {dtype}")
         axes = len(whole)
         if shape[:axes] != whole or len(shape) not in (axes, axes + 1) or 0 in shape:
             sizes = ", ".join(map(str, whole))
