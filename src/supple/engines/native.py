@@ -226,7 +226,7 @@ class Native:
         if not isinstance(given, np.ndarray):
             refuse("out", wanted, given)
         if out.shape != shape or out.dtype != held.dtype:
-            refuse("out", wanted, f"{out.dtype} of shape {out.shape}")
+            refuse("out", wanted, told=f"{out.dtype} of shape {out.shape}")
         if not out.flags.writeable:
             raise SuppleError("out must be an array that can be written, found a read-only one")
         if np.may_share_memory(out, held) or _same_bytes(out, held):

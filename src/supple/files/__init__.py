@@ -9,14 +9,12 @@ import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-import numpy as np
-
-from supple.arrays import clamp_to, warp_array
+from supple.arrays import warp_picture
 from supple.deformation import Deformation, Report
 from supple.domain import choice, refuse
-from supple.engines.base import Array, Certificate, Sampling, warn_of
+from supple.engines.base import Sampling, warn_of
 from supple.engines.choice import DEVICES, check_device, check_host
 from supple.errors import SuppleError, shown
 from supple.fields import Placed, folds_of, only_name
@@ -28,7 +26,7 @@ from supple.geometry import Grid
 from supple.media.codecs import SUFFIXES as CLIPS
 from supple.media.files import check_output, replacing, same_file
 from supple.media.image import SUFFIXES as SUFFIXES_IN
-from supple.media.image import check_quality, check_target, read, warn_of_exact, write
+from supple.media.image import Picture, check_quality, check_target, read, warn_of_exact, write
 from supple.media.volume import SUFFIXES as VOLUMES
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import grid_of as volume_grid
@@ -256,38 +254,24 @@ def warp_file(
         sampling = Sampling.checked(
             2, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light
         )
-
-        pages = picture.pages
-
-        def warped(samples: Array, sampling: Sampling, alpha: bool | None) -> tuple[Array, Certificate]:
-            """Return samples of all pages, warped."""
-            rows, columns = space.out[-2:]
-            made = np.empty((rows * pages, columns, *samples.shape[2:]), samples.dtype)
-            held, out = (a.reshape(*n, *a.shape[2:]) for a, n in ((samples, space.whole), (made, space.out)))
-            _, certificate = warp_array(held, space, sampling, alpha=alpha, device=device, out=out)
-            if (made.dtype.kind == "f" if clamp is None else clamp) and not space.is_identity:
-                for k in range(pages):  # each by itself
-                    clamp_to(samples[k * height : (k + 1) * height], made[k * rows : (k + 1) * rows], sampling)
-            return made, certificate
-
-        nearest = replace(sampling, filter="nearest")
-        exact = layers is not None and layers.groups[0][0]
-        pixels, certificate = warped(picture.pixels, nearest if exact else sampling, picture.alpha)
-        header = dict(picture._header)
-        if layers is not None:
-            pairs = list(zip(layers.groups, layers.arrays, strict=True))[1:]
-            rest = [warped(a, replace(nearest if x else sampling, fill=0.0), False)[0] for (x, _), a in pairs]
-            layers = layers if regrid is None else layers.sized(pixels.shape[:2])
-            header["exr"] = replace(layers, arrays=(pixels, *rest))
+        bounded = picture.pixels.dtype.kind == "f" if clamp is None else clamp
+        nearest, groups = replace(sampling, filter="nearest"), () if layers is None else layers.groups
+        options: dict[str, Any] = {"clamp": bounded, "device": device, "name": shown(source)}
+        exact = nearest if groups and groups[0][0] else sampling
+        picture, found = warp_picture(picture, space, exact, regridded=regrid is not None, **options)
+        if layers is not None:  # of the others, what is outside is 0
+            others = [replace(nearest if exact else sampling, fill=0.0) for exact, _ in groups[1:]]
+            pairs = zip(layers.arrays[1:], others, strict=True)
+            arrays = [warp_picture(Picture(a), space, how, regridded=False, **options)[0].pixels for a, how in pairs]
+            layers = layers if regrid is None else layers.sized(picture.pixels.shape[:2])
+            layers = replace(layers, arrays=(picture.pixels, *arrays))
+            picture = replace(picture, _header={**picture._header, "exr": layers})
             warn_of_exact(layers)
-        warn_of(certificate, tolerance, 3, folds_of(maps), only_name(maps))
-        # Only the header of the input is still needed: free its pixels for the encoder.
-        like = replace(picture, pixels=np.empty((0, *picture.pixels.shape[1:]), picture.pixels.dtype), _header=header)
-        del picture, layers
+        warn_of(found, tolerance, 3, folds_of(maps), only_name(maps))
         begin("write")
-        write(target, pixels, like=like, quality=quality, lossless=lossless, force=force)
-    found = certificate.folded, certificate.outside, certificate.unknown
-    return Warped(Path(source), Path(target), deformation, tolerance, regrid, *found, None if held == own else own)
+        write(target, picture.pixels, like=picture, quality=quality, lossless=lossless, force=force)
+    points = found.folded, found.outside, found.unknown
+    return Warped(Path(source), Path(target), deformation, tolerance, regrid, *points, None if held == own else own)
 
 
 def check_job(
