@@ -310,6 +310,8 @@ def warp_on(
         raise SuppleError(f"labels is for whole numbers, and {medium.name} holds {medium.dtype}: leave it out")
     name = "nearest" if known.labels else filter
     whole = np.broadcast_to(np.zeros((), medium.dtype), medium.space)  # which takes no memory
+    if outside == "constant":
+        fill = Volume(whole, Geometry(), medium.name).stored(fill)
     if medium.geometry is None:
         if known.world:
             raise SuppleError(f"world is for volumes, and {medium.name} is a picture: leave it out")

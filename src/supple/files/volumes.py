@@ -378,6 +378,8 @@ def warp_volume(
         warn_of_place(volume.geometry, volume.name)
     regrid = grid_on(grid, volume.grid, volume.name, maps)
     deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
+    if outside == "constant":
+        sampling = replace(sampling, fill=volume.stored(fill))
     like = volume if grid is None or regrid is None else _moved(volume, regrid, grid)
     if grid is not None:
         check_target(target, like, force=force)
