@@ -31,8 +31,9 @@ _PADDING = ("PixelPaddingValue", "PixelPaddingRangeLimit")
 # What is of the source's pixels, and not of the new ones.
 _STALE = (
     "SmallestImagePixelValue", "LargestImagePixelValue", "SmallestPixelValueInSeries", "LargestPixelValueInSeries",
-    "SmallestImagePixelValueInPlane", "LargestImagePixelValueInPlane", "PixelDataProviderURL", "IconImageSequence", "DigitalSignaturesSequence", "MACParametersSequence",
-    "ExtendedOffsetTable", "ExtendedOffsetTableLengths", "DVHSequence", "ConcatenationUID", "InConcatenationNumber",
+    "SmallestImagePixelValueInPlane", "LargestImagePixelValueInPlane", "PixelDataProviderURL",
+    "ExtendedOffsetTable", "ExtendedOffsetTableLengths", "DVHSequence", "IconImageSequence", "MACParametersSequence",
+    "DigitalSignaturesSequence", "ConcatenationUID", "InConcatenationNumber",
     "SOPInstanceUIDOfConcatenationSource", "InConcatenationTotalNumber", "ConcatenationFrameOffsetNumber",
     "OriginalAttributesSequence", "PaletteColorLookupTableUID",
     *(f"{c}PaletteColorLookupTable{part}" for c in ("Red", "Green", "Blue") for part in ("Data", "Descriptor")),

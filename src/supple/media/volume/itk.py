@@ -325,10 +325,10 @@ def _header_of(samples: Array, like: Volume) -> dict[str, str]:
     if like.regridded:  # it counts voxels from those of another grid
         made.pop("Segmentation_ReferenceImageExtentOffset", None)
     for key, k in [(found[0], found[1]) for found in map(_EXTENT.fullmatch, made) if found]:
-        label, layer = made.get(f"Segment{k}_LabelValue", "1"), made.get(f"Segment{k}_Layer", k)
+        label, layer = (str(made.get(f"Segment{k}_{name}", usual)) for name, usual in (("LabelValue", 1), ("Layer", k)))
         del made[key]
         with contextlib.suppress(ValueError, IndexError):  # of a label or a layer that is none
-            mask = (samples if samples.ndim == 3 else samples[..., int(layer)]) == int(label)
+            mask = np.asarray((samples if samples.ndim == 3 else samples[..., int(layer)]) == int(label))
             ends = [np.flatnonzero(mask.any(axis)) for axis in ((0, 1), (0, 2), (1, 2))]
             made[key] = " ".join(f"{at[0]} {at[-1]}" if at.size else "0 -1" for at in ends)
     return made
