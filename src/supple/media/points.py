@@ -19,6 +19,7 @@ from supple.media.files import PathLike, check_suffix, head_of, replacing, unrea
 from supple.media.meshes.base import Mesh
 from supple.media.meshes.cells import Ints, Part
 from supple.media.tables import Table, parsed
+from supple.media.volume import Volume
 
 Floats = npt.NDArray[np.float64]
 
@@ -90,7 +91,7 @@ def check_target(path: PathLike, source: PathLike) -> None:
         raise SuppleError(f"cannot write {shown(path)}: {shown(source)} is of another kind: give a name in {suffixes}")
 
 
-def read_points(path: PathLike, *, mesh: bool = False) -> PointFile:
+def read_points(path: PathLike, *, mesh: bool = False, series: Volume | None = None) -> PointFile:
     """Read a file of points.
 
     A table (.csv, .tsv, .txt) is separated by commas, semicolons or tabs. A header, which may be a comment, names its
@@ -104,6 +105,8 @@ def read_points(path: PathLike, *, mesh: bool = False) -> PointFile:
         A .csv, .tsv, .txt, .fcsv or .mrk.json file.
     mesh : bool
         Whether it may be a mesh as well (.stl, .obj, .ply, .vtk, .vtp): its vertices are the points.
+    series : Volume, optional
+        Of DICOM: what a structure set refers to when its points are written.
 
     Returns
     -------
@@ -119,7 +122,7 @@ def read_points(path: PathLike, *, mesh: bool = False) -> PointFile:
     """
     name, kind = shown(path), _kind("read", path, mesh=mesh)
     if kind in meshes.KINDS.values():
-        found = meshes.read_mesh(path, kind)
+        found = meshes.read_mesh(path, kind, series)
         said, none = found.convention, ("",) * len(found.points)
         told = "said" if said else "mesh"
         return PointFile(found.points, said or "index", none, name, kind, found, told, found.normals, found.at)
