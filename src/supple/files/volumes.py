@@ -157,6 +157,11 @@ def is_volume_job(
     return is_volume(source)
 
 
+def is_from_dicom(source: PathLike, options: VolumeOptions) -> bool:
+    """Return whether a volume is DICOM, from which DICOM is derived: slices into a folder."""
+    return options.layout is None and is_dicom(source)
+
+
 def holds_volumes(path: PathLike) -> bool:
     """Return whether a folder holds volumes as separate files."""
     try:
@@ -427,7 +432,7 @@ def check_volume_target(source: PathLike, target: PathLike, options: VolumeOptio
     """
     if os.path.isdir(source) and Path(os.path.realpath(source)) in Path(os.path.realpath(target)).parents:
         raise SuppleError(f"{shown(target)} is within {shown(source)}, and would be read with it: write elsewhere")
-    if suffix_of(target) in derived.SUFFIXES and options.layout is None and is_dicom(source):
+    if suffix_of(target) in derived.SUFFIXES and is_from_dicom(source, options):
         derived.check(target, force=force)
     else:
         check_output(target, force=force)
