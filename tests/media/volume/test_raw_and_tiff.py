@@ -8,7 +8,7 @@ import pytest
 import pyvips
 import tifffile
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, VolumeWarning
 from supple.media.volume import (
     RawLayout,
     has_pages,
@@ -203,7 +203,8 @@ class TestAxes:
         with tifffile.TiffWriter(tmp_path / "in.tif") as file:
             for k, place in enumerate(places):
                 file.write(samples[place], description=None if k else text, metadata=None, contiguous=False)
-        known = read(tmp_path / "in.tif")
+        with pytest.warns(VolumeWarning, match=r"how far its slices are apart \(PhysicalSizeZ\)"):
+            known = read(tmp_path / "in.tif")
         np.testing.assert_array_equal(known.samples, np.moveaxis(samples, 0, -1))
         assert known.geometry.spacing == (5e-4, 5e-4, 5e-4)
 

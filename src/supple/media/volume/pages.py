@@ -98,7 +98,9 @@ def read(path: PathLike) -> Volume:
         options = {"page": first, "n": last - first + 1, "access": "sequential", "fail_on": "error"}
         tall = apart(lambda: pyvips.Image.new_from_source(source, "", **options))
         samples = apart(lambda: decoded(tall, 1), tall)
-    samples = samples.reshape(last - first + 1, -1, *samples.shape[1:])[np.array(own) - first]
+    samples = samples.reshape(last - first + 1, -1, *samples.shape[1:])
+    if own != list(range(first, last + 1)):
+        samples = samples[np.array(own) - first]
     samples = samples.reshape(*outer, *samples.shape[1:])
     letters += "yxc"[: samples.ndim - len(letters)]
     if len(set(letters)) < len(letters) or ("t" in letters and "c" in letters):
@@ -106,6 +108,9 @@ def read(path: PathLike) -> Volume:
     samples = samples.transpose(sorted(range(len(letters)), key=lambda k: "tzyxc".find(letters[k])))
     if "z" not in letters:
         samples = np.expand_dims(samples, "t" in letters)
+    if "x" in told and "z" not in told and sizes.get("z", 1) > 1:
+        what = f"{shown(path)} does not tell how far its slices are apart (PhysicalSizeZ): as far as its columns"
+        warnings.warn(what, VolumeWarning, stacklevel=4)
     interval = told.get("finterval", 0.0)
     return Volume(
         native(samples),
