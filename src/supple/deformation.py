@@ -1097,7 +1097,7 @@ class Deformation:
             if grid.ndim != self.ndim:
                 refuse("grid", f"a grid of {self.ndim} axes, as the deformation is", told=f"one of {grid.ndim}")
         space = self.space_on(grid)
-        if callable(source):
+        if callable(source) and not hasattr(source, "__array__"):
             if grid is not None:
                 refuse("grid", "left out for a function of points", grid)
             if clamp:

@@ -258,6 +258,8 @@ FOR_PYTHON = (
     "clamp must be False for",
     "field must be a Field (Field.from_array",
     "read_maps(path) reads them (supple compose",
+    "give its pixel_array",
+    "supple.warp_file warps files",
     # names that other programs have
     "opencv_storage",
     "mri_warp_convert",

@@ -6,9 +6,11 @@ import json
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from supple.media import image
+from supple.geometry import Geometry
+from supple.media import image, volume
 from tests.cli.commands import GRAB, Run, noise, one_line, pictures
 
 
@@ -26,6 +28,22 @@ def test_a_folder_goes_into_a_folder(run: Run) -> None:
     assert facts["new/out/a.png"]["within"]
     assert run("warp", "in/a.png", "alone.png", "--recipe", "r.json")[0] == 0
     assert Path("alone.png").read_bytes() == Path("new/out/a.png").read_bytes()
+
+
+def test_one_volume_goes_into_a_folder(run: Run) -> None:
+    Path("there").mkdir()
+    samples = np.arange(1000, dtype=np.int16).reshape(10, 10, 10)
+    volume.write("in.nii.gz", samples, volume.Volume(samples, Geometry()))
+    grab = ("--grab", "5,5,5:6,5,5", "--radius", "4")
+    for folder in ("there", "new/"):
+        assert run("warp", "in.nii.gz", folder, *grab)[0] == 0
+        assert volume.read(f"{folder}/in.nii.gz").samples.shape == (10, 10, 10)
+    status, _, err = run("warp", "in.nii.gz", "there", *grab)
+    assert (status, "there/in.nii.gz exists already" in err) == (2, True)
+    status, _, err = run("warp", "in.nii.gz", "out.dcm", *grab)
+    assert status == 2
+    assert "the suffix .dcm is for what is derived from DICOM, and the source is of another format: use .nii" in err
+    assert not Path("out.dcm").exists()
 
 
 def test_a_pattern_goes_into_a_folder_with_the_names_below(run: Run) -> None:

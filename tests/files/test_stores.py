@@ -568,6 +568,19 @@ def test_labels_outside_are_background() -> None:
     assert set(np.unique(arrays("out.zarr/labels/nuclei")[0])) == {0}
 
 
+def test_a_fill_of_scaled_samples_is_a_true_value() -> None:
+    plain(
+        "in.zarr", RNG.integers(0, 9, (40, 44), np.int16), (16, 16), attributes={"scale_factor": 0.5, "add_offset": -9}
+    )
+    away = Placed(Affine([[1, 0, 60], [0, 1, 0]]))
+    warp_store("in.zarr", "out.zarr", Recipe(strokes=[]), maps=(away,), outside="constant", fill=-1)
+    out = zarr.open_array("out.zarr", mode="r")
+    assert set(np.unique(out[...])) == {16}
+    assert dict(out.attrs)["scale_factor"] == 0.5
+    with pytest.raises(SuppleError, match=r"fill must be from -16393 to 16374\.5, which in\.zarr can hold"):
+        warp_store("in.zarr", "no.zarr", Recipe(strokes=[]), maps=(away,), outside="constant", fill=20000)
+
+
 def test_another_input_of_the_same_shape_is_another_job(monkeypatch: pytest.MonkeyPatch) -> None:
     plain("in.zarr", RNG.random((40, 44)), (16, 16))
     with monkeypatch.context() as patch:

@@ -16,13 +16,17 @@ import pytest
 from scipy import ndimage
 
 import supple
+from supple.affine import Affine
 from supple.cli import command
-from supple.errors import VolumeWarning
+from supple.errors import SuppleError, VolumeWarning
+from supple.fields import Placed
 from supple.files import volumes
+from supple.files.freezing import read_freeze
 from supple.files.volumes import VolumeOptions, deformation_of, is_volume_job, sampling_of, warp_volume
 from supple.geometry import Geometry
 from supple.media import volume as media
 from tests import reference
+from tests.files.clip_files import Run
 
 SHAPE = (20, 26, 24)
 DIRECTION = np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]) @ np.diag([1.0, -1.0, 1.0])
@@ -304,6 +308,66 @@ def test_what_is_seen_outside_is_within_the_range(here: Path) -> None:
     kept = media.read("out.nii").samples
     assert (kept.min(), kept.max()) == (-3000, 1500)
     assert (kept == -3000).any()
+
+
+@pytest.mark.parametrize(
+    ("dtype", "scaling", "fill"),
+    [
+        ("i2", (1, -1024), -1024),
+        ("u1", (4, -1024), -24),
+        ("i2", (-0.5, 3), 1000.5),
+        ("f4", (2, -10), -3000),
+        ("u2", (0.1, 0), 0.3),
+        ("i2", (1, 0), -2000),
+    ],
+)
+@pytest.mark.parametrize("target", ["out.nii.gz", "out.nrrd", "out.mha"])
+def test_a_fill_is_a_true_value(here: Path, dtype: str, scaling: Any, fill: float, target: str) -> None:
+    image = nibabel.Nifti1Image(np.full((8, 7, 6), 20, dtype).T, np.eye(4))
+    image.header["scl_slope"], image.header["scl_inter"] = scaling
+    nibabel.save(image, "in.nii")
+    with open("in.nii", "r+b") as file:  # nibabel computes a scaling of its own
+        file.seek(112)
+        file.write(np.array(scaling, "<f4").tobytes())
+    away = Placed(Affine(np.c_[np.eye(3), (3, 0, 0)]))
+    supple.warp_file("in.nii", target, supple.Recipe(strokes=[]), maps=[away], outside="constant", fill=fill)
+    seen = media.read(target).rescaled()
+    found = {round(float(value), 4) for value in np.unique(seen)}
+    assert found == {fill, round(20 * scaling[0] + scaling[1], 4)}
+
+
+def test_the_scaling_of_a_metaimage(here: Path) -> None:
+    head = "NDims = 3\nDimSize = 6 5 4\nElementType = MET_SHORT\nElementToIntensityFunctionSlope = 2\n"
+    head += "ElementToIntensityFunctionOffset = -10\nElementMin = 0\nElementDataFile = LOCAL\n"
+    Path("in.mha").write_bytes(head.encode() + bytes(240))
+    assert media.read("in.mha").scaling == (2, -10)
+    away = Placed(Affine(np.c_[np.eye(3), (3, 0, 0)]))
+    supple.warp_file("in.mha", "out.mha", supple.Recipe(strokes=[]), maps=[away], outside="constant", fill=-7)
+    assert set(np.unique(media.read("out.mha").samples)) == {-10, -7}  # between two steps of the input
+    assert b"ElementM" not in Path("out.mha").read_bytes()
+    Path("bad.mha").write_bytes(head.replace("Slope = 2", "Slope = 0").encode() + bytes(240))
+    with pytest.raises(SuppleError, match="scaled by 0, plus -10"):
+        media.read("bad.mha")
+
+
+def test_a_fill_that_is_not_held(run: Run) -> None:
+    stored("in.nii", np.zeros((8, 8, 8), np.uint8), Geometry())
+    command = ("warp", "in.nii", "out.nrrd", "--affine", "1,0,0,8,0,1,0,0,0,0,1,0", "--outside", "constant", "--fill")
+    status, _, err = run(*command, "-1")
+    assert status == 2
+    assert "--fill must be from 0 to 255, which in.nii can hold (uint8, unscaled), found -1" in err.splitlines()[-1]
+    assert not Path("out.nrrd").exists()
+    assert run(*command, "7.6")[0] == 0  # rounded, as all values are
+    assert 8 in media.read("out.nrrd").samples
+
+
+def test_labels_of_scaled_masks_are_true_values(here: Path) -> None:
+    mask = np.full((9, 9, 9), 10, np.uint8)
+    mask[3:6, 3:6, 3:6] = 30
+    media.write("mask.nii", mask, media.Volume(mask, Geometry(), scaling=(0.1, -1.0)))
+    assert read_freeze("mask.nii") == read_freeze("mask.nii", label=2)
+    with pytest.raises(SuppleError, match="no label 30: found 0, 2"):
+        read_freeze("mask.nii", label=30)
 
 
 def test_values_that_are_not_finite_are_not_clamped() -> None:

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
+import nibabel
 import numpy as np
 import numpy.typing as npt
+import pydicom
 import pytest
+import pyvips
+import SimpleITK
+from PIL import Image
 
 from supple import Deformation, SuppleError
+from supple.geometry import Geometry
+from supple.media.volume import Volume
 from tests import reference
 from tests.pipeline.pictures import FILTERS, SHAPE, Array, Floats, bent, exact, noise
 
@@ -392,7 +400,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"source": np.zeros(SHAPE, "M8[s]")}, "dtype datetime64"),
     ({"source": np.zeros(SHAPE, [("r", "u1")])}, "dtype"),
     ({"source": None}, "dtype object"),
-    ({"source": "photo.png"}, "dtype"),
+    ({"source": "photo.png"}, "the name of a file"),
     ({"source": [[1, 2], [3]]}, "source must be an array"),
     ({"source": 3}, "shape"),
     ({"filter": "lanczos"}, "filter must be"),
@@ -449,3 +457,32 @@ def test_threads_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
             monkeypatch.setenv("SUPPLE_THREADS", threads)
             results.append(d.warp(source, filter=name))
         np.testing.assert_array_equal(*results)
+
+
+def test_what_holds_an_array_is_no_array(tmp_path: Path) -> None:
+    """NumPy would make a list of numbers, or an object, of these."""
+    samples = np.zeros((6, 7, 8), np.int16)
+    d = Deformation(samples.shape).grab((3, 3, 3), to=(4, 3, 3), radius=3)
+    image = SimpleITK.GetImageFromArray(samples)
+    proxied = nibabel.Nifti1Image(samples.T, np.eye(4))
+    for given, told in (
+        (image, "an image of SimpleITK: give SimpleITK.GetArrayViewFromImage(image)"),
+        ([image], "an image of SimpleITK"),
+        (proxied, "an image of nibabel: give numpy.asanyarray(image.dataobj).T"),
+        (pydicom.Dataset(), "a data set of pydicom: give its pixel_array"),
+        (Volume(samples, Geometry()), "a volume: give its samples"),
+        ("in.nii", "the name of a file: supple.warp_file warps files"),
+        (tmp_path / "in.nii", "the name of a file"),
+    ):
+        with pytest.raises(SuppleError, match=f"^source must be an array, found {re.escape(told)}"):
+            d.warp(given)
+    np.testing.assert_array_equal(d.warp(SimpleITK.GetArrayViewFromImage(image)), samples)
+    np.testing.assert_array_equal(d.warp(np.asanyarray(proxied.dataobj).T), samples)
+    nibabel.save(proxied, tmp_path / "in.nii")
+    flat = Deformation((7, 8), border=None).grab((3, 3), to=(4, 3), radius=3)
+    proxy = nibabel.load(tmp_path / "in.nii").dataobj  # NumPy reads it
+    assert Deformation(proxy.shape).warp(proxy).shape == (8, 7, 6)
+    with pytest.raises(SuppleError, match="a picture of the mode P, whose numbers do not mix"):
+        flat.warp(Image.new("P", (8, 7)))
+    assert flat.warp(Image.new("RGB", (8, 7))).shape == (7, 8, 3)
+    assert flat.warp(pyvips.Image.black(8, 7)).shape == (7, 8)

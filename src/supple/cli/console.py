@@ -32,7 +32,7 @@ PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 # Arguments of the library that are options of the command; those with an underscore are options only.
 _NAMES = (
     "between|border|border_profile|codec|convention|crf|device|field_of_view|fill|filter|fit|force|frame|freeze|freeze_width|from|labels|linear_light|"
-    "lossless|memory|mode|on_fold|outside|pixel_format|poisson|preset|quality|radius|rate|raw|reach|save_field|scales|scheduler|series|"
+    "lossless|memory|mode|on_fold|outside|pixel_format|poisson|preset|quality|radius|rate|raw|reach|refer_to|save_field|scales|scheduler|series|"
     "spacing|time_filter|time_scale|tolerance|workers|world"
 )
 _UNDERSCORED = "|".join(name for name in _NAMES.split("|") if "_" in name)

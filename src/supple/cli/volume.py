@@ -101,6 +101,7 @@ def points(
     on: Annotated[str, Parameter(metavar="FILE")],
     inverse: bool = False,
     convention: Coordinates = None,
+    refer_to: Annotated[str | None, Parameter(metavar="SERIES")] = None,
     strokes: StrokeOptions = _STROKES,
     volume: VolumeArguments = _VOLUME,
     video: VideoOptions = _VIDEO,
@@ -122,6 +123,8 @@ def points(
     convention
         Coordinates of tables, IN and those of --pull, and of meshes, that do not name them: LPS or RAS in millimetres,
         or index. A table without a header, and a mesh, need it for a volume with a place in space.
+    refer_to
+        The DICOM series that a moved structure set refers to, such as the bent one: a folder, or one of its slices.
     """
     console = current()
     from supple.cli.jobs import piped
@@ -134,8 +137,9 @@ def points(
     deformation, geometry = _deformation(on, recipe, volume.to_reading(), video, strokes.to_fit(), source)
     with piped((source, target), console, ".csv") as (read, written):
         moved = move_points(
-            read, written, deformation, geometry, inverse=inverse, convention=convention, force=options.force
-        )
+            read, written, deformation, geometry,
+            inverse=inverse, convention=convention, refer_to=refer_to, force=options.force,
+        )  # fmt: skip
     say_convention(console, volume.world, geometry, on)
     worst = float(moved.residual.max(initial=0.0))
     if options.json:

@@ -132,7 +132,7 @@ def warp(
     from supple.files import check_job, grid_of, warp_file, write_recipe
     from supple.files.clips import is_clip
     from supple.files.grids import grid_on
-    from supple.files.volumes import holds_volumes, is_volume_job
+    from supple.files.volumes import holds_volumes, is_from_dicom, is_volume_job
     from supple.media.stores import is_store
 
     if len(paths) < 2:
@@ -195,9 +195,12 @@ def warp(
     paths = _as_clip(paths, recipe)
     left: list[Path] = []
     single = len(paths) == 2 and not _stands_for_several(paths[0]) and not holds_volumes(paths[0])
-    if single and (
-        is_volume_job(paths[0], paths[1], recipe, reading, grid=sampling["grid"]) or is_clip(paths[0], paths[1], recipe)
-    ):
+    into = os.path.isdir(paths[-1]) or paths[-1].endswith(("/", os.sep))
+    if single and is_volume_job(paths[0], paths[1], recipe, reading, grid=sampling["grid"]):
+        single = not into or is_from_dicom(paths[0], reading)  # others go into a folder as pictures do
+    elif single:
+        single = is_clip(paths[0], paths[1], recipe)
+    if single:
         jobs, many = [(Path(paths[0]), Path(paths[1]))], False
     else:
         jobs, many, left = pair(paths[:-1], paths[-1])

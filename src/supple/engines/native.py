@@ -45,6 +45,13 @@ _KINDS: dict[np.dtype[Any], np.dtype[Any]] = {
     np.dtype(np.float16): np.dtype(np.float32),
     np.dtype(np.bool_): np.dtype(np.uint8),
 }
+# Objects that hold an array, by their library and one of their attributes.
+_HELD = {
+    ("SimpleITK", "GetSpacing"): "an image of SimpleITK: give SimpleITK.GetArrayViewFromImage(image)",
+    ("nibabel", "dataobj"): "an image of nibabel: give numpy.asanyarray(image.dataobj).T",
+    ("pydicom", "pixel_array"): "a data set of pydicom: give its pixel_array",
+    ("supple", "rescaled"): "a volume: give its samples",
+}
 
 
 def plan_of(space: Space, z: float, tolerance: float, step: tuple[int, int] = (1, 1)) -> _core.Plan:
@@ -211,6 +218,7 @@ class Native:
     def taken(self, value: object, name: str) -> Array:
         """Return a value as a NumPy array; SuppleError if it is not an array."""
         check_gradients(value, name)
+        _check_held(value[0] if isinstance(value, list | tuple) and value else value, name)
         try:
             return np.asarray(value)
         except (TypeError, ValueError):
@@ -381,6 +389,21 @@ def forward_of(space: Space, points: npt.ArrayLike) -> tuple[Floats, Certificate
     status = np.zeros(len(rows), np.uint8)
     found, _, _ = space.composite.through(rows, False, False, status)
     return _points(space, found, rows, given), certificate_of_status(status)
+
+
+def _check_held(value: Any, name: str) -> None:
+    """Raise SuppleError for what holds an array, and of which NumPy makes another one or none, with what to give."""
+    library, mode = type(value).__module__.partition(".")[0], getattr(value, "mode", None)
+    known = (told for (root, attribute), told in _HELD.items() if root == library and hasattr(type(value), attribute))
+    told = next(known, "")
+    if told:
+        told += ", and its spacing to Deformation"
+    elif isinstance(value, str | os.PathLike):
+        told = "the name of a file: supple.warp_file warps files"
+    elif library == "PIL" and mode in ("P", "PA", "HSV", "CMYK"):
+        told = f'a picture of the mode {mode}, whose numbers do not mix: give image.convert("RGB")'
+    if told:
+        raise SuppleError(f"{name} must be an array, found {told}")
 
 
 def _slopes_through(space: Space, given: Floats, shape: tuple[int, ...]) -> Floats:

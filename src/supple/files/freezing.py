@@ -47,6 +47,8 @@ def read_freeze(path: PathLike, *, label: int | None = None, width: float | None
             raise SuppleError(f"{held.name} cannot be a freeze mask: it has several values for a voxel, or times")
         grid = held.grid
         samples, whole = np.asarray(held.samples), True
+        if held.scaling != (1, 0):  # rounded, since 0.1 times 10 is 1
+            samples = np.round(held.rescaled(), 5)
         place = () if held.geometry.convention == "array" else tuple(grid.matrix[:3].ravel().tolist())
         spacing = grid.spacing
     else:

@@ -18,6 +18,7 @@ from supple.geometry import Geometry
 from supple.media.files import check_output
 from supple.media.points import FLIP, PointFile, check_target, read_points, write_points
 from supple.media.volume import Volume
+from supple.media.volume import read as read_volume
 from supple.media.volume.dicom import frame_of_reference
 from supple.strokes import REACH, CoordinateSpace, Stroke
 
@@ -71,6 +72,7 @@ def move_points(
     *,
     inverse: bool = False,
     convention: str | None = None,
+    refer_to: PathLike | None = None,
     force: bool = False,
 ) -> Moved:
     """Map the points of a file by a deformation.
@@ -93,6 +95,8 @@ def move_points(
         ``"index"``, in pixels, frames or voxels from 0. It must agree with that of the file, if there is one. By
         default, indices; required for a table without a header, and for a mesh that does not say it as 3D Slicer's
         do, if ``geometry`` has a position in space.
+    refer_to : str or os.PathLike, optional
+        For a structure set: the DICOM series that the result refers to, such as the bent one; by default, none.
     force : bool
         Whether to replace an existing file.
 
@@ -112,7 +116,8 @@ def move_points(
     if geometry is not None and deformation.ndim != 3:
         raise SuppleError(f"a geometry is of a volume, and shape {deformation.shape} has two axes")
     check_output(target, force=force)
-    read = read_points(source, mesh=True)
+    series = None if refer_to is None else _series(refer_to, source)
+    read = read_points(source, mesh=True, series=series)
     known = convention_of(read, convention, None if geometry is None else geometry.convention)
     if read.points.shape[1] < deformation.ndim:
         raise SuppleError(
@@ -163,6 +168,17 @@ def _ways(deformation: Deformation, geometry: Geometry | None, known: str) -> tu
 
 def _same(points: Floats) -> Floats:
     return points
+
+
+def _series(path: PathLike, source: PathLike) -> Volume:
+    """Return the DICOM series that contours are to refer to."""
+    if Path(source).suffix.lower() != ".dcm":
+        raise SuppleError(f"refer_to is for structure sets of DICOM, and {shown(source)} is none: leave it out")
+    found = read_volume(path)
+    if found.format != "DICOM":
+        raise SuppleError(f"refer_to must be a series of DICOM, and {found.name} is {found.format}: give its folder")
+    warn_of_frame(source, found)
+    return found
 
 
 def warn_of_frame(source: PathLike, volume: Volume) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import os
@@ -52,12 +53,15 @@ class Medium:
         The type of the samples.
     geometry : Geometry, optional
         The place of a volume in space; None of a picture.
+    scaling : (float, float)
+        Slope and intercept of the samples: of a Zarr array, the attributes ``scale_factor`` and ``add_offset``.
     """
 
     name: str
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
     geometry: Geometry | None
+    scaling: tuple[float, float] = (1.0, 0.0)
 
     @property
     def space(self) -> tuple[int, ...]:
@@ -273,7 +277,10 @@ def medium_of(image: StoredImage) -> Medium:
     name, geometry = shown(image.address), None
     if len(image.spatial) == 3:
         geometry = image.grid.geometry("LPS") if image.placed else Geometry()
-    return Medium(name, image.shape, image.dtype, geometry)
+    told, scaling = image.levels[0].array.attrs, (1.0, 0.0)
+    with contextlib.suppress(TypeError, ValueError):  # of what is no number
+        scaling = float(told.get("scale_factor", 1)), float(told.get("add_offset", 0))
+    return Medium(name, image.shape, image.dtype, geometry, scaling if scaling[0] else (1.0, 0.0))
 
 
 def check_options(options: VolumeOptions) -> None:
@@ -310,6 +317,8 @@ def warp_on(
         raise SuppleError(f"labels is for whole numbers, and {medium.name} holds {medium.dtype}: leave it out")
     name = "nearest" if known.labels else filter
     whole = np.broadcast_to(np.zeros((), medium.dtype), medium.space)  # which takes no memory
+    if outside == "constant":
+        fill = Volume(whole, Geometry(), medium.name, scaling=medium.scaling).stored(fill)
     if medium.geometry is None:
         if known.world:
             raise SuppleError(f"world is for volumes, and {medium.name} is a picture: leave it out")

@@ -157,6 +157,11 @@ def is_volume_job(
     return is_volume(source)
 
 
+def is_from_dicom(source: PathLike, options: VolumeOptions) -> bool:
+    """Return whether a volume is DICOM, from which DICOM is derived: slices into a folder."""
+    return options.layout is None and is_dicom(source)
+
+
 def holds_volumes(path: PathLike) -> bool:
     """Return whether a folder holds volumes as separate files."""
     try:
@@ -374,11 +379,15 @@ def warp_volume(
         check_target(target, volume, force=force)
     if known.labels and (broken := _first_fraction(volume.samples)) is not None:
         raise SuppleError(f"labels is for whole numbers, and {volume.name} holds {broken:g}: leave it out")
+    if not (suffix_of(target).startswith(".nii") or suffix_of(target) in derived.SUFFIXES):  # others hold no scaling
+        volume = replace(volume, samples=volume.rescaled(), scaling=(1.0, 0.0))
     if maps:
         warn_of_place(volume.geometry, volume.name)
     regrid = grid_on(grid, volume.grid, volume.name, maps)
     deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
     warn_of_still(recipe.strokes)
+    if outside == "constant":
+        sampling = replace(sampling, fill=volume.stored(fill))
     like = volume if grid is None or regrid is None else _moved(volume, regrid, grid)
     if grid is not None:
         check_target(target, like, force=force)
@@ -424,7 +433,7 @@ def check_volume_target(source: PathLike, target: PathLike, options: VolumeOptio
     """
     if os.path.isdir(source) and Path(os.path.realpath(source)) in Path(os.path.realpath(target)).parents:
         raise SuppleError(f"{shown(target)} is within {shown(source)}, and would be read with it: write elsewhere")
-    if suffix_of(target) in derived.SUFFIXES and options.layout is None and is_dicom(source):
+    if suffix_of(target) in derived.SUFFIXES and is_from_dicom(source, options):
         derived.check(target, force=force)
     else:
         check_output(target, force=force)

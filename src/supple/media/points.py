@@ -19,6 +19,7 @@ from supple.media.files import PathLike, check_suffix, head_of, replacing, unrea
 from supple.media.meshes.base import Mesh
 from supple.media.meshes.cells import Ints, Part
 from supple.media.tables import Table, parsed
+from supple.media.volume import Volume
 
 Floats = npt.NDArray[np.float64]
 
@@ -73,9 +74,15 @@ class PointFile:
         return made
 
 
+_BOX = np.concatenate([np.zeros((1, 3)), np.eye(3) / 2, np.eye(3) / -2])  # its centre, and those of its faces
+# What follows from the control points of a plane; and its size, if it is automatic.
+_OF_PLANES = ("center", "origin", "normal", "orientation", "baseToNode", "baseToNodeMatrix")
+_SIZES = ("size", "planeBounds")
+
+
 @dataclass(frozen=True, slots=True)
 class _Markups:
-    """A ``.mrk.json`` and its placed control points: (markup, point, whether x and y are flipped)."""
+    """A ``.mrk.json`` and its placed points: (markup, control point or -1 of a box, whether x and y are flipped)."""
 
     data: dict[str, Any]
     places: tuple[tuple[int, int, bool], ...]
@@ -90,7 +97,7 @@ def check_target(path: PathLike, source: PathLike) -> None:
         raise SuppleError(f"cannot write {shown(path)}: {shown(source)} is of another kind: give a name in {suffixes}")
 
 
-def read_points(path: PathLike, *, mesh: bool = False) -> PointFile:
+def read_points(path: PathLike, *, mesh: bool = False, series: Volume | None = None) -> PointFile:
     """Read a file of points.
 
     A table (.csv, .tsv, .txt) is separated by commas, semicolons or tabs. A header, which may be a comment, names its
@@ -103,7 +110,10 @@ def read_points(path: PathLike, *, mesh: bool = False) -> PointFile:
     path : str or os.PathLike
         A .csv, .tsv, .txt, .fcsv or .mrk.json file.
     mesh : bool
-        Whether it may be a mesh as well (.stl, .obj, .ply, .vtk, .vtp): its vertices are the points.
+        Whether shapes are read: it may be a mesh as well (.stl, .obj, .ply, .vtk, .vtp), whose vertices are the points,
+        and a region (ROI) of a .mrk.json has seven points more, its centre and those of its faces.
+    series : Volume, optional
+        Of DICOM: what a structure set refers to when its points are written.
 
     Returns
     -------
@@ -119,13 +129,13 @@ def read_points(path: PathLike, *, mesh: bool = False) -> PointFile:
     """
     name, kind = shown(path), _kind("read", path, mesh=mesh)
     if kind in meshes.KINDS.values():
-        found = meshes.read_mesh(path, kind)
+        found = meshes.read_mesh(path, kind, series)
         said, none = found.convention, ("",) * len(found.points)
         told = "said" if said else "mesh"
         return PointFile(found.points, said or "index", none, name, kind, found, told, found.normals, found.at)
     text = _text(path)
     if kind == "JSON":
-        return _from_json(name, text)
+        return _from_json(name, text, mesh)
     table, points, convention, labels, told = parsed(name, text, fcsv=kind == "fcsv")
     return PointFile(points, convention, labels, name, kind, table, told)
 
@@ -141,8 +151,9 @@ def write_points(
 ) -> None:
     """Write points into a copy of the file that they came from; it appears whole or not at all.
 
-    All other contents are kept, and so is the text of unchanged coordinates. Values that Slicer derives from control
-    points (lengths, angles) are not updated.
+    All other contents are kept, and so is the text of unchanged coordinates. A region (ROI) becomes the box that fits
+    the centres of its faces best. What Slicer measures (lengths, angles) is left out of a markup that moves, and so is
+    what it derives from the points of a plane.
 
     Parameters
     ----------
@@ -180,7 +191,7 @@ def write_points(
 
 def _written(like: PointFile, made: Floats, residual: npt.ArrayLike | None) -> str:
     if not isinstance(like._as_read, Table):
-        return _to_json(like._as_read, made, like.points)
+        return _to_json(like._as_read, made, like.points, like.name)
     notes = None if residual is None or like.kind != "CSV" else [f"{r:.3g}" for r in np.asarray(residual, np.float64)]
     return like._as_read.written(made, like.points, notes)
 
@@ -200,7 +211,7 @@ def _text(path: PathLike) -> str:
     return data.decode("utf-8", "surrogateescape")  # so that labels in other encodings are kept
 
 
-def _from_json(name: str, text: str) -> PointFile:
+def _from_json(name: str, text: str, boxes: bool) -> PointFile:
     def refuse(where: str, found: str, advice: str) -> NoReturn:
         raise SuppleError(f"cannot read {name}: {where}{found}: {advice}")
 
@@ -242,26 +253,85 @@ def _from_json(name: str, text: str) -> PointFile:
             places.append((m, k, convention != first))
             points.append(position * FLIP if convention != first else position)
             labels.append(str(control.get("label") or ""))
+        if boxes and markup.get("type") == "ROI" and "size" in markup:
+            box = _box(markup)
+            if box is None:
+                given = ", ".join(f"{key} {value_shown(markup.get(key))}" for key in ("center", "size", "orientation"))
+                refuse(f"markup {m + 1}: ", f"its box is {given}", "give 3, 3 and 9 numbers")
+            first = first or convention
+            places += [(m, -1, convention != first)] * len(box)
+            points += list(box * FLIP if convention != first else box)
+            labels += [""] * len(box)
     if not points:
         refuse("", "it holds no points that are placed", "place some")
     return PointFile(np.array(points), first, tuple(labels), name, "JSON", _Markups(data, tuple(places), text))
 
 
-def _position(value: object) -> Floats | None:
-    if not isinstance(value, list) or len(value) != 3:
+def _box(markup: dict[str, Any]) -> Floats | None:
+    """Return the centre of a region, and those of its faces, (7, 3); None if a number is missing."""
+    centre, size = (_position(markup.get(key)) for key in ("center", "size"))
+    turn = _position(markup.get("orientation", np.eye(3).ravel().tolist()), 9)
+    if centre is None or size is None or turn is None:
+        return None
+    return np.asarray(centre + _BOX * size @ turn.reshape(3, 3).T)
+
+
+def _set_box(markup: dict[str, Any], new: Floats, old: Floats) -> None:
+    """Set the box of a region: that which fits the new centres of its faces best, or bounds its control points."""
+    turn = (old[1:4] - old[4:]).T
+    before = np.linalg.norm(turn, axis=0)
+    turn = np.divide(turn, before, out=np.reshape(markup.get("orientation", np.eye(3)), (3, 3)) + 0.0, where=before > 0)
+    if markup.get("roiType") == "BoundingBox":
+        controls = markup["controlPoints"]
+        placed = [c["position"] for c in controls if c.get("positionStatus", "defined") == "defined"]
+        low, high = (end(np.array(placed or new[:1]) @ turn, axis=0) for end in (np.min, np.max))
+        centre, size = turn @ (low + high) / 2, high - low
+    else:
+        edges = (new[1:4] - new[4:]).T
+        centre, size = new[0], np.linalg.norm(edges, axis=0)
+        left, _, right = np.linalg.svd(np.divide(edges, size, out=turn, where=size > 0))
+        turn = left @ right
+    markup["center"], markup["size"], markup["orientation"] = centre.tolist(), size.tolist(), turn.ravel().tolist()
+
+
+def _drop_measured(markup: dict[str, Any], m: int, name: str) -> None:
+    """Leave out what Slicer computes from control points that have moved; SuppleError for a plane that has only one."""
+    for measured in markup.get("measurements") or ():
+        for key in ("value", "controlPointValues") if isinstance(measured, dict) else ():
+            measured.pop(key, None)
+    if markup.get("type") == "Plane":
+        few = len(markup["controlPoints"]) < 3
+        if few or markup.get("planeType") == "pointNormal":
+            told = f"cannot move {name}: markup {m + 1} is a Plane of a point and a normal"
+            raise SuppleError(f"{told}: make it one of three points in 3D Slicer, or leave it out")
+        for key in (*_OF_PLANES, *(_SIZES if markup.get("sizeMode", "auto") == "auto" else ())):
+            markup.pop(key, None)
+
+
+def _position(value: object, count: int = 3) -> Floats | None:
+    if not isinstance(value, list) or len(value) != count:
         return None
     if not all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= LARGEST for x in value):
         return None
     return np.array(value, np.float64)
 
 
-def _to_json(markups: _Markups, points: Floats, before: Floats) -> str:
+def _to_json(markups: _Markups, points: Floats, before: Floats, name: str) -> str:
     data = copy.deepcopy(markups.data)
+    boxes: dict[int, list[tuple[Floats, Floats]]] = {}
     for (m, k, flipped), new, old in zip(markups.places, points, before, strict=True):
-        position = data["markups"][m]["controlPoints"][k]["position"]
-        signs = FLIP if flipped else np.ones(3)
-        for i in np.flatnonzero(new != old):
-            position[i] = float(new[i] * signs[i])
+        signs, markup = FLIP if flipped else np.ones(3), data["markups"][m]
+        if k < 0:
+            boxes.setdefault(m, []).append((new * signs, old * signs))
+        else:
+            for i in np.flatnonzero(new != old):
+                markup["controlPoints"][k]["position"][i] = float(new[i] * signs[i])
+        if (new != old).any():
+            _drop_measured(markup, m, name)
+    for m, moved in boxes.items():
+        ends, starts = (np.array(each) for each in zip(*moved, strict=True))
+        if (ends != starts).any():
+            _set_box(data["markups"][m], ends, starts)
     text = markups.text
     step = re.match(r"\ufeff?\s*\{\r?\n([ \t]+)", text)
     made = json.dumps(data, indent=step[1] if step else 4, ensure_ascii=text.isascii())

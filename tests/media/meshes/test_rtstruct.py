@@ -9,14 +9,15 @@ import numpy as np
 import pydicom
 import pytest
 
-from supple import SuppleError
+from supple import Deformation, SuppleError
 from supple.errors import VolumeWarning
-from supple.files.landmarks import warn_of_frame
+from supple.files.landmarks import move_points, warn_of_frame
 from supple.media.points import PointFile, read_points, write_points
-from supple.media.volume import read
-from tests.media.meshes.contours import circle, contours, points_of, structures
+from supple.media.volume import read, write
+from tests.media.meshes.contours import circle, contour, contours, item, points_of, structures
 from tests.media.volume.test_dicom import slices
-from tests.media.volume.volumes import SHAPE, noise
+from tests.media.volume.test_frames import DIRECTION, PLACES, enhanced
+from tests.media.volume.volumes import SHAPE, noise, volume
 
 
 def opened(path: Path) -> PointFile:
@@ -128,6 +129,60 @@ def test_what_is_none(tmp_path: Path) -> None:
     assert refused("none.dcm", (tmp_path / "none.dcm").read_bytes()) == "it holds no vertices: give a mesh"
     for part in (0.3, 0.6, 0.9):
         refused("cut.dcm", whole[: int(part * len(whole))])
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_it_refers_to_another_series(tmp_path: Path, many: bool) -> None:
+    if many:
+        series = enhanced(tmp_path / "ct.dcm", places=PLACES[[2, 0, 3, 1]])
+        heads = [pydicom.dcmread(series)]
+        places = PLACES[[2, 0, 3, 1]]
+    else:
+        series = slices(tmp_path / "ct", noise("i2", *SHAPE))
+        for path in series.iterdir():
+            head = pydicom.dcmread(path)
+            head.FrameOfReferenceUID = "1.2.826.4"
+            head.save_as(path)
+        heads = [pydicom.dcmread(path) for path in sorted(series.iterdir())]
+        places = np.array([head.ImagePositionPatient for head in heads], np.float64)
+    centre, normal = PLACES.mean(axis=0), np.cross(*DIRECTION.T[:2])
+    source = structures(tmp_path / "rs.dcm", only=circle(0, 9) * 0.1 + PLACES[2] + 0.4 * normal)
+    known = pydicom.dcmread(source)
+    known.ROIContourSequence.append(item(ReferencedROINumber=2, ContourSequence=[contour(circle(0) + 999)]))
+    known.save_as(source)
+    assert np.abs((places - centre) @ normal).max() < 5  # the slices are stacked along it
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # points are outside, and the enhanced file has another frame of reference
+        move_points(source, tmp_path / "out.dcm", Deformation((4, 5, 6)), read(series).geometry, refer_to=series)
+    made = pydicom.dcmread(tmp_path / "out.dcm")
+    assert made.SOPInstanceUID != known.SOPInstanceUID  # also if nothing has moved
+    assert made.StudyInstanceUID == heads[0].StudyInstanceUID
+    (where,) = made.ReferencedFrameOfReferenceSequence
+    frames = {made.FrameOfReferenceUID, where.FrameOfReferenceUID, heads[0].FrameOfReferenceUID}
+    assert len(frames | {one.ReferencedFrameOfReferenceUID for one in made.StructureSetROISequence}) == 1
+    (study,) = where.RTReferencedStudySequence
+    (referred,) = study.RTReferencedSeriesSequence
+    assert study.ReferencedSOPInstanceUID == heads[0].StudyInstanceUID
+    assert referred.SeriesInstanceUID == heads[0].SeriesInstanceUID
+    assert {one.ReferencedSOPInstanceUID for one in referred.ContourImageSequence} == {h.SOPInstanceUID for h in heads}
+    assert all(one.ReferencedSOPClassUID == heads[0].SOPClassUID for one in referred.ContourImageSequence)
+    near, far = contours(tmp_path / "out.dcm")
+    k = int(np.abs((points_of(near).mean(axis=0) - places) @ normal).argmin())
+    (one,) = near.ContourImageSequence
+    assert one.ReferencedSOPInstanceUID == heads[0 if many else k].SOPInstanceUID
+    assert one.get("ReferencedFrameNumber") == (k + 1 if many else None)
+    assert "ContourImageSequence" not in far
+
+
+def test_what_contours_do_not_refer_to(tmp_path: Path) -> None:
+    source, image = structures(tmp_path / "rs.dcm"), tmp_path / "in.nrrd"
+    write(image, noise("u1", *SHAPE), volume(noise("u1", *SHAPE)))
+    flat, place = Deformation((4, 5, 6)), read(image).geometry
+    with pytest.raises(SuppleError, match=r"must be a series of DICOM, and .*in.nrrd is NRRD"):
+        move_points(source, tmp_path / "out.dcm", flat, place, refer_to=image)
+    with pytest.raises(SuppleError, match=r"for structure sets of DICOM, and .*a.csv is none"):
+        move_points(tmp_path / "a.csv", tmp_path / "b.csv", flat, place, refer_to=image)
+    assert not (tmp_path / "out.dcm").exists()
 
 
 def test_another_frame_of_reference_is_told(tmp_path: Path) -> None:

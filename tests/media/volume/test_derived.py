@@ -9,8 +9,10 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 import supple
+from supple.affine import Affine
 from supple.cli.describe import describe
 from supple.errors import SuppleError, VolumeWarning
+from supple.fields import Placed
 from supple.files.grids import GridOptions
 from supple.files.volumes import VolumeOptions
 from supple.media.volume import read, write
@@ -45,6 +47,40 @@ def by_itk(folder):
     reader = sitk.ImageSeriesReader()
     reader.SetFileNames(reader.GetGDCMSeriesFileNames(str(folder)))
     return reader.Execute()
+
+
+def test_what_tells_of_the_stored_pixels_follows_them(tmp_path: Path) -> None:
+    mapping = pydicom.Dataset()
+    mapping.RealWorldValueSlope, mapping.RealWorldValueIntercept = 3.0, 0.0
+
+    def edit(slopes):
+        def change(head, k):
+            head.RescaleSlope, head.RescaleIntercept = slopes[k], "0"
+            head.RealWorldValueMappingSequence = [mapping]
+            head.add_new("LargestImagePixelValueInPlane", "SS", 7)
+
+        return change
+
+    for name, slopes, kept in (("alike", ["2"] * 4, True), ("each", ["1", "2", "3", "4"], False)):
+        folder = source(tmp_path / name, noise("i2", *SHAPE) % 300, edit(slopes))
+        supple.warp_file(folder, tmp_path / f"{name}-out", BENT)
+        for head in heads_of(tmp_path / f"{name}-out"):
+            assert ("RealWorldValueMappingSequence" in head) == kept
+            assert "LargestImagePixelValueInPlane" not in head
+
+
+@pytest.mark.parametrize("fill", [-1024, -3000, 501])
+def test_a_fill_is_a_true_value(tmp_path: Path, fill: int) -> None:
+    def edit(head, k):
+        head.RescaleSlope, head.RescaleIntercept = "1", "-1024"
+
+    folder = source(tmp_path / "in", noise("u2", *SHAPE) % 3000, edit)
+    away = Placed(Affine(np.c_[np.eye(3), read(folder).geometry.direction[:, 0] * 3 * SPACING[0]]))
+    for name in ("out", "out.nii.gz", "out.nrrd"):
+        supple.warp_file(
+            folder, tmp_path / name, Recipe(strokes=()), maps=[away], outside="constant", fill=fill, filter="nearest"
+        )
+        np.testing.assert_array_equal(read(tmp_path / name).rescaled()[..., 3:], fill)
 
 
 def test_a_series_is_derived(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import gzip
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -42,6 +43,27 @@ class TestITKFormats:
             if not any(known in line for known in (b"encoding", b"NRRD000", b"space directions"))
         ]
         assert all(line in after for line in head)
+
+    @pytest.mark.parametrize("layers", [1, 2])
+    def test_extents_of_segments_follow_their_voxels(self, tmp_path, layers):
+        samples = np.zeros((*SHAPE, layers) if layers > 1 else SHAPE, np.uint8)
+        known = {"Segmentation_ReferenceImageExtentOffset": "3 0 0", "Segment1_Extent": "0 5 0 4 0 3", "0028|0107": "9"}
+        known |= {"Segment0_Extent": "0 1 0 1 0 1", "Segment0_LabelValue": "7", "Segment0_Layer": "0", "unit": "no"}
+        if layers > 1:
+            known |= {"Segment2_Extent": "0 1 0 1 0 1", "Segment2_LabelValue": "7", "Segment2_Layer": "9"}
+        like = replace(volume(samples), format="NRRD", header=known)
+        moved = samples.copy()
+        first, last = (moved[..., 0], moved[..., 1]) if layers > 1 else (moved, moved)
+        first[1:3, 2:4, 1:5], last[3, 4, 5] = 7, 1 if layers > 1 else 2
+        write(tmp_path / "out.seg.nrrd", moved, like)
+        header = read(tmp_path / "out.seg.nrrd").header
+        assert header["Segment0_Extent"] == "1 4 2 3 1 2"
+        # without a label of its own, a segment is 1, in the layer of its number
+        assert header["Segment1_Extent"] == ("5 5 4 4 3 3" if layers > 1 else "0 -1 0 -1 0 -1")
+        assert header["Segmentation_ReferenceImageExtentOffset"] == "3 0 0"
+        assert not {"Segment2_Extent", "0028|0107"} & set(header)
+        write(tmp_path / "crop.nrrd", moved, replace(like, regridded=True))
+        assert "Segmentation_ReferenceImageExtentOffset" not in read(tmp_path / "crop.nrrd").header
 
     def test_a_nrrd_in_ras(self, tmp_path):
         samples = noise("i2", *SHAPE)

@@ -6,8 +6,9 @@ import struct
 import numpy as np
 import pytest
 import pyvips
+import tifffile
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, VolumeWarning
 from supple.media.volume import (
     RawLayout,
     has_pages,
@@ -110,8 +111,9 @@ class TestTIFF:
         colours = saved("ImageJ=1.54f\nimages=12\nchannels=3\nslices=4\nspacing=3.0\nunit=micron\n")
         assert (colours.series, colours.geometry.spacing[2]) == (False, 0.003)
         np.testing.assert_array_equal(colours.samples[2, ..., 1], samples[7])
-        with pytest.raises(SuppleError, match="12 pages of 5 times"):
+        with pytest.raises(SuppleError, match="tells of 5 pages, and it has 12"):
             saved("ImageJ=1.54f\nframes=5\n")
+        assert saved("ImageJ=1.54f\nimages=12\nslices=12\nunit=um\n").geometry.spacing[2] == 0.001
         plain = saved("a holiday", xres=11.8, yres=11.8)
         assert plain.geometry.spacing == (1, 1, 1)
 
@@ -144,9 +146,84 @@ class TestTIFF:
     def test_what_it_cannot_hold(self, tmp_path, dtype):
         like = volume(noise(dtype, *SHAPE))
         assert "float32" in refused(write, tmp_path / "out.tif", like.samples, like)
-        series = volume(noise("u1", 2, *SHAPE), series=True)
-        assert "series" in refused(write, tmp_path / "out.tif", series.samples, series)
         assert not list(tmp_path.iterdir())
+
+
+class TestAxes:
+    """What tifffile writes, with axes of its own choice, is read as these, and written so that it reads them again."""
+
+    @pytest.mark.parametrize("form", ["ome", "imagej", "shaped"])
+    @pytest.mark.parametrize("axes", ["ZYX", "ZCYX", "CZYX", "TZYX", "CYX", "TYX", "ZYXS"])
+    def test_channels_and_times_are_no_slices(self, tmp_path, form, axes):
+        if form == "imagej" and axes == "CZYX":
+            axes = "ZCYX"  # its only order
+        sizes = {"T": 3, "Z": 4, "C": 2, "Y": 5, "X": 6, "S": 3}
+        samples, name = noise("u1", *(sizes[axis] for axis in axes)), f"in.{'ome.' if form == 'ome' else ''}tif"
+        physical = {"PhysicalSizeX": 0.2, "PhysicalSizeY": 0.3, "PhysicalSizeZ": 1.5, "TimeIncrement": 2500.0}
+        metadata = {
+            "ome": physical | {"TimeIncrementUnit": "ms"},
+            "imagej": {"spacing": 1.5, "unit": "um", "finterval": 2.5},
+            "shaped": {},
+        }[form]
+        options = {"photometric": "rgb" if "S" in axes else "minisblack", "resolution": (5, 1 / 0.3)}
+        options |= {} if form == "shaped" else {form: True}
+        tifffile.imwrite(tmp_path / name, samples, metadata={"axes": axes} | metadata, **options)
+        known = read(tmp_path / name)
+        wanted = samples.transpose([axes.index(axis) for axis in "TZYXCS" if axis in axes])
+        wanted = wanted if "Z" in axes else np.expand_dims(wanted, axes.count("T"))
+        np.testing.assert_array_equal(known.samples, wanted)
+        assert known.series == ("T" in axes)
+        spacing = (1, 1, 1) if form == "shaped" else (2e-4, 3e-4, 1.5e-3)
+        np.testing.assert_allclose(known.geometry.spacing, spacing, rtol=1e-6)
+        assert known.interval == 2.5 or "T" not in axes or form == "shaped"
+        for target in ("out.tif", "out.ome.tif"):
+            write(tmp_path / target, known.samples, known)
+            with tifffile.TiffFile(tmp_path / target) as file:
+                found = file.series[0]
+                assert (file.is_ome, file.is_imagej) == (".ome" in target, ".ome" not in target)
+                assert found.axes == axes.replace("CZ", "ZC")
+                np.testing.assert_array_equal(found.asarray(), samples.swapaxes(0, 1) if axes == "CZYX" else samples)
+            again = read(tmp_path / target)
+            np.testing.assert_array_equal(again.samples, known.samples)
+            np.testing.assert_allclose(again.geometry.spacing, spacing, rtol=1e-6)
+            assert again.series == known.series
+            assert again.interval == known.interval or not known.series
+
+    def test_pages_in_the_order_of_ome(self, tmp_path):
+        samples, order = noise("u2", 2, 4, 5, 6), np.random.default_rng(0).permutation(8)
+        places = [divmod(int(k), 4) for k in order]
+        where = "".join(f'<TiffData FirstC="{c}" FirstZ="{z}" IFD="{k}"/>' for k, (c, z) in enumerate(places))
+        text = (
+            '<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0">'
+        )
+        text += '<Pixels ID="Pixels:0" DimensionOrder="XYTZC" Type="uint16" SizeX="6" SizeY="5" SizeC="2" SizeZ="4" '
+        text += (
+            f'SizeT="1" PhysicalSizeX="500" PhysicalSizeXUnit="nm" PhysicalSizeY="0.5">{where}</Pixels></Image></OME>'
+        )
+        with tifffile.TiffWriter(tmp_path / "in.tif") as file:
+            for k, place in enumerate(places):
+                file.write(samples[place], description=None if k else text, metadata=None, contiguous=False)
+        with pytest.warns(VolumeWarning, match=r"how far its slices are apart \(PhysicalSizeZ\)"):
+            known = read(tmp_path / "in.tif")
+        np.testing.assert_array_equal(known.samples, np.moveaxis(samples, 0, -1))
+        assert known.geometry.spacing == (5e-4, 5e-4, 5e-4)
+
+    @pytest.mark.parametrize(
+        ("axes", "told"),
+        [
+            ("TCZYX", "it holds 3 times and 2 channels: bend it to a Zarr store"),
+            ("CZYXS", "its axes are 2 C x 4 Z x 5 Y x 6 X x 3 S"),
+            ("TZYXS", "it holds colours of several times"),
+            ("QQYX", "its axes are 2 Q x 2 Q x 5 Y x 6 X"),
+        ],
+    )
+    def test_what_is_more_than_a_volume(self, tmp_path, axes, told):
+        sizes = {"T": 3, "Z": 4, "C": 2, "Y": 5, "X": 6, "S": 3, "Q": 2}
+        metadata = {} if "Q" in axes else {"axes": axes}
+        photometric = "rgb" if "S" in axes else "minisblack"
+        samples = noise("u1", *(sizes[axis] for axis in axes))
+        tifffile.imwrite(tmp_path / "in.tif", samples, metadata=metadata, photometric=photometric)
+        assert told in refused(read, tmp_path / "in.tif")
 
 
 def test_a_stack_that_ends_between_two_pages(tmp_path):

@@ -5,6 +5,7 @@ The attributes are those of DICOM PS3.3, C.8.8.5 (Structure Set) and C.8.8.6 (RO
 
 from __future__ import annotations
 
+import copy
 import datetime
 import io
 import warnings
@@ -17,9 +18,12 @@ from supple.errors import SuppleError, VolumeWarning, shown
 from supple.media.files import PathLike, unreadable
 from supple.media.meshes.base import Floats, Mesh, checked
 from supple.media.meshes.cells import Part, joined, part_of
+from supple.media.volume import Volume
 from supple.media.volume.derived import WARNING, ended, imported, series_number
+from supple.media.volume.frames import frames_of
 
 _STRUCTURES = "1.2.840.10008.5.1.4.1.1.481.3"
+_STUDY = "1.2.840.10008.3.1.2.3.1"  # the class of studies, which is retired, and still what is given here
 _FLAT = 0.01  # mm: the farthest that the points of a planar contour lie from their plane
 _LONG = 65_534  # bytes of a value that an explicit VR of text can hold
 # What was true of the contours where they were, and of the structure set that somebody has approved.
@@ -33,8 +37,11 @@ _STALE_SET = (
 )  # fmt: skip
 
 
-def parsed(path: PathLike, data: bytes) -> Mesh:
-    """Return the points of all contours of a structure set, in LPS, as DICOM has them."""
+def parsed(path: PathLike, data: bytes, series: Volume | None = None) -> Mesh:
+    """Return the points of all contours of a structure set, in LPS, as DICOM has them.
+
+    With a ``series`` of DICOM, what is written refers to it, and each contour to its slice.
+    """
     pydicom = imported()
     try:
         dataset = pydicom.dcmread(io.BytesIO(data))
@@ -55,7 +62,7 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
     name, ends = shown(path), np.cumsum([len(block) // 3 for block in blocks])
 
     def rewritten(moved: Floats, _: Floats) -> bytes:
-        if not (moved != points).any():
+        if series is None and not (moved != points).any():
             return data
         made = pydicom.dcmread(io.BytesIO(data))
         off: list[float] = []
@@ -69,6 +76,8 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
         held = io.BytesIO()
         try:
             _renew(made, pydicom)
+            if series is not None:
+                _refer(made, series, pydicom)
             pydicom.dcmwrite(held, made, enforce_file_format=True)
         except Exception as error:
             said = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
@@ -168,6 +177,42 @@ def _renew(made: Any, pydicom: Any) -> None:
     explicit = not made.file_meta.TransferSyntaxUID.is_implicit_VR
     if explicit and any(_size(contour.ContourData) > _LONG for contour in _contours(made)):
         made.file_meta.TransferSyntaxUID = pydicom.uid.ImplicitVRLittleEndian
+
+
+def _refer(made: Any, series: Volume, pydicom: Any) -> None:
+    """Refer to the slices of a series, or the frames of a file; of each contour, to the slice that it is nearest to."""
+    many, count = isinstance(series.header, str), series.sizes[2]
+    heads = [pydicom.dcmread(name, stop_before_pixels=True) for name in ([series.header] if many else series.header)]
+    places = frames_of(series.header).places if many else None
+    frame = heads[0].get("FrameOfReferenceUID") or next(
+        (one.get("FrameOfReferenceUID") for one in made.get("ReferencedFrameOfReferenceSequence") or ()), None
+    )
+    slices = []
+    for k in range(1 if many else count):
+        one = pydicom.Dataset()
+        one.ReferencedSOPClassUID, one.ReferencedSOPInstanceUID = heads[k].SOPClassUID, heads[k].SOPInstanceUID
+        slices.append(one)
+    referred, study, where = pydicom.Dataset(), pydicom.Dataset(), pydicom.Dataset()
+    referred.SeriesInstanceUID, referred.ContourImageSequence = heads[0].SeriesInstanceUID, slices
+    study.ReferencedSOPClassUID, study.ReferencedSOPInstanceUID = _STUDY, heads[0].StudyInstanceUID
+    study.RTReferencedSeriesSequence = [referred]
+    where.FrameOfReferenceUID, where.RTReferencedStudySequence = frame, [study]
+    made.StudyInstanceUID, made.ReferencedFrameOfReferenceSequence = heads[0].StudyInstanceUID, [where]
+    if "FrameOfReferenceUID" in made:
+        made.FrameOfReferenceUID = frame
+    for region in made.get("StructureSetROISequence") or ():
+        region.ReferencedFrameOfReferenceUID = frame
+    for contour in _contours(made):
+        contour.pop("ContourImageSequence", None)
+        middle = np.reshape(np.array(contour.ContourData, np.float64), (-1, 3)).mean(axis=0)
+        k = round(float(series.geometry.from_lps(middle)[2]))
+        if not 0 <= k < count:
+            continue
+        one = copy.deepcopy(slices[0 if many else k])
+        if many:
+            at = series.geometry.to_lps((0.0, 0.0, k))
+            one.ReferencedFrameNumber = 1 + (k if places is None else int(((places - at) ** 2).sum(axis=1).argmin()))
+        contour.ContourImageSequence = [one]
 
 
 def _size(values: Sequence[Any]) -> int:

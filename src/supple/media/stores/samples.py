@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import math
 import os
-import re
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, VolumeWarning, need, said, shown
+from supple.errors import SuppleError, need
 from supple.geometry import Geometry, check_upright
 from supple.media import image, volume
 from supple.media.files import PathLike, head_of, unreadable
@@ -26,7 +24,6 @@ from supple.media.volume.data import rescaled, rescaled_dtype
 Array = npt.NDArray[Any]
 
 _TIFF = (*pages.SUFFIXES, ".btf")
-_LETTERS = {"T": "t", "C": "c", "S": "c", "Z": "z", "Q": "z", "I": "z", "Y": "y", "X": "x"}  # of tifffile
 _OPACITY, _PALETTE, _WHITE_IS_ZERO, _YCBCR, _JPEGS = (1, 2), 3, 0, 6, (6, 7, 33003, 33005, 34712)
 
 
@@ -149,38 +146,24 @@ class Samples:
 
     def _open_tiff(self) -> Opened:
         """Open a TIFF by tifffile, which reads single tiles and strips, and knows the axes of OME-TIFF and ImageJ."""
-        need("zarr", "TIFFs that are read in parts", "tifffile")
-        import tifffile
+        need("zarr", "TIFFs that are read in parts", "zarr")
         import zarr
 
         path = self._path
         if head_of(path, 2) not in (b"II", b"MM"):
             raise unreadable(path, "it is no TIFF", "check its name")
         with contextlib.ExitStack() as stack:
-            with _reading(path):
+            with pages.reading(path):
                 if pages.linked(path) is None:
                     raise unreadable(path, "it is cut short")
-                with _heard(path):
-                    file = stack.enter_context(tifffile.TiffFile(path))
-                    listed = list(file.series)
-                    first = listed[0]
-                    page = first.keyframe
+            file, first = stack.enter_context(pages.series_of(path))
+            with pages.reading(path):
+                page = first.keyframe
             _check_kind(path, first, page)
-            if len(listed) > 1:
-                warnings.warn(
-                    f"{shown(path)} holds {len(listed)} images of different sizes or kinds, and the first is read",
-                    VolumeWarning,
-                    stacklevel=5,
-                )
-            names = [_LETTERS.get(letter, letter) for letter in first.axes]
-            kept = {k: name for k, name in enumerate(names) if first.shape[k] > 1 or name in "yx"}
+            kept = pages.axes_of(path, first)
             self.axes = "".join(sorted(kept.values(), key="tczyx".find))
-            if any(name not in "tczyx" for name in self.axes) or len(set(self.axes)) < len(self.axes):
-                told = " x ".join(f"{size} {letter}" for size, letter in zip(first.shape, first.axes, strict=True))
-                what = "give times, channels, planes, rows and columns, once each"
-                raise unreadable(path, f"its axes are {told}", what)
             order = tuple(next(k for k, name in kept.items() if name == axis) for axis in self.axes)
-            with _reading(path), quiet():
+            with pages.reading(path), quiet():
                 array: Any
                 if first.dataoffset is not None:  # uncompressed, and in one piece
                     array = np.memmap(path, f"{file.byteorder}{first.dtype.char}", "r", first.dataoffset, first.shape)
@@ -224,35 +207,3 @@ def _check_kind(path: str, first: Any, page: Any) -> None:
         what = "its rows and columns are stored turned"
     if what:
         raise unreadable(path, f"{what}, which is read for pictures alone", "convert it, as vips copy does")
-
-
-@contextlib.contextmanager
-def _reading(path: str) -> Iterator[None]:
-    """Convert all errors of tifffile to one sentence."""
-    try:
-        yield
-    except SuppleError:
-        raise
-    except Exception as error:  # of any kind, where a file is damaged
-        raise unreadable(path, f"it is damaged, cut short, or no TIFF ({said(error)})") from error
-
-
-@contextlib.contextmanager
-def _heard(path: str) -> Iterator[None]:
-    """Warn of what tifffile logs; raise SuppleError where it would put zeros in place of what is missing."""
-    import tifffile
-
-    said: list[str] = []
-    handler, logger = logging.Handler(logging.WARNING), tifffile.logger()
-    handler.emit = lambda record: said.append(record.getMessage())  # type: ignore[method-assign]
-    before = logger.propagate, logger.handlers
-    logger.propagate, logger.handlers = False, [handler]
-    try:
-        yield
-    finally:
-        logger.propagate, logger.handlers = before
-    if any("zeroed" in text for text in said):
-        raise unreadable(path, "some of its pages are missing, or in files that are", "give all of them")
-    if said:
-        text = " ".join(re.sub(r"^<.*?> ?", "", said[0]).split())
-        warnings.warn(f"{shown(path)} is read, but tifffile says: {text}", VolumeWarning, stacklevel=7)

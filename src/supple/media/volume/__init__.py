@@ -231,10 +231,12 @@ def check_target(
     if suffix in derived.SUFFIXES and like is not None and like.format == "DICOM":
         derived.check(path, like, force=force)
         return
-    advice = f"use {', '.join(SUFFIXES_OUT)}"
-    if _FORMATS.get(suffix) == "DICOM":
-        advice = f"give a folder for slices, which is a name without suffix, or {advice}"
-    check_suffix(path, suffix, SUFFIXES_OUT, "is no format that volumes are written in", advice)
+    what, advice = "is no format that volumes are written in", f"use {', '.join(SUFFIXES_OUT)}"
+    if suffix == ".dcm":  # of DICOM, it was checked before
+        what = "is for what is derived from DICOM, and the source is of another format"
+    elif _FORMATS.get(suffix) == "DICOM":
+        advice = f"from DICOM, give a folder for slices, which is a name without suffix, or .dcm; else {advice}"
+    check_suffix(path, suffix, SUFFIXES_OUT, what, advice)
     if suffix == ".mhd":
         check_output(Path(os.path.realpath(path)).with_suffix(".raw"), force=force)
     if like is None:

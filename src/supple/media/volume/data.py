@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -92,6 +92,26 @@ class Volume:
         float64 if the samples have 64 bits, or are integers of 32, which float32 does not distinguish.
         """
         return rescaled(self.samples, self.scaling)
+
+    def stored(self, values: float | Sequence[float]) -> float | Sequence[float]:
+        """Return true values as the samples hold them, before slope and intercept; integers are rounded.
+
+        SuppleError, as for a fill value, if the dtype cannot hold one. What is no number is returned as it is.
+        """
+        try:
+            known = np.asarray(values, np.float64)
+        except (TypeError, ValueError):
+            return values
+        slope, intercept = self.scaling
+        made = (known - intercept) / slope
+        if self.samples.dtype.kind in "iu":
+            made, limits = np.rint(made), np.iinfo(self.samples.dtype)
+            if (wrong := (made < limits.min) | (made > limits.max)).any():
+                low, high = sorted(slope * end + intercept for end in (limits.min, limits.max))
+                wanted = f"from {low:.10g} to {high:.10g}, which {self.name} can hold ({self.samples.dtype}, "
+                scaled = "unscaled" if self.scaling == (1, 0) else f"times {slope:g}, plus {intercept:g}"
+                refuse("fill", f"{wanted}{scaled})", known[wrong].tolist()[0])
+        return made.tolist()  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, slots=True)

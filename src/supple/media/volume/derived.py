@@ -26,12 +26,14 @@ WARNING = "NOT FOR DIAGNOSIS"
 _GROUPS = "PerFrameFunctionalGroupsSequence"
 _LONGEST = 64  # characters of a description (VR LO)
 _AFTER = 1000  # a derived series has this number more than its source
+_MAPPING = "RealWorldValueMappingSequence"  # from what is stored
 _PADDING = ("PixelPaddingValue", "PixelPaddingRangeLimit")
 # What is of the source's pixels, and not of the new ones.
 _STALE = (
     "SmallestImagePixelValue", "LargestImagePixelValue", "SmallestPixelValueInSeries", "LargestPixelValueInSeries",
-    "PixelDataProviderURL", "IconImageSequence", "DigitalSignaturesSequence", "MACParametersSequence",
-    "ExtendedOffsetTable", "ExtendedOffsetTableLengths", "DVHSequence", "ConcatenationUID", "InConcatenationNumber",
+    "SmallestImagePixelValueInPlane", "LargestImagePixelValueInPlane", "PixelDataProviderURL",
+    "ExtendedOffsetTable", "ExtendedOffsetTableLengths", "DVHSequence", "IconImageSequence", "MACParametersSequence",
+    "DigitalSignaturesSequence", "ConcatenationUID", "InConcatenationNumber",
     "SOPInstanceUIDOfConcatenationSource", "InConcatenationTotalNumber", "ConcatenationFrameOffsetNumber",
     "OriginalAttributesSequence", "PaletteColorLookupTableUID",
     *(f"{c}PaletteColorLookupTable{part}" for c in ("Red", "Green", "Blue") for part in ("Data", "Descriptor")),
@@ -130,6 +132,9 @@ def _write_frames(pydicom: Any, path: PathLike, samples: Array, like: Volume, fo
     source = _source(path, like)
     made = _derived(pydicom, source.head, _stamp(pydicom))
     scale = _set_pixels(made, samples, source.scale)
+    if scale != source.scale:
+        for group in (*(made.get("SharedFunctionalGroupsSequence") or ()), *(made.get(_GROUPS) or ())):
+            group.pop(_MAPPING, None)
     made.NumberOfFrames = len(samples)
     if source.places is not None:
         places = [like.geometry.to_lps((0.0, 0.0, k)) for k in range(len(samples))]
@@ -349,6 +354,8 @@ def _set_padding(made: Any, kind: str, alike: bool) -> None:
     """Keep the stored values that stand for no pixel, in the type that pixels get, where they still mean the same."""
     if alike and made.get("PixelRepresentation", 0) == int(kind == "i"):
         return
+    if not alike:
+        made.pop(_MAPPING, None)
     for name in _PADDING:
         value = made.get(name)
         if name in made:

@@ -208,7 +208,9 @@ def _chosen(found: list[Series], path: PathLike, series: str | None) -> Series:
         if series is not None and series.strip() in (one.uid, str(k)):
             return one
     what = f"it holds {len(found)} series" if series is None else f"it holds no series {shown(series)}"
-    raise unreadable(path, f"{what} ({described(found)})", 'say which one by --series (series="1")')
+    raise unreadable(
+        path, f"{what} ({described(found)})", 'say which one by --series (series="1"), or name one of its slices'
+    )
 
 
 def _informed(sitk: Any, name: str) -> Any:

@@ -35,6 +35,9 @@ _LOADERS = {"NRRD": "NrrdImageIO", "MetaImage": "MetaImageIO"}
 _MILLIMETRES = {"", "???", "mm", "millimeter", "millimeters", "millimetre", "millimetres"}
 # ITK's own entries, and entries that it always writes
 _OWN = re.compile(r"ITK_|NRRD_space$|NRRD_kinds|NRRD_sizes|NRRD_thicknesses")
+# What is of the source's voxels: the least and the largest value, in tags of DICOM too, and the extents of segments
+_RANGE = re.compile(r"ElementM(in|ax)$|(DICOM_)?0028[|_,]01(0[6-9]|1[01])$")
+_EXTENT = re.compile(r"Segment(\d+)_Extent")
 _SILENCE = threading.Lock()
 
 
@@ -125,7 +128,17 @@ def _outline(path: PathLike, form: str) -> tuple[Volume, Any, Any, int]:
     shape = (*([1] if ndim < 3 else []), *sizes[::-1], *([components] if components > 1 else []))
     interval = abs(reader.GetSpacing()[3]) if series else 1.0
     outline = np.broadcast_to(np.zeros((), dtype), shape)
-    return Volume(outline, geometry, shown(path), form, series, header, interval=interval), reader, fields, end
+    found = Volume(outline, geometry, shown(path), form, series, header, _scaling(path, fields), interval)
+    return found, reader, fields, end
+
+
+def _scaling(path: PathLike, fields: dict[str, str]) -> tuple[float, float]:
+    """Return the slope and the intercept of a MetaImage, which ITK does not read."""
+    told = [fields.get(f"elementtointensityfunction{name}", usual) for name, usual in (("slope", "1"), ("offset", "0"))]
+    slope, intercept = (float((_numbers(text) or [math.nan])[0]) for text in told)
+    if not (math.isfinite(slope) and slope and math.isfinite(intercept)):
+        raise unreadable(path, f"its values are scaled by {told[0]}, plus {told[1]}", "correct its header")
+    return slope, intercept
 
 
 def read_place(path: PathLike, form: str) -> tuple[Geometry, tuple[int, int, int]]:
@@ -310,9 +323,24 @@ def _image(sitk: Any, samples: Array, like: Volume, form: str) -> Any:
     image.SetOrigin((*geometry.origin, 0.0) if like.series else geometry.origin)
     image.SetDirection(direction.ravel().tolist())
     if like.format == form:
-        for key, text in (like.header or {}).items():
+        for key, text in _header_of(samples, like).items():
             image.SetMetaData(key, text)
     return image
+
+
+def _header_of(samples: Array, like: Volume) -> dict[str, str]:
+    """Return the header for new samples: without ranges of values, and with the extents of segments as they are now."""
+    made = {key: text for key, text in (like.header or {}).items() if not _RANGE.match(key)}
+    if like.regridded:  # it counts voxels from those of another grid
+        made.pop("Segmentation_ReferenceImageExtentOffset", None)
+    for key, k in [(found[0], found[1]) for found in map(_EXTENT.fullmatch, made) if found]:
+        label, layer = (str(made.get(f"Segment{k}_{name}", usual)) for name, usual in (("LabelValue", 1), ("Layer", k)))
+        del made[key]
+        with contextlib.suppress(ValueError, IndexError):  # of a label or a layer that is none
+            mask = np.asarray((samples if samples.ndim == 3 else samples[..., int(layer)]) == int(label))
+            ends = [np.flatnonzero(mask.any(axis)) for axis in ((0, 1), (0, 2), (1, 2))]
+            made[key] = " ".join(f"{at[0]} {at[-1]}" if at.size else "0 -1" for at in ends)
+    return made
 
 
 def _whole(file: Path, nbytes: int, *, packed: bool) -> bool:

@@ -352,6 +352,8 @@ def _copied(known: Any, samples: Array) -> Any:
         if int(header["datatype"]) in _COLOURS:
             return None
         header.set_data_dtype(samples.dtype)
+    if "glmax" in header:  # the range of the source's values
+        header["glmax"] = header["glmin"] = 0
     header["magic"] = header.single_magic
     header["vox_offset"] = header.single_vox_offset + header.extensions.get_sizeondisk()
     return header

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import contextlib
+import logging
+import math
 import os
+import re
+import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 from xml.etree import ElementTree
 
 import numpy as np
 
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, VolumeWarning, need, said, shown
 from supple.geometry import Geometry
 from supple.media.files import PathLike, replacing, unreadable, unwritable
 from supple.media.volume.data import Array, Volume, native
 
 SUFFIXES = (".tif", ".tiff")
+_LETTERS = {"T": "t", "C": "c", "S": "c", "Z": "z", "Q": "z", "I": "z", "Y": "y", "X": "x"}  # of tifffile
+_CHANNELS = "channels"  # the header of volumes whose components are pages
+_SPOKEN = {"t": "times", "c": "channels"}
 MILLIMETRES = {
     **dict.fromkeys(("m", "meter", "metre"), 1000.0),
     **dict.fromkeys(("cm", "centimeter"), 10.0),
@@ -25,6 +33,7 @@ MILLIMETRES = {
     **dict.fromkeys(("inch", "in"), 25.4),
 }
 """By the names of units, in lower case."""
+_SECONDS = {"s": 1.0, "ms": 1e-3, "\u00b5s": 1e-6, "min": 60.0, "h": 3600.0}
 
 
 def has_pages(path: PathLike) -> bool:
@@ -50,49 +59,138 @@ def place(path: PathLike) -> Geometry:
 
 
 def read(path: PathLike) -> Volume:
-    """Read all pages of a TIFF: a slice each, or as in ImageJ's description, which also has the spacing.
+    """Read a TIFF of slices, with the axes and the spacing that it says, as OME-TIFF, ImageJ and tifffile do.
 
-    SuppleError if it is not a TIFF, damaged, or its pages differ.
+    Channels become components, and times a series. SuppleError if it is not a TIFF, damaged, or its pages differ; or if
+    it has other axes, or times and channels.
     """
     import pyvips
 
     from supple.media.image.headers import facts
     from supple.media.image.tiff import Page
-    from supple.media.image.vips import apart, decoded, opened, reading
+    from supple.media.image.vips import apart, decoded, opened
+    from supple.media.image.vips import reading as decoding
 
     image, form = opened(path)
     if form != "TIFF":
         raise unreadable(path, f"it is no TIFF, but {form}", "check its name")
-    pages = facts(image)[0]
-    with reading(path):
-        if linked(path) != pages:
-            raise unreadable(path, f"it is cut short: {pages} of its pages are whole")
+    count = facts(image)[0]
+    with decoding(path):
+        if linked(path) != count:
+            raise unreadable(path, f"it is cut short: {count} of its pages are whole")
+    with series_of(path, alike=True) as (file, series), reading(path):
+        names = [(name, series.shape[k]) for k, name in axes_of(path, series).items() if series.axes[k] not in "SYX"]
+        kind: str = series.kind
+        own = [int(getattr(page, "index", -1)) for page in series.pages if page is None or page.parent is file]
+    told, sizes = _description(image), dict(names)
+    letters, outer = "".join(sizes), list(sizes.values())
+    promised = math.prod(outer)
+    if kind == "imagej" and promised == count:
+        promised = int(told.get("images", count))
+    if (kind == "imagej" and promised != count) or len(own) != promised or -1 in own:
+        what = f"its description tells of {promised} pages, and it has {count}"
+        raise unreadable(path, what, "give all of them, or correct the description")
+    if "t" in letters and "c" in letters:
+        held = " and ".join(f"{size} {_SPOKEN[name]}" for name, size in names if name in "tc")
+        raise unreadable(path, f"it holds {held}", "bend it to a Zarr store, or give one of them")
+    first, last = min(own), max(own)
+    with decoding(path):
         source = pyvips.Source.new_from_file(os.fsencode(path))
         # of damaged tiles, libvips only warns
-        options = {"access": "sequential", "fail_on": "warning" if Page(path).tiled else "error"}
-        tall = apart(lambda: pyvips.Image.new_from_source(source, "", n=-1, **options))
+        options = {"page": first, "n": last - first + 1, "access": "sequential"}
+        options["fail_on"] = "warning" if Page(path).tiled else "error"
+        tall = apart(lambda: pyvips.Image.new_from_source(source, "", **options))
         samples = apart(lambda: decoded(tall, 1), tall)
-    told = _description(image)
-    samples = samples.reshape(pages, -1, *samples.shape[1:])
-    times, channels = (max(1, int(told.get(key, 1))) for key in ("frames", "channels"))
-    if (promised := told.get("images", pages)) != pages:
-        raise unreadable(path, f"it is said to hold {promised:g} images, and has {pages} pages")
-    if pages % (times * channels) or (times > 1) + (channels > 1) + (samples.ndim - 3) > 1:
-        what = f"it holds {pages} pages of {times} times and {channels} channels"
-        raise unreadable(path, what, "give either times or channels")
-    if times > 1:
-        samples = samples.reshape(times, pages // times, *samples.shape[1:])
-    elif channels > 1:  # components are ImageJ's fastest axis
-        samples = np.moveaxis(samples.reshape(pages // channels, channels, *samples.shape[1:]), 1, -1)
+    samples = samples.reshape(last - first + 1, -1, *samples.shape[1:])
+    if own != list(range(first, last + 1)):
+        samples = samples[np.array(own) - first]
+    samples = samples.reshape(*outer, *samples.shape[1:])
+    letters += "yxc"[: samples.ndim - len(letters)]
+    if len(set(letters)) < len(letters) or ("t" in letters and "c" in letters):
+        raise unreadable(path, "it holds colours of several times or channels", "bend it to a Zarr store")
+    samples = samples.transpose(sorted(range(len(letters)), key=lambda k: "tzyxc".find(letters[k])))
+    if "z" not in letters:
+        samples = np.expand_dims(samples, "t" in letters)
+    if "x" in told and "z" not in told and sizes.get("z", 1) > 1:
+        what = f"{shown(path)} does not tell how far its slices are apart (PhysicalSizeZ): as far as its columns"
+        warnings.warn(what, VolumeWarning, stacklevel=4)
     interval = told.get("finterval", 0.0)
     return Volume(
         native(samples),
         Geometry(_spacing(image, told)),
         shown(path),
         "TIFF",
-        times > 1,
+        "t" in letters,
+        _CHANNELS if "c" in sizes else None,
         interval=interval if 0 < interval < np.inf else 1.0,
     )
+
+
+@contextlib.contextmanager
+def series_of(path: PathLike, *, alike: bool = False) -> Iterator[tuple[Any, Any]]:
+    """Open a TIFF by tifffile, which knows the axes of OME-TIFF, ImageJ and others, and yield it and its first image.
+
+    It warns of further images, and of what tifffile logs. SuppleError if it is damaged, or parts of it are missing; or,
+    with ``alike``, if pages differ that nothing says to be several images.
+    """
+    need("volume", "TIFFs of several pages", "tifffile")
+    import tifffile
+
+    with contextlib.ExitStack() as stack:
+        with reading(path), _heard(path):
+            file = stack.enter_context(tifffile.TiffFile(path))
+            listed = list(file.series)
+        if alike and len(listed) > 1 and listed[0].kind == "generic":
+            raise unreadable(path, "its pages are of different sizes or kinds", "give pages of one")
+        if len(listed) > 1:
+            what = f"{shown(path)} holds {len(listed)} images of different sizes or kinds, and the first is read"
+            warnings.warn(what, VolumeWarning, stacklevel=5)
+        yield file, listed[0]
+
+
+def axes_of(path: PathLike, series: Any) -> dict[int, str]:
+    """Return the axes of an image of tifffile by their places: some of "tczyx", without those of one sample.
+
+    SuppleError if there are others, or one is there twice.
+    """
+    letters = enumerate(zip(series.axes, series.shape, strict=True))
+    names = {k: _LETTERS.get(letter, letter) for k, (letter, size) in letters if size > 1 or letter in "YX"}
+    if any(name not in "tczyx" for name in names.values()) or len(set(names.values())) < len(names):
+        told = " x ".join(f"{size} {letter}" for size, letter in zip(series.shape, series.axes, strict=True))
+        raise unreadable(path, f"its axes are {told}", "give times, channels, planes, rows and columns, once each")
+    return names
+
+
+@contextlib.contextmanager
+def reading(path: PathLike) -> Iterator[None]:
+    """Convert all errors of tifffile to one sentence."""
+    try:
+        yield
+    except SuppleError:
+        raise
+    except Exception as error:  # of any kind, where a file is damaged
+        raise unreadable(path, f"it is damaged, cut short, or no TIFF ({said(error)})") from error
+
+
+@contextlib.contextmanager
+def _heard(path: PathLike) -> Iterator[None]:
+    """Warn of what tifffile logs; raise SuppleError where it would put zeros in place of what is missing."""
+    import tifffile
+
+    said: list[str] = []
+    handler, logger = logging.Handler(logging.WARNING), tifffile.logger()
+    handler.emit = lambda record: said.append(record.getMessage())  # type: ignore[method-assign]
+    before = logger.propagate, logger.handlers
+    logger.propagate, logger.handlers = False, [handler]
+    try:
+        yield
+    finally:
+        logger.propagate, logger.handlers = before
+    if any("zeroed" in text for text in said):
+        raise unreadable(path, "some of its pages are missing, or in files that are", "give all of them")
+    if said:
+        text = " ".join(re.sub(r"^<.*?> ?", "", said[0]).split())
+        warnings.warn(f"{shown(path)} is read, but tifffile says: {text}", VolumeWarning, stacklevel=7)
 
 
 # Kept: libvips takes a file that ends between two pages for whole (test_a_stack_that_ends_between_two_pages).
@@ -116,8 +214,13 @@ def linked(path: PathLike) -> int | None:
 
 
 def _description(image: Any) -> dict[str, float]:
-    """Return the numbers of ImageJ's description, and the millimetres of its unit."""
+    """Return the numbers of the description of ImageJ, with the millimetres of its unit, or of OME-TIFF.
+
+    Of the latter, the spacing is ``x``, ``y`` and ``z``, in millimetres, and ``finterval`` is in seconds.
+    """
     text = image.get("image-description") if image.get_typeof("image-description") else ""
+    if "<OME" in text[:1000]:
+        return _of_ome(text)
     if not text.startswith("ImageJ="):
         return {}
     pairs = dict(line.strip().partition("=")[::2] for line in text.splitlines())
@@ -129,34 +232,30 @@ def _description(image: Any) -> dict[str, float]:
     return told
 
 
+def _of_ome(text: str) -> dict[str, float]:
+    told: dict[str, float] = {}
+    with contextlib.suppress(ElementTree.ParseError, StopIteration):
+        found = next(one.attrib for one in ElementTree.fromstring(text).iter() if one.tag.endswith("Pixels"))
+        lengths = [(axis.lower(), f"PhysicalSize{axis}", "um", MILLIMETRES) for axis in "XYZ"]
+        for key, name, usual, units in (*lengths, ("finterval", "TimeIncrement", "s", _SECONDS)):
+            with contextlib.suppress(KeyError, ValueError):
+                known = float(found[name]) * units[found.get(f"{name}Unit", usual).lower()]
+                if 0 < known < np.inf:
+                    told[key] = known
+    return told
+
+
 def _spacing(image: Any, told: dict[str, float]) -> tuple[float, float, float]:
     """Return the spacing in millimetres; 1 if the file has none: dots per inch are not a spacing."""
-    if (known := _of_ome(image)) is not None:
-        return known
-    if not told:
+    if "x" in told and "y" in told:
+        return told["x"], told["y"], told.get("z", told["x"])
+    if "unit" not in told:
         return 1.0, 1.0, 1.0
     unit = told["unit"]
     # pixels per millimetre in libvips, if the file has a unit
     across = 1.0 if image.get_typeof("resolution-unit") else unit
     x, y = (across / res if res > 0 else 1.0 for res in (image.xres, image.yres))
-    z = abs(told.get("spacing", 0.0)) * unit
-    return x, y, z or 1.0
-
-
-def _of_ome(image: Any) -> tuple[float, float, float] | None:
-    """Return the spacing in the description of an OME-TIFF, if it has all of it."""
-    text = image.get("image-description") if image.get_typeof("image-description") else ""
-    if "<OME" not in text[:1000]:
-        return None
-    with contextlib.suppress(ElementTree.ParseError, KeyError, ValueError, StopIteration):
-        found = next(one.attrib for one in ElementTree.fromstring(text).iter() if one.tag.endswith("Pixels"))
-        x, y, z = (
-            float(found[f"PhysicalSize{axis}"]) * MILLIMETRES[found.get(f"PhysicalSize{axis}Unit", "um").lower()]
-            for axis in "XYZ"
-        )
-        if all(0 < step < np.inf for step in (x, y, z)):
-            return x, y, z
-    return None
+    return x, y, abs(told.get("spacing", 0.0) or 1.0) * unit
 
 
 def check(path: PathLike, like: Volume, dtype: np.dtype[Any]) -> None:
@@ -166,33 +265,61 @@ def check(path: PathLike, like: Volume, dtype: np.dtype[Any]) -> None:
     if like.geometry.shear:
         what = f"a TIFF holds a spacing alone, and the axes of {like.name} are not at right angles to each other"
         raise unwritable(path, what, "write NIfTI or NRRD")
-    if like.series:
-        raise unwritable(path, "a TIFF holds one volume, and this is a series", "write NIfTI or NRRD")
     if dtype.name not in {np.dtype(known).name for known in DTYPES.values()} - {"float64"}:
         advice = "write NIfTI or NRRD, or convert to float32 first"
         raise unwritable(path, f"a TIFF of slices holds no {dtype} values, as ImageJ reads none", advice)
-    width, height, depth = like.sizes
-    if max(width, height * depth) > TIFF.limit:
-        what = f"TIFF ends at {TIFF.limit} rows, and the volume has {height} in each of {depth} slices"
+    width, height, _ = like.sizes
+    colours = like.components if like.components > 1 and _are_colours(like, dtype) else 1
+    pages = math.prod(like.samples.shape) // (width * height * colours)
+    if max(width, height * pages) > TIFF.limit:
+        what = f"TIFF ends at {TIFF.limit} rows, and the volume has {height} in each of {pages} pages"
         raise unwritable(path, what, "write NIfTI or NRRD")
 
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
-    """Write a page for each slice; the spacing is stored in ImageJ's form, origin and direction are lost."""
+    """Write a page for each slice, of each channel and time; origin and direction are lost.
+
+    The axes and the spacing are stored in ImageJ's form, or, under ``.ome.tif``, in that of OME-TIFF.
+    """
     import pyvips
 
     from supple.media.image.formats import TIFF, meant, settings, wrapped
     from supple.media.image.vips import apart, writing
 
-    array = native(samples)
-    depth, height, width = array.shape[:3]
-    tall = array.reshape(depth * height, width, *array.shape[3:])
-    channels = tall.shape[2] if tall.ndim == 3 else 1
+    array = native(samples if like.series else samples[None])
+    if array.ndim == 5 and not _are_colours(like, array.dtype):
+        array = np.ascontiguousarray(np.moveaxis(array, -1, 2))
+    else:
+        array = array[:, :, None]
+    times, depth, channels, height, width = array.shape[:5]
+    tall = array.reshape(-1, width, *array.shape[5:])
     x, y, z = (step / 10 for step in like.geometry.spacing)  # TIFF's unit is the centimetre
-    lines = ("ImageJ=1.54f", f"images={depth}", f"slices={depth}", "unit=cm", f"spacing={z!r}", "loop=false", "")
-    image = wrapped(tall, meant(array.dtype, channels, ""), 32)
-    image.set_type(pyvips.GValue.gstr_type, "image-description", "\n".join(lines))
+    image = wrapped(tall, meant(array.dtype, tall.shape[2] if tall.ndim == 3 else 1, ""), 32)
+    if Path(Path(path).stem).suffix.lower() == ".ome":
+        need("volume", "OME-TIFF", "tifffile")
+        import tifffile
+
+        sizes = {f"PhysicalSize{axis}": step for axis, step in zip("XYZ", like.geometry.spacing, strict=True)}
+        units = {f"{name}Unit": "mm" for name in sizes}
+        pace = {"TimeIncrement": like.interval} if like.series else {}
+        made = tifffile.OmeXml()
+        pixels = (len(tall) // height, 1, 1, height, width, tall.shape[2] if tall.ndim == 3 else 1)
+        made.addimage(array.dtype, array.shape, pixels, axes="TZCYXS"[: array.ndim], **sizes, **units, **pace)
+        text = made.tostring()
+    else:
+        told = {"images": len(tall) // height, "channels": channels, "slices": depth, "frames": times}
+        lines = [f"{name}={count}" for name, count in told.items() if count > 1 or name in ("images", "slices")]
+        lines += ["hyperstack=true"] if channels > 1 or times > 1 else []
+        lines += ["mode=grayscale"] if channels > 1 else []
+        lines += [f"finterval={like.interval!r}"] if like.series else []
+        text = "\n".join(("ImageJ=1.54f", *lines, "unit=cm", f"spacing={z!r}", "loop=false", ""))
+    image.set_type(pyvips.GValue.gstr_type, "image-description", text)
     options = settings(TIFF, array, 32, None, True)
     options |= {"page_height": height, "resunit": "cm", "xres": 0.1 / x, "yres": 0.1 / y}
     with replacing(path, force=force) as temporary, writing(path):
         apart(lambda: image.tiffsave(os.fsencode(temporary), **options), image)
+
+
+def _are_colours(like: Volume, dtype: np.dtype[Any]) -> bool:
+    """Return whether components are the colours of a page, and not channels, each of which has pages."""
+    return like.components in (3, 4) and dtype.str[1:] in ("u1", "u2") and like.header != _CHANNELS
