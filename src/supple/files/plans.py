@@ -20,7 +20,7 @@ from supple.engines.workers import threads
 from supple.errors import SuppleError, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.clips import is_clip
-from supple.files.grids import GridOptions, grid_on, warn_of_place
+from supple.files.grids import GridOptions, grid_on
 from supple.files.tasks import Runner, Running, runner_of
 from supple.files.volumes import VolumeOptions, deformation_of, is_volume_job, sampling_of
 from supple.geometry import Geometry, Grid
@@ -52,12 +52,15 @@ class Medium:
         The type of the samples.
     geometry : Geometry, optional
         The place of a volume in space; None of a picture.
+    background : float
+        The value of what lies outside of a volume.
     """
 
     name: str
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
     geometry: Geometry | None
+    background: float = 0.0
 
     @property
     def space(self) -> tuple[int, ...]:
@@ -140,7 +143,7 @@ def plan_file(
     *,
     filter: str = "auto",
     tolerance: float = 0.01,
-    outside: str = "edge",
+    outside: str | None = None,
     fill: float | Sequence[float] = 0.0,
     options: VolumeOptions | None = None,
     fit: Fit | None = None,
@@ -273,7 +276,9 @@ def medium_of(image: StoredImage) -> Medium:
     name, geometry = shown(image.address), None
     if len(image.spatial) == 3:
         geometry = image.grid.geometry("LPS") if image.placed else Geometry()
-    return Medium(name, image.shape, image.dtype, geometry)
+    filled = image.levels[0].array.metadata.fill_value
+    known = isinstance(filled, int | float | np.number) and np.isfinite(filled)
+    return Medium(name, image.shape, image.dtype, geometry, float(filled) if known else 0.0)
 
 
 def check_options(options: VolumeOptions) -> None:
@@ -289,7 +294,7 @@ def warp_on(
     *,
     filter: str = "auto",
     tolerance: float = 0.01,
-    outside: str = "edge",
+    outside: str | None = None,
     fill: float | Sequence[float] = 0.0,
     options: VolumeOptions | None = None,
     fit: Fit | None = None,
@@ -304,6 +309,10 @@ def warp_on(
         If an option does not fit the input.
     """
     known = options or VolumeOptions()
+    if outside is None:
+        elsewhere = grid is not None and grid.reference is not None
+        outside = "constant" if medium.geometry is not None and elsewhere else "edge"
+        fill = 0.0 if known.labels else medium.background
     if known.labels and filter not in ("auto", "nearest"):
         raise SuppleError(f'labels needs filter "nearest", which keeps values as they are, found "{filter}"')
     if known.labels and medium.dtype.kind == "f":
@@ -320,8 +329,6 @@ def warp_on(
         deformation = Deformation.from_recipe(fitted, medium.grid, maps=maps, warn=False)
     else:
         sampling = sampling_of(name, outside=outside, fill=fill, tolerance=tolerance)
-        if maps:
-            warn_of_place(medium.geometry, medium.name)
         regrid = grid_on(grid, medium.grid, medium.name, maps)
         volume = Volume(whole, medium.geometry, medium.name)
         deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)

@@ -41,6 +41,7 @@ from supple.media.volume import (
     write,
 )
 from supple.media.volume import place_of as volume_place
+from supple.media.volume.dicom import padding_of
 from supple.pipeline import Tell
 from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke, fit_recipe
 
@@ -108,6 +109,8 @@ class WarpedVolume:
         As in `supple.files.Warped`, over all volumes.
     own : Grid, optional
         The grid of the input, if it is not that of the deformation.
+    background : float, optional
+        The value, scaled, of what lies outside of the input, where none was asked for.
     """
 
     source: Path
@@ -122,6 +125,7 @@ class WarpedVolume:
     outside: int = 0
     unsolved: int = 0
     own: Grid | None = None
+    background: float | None = None
 
     def report(self) -> Report:
         """Return the report on the strokes and the certified error, measured at every voxel; this is slow."""
@@ -223,6 +227,8 @@ def deformation_of(
             stacklevel=4,
         )
     known = fit_recipe(located, volume.sizes, fit, volume.name)
+    if maps:
+        warn_of_place(volume.geometry, volume.name)
     own = volume.grid.upright()
     if own == volume.grid:
         made = indexed(known, volume.geometry, volume.name)
@@ -344,7 +350,7 @@ def warp_volume(
     *,
     filter: str = "auto",
     tolerance: float = 0.01,
-    outside: str = "edge",
+    outside: str | None = None,
     fill: float | Sequence[float] = 0.0,
     clamp: bool = True,
     device: str = "cpu",
@@ -363,7 +369,10 @@ def warp_volume(
     known = options or VolumeOptions()
     check_device(device)
     sampling = sampling_of(
-        "nearest" if known.labels and filter == "auto" else filter, outside=outside, fill=fill, tolerance=tolerance
+        "nearest" if known.labels and filter == "auto" else filter,
+        outside=outside or "edge",
+        fill=fill,
+        tolerance=tolerance,
     )
     if known.labels and sampling.filter != "nearest":
         raise SuppleError(f'labels needs filter "nearest", which keeps values as they are, found "{filter}"')
@@ -374,10 +383,13 @@ def warp_volume(
         check_target(target, volume, force=force)
     if known.labels and (broken := _first_fraction(volume.samples)) is not None:
         raise SuppleError(f"labels is for whole numbers, and {volume.name} holds {broken:g}: leave it out")
-    if maps:
-        warn_of_place(volume.geometry, volume.name)
     regrid = grid_on(grid, volume.grid, volume.name, maps)
     deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
+    background = None
+    if outside is None and grid is not None and grid.reference is not None:  # much may lie outside of the input
+        background = background_of(volume, labels=known.labels)
+        slope, intercept = volume.scaling
+        sampling = replace(sampling, outside="constant", fill=(background - intercept) / slope)
     like = volume if grid is None or regrid is None else _moved(volume, regrid, grid)
     if grid is not None:
         check_target(target, like, force=force)
@@ -401,7 +413,29 @@ def warp_volume(
     count = len(volume.samples) if volume.series else 1
     own = None if volume.grid == deformation.grid else volume.grid
     made = Path(source), Path(target), deformation, volume.geometry, tolerance, found.error, count, regrid
-    return WarpedVolume(*made, found.folded, found.outside, found.unknown, own)
+    return WarpedVolume(*made, found.folded, found.outside, found.unknown, own, background)
+
+
+def background_of(volume: Volume, *, labels: bool = False) -> float:
+    """Return the scaled value of what lies outside of a volume: of labels 0, of DICOM its padding, or else the least.
+
+    NaN and infinities are left out.
+    """
+    slope, intercept = volume.scaling
+    if labels or volume.is_segmentation or volume.components > 1:
+        return intercept
+    if volume.format == "DICOM" and (padding := padding_of(volume)) is not None:
+        return padding
+    return slope * (least_of(volume.samples) if slope > 0 else -least_of(volume.samples, -1)) + intercept
+
+
+def least_of(samples: Any, sign: int = 1) -> float:
+    """Return the least finite value of samples, times a sign; 0 if there is none."""
+    least, rest = np.inf, (slice(None),) * (len(samples.shape) - 1)
+    for k in range(samples.shape[0]):
+        slab = np.asarray(samples[(slice(k, k + 1), *rest)], np.float64) * sign
+        least = min(least, float(slab.min(initial=np.inf, where=np.isfinite(slab))))
+    return least if np.isfinite(least) else 0.0
 
 
 def _moved(volume: Volume, grid: Grid, options: GridOptions) -> Volume:
