@@ -143,6 +143,7 @@ class CheckedFile:
             **other,
             "size": list(report.grid.sizes),
             "spacing": list(report.grid.spacing),
+            "space": "LPS" if report.grid.ndim == 3 else "the picture",
             "samples": report.samples,
             **known,
             "folds": report.folds,

@@ -46,6 +46,8 @@ KINDS = {
     "mrtrix": Kind("MRtrix, deformation", "positions", "RAS", "mm"),
     "mrtrix-displacement": Kind("MRtrix, displacement", "displacements", "RAS", "mm"),
     "freesurfer": Kind("FreeSurfer", "positions or displacements", "RAS", "mm", PUSH),
+    "niftyreg": Kind("NiftyReg", "positions or displacements", "RAS", "mm"),
+    "spm-deformation": Kind("SPM", "positions", "RAS", "mm"),
     "ngff": Kind("OME-Zarr", "displacements or positions", "LPS, or as its axes say", "mm, or as its axes say"),
     "opencv": Kind("OpenCV's remap", "positions", "the picture", "pixels"),
     "stmap": Kind("STMap", "positions", "the picture, from its bottom left corner", "of its width and height"),
@@ -54,6 +56,7 @@ KINDS = {
 
 WRITTEN = {
     "freesurfer": KINDS["freesurfer"]._replace(holds="positions"),
+    "niftyreg": KINDS["niftyreg"]._replace(holds="positions"),
     "ngff": Kind("OME-Zarr", "displacements", "LPS", "mm"),
 }
 """What is written, where the convention reads more."""

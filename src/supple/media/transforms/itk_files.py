@@ -13,14 +13,17 @@ import numpy as np
 
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable, unwritable
 from supple.media.transforms.base import (
+    VECTOR,
     Content,
     Displacements,
     Grids,
     Matrix,
     check_count,
     check_finite,
+    check_text,
     check_volume,
     checked,
+    checked_header,
     intent_of,
     suffix_of,
     vectors_of,
@@ -31,8 +34,9 @@ from supple.media.volume.data import located, reading
 
 IMAGES = {".nii": "", ".nii.gz": "", ".nrrd": "NRRD", ".nhdr": "NRRD", ".mha": "MetaImage", ".mhd": "MetaImage"}
 TRANSFORMS = (".h5", ".hdf5", ".tfm", ".txt", ".mat")
-_VECTOR, _DISPLACEMENT = 1007, 1006
+_DISPLACEMENT = 1006
 _KIND = re.compile(rb"Transform(?:Base)?_(?:double|float)_\d_\d")
+_FLOWS = (b"VelocityFieldTransform_", b"ExponentialDiffeomorphicTransform_")
 _SIZES = {0: 8, 1: 4}  # bytes of a number in a file of MATLAB
 _MANY = (".h5", ".tfm")
 _OUT = tuple(dict.fromkeys((*SUFFIXES_OUT, *TRANSFORMS)))
@@ -49,13 +53,13 @@ def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
 
 
 def _field(path: PathLike, form: str) -> Displacements:
-    volume = itk.read(path, form) if form else nifti.read(path)
+    volume = itk.read(path, form) if form else checked_header(path, nifti.read(path), "itk")
     if not form:
         code = intent_of(volume)
         if code == _DISPLACEMENT:
             what = "its intent code is 1006, whose vectors ITK takes as LPS before version 5.4, and as RAS from it on"
             raise unreadable(path, what, "write it anew with LPS vectors and the intent code 1007")
-        if code != _VECTOR or volume.series:
+        if code != VECTOR or volume.series:
             check_count(path, len(volume.samples) if volume.series else volume.components)
             axes = 4 if volume.series else 5
             what = f"it has {axes} axes and the intent code {code}, and a field of ITK has 5 and the code 1007"
@@ -68,12 +72,16 @@ def _field(path: PathLike, form: str) -> Displacements:
 
 def _transforms(path: PathLike) -> tuple[Content, ...]:
     sitk = itk.imported()
-    head_of(path, 1)
+    check_text(path, head_of(path, 512))
     with reading(path), open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         kinds = len(_KIND.findall(data))
         composed = data.find(b"CompositeTransform_") >= 0
+        flows = any(data.find(name) >= 0 for name in _FLOWS)
     if suffix_of(path, TRANSFORMS) == ".mat":
         _check_matlab(path)
+    if flows:
+        what = "it holds a velocity field, which has to be integrated"
+        raise unreadable(path, what, "give the displacement field that it leads to")
     if kinds > 1 and not composed:
         what = f"it holds a list of {kinds} transforms, of which ITK reads the first"
         raise unreadable(path, what, "give a file of one, or of a composite of them")
