@@ -35,7 +35,7 @@ class DeviceWarning(UserWarning):
 
 
 class OutsideWarning(UserWarning):
-    """A stroke starts outside the image, the clip or the volume."""
+    """A stroke starts outside the image, the clip or the volume; or a map may be of another picture's size."""
 
 
 class ScaleWarning(UserWarning):

@@ -183,7 +183,8 @@ def convert(
     to
         Convention of OUT (default: the only one of its suffix).
     source
-        The input (moving) image, which FSL's and FreeSurfer's conventions need.
+        The input (moving) image, which FSL's and FreeSurfer's conventions need; STMaps count in its size (default:
+        that of the map).
     reference
         The output (fixed) image: maps are sampled on its grid as one field, unless it is one affine map that OUT holds
         as such.

@@ -102,5 +102,5 @@ def test_velocities_of_itk_are_refused_by_name(tmp_path: Path) -> None:
     image = nibabel.Nifti1Image(np.zeros((5, 6, 7, 4, 3), np.float32), np.eye(4))
     image.header.set_intent(KIND)
     nibabel.save(image, tmp_path / "times.nii")
-    with pytest.raises(SuppleError, match="vectors at 4 times .* as a velocity field of ANTs does"):
+    with pytest.raises(SuppleError, match=r"vectors at 4 times .* as a velocity field of ANTs does"):
         Field.read(tmp_path / "times.nii")
