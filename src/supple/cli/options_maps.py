@@ -277,6 +277,7 @@ class Maps:
         return tuple(placed for some, _ in self._read(source) for placed in some)
 
     def _read(self, source: Grid | None) -> list[tuple[list[Placed], str | None]]:
+        from supple.files import maps
         from supple.files.grids import reference_grid
 
         with self._lock:
@@ -298,7 +299,7 @@ class Maps:
                     if refused is not None:
                         raise refused from None
                     raise
-                self._known = source, read
+                self._known = source, [(maps.lifted(some, form, source), form) for some, form in read]
             return self._known[1]
 
     def on(self, console: Console, source: Grid, name: str, grid: GridOptions | None = None) -> tuple[Placed, ...]:

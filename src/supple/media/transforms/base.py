@@ -178,9 +178,9 @@ def check_code(path: PathLike, code: int) -> None:
         raise unreadable(path, what, "run fnirtfileutils --withaff, with --ref= and --out=, and read what it makes")
 
 
-def check_count(path: PathLike, found: int) -> None:
-    """Raise SuppleError for another number of values for each voxel than three."""
-    if found != _COMPONENTS:
+def check_count(path: PathLike, found: int, wanted: int = _COMPONENTS) -> None:
+    """Raise SuppleError for another number of values for each voxel than three, or as many as are wanted."""
+    if found != wanted:
         told = {
             1: "one value for each voxel, as an image or a mask",
             2: "two values for each voxel, as a field of a picture",
@@ -189,7 +189,7 @@ def check_count(path: PathLike, found: int) -> None:
         raise unreadable(path, f"it holds {told}", "give a field with three, one for each axis of space")
 
 
-def vectors_of(path: PathLike, volume: Volume) -> tuple[Array, Grid]:
+def vectors_of(path: PathLike, volume: Volume, count: int = _COMPONENTS) -> tuple[Array, Grid]:
     """Return the vectors of a volume, shape (Z, H, W, 3), and its grid: of a series in time, three volumes count too.
 
     SuppleError if there are not three numbers for each voxel, or they are no fractions; or it has no place in space.
@@ -198,7 +198,7 @@ def vectors_of(path: PathLike, volume: Volume) -> tuple[Array, Grid]:
     if volume.series:
         samples = np.moveaxis(samples, 0, -1)
     found = samples.shape[3] if samples.ndim == 4 else 1
-    check_count(path, found)
+    check_count(path, found, count)
     if samples.dtype.kind != "f":
         raise unreadable(
             path, f"its values are {samples.dtype}, as those of colours", "give a field of float32 or float64"
@@ -354,11 +354,11 @@ def numbers_of(path: PathLike, lines: Sequence[str], shape: tuple[int, int], wha
 
 def checked(path: PathLike, matrix: Matrix) -> Matrix:
     """Return a homogeneous matrix as it is; SuppleError if it is none, or has no inverse."""
-    if not np.isfinite(matrix).all() or not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-12):
+    if not np.isfinite(matrix).all() or not np.allclose(matrix[-1], np.eye(len(matrix))[-1], atol=1e-12):
         raise unreadable(path, f"its matrix is {matrix.tolist()}, and no finite affine map", "correct it")
-    if not abs(np.linalg.det(matrix[:3, :3])) > 1e-12:
+    if not abs(np.linalg.det(matrix[:-1, :-1])) > 1e-12:
         raise unreadable(path, "its matrix is singular: it has no inverse", "correct it")
-    matrix[3] = (0, 0, 0, 1)
+    matrix[-1] = np.eye(len(matrix))[-1]
     return matrix
 
 

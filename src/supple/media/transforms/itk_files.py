@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from supple.errors import SuppleError, shown
+from supple.geometry import Grid
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable, unwritable
 from supple.media.transforms.base import (
     VECTOR,
@@ -30,7 +32,7 @@ from supple.media.transforms.base import (
 )
 from supple.media.transforms.itk import SUFFIXES_OUT, write_field, write_transform
 from supple.media.volume import itk, nifti
-from supple.media.volume.data import located, reading
+from supple.media.volume.data import reading
 
 IMAGES = {".nii": "", ".nii.gz": "", ".nrrd": "NRRD", ".nhdr": "NRRD", ".mha": "MetaImage", ".mhd": "MetaImage"}
 TRANSFORMS = (".h5", ".hdf5", ".tfm", ".txt", ".mat")
@@ -65,7 +67,15 @@ def _field(path: PathLike, form: str) -> Displacements:
             what = f"it has {axes} axes and the intent code {code}, and a field of ITK has 5 and the code 1007"
             raise unreadable(path, what, "give the convention that it has")
     # The vectors stay as they are for any space of a NRRD: ITK turns its place to LPS, and never its vectors.
-    values, grid = vectors_of(path, volume)
+    flat = not volume.series and volume.components == 2 and volume.sizes[2] == 1
+    values, grid = vectors_of(path, volume, 2 if flat else 3)
+    if flat:
+        turned = np.array(grid.direction)
+        if not np.allclose(np.abs(turned[2]), (0, 0, 1)):
+            raise unreadable(
+                path, "its two axes do not lie in the plane of x and y", "give a field of three components"
+            )
+        values, grid = values[0], Grid(grid.shape[1:], grid.spacing[:2], grid.origin[:2], turned[:2, :2])
     check_finite(path, values, "give a field that is finite everywhere")
     return Displacements(values, grid)
 
@@ -90,8 +100,9 @@ def _transforms(path: PathLike) -> tuple[Content, ...]:
             whole = sitk.ReadTransform(os.fspath(path))
         except KeyError as error:  # a kind that SimpleITK's table of kinds lacks
             raise unreadable(path, "SimpleITK does not know its kind of transform", "write it as affine") from error
-    if whole.GetDimension() != 3:
-        raise unreadable(path, f"it is a transform of {whole.GetDimension()} dimensions", "give one of volumes")
+    if whole.GetDimension() not in (2, 3):
+        what = f"it is a transform of {whole.GetDimension()} dimensions"
+        raise unreadable(path, what, "give one of pictures or volumes")
     return tuple(_contents(path, sitk, whole))
 
 
@@ -144,18 +155,23 @@ def _known(transform: Any) -> Any:
 
 
 def _sampled(path: PathLike, values: Any, image: Any, interpolation: Any) -> Displacements:
-    direction = np.array(image.GetDirection()).reshape(3, 3)
-    geometry = located(path, list(image.GetSpacing()), list(image.GetOrigin()), direction, "LPS")
+    n = image.GetDimension()
+    direction = np.array(image.GetDirection()).reshape(n, n)
     check_finite(path, values, "give a field that is finite everywhere")
-    return Displacements(values, geometry.grid(values.shape[:3]), interpolation)
+    try:
+        grid = Grid(values.shape[:-1], image.GetSpacing(), image.GetOrigin(), direction)
+    except SuppleError as error:
+        raise SuppleError(f"cannot read {shown(path)}: {error}") from error
+    return Displacements(values, grid, interpolation)
 
 
 def _matrix(transform: Any) -> Matrix:
     """Return the matrix of a linear transform of any parameters and centre."""
-    made = np.eye(4)
-    made[:3, 3] = transform.TransformPoint((0.0, 0.0, 0.0))
-    for axis, unit in enumerate(np.eye(3).tolist()):
-        made[:3, axis] = np.array(transform.TransformVector(unit, (0.0, 0.0, 0.0)))
+    n = transform.GetDimension()
+    made, origin = np.eye(n + 1), (0.0,) * n
+    made[:n, n] = transform.TransformPoint(origin)
+    for axis, unit in enumerate(np.eye(n).tolist()):
+        made[:n, axis] = np.array(transform.TransformVector(unit, origin))
     return made
 
 
