@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import nibabel
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -178,3 +179,77 @@ def test_the_window_shows_a_volume_through_its_maps() -> None:
     assert np.count_nonzero(seen.samples) == 1
     exported = ViewOptions(maps=(Placed(shift),)).export["maps"]
     assert exported == (Placed(shift),)
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_ties_at_the_faces_of_a_field_are_decided_as_by_itk(n: int) -> None:
+    """The near face of the first sample is of the grid, and the far face of the last one is not."""
+    sizes = [5, 6, 4][:n]
+    values = np.zeros((*sizes[::-1], n))
+    values[..., 0] = 1.0
+    theirs = sitk.DisplacementFieldTransform(sitk.GetImageFromArray(values, isVector=True))
+    d = Deformation((20,) * n, border=None).field(supple.Field(values, supple.Grid(sizes[::-1])))
+    for axis, size in enumerate(sizes):
+        for place in (-0.5, size - 0.5, -0.5 - 1e-6, size - 0.5 - 1e-6):
+            point = [2.0] * n
+            point[axis] = place
+            wanted = theirs.TransformPoint(point)
+            np.testing.assert_allclose(d.inverse(np.array(point)).points, wanted, atol=1e-9, err_msg=str(point))
+            assert (wanted[0] == point[0]) == (place in (size - 0.5, -0.5 - 1e-6))
+
+
+def _put(name: str, samples: npt.NDArray[np.generic], shift: float = 0.0, **known: object) -> None:
+    place = Geometry((1.0, 1.0, 1.0), (shift, 0.0, 0.0), np.eye(3), "LPS")
+    media.write(name, samples, media.Volume(samples, place, **known))  # type: ignore[arg-type]
+
+
+TURN = ("--affine", "0.9,0.2,0,1,-0.2,0.9,0,2,0,0,1,0")
+
+
+@pytest.mark.parametrize("maps", [(), TURN])
+def test_what_lies_outside_of_a_volume_is_a_constant_on_the_grid_of_a_reference(
+    run: Run, maps: tuple[str, ...]
+) -> None:
+    rng = np.random.default_rng(1)
+    _put("moving.nii.gz", rng.integers(-700, 900, (8, 10, 12)).astype(np.int16), 3.0)
+    _put("fixed.nii.gz", np.zeros((10, 12, 30), np.uint8))
+    least = int(media.read("moving.nii.gz").samples.min())
+    reference = (*maps, "--reference", "fixed.nii.gz")
+    status, out, err = run("warp", "moving.nii.gz", "seen.nii.gz", *reference, "--json")
+    assert status == 0, err
+    assert json.loads(out)["background"] == least
+    assert f"what lies outside of moving.nii.gz is {least} in seen.nii.gz" in err
+    assert "warning" not in err
+    seen = media.read("seen.nii.gz").samples
+    np.testing.assert_array_equal(seen[:, :, 20:], least)
+    assert run("warp", "moving.nii.gz", "strict.nii.gz", *reference, "--strict")[0] == 0
+    for options, value in ((("--outside", "edge"), None), (("--fill", "7"), 7), (("--outside=constant",), 0)):
+        status, out, err = run("warp", "moving.nii.gz", "other.nii.gz", *reference, *options, "--json", "--force")
+        assert (status, "background" in json.loads(out), "what lies outside" in err) == (0, False, False)
+        far = media.read("other.nii.gz").samples[:, :, 22:]
+        assert (far == value).all() if value is not None else far.std() > 50
+    status, out, _ = run("warp", "moving.nii.gz", "own.nii.gz", *TURN, "--json")
+    assert (status, "background" in json.loads(out)) == (0, False)
+
+
+def test_the_constant_is_scaled_and_of_labels_it_is_0(run: Run) -> None:
+    counts = np.random.default_rng(1).integers(10, 90, (8, 10, 12)).astype(np.int16)
+    _put("fixed.nii.gz", np.zeros((8, 10, 30), np.uint8))
+    _put("plain.nii", counts)
+    header = nibabel.load("plain.nii").header
+    raw = bytearray(Path("plain.nii").read_bytes())
+    raw[112:120] = np.array([2.0, -1000.0], header["scl_slope"].dtype.newbyteorder(header.endianness)).tobytes()
+    Path("scaled.nii").write_bytes(raw)
+    status, out, _ = run("warp", "scaled.nii", "out.nii", "--reference", "fixed.nii.gz", "--json")
+    assert (status, json.loads(out)["background"]) == (0, 2.0 * counts.min() - 1000)
+    assert (media.read("out.nii").rescaled()[..., 15:] == 2.0 * counts.min() - 1000).all()
+    status, out, _ = run("warp", "plain.nii", "labels.nii", "--reference", "fixed.nii.gz", "--json", "--labels")
+    assert (status, json.loads(out)["background"]) == (0, 0.0)
+    assert (media.read("labels.nii").samples[..., 15:] == 0).all()
+    for source in ("plain.nii", "plain.zarr"):
+        if source == "plain.zarr":
+            assert run("warp", "plain.nii", source, "--resample", "1")[0] == 0
+        target = f"{Path(source).suffix[1:]}-out.zarr"
+        status, out, err = run("warp", source, target, "--reference", "fixed.nii.gz", "--json")
+        assert status == 0, err
+        assert json.loads(out)["background"] == (counts.min() if source == "plain.nii" else 0)
