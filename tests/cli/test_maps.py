@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import nibabel
 import numpy as np
 import numpy.typing as npt
+import pydicom
 import pytest
 import SimpleITK as sitk  # noqa: N813
 from scipy.ndimage import gaussian_filter
@@ -16,6 +18,7 @@ import supple
 from supple import Affine, Deformation, Recipe
 from supple.fields import Placed
 from supple.files.renders import RenderOptions, scene_of
+from supple.files.volumes import background_of
 from supple.geometry import Geometry
 from supple.media import image
 from supple.media import volume as media
@@ -253,3 +256,20 @@ def test_the_constant_is_scaled_and_of_labels_it_is_0(run: Run) -> None:
         status, out, err = run("warp", source, target, "--reference", "fixed.nii.gz", "--json")
         assert status == 0, err
         assert json.loads(out)["background"] == (counts.min() if source == "plain.nii" else 0)
+
+
+def test_the_padding_of_dicom_lies_outside(tmp_path: Path) -> None:
+    head = pydicom.Dataset()
+    head.PixelPaddingValue, head.RescaleSlope, head.RescaleIntercept = 24, "1", "-1024"
+    head.file_meta = pydicom.dataset.FileMetaDataset()
+    head.file_meta.TransferSyntaxUID = pydicom.uid.ExplicitVRLittleEndian
+    head.file_meta.MediaStorageSOPClassUID = head.SOPClassUID = pydicom.uid.CTImageStorage
+    head.file_meta.MediaStorageSOPInstanceUID = head.SOPInstanceUID = pydicom.uid.generate_uid()
+    head.add_new(0x00280103, "US", 0)
+    path = str(tmp_path / "slice.dcm")
+    head.save_as(path, enforce_file_format=True)
+    samples = np.full((2, 3, 4), 40, np.int16)
+    volume = media.Volume(samples, PLACE, format="DICOM", header=(path,))
+    assert background_of(volume) == -1000.0
+    assert background_of(volume, labels=True) == 0.0
+    assert background_of(replace(volume, format="NIfTI")) == 40.0

@@ -41,7 +41,7 @@ _FOREIGN = re.compile("veloc|flow field|coefficient|b-?spline", re.IGNORECASE)
 _TEXTS = {
     b"(Transform ": ("parameters of elastix", "run transformix -def all -tp, and read its deformationField"),
     b"MGH_GPUIT_BSP": ("a B-spline of plastimatch", "run plastimatch xf-convert --output-type vf, and read that"),
-    b"MNI Transform File": ("a transform of MINC", "convert it by itk_convert_xfm"),
+    b"MNI Transform File": ("a transform of MINC", "convert it to a field of ITK"),
 }
 
 
@@ -129,8 +129,8 @@ def announced(path: PathLike, header: Any) -> str:
     if name == NIFTYREG:
         kind = int(header["intent_p1"])
         if kind not in (POSITIONS, DISPLACEMENTS):
-            what = f"it holds {_NO_FIELDS.get(kind, 'a velocity field')} of NiftyReg (intent_p1 is {kind})"
-            raise unreadable(path, what, "run reg_transform -def with -ref, and read what it makes")
+            what = f"it holds {_NO_FIELDS.get(kind, 'a velocity field')} of NiftyReg (kind {kind})"
+            raise unreadable(path, what, "let its transform program write a deformation field (-def, with -ref)")
         return "niftyreg"
     if found := _FOREIGN.search(name) or _FOREIGN.search(note):
         what = f"its header says {shown(found.string)}, which is no field of displacements or positions"
