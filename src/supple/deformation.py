@@ -970,6 +970,11 @@ class Deformation:
         Returns
         -------
         Inverse
+
+        Warns
+        -----
+        FoldWarning, OutsideWarning
+            If an inverted field folds at some of the points, or no point of its grid leads to them.
         """
         return Inverse(*engine_at(points).inverse(self.space, points))
 

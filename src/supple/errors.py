@@ -39,7 +39,7 @@ class DeviceWarning(UserWarning):
 
 
 class OutsideWarning(UserWarning):
-    """A stroke starts outside the image, the clip or the volume, or moves nothing of it."""
+    """A stroke starts outside the image, the clip or the volume, or moves nothing; or a map may be of another size."""
 
 
 class ScaleWarning(UserWarning):

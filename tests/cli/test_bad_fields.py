@@ -342,6 +342,7 @@ def test_what_is_written_is_told(run: Run) -> None:
 
 
 def test_info_tells_that_a_volume_is_a_field(run: Run) -> None:
-    assert "  field       displacements, convention itk: supple check tells what it does" in run("info", "u.nii")[1]
+    told = "  field       displacements in LPS, convention itk: supple check tells what it does"
+    assert told in run("info", "u.nii")[1]
     assert json.loads(run("info", "u.nii", "--json")[1])["field"] == "itk"
     assert "  field " not in run("info", "head.nii")[1]

@@ -18,7 +18,7 @@ from scipy.ndimage import map_coordinates
 from supple import Affine, Field, Grid, SuppleError
 from supple.fields import read_maps
 from supple.geometry import Geometry
-from supple.media import volume
+from supple.media import image, volume
 from tests.cli.commands import Run, one_line
 from tests.media.transforms.mapping import DATA, Floats, centres, grid_of
 
@@ -185,3 +185,29 @@ def test_a_grid_that_is_missing_is_named(run: Run, line: str, said: str) -> None
     assert (status, out) == (2, "")
     assert one_line(err) == f"supple: cannot read a.mat: {COUNTS}{said}\n"
     assert sorted(os.listdir()) == before
+
+
+def test_an_stmap_of_a_picture_of_another_size(run: Run) -> None:
+    """Its numbers are parts of the size of the picture that it leads to, which a map of positions does not tell."""
+    rows, columns = np.indices((50, 60), np.float32)
+    places = np.stack([columns * 0.7 + 1, rows * 0.7 + 2], axis=-1)
+    np.save("map.npy", places)
+    image.write("size.png", np.zeros((50, 60), np.uint8))
+    of_map = ("--field", "map.npy", "--convention", "opencv")
+    assert run("warp", "in.png", "direct.png", *of_map, "--reference", "size.png")[0] == 0
+    status, _, err = run("convert", "map.npy", "blind.exr", "--from", "opencv")
+    assert status == 0
+    assert "blind.exr counts in the size of the picture that it leads to" in err
+    assert "60 x 50 pixels, as the map has: --source names that picture" in err
+    assert run("convert", "map.npy", "strict.exr", "--from", "opencv", "--strict")[0] == 2
+    assert not Path("strict.exr").exists()
+    assert run("convert", "map.npy", "known.exr", "--from", "opencv", "--source", "in.png")[2] == ""
+    assert run("warp", "in.png", "through.png", "--field", "known.exr", "--reference", "size.png")[0] == 0
+    direct, through = (image.read(name).pixels.astype(int) for name in ("direct.png", "through.png"))
+    assert np.abs(direct - through).max() <= 1
+    for line in ("convert known.exr back.npy", "invert known.exr back.exr", "check known.exr"):
+        assert "known.exr counts in the size of the picture" in run(*line.split())[2], line
+        options = ("--source", "in.png", *(("--force",) if "back" in line else ()))
+        assert "counts in the size" not in run(*line.split(), *options)[2], line
+    status, _, err = run("convert", "known.exr", "again.exr")
+    assert (status, err) == (0, "")

@@ -104,7 +104,7 @@ def test_check_tells_of_folds_and_is_no_error(run: Run) -> None:
         f"  moves       up to 1.5 mm, {report.mean:.4g} mm on average",
         f"  folds       {report.folded:,} of 1,500 cells ({100 * report.folded / 1500:.3g} %)",
         "              is it of the convention itk, from its suffix .mha? --convention says another",
-        f"  determinant the least is {report.determinant:.4g}, at ({report.at[0]:.5g}, 0, 0) mm",
+        f"  determinant the least is {report.determinant:.4g}, at ({report.at[0]:.5g}, 0, 0) mm in LPS",
         f"              not above 0 at {report.negative:,} of 2,520 samples ({100 * report.negative / 2520:.3g} %), "
         "by central differences",
     ]

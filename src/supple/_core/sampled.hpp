@@ -174,11 +174,11 @@ NOINLINE void field_at(const Sampled& k, const V* i, const V* a, const V* b, Loc
     sample_field<D, ORDER>(k, i, a, b, found);
 }
 
-// The mask of indices on the grid.
+// The mask of indices on the grid; of its outer faces, the far ones are beyond it, as in ITK.
 template <int D, class V>
 INLINE typename Masked<V>::type on_grid(const Sampled& k, const V* i) {
     typename Masked<V>::type in = i[0] == i[0];
-    for (int d = 0; d < D; d++) in = both(in, both(i[d] >= k.first[d] - k.margin, i[d] <= k.last[d] + k.margin));
+    for (int d = 0; d < D; d++) in = both(in, both(i[d] >= k.first[d] - k.margin, i[d] < k.last[d] + k.margin));
     return in;
 }
 

@@ -146,10 +146,12 @@ def _stored(name: str) -> tuple[dict[str, Any], str]:
 
 def _field(name: str) -> dict[str, Any]:
     """Return the convention of a NIfTI file that is a displacement field without doubt."""
+    from supple.files.maps import KINDS
     from supple.media import transforms
 
     try:
-        return {"field": transforms.convention_in(name)}
+        known = transforms.convention_in(name)
+        return {"field": known, "field_holds": KINDS[known].holds, "field_space": KINDS[known].space}
     except SuppleError:
         return {}
 
@@ -233,7 +235,8 @@ def _volume(name: str, facts: Mapping[str, Any]) -> str:
         "values": facts["dtype"] + (f", {facts['components']} components" if facts["components"] > 1 else ""),
     }
     if "field" in facts:
-        lines["field"] = f"displacements, convention {facts['field']}: supple check tells what it does"
+        held = f"{facts['field_holds']} in {facts['field_space']}"
+        lines["field"] = f"{held}, convention {facts['field']}: supple check tells what it does"
     if convention != "array":
         lines["origin"] = f"{spoken(facts['origin'])} ({convention})"
         leaning = f", oblique by up to {facts['oblique']:.3g}°" if facts["oblique"] else ""

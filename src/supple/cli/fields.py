@@ -183,7 +183,8 @@ def convert(
     to
         Convention of OUT (default: the only one of its suffix).
     source
-        The input (moving) image, which FSL's and FreeSurfer's conventions need.
+        The input (moving) image, which FSL's and FreeSurfer's conventions need; STMaps count in its size (default:
+        that of the map).
     reference
         The output (fixed) image: maps are sampled on its grid as one field, unless it is one affine map that OUT holds
         as such.
@@ -276,7 +277,7 @@ def _checked(made: CheckedFile) -> str:
 
     report = made.report
     grid = report.grid
-    unit = _unit(grid)
+    unit, space = _unit(grid), " in LPS" if grid.ndim == 3 else ""
     lines = [_file(made.source, "read")]
     if made.inverse is not None:
         lines.append(_file(made.inverse, "read"))
@@ -291,7 +292,7 @@ def _checked(made: CheckedFile) -> str:
     if doubt := doubt_of(made.source, report.folded, report.cells):
         lines.append(_line("", doubt))
     place = ", ".join(f"{x + 0.0:.5g}" for x in report.at)
-    lines.append(_line("determinant", f"the least is {report.determinant:.4g}, at ({place}) {unit}"))
+    lines.append(_line("determinant", f"the least is {report.determinant:.4g}, at ({place}) {unit}{space}"))
     share = f"{report.negative:,} of {report.samples:,} samples ({_share(report.negative, report.samples)})"
     lines.append(_line("", f"not above 0 at {share}, by central differences"))
     found = report.consistency

@@ -13,13 +13,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
+from supple.cli.options_volume import COORDINATES
 from supple.errors import OutsideWarning, SuppleError, shown
 
 if TYPE_CHECKING:
     from supple.affine import Affine
+    from supple.cli.console import Console
     from supple.fields import Placed
     from supple.files.grids import GridOptions
     from supple.geometry import Grid
+
+PathLike = str | os.PathLike[str]
 
 MAPS = Group("Fields and affine maps", sort_key=1.3)
 OUTPUT = Group("Output grid", sort_key=1.6)
@@ -35,7 +39,7 @@ _NUMBERS = re.compile(r"[-+\d.eE,\s]*\d[-+\d.eE,\s]*")
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class MapOptions:
-    """Options of maps that are no strokes, and of the grid of the output.
+    """Options of maps that are no strokes.
 
     Parameters
     ----------
@@ -46,10 +50,111 @@ class MapOptions:
         Apply an affine map, in the same order and direction: a file, or the rows of its matrix: 6 numbers in pixels
         for pictures, 12 in millimetres (LPS) for volumes.
     inverse
-        Apply the inverse of the --field or --affine before it.
+        Apply the inverse of the --field or --affine before it. In supple points, before these or without them: move
+        points back, from the output to the input.
     convention
         The convention of the file of the --field or --affine before it: itk, fsl-relative, … (default: the one that
-        the file shows). Of tables of the --pull before it: LPS or RAS in millimetres, or index, which is voxels.
+        the file shows). Of tables of points, and of meshes, that do not name theirs: LPS or RAS in millimetres, or
+        index, which is voxels; in supple warp, of those of the --pull before it.
+    """
+
+    field: Annotated[list[str], Parameter(group=MAPS, metavar="FILE", show_default=False)] = ()  # type: ignore[assignment]
+    affine: Annotated[
+        list[str], Parameter(group=MAPS, metavar="FILE|NUMBERS", show_default=False, allow_leading_hyphen=True)
+    ] = ()  # type: ignore[assignment]
+    inverse: Annotated[int, Parameter(group=MAPS, count=True, show_default=False)] = 0
+    convention: Annotated[list[str], Parameter(group=MAPS, metavar="NAME", show_default=False)] = ()  # type: ignore[assignment]
+
+    @property
+    def any(self) -> bool:
+        """Return whether there is a map."""
+        return bool(self.field or self.affine)
+
+    @property
+    def dangling(self) -> bool:
+        """Return whether there is something said of maps, but no map."""
+        return bool(self.inverse or self.convention) and not self.any
+
+    @property
+    def conventions(self) -> dict[str, list[str]]:
+        """The values of --convention, and of the options here that one may be about."""
+        return {"--field": self.field, "--affine": self.affine, "--convention": self.convention}
+
+    @property
+    def coordinates(self) -> str | None:
+        """The coordinates of all points that do not name theirs, where --convention may say these: LPS, RAS, index."""
+        found = {COORDINATES[name.lower()] for name in self.convention if name.lower() in COORDINATES}
+        if len(found) > 1:
+            raise SuppleError(f"--convention of points is given as {' and '.join(sorted(found))}: leave one out")
+        return found.pop() if found else None
+
+    def to_maps(
+        self,
+        arguments: Sequence[str],
+        recipe: int,
+        strokes: Mapping[str, Sequence[str]],
+        output: OutputOptions | None = None,
+        *,
+        points: bool = False,
+    ) -> Maps:
+        """Return the maps among the strokes.
+
+        Parameters
+        ----------
+        arguments : sequence of str
+            The command line.
+        recipe : int
+            The number of strokes of the recipe, which come first.
+        strokes : mapping from str to sequence of str
+            The values of the options that are strokes.
+        output : OutputOptions, optional
+            The grid of the output, of a command that writes on another one than the input's.
+        points : bool
+            Whether --inverse before all maps is about points, which are then moved back.
+        """
+        from supple.cli.options_strokes import in_order
+
+        found = in_order(arguments, {**self.conventions, **strokes})
+        entries: list[_Entry] = []
+        before, seen, pull, back = 0, False, False, False
+        for option, value in found:
+            pull = option == "--pull" or (pull and option not in ("--field", "--affine"))
+            if option == "--recipe" or (option in strokes and not seen):
+                before, seen = before + recipe * (not seen), True
+            if option in strokes:
+                before += 1
+            elif option in ("--field", "--affine"):
+                entries.append(_Entry(option, value, before))
+            elif option == "--convention" and (pull if output is not None else value.lower() in COORDINATES):
+                continue  # of the points
+            elif option == "--inverse" and points and not entries:
+                back = True
+            elif option == "--convention" and output is None and not entries:
+                raise SuppleError(f"--convention of points must be LPS, RAS or index, found {value!r}")
+            elif option in ("--inverse", "--convention") and not entries:
+                what = "--field, --affine or --pull" if option == "--convention" else "--field or --affine"
+                raise SuppleError(f"{option} is for the {what} before it, and there is none: give one")
+            elif option == "--inverse":
+                if entries[-1].inverse:
+                    raise SuppleError(f"{entries[-1].told} has two --inverse: leave out one, or both")
+                entries[-1].inverse = True
+            elif option == "--convention":
+                if entries[-1].convention is not None:
+                    raise SuppleError(f"{entries[-1].told} has two --convention: leave out one")
+                entries[-1].convention = value
+        for entry in entries:
+            if entry.convention is not None and entry.is_numbers:
+                raise SuppleError(f"--convention is for files, and {entry.told} is none: leave it out")
+        return Maps(entries, output, back=back)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class OutputOptions:
+    """Options of the grid of the output.
+
+    Parameters
+    ----------
     reference
         Write the result on the grid of another image: of a volume, its place in space; of a picture, its size.
     crop
@@ -59,32 +164,11 @@ class MapOptions:
         --reference, and before --crop.
     """
 
-    field: Annotated[list[str], Parameter(group=MAPS, metavar="FILE", show_default=False)] = ()  # type: ignore[assignment]
-    affine: Annotated[
-        list[str], Parameter(group=MAPS, metavar="FILE|NUMBERS", show_default=False, allow_leading_hyphen=True)
-    ] = ()  # type: ignore[assignment]
-    inverse: Annotated[int, Parameter(group=MAPS, count=True, show_default=False)] = 0
-    convention: Annotated[list[str], Parameter(group=MAPS, metavar="NAME", show_default=False)] = ()  # type: ignore[assignment]
     reference: Annotated[str | None, Parameter(group=OUTPUT, metavar="FILE")] = None
     crop: Annotated[str | None, Parameter(group=OUTPUT, metavar="X,Y,W,H|X,Y,Z,W,H,D", allow_leading_hyphen=True)] = (
         None
     )
     resample: Annotated[str | None, Parameter(group=OUTPUT, metavar="S|SX,SY[,SZ]", allow_leading_hyphen=True)] = None
-
-    @property
-    def any(self) -> bool:
-        """Return whether there is a map, or another grid."""
-        return bool(self.field or self.affine) or self.to_grid() is not None
-
-    @property
-    def dangling(self) -> bool:
-        """Return whether there is something said of maps, but no map."""
-        return bool(self.inverse or self.convention) and not (self.field or self.affine)
-
-    @property
-    def conventions(self) -> dict[str, list[str]]:
-        """The values of --convention, and of the options here that one may be about."""
-        return {"--field": self.field, "--affine": self.affine, "--convention": self.convention}
 
     def to_grid(self) -> GridOptions | None:
         """Return the grid of the output as the library takes it."""
@@ -101,49 +185,6 @@ class MapOptions:
             wanted = "a spacing S, or one for each axis, SX,SY or SX,SY,SZ"
             steps = [parse_number("--resample", part, wanted) for part in self.resample.split(",")]
         return GridOptions(self.reference, box, steps if steps is None or len(steps) > 1 else steps[0])
-
-    def to_maps(self, arguments: Sequence[str], recipe: int, strokes: Mapping[str, Sequence[str]]) -> Maps:
-        """Return the maps among the strokes.
-
-        Parameters
-        ----------
-        arguments : sequence of str
-            The command line.
-        recipe : int
-            The number of strokes of the recipe, which come first.
-        strokes : mapping from str to sequence of str
-            The values of the options that are strokes.
-        """
-        from supple.cli.options_strokes import in_order
-
-        found = in_order(arguments, {**self.conventions, **strokes})
-        entries: list[_Entry] = []
-        before, seen, pull = 0, False, False
-        for option, value in found:
-            pull = option == "--pull" or (pull and option not in ("--field", "--affine"))
-            if option == "--recipe" or (option in strokes and not seen):
-                before, seen = before + recipe * (not seen), True
-            if option in strokes:
-                before += 1
-            elif option in ("--field", "--affine"):
-                entries.append(_Entry(option, value, before))
-            elif option == "--convention" and pull:
-                continue  # of the points
-            elif option in ("--inverse", "--convention") and not entries:
-                what = "--field, --affine or --pull" if option == "--convention" else "--field or --affine"
-                raise SuppleError(f"{option} is for the {what} before it, and there is none: give one")
-            elif option == "--inverse":
-                if entries[-1].inverse:
-                    raise SuppleError(f"{entries[-1].told} has two --inverse: leave out one, or both")
-                entries[-1].inverse = True
-            elif option == "--convention":
-                if entries[-1].convention is not None:
-                    raise SuppleError(f"{entries[-1].told} has two --convention: leave out one")
-                entries[-1].convention = value
-        for entry in entries:
-            if entry.convention is not None and entry.is_numbers:
-                raise SuppleError(f"--convention is for files, and {entry.told} is none: leave it out")
-        return Maps(entries, self.reference)
 
 
 @dataclass(slots=True)
@@ -169,7 +210,7 @@ class _Entry:
 
         Of these elements, the last is the first of the output's. ``here`` is the grid of the image that a point of the
         output is led to, and ``there`` that of the image that it comes from, as far as they are known: they are if this
-        is the first entry, or the ``last``.
+        is the first entry, or the ``last``, whose other image --reference may name.
         """
         from supple import fields
         from supple.files import maps
@@ -214,9 +255,11 @@ class Maps:
     Of several inputs on one grid, files are read once.
     """
 
-    def __init__(self, entries: Sequence[_Entry], reference: str | None = None) -> None:
+    def __init__(self, entries: Sequence[_Entry], output: OutputOptions | None = None, *, back: bool = False) -> None:
         self._entries = list(entries)
-        self._reference = reference
+        self._elsewhere = output is not None
+        self._reference = None if output is None else output.reference
+        self.back = back
         self._lock = threading.Lock()
         self._known: tuple[Grid | None, list[tuple[list[Placed], str | None]]] | None = None
 
@@ -234,6 +277,7 @@ class Maps:
         return tuple(placed for some, _ in self._read(source) for placed in some)
 
     def _read(self, source: Grid | None) -> list[tuple[list[Placed], str | None]]:
+        from supple.files import maps
         from supple.files.grids import reference_grid
 
         with self._lock:
@@ -248,15 +292,26 @@ class Maps:
                 ends = [(source if k == 0 else None, fixed if k == most else None) for k in range(most + 1)]
                 try:
                     read = [
-                        entry.read(*known, last=k == most)
+                        entry.read(*known, last=self._elsewhere and k == most)
                         for k, (entry, known) in enumerate(zip(self._entries, ends, strict=True))
                     ]
                 except SuppleError:
                     if refused is not None:
                         raise refused from None
                     raise
-                self._known = source, read
+                self._known = source, [(maps.lifted(some, form, source), form) for some, form in read]
             return self._known[1]
+
+    def on(self, console: Console, source: Grid, name: str, grid: GridOptions | None = None) -> tuple[Placed, ...]:
+        """Return the maps for an input on this grid, and tell of each; refuse what does not fit it."""
+        from supple.files.grids import grid_on
+
+        maps = self.read(source)
+        grid_on(grid, source, name, maps)
+        self.check_sizes(source, name)
+        for facts in self.facts(source):
+            console.note(describe_map(facts))
+        return maps
 
     def check_sizes(self, source: Grid, name: str) -> None:
         """Refuse maps that have a value for each pixel of a picture, and are not of its size.
@@ -369,3 +424,24 @@ def describe_grid(facts: dict[str, Any], units: str) -> str:
     """Return what is told of a grid, in words."""
     sizes, steps, origin = (" x ".join(f"{x + 0.0:g}" for x in facts[name]) for name in ("size", "spacing", "origin"))
     return f"{sizes} samples, spacing {steps} {units}, from ({origin.replace(' x ', ', ')})"
+
+
+def check_fill(fill: str | None, outside: str | None, maps: Maps, output: OutputOptions) -> Any:
+    """Return --outside, where --fill says it by itself; refuse one that does not go with it."""
+    if fill is None or outside == "constant":
+        return outside
+    if outside is None and (maps or output.reference is not None):
+        return "constant"
+    told = outside or "edge"
+    raise SuppleError(f"--fill is the constant of --outside constant, and --outside is {told}: give both")
+
+
+def say_background(
+    console: Console, target: str | os.PathLike[str], source: str | os.PathLike[str], value: float | None
+) -> None:
+    """Say what is written where a map leads out of the input, if that was not asked for."""
+    if value is not None:
+        console.note(
+            f"what lies outside of {shown(source)} is {value:g} in {shown(target)}: --fill V, or --outside edge, asks "
+            "for something else"
+        )

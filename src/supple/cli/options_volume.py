@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import glob
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import Group, Parameter, Token, convert
+from cyclopts import Group, Parameter
 
 from supple.cli.console import STREAM
 from supple.cli.options import parse_number
@@ -20,13 +19,6 @@ if TYPE_CHECKING:
 VOLUME = Group("Volumes", sort_key=5)
 COORDINATES = {"lps": "LPS", "ras": "RAS", "index": "index"}
 """The names of coordinates of points, by how they are spelt in lower case."""
-
-
-def _of_any_case(kind: Any, tokens: Sequence[Token]) -> Any:
-    return convert(kind, [token.evolve(value=COORDINATES.get(token.value.lower(), token.value)) for token in tokens])
-
-
-Coordinates = Annotated[Literal["LPS", "RAS", "index"] | None, Parameter(converter=_of_any_case)]
 
 
 @Parameter(name="*", group=VOLUME)

@@ -9,7 +9,9 @@ from cyclopts import Group, Parameter
 
 from supple.cli.console import current, told, warn_of_software
 from supple.cli.options import RUNNING, RunOptions, VideoOptions, parse_integer
+from supple.cli.options_maps import MapOptions
 from supple.cli.options_strokes import StrokeOptions
+from supple.errors import SuppleError, shown
 
 What = Literal["grid", "stretch", "axes", "residual", "iterations", "slice", "sheet"]
 Device = Literal["auto", "cpu", "gpu"]
@@ -18,6 +20,7 @@ WRITING = Group("Writing", sort_key=3)
 
 _RUN = RunOptions()
 _STROKES = StrokeOptions()
+_MAPS = MapOptions()
 _VIDEO = VideoOptions()
 
 
@@ -31,6 +34,7 @@ def plot(
     x: Annotated[str | None, Parameter(group=WRITING, metavar="X", allow_leading_hyphen=True)] = None,
     y: Annotated[str | None, Parameter(group=WRITING, metavar="Y", allow_leading_hyphen=True)] = None,
     strokes: StrokeOptions = _STROKES,
+    maps: MapOptions = _MAPS,
     video: VideoOptions = _VIDEO,
     options: RunOptions = _RUN,
 ) -> None:
@@ -54,10 +58,18 @@ def plot(
     """
     console = current()
     console.started(**options.asked(), file=source)
-    recipe = strokes.to_recipe()
+    if (convention := maps.coordinates) is not None and not strokes.pull:
+        raise SuppleError("--convention of points is of tables of --pull, and there are none: leave it out")
+    recipe = strokes.to_recipe(empty=maps.any, others="--field FILE, --affine FILE or ", convention=convention)
+    elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given)
     from supple.cli.warp import picture_facts
+    from supple.files import grid_of
+    from supple.files.clips import refuse_maps
     from supple.files.plots import plot_file
 
+    own = grid_of(source, "", recipe) if elements else None
+    if elements and own is None:
+        refuse_maps(source)
     deformation = plot_file(
         source,
         target,
@@ -70,6 +82,7 @@ def plot(
         force=options.force,
         progress=console.terminal,
         fit=strokes.to_fit(),
+        maps=() if own is None else elements.on(console, own, shown(source)),
     )
     if options.json:
         job = (Path(source), Path(target))

@@ -14,7 +14,16 @@ from cyclopts import Group, Parameter
 from supple.cli.console import STREAM, Console, File, Terminated, about, as_options, current, one_line, say_convention
 from supple.cli.console import told as told_of
 from supple.cli.options import RUNNING, parse_fill, parse_number
-from supple.cli.options_maps import OTHERS, MapOptions, Maps, describe_grid, describe_map, grid_facts
+from supple.cli.options_maps import (
+    OTHERS,
+    MapOptions,
+    Maps,
+    OutputOptions,
+    check_fill,
+    describe_grid,
+    grid_facts,
+    say_background,
+)
 from supple.cli.options_stores import WorkerOptions
 from supple.cli.options_strokes import StrokeOptions
 from supple.cli.options_volume import VOLUME, VolumeArguments
@@ -32,6 +41,7 @@ SAMPLING = Group("Sampling", sort_key=2)
 
 _STROKES = StrokeOptions()
 _MAPS = MapOptions()
+_OUTPUT = OutputOptions()
 _VOLUME = VolumeArguments()
 _WORKERS = WorkerOptions()
 _UNITS = ("bytes", "kB", "MB", "GB", "TB", "PB")
@@ -85,13 +95,13 @@ def warp_stored(
     if made.grid is not None:
         units = "mm" if made.geometry is not None and made.geometry.convention != "array" else "pixels"
         console.note(f"{shown(target)} is written on {describe_grid(grid_facts(made.grid), units)}")
+    say_background(console, target, source, made.background)
     say_convention(console, known["volume"].world, made.geometry, source)
     return made
 
 
 def refer(console: Console, source: str, recipe: Recipe, maps: Maps, known: Mapping[str, Any]) -> Grid | None:
     """Return the grid of a store, where maps refer to it; tell of them."""
-    from supple.files.grids import grid_on
     from supple.files.plans import open_source
 
     if not maps:
@@ -99,10 +109,7 @@ def refer(console: Console, source: str, recipe: Recipe, maps: Maps, known: Mapp
     own = open_source(source, recipe, known["volume"], grid=known["grid"]).medium.grid
     read = maps.read(own)
     own = open_source(source, recipe, known["volume"], maps=read, grid=known["grid"]).medium.grid
-    grid_on(known["grid"], own, shown(source), maps.read(own))
-    maps.check_sizes(own, shown(source))
-    for facts in maps.facts(own):
-        console.note(describe_map(facts))
+    maps.on(console, own, shown(source), known["grid"])
     return own
 
 
@@ -172,6 +179,8 @@ def _facts(made: WarpedStore) -> dict[str, Any]:
         facts["grid"] = grid_facts(made.grid)
     if made.field is not None:
         facts["field"] = {key: _finite(value) for key, value in asdict(made.field).items()}
+    if made.background is not None:
+        facts["background"] = made.background
     if made.deformation.maps:
         facts |= {"folded": made.folded, "outside": made.outside, "unsolved": made.unsolved}
     return facts
@@ -188,8 +197,9 @@ def plan(
     *,
     strokes: StrokeOptions = _STROKES,
     maps: MapOptions = _MAPS,
+    output: OutputOptions = _OUTPUT,
     filter: Annotated[str, Parameter(group=SAMPLING, metavar="auto|cubic|linear|nearest")] = "auto",
-    outside: Annotated[Outside, Parameter(group=SAMPLING)] = "edge",
+    outside: Annotated[Outside | None, Parameter(group=SAMPLING)] = None,
     fill: Annotated[str | None, Parameter(group=SAMPLING, metavar="V", allow_leading_hyphen=True)] = None,
     tolerance: Annotated[str, Parameter(group=SAMPLING, metavar="PX", allow_leading_hyphen=True)] = "0.01",
     labels: Annotated[bool, Parameter(group=VOLUME)] = False,
@@ -227,14 +237,14 @@ def plan(
 
     console = current()
     console.started(quiet=quiet, threads=threads, file=source)
+    grid = output.to_grid()
     recipe = strokes.to_recipe(
-        world=volume.world, empty=maps.any or maps.dangling, others=OTHERS, place=lambda: volume.place_of(source),
-        ordered=maps.conventions,
+        world=volume.world, empty=maps.any or maps.dangling or grid is not None, others=OTHERS,
+        place=lambda: volume.place_of(source), ordered=maps.conventions,
     )  # fmt: skip
-    elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given)
-    if fill is not None and outside != "constant":
-        raise SuppleError(f"--fill is the constant of --outside constant, and --outside is {outside}: give both")
-    known: dict[str, Any] = {"volume": volume.to_reading(labels=labels), "grid": maps.to_grid()}
+    elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given, output)
+    outside = check_fill(fill, outside, elements, output)
+    known: dict[str, Any] = {"volume": volume.to_reading(labels=labels), "grid": grid}
     own = refer(console, source, recipe, elements, known)
     exact = parse_number("--tolerance", tolerance, "a number of pixels above 0")
     with counted(console.terminal, "blocks") as tell:
@@ -248,7 +258,7 @@ def plan(
             options=known["volume"],
             fit=strokes.to_fit(),
             maps=elements.read(own) if elements else (),
-            grid=known["grid"],
+            grid=grid,
             running=workers.to_running(),
             tell=tell,
         )

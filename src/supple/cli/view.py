@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from supple.cli.console import current
 from supple.cli.options import TimeOptions
+from supple.cli.options_maps import MapOptions
 from supple.cli.options_strokes import StrokeOptions
-from supple.cli.options_volume import VOLUME, Coordinates, VolumeArguments
-from supple.errors import SuppleError
+from supple.cli.options_volume import VOLUME, VolumeArguments
+from supple.errors import SuppleError, shown
 
-_STROKES, _TIME, _VOLUME = StrokeOptions(), TimeOptions(), VolumeArguments()
+if TYPE_CHECKING:
+    from supple.fields import Placed
+
+_STROKES, _MAPS, _TIME, _VOLUME = StrokeOptions(), MapOptions(), TimeOptions(), VolumeArguments()
 
 
 def view(
@@ -23,13 +27,15 @@ def view(
     port: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 0,
     toolkit: Literal["glfw", "qt"] = "glfw",
     strokes: StrokeOptions = _STROKES,
+    maps: MapOptions = _MAPS,
     time: TimeOptions = _TIME,
     labels: Annotated[bool, Parameter(group=VOLUME)] = False,
     points: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
-    convention: Annotated[Coordinates, Parameter(group=VOLUME)] = None,
     volume: VolumeArguments = _VOLUME,
 ) -> None:
     """Open a window to bend a picture, video or volume by hand.
+
+    Fields and affine maps come before the strokes: what is seen is warped by them, and exports are by all in one.
 
     Parameters
     ----------
@@ -45,22 +51,34 @@ def view(
         The volume is a label map: exports take the label of the nearest voxel, and labels are not mixed.
     points
         Landmarks to show: CSV, or 3D Slicer's .fcsv and .mrk.json.
-    convention
-        Coordinates of tables, of landmarks and of --pull, that do not name them: LPS or RAS in millimetres, or index.
     """
     from supple.viewer.window.launch import ViewOptions, show
     from supple.viewer.window.launch import serve as serve_it
 
     current().started(quiet=False, threads=None)
     strokes.refuse_alone()
+    convention = maps.coordinates
     given: dict[str, Any] = {"world": volume.world, "place": lambda: volume.place_of(source), "convention": convention}
     recipe = strokes.to_recipe(**given) if strokes.any else None
     if volume.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
+    before = 0 if recipe is None else len(recipe.strokes) - strokes.count
+    elements = maps.to_maps(current().arguments, before, strokes.given)
+    reading = volume.to_reading(labels=labels)
+    placed: tuple[Placed, ...] = ()
+    if elements:
+        from supple.files import grid_of
+        from supple.files.clips import refuse_maps
+        from supple.strokes import Recipe
+
+        if (own := grid_of(source, "", Recipe(), volume=reading)) is None:
+            refuse_maps(source)
+        placed = elements.on(current(), own, shown(source))
     scale = time.to_scale() or (recipe and recipe.time_scale) or 1.0
     options = ViewOptions(
         time_scale=scale,
-        volume=volume.to_reading(labels=labels),
+        volume=reading,
+        maps=placed,
         fit=strokes.to_fit(),
         points=points,
         convention=convention,

@@ -12,11 +12,12 @@ from cyclopts import Parameter
 
 from supple.cli.console import STREAM, current, say_convention, told, warn_of_software
 from supple.cli.options import RunOptions, VideoOptions
+from supple.cli.options_maps import MapOptions, Maps
 from supple.cli.options_render import CameraOptions, LookOptions
 from supple.cli.options_strokes import StrokeOptions
-from supple.cli.options_volume import VOLUME, Coordinates, VolumeArguments
+from supple.cli.options_volume import VolumeArguments
 from supple.engines.workers import workers
-from supple.errors import SuppleError
+from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
     from supple.deformation import Deformation
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from supple.strokes import Fit, Recipe
 
 _STROKES, _RUN, _VOLUME, _VIDEO = StrokeOptions(), RunOptions(), VolumeArguments(), VideoOptions()
-_CAMERA, _LOOK = CameraOptions(), LookOptions()
+_CAMERA, _LOOK, _MAPS = CameraOptions(), LookOptions(), MapOptions()
 
 
 def render(
@@ -36,7 +37,7 @@ def render(
     strokes: StrokeOptions = _STROKES,
     camera: CameraOptions = _CAMERA,
     look: LookOptions = _LOOK,
-    convention: Annotated[Coordinates, Parameter(group=VOLUME)] = None,
+    maps: MapOptions = _MAPS,
     volume: VolumeArguments = _VOLUME,
     options: RunOptions = _RUN,
 ) -> None:
@@ -48,26 +49,33 @@ def render(
         A volume: NIfTI, NRRD, MetaImage, a DICOM folder, a TIFF stack, .dat, or a file without a header.
     target
         A picture (PNG and TIFF keep opacity); with --turntable, a video or a name with a number.
-    convention
-        Coordinates of tables of --pull and of meshes that do not name them: LPS or RAS in millimetres, or index.
     """
     console = current()
     from supple.files.renders import render_file
+    from supple.media.volume import grid_of
     from supple.progress import counted
 
     console.started(**options.asked(), file=source)
     warn_of_software(console, look.device)
+    convention = maps.coordinates
     given: dict[str, Any] = {"world": volume.world, "place": lambda: volume.place_of(source), "convention": convention}
     strokes.refuse_alone()
     recipe, fit = strokes.to_recipe(**given) if strokes.any else None, strokes.to_fit()
+    before = 0 if recipe is None else len(recipe.strokes) - strokes.count
+    elements = maps.to_maps(console.arguments, before, strokes.given)
     render, reading = look.to_render(camera.to_camera(), convention), volume.to_reading()
     if convention is not None and not (strokes.pull or look.mesh):
         raise SuppleError("--convention is of tables of --pull and of meshes, and there are none: leave it out")
     if reading.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
+    placed = (
+        elements.on(console, grid_of(source, raw=reading.layout, series=reading.series), shown(source))
+        if elements
+        else ()
+    )
     with counted(console.terminal) as tell, workers() as who:
         scene = render_file(
-            source, target, recipe, options=render, volume=reading, force=options.force, tell=tell, fit=fit
+            source, target, recipe, options=render, volume=reading, force=options.force, tell=tell, fit=fit, maps=placed
         )
     say_convention(console, reading.world, scene.geometry, source)
     if render.transfer is None and scene.labels is not None and not console.quiet:
@@ -99,15 +107,17 @@ def points(
     /,
     *,
     on: Annotated[str, Parameter(metavar="FILE")],
-    inverse: bool = False,
-    convention: Coordinates = None,
     refer_to: Annotated[str | None, Parameter(metavar="SERIES")] = None,
     strokes: StrokeOptions = _STROKES,
+    maps: MapOptions = _MAPS,
     volume: VolumeArguments = _VOLUME,
     video: VideoOptions = _VIDEO,
     options: RunOptions = _RUN,
 ) -> None:
-    """Move landmarks, a mesh or contours by the deformation of the strokes.
+    """Move landmarks, a mesh or contours by a deformation: as what they mark moves, from the input to the output.
+
+    With fields and affine maps, these are those of supple warp, in the same order: what a resampling program applies to
+    points of the output is --inverse here, from the output back to the input.
 
     Parameters
     ----------
@@ -117,12 +127,7 @@ def points(
     target
         File to write, of the same kind.
     on
-        The volume, picture or video that the strokes are for.
-    inverse
-        Apply the inverse: from the deformed volume back to the original.
-    convention
-        Coordinates of tables, IN and those of --pull, and of meshes, that do not name them: LPS or RAS in millimetres,
-        or index. A table without a header, and a mesh, need it for a volume with a place in space.
+        The volume, picture or video that is deformed; voxels and pixels of points are its own.
     refer_to
         The DICOM series that a moved structure set refers to, such as the bent one: a folder, or one of its slices.
     """
@@ -133,12 +138,17 @@ def points(
     console.started(**options.asked(), file=source)
     if options.json and target == STREAM:
         raise SuppleError("--json writes to standard output, and so does -: leave one out")
-    recipe = strokes.to_recipe(world=volume.world, place=lambda: volume.place_of(on), convention=convention)
-    deformation, geometry = _deformation(on, recipe, volume.to_reading(), video, strokes.to_fit(), source)
+    convention = maps.coordinates
+    recipe = strokes.to_recipe(
+        world=volume.world, empty=maps.any, others="--field FILE, --affine FILE or ",
+        place=lambda: volume.place_of(on), convention=convention,
+    )  # fmt: skip
+    elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given, points=True)
+    deformation, geometry = _deformation(on, recipe, elements, volume.to_reading(), video, strokes.to_fit(), source)
     with piped((source, target), console, ".csv") as (read, written):
         moved = move_points(
             read, written, deformation, geometry,
-            inverse=inverse, convention=convention, refer_to=refer_to, force=options.force,
+            inverse=elements.back, convention=convention, refer_to=refer_to, force=options.force,
         )  # fmt: skip
     say_convention(console, volume.world, geometry, on)
     worst = float(moved.residual.max(initial=0.0))
@@ -155,12 +165,13 @@ def points(
 
 
 def _deformation(
-    on: str, recipe: Recipe, reading: Reading, video: VideoOptions, fit: Fit | None, points: str = ""
+    on: str, recipe: Recipe, elements: Maps, reading: Reading, video: VideoOptions, fit: Fit | None, points: str
 ) -> tuple[Deformation, Geometry | None]:
-    """The strokes on a volume, a picture or a clip; and where a volume's voxels lie."""
+    """Strokes and maps on a volume, a picture or a clip; and where a volume's voxels lie."""
     from supple.deformation import Deformation
+    from supple.files import grid_of
     from supple.files.clip_work import deformation_of as on_clip
-    from supple.files.clips import is_clip, open_clip, refuse_places
+    from supple.files.clips import is_clip, open_clip, refuse_maps, refuse_places
     from supple.files.landmarks import warn_of_frame
     from supple.files.volumes import deformation_of as on_volume
     from supple.files.volumes import is_volume_job, open_volume
@@ -168,23 +179,34 @@ def _deformation(
     from supple.strokes import fit_recipe
 
     if is_store(on):
+        from supple.cli.stores import refer
         from supple.files.plans import open_source, warp_on
 
-        medium = open_source(on, recipe, reading).medium
-        return warp_on(medium, recipe, options=reading, fit=fit).deformation, medium.geometry
-    if is_volume_job(on, "", recipe, reading):
+        own = refer(current(), on, recipe, elements, {"volume": reading, "grid": None})
+        maps = elements.read(own) if elements else ()
+        medium = open_source(on, recipe, reading, maps=maps).medium
+        return warp_on(medium, recipe, options=reading, fit=fit, maps=maps).deformation, medium.geometry
+    moving = Path(on).with_suffix(".mp4") if recipe.strokes and recipe.strokes[0].ndim == 3 else on
+    maps = ()
+    if elements and (own := grid_of(on, moving, recipe, volume=reading)) is not None:
+        # pages are a volume, if maps say so
+        own = grid_of(on, moving, recipe, volume=reading, maps=elements.read(own))
+        assert own is not None
+        maps = elements.on(current(), own, shown(on))
+    if is_volume_job(on, "", recipe, reading, maps=maps):
         volume = open_volume(on, reading)
         warn_of_frame(points, volume)
-        return on_volume(recipe, volume, world=reading.world, fit=fit), volume.geometry
+        return on_volume(recipe, volume, world=reading.world, fit=fit, maps=maps), volume.geometry
     if reading.world:
         raise SuppleError(f"--world is for volumes, and {on} is none: leave it out")
     refuse_places(recipe, on)
-    if is_clip(on, Path(on).with_suffix(".mp4") if recipe.strokes and recipe.strokes[0].ndim == 3 else on, recipe):
+    if is_clip(on, moving, recipe):
+        if elements:
+            refuse_maps(on)
         known = video.to_clip()
         with open_clip(on, rate=known.rate) as clip:
             return on_clip(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name, fit), None
-    from supple.media.image import info
+    from supple.files.grids import picture_grid
 
-    facts = info(on)
-    height, width = int(str(facts["height"])), int(str(facts["width"]))
-    return Deformation.from_recipe(fit_recipe(recipe, (width, height), fit, on), (height, width)), None
+    own = picture_grid(on)
+    return Deformation.from_recipe(fit_recipe(recipe, own.sizes, fit, on), own, maps=maps), None

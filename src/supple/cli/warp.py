@@ -27,7 +27,15 @@ from supple.cli.console import (
     warn_of_software,
 )
 from supple.cli.options import RUNNING, RunOptions, VideoOptions, parse_fill, parse_number
-from supple.cli.options_maps import OTHERS, MapOptions, describe_grid, describe_map, grid_facts
+from supple.cli.options_maps import (
+    OTHERS,
+    MapOptions,
+    OutputOptions,
+    check_fill,
+    describe_grid,
+    grid_facts,
+    say_background,
+)
 from supple.cli.options_stores import WorkerOptions
 from supple.cli.options_strokes import StrokeOptions
 from supple.cli.options_tracks import TrackOptions
@@ -59,6 +67,7 @@ _VIDEO = VideoOptions()
 _TRACKS = TrackOptions()
 _VOLUME = VolumeArguments()
 _MAPS = MapOptions()
+_OUTPUT = OutputOptions()
 _WORKERS = WorkerOptions()
 
 
@@ -66,8 +75,9 @@ def warp(
     *paths: Annotated[str, Parameter(name="IN... OUT", required=True)],
     strokes: StrokeOptions = _STROKES,
     maps: MapOptions = _MAPS,
+    output: OutputOptions = _OUTPUT,
     filter: Annotated[str, Parameter(group=SAMPLING, metavar="auto|cubic|linear|nearest")] = "auto",
-    outside: Annotated[Outside, Parameter(group=SAMPLING)] = "edge",
+    outside: Annotated[Outside | None, Parameter(group=SAMPLING)] = None,
     fill: Annotated[str | None, Parameter(group=SAMPLING, metavar="V|V,V,V", allow_leading_hyphen=True)] = None,
     tolerance: Annotated[str, Parameter(group=SAMPLING, metavar="PX", allow_leading_hyphen=True)] = "0.01",
     linear_light: Annotated[bool, Parameter(group=SAMPLING)] = False,
@@ -100,7 +110,8 @@ def warp(
     filter
         Interpolation: auto (cubic, averaged where the picture shrinks), cubic, linear or nearest.
     outside
-        What to show beyond the edges of the input: its edge pixels, a constant (--fill), or its mirror image.
+        What to show beyond the edges of the input: its edge pixels, a constant (--fill), or its mirror image (default:
+        edge; of volumes with --reference, constant: the least value, the padding of DICOM, or 0 of labels).
     fill
         Fill value of --outside constant, in the picture's own values (0): one for all channels, or one for each.
     tolerance
@@ -131,7 +142,6 @@ def warp(
     from supple.engines.choice import check_device, check_host
     from supple.files import check_job, grid_of, warp_file, write_recipe
     from supple.files.clips import is_clip
-    from supple.files.grids import grid_on
     from supple.files.volumes import holds_volumes, is_from_dicom, is_volume_job
     from supple.media.stores import is_store
 
@@ -139,13 +149,14 @@ def warp(
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
     console.started(**options.asked(), file=paths[0] if len(paths) == 2 else "")
     check_filter(filter)
+    grid = output.to_grid()
     recipe = strokes.to_recipe(
-        world=volume.world, empty=maps.any or maps.dangling, others=OTHERS, place=lambda: volume.place_of(paths[0]),
-        ordered=maps.conventions,
+        world=volume.world, empty=maps.any or maps.dangling or grid is not None, others=OTHERS,
+        place=lambda: volume.place_of(paths[0]), ordered=maps.conventions,
     )  # fmt: skip
     recipe = tracks.followed(recipe, strokes.count, paths[0])
-    elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given)
-    if maps.any:
+    elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given, output)
+    if maps.any or grid is not None:
         check_host(device)
     if elements and save_recipe is not None:
         raise SuppleError("--save-recipe is for strokes alone, which --field and --affine are not: leave it out")
@@ -158,7 +169,6 @@ def warp(
         )
     sampling: dict[str, Any] = {
         "filter": filter,
-        "outside": outside,
         "fill": parse_fill("0" if fill is None else fill),
         "tolerance": exact,
         "linear_light": linear_light,
@@ -170,10 +180,9 @@ def warp(
         "clip": video.to_clip(),
         "volume": volume.to_reading(labels=labels, save_field=save_field),
         "fit": strokes.to_fit(),
-        "grid": maps.to_grid(),
+        "grid": grid,
     }
-    if fill is not None and outside != "constant":
-        raise SuppleError(f"--fill is the constant of --outside constant, and --outside is {outside}: give both")
+    sampling["outside"] = check_fill(fill, outside, elements, output)
     if options.json and paths[-1] == STREAM:
         raise SuppleError("--json and the picture cannot both go to standard output: leave --json out, or name a file")
     if not paths[-1]:
@@ -196,7 +205,7 @@ def warp(
     left: list[Path] = []
     single = len(paths) == 2 and not _stands_for_several(paths[0]) and not holds_volumes(paths[0])
     into = os.path.isdir(paths[-1]) or paths[-1].endswith(("/", os.sep))
-    if single and is_volume_job(paths[0], paths[1], recipe, reading, grid=sampling["grid"]):
+    if single and is_volume_job(paths[0], paths[1], recipe, reading, grid=grid):
         single = not into or is_from_dicom(paths[0], reading)  # others go into a folder as pictures do
     elif single:
         single = is_clip(paths[0], paths[1], recipe)
@@ -215,16 +224,13 @@ def warp(
         if not elements:
             return None
         known = {key: sampling[key] for key in ("linear_light", "clamp", "quality", "lossless", "force", "clip")}
-        if check_job(source, target, recipe, volume=reading, grid=sampling["grid"], **known) == "clip":
+        if check_job(source, target, recipe, volume=reading, grid=grid, **known) == "clip":
             return None  # which warp_file refuses, of any maps
-        known = {"volume": reading, "grid": sampling["grid"]}
+        known = {"volume": reading, "grid": grid}
         own = grid_of(source, target, recipe, **known)
         own = grid_of(source, target, recipe, maps=elements.read(own), **known)  # pages are a volume, if maps say so
         if own is not None:  # what is refused is not told of before
-            grid_on(sampling["grid"], own, shown(source), elements.read(own))
-            elements.check_sizes(own, shown(source))
-        for facts in elements.facts(own):
-            console.note(describe_map(facts))
+            elements.on(console, own, shown(source), grid)
         return own
 
     def do(job: Job, tell: bool | Tell) -> None:
@@ -240,6 +246,7 @@ def warp(
             if (grid := getattr(made, "grid", None)) is not None:
                 units = "mm" if grid.ndim == 3 else "pixels"
                 console.note(f"{shown(job[1])} is written on {describe_grid(grid_facts(grid), units)}")
+            say_background(console, job[1], job[0], getattr(made, "background", None))
             say_convention(console, reading.world, getattr(made, "geometry", None), job[0])
 
     lost: set[Job] = set()
@@ -258,7 +265,7 @@ def warp(
 
         if elements:
             try:
-                first = grid_of(*jobs[0], recipe, volume=reading, grid=sampling["grid"])
+                first = grid_of(*jobs[0], recipe, volume=reading, grid=grid)
             except SuppleError:
                 pass  # it is reported as one of the jobs
             else:
@@ -382,6 +389,7 @@ def _volume_facts(made: WarpedVolume) -> dict[str, Any]:
         "error": made.error if math.isfinite(made.error) else None,
         **told(made.deformation),
         "arrivals": [asdict(arrival) for arrival in made.arrivals],
+        **({} if made.background is None else {"background": made.background}),
         **_map_facts(made),
     }
 

@@ -430,6 +430,7 @@ def _back(
     off = np.linalg.norm((seen - targets)[:, : space.ndim], axis=1).reshape(shape[:-1]) / finest
     scale = np.abs(targets).max(axis=1, initial=0.0).reshape(shape[:-1]) / finest
     near = (off <= np.maximum(CONVERGED, 1e-14 * scale)) & (status.reshape(shape[:-1]) & 4 == 0)
+    warn_of(certificate_of_status(status), 1.0, 5)
     return _points(space, found, targets, given), off, steps.astype(np.int64).reshape(shape[:-1]), near
 
 

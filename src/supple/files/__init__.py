@@ -19,7 +19,15 @@ from supple.engines.choice import DEVICES, check_device, check_host
 from supple.errors import SuppleError, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
-from supple.files.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, refuse_places, warp_clip
+from supple.files.clips import (
+    ClipOptions,
+    WarpedClip,
+    check_clip_target,
+    is_clip,
+    refuse_maps,
+    refuse_places,
+    warp_clip,
+)
 from supple.files.grids import GridOptions, arrivals_on, grid_on, picture_grid
 from supple.files.volumes import VolumeOptions, WarpedVolume, check_volume_target, is_volume_job, warp_volume
 from supple.geometry import Grid
@@ -84,7 +92,7 @@ def warp_file(
     *,
     filter: str = "auto",
     tolerance: float = 0.01,
-    outside: str = "edge",
+    outside: str | None = None,
     fill: float | Sequence[float] = 0.0,
     linear_light: bool = False,
     clamp: bool | None = None,
@@ -120,8 +128,11 @@ def warp_file(
         The strokes, the border and the fold policy. Strokes with a time, x, y and t in frames, warp the clip; strokes
         without one warp each frame alike, and each page of a TIFF; those with keys move from frame to frame. In
         volumes, points are voxels, x, y and z, and lengths millimetres.
-    filter, tolerance, outside, fill, linear_light
+    filter, tolerance, fill, linear_light
         As in `Deformation.warp`.
+    outside : str, optional
+        As in `Deformation.warp`; by default ``"edge"``. Of volumes on the grid of a reference, it is
+        ``"constant"``, with what `supple.files.volumes.background_of` returns as the fill value.
     clamp : bool, optional
         Whether to clamp to the range of the source; by default, for volumes and images of floats.
     quality : int, optional
@@ -212,7 +223,7 @@ def warp_file(
                 recipe,
                 filter=filter,
                 tolerance=tolerance,
-                outside=outside,
+                outside=outside or "edge",
                 fill=fill,
                 linear_light=linear_light,
                 quality=quality,
@@ -252,7 +263,7 @@ def warp_file(
                 shutil.copyfile(source, place)
             return Warped(Path(source), Path(target), deformation, tolerance)
         sampling = Sampling.checked(
-            2, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light
+            2, filter=filter, tolerance=tolerance, outside=outside or "edge", fill=fill, linear_light=linear_light
         )
         bounded = picture.pixels.dtype.kind == "f" if clamp is None else clamp
         nearest, groups = replace(sampling, filter="nearest"), () if layers is None else layers.groups
@@ -329,9 +340,7 @@ def check_job(
         if clamp is not None:
             raise SuppleError(f"clamp is for pictures and volumes, and {shown(source)} is a clip: leave it out")
         if maps or grid not in (None, GridOptions()):
-            raise SuppleError(
-                f"fields and other grids are for pictures and volumes, and {shown(source)} is a clip: leave them out"
-            )
+            refuse_maps(source)
         _spare(source, target, "clip", force)
         check_clip_target(source, target, clip or ClipOptions(), quality=quality, force=force)
         return "clip"

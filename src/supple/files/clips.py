@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from supple.deformation import Deformation, Report
 from supple.domain import integer, number
@@ -206,6 +206,13 @@ def refuse_places(recipe: Recipe, source: PathLike) -> None:
         raise SuppleError(
             f"the recipe is in {recipe.space} millimetres, and {shown(source)} is no volume: give a recipe in pixels"
         )
+
+
+def refuse_maps(source: PathLike) -> NoReturn:
+    """Raise SuppleError for fields, affine maps and other grids, which clips do not take."""
+    raise SuppleError(
+        f"fields and other grids are for pictures and volumes, and {shown(source)} is a clip: leave them out"
+    )
 
 
 def warp_clip(

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from supple.affine import Affine
 from supple.checks import FieldReport
-from supple.errors import FoldWarning, SuppleError, shown
+from supple.errors import FoldWarning, OutsideWarning, SuppleError, shown
 from supple.fields import OK, Field, Map, Placed, check_path, compose, own_grid, told, write_maps
 from supple.files.maps import (
     MapFile,
@@ -143,6 +143,7 @@ class CheckedFile:
             **other,
             "size": list(report.grid.sizes),
             "spacing": list(report.grid.spacing),
+            "space": "LPS" if report.grid.ndim == 3 else "the picture",
             "samples": report.samples,
             **known,
             "folds": report.folds,
@@ -214,6 +215,7 @@ def invert_file(
     read = read_file(source, convention, source=moving, reference=wanted)
     check_reference(read, wanted, reference)
     known = to or read.convention
+    _warn_of_size(read.path, read.convention, moving, read.grid)
     fields = [each for each in read.maps if isinstance(each, Field)]
     if (len(read.maps) != 1 or not fields) and (error is not None or status is not None):
         raise SuppleError(
@@ -316,6 +318,7 @@ def check_file(
         check_plot(picture, force=force)
     read = read_file(source, convention, source=None if image is None else grid_of(image))
     field = only_field(read)
+    _warn_of_size(read.path, read.convention, image, read.grid)
     check_images(field.ndim, map=map)
     other = None if inverse is None else read_file(inverse, convention, source=own_grid(field))
     if other is not None and (n := only_field(other).ndim) != field.ndim:
@@ -381,6 +384,7 @@ def compose_files(
             there = None if each.source is None else grid_of(each.source)
             file = _read_among(inputs, len(read), there or (here if each.inverse else None), here)
             check_reference(file, wanted, reference)
+            _warn_of_size(file.path, file.convention, there or (here if each.inverse else None), file.grid)
             read.append(replace(file, inverse=each.inverse))
             moving.append(there)
             here = file.grid if each.inverse else there
@@ -397,7 +401,9 @@ def compose_files(
             ordered = file.maps[::-1] if file.inverse else file.maps
             parts += [Placed(one, inverse=file.inverse, name=shown(file.path)) for one in ordered]
         made = compose(parts, grid)
-        write_maps(place, (made,), known, source=read[-1].grid if inputs[-1].inverse else moving[-1], reference=wanted)
+        there = read[-1].grid if inputs[-1].inverse else moving[-1]
+        _warn_of_size(target, known, there, grid)
+        write_maps(place, (made,), known, source=there, reference=wanted)
     written = MapFile(Path(target), known, how, (made,), written=True)
     return Written(tuple(read), written, time.perf_counter() - began)
 
@@ -420,7 +426,8 @@ def convert_file(
     convention, to : str, optional
         That of the source, and of the target; by default, what the file, and the target's suffix, leave no doubt about.
     image : str or os.PathLike, optional
-        The input (moving) image, whose grid FSL's and FreeSurfer's conventions need.
+        The input (moving) image, whose grid FSL's and FreeSurfer's conventions need. STMaps count in its size: by
+        default, it has that of the map.
     reference : str or os.PathLike, optional
         The output (fixed) image. What is more than one affine map, or is written as an image, is sampled on its grid.
     force : bool
@@ -430,6 +437,11 @@ def convert_file(
     ------
     SuppleError
         If the source cannot be read, or the convention of the target cannot hold it.
+
+    Warns
+    -----
+    OutsideWarning
+        If an STMap is read or written, and the image is not given.
     """
     began = time.perf_counter()
     if to is not None:
@@ -452,6 +464,9 @@ def convert_file(
         known, how = convention_out(target, to, None)
         parts = [Placed(each, name=shown(source)) for each in read.maps]
         maps = (compose(parts, wanted),) if as_field and wanted is not None else read.maps
+        if read.convention != known:  # of one STMap to another, it makes no difference
+            _warn_of_size(source, read.convention, moving, read.grid)
+            _warn_of_size(target, known, moving, wanted or read.grid)
         write_maps(place, maps, known, source=moving, reference=wanted)
     return Written((read,), MapFile(Path(target), known, how, maps, written=True), time.perf_counter() - began)
 
@@ -469,6 +484,19 @@ def _read_among(inputs: Sequence[Input], k: int, source: Grid | None, reference:
         if each.inverse or before.inverse:
             advice = "convert it by itself first (supple convert)"
         raise SuppleError(f"{str(error).rpartition(': ')[0]}: {advice}") from None
+
+
+def _warn_of_size(path: PathLike, convention: str, source: object, grid: Grid | None) -> None:
+    """Warn of a size that is taken for granted: that of the picture that an STMap leads to, if it is not given."""
+    if convention != "stmap" or source is not None or grid is None:
+        return
+    width, height = grid.sizes[:2]
+    warnings.warn(
+        f"{shown(path)} counts in the size of the picture that it leads to, which is not given: it is taken to have "
+        f"{width} x {height} pixels, as the map has: --source names that picture",
+        OutsideWarning,
+        stacklevel=3,
+    )
 
 
 def doubt_of(read: MapFile, folded: int, cells: int) -> str:

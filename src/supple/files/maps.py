@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from supple.affine import Affine
 from supple.errors import SuppleError, shown
-from supple.fields import Field, Map, own_grid, read_maps, told
+from supple.fields import Field, Map, Placed, own_grid, read_maps, told
 from supple.geometry import Grid, check_upright
 from supple.media import transforms, volume
 from supple.media.files import unwritable
@@ -46,6 +46,8 @@ KINDS = {
     "mrtrix": Kind("MRtrix, deformation", "positions", "RAS", "mm"),
     "mrtrix-displacement": Kind("MRtrix, displacement", "displacements", "RAS", "mm"),
     "freesurfer": Kind("FreeSurfer", "positions or displacements", "RAS", "mm", PUSH),
+    "niftyreg": Kind("NiftyReg", "positions or displacements", "RAS", "mm"),
+    "spm-deformation": Kind("SPM", "positions", "RAS", "mm"),
     "ngff": Kind("OME-Zarr", "displacements or positions", "LPS, or as its axes say", "mm, or as its axes say"),
     "opencv": Kind("OpenCV's remap", "positions", "the picture", "pixels"),
     "stmap": Kind("STMap", "positions", "the picture, from its bottom left corner", "of its width and height"),
@@ -54,6 +56,7 @@ KINDS = {
 
 WRITTEN = {
     "freesurfer": KINDS["freesurfer"]._replace(holds="positions"),
+    "niftyreg": KINDS["niftyreg"]._replace(holds="positions"),
     "ngff": Kind("OME-Zarr", "displacements", "LPS", "mm"),
 }
 """What is written, where the convention reads more."""
@@ -129,6 +132,29 @@ def read_file(
     else:
         how = f"from its suffix {suffix_of(path)}"
     return MapFile(Path(path), known, how, maps)
+
+
+def lifted(maps: Sequence[Placed], convention: str | None, grid: Grid | None) -> list[Placed]:
+    """Return maps for an image on a grid: those of ITK's pictures, in the slice that a picture is as a volume."""
+    if convention != "itk" or grid is None or grid.ndim != 3 or grid.shape[0] != 1:
+        return list(maps)
+    if not np.allclose(np.abs(grid.direction[2]), (0, 0, 1), atol=1e-6):
+        return list(maps)
+    return [replace(each, map=_lifted(each.map, grid)) if each.map.ndim == 2 else each for each in maps]
+
+
+def _lifted(flat: Map, grid: Grid) -> Map:
+    """Return a map of the plane as one of a slice, which leaves z as it is."""
+    made = np.eye(4)
+    if isinstance(flat, Affine):
+        made[:2, [0, 1, 3]] = flat.matrix[:2]
+        return Affine(made)
+    made[:2, :2] = flat.grid.direction
+    count = 4 if flat.interpolation == "bspline" else 1  # coefficients that the slice lies amid
+    step, first = grid.spacing[2], grid.origin[2] - (count - 1) / 2 * grid.spacing[2]
+    place = Grid((count, *flat.grid.shape), (*flat.grid.spacing, step), (*flat.grid.origin, first), made[:3, :3])
+    values = np.pad(flat.values, [(0, 0), (0, 0), (0, 1)])
+    return Field(np.repeat(values[None], count, axis=0), place, flat.interpolation, flat.beyond)
 
 
 def grid_of(path: PathLike) -> Grid:

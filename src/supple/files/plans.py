@@ -21,7 +21,7 @@ from supple.engines.workers import threads
 from supple.errors import SuppleError, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.clips import is_clip
-from supple.files.grids import GridOptions, grid_on, warn_of_place
+from supple.files.grids import GridOptions, grid_on
 from supple.files.tasks import Runner, Running, runner_of
 from supple.files.volumes import VolumeOptions, deformation_of, is_volume_job, sampling_of
 from supple.geometry import Geometry, Grid
@@ -55,6 +55,8 @@ class Medium:
         The place of a volume in space; None of a picture.
     scaling : (float, float)
         Slope and intercept of the samples: of a Zarr array, the attributes ``scale_factor`` and ``add_offset``.
+    background : float
+        The true value of what lies outside of a volume, by the scaling.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Medium:
     dtype: np.dtype[Any]
     geometry: Geometry | None
     scaling: tuple[float, float] = (1.0, 0.0)
+    background: float = 0.0
 
     @property
     def space(self) -> tuple[int, ...]:
@@ -144,7 +147,7 @@ def plan_file(
     *,
     filter: str = "auto",
     tolerance: float = 0.01,
-    outside: str = "edge",
+    outside: str | None = None,
     fill: float | Sequence[float] = 0.0,
     options: VolumeOptions | None = None,
     fit: Fit | None = None,
@@ -280,7 +283,11 @@ def medium_of(image: StoredImage) -> Medium:
     told, scaling = image.levels[0].array.attrs, (1.0, 0.0)
     with contextlib.suppress(TypeError, ValueError):  # of what is no number
         scaling = float(told.get("scale_factor", 1)), float(told.get("add_offset", 0))
-    return Medium(name, image.shape, image.dtype, geometry, scaling if scaling[0] else (1.0, 0.0))
+    scaling = scaling if scaling[0] else (1.0, 0.0)
+    filled = image.levels[0].array.metadata.fill_value
+    known = isinstance(filled, int | float | np.number) and np.isfinite(filled)
+    background = float(filled) * scaling[0] + scaling[1] if known else 0.0
+    return Medium(name, image.shape, image.dtype, geometry, scaling, background)
 
 
 def check_options(options: VolumeOptions) -> None:
@@ -296,7 +303,7 @@ def warp_on(
     *,
     filter: str = "auto",
     tolerance: float = 0.01,
-    outside: str = "edge",
+    outside: str | None = None,
     fill: float | Sequence[float] = 0.0,
     options: VolumeOptions | None = None,
     fit: Fit | None = None,
@@ -311,6 +318,10 @@ def warp_on(
         If an option does not fit the input.
     """
     known = options or VolumeOptions()
+    if outside is None:
+        elsewhere = grid is not None and grid.reference is not None
+        outside = "constant" if medium.geometry is not None and elsewhere else "edge"
+        fill = 0.0 if known.labels else medium.background
     if known.labels and filter not in ("auto", "nearest"):
         raise SuppleError(f'labels needs filter "nearest", which keeps values as they are, found "{filter}"')
     if known.labels and medium.dtype.kind == "f":
@@ -329,8 +340,6 @@ def warp_on(
         deformation = Deformation.from_recipe(fitted, medium.grid, maps=maps, warn=False)
     else:
         sampling = sampling_of(name, outside=outside, fill=fill, tolerance=tolerance)
-        if maps:
-            warn_of_place(medium.geometry, medium.name)
         regrid = grid_on(grid, medium.grid, medium.name, maps)
         volume = Volume(whole, medium.geometry, medium.name)
         deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)

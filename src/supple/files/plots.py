@@ -13,8 +13,18 @@ from supple.deformation import Deformation
 from supple.domain import choice, integer
 from supple.engines.base import Array, Sampling
 from supple.errors import SuppleError, shown
+from supple.fields import Placed
 from supple.files.clip_work import deformations_of, frames_of, sampling_of, warn_of_frames, work_on
-from supple.files.clips import ClipOptions, PathLike, fickle, is_clip, open_clip, refuse_picture, refuse_places
+from supple.files.clips import (
+    ClipOptions,
+    PathLike,
+    fickle,
+    is_clip,
+    open_clip,
+    refuse_maps,
+    refuse_picture,
+    refuse_places,
+)
 from supple.media.base import CountError
 from supple.media.files import check_output
 from supple.media.volume import is_volume
@@ -42,8 +52,9 @@ def plot_file(
     force: bool = False,
     progress: bool = False,
     fit: Fit | None = None,
+    maps: Sequence[Placed] = (),
 ) -> Deformation:
-    """Plot the effect of strokes on a file.
+    """Plot the effect of strokes, fields and affine maps on a file.
 
     Parameters
     ----------
@@ -66,7 +77,7 @@ def plot_file(
         Whether an existing file may be replaced.
     progress : bool
         Whether to show the progress of a clip on a terminal.
-    fit : str, optional
+    fit, maps
         As in `supple.warp_file`.
 
     Returns
@@ -92,6 +103,8 @@ def plot_file(
         raise SuppleError(f"plots are of pictures and videos, and {shown(source)} is a volume: supple render shows it")
     refuse_places(recipe, source)
     if is_clip(source, "", recipe):
+        if maps:
+            refuse_maps(source)
         refuse_picture(source)
         asked = (source, target, recipe, what, frame, x, y, options, force, fit)
         with counted(progress) as tell:
@@ -111,7 +124,7 @@ def plot_file(
     picture = read(source)
     height, width = picture.pixels.shape[:2]
     fitted = fit_recipe(recipe, (width, height), fit, shown(source))
-    deformation = Deformation.from_recipe(fitted, (height, width))
+    deformation = Deformation.from_recipe(fitted, (height, width), maps=maps)
     plot(deformation, what, target, image=picture, force=force)
     return deformation
 

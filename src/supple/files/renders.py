@@ -17,8 +17,9 @@ import numpy.typing as npt
 from supple.domain import choice, integer, number, point
 from supple.engines.choice import check_device
 from supple.errors import SuppleError, VolumeWarning, shown
+from supple.fields import Placed
 from supple.files.meshes import MeshFile, read_surfaces
-from supple.files.volumes import VolumeOptions, deformation_of, is_of_labels, open_volume
+from supple.files.volumes import VolumeOptions, background_of, deformation_of, is_of_labels, open_volume
 from supple.geometry import check_upright
 from supple.media import image, turntable
 from supple.media.files import check_output, check_outputs, check_suffix, replacing, replacing_all
@@ -30,6 +31,7 @@ from supple.render.box import Clip, Plane
 from supple.render.camera import Camera
 from supple.render.colour import are_colours
 from supple.render.labels import LabelColours, labels_in
+from supple.render.meshes import Surface
 from supple.render.picture import Rendering
 from supple.render.scene import MODES, Scene
 from supple.render.transfer import HOUNSFIELD, LABELS, SUFFIXES, Transfer, transfer_of
@@ -212,8 +214,9 @@ def scene_of(
     *,
     world: bool = False,
     fit: Fit | None = None,
+    maps: Sequence[Placed] = (),
 ) -> Scene:
-    """Return the scene of a volume, with strokes if given.
+    """Return the scene of a volume, with strokes, fields and affine maps if given: with maps, of the warped volume.
 
     Raises
     ------
@@ -244,7 +247,11 @@ def scene_of(
     if aim is not None and not all(-0.5 <= x <= n - 0.5 for x, n in zip(aim, volume.sizes, strict=True)):
         spoken, end = (", ".join(f"{x:g}" for x in given) for given in (aim, (n - 1 for n in volume.sizes)))
         raise SuppleError(f"target must be a voxel of {volume.name}, from (0, 0, 0) to ({end}), found ({spoken})")
-    deformation = None if recipe is None else deformation_of(recipe, volume, world=world, fit=fit)
+    deformation = None
+    if recipe is not None or maps:
+        deformation = deformation_of(recipe or Recipe(), volume, world=world, fit=fit, maps=maps)
+    if maps and known.mode not in ("lattice", "buffered"):
+        raise SuppleError(f"with fields and affine maps, the volume is warped first: leave mode {known.mode} out")
     given = known.transfer if known.transfer is not None else default_transfer(volume)
     if known.projection != "none":
         given = "grey"  # of which it has the values alone
@@ -258,6 +265,13 @@ def scene_of(
         samples = cropped(samples, known.crop, transfer, known.density)
     if known.largest:
         samples = largest(samples, transfer, known.density)
+    if maps and deformation is not None:
+        labels = isinstance(transfer, LabelColours)
+        fill = 0.0 if samples.ndim > 3 else background_of(volume, labels=labels)
+        mixed = "nearest" if labels else "linear"
+        samples = deformation.warp(samples, filter=mixed, outside="constant", fill=fill)
+        meshes = tuple(Surface(deformation.forward(m.points), m.triangles, m.lines, m.colour) for m in meshes)
+        deformation = None
     return Scene(
         samples,
         volume.geometry,
@@ -316,6 +330,7 @@ def render_file(
     force: bool = False,
     tell: Tell = lambda step, done, total: None,
     fit: Fit | None = None,
+    maps: Sequence[Placed] = (),
 ) -> Scene:
     """Render an image or a turntable of a volume file.
 
@@ -334,8 +349,8 @@ def render_file(
         Whether to replace an existing file.
     tell : function
         Called with ``"render"``, the finished and the total amount of work.
-    fit : str, optional
-        As in `supple.warp_file`.
+    fit, maps
+        As in `supple.warp_file`. With maps, the volume is warped before it is rendered, by the CPU.
 
     Returns
     -------
@@ -355,7 +370,7 @@ def render_file(
         _check_transfer(known.save_transfer, force)
     given = open_volume(source, reading)
     check_upright(given.geometry, given.name, "a rendering")
-    scene = scene_of(given, recipe, known, world=reading.world, fit=fit)
+    scene = scene_of(given, recipe, known, world=reading.world, fit=fit, maps=maps)
     if given.samples.dtype.kind == "f" and not np.isfinite(given.samples).any():
         raise SuppleError(f"nothing is seen of {given.name}: none of its values is a finite number")
     if scene.is_empty:

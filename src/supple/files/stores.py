@@ -26,7 +26,7 @@ from supple.files.grids import GridOptions
 from supple.files.plans import Medium, Source, chunks_of, open_source, plan_boxes, task_shape, warp_on, whole_chunks
 from supple.files.tasks import Runner, Running, check_seen, check_shared, runner_of
 from supple.files.transforms import write_transform
-from supple.files.volumes import VolumeOptions, warn_of_labels
+from supple.files.volumes import VolumeOptions, least_of, warn_of_labels
 from supple.geometry import Geometry, Grid
 from supple.media.files import check_store, replacing, unwritable
 from supple.media.stores import (
@@ -88,6 +88,8 @@ class WarpedStore:
         As in `supple.files.Warped`.
     field : SavedField, optional
         The field that was saved beside it.
+    background : float, optional
+        The value of what lies outside of the input, where none was asked for.
     """
 
     source: str
@@ -109,6 +111,7 @@ class WarpedStore:
     outside: int = 0
     unsolved: int = 0
     field: SavedField | None = None
+    background: float | None = None
 
     def report(self) -> Report:
         """Return the report on the strokes and the certified error, measured at every sample; this is slow."""
@@ -144,7 +147,7 @@ def warp_store(
     *,
     filter: str = "auto",
     tolerance: float = 0.01,
-    outside: str = "edge",
+    outside: str | None = None,
     fill: float | Sequence[float] = 0.0,
     force: bool = False,
     options: VolumeOptions | None = None,
@@ -200,6 +203,8 @@ def warp_store(
         check_store(folder if "://" in os.fspath(target) else target, force=force)  # before workers are started
     opened = open_source(source, recipe, known, maps=maps, grid=grid)
     image, medium = opened.image, opened.medium
+    if outside is None and opened.is_file and medium.geometry is not None and grid is not None and grid.reference:
+        medium = replace(medium, background=least_of(opened.samples))
     warp = warp_on(
         medium, recipe, filter=filter, tolerance=tolerance, outside=outside, fill=fill, options=known, fit=fit,
         maps=maps, grid=grid,
@@ -241,6 +246,7 @@ def warp_store(
         os.fspath(source), os.fspath(target), warp.deformation, medium.geometry, tolerance, found.error,
         tuple(made.arrays[0].shape), len(made.arrays), labels, blocks, counts.done, counts.copied, counts.read,
         counts.copied_bytes, warp.grid, found.folded, found.outside, found.unknown, saved,
+        None if outside is not None or warp.sampling.outside == "edge" else 0.0 if known.labels else medium.background,
     )  # fmt: skip
 
 

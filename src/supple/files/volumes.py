@@ -41,6 +41,7 @@ from supple.media.volume import (
     write,
 )
 from supple.media.volume import place_of as volume_place
+from supple.media.volume.dicom import padding_of
 from supple.pipeline import Tell
 from supple.resolved import warn_of_still
 from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke, fit_recipe
@@ -109,6 +110,8 @@ class WarpedVolume:
         As in `supple.files.Warped`, over all volumes.
     own : Grid, optional
         The grid of the input, if it is not that of the deformation.
+    background : float, optional
+        The value, scaled, of what lies outside of the input, where none was asked for.
     """
 
     source: Path
@@ -123,6 +126,7 @@ class WarpedVolume:
     outside: int = 0
     unsolved: int = 0
     own: Grid | None = None
+    background: float | None = None
 
     def report(self) -> Report:
         """Return the report on the strokes and the certified error, measured at every voxel; this is slow."""
@@ -228,6 +232,8 @@ def deformation_of(
             stacklevel=4,
         )
     known = fit_recipe(located, volume.sizes, fit, volume.name)
+    if maps:
+        warn_of_place(volume.geometry, volume.name)
     own = volume.grid.upright()
     if own == volume.grid:
         made = indexed(known, volume.geometry, volume.name)
@@ -349,7 +355,7 @@ def warp_volume(
     *,
     filter: str = "auto",
     tolerance: float = 0.01,
-    outside: str = "edge",
+    outside: str | None = None,
     fill: float | Sequence[float] = 0.0,
     clamp: bool = True,
     device: str = "cpu",
@@ -368,7 +374,10 @@ def warp_volume(
     known = options or VolumeOptions()
     check_device(device)
     sampling = sampling_of(
-        "nearest" if known.labels and filter == "auto" else filter, outside=outside, fill=fill, tolerance=tolerance
+        "nearest" if known.labels and filter == "auto" else filter,
+        outside=outside or "edge",
+        fill=fill,
+        tolerance=tolerance,
     )
     if known.labels and sampling.filter != "nearest":
         raise SuppleError(f'labels needs filter "nearest", which keeps values as they are, found "{filter}"')
@@ -381,12 +390,14 @@ def warp_volume(
         raise SuppleError(f"labels is for whole numbers, and {volume.name} holds {broken:g}: leave it out")
     if not (suffix_of(target).startswith(".nii") or suffix_of(target) in derived.SUFFIXES):  # others hold no scaling
         volume = replace(volume, samples=volume.rescaled(), scaling=(1.0, 0.0))
-    if maps:
-        warn_of_place(volume.geometry, volume.name)
     regrid = grid_on(grid, volume.grid, volume.name, maps)
     deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
     warn_of_still(recipe.strokes)
-    if outside == "constant":
+    background = None
+    if outside is None and grid is not None and grid.reference is not None:  # much may lie outside of the input
+        background = background_of(volume, labels=known.labels)
+        sampling = replace(sampling, outside="constant", fill=volume.stored(background))
+    elif outside == "constant":
         sampling = replace(sampling, fill=volume.stored(fill))
     like = volume if grid is None or regrid is None else _moved(volume, regrid, grid)
     if grid is not None:
@@ -411,7 +422,29 @@ def warp_volume(
     count = len(volume.samples) if volume.series else 1
     own = None if volume.grid == deformation.grid else volume.grid
     made = Path(source), Path(target), deformation, volume.geometry, tolerance, found.error, count, regrid
-    return WarpedVolume(*made, found.folded, found.outside, found.unknown, own)
+    return WarpedVolume(*made, found.folded, found.outside, found.unknown, own, background)
+
+
+def background_of(volume: Volume, *, labels: bool = False) -> float:
+    """Return the scaled value of what lies outside of a volume: of labels 0, of DICOM its padding, or else the least.
+
+    NaN and infinities are left out.
+    """
+    slope, intercept = volume.scaling
+    if labels or volume.is_segmentation or volume.components > 1:
+        return intercept
+    if volume.format == "DICOM" and (padding := padding_of(volume)) is not None:
+        return padding
+    return slope * (least_of(volume.samples) if slope > 0 else -least_of(volume.samples, -1)) + intercept
+
+
+def least_of(samples: Any, sign: int = 1) -> float:
+    """Return the least finite value of samples, times a sign; 0 if there is none."""
+    least, rest = np.inf, (slice(None),) * (len(samples.shape) - 1)
+    for k in range(samples.shape[0]):
+        slab = np.asarray(samples[(slice(k, k + 1), *rest)], np.float64) * sign
+        least = min(least, float(slab.min(initial=np.inf, where=np.isfinite(slab))))
+    return least if np.isfinite(least) else 0.0
 
 
 def _moved(volume: Volume, grid: Grid, options: GridOptions) -> Volume:

@@ -244,7 +244,7 @@ def solved_on_device(values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, tor
             within = torch.ones_like(got.done)
             margin = margin_of(job.interpolation)
             for x, (first, last) in zip(got.points, samples.ends, strict=True):
-                within &= (x >= first - margin) & (x <= last + margin)
+                within &= (x >= first - margin) & (x < last + margin)
             known = torch.where(within, OK, OUTSIDE)
             known = torch.where((got.determinant > 0) & ~folds.flatten()[part], known, FOLDED)
             flat_status[part] = torch.where(exact, known, UNCONVERGED).to(torch.uint8)

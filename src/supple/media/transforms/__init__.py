@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from supple.errors import SuppleError, shown
 from supple.geometry import Grid
 from supple.media.files import PathLike, unreadable
-from supple.media.transforms import afni, freesurfer, fsl, itk_files, mrtrix, ngff, opencv, stmap
+from supple.media.transforms import afni, announced, freesurfer, fsl, itk_files, mrtrix, ngff, opencv, stmap
 from supple.media.transforms.base import Content, Displacements, Grids, MissingGridError
 from supple.media.transforms.guess import convention_in, convention_of
 from supple.media.transforms.itk import SUFFIXES_OUT, check_target, write_field
@@ -41,7 +41,7 @@ class Convention(NamedTuple):
     write: Callable[..., None]
 
 
-def _pair(module: Any, **kind: bool) -> Convention:
+def _pair(module: Any, **kind: bool | str) -> Convention:
     return Convention(partial(module.read, **kind), partial(module.write, **kind))
 
 
@@ -67,6 +67,8 @@ CONVENTIONS = {
     "mrtrix": _pair(mrtrix, absolute=True),
     "mrtrix-displacement": _pair(mrtrix, absolute=False),
     "freesurfer": _pair(freesurfer),
+    "niftyreg": _pair(announced, convention="niftyreg"),
+    "spm-deformation": _pair(announced, convention="spm-deformation"),
     "ngff": _of_source(ngff),
     "opencv": _of_source(opencv),
     "stmap": _of_source(stmap),

@@ -16,6 +16,7 @@ from supple.errors import SuppleError, shown
 from supple.geometry import Geometry, Grid
 from supple.media.files import PathLike, head_of, unreadable, unwritable
 from supple.media.transforms.base import (
+    VECTOR,
     Array,
     Content,
     Displacements,
@@ -40,7 +41,6 @@ from supple.media.volume.data import native, reading
 MATRICES = (".aff12.1d", ".1d")
 DATASETS = (".head", ".brik", ".brik.gz")
 _LABELS = ["x_delta", "y_delta", "z_delta"]  # some warps hold other volumes after these
-_VECTOR = 1007  # of a field that another program has copied
 _CARDINAL = "make it and the images plumb by 3dWarp -deoblique, and find the warp anew"
 
 
@@ -58,7 +58,7 @@ def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
         values, grid = _dataset(path)
     else:
         volume = read_nifti(path, "afni")
-        check_intent(path, volume, "afni", (0, _VECTOR))
+        check_intent(path, volume, "afni", (0, VECTOR))  # the latter of a field that another program has copied
         values, grid = vectors_of(path, volume)
     _check_cardinal(path, grid, "its grid")
     check_finite(path, values, "give a field that is finite everywhere")

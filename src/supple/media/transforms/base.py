@@ -24,7 +24,25 @@ Matrix = npt.NDArray[np.float64]
 
 _COMPONENTS = 3
 _COEFFICIENTS = (2007, 2008, 2009, 2016, 2017)  # of FNIRT and topup
-_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""Of positions and displacements in RAS, those in LPS."""
+VECTOR = 1007
+"""The intent code of a vector for each voxel."""
+NIFTYREG, SPM = "NREG_TRANS", "Mapping"
+"""The names of the intent of fields of NiftyReg and SPM."""
+POSITIONS, DISPLACEMENTS = 0, 1
+"""What fields of NiftyReg hold, in intent_p1."""
+_NO_FIELDS = {
+    2: "control points of a cubic B-spline",
+    5: "control points of a velocity",
+    6: "control points of a spline",
+}
+_FOREIGN = re.compile("veloc|flow field|coefficient|b-?spline", re.IGNORECASE)
+_TEXTS = {
+    b"(Transform ": ("parameters of elastix", "run transformix -def all -tp, and read its deformationField"),
+    b"MGH_GPUIT_BSP": ("a B-spline of plastimatch", "run plastimatch xf-convert --output-type vf, and read that"),
+    b"MNI Transform File": ("a transform of MINC", "convert it to a field of ITK"),
+}
 
 
 class Displacements(NamedTuple):
@@ -78,12 +96,12 @@ def inverse(matrix: Matrix) -> Matrix:
 
 def turned(matrix: Matrix) -> Matrix:
     """Return an affine map of positions in RAS as one of positions in LPS, or back."""
-    return np.asarray(_LPS @ matrix @ _LPS)
+    return np.asarray(LPS @ matrix @ LPS)
 
 
 def to_ras(matrix: Matrix) -> Matrix:
     """Return a matrix from indices to LPS as one to RAS, or back."""
-    return np.asarray(_LPS @ matrix)
+    return np.asarray(LPS @ matrix)
 
 
 def read_nifti(path: PathLike, convention: str) -> Volume:
@@ -91,7 +109,7 @@ def read_nifti(path: PathLike, convention: str) -> Volume:
     with warnings.catch_warnings():
         warnings.simplefilter("error", VolumeWarning)
         try:
-            return nifti.read(path)
+            return checked_header(path, nifti.read(path), convention)
         except VolumeWarning as error:
             what = "its qform and its sform disagree, and programs choose between them differently"
             raise unreadable(path, what, "make them the same in its header") from error
@@ -100,6 +118,42 @@ def read_nifti(path: PathLike, convention: str) -> Volume:
                 raise
             what = f"it is no NIfTI file, and those of the convention {convention} are"
             raise unreadable(path, what, "check its name and its convention") from error
+
+
+def announced(path: PathLike, header: Any) -> str:
+    """Return the convention that a NIfTI header names: ``"niftyreg"``, ``"spm-deformation"``, or ``""`` for none.
+
+    SuppleError for what says that it is no field, or none that is read.
+    """
+    name, note = (bytes(header[key]).split(b"\0")[0].decode("latin-1").strip() for key in ("intent_name", "descrip"))
+    if name == NIFTYREG:
+        kind = int(header["intent_p1"])
+        if kind not in (POSITIONS, DISPLACEMENTS):
+            what = f"it holds {_NO_FIELDS.get(kind, 'a velocity field')} of NiftyReg (kind {kind})"
+            raise unreadable(path, what, "let its transform program write a deformation field (-def, with -ref)")
+        return "niftyreg"
+    if found := _FOREIGN.search(name) or _FOREIGN.search(note):
+        what = f"its header says {shown(found.string)}, which is no field of displacements or positions"
+        raise unreadable(path, what, "let the program that wrote it make one of these (a deformation field)")
+    return "spm-deformation" if name == SPM or note.lower().startswith("deformation field") else ""
+
+
+def checked_header(path: PathLike, volume: Volume, convention: str) -> Volume:
+    """Return a volume of NIfTI as it is; SuppleError if its header names another convention."""
+    known = announced(path, volume.header)
+    if known not in ("", convention):
+        name = {"niftyreg": "NiftyReg", "spm-deformation": "SPM"}[known]
+        raise unreadable(
+            path, f"its header says that it is a field of {name}, and not {convention}", f"give the convention {known}"
+        )
+    return volume
+
+
+def check_text(path: PathLike, head: bytes) -> None:
+    """Raise SuppleError for text of programs whose transforms are not read."""
+    for begin, (what, how) in _TEXTS.items():
+        if begin in head:
+            raise unreadable(path, f"it holds {what}", how)
 
 
 def intent_of(volume: Volume) -> int:
@@ -124,9 +178,9 @@ def check_code(path: PathLike, code: int) -> None:
         raise unreadable(path, what, "run fnirtfileutils --withaff, with --ref= and --out=, and read what it makes")
 
 
-def check_count(path: PathLike, found: int) -> None:
-    """Raise SuppleError for another number of values for each voxel than three."""
-    if found != _COMPONENTS:
+def check_count(path: PathLike, found: int, wanted: int = _COMPONENTS) -> None:
+    """Raise SuppleError for another number of values for each voxel than three, or as many as are wanted."""
+    if found != wanted:
         told = {
             1: "one value for each voxel, as an image or a mask",
             2: "two values for each voxel, as a field of a picture",
@@ -135,7 +189,7 @@ def check_count(path: PathLike, found: int) -> None:
         raise unreadable(path, f"it holds {told}", "give a field with three, one for each axis of space")
 
 
-def vectors_of(path: PathLike, volume: Volume) -> tuple[Array, Grid]:
+def vectors_of(path: PathLike, volume: Volume, count: int = _COMPONENTS) -> tuple[Array, Grid]:
     """Return the vectors of a volume, shape (Z, H, W, 3), and its grid: of a series in time, three volumes count too.
 
     SuppleError if there are not three numbers for each voxel, or they are no fractions; or it has no place in space.
@@ -144,7 +198,7 @@ def vectors_of(path: PathLike, volume: Volume) -> tuple[Array, Grid]:
     if volume.series:
         samples = np.moveaxis(samples, 0, -1)
     found = samples.shape[3] if samples.ndim == 4 else 1
-    check_count(path, found)
+    check_count(path, found, count)
     if samples.dtype.kind != "f":
         raise unreadable(
             path, f"its values are {samples.dtype}, as those of colours", "give a field of float32 or float64"
@@ -244,9 +298,16 @@ def _told(contents: Sequence[Content]) -> str:
 
 
 def write_nifti(
-    path: PathLike, values: Array, grid: Grid, *, axes: Literal[4, 5], intent: int = 0, force: bool = False
+    path: PathLike,
+    values: Array,
+    grid: Grid,
+    *,
+    axes: Literal[4, 5],
+    intent: int = 0,
+    name: str = "",
+    force: bool = False,
 ) -> None:
-    """Write vectors (Z, H, W, 3) as a NIfTI file of four axes or of five, whose intent code is as given."""
+    """Write vectors (Z, H, W, 3) as a NIfTI file of four axes or of five, with the code and the name of an intent."""
     suffix = suffix_of(path, (".nii", ".nii.gz"))
     if suffix not in (".nii", ".nii.gz"):
         raise unwritable(path, f"fields of this convention are NIfTI files, found the suffix {suffix}", "use .nii.gz")
@@ -258,7 +319,7 @@ def write_nifti(
     image = nibabel.Nifti1Image(shaped if axes == 4 else shaped[:, :, :, None], affine)
     image.set_sform(affine, code=1)
     image.set_qform(affine, code=1)
-    image.header["intent_code"] = intent
+    image.header["intent_code"], image.header["intent_name"] = intent, name.encode()
     image.header.set_xyzt_units("mm")
     with replacing(path, force=force) as temporary, nifti.writing(temporary, suffix) as file:
         image.to_file_map({"image": nibabel.FileHolder(fileobj=file)})
@@ -267,6 +328,7 @@ def write_nifti(
 def lines_of(path: PathLike, what: str, most: int = 1 << 20) -> list[str]:
     """Return the lines of a text file without comments (#) and empty ones; SuppleError if it is no text."""
     head = head_of(path, most)
+    check_text(path, head[:512])
     try:
         text = head.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -292,11 +354,11 @@ def numbers_of(path: PathLike, lines: Sequence[str], shape: tuple[int, int], wha
 
 def checked(path: PathLike, matrix: Matrix) -> Matrix:
     """Return a homogeneous matrix as it is; SuppleError if it is none, or has no inverse."""
-    if not np.isfinite(matrix).all() or not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-12):
+    if not np.isfinite(matrix).all() or not np.allclose(matrix[-1], np.eye(len(matrix))[-1], atol=1e-12):
         raise unreadable(path, f"its matrix is {matrix.tolist()}, and no finite affine map", "correct it")
-    if not abs(np.linalg.det(matrix[:3, :3])) > 1e-12:
+    if not abs(np.linalg.det(matrix[:-1, :-1])) > 1e-12:
         raise unreadable(path, "its matrix is singular: it has no inverse", "correct it")
-    matrix[3] = (0, 0, 0, 1)
+    matrix[-1] = np.eye(len(matrix))[-1]
     return matrix
 
 

@@ -9,7 +9,7 @@ from supple.errors import SuppleError, shown
 from supple.media import image
 from supple.media.codecs import SUFFIXES as CLIPS
 from supple.media.files import PathLike, head_of, unreadable, unwritable
-from supple.media.transforms.base import check_code, check_count, suffix_of
+from supple.media.transforms.base import VECTOR, announced, check_code, check_count, check_text, suffix_of
 from supple.media.volume import nifti
 
 _FSL = ("fsl-relative", "fsl-absolute")
@@ -20,7 +20,7 @@ _COLOURS = (128, 2304)  # the datatypes RGB24 and RGBA32 of NIfTI
 # the conventions of a suffix
 _SUFFIXES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys((".h5", ".hdf5", ".tfm", ".mha", ".mhd", ".nrrd", ".nhdr"), ("itk",)),
-    **dict.fromkeys(_NIFTI, ("itk", *_FSL, *_MRTRIX, "afni")),
+    **dict.fromkeys(_NIFTI, ("itk", *_FSL, *_MRTRIX, "afni", "niftyreg", "spm-deformation")),
     **dict.fromkeys((".mif", ".mif.gz"), _MRTRIX),
     **dict.fromkeys((".mat", ".txt"), ("itk", "fsl-affine")),
     **dict.fromkeys((".aff12.1d", ".1d", ".head", ".brik", ".brik.gz"), ("afni",)),
@@ -85,8 +85,9 @@ def _only(path: PathLike, known: tuple[str, ...], what: str, verb: str) -> str:
 def _in_nifti(path: PathLike) -> tuple[str, tuple[str, ...]]:
     header, sizes, components, series = nifti.outline(path)
     code, five = int(header["intent_code"]), components > 1
-    if five and code == 1007:
-        return "", ("itk",)
+    known = announced(path, header)
+    if five and code == VECTOR:
+        return "", (known or "itk",)
     check_code(path, code)
     if int(header["datatype"]) in _COLOURS:
         raise unreadable(path, "its voxels are colours (RGB), as of a picture", "give a field of float32 or float64")
@@ -102,6 +103,7 @@ def _in_nifti(path: PathLike) -> tuple[str, tuple[str, ...]]:
 
 def _in_text(path: PathLike, known: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
     head = head_of(path, 512)
+    check_text(path, head)
     if "itk" in known:
         if b"#Insight Transform File" in head or b"Transform_" in head:
             return "", ("itk",)

@@ -11,28 +11,34 @@ from typing import Any
 
 import numpy as np
 
+from supple.errors import SuppleError, shown
+from supple.geometry import Grid
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable, unwritable
 from supple.media.transforms.base import (
+    VECTOR,
     Content,
     Displacements,
     Grids,
     Matrix,
     check_count,
     check_finite,
+    check_text,
     check_volume,
     checked,
+    checked_header,
     intent_of,
     suffix_of,
     vectors_of,
 )
 from supple.media.transforms.itk import SUFFIXES_OUT, write_field, write_transform
 from supple.media.volume import itk, nifti
-from supple.media.volume.data import located, reading
+from supple.media.volume.data import reading
 
 IMAGES = {".nii": "", ".nii.gz": "", ".nrrd": "NRRD", ".nhdr": "NRRD", ".mha": "MetaImage", ".mhd": "MetaImage"}
 TRANSFORMS = (".h5", ".hdf5", ".tfm", ".txt", ".mat")
-_VECTOR, _DISPLACEMENT = 1007, 1006
+_DISPLACEMENT = 1006
 _KIND = re.compile(rb"Transform(?:Base)?_(?:double|float)_\d_\d")
+_FLOWS = (b"VelocityFieldTransform_", b"ExponentialDiffeomorphicTransform_")
 _SIZES = {0: 8, 1: 4}  # bytes of a number in a file of MATLAB
 _MANY = (".h5", ".tfm")
 _OUT = tuple(dict.fromkeys((*SUFFIXES_OUT, *TRANSFORMS)))
@@ -49,31 +55,43 @@ def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
 
 
 def _field(path: PathLike, form: str) -> Displacements:
-    volume = itk.read(path, form) if form else nifti.read(path)
+    volume = itk.read(path, form) if form else checked_header(path, nifti.read(path), "itk")
     if not form:
         code = intent_of(volume)
         if code == _DISPLACEMENT:
             what = "its intent code is 1006, whose vectors ITK takes as LPS before version 5.4, and as RAS from it on"
             raise unreadable(path, what, "write it anew with LPS vectors and the intent code 1007")
-        if code != _VECTOR or volume.series:
+        if code != VECTOR or volume.series:
             check_count(path, len(volume.samples) if volume.series else volume.components)
             axes = 4 if volume.series else 5
             what = f"it has {axes} axes and the intent code {code}, and a field of ITK has 5 and the code 1007"
             raise unreadable(path, what, "give the convention that it has")
     # The vectors stay as they are for any space of a NRRD: ITK turns its place to LPS, and never its vectors.
-    values, grid = vectors_of(path, volume)
+    flat = not volume.series and volume.components == 2 and volume.sizes[2] == 1
+    values, grid = vectors_of(path, volume, 2 if flat else 3)
+    if flat:
+        turned = np.array(grid.direction)
+        if not np.allclose(np.abs(turned[2]), (0, 0, 1)):
+            raise unreadable(
+                path, "its two axes do not lie in the plane of x and y", "give a field of three components"
+            )
+        values, grid = values[0], Grid(grid.shape[1:], grid.spacing[:2], grid.origin[:2], turned[:2, :2])
     check_finite(path, values, "give a field that is finite everywhere")
     return Displacements(values, grid)
 
 
 def _transforms(path: PathLike) -> tuple[Content, ...]:
     sitk = itk.imported()
-    head_of(path, 1)
+    check_text(path, head_of(path, 512))
     with reading(path), open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         kinds = len(_KIND.findall(data))
         composed = data.find(b"CompositeTransform_") >= 0
+        flows = any(data.find(name) >= 0 for name in _FLOWS)
     if suffix_of(path, TRANSFORMS) == ".mat":
         _check_matlab(path)
+    if flows:
+        what = "it holds a velocity field, which has to be integrated"
+        raise unreadable(path, what, "give the displacement field that it leads to")
     if kinds > 1 and not composed:
         what = f"it holds a list of {kinds} transforms, of which ITK reads the first"
         raise unreadable(path, what, "give a file of one, or of a composite of them")
@@ -82,8 +100,9 @@ def _transforms(path: PathLike) -> tuple[Content, ...]:
             whole = sitk.ReadTransform(os.fspath(path))
         except KeyError as error:  # a kind that SimpleITK's table of kinds lacks
             raise unreadable(path, "SimpleITK does not know its kind of transform", "write it as affine") from error
-    if whole.GetDimension() != 3:
-        raise unreadable(path, f"it is a transform of {whole.GetDimension()} dimensions", "give one of volumes")
+    if whole.GetDimension() not in (2, 3):
+        what = f"it is a transform of {whole.GetDimension()} dimensions"
+        raise unreadable(path, what, "give one of pictures or volumes")
     return tuple(_contents(path, sitk, whole))
 
 
@@ -136,18 +155,23 @@ def _known(transform: Any) -> Any:
 
 
 def _sampled(path: PathLike, values: Any, image: Any, interpolation: Any) -> Displacements:
-    direction = np.array(image.GetDirection()).reshape(3, 3)
-    geometry = located(path, list(image.GetSpacing()), list(image.GetOrigin()), direction, "LPS")
+    n = image.GetDimension()
+    direction = np.array(image.GetDirection()).reshape(n, n)
     check_finite(path, values, "give a field that is finite everywhere")
-    return Displacements(values, geometry.grid(values.shape[:3]), interpolation)
+    try:
+        grid = Grid(values.shape[:-1], image.GetSpacing(), image.GetOrigin(), direction)
+    except SuppleError as error:
+        raise SuppleError(f"cannot read {shown(path)}: {error}") from error
+    return Displacements(values, grid, interpolation)
 
 
 def _matrix(transform: Any) -> Matrix:
     """Return the matrix of a linear transform of any parameters and centre."""
-    made = np.eye(4)
-    made[:3, 3] = transform.TransformPoint((0.0, 0.0, 0.0))
-    for axis, unit in enumerate(np.eye(3).tolist()):
-        made[:3, axis] = np.array(transform.TransformVector(unit, (0.0, 0.0, 0.0)))
+    n = transform.GetDimension()
+    made, origin = np.eye(n + 1), (0.0,) * n
+    made[:n, n] = transform.TransformPoint(origin)
+    for axis, unit in enumerate(np.eye(n).tolist()):
+        made[:n, axis] = np.array(transform.TransformVector(unit, origin))
     return made
 
 

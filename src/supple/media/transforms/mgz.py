@@ -14,6 +14,7 @@ import numpy as np
 from supple.geometry import Grid
 from supple.media.files import PathLike, head_of, unreadable
 from supple.media.transforms.base import (
+    LPS,
     Array,
     Displacements,
     Matrix,
@@ -52,12 +53,10 @@ def read(path: PathLike) -> Displacements:
         sizes = [" x ".join(map(str, sizes)) for sizes in (values.shape[2::-1], grid.sizes)]
         raise unreadable(path, f"it has {sizes[0]} voxels, and the image that it is of has {sizes[1]}", _ADVICE)
     check_finite(path, values, "give a field that is finite everywhere")
-    # RAS to LPS, of positions and of displacements alike
-    flip = np.diag([-1.0, -1.0, 1.0, 1.0])
     if form == 2:
-        made = moved(values, grid, None, flip, np.eye(4))
+        made = moved(values, grid, None, LPS, np.eye(4))
     elif form == 3:
-        made = moved(values, grid, None, flip)
+        made = moved(values, grid, None, LPS)
     else:
         made = moved(values, grid, inverse(grid.matrix) if form == 1 else None, source.matrix, np.eye(4))
     return Displacements(made, grid, beyond="edge")

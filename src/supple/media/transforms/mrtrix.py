@@ -9,6 +9,7 @@ import numpy as np
 
 from supple.media.files import PathLike, head_of, unreadable
 from supple.media.transforms.base import (
+    LPS,
     Array,
     Content,
     Displacements,
@@ -27,7 +28,6 @@ from supple.media.transforms.base import (
 from supple.media.volume.data import native, reading
 
 SUFFIXES = (".nii", ".nii.gz", ".mif", ".mif.gz")
-_FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
 _CONVERT = "run mrconvert, and give its .nii.gz"
 _CHUNK = 1 << 16
 
@@ -43,14 +43,14 @@ def read(path: PathLike, grids: Grids, *, absolute: bool) -> tuple[Content, ...]
         check_intent(path, volume, convention, (0,))
         values, grid = vectors_of(path, volume)
     check_finite(path, values, "MRtrix marks so what lies outside the input: crop the warp, or fill these voxels")
-    made = moved(values, grid, None, _FLIP, np.eye(4) if absolute else None)
+    made = moved(values, grid, None, LPS, np.eye(4) if absolute else None)
     return (Displacements(made, grid, beyond="edge"),)
 
 
 def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, absolute: bool, force: bool = False) -> None:
     """Write a warp of MRtrix as NIfTI."""
     field = only_field(path, contents, "mrtrix" if absolute else "mrtrix-displacement")
-    made = moved(field.values, field.grid, np.eye(4) if absolute else None, _FLIP)
+    made = moved(field.values, field.grid, np.eye(4) if absolute else None, LPS)
     write_nifti(path, made, field.grid, axes=4, force=force)
 
 

@@ -164,6 +164,24 @@ def frame_of_reference(path: str) -> str:
     return next((str(part.FrameOfReferenceUID) for part in parts if part.get("FrameOfReferenceUID")), "")
 
 
+def padding_of(volume: Volume) -> float | None:
+    """Return the value of voxels that stand for no pixel (PixelPaddingValue), scaled; None if the file says none."""
+    need("volume", "padding of DICOM", "pydicom")
+    import pydicom
+
+    paths = volume.header if isinstance(volume.header, tuple) else (volume.header,)
+    try:
+        head = pydicom.dcmread(paths[0], stop_before_pixels=True)
+        stored = float(head.PixelPaddingValue)
+    except Exception:  # what is wrong with it is told by who reads it
+        return None
+    if head.get("PhotometricInterpretation") == "MONOCHROME1":  # GDCM has inverted its values
+        return None
+    value = stored * float(head.get("RescaleSlope") or 1) + float(head.get("RescaleIntercept") or 0)
+    limits = np.iinfo(volume.samples.dtype) if volume.samples.dtype.kind in "iu" else None
+    return value if limits is None or limits.min <= value <= limits.max else None
+
+
 def described(found: list[Series]) -> str:
     """Return a list of series in one line."""
     parts = []

@@ -33,6 +33,7 @@ _GZIP = b"\x1f\x8b"
 _MILLIMETRES = {1: 1000.0, 3: 0.001}  # units of a metre, of a micrometre
 _SECONDS = {16: 1e-3, 24: 1e-6}
 _COLOURS = {128: 3, 2304: 4}  # RGB24, RGBA32
+_VECTOR = 1007  # the intent of a vector for each voxel
 LONGEST = 32_767  # an axis in the first version of the format
 _CHUNK = 1 << 22
 _SAME = 0.01  # of a voxel: the largest difference of qform and sform by rounding
@@ -167,6 +168,9 @@ def _axes(path: PathLike, header: Any) -> tuple[tuple[int, ...], int, bool]:
     sizes += [1] * (3 - len(sizes))
     if len(sizes) > 5 or (len(sizes) == 5 and sizes[3] > 1):
         told = " x ".join(map(str, sizes))
+        if len(sizes) == 5 and int(header["intent_code"]) == _VECTOR:
+            what = f"it holds vectors at {sizes[3]} times ({told}), as a velocity field of ANTs does"
+            raise unreadable(path, what, "give the displacement field that it leads to")
         raise unreadable(path, f"it holds {told} values", "give x, y, z and either time or components")
     if len(sizes) == 5:
         return (*sizes[:3], sizes[4]), sizes[4], False

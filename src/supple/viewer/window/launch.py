@@ -6,7 +6,7 @@ import contextlib
 import os
 import secrets
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,14 +14,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from supple.deformation import Deformation
 from supple.domain import choice, length, point
 from supple.engines.wgpu.device import Gpu, open_gpu
 from supple.errors import SuppleError, shown
-from supple.files.clips import is_clip, open_clip
+from supple.fields import Placed
+from supple.files.clips import is_clip, open_clip, refuse_maps
 from supple.files.landmarks import read_landmarks
 from supple.files.renders import default_transfer
-from supple.files.volumes import VolumeOptions, in_space, is_volume_job, open_volume
-from supple.geometry import Geometry, check_upright
+from supple.files.volumes import VolumeOptions, background_of, in_space, is_of_labels, is_volume_job, open_volume
+from supple.geometry import Geometry, Grid, check_upright
 from supple.media.image import read
 from supple.media.volume import Volume
 from supple.render.camera import Camera
@@ -59,15 +61,23 @@ class ViewOptions:
     fit: Fit | None = None  # the scaling of the first strokes, if made for another size, as in `supple.warp_file`
     points: str | os.PathLike[str] | None = None  # a file of landmarks, shown in a volume
     convention: str | None = None  # of a table of them that does not name its own, as in `supple points`
+    maps: tuple[Placed, ...] = ()  # fields and affine maps before all strokes, through which the source is seen
 
     def __post_init__(self) -> None:
         length("time_scale", self.time_scale)
+        if any(placed.after for placed in self.maps):
+            raise SuppleError("in the window, strokes come after fields and affine maps: give these first")
 
     @property
     def export(self) -> dict[str, Any]:
         """The arguments of `supple.warp_file` for the same image as on screen."""
         # Strokes are indices here, whatever the space of the first ones.
-        return {"volume": replace(self.volume, world=False)}
+        known: dict[str, Any] = {"volume": replace(self.volume, world=False)}
+        return {**known, "maps": self.maps} if self.maps else known
+
+    def mapped(self, grid: Grid) -> Deformation | None:
+        """Return the fields and affine maps on a grid; None if there are none."""
+        return Deformation.from_recipe(Recipe(), grid, maps=self.maps) if self.maps else None
 
 
 _USUAL = ViewOptions()
@@ -89,10 +99,11 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
     """
     if isinstance(source, str | os.PathLike):
         name = shown(source)
-        if is_volume_job(source, "", Recipe(), options.volume):
+        if is_volume_job(source, "", Recipe(), options.volume, maps=options.maps):
             _suits(name, options, volume=True)
             volume = open_volume(source, options.volume)
             check_upright(volume.geometry, volume.name, "the window")
+            volume = _mapped(volume, options)
             samples = volume.rescaled()
             if volume.series:
                 samples = samples[0]
@@ -102,10 +113,17 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
         moves = _moves(source)
         _suits(name, options, moves=moves)
         if moves:
+            if options.maps:
+                refuse_maps(source)
             return VideoStage(gpu, FrameCache(source), options.time_scale)
-        pixels = on_screen(read(source))
+        picture = read(source)
+        if (through := options.mapped(Grid(picture.pixels.shape[:2]))) is not None:
+            picture = replace(picture, pixels=through.warp(picture.pixels, alpha=picture.alpha))
+        pixels = on_screen(picture)
     else:
         name, array = "the array", np.asarray(source)
+        if options.maps:
+            raise SuppleError("fields and affine maps are shown with files, and an array has none: warp it first")
         if array.ndim not in (2, 3) or 0 in array.shape or array.dtype.kind not in "biuf":
             raise SuppleError(
                 "what is shown is an array of numbers, of a picture (H, W) or (H, W, C) or of a volume (Z, H, W), or a "
@@ -121,6 +139,19 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
         return ImageStage(gpu, name, pixels)
     except MemoryError as error:
         raise SuppleError(f"{name} cannot be shown: {error}") from None
+
+
+def _mapped(volume: Volume, options: ViewOptions) -> Volume:
+    """Return a volume as it is seen through fields and affine maps; of a series, the first one."""
+    through = options.mapped(volume.grid)
+    if through is None:
+        return volume
+    labels = options.volume.labels or volume.is_segmentation or is_of_labels(volume)
+    slope, intercept = volume.scaling
+    fill = (background_of(volume, labels=labels) - intercept) / slope
+    first = volume.samples[0] if volume.series else volume.samples
+    made = through.warp(first, filter="nearest" if labels else "linear", outside="constant", fill=fill)
+    return replace(volume, samples=made[None] if volume.series else made)
 
 
 def _moves(source: str | os.PathLike[str]) -> bool:
@@ -197,7 +228,9 @@ def _landmarks(stage: ImageStage | VolumeStage, options: ViewOptions) -> Landmar
         return None
     if not isinstance(stage, VolumeStage):
         raise SuppleError(f"points are shown in volumes, and {stage.name} is none: leave them out")
-    return Landmarks(*read_landmarks(options.points, stage.volume.geometry, convention=options.convention))
+    names, places = read_landmarks(options.points, stage.volume.geometry, convention=options.convention)
+    through = options.mapped(stage.volume.grid)
+    return Landmarks(names, places if through is None else through.forward(places))
 
 
 def _gpu() -> Gpu:
@@ -327,6 +360,7 @@ def view(
     volume: VolumeOptions | None = None,
     points: str | os.PathLike[str] | None = None,
     convention: str | None = None,
+    maps: Sequence[Placed] = (),
 ) -> Window:
     """Warp a photograph, a clip or a volume by hand.
 
@@ -348,6 +382,8 @@ def view(
         A file of landmarks, which are shown in a volume, as by ``supple view --points``.
     convention : str, optional
         The coordinates of a table of them that does not name its own: ``"LPS"``, ``"RAS"`` or ``"index"``.
+    maps : sequence of Placed, optional
+        Fields and affine maps, as in `supple.warp_file`, through which the file is seen; strokes come after them.
 
     Returns
     -------
@@ -359,7 +395,7 @@ def view(
     SuppleError
         If the source or the recipe does not fit, there is no GPU, or a part of the window is not installed.
     """
-    options = ViewOptions(spacing, time_scale, volume or _PLAIN, points=points, convention=convention)
+    options = ViewOptions(spacing, time_scale, volume or _PLAIN, points=points, convention=convention, maps=tuple(maps))
     if not in_notebook():
         return show(source, recipe, options=options)
     with _installed():

@@ -1,0 +1,275 @@
+"""Fields and affine maps in all commands that deform: points, render, plot and the window, as in supple warp."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import nibabel
+import numpy as np
+import numpy.typing as npt
+import pydicom
+import pytest
+import SimpleITK as sitk  # noqa: N813
+from scipy.ndimage import gaussian_filter
+
+import supple
+from supple import Affine, Deformation, Recipe
+from supple.fields import Placed
+from supple.files.renders import RenderOptions, scene_of
+from supple.files.volumes import background_of
+from supple.geometry import Geometry
+from supple.media import image
+from supple.media import volume as media
+from supple.media.points import read_points
+from supple.viewer.window.launch import ViewOptions, _mapped
+from tests.cli.commands import Run, one_line
+from tests.media.landmarks import fcsv
+
+SHAPE = (20, 24, 22)
+PLACE = Geometry((4.0, 4.0, 4.0), (-45.0, -40.0, -30.0), np.eye(3), "LPS")
+SEEDS = np.array([[7.0, 10.0, -3.0], [-12.0, 20.0, 13.0], [5.0, 5.0, 5.0]])
+STROKE = ("--grab", "11,12,10:13,12,10", "--radius", "20")
+
+
+@pytest.fixture
+def composite(here: Path) -> sitk.Transform:
+    """The registration of a moving volume: first a field, then an affine map; in ITK's file, composite.h5."""
+    rng = np.random.default_rng(3)
+    waves = np.stack([gaussian_filter(rng.normal(size=SHAPE), 4) * 90 for _ in range(3)], axis=-1)
+    field = sitk.GetImageFromArray(waves, isVector=True)
+    field.SetSpacing(PLACE.spacing)
+    field.SetOrigin(PLACE.origin)
+    turn = sitk.AffineTransform(3)
+    turn.SetMatrix([1.05, 0.08, -0.03, -0.06, 0.97, 0.1, 0.02, -0.09, 1.02])
+    turn.SetTranslation([3, -7, 5])
+    turn.SetCenter([4, -10, 12])
+    made = sitk.CompositeTransform([turn, sitk.DisplacementFieldTransform(field)])
+    sitk.WriteTransform(made, "composite.h5")
+    samples = gaussian_filter(rng.normal(size=SHAPE), 2).astype(np.float32)
+    media.write("fixed.nii.gz", samples, media.Volume(samples, PLACE))
+    _table("seeds.csv", SEEDS)
+    return made
+
+
+def _table(name: str, points: npt.NDArray[np.float64]) -> None:
+    Path(name).write_text("l,p,s\n" + "".join(",".join(map(repr, row)) + "\n" for row in points.tolist()))
+
+
+def through(transform: sitk.Transform, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    return np.array([transform.TransformPoint(p) for p in points.tolist()])
+
+
+def test_seeds_go_through_a_registration_as_itk_takes_them(run: Run, composite: sitk.Transform) -> None:
+    theirs = through(composite, SEEDS)
+    on = ("--on", "fixed.nii.gz")
+    for k, options in enumerate((("--field", "composite.h5", "--inverse"), ("--inverse", "--field", "composite.h5"))):
+        status, _, err = run("points", "seeds.csv", f"out{k}.csv", *on, *options)
+        assert status == 0, err
+        np.testing.assert_allclose(read_points(f"out{k}.csv").points, theirs, atol=1e-6)
+    assert run("points", "out0.csv", "back.csv", *on, "--field", "composite.h5")[0] == 0
+    np.testing.assert_allclose(read_points("back.csv").points, SEEDS, atol=1e-6)
+
+
+def test_points_go_where_the_picture_goes(run: Run, composite: sitk.Transform) -> None:
+    """Strokes and maps in any order are the map of supple warp; --inverse before them leads back."""
+    grid = media.grid_of("fixed.nii.gz")
+    field, turn = supple.read_maps("composite.h5")
+    d = Deformation(grid).grab((11, 12, 10), to=(13, 12, 10), radius=20)
+    d = d.affine(turn).field(field)  # type: ignore[arg-type]
+    options = ("--on", "fixed.nii.gz", *STROKE, "--field", "composite.h5")
+    assert run("points", "seeds.csv", "there.csv", *options)[0] == 0
+    there = read_points("there.csv").points
+    np.testing.assert_allclose(there, grid.positions(d.forward(grid.indices(SEEDS))), atol=1e-6)
+    assert run("points", "there.csv", "back.csv", "--inverse", *options)[0] == 0
+    np.testing.assert_allclose(read_points("back.csv").points, SEEDS, atol=1e-6)
+
+
+def test_markups_and_meshes(run: Run, composite: sitk.Transform) -> None:
+    corners = SEEDS.astype(np.float32)
+    lines = [" ".join(map(str, p)) for p in corners.tolist()]
+    Path("mesh.obj").write_text("".join(f"v {line}\n" for line in lines) + "f 1 2 3\n")
+    run_options = ("--on", "fixed.nii.gz", "--field", "composite.h5", "--inverse", "--convention", "lps")
+    status, _, err = run("points", "mesh.obj", "out.obj", *run_options)
+    assert status == 0, err
+    np.testing.assert_allclose(read_points("out.obj", mesh=True).points, through(composite, SEEDS), atol=1e-3)
+    Path("marks.fcsv").write_text(fcsv(SEEDS, "LPS"))
+    assert run("points", "marks.fcsv", "out.fcsv", *run_options[:-2])[0] == 0
+    np.testing.assert_allclose(read_points("out.fcsv").points, through(composite, SEEDS), atol=1e-3)
+
+
+def test_pictures_and_their_points(run: Run) -> None:
+    Path("p.csv").write_text("x,y\n10,12\n")
+    status, out, err = run("points", "p.csv", "q.csv", "--on", "in.png", "--affine", "1,0,2,0,1,-3", "--json")
+    assert status == 0, err
+    np.testing.assert_allclose(read_points("q.csv").points[:, :2], [[8, 15]], atol=1e-9)
+    assert json.loads(out)["displaced"][0] == pytest.approx(13**0.5)
+    assert run("plot", "in.png", "plot.png", "--affine", "1,0.02,2,-0.02,1,-3")[0] == 0
+    assert image.read("plot.png").pixels.std() > 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("points", "seeds.csv", "o.csv", "--on", "clip.mp4", "--affine", "1,0,2,0,1,3"), "fields and other grids are"),
+        (("plot", "clip.mp4", "o.png", "--affine", "1,0,2,0,1,3"), "fields and other grids are for pictures"),
+        (("view", "clip.mp4", "--affine", "1,0,2,0,1,3"), "fields and other grids are for pictures and volumes, and"),
+        (("points", "seeds.csv", "o.csv", "--on", "in.png", "--field", "composite.h5"), "composite.h5 is for volumes"),
+        (
+            ("points", "seeds.csv", "o.csv", "--on", "fixed.nii.gz", "--convention", "xyz", *STROKE),
+            "--convention of points must be LPS, RAS or index, found 'xyz'",
+        ),
+        (
+            (
+                "points",
+                "seeds.csv",
+                "o.csv",
+                "--on",
+                "fixed.nii.gz",
+                *STROKE,
+                "--convention",
+                "lps",
+                "--convention=RAS",
+            ),
+            "--convention of points is given as LPS and RAS",
+        ),
+        (("render", "fixed.nii.gz", "o.png", "--inverse"), "--inverse is for the --field or --affine before it"),
+        (
+            ("render", "fixed.nii.gz", "o.png", "--field", "composite.h5", "--mode", "exact"),
+            "with fields and affine maps, the volume is warped first",
+        ),
+        (("view", "fixed.nii.gz", *STROKE, "--field", "composite.h5"), "in the window, strokes come after fields and"),
+        (
+            ("points", "seeds.csv", "o.csv", "--on", "fixed.nii.gz"),
+            "nothing to do: give --grab X,Y:X,Y --radius",
+        ),
+    ],
+)
+def test_refusals(run: Run, composite: sitk.Transform, arguments: tuple[str, ...], said: str) -> None:
+    Path("clip.mp4").write_bytes(b"x")
+    status, _, err = run(*arguments, "--quiet") if arguments[0] != "view" else run(*arguments)
+    assert status == 2, err
+    assert one_line(err.splitlines(keepends=True)[-1]).startswith(f"supple: {said}"), err
+    assert not Path("o.csv").exists()
+    assert not Path("o.png").exists()
+
+
+def test_renderings_are_of_the_warped_volume(run: Run, composite: sitk.Transform) -> None:
+    volume = media.read("fixed.nii.gz")
+    maps = [Placed(each) for each in reversed(supple.read_maps("composite.h5"))]
+    d = Deformation.from_recipe(Recipe(), volume.grid, maps=maps)
+    seen = d.warp(volume.samples, filter="linear", outside="constant", fill=float(volume.samples.min()))
+    options = RenderOptions(size=(48, 48), density=(0.0, 9.0))
+    wanted = scene_of(media.Volume(seen, volume.geometry), options=options).render(size=(48, 48)).pixels(None)
+    status, _, err = run(
+        "render", "fixed.nii.gz", "out.png", "--field", "composite.h5", "--size", "48x48", "--density", "0,9"
+    )
+    assert status == 0, err
+    made = image.read("out.png").pixels
+    assert np.abs(made.astype(int) - wanted).mean() < 1
+    assert run("render", "fixed.nii.gz", "plain.png", "--size", "48x48", "--density", "0,9")[0] == 0
+    assert np.abs(image.read("plain.png").pixels.astype(int) - wanted).mean() > 5
+
+
+def test_the_window_shows_a_volume_through_its_maps() -> None:
+    samples = np.zeros((6, 8, 9), np.int16)
+    samples[3, 4, 5] = 100
+    shift = Affine([[1, 0, 0, 2], [0, 1, 0, 0], [0, 0, 1, 0]])
+    volume = media.Volume(samples, Geometry((2.0, 1.0, 1.0), convention="LPS"), scaling=(2.0, -10.0))
+    seen = _mapped(volume, ViewOptions(maps=(Placed(shift),)))
+    assert seen.rescaled()[3, 4, 4] == 190.0
+    assert np.count_nonzero(seen.samples) == 1
+    exported = ViewOptions(maps=(Placed(shift),)).export["maps"]
+    assert exported == (Placed(shift),)
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_ties_at_the_faces_of_a_field_are_decided_as_by_itk(n: int) -> None:
+    """The near face of the first sample is of the grid, and the far face of the last one is not."""
+    sizes = [5, 6, 4][:n]
+    values = np.zeros((*sizes[::-1], n))
+    values[..., 0] = 1.0
+    theirs = sitk.DisplacementFieldTransform(sitk.GetImageFromArray(values, isVector=True))
+    d = Deformation((20,) * n, border=None).field(supple.Field(values, supple.Grid(sizes[::-1])))
+    for axis, size in enumerate(sizes):
+        for place in (-0.5, size - 0.5, -0.5 - 1e-6, size - 0.5 - 1e-6):
+            point = [2.0] * n
+            point[axis] = place
+            wanted = theirs.TransformPoint(point)
+            np.testing.assert_allclose(d.inverse(np.array(point)).points, wanted, atol=1e-9, err_msg=str(point))
+            assert (wanted[0] == point[0]) == (place in (size - 0.5, -0.5 - 1e-6))
+
+
+def _put(name: str, samples: npt.NDArray[np.generic], shift: float = 0.0, **known: object) -> None:
+    place = Geometry((1.0, 1.0, 1.0), (shift, 0.0, 0.0), np.eye(3), "LPS")
+    media.write(name, samples, media.Volume(samples, place, **known))  # type: ignore[arg-type]
+
+
+TURN = ("--affine", "0.9,0.2,0,1,-0.2,0.9,0,2,0,0,1,0")
+
+
+@pytest.mark.parametrize("maps", [(), TURN])
+def test_what_lies_outside_of_a_volume_is_a_constant_on_the_grid_of_a_reference(
+    run: Run, maps: tuple[str, ...]
+) -> None:
+    rng = np.random.default_rng(1)
+    _put("moving.nii.gz", rng.integers(-700, 900, (8, 10, 12)).astype(np.int16), 3.0)
+    _put("fixed.nii.gz", np.zeros((10, 12, 30), np.uint8))
+    least = int(media.read("moving.nii.gz").samples.min())
+    reference = (*maps, "--reference", "fixed.nii.gz")
+    status, out, err = run("warp", "moving.nii.gz", "seen.nii.gz", *reference, "--json")
+    assert status == 0, err
+    assert json.loads(out)["background"] == least
+    assert f"what lies outside of moving.nii.gz is {least} in seen.nii.gz" in err
+    assert "warning" not in err
+    seen = media.read("seen.nii.gz").samples
+    np.testing.assert_array_equal(seen[:, :, 20:], least)
+    assert run("warp", "moving.nii.gz", "strict.nii.gz", *reference, "--strict")[0] == 0
+    for options, value in ((("--outside", "edge"), None), (("--fill", "7"), 7), (("--outside=constant",), 0)):
+        status, out, err = run("warp", "moving.nii.gz", "other.nii.gz", *reference, *options, "--json", "--force")
+        assert (status, "background" in json.loads(out), "what lies outside" in err) == (0, False, False)
+        far = media.read("other.nii.gz").samples[:, :, 22:]
+        assert (far == value).all() if value is not None else far.std() > 50
+    status, out, _ = run("warp", "moving.nii.gz", "own.nii.gz", *TURN, "--json")
+    assert (status, "background" in json.loads(out)) == (0, False)
+
+
+def test_the_constant_is_scaled_and_of_labels_it_is_0(run: Run) -> None:
+    counts = np.random.default_rng(1).integers(10, 90, (8, 10, 12)).astype(np.int16)
+    _put("fixed.nii.gz", np.zeros((8, 10, 30), np.uint8))
+    _put("plain.nii", counts)
+    header = nibabel.load("plain.nii").header
+    raw = bytearray(Path("plain.nii").read_bytes())
+    raw[112:120] = np.array([2.0, -1000.0], header["scl_slope"].dtype.newbyteorder(header.endianness)).tobytes()
+    Path("scaled.nii").write_bytes(raw)
+    status, out, _ = run("warp", "scaled.nii", "out.nii", "--reference", "fixed.nii.gz", "--json")
+    assert (status, json.loads(out)["background"]) == (0, 2.0 * counts.min() - 1000)
+    assert (media.read("out.nii").rescaled()[..., 15:] == 2.0 * counts.min() - 1000).all()
+    status, out, _ = run("warp", "plain.nii", "labels.nii", "--reference", "fixed.nii.gz", "--json", "--labels")
+    assert (status, json.loads(out)["background"]) == (0, 0.0)
+    assert (media.read("labels.nii").samples[..., 15:] == 0).all()
+    for source in ("plain.nii", "plain.zarr"):
+        if source == "plain.zarr":
+            assert run("warp", "plain.nii", source, "--resample", "1")[0] == 0
+        target = f"{Path(source).suffix[1:]}-out.zarr"
+        status, out, err = run("warp", source, target, "--reference", "fixed.nii.gz", "--json")
+        assert status == 0, err
+        assert json.loads(out)["background"] == (counts.min() if source == "plain.nii" else 0)
+
+
+def test_the_padding_of_dicom_lies_outside(tmp_path: Path) -> None:
+    head = pydicom.Dataset()
+    head.PixelPaddingValue, head.RescaleSlope, head.RescaleIntercept = 24, "1", "-1024"
+    head.file_meta = pydicom.dataset.FileMetaDataset()
+    head.file_meta.TransferSyntaxUID = pydicom.uid.ExplicitVRLittleEndian
+    head.file_meta.MediaStorageSOPClassUID = head.SOPClassUID = pydicom.uid.CTImageStorage
+    head.file_meta.MediaStorageSOPInstanceUID = head.SOPInstanceUID = pydicom.uid.generate_uid()
+    head.add_new(0x00280103, "US", 0)
+    path = str(tmp_path / "slice.dcm")
+    head.save_as(path, enforce_file_format=True)
+    samples = np.full((2, 3, 4), 40, np.int16)
+    volume = media.Volume(samples, PLACE, format="DICOM", header=(path,))
+    assert background_of(volume) == -1000.0
+    assert background_of(volume, labels=True) == 0.0
+    assert background_of(replace(volume, format="NIfTI")) == 40.0
