@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.plate import BACK, Plate, Sight
 from supple.errors import SuppleError
 from supple.media.image import Picture
+from supple.media.image.formats import meant, wrapped
 from supple.media.volume import Volume
 from supple.render.box import Box
 from supple.render.camera import Camera
@@ -306,18 +308,27 @@ class VolumeStage:
 
 
 def on_screen(picture: Picture) -> Pixels:
-    """Return an image's pixels as (rows, columns, 4), through its colour profile, if it has one."""
-    pixels = picture.pixels
-    if picture.icc and pixels.ndim == 3 and pixels.dtype in (np.uint8, np.uint16):
-        kind = "rgb16" if pixels.dtype == np.uint16 else "srgb"
-        kind = "cmyk" if picture.interpretation == "cmyk" else kind
-        image = pyvips.Image.new_from_array(pixels).copy(interpretation=kind)
-        image = image.mutate(lambda m: m.set_type(pyvips.GValue.blob_type, "icc-profile-data", picture.icc))
-        try:
-            return shown(np.asarray(image.icc_transform("srgb", embedded=True).numpy()), alpha=picture.alpha)
-        except pyvips.Error:  # an invalid profile, or one for other colours
-            pass
-    return shown(pixels, alpha=picture.alpha)
+    """Return an image's pixels as (rows, columns, 4) of sRGB, by its colour profile and the meaning of its channels."""
+    pixels, kind = picture.pixels, picture.interpretation
+    device = kind in ("cmyk", "lab", "labs")  # not grey or RGB
+    if picture.icc is None and not device:
+        return shown(pixels, alpha=picture.alpha)
+    deep = pixels.reshape(*pixels.shape[:2], -1)
+    colours = deep[..., :-1] if picture.alpha else deep
+    if colours.dtype.kind == "f" and not device:  # profiles are for whole numbers
+        colours = np.rint(np.clip(np.nan_to_num(colours), 0.0, 1.0) * 65535).astype(np.uint16)
+    image = wrapped(np.ascontiguousarray(colours), kind if device else meant(colours.dtype, colours.shape[2], ""), 16)
+    made = None
+    if picture.icc is not None:
+        image.set_type(pyvips.GValue.blob_type, "icc-profile-data", picture.icc)
+        with contextlib.suppress(pyvips.Error):  # an invalid profile, or one for other colours
+            made = image.icc_transform("srgb", embedded=True).numpy()
+    if made is None and device:
+        made = image.colourspace("srgb").numpy()
+    out = shown(colours if made is None else np.asarray(made), alpha=False)
+    if picture.alpha:
+        out[..., 3] = _eight(deep[..., -1])
+    return out
 
 
 def shown(array: npt.NDArray[Any], *, alpha: bool | None = None) -> Pixels:
