@@ -43,7 +43,7 @@ def warped(source: Path | str, target: str, *options: str) -> None:
 def test_pyvips(folder: Path, suffix: str) -> None:
     import pyvips
 
-    from supple.viewer.panels.stages import on_screen
+    from supple.viewer.panels.transforms import on_screen
 
     profile = bytes(pyvips.Operation.call("profile_load", "p3"))
     made = pyvips.Image.new_from_array(PICTURE).copy(interpretation="srgb", xres=4, yres=4)

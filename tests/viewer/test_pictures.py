@@ -14,7 +14,7 @@ from PIL import Image, ImageCms
 
 from supple.engines.wgpu.device import Gpu
 from supple.media.image import read
-from supple.viewer.panels.stages import on_screen
+from supple.viewer.panels.transforms import on_screen
 from tests.viewer.windows import opened, wait_for
 
 Array = np.ndarray[Any, Any]

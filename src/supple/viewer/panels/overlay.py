@@ -109,8 +109,8 @@ def _timeline(view: View, stage: VideoStage) -> None:
     if changed:
         playback.seek(frame)
     _marked(playback)
-    for frame, selected in tools.stroke_frames.items():
-        x, high = round(_at_frame(frame, playback)) + 0.5, imgui.get_item_rect_max()
+    for at, selected in tools.stroke_frames.items():
+        x, high = round(_at_frame(at, playback)) + 0.5, imgui.get_item_rect_max()
         imgui.get_window_draw_list().add_line((x, high.y - 6), (x, high.y), theme.BLUE if selected else theme.SOFT, 2.0)
     hint("The frame; below it, where strokes are. I and O mark the part that is played, U removes the marks")
     imgui.same_line(0, 12)

@@ -11,6 +11,8 @@ from supple.viewer.panels import history, legend, menu, question, strokes, theme
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.icons import cross
 from supple.viewer.panels.overlay import certified
+from supple.viewer.panels.stages import ImageStage
+from supple.viewer.panels.transforms import TRANSFORMS
 from supple.viewer.panels.view import FROZEN, STRIP, WIDE, View
 from supple.viewer.panels.widgets import REST, elided, hint, icon_button, label, primary, section, slider, wrapped
 
@@ -64,6 +66,14 @@ def _seeing(view: View) -> None:
         view.overlay = names[index]
         view.refresh()
     legend.draw(view)
+    stage = view.stage
+    if isinstance(stage, ImageStage):
+        label("Colours", "The view transform: how linear and HDR values are shown. An export keeps the values")
+        known = list(TRANSFORMS)
+        changed, index = imgui.combo("##transform", known.index(stage.transform), list(TRANSFORMS.values()))
+        if changed:
+            stage.set_transform(known[index])
+            view.refresh()
     compared = view.document.compared is not None
     what = "Step A of the history" if compared else "The original"
     label("Compare", f"{what} to the left of a line, the result to the right of it")

@@ -22,7 +22,7 @@ from supple.files.landmarks import read_landmarks
 from supple.files.renders import default_transfer
 from supple.files.volumes import VolumeOptions, in_space, is_volume_job, open_volume
 from supple.geometry import Geometry, check_upright
-from supple.media.image import read
+from supple.media.image import Picture, read
 from supple.media.volume import Volume
 from supple.render.camera import Camera
 from supple.strokes import Fit, Recipe, fit_recipe
@@ -30,8 +30,8 @@ from supple.viewer.document.editing import Document
 from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.panels.frame_cache import FrameCache
 from supple.viewer.panels.slices import first_window
-from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage, on_screen
-from supple.viewer.panels.stages import shown as as_pixels
+from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage
+from supple.viewer.panels.transforms import shown as as_pixels
 from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.drags import Pair
 from supple.viewer.tools.playback import Playback
@@ -103,7 +103,7 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
         _suits(name, options, moves=moves)
         if moves:
             return VideoStage(gpu, FrameCache(source), options.time_scale)
-        pixels = on_screen(read(source))
+        pictured: Picture | npt.NDArray[np.uint8] = read(source)
     else:
         name, array = "the array", np.asarray(source)
         if array.ndim not in (2, 3) or 0 in array.shape or array.dtype.kind not in "biuf":
@@ -116,9 +116,9 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
             x, y, z = (length("spacing", v) for v in point("spacing", options.spacing, (3,)))
             volume = Volume(array, Geometry(spacing=(x, y, z)), name, "array")
             return VolumeStage(gpu, volume, default_transfer(volume))
-        pixels = as_pixels(array)
+        pictured = as_pixels(array)
     try:
-        return ImageStage(gpu, name, pixels)
+        return ImageStage(gpu, name, pictured)
     except MemoryError as error:
         raise SuppleError(f"{name} cannot be shown: {error}") from None
 
