@@ -37,7 +37,7 @@ class Affine:
         try:
             given = np.asarray(matrix)
             if given.dtype.kind == "c":
-                refuse("matrix", wanted, "complex numbers")
+                refuse("matrix", wanted, told="complex numbers")
             given = np.array(given, np.float64)
         except (TypeError, ValueError):
             refuse("matrix", wanted, matrix)

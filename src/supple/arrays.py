@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,6 +18,7 @@ from supple.errors import SuppleError, ToleranceWarning
 from supple.pipeline import Arrays, Tell, run, sampled
 
 _MOST_POINTS = 1 << 18  # points in one call of a function
+_WEIGHTLESS = 1e-6  # a weight that rounding leaves
 _SLAB = 1 << 20  # bytes of a slab whose range is computed or clamped
 
 
@@ -72,24 +74,99 @@ def warp_array(
     """
     engine = engine_at(source)
     held = engine.taken(source, "source")
-    work = work_of(held, space, sampling, alpha)
     if engine is not NATIVE:
+        work = work_of(held, space, sampling, alpha)
         if clamp:
             refuse("clamp", "False for an array on a CUDA device: clip the result there", clamp)
         return _on_device(engine, held, work, device, out)
+    work = work_of(held, space, sampling, alpha, finite=False)
+    fills = np.asarray(work.sampling.fill)
+    constant = sampling.outside == "constant"
+    if endless := not np.isfinite(fills).all():  # averages take the edge's values, and what is beyond is filled later
+        sampling = replace(sampling, outside="edge" if constant else sampling.outside, fill=0.0)
+        work = work_of(held, space, sampling, alpha)
     engine = engine_for(device, work)
     result = engine.result(out, held, shape_of(held, work))
-    frames, planes = (Arrays((_as_frames(a, len(space.whole)),)) for a in (held, result))
+    own = held
+    if gaps := not space.is_identity and sampling.filter != "nearest" and _has_gaps(held):
+        own = np.where(np.isfinite(held), held, held.dtype.type(0))
+    frames, planes = (Arrays((_as_frames(a, len(space.whole)),)) for a in (own, result))
     done = run(frames, planes, work, engine, tell=tell)
     if clamp and not space.is_identity:
         clamp_to(held, result, work.sampling)
+
+    def weights(marks: Array, outside: str) -> Array:
+        plain = replace(sampling, light=False, outside=outside, fill=0.0)
+        return np.asarray(warp_array(marks.astype(np.float32), space, plain, alpha=False, device=device)[0])
+
+    if gaps:
+        _mark(held, result, lambda marks: weights(marks, sampling.outside), work.layout.groups[0].alpha)
+    if endless and constant and not space.is_identity:
+        beyond = weights(np.ones(space.whole), "constant") < 0.5
+        result[beyond] = fills if result.ndim > beyond.ndim else fills[0]
     return result, done.certificate
 
 
-def work_of(held: Any, space: Space, sampling: Sampling, alpha: bool | None) -> Work:
+def _has_gaps(array: Array) -> bool:
+    """Return whether any sample is NaN or infinite."""
+    if array.dtype.kind != "f":
+        return False
+    return any(not np.isfinite(part.min()) or not np.isfinite(part.max()) for part in _slabs(array))
+
+
+def _mark(source: Array, result: Array, weights: Callable[[Array], Array], alpha: bool) -> None:
+    """Store NaN and infinities where those of the source have a weight, whatever its sign."""
+
+    def touched(marks: Array) -> Array:
+        marks = marks | marks[..., -1:] if alpha else marks
+        return np.abs(weights(marks)) > _WEIGHTLESS if marks.any() else np.zeros(result.shape, bool)
+
+    high, low = touched(source == np.inf), touched(source == -np.inf)
+    result[high], result[low] = np.inf, -np.inf
+    result[touched(np.isnan(source)) | (high & low)] = np.nan
+
+
+def warp_picture(
+    picture: Any, space: Space, sampling: Sampling, *, clamp: bool, device: str, regridded: bool, name: str = ""
+) -> tuple[Any, Certificate]:
+    """Sample all pages of a picture, a `supple.media.image.Picture`, each channel as what it is.
+
+    Parameters
+    ----------
+    picture : Picture
+    space, sampling, clamp, device
+        As in `warp_array`; the space is of all pages.
+    regridded : bool
+        Whether the grid of the output is another one.
+    name : str
+        The name of the picture, for warnings.
+
+    Returns
+    -------
+    Picture
+        With new pixels.
+    Certificate
+        The accuracy of the map.
+    """
+    found = Certificate(0.0, 0.0)
+
+    def warp(pixels: Array, alpha: bool) -> Array:
+        nonlocal found
+        made, certificate = warp_array(pixels, space, sampling, alpha=alpha, device=device)
+        found |= certificate
+        if clamp and not space.is_identity:
+            for before, after in zip(pixels, made, strict=True) if picture.pages > 1 else ((pixels, made),):
+                clamp_to(before, after, sampling)  # each page by itself
+        return np.asarray(made)
+
+    averaged = sampling.filter != "nearest" and not space.is_identity
+    return picture.warped(warp, regridded=regridded, averaged=averaged, name=name), found
+
+
+def work_of(held: Any, space: Space, sampling: Sampling, alpha: bool | None, *, finite: bool = True) -> Work:
     """Return the work on an image or on frames; SuppleError if they do not fit."""
     layout = Layout.of_array(held.shape, held.dtype, space.whole, alpha=alpha, light=sampling.light)
-    return Work(space, layout, sampling.filled(layout.groups[0].channels, held.dtype))
+    return Work(space, layout, sampling.filled(layout.groups[0].channels, held.dtype, finite=finite))
 
 
 def shape_of(held: Any, work: Work) -> tuple[int, ...] | None:
@@ -223,7 +300,9 @@ def clamp_to(source: Array, result: Array, sampling: Sampling) -> None:
     if low > high:  # no finite value
         return
     if sampling.outside == "constant":
-        fill = [float(value) for value in np.ravel(sampling.fill)]
+        fills = [float(value) for value in np.ravel(sampling.fill)]
+        fill = [value for value in fills if np.isfinite(value)] or [float(low)]
+        infinite = infinite or fill != fills
         if result.dtype.kind in "iu":
             least, most = np.iinfo(result.dtype).min, np.iinfo(result.dtype).max
             fill = [min(max(round(value), least), most) for value in fill]

@@ -30,7 +30,6 @@ from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Strok
 _HIT = 1e-6  # samples: a point of a pull that is as near as this has arrived
 
 Floats = npt.NDArray[np.float64]
-Source = npt.NDArray[Any] | Callable[[Floats], npt.ArrayLike]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -932,7 +931,7 @@ class Deformation:
 
     def warp(
         self,
-        source: Source,
+        source: Any,
         *,
         filter: str = "auto",
         tolerance: float = 0.01,
@@ -947,14 +946,16 @@ class Deformation:
         device: str = "cpu",
         out: npt.NDArray[Any] | None = None,
         grid: Grid | None = None,
-    ) -> npt.NDArray[Any]:
+    ) -> Any:
         """Warp an image, a stack of frames, or a function of points.
 
         Parameters
         ----------
-        source : array of shape (H, W[, C]) or (T, H, W[, C]), or function
-            Of bool, integers or floats. Frames are read, and their results written, a few at a time, so that both
-            may be memory-mapped. An array on an NVIDIA GPU (PyTorch's, CuPy's, Numba's, or any with DLPack or
+        source : array of shape (H, W[, C]) or (T, H, W[, C]), function, or Picture
+            A picture, as `supple.media.image.read` returns it, says itself which channel is opacity; for its array
+            alone, ``alpha`` has to say so. Arrays are of bool, integers or floats. Frames are read, and their results
+            written, a few at a time, so that both may be memory-mapped. An array on an NVIDIA GPU (PyTorch's, CuPy's,
+            Numba's, or any with DLPack or
             ``__cuda_array_interface__``) is warped there, on its library's current stream. A function takes points
             (N, 2), x first, and returns (N,) or (N, C).
         filter : str
@@ -998,7 +999,7 @@ class Deformation:
 
         Returns
         -------
-        array
+        array or Picture
             The result, of the source's shape, or the grid's, and type. An exact copy if the map is the identity.
 
         Raises
@@ -1012,9 +1013,11 @@ class Deformation:
             If the checks of the map's cells do not promise the tolerance everywhere.
         DeviceWarning
             If the GPU failed, and the CPU took over.
+        GapWarning
+            If samples of a picture are NaN, infinite or marked as no data.
         """
         # Imported here to keep `import supple` fast.
-        from supple.arrays import warp_array, warp_function
+        from supple.arrays import warp_array, warp_function, warp_picture
 
         sampling = Sampling.checked(
             self.ndim, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light,
@@ -1040,9 +1043,17 @@ class Deformation:
             return warp_function(source, self.space, samples, out)
         if samples != 1:
             refuse("samples", "left out for an array: it is for a function of points", samples)
-        made, certificate = warp_array(source, space, sampling, alpha=alpha, clamp=clamp, device=device, out=out)
+        if hasattr(source, "warped"):
+            if alpha is not None or out is not None:
+                raise SuppleError("alpha and out are for arrays, and a picture says itself what its channels are")
+            space = replace(space, count=space.count * getattr(source, "pages", 1))
+            made, certificate = warp_picture(
+                source, space, sampling, clamp=clamp, device=device, regridded=grid is not None
+            )
+        else:
+            made, certificate = warp_array(source, space, sampling, alpha=alpha, clamp=clamp, device=device, out=out)
         warn_of(certificate, sampling.tolerance, 3)
-        return made  # type: ignore[no-any-return]
+        return made
 
     def report(self, *, tolerance: float = 0.01, plane: int | None = None, grid: Grid | None = None) -> Report:
         """Report on the strokes and the certified error of the inverse map.

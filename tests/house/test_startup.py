@@ -105,3 +105,9 @@ def test_help_says_what_every_command_does(arguments: list[str], capsys: pytest.
         "Check a displ",
     ):
         assert line in said
+
+
+def test_only_public_names_are_listed() -> None:
+    import supple
+
+    assert {name for name in dir(supple) if not name.startswith("__")} == set(supple.__all__)

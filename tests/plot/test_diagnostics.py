@@ -14,6 +14,7 @@ import pytest
 
 from supple import Deformation, Stroke, SuppleError
 from supple.engines import paper
+from supple.media.image import Picture
 from supple.plot import WHATS, figure, footprints, grid, iterations, plot, residual, sources, stretch
 from supple.plot.background import background
 from supple.plot.frame import paths
@@ -201,6 +202,14 @@ def test_any_image_can_lie_below(image: npt.NDArray[Any], expected: float) -> No
     shown = background(Deformation((60, 80), border=64, on_fold="damp"), image)
     assert shown.shape == (60, 80, 3)
     np.testing.assert_allclose(shown, expected, atol=1e-6)
+
+
+def test_a_picture_in_inks_lies_below_in_its_colours() -> None:
+    inks = np.full((40, 60, 4), (0, 255, 255, 0), np.uint8)  # red, without black
+    below = background(Deformation((40, 60)), Picture(inks, interpretation="cmyk"))
+    assert below.shape == (40, 60, 3)
+    assert below[0, 0, 0] > 0.7
+    assert below[0, 0, 1:].max() < 0.3
 
 
 def test_values_beyond_a_unit_are_spread() -> None:

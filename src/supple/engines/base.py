@@ -261,12 +261,12 @@ class Layout:
             If the array does not fit the deformation, or its type is not supported.
         """
         if dtype.kind not in "biuf" or dtype.itemsize > 8:
-            refuse("source", "an array of bool, integers or floats of up to 64 bits", f"dtype {dtype}")
+            refuse("source", "an array of bool, integers or floats of up to 64 bits", told=f"dtype {dtype}")
         axes = len(whole)
         if shape[:axes] != whole or len(shape) not in (axes, axes + 1) or 0 in shape:
             sizes = ", ".join(map(str, whole))
             wanted = f"of shape ({sizes}) or ({sizes}, channels), as the deformation is{colours_hint(whole)}"
-            refuse("source", wanted, f"shape {shape}")
+            refuse("source", wanted, told=f"shape {shape}")
         channels = shape[axes] if len(shape) > axes else 1
         if alpha is not None and not isinstance(alpha, bool | np.bool_):
             refuse("alpha", "True or False, or None to have it guessed", alpha)
@@ -329,8 +329,10 @@ class Sampling:
             refuse("between", '"nearest" under filter="nearest", which keeps values as they are', between)
         return cls(filter, between, averaged, outside, fill, light, tolerance)
 
-    def filled(self, channels: int, dtype: np.dtype[Any]) -> Sampling:
+    def filled(self, channels: int, dtype: np.dtype[Any], *, finite: bool = True) -> Sampling:
         """Return a copy with one fill value for each channel, rounded to the sample type.
+
+        Averages take finite ones only; `supple.arrays.warp_array` fills with others afterwards.
 
         Raises
         ------
@@ -341,8 +343,11 @@ class Sampling:
             values = np.asarray(self.fill, np.float64)
         except (TypeError, ValueError):
             refuse("fill", "a number, or one for each channel", self.fill)
-        if values.shape not in ((), (1,), (channels,)) or not np.isfinite(values).all():
+        if values.shape not in ((), (1,), (channels,)):
             refuse("fill", f"a number, or {channels} of them, one for each channel", self.fill)
+        if (finite or dtype.kind != "f") and not np.isfinite(values).all():
+            place = "this kind of work" if dtype.kind == "f" else f"samples of {dtype}"
+            refuse("fill", f"finite for {place}", self.fill)
         if dtype.kind in "iu":
             values = np.clip(values, np.iinfo(dtype).min, np.iinfo(dtype).max)
         return replace(self, fill=tuple(np.broadcast_to(values, (channels,)).tolist()))

@@ -225,7 +225,7 @@ class Native:
         if not isinstance(given, np.ndarray):
             refuse("out", wanted, given)
         if out.shape != shape or out.dtype != held.dtype:
-            refuse("out", wanted, f"{out.dtype} of shape {out.shape}")
+            refuse("out", wanted, told=f"{out.dtype} of shape {out.shape}")
         if not out.flags.writeable:
             raise SuppleError("out must be an array that can be written, found a read-only one")
         if np.may_share_memory(out, held) or _same_bytes(out, held):
@@ -459,7 +459,7 @@ def _rows(space: Space, points: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]
     except (TypeError, ValueError):
         refuse("points", f"numbers in an array of shape (..., {n})", points)
     if given.ndim == 0 or given.shape[-1] != n:
-        refuse("points", f"an array of shape (..., {n}), x first", f"shape {given.shape}")
+        refuse("points", f"an array of shape (..., {n}), x first", told=f"shape {given.shape}")
     if not np.isfinite(given).all():
         raise SuppleError("points must be finite, found NaN or infinity among them")
     rows = np.zeros((given.size // n, 3))

@@ -11,9 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
-from supple.arrays import clamp_to, warp_array
+from supple.arrays import warp_picture
 from supple.deformation import Deformation, Report
 from supple.domain import choice, refuse
 from supple.engines.base import Sampling, warn_of
@@ -242,26 +240,18 @@ def warp_file(
             with replacing(target, force=force) as place:
                 shutil.copyfile(source, place)
             return Warped(Path(source), Path(target), deformation, tolerance)
-        rows, columns = space.out[-2:]
-        pixels = np.empty((rows * picture.pages, columns, *picture.pixels.shape[2:]), picture.pixels.dtype)
-        bounded = pixels.dtype.kind == "f" if clamp is None else clamp
-        pages = picture.pixels.reshape(*space.whole, *pixels.shape[2:])
-        out = pixels.reshape(*space.out, *pixels.shape[2:])
         sampling = Sampling.checked(
             2, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light
         )
-        _, certificate = warp_array(pages, space, sampling, alpha=picture.alpha, device=device, out=out)
-        if bounded and not space.is_identity:
-            for k in range(picture.pages):  # each by itself
-                clamp_to(picture.pixels[k * height : (k + 1) * height], pixels[k * rows : (k + 1) * rows], sampling)
-        warn_of(certificate, tolerance, 3, folds_of(maps), only_name(maps))
-        # Only the header of the input is still needed: free its pixels for the encoder.
-        like = replace(picture, pixels=np.empty((0, *picture.pixels.shape[1:]), picture.pixels.dtype))
-        del picture, pages
+        bounded = picture.pixels.dtype.kind == "f" if clamp is None else clamp
+        picture, found = warp_picture(
+            picture, space, sampling, clamp=bounded, device=device, regridded=regrid is not None, name=shown(source)
+        )
+        warn_of(found, tolerance, 3, folds_of(maps), only_name(maps))
         begin("write")
-        write(target, pixels, like=like, quality=quality, lossless=lossless, force=force)
-    found = certificate.folded, certificate.outside, certificate.unknown
-    return Warped(Path(source), Path(target), deformation, tolerance, regrid, *found)
+        write(target, picture.pixels, like=picture, quality=quality, lossless=lossless, force=force)
+    points = found.folded, found.outside, found.unknown
+    return Warped(Path(source), Path(target), deformation, tolerance, regrid, *points)
 
 
 def check_job(

@@ -108,11 +108,11 @@ def plot_file(
         raise SuppleError(f"{shown(source)} is taken for a picture, which has no time: leave out what is for videos")
     from supple.media.image import read
 
-    pixels = read(source).pixels
-    height, width = pixels.shape[:2]
+    picture = read(source)
+    height, width = picture.pixels.shape[:2]
     fitted = fit_recipe(recipe, (width, height), fit, shown(source))
     deformation = Deformation.from_recipe(fitted, (height, width))
-    plot(deformation, what, target, image=pixels, force=force)
+    plot(deformation, what, target, image=picture, force=force)
     return deformation
 
 

@@ -383,7 +383,7 @@ def warp_volume(
         check_target(target, like, force=force)
     space = deformation.space_on(regrid, volume.grid)
     frames = volume.samples[0] if volume.series else volume.samples
-    engine_for(device, work_of(frames, space, sampling, alpha=False))  # raise its errors now
+    engine_for(device, work_of(frames, space, sampling, alpha=False, finite=False))  # raise its errors now
     _warn_of_gaps(volume, sampling.filter)
     mixed = not deformation.is_identity or not (regrid is None or regrid.uncropped().is_same_space(volume.grid))
     if sampling.filter != "nearest" and mixed:

@@ -22,8 +22,8 @@ from supple.media import image as pictures
 from supple.media.base import Clip, ClipWarning
 from supple.media.files import PathLike, check_outputs, replacing_all
 from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture
-from supple.media.image.formats import DTYPES
-from supple.media.image.headers import collected, facts, has_alpha
+from supple.media.image.formats import DTYPES, divided
+from supple.media.image.headers import collected, extra_of, facts
 from supple.media.image.vips import apart, decoded, opened, reading, sequential, widen
 from supple.media.numbering import (
     first_number,
@@ -53,6 +53,8 @@ class _Still:
         _, orientation, bits = facts(image)
         with reading(self.path):
             pixels = apart(lambda: decoded(image, orientation), image)
+        if extra_of(image) == (1,) and self.layout.groups[0].alpha:
+            pixels = divided(pixels)
         np.copyto(arrays[0], pixels.reshape(arrays[0].shape))
         if form in ("AVIF", "HEIF") and 8 < bits < 16:
             widen(arrays[0], bits)
@@ -73,7 +75,7 @@ class Pictures:
         self.name, self.paths, self.rate, self.first = name, paths, rate, first
         image, self.format = opened(paths[0])
         self.layout = _layout(paths[0], image)
-        self.interpretation: str = image.interpretation
+        self.interpretation, self.extra = str(image.interpretation), _extra(image)
         if facts(image)[0] > 1:
             text = f"{shown(paths[0])} holds several pages or frames, and only one of each picture is read"
             warnings.warn(text, PageWarning, stacklevel=3)
@@ -95,7 +97,7 @@ class Pictures:
 
         Colours are not converted, whatever their profile; floats are clipped to 0 to 1.
         """
-        pixels = arrays[0][..., :-1] if self.layout.groups[0].alpha else arrays[0]
+        pixels = arrays[0][..., : self.layout.groups[0].channels - len(self.extra)]
         if pixels.shape[2] not in (1, 3) or self.interpretation == "cmyk":
             raise SuppleError(f"{self.name} holds neither grey nor RGB pictures: convert them first")
         white, dtype = (65535, np.uint16) if deep else (255, np.uint8)
@@ -114,7 +116,8 @@ class Pictures:
         icc = header.pop("icc-profile-data", None)
         channels = (group.channels,) if group.channels > 1 else ()
         empty = np.empty((0, group.shape[1], *channels), self.layout.dtype)
-        return Picture(empty, group.alpha, icc, bits, form, image.interpretation, 1, header), lost
+        extra = _extra(image)
+        return Picture(empty, group.alpha, icc, bits, form, image.interpretation, 1, header, extra), lost
 
     def info(self) -> dict[str, object]:
         """Return the facts for `supple info`."""
@@ -154,7 +157,8 @@ class Animation(Pictures):
         self.starts = list(itertools.accumulate((max(1, delay) for delay in delays), initial=0))
         if len(self.starts) != pages + 1:
             self.starts = [100 * k for k in range(pages + 1)]
-        self.name, self.first, self.interpretation = shown(path), None, image.interpretation
+        self.name, self.first, self.interpretation = shown(path), None, str(image.interpretation)
+        self.extra = _extra(image)
         self.paths = [self._path.with_name(f"{k + 1:05d}.png") for k in range(pages)]  # the names as a sequence
         self.rate = Fraction(1000 * pages, self.starts[-1])
         self.layout = _layout(self._path, image)
@@ -241,13 +245,21 @@ def _rate(rate: float | Fraction) -> Fraction:
     return known.limit_denominator(100_000)
 
 
+def _extra(image: Any) -> tuple[int, ...]:
+    """Return the meanings of the channels above the colours; integers multiplied by opacity are divided by it."""
+    extra = extra_of(image)
+    return (2,) if extra == (1,) and np.dtype(DTYPES[image.format]).kind == "u" else extra
+
+
 def _layout(path: Path, image: Any) -> Layout:
     _, orientation, _ = facts(image)
     shape = (image.width, image.height) if orientation >= 5 else (image.height, image.width)
     dtype = np.dtype(DTYPES[image.format])
     if dtype.name not in _WHITE:
         raise SuppleError(f"{shown(path)} holds {dtype} values: a frame must be of uint8, uint16 or float32")
-    return Layout((Group(shape, image.bands, alpha=has_alpha(image)),), dtype, _WHITE[dtype.name])
+    if len(extra := _extra(image)) > 1 and 2 in extra:
+        raise SuppleError(f"{shown(path)} has opacity and other channels beside it: a frame may have one of them")
+    return Layout((Group(shape, image.bands, alpha=extra == (2,)),), dtype, _WHITE[dtype.name])
 
 
 def _require(path: Path, found: Layout, wanted: Layout, like: str) -> None:

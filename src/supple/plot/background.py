@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,23 +11,31 @@ from supple.deformation import Deformation
 from supple.errors import SuppleError
 from supple.plot.measure import spacing_of
 
+if TYPE_CHECKING:
+    from supple.media.image import Picture
+
 _MOST_PIXELS = 1 << 21  # the largest resolution of a plot
 
 
-def background(deformation: Deformation, image: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+def background(deformation: Deformation, image: npt.NDArray[Any] | Picture) -> npt.NDArray[np.float32]:
     """Return the deformed image as RGB from 0 to 1.
 
     Parameters
     ----------
     deformation : Deformation
-    image : array of shape (H, W), (H, W, 1), or with alpha, RGB or RGBA (H, W, 2 to 4)
-        Of any type of `Deformation.warp`. For a video, a frame of the output, which is deformed already.
+    image : array of shape (H, W), (H, W, 1), or with alpha, RGB or RGBA (H, W, 2 to 4), or Picture
+        Of any type of `Deformation.warp`; a picture of any colours is converted. For a video, a frame of the output,
+        which is deformed already.
 
     Returns
     -------
     float32 array, shape (h, w, 3)
         Reduced if the image is large.
     """
+    if not isinstance(image, np.ndarray) and hasattr(image, "warped"):
+        from supple.media.image.display import in_srgb
+
+        image = in_srgb(image).pixels
     array = np.asarray(image)
     if deformation.ndim == 3 and (array.shape[:2] != deformation.shape[1:] or array.ndim > 3):
         height, width = deformation.shape[1:]

@@ -34,6 +34,8 @@ from supple.plot.frame import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from supple.media.image import Picture
+
 WHATS = ("iterations", "residual", "stretch", "axes", "grid")
 
 _BLUE = "#33628d"
@@ -46,7 +48,7 @@ def plot(
     what: str,
     path: str | os.PathLike[str],
     *,
-    image: npt.NDArray[Any] | None = None,
+    image: npt.NDArray[Any] | Picture | None = None,
     frame: int | None = None,
     force: bool = False,
 ) -> None:
@@ -73,7 +75,7 @@ def plot(
 
 
 def figure(
-    deformation: Deformation, what: str, *, image: npt.NDArray[Any] | None = None, frame: int | None = None
+    deformation: Deformation, what: str, *, image: npt.NDArray[Any] | Picture | None = None, frame: int | None = None
 ) -> Figure:
     """Plot a deformation.
 
@@ -85,7 +87,7 @@ def figure(
         ``"iterations"``: the iterations of each pixel, by the published method and by ours. ``"residual"``: the error
         of the inverse map. ``"stretch"``: expansion and contraction. ``"axes"``: the direction and the amount of the
         largest contraction. ``"grid"``: straight lines, warped; and for a video, the time of the source of each pixel.
-    image : array, optional
+    image : array or Picture, optional
         The image before it is deformed, which is shown (deformed) below the stretch, the axes or the grid. For a video,
         the frame of the output.
     frame : int, optional

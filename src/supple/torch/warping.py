@@ -122,7 +122,7 @@ def warp(
     if (wanted or strokes_wanted) and filter not in SMOOTH:
         refuse("filter", '"linear", "cubic" or "nearest" where gradients are needed', filter)
     if strokes_wanted and not tensor.is_floating_point():
-        refuse("tensor", "of floats where strokes need gradients", str(tensor.dtype))
+        refuse("tensor", "of floats where strokes need gradients", told=str(tensor.dtype))
     channels = tensor.shape[-axes - 1] if tensor.ndim > axes else 1
     colours = np.asarray(sampling.filled(channels, np.dtype(np.float64)).fill)
     if tensor.numel() == 0:

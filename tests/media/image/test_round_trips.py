@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+import supple
 from supple.media.image import (
     DepthWarning,
     PageWarning,
@@ -223,10 +224,17 @@ class TestColours:
         write(tmp_path / "out.png", pixels, alpha=True)
         np.testing.assert_array_equal(read(tmp_path / "out.png").pixels, pixels)
 
-    def test_premultiplied_alpha_becomes_straight(self, tmp_path):
+    def test_premultiplied_colours_stay_so_in_tiff_alone(self, tmp_path):
         pixels = np.full((8, 8, 4), (200, 100, 50, 128), np.uint8)
         save(tmp_path / "in.tif", pixels, premultiply=True)
-        assert np.abs(read(tmp_path / "in.tif").pixels.astype(int) - pixels).max() <= 1
+        picture = read(tmp_path / "in.tif")
+        assert (picture.alpha, picture.extra) == (False, (1,))
+        np.testing.assert_array_equal(picture.pixels, np.full((8, 8, 4), (100, 50, 25, 128)))
+        for suffix in (".tif", ".png"):
+            write(tmp_path / f"out{suffix}", picture.pixels, like=picture)
+        assert read(tmp_path / "out.tif").extra == (1,)
+        np.testing.assert_array_equal(read(tmp_path / "out.tif").pixels, picture.pixels)
+        assert np.abs(read(tmp_path / "out.png").pixels.astype(int) - pixels).max() <= 1
 
 
 class TestPages:
@@ -253,3 +261,18 @@ class TestPages:
         np.testing.assert_array_equal(picture.pixels, noise("u2", 30, 12)[:10])
         write(tmp_path / "out.tif", picture.pixels, like=picture)
         assert info(tmp_path / "out.tif")["pages"] == 1
+
+    def test_a_picture_is_warped_as_what_it_is(self, tmp_path):
+        pixels = noise("u1", 32, 40, 4)
+        image = pyvips.Image.new_from_array(pixels, interpretation="cmyk").copy()
+        image.set_type(BLOB, "icc-profile-data", CMYK)
+        image.tiffsave(str(tmp_path / "in.tif"))
+        picture = read(tmp_path / "in.tif")
+        d = supple.Deformation((32, 40)).grab((20, 16), by=(4, 1), radius=6)
+        made = d.warp(picture)
+        np.testing.assert_array_equal(made.pixels, d.warp(pixels, alpha=False))
+        write(tmp_path / "out.tif", made)
+        again = read(tmp_path / "out.tif")
+        assert (again.interpretation, again.icc) == ("cmyk", CMYK)
+        np.testing.assert_array_equal(again.pixels, made.pixels)
+        assert "a picture says itself what its channels are" in refused(d.warp, picture, alpha=True)

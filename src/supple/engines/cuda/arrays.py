@@ -252,7 +252,7 @@ def checked_out(out: Any, source: DeviceArray, shape: tuple[int, ...]) -> Device
         refuse("out", wanted, out)
     target = taken(out, "out")
     if target.shape != shape or target.dtype != source.dtype or target.gpu.number != source.gpu.number:
-        refuse("out", wanted, f"{target.dtype} of shape {target.shape} on GPU {target.gpu.number}")
+        refuse("out", wanted, told=f"{target.dtype} of shape {target.shape} on GPU {target.gpu.number}")
     if not target.writable:
         raise SuppleError("out must be an array that can be written, found a read-only one")
     if 0 in (s for s, n in zip(target.strides, target.shape, strict=True) if n > 1):

@@ -74,7 +74,7 @@ class Warping:
 def start(work: Work, source: DeviceArray, out: DeviceArray, *, slab: int | None = None, stream: Any = None) -> Warping:
     """Start a warp on a stream, by default one of its own; it begins after earlier work of the arrays' streams."""
     if source.size == 0:
-        refuse("source", "a batch of one item or more", f"shape {source.shape}")
+        refuse("source", "a batch of one item or more", told=f"shape {source.shape}")
     space, layout, sampling, batch = work.space, work.layout, work.sampling, work.items is not None
     coloured = source.ndim > len(space.whole) + batch
     # Images are the planes of one launch; of stacks, each is painted by itself.

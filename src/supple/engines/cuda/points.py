@@ -19,9 +19,9 @@ from supple.engines.native import CONVERGED
 def _columns(points: Any, ndim: int) -> DeviceArray:
     given = taken(points, "points")
     if given.ndim == 0 or given.shape[-1] != ndim:
-        refuse("points", f"an array of shape (..., {ndim}), x first", f"shape {given.shape}")
+        refuse("points", f"an array of shape (..., {ndim}), x first", told=f"shape {given.shape}")
     if given.dtype not in (np.float32, np.float64):
-        refuse("points", "an array on a GPU of float32 or float64", f"dtype {given.dtype}")
+        refuse("points", "an array on a GPU of float32 or float64", told=f"dtype {given.dtype}")
     return contiguous(given)
 
 

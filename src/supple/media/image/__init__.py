@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pyvips
 
-from supple.errors import SuppleError, shown
+from supple.errors import GapWarning, SuppleError, caller, shown
 from supple.media.files import PathLike, check_suffix, replacing
 from supple.media.image import exif
 from supple.media.image.formats import (
@@ -27,12 +27,14 @@ from supple.media.image.formats import (
     TIFF,
     Array,
     check,
+    divided,
     meant,
     settings,
     wrapped,
 )
-from supple.media.image.headers import collected, dressed, facts, finish, has_alpha, kept, profile_name
-from supple.media.image.vips import apart, decoded, is_ycbcr, opened, reading, sequential, widen, writing
+from supple.media.image.headers import collected, dressed, extra_of, facts, finish, is_sized, kept, profile_name
+from supple.media.image.tiff import Tiff, swapped, tagged
+from supple.media.image.vips import apart, decoded, of_tiff, opened, reading, sequential, widen, writing
 
 __all__ = [
     "SUFFIXES",
@@ -78,7 +80,7 @@ class Picture:
     pixels : ndarray
         Shape (H, W) or (H, W, C), contiguous, in the file's own dtype.
     alpha : bool
-        Whether the last channel is opacity, not premultiplied.
+        Whether the last channel is opacity, by which the colours are not multiplied.
     icc : bytes or None
         The colour profile.
     bits : int
@@ -89,6 +91,9 @@ class Picture:
         The meaning of the channels, in libvips' terms: ``"b-w"``, ``"srgb"``, ``"rgb16"``, ``"cmyk"``, ...
     pages : int
         The number of pages of one size in `pixels`, one below the other.
+    extra : tuple of int
+        The meaning of each channel above the colours, as in a TIFF: 0 data, 1 opacity by which the colours are
+        multiplied already, 2 opacity.
     """
 
     pixels: Array
@@ -99,6 +104,67 @@ class Picture:
     interpretation: str = ""
     pages: int = 1
     _header: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    extra: tuple[int, ...] = ()
+
+    def warped(
+        self, warp: Callable[[Array, bool], Array], *, regridded: bool = False, averaged: bool = True, name: str = ""
+    ) -> Picture:
+        """Return a picture with new pixels, which `supple.Deformation.warp` returns of this one.
+
+        Parameters
+        ----------
+        warp : function of (ndarray, bool)
+            Returns new samples for those of shape (H, W[, C]), or (pages, H, W[, C]) of several pages, of which the
+            last channel is opacity or not.
+        regridded : bool
+            Whether the new grid is another one, for which a georeference does not hold.
+        averaged : bool
+            Whether samples are averages of several: where one of these has no value, the average has none.
+        name : str
+            The name of the picture, for warnings.
+
+        Warns
+        -----
+        GapWarning
+            Samples are NaN, infinite, or marked as no data.
+        MetadataWarning
+            A georeference is left out.
+        """
+        name, tiff, pixels = name or "the picture", self._header.get("tiff"), self.pixels
+        if self.pages > 1:
+            pixels = pixels.reshape(self.pages, -1, *pixels.shape[1:])
+        nodata = tiff.nodata if tiff is not None else None
+        real, nodata = pixels.dtype.kind == "f", nodata if averaged else None
+        gaps = pixels == pixels.dtype.type(nodata) if nodata is not None and _fits(nodata, pixels.dtype) else None
+        if gaps is not None and gaps.any():
+            what = "their neighbours too, as far as the filter reaches" if real else "they are mixed with others"
+            advice = "" if real else ': filter="nearest" keeps them apart'
+            text = f"{name}: {np.count_nonzero(gaps)} samples are marked as no data ({nodata:g}), and "
+            warnings.warn(f"{text}{what}{advice}", GapWarning, stacklevel=caller())
+            pixels = np.where(gaps, pixels.dtype.type(np.nan), pixels) if real else pixels
+        if real and averaged and (count := pixels.size - np.count_nonzero(np.isfinite(self.pixels))):
+            text = f"{name}: {count} samples are NaN or infinite, and so are those that are computed from them"
+            warnings.warn(text, GapWarning, stacklevel=caller())
+        extra = self.extra or ((2,) if self.alpha else ())
+        if len(extra) > 1 and 2 in extra:  # opacity weights colours, but no data
+            colours = pixels.shape[-1] - len(extra)
+            seen = [*range(colours), colours + extra.index(2)]
+            rest = [k for k in range(pixels.shape[-1]) if k not in seen]
+            first, second = warp(pixels[..., seen], True), warp(pixels[..., rest], False)
+            made = np.empty((*first.shape[:-1], pixels.shape[-1]), pixels.dtype)
+            made[..., seen], made[..., rest] = first, second
+        else:
+            made = warp(pixels, extra == (2,))
+        if real and gaps is not None and gaps.any():
+            np.copyto(made, made.dtype.type(nodata), where=np.isnan(made))
+        header = dict(self._header)
+        if regridded and tiff is not None and tiff.has_place:
+            header["tiff"] = tiff.without_place()
+            text = f"{name}: its georeference is left out, as the grid is another one"
+            warnings.warn(text, MetadataWarning, stacklevel=caller())
+        if self.pages > 1:
+            made = made.reshape(-1, *made.shape[2:])
+        return replace(self, pixels=made, _header=header)
 
 
 def check_target(path: PathLike) -> None:
@@ -131,7 +197,8 @@ def read(path: PathLike, *, pages: bool = False) -> Picture:
     With ``pages``, all pages of a TIFF are read, if they are of one size and type.
 
     Colours are not converted. A palette becomes RGB or RGBA; fewer than 8 bits become 8; 10 or 12 bits become
-    16, with white at 65535.
+    16, with white at 65535. White is the largest value, even if a TIFF stores it as 0; in Lab of integers, a* and
+    b* are 0 in the middle of the range.
 
     Returns
     -------
@@ -153,8 +220,7 @@ def read(path: PathLike, *, pages: bool = False) -> Picture:
     image, form = opened(path)
     name = shown(path)
     count, orientation, bits = facts(image)
-    plain = form == "TIFF" and image.format != "double" and not is_ycbcr(path)
-    tall = _all_pages(path, count) if pages and count > 1 and plain else None
+    tall = _all_pages(path, count) if pages and count > 1 and form == "TIFF" else None
     if count > 1 and tall is None:
         warnings.warn(f"{name} holds {count} {_pages(form)}", PageWarning, stacklevel=2)
     with reading(path):
@@ -166,7 +232,13 @@ def read(path: PathLike, *, pages: bool = False) -> Picture:
         widen(pixels, bits)
     icc = header.pop("icc-profile-data", None)
     held = count if tall is not None else 1
-    return Picture(pixels, has_alpha(image), icc, bits, form, image.interpretation, held, header)
+    extra = extra_of(image)
+    return Picture(pixels, extra[-1:] == (2,), icc, bits, form, image.interpretation, held, header, extra)
+
+
+def _fits(value: float, dtype: np.dtype[Any]) -> bool:
+    """Return whether samples may have a value."""
+    return dtype.kind == "f" or (value.is_integer() and np.iinfo(dtype).min <= value <= np.iinfo(dtype).max)
 
 
 def _decoded(path: PathLike, image: Any, form: str, orientation: int) -> Array:
@@ -189,7 +261,7 @@ def _all_pages(path: PathLike, count: int) -> Array | None:
     tall: Array | None = None
     with reading(path):
         for k in range(count):
-            page = apart(partial(sequential, path, page=k))
+            page = of_tiff(path, k)
             pixels = apart(partial(decoded, page, facts(page)[1]), page)
             height = len(pixels)
             if tall is None:
@@ -235,7 +307,7 @@ def info(path: PathLike) -> dict[str, object]:
         "channels": image.bands,
         "dtype": str(np.dtype(DTYPES[image.format])),
         "bits": bits,
-        "alpha": has_alpha(image),
+        "alpha": 2 in extra_of(image),
         "format": form,
         "interpretation": image.interpretation,
         "profile": profile_name(icc),
@@ -247,7 +319,7 @@ def info(path: PathLike) -> dict[str, object]:
 
 def write(
     path: PathLike,
-    pixels: Array,
+    pixels: Array | Picture,
     like: Picture | None = None,
     *,
     alpha: bool | None = None,
@@ -261,9 +333,9 @@ def write(
     ----------
     path : str or os.PathLike
         One of `SUFFIXES_OUT`.
-    pixels : ndarray
+    pixels : ndarray or Picture
         Shape (H, W) or (H, W, C): uint8, uint16, and for TIFF also floats and integers up to 32 bits. Contiguous arrays
-        are not copied.
+        are not copied. A picture is its own ``like``, unless another is given.
     like : Picture, optional
         The source of profile, EXIF, XMP and resolution, and of the meaning of the channels and pages of `pixels`.
     alpha : bool, optional
@@ -288,15 +360,35 @@ def write(
         IPTC outside a JPEG, EXIF that is damaged or too large, or a grey profile in a format without grey.
     """
     check_target(path)
+    if isinstance(pixels, Picture):
+        like = like or pixels
+        pixels = pixels.pixels
     name, form = shown(path), OUT[Path(path).suffix.lower()]
     array = np.ascontiguousarray(pixels, np.asarray(pixels).dtype.newbyteorder("="))
     channels = array.shape[2] if array.ndim == 3 else 1
     same = like is not None and like.pixels.shape[2:] == array.shape[2:]
-    if alpha is None:
-        alpha = like.alpha if like is not None and same else channels in (2, 4)
+    extra: tuple[int, ...] = (2,) if (channels in (2, 4) if alpha is None else alpha) else ()
+    if alpha is None and like is not None and same:
+        extra = like.extra or ((2,) if like.alpha else ())
+        if extra == (1,) and form not in (TIFF, EXR):
+            array, extra = divided(array), (2,)
+    header, icc = (like._header, like.icc) if like is not None else ({}, None)
+    alpha, tiff, lost = 2 in extra, header.get("tiff", Tiff()), []
+    if like is not None and len(like.pixels) and like.pixels.shape[:2] != array.shape[:2] and tiff.has_place:
+        tiff = tiff.without_place()
+        lost.append("the georeference of another grid")
     known = like.interpretation if like is not None and same else ""
-    meaning = meant(array.dtype, channels - alpha, known)
-    check(path, form, array, meaning, alpha)
+    meaning = meant(array.dtype, channels - (len(extra) if form is TIFF else alpha), known)
+    if form is TIFF:
+        if not extra and meaning == "multiband" and not tiff.is_inks:
+            extra = (0,) * (channels - (3 if channels > 3 else 1))
+        alike = like is not None and same and like.pixels.dtype == array.dtype
+        tiff = replace(tiff if alike else Tiff(tags=tiff.tags), extra=extra)
+        meaning = meant(array.dtype, channels - len(extra), known if tiff.is_saved else "")
+        array = swapped(tiff, array)
+    elif tiff.has_place:
+        lost.append("the georeference")
+    check(path, form, array, meaning, extra)
     if lossless and form is JPEG:
         raise SuppleError(f"cannot write {name} without loss: JPEG loses some: write PNG, TIFF, WebP or AVIF")
     if quality is not None and not 1 <= quality <= 100:
@@ -307,10 +399,10 @@ def write(
         text = f"{name}: {form.name} holds {bits} bits a channel, and the {have} of the pixels are rounded"
         warnings.warn(text, DepthWarning, stacklevel=2)
     image = wrapped(array, meaning, bits)
-    header, icc = (like._header, like.icc) if like is not None else ({}, None)
     if form.pixel_formats:
-        if taken := [what for key, what in _BESIDE.items() if key in header] + ["the colour profile"] * bool(icc):
-            text = f"{name}: {form.name} cannot take over {' and '.join(taken)}"
+        lost += [what for key, what in _BESIDE.items() if key in header] + ["the colour profile"] * bool(icc)
+        if lost:
+            text = f"{name}: {form.name} cannot take over {' and '.join(lost)}"
             warnings.warn(text, MetadataWarning, stacklevel=2)
         from supple.media.image import ffmpeg
 
@@ -324,15 +416,20 @@ def write(
                 ffmpeg.encoded(array, form.saver, kinds[channels], form.options, half=have == 16 and form is EXR)
             )
         return
-    image, lost = dressed(image, header, icc, form, channels - alpha)
-    if lost:
+    image, lacking = dressed(image, header, icc, form, channels - alpha)
+    if lost := lost + lacking:
         text = f"{name}: {form.name} cannot take over {' and '.join(lost)}"
         warnings.warn(text, MetadataWarning, stacklevel=2)
     options = settings(form, array, bits, quality, lossless) | kept(image, form)
-    if form is TIFF and like is not None and like.pages > 1:
-        options["page_height"] = len(array) // like.pages
+    if form is TIFF:
+        options |= tiff.settings(lossless, array.dtype.itemsize)
+        if like is not None and like.pages > 1:
+            options["page_height"] = len(array) // like.pages
     with replacing(path, force=force) as temporary, writing(path):
         apart(lambda: getattr(image, form.saver)(os.fsencode(temporary), **options), image)
-        if form is TIFF and (block := header.get("exif-data")):
-            exif.into_tiff(temporary, block, array.shape[1], array.shape[0])
-        finish(temporary, image, form)
+        if form is TIFF:
+            block = header.get("exif-data", b"")
+            added = exif.for_tiff(block, array.shape[1], array.shape[0]) if block else {}
+            tagged(temporary, tiff, added, is_sized(image))
+        else:
+            finish(temporary, image, form)

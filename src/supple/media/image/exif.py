@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import os
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import BinaryIO, Literal, TypeAlias
 
@@ -31,23 +32,27 @@ _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12
 _SIZES |= {16: 8, 17: 8, 18: 8}
 _TURNED = {**_SIZES, 5: 4, 10: 4}
 _LONG8 = 16
+Order: TypeAlias = Literal["little", "big"]
 
 
 @dataclass(frozen=True, slots=True)
-class _Value:
+class Value:
+    """A value to be laid out: its type, its bytes and their order."""
+
     kind: int
     data: bytes
+    order: Order = "little"
 
 
 # an entry as stored in a file, a value to be laid out, or a folder below
-_Folder: TypeAlias = "dict[int, bytes | _Value | _Folder]"
+Folder: TypeAlias = "dict[int, bytes | Value | Folder]"
 
 
 @dataclass(frozen=True, slots=True)
 class _Form:
     """The number format of a file: its byte order, and whether it is a BigTIFF."""
 
-    order: Literal["little", "big"]
+    order: Order
     big: bool = False
 
     @property
@@ -69,7 +74,7 @@ class _Form:
         return number.to_bytes(size, self.order)
 
 
-class _Reader:
+class Reader:
     """A reader of folders; `whole` is true if all that was wanted could be read."""
 
     def __init__(self, file: BinaryIO) -> None:
@@ -77,7 +82,7 @@ class _Reader:
         self.size = file.seek(0, os.SEEK_END)
         self.room, self.whole = _ROOM, True
         head = self.at(0, 16)
-        order: Literal["little", "big"] = "big" if head.startswith(b"MM") else "little"
+        order: Order = "big" if head.startswith(b"MM") else "little"
         magic = int.from_bytes(head[2:4], order)
         self.form = _Form(order, magic == 43)
         self.start = 8 if self.form.big else 4  # the position of the first folder's offset
@@ -86,6 +91,7 @@ class _Reader:
             self.first, self.whole = self.size, False
 
     def at(self, offset: int, size: int) -> bytes:
+        """Return the bytes at an offset, fewer at the end of the file."""
         size = min(size, self.size - offset)
         if size <= 0:
             return b""
@@ -104,9 +110,9 @@ class _Reader:
         entries = [table[at : at + form.step] for at in range(0, form.step * found, form.step)]
         return entries, table[form.step * count :].ljust(form.word, b"\0")
 
-    def folder(self, offset: int, parent: int = _IMAGE) -> _Folder:
+    def folder(self, offset: int, parent: int = _IMAGE) -> Folder:
         """Read a folder and those below it, each only once, which ends cycles."""
-        found: _Folder = {}
+        found: Folder = {}
         for entry in self.entries(offset)[0]:
             tag = self.form.number(entry[:2])
             if tag in found or (parent == _IMAGE and tag not in _SOUGHT):
@@ -121,7 +127,7 @@ class _Reader:
                 found[tag] = below
         return found
 
-    def value(self, entry: bytes) -> _Value | None:
+    def value(self, entry: bytes) -> Value | None:
         """Return the value of an entry, in it or at its offset, if it is complete."""
         form = self.form
         kind, count = form.number(entry[2:4]), form.number(entry[4 : -form.word])
@@ -141,9 +147,10 @@ class _Reader:
                 self.whole = False
                 return None
             data, kind = narrow.tobytes(), 9 if kind == 17 else 4
-        return _Value({13: 4, 129: 2}.get(kind, kind), data)
+        return Value({13: 4, 129: 2}.get(kind, kind), data, form.order)
 
     def pointer(self, entry: bytes) -> int:
+        """Return the offset of a folder below; the end of the file if it is damaged."""
         value = self.value(entry)
         return self.form.number(value.data) if value and value.kind == 4 and len(value.data) == 4 else self.size
 
@@ -151,7 +158,7 @@ class _Reader:
 def from_tiff(path: PathLike) -> tuple[bytes | None, bool]:
     """Return an EXIF block of a TIFF's first page, if it has tags, and whether all could be read."""
     with open(path, "rb") as file:
-        reader = _Reader(file)
+        reader = Reader(file)
         found = reader.folder(reader.first)
     return (_block(found, reader.form) if found else None), reader.whole
 
@@ -169,7 +176,7 @@ def fitted(block: bytes, most: int) -> bytes:
         (len(item.data), at, tag)
         for at, folder in enumerate(folders)
         for tag, item in folder.items()
-        if isinstance(item, _Value)
+        if isinstance(item, Value)
     ]
     for _, at, tag in sorted(sizes, reverse=True):
         if len(block := _block(found, form)) <= most:
@@ -178,80 +185,59 @@ def fitted(block: bytes, most: int) -> bytes:
     return block
 
 
-def into_tiff(path: PathLike, block: bytes, width: int, height: int) -> None:
-    """Append an EXIF block's folders to a TIFF, with its missing texts and the size of its image."""
-    found, source, _ = _parsed(block)
-    if not found:
-        return
+def for_tiff(block: bytes, width: int, height: int) -> Folder:
+    """Return the tags of an EXIF block, with the size of its image."""
+    found = _parsed(block)[0]
     inner = found.get(_EXIF)
     if isinstance(inner, dict):
         for tag, number in ((_WIDTH, width), (_HEIGHT, height)):
             if tag in inner:
-                inner[tag] = _Value(4, source.bytes(number, 4))
+                inner[tag] = Value(4, number.to_bytes(4, "little"))
+    return found
+
+
+def into_tiff(path: PathLike, added: Folder, changed: Folder, dropped: Collection[int] = ()) -> None:
+    """Lay the folders of a TIFF's pages out anew, at its end.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+    added : dict
+        Tags for the first page, unless it has them.
+    changed, dropped
+        Tags that every page has, with new values, and tags that no page has.
+    """
+    if not added and not changed and not dropped:
+        return
     with open(path, "rb+") as file:
-        reader = _Reader(file)
-        form = reader.form
-        entries, following = reader.entries(reader.first)
-        stored: _Folder = {form.number(entry[:2]): entry for entry in entries}
-        place = reader.size + -reader.size % form.word
-        data = _laid(found | stored, place, source, form, following)
-        file.seek(reader.size)
-        file.write(bytes(place - reader.size) + data)
-        file.seek(reader.start)
-        file.write(form.bytes(place, form.word))
-
-
-def tag_of(path: PathLike, tag: int) -> int:
-    """Return a small integer in the first folder of a TIFF; 0 if it is missing."""
-    with open(path, "rb") as file:
-        reader = _Reader(file)
-        for entry in reader.entries(reader.first)[0]:
-            if reader.form.number(entry[:2]) == tag and (value := reader.value(entry)) is not None:
-                return reader.form.number(value.data[:2])
-    return 0
-
-
-def retagged(path: PathLike, values: dict[int, int]) -> tuple[bytes, Literal["little", "big"]]:
-    """Return a TIFF with new 16-bit integers in tags of its first folder, and its byte order."""
-    with open(path, "rb") as file:
-        data = bytearray(file.read())
-        reader = _Reader(file)
-        form = reader.form
-        for k, entry in enumerate(reader.entries(reader.first)[0]):
-            tag = form.number(entry[:2])
-            if tag in values:
-                at = reader.first + form.count + form.step * k
-                head = form.bytes(tag, 2) + form.bytes(3, 2) + form.bytes(1, form.word)
-                data[at : at + form.step] = (head + form.bytes(values[tag], 2)).ljust(form.step, b"\0")
-    return bytes(data), form.order
-
-
-def set_tag(path: PathLike, tag: int, value: int) -> None:
-    """Change a 16-bit integer in place, in all folders of a TIFF, one for each page."""
-    with open(path, "rb+") as file:
-        reader = _Reader(file)
-        form, at = reader.form, reader.first
-        while 0 < at < reader.size:
+        reader = Reader(file)
+        form, link, at, end = reader.form, reader.start, reader.first, reader.size
+        while at:
             entries, following = reader.entries(at)
-            for k, entry in enumerate(entries):
-                if form.number(entry[:2]) == tag:
-                    file.seek(at + form.count + form.step * (k + 1) - form.word)
-                    file.write(form.bytes(value, 2))
-            at = form.number(following)
+            stored: Folder = {form.number(entry[:2]): entry for entry in entries}
+            folder = {tag: item for tag, item in (added | stored | changed).items() if tag not in dropped}
+            place = end + -end % form.word
+            data = _laid(folder, place, form, following)
+            file.seek(end)
+            file.write(bytes(place - end) + data)
+            file.seek(link)
+            file.write(form.bytes(place, form.word))
+            added, end = {}, place + len(data)
+            link, at = place + form.count + form.step * len(folder), form.number(following)
 
 
-def _parsed(block: bytes) -> tuple[_Folder, _Form, bool]:
-    reader = _Reader(io.BytesIO(block.removeprefix(_PREFIX)))
+def _parsed(block: bytes) -> tuple[Folder, _Form, bool]:
+    reader = Reader(io.BytesIO(block.removeprefix(_PREFIX)))
     return reader.folder(reader.first), reader.form, reader.whole
 
 
-def _block(found: _Folder, source: _Form) -> bytes:
+def _block(found: Folder, source: _Form) -> bytes:
     form = _Form(source.order)  # unchanged, since makers' notes may depend on it
     head = (b"II" if form.order == "little" else b"MM") + form.bytes(42, 2) + form.bytes(8, 4)
-    return _PREFIX + head + _laid(found, 8, source, form)
+    return _PREFIX + head + _laid(found, 8, form)
 
 
-def _laid(folder: _Folder, place: int, source: _Form, form: _Form, following: bytes = b"") -> bytes:
+def _laid(folder: Folder, place: int, form: _Form, following: bytes = b"") -> bytes:
     """Return the bytes of a folder at `place`, followed by its values."""
     table = bytearray(form.bytes(len(folder), form.count))
     rest = bytearray()
@@ -261,12 +247,12 @@ def _laid(folder: _Folder, place: int, source: _Form, form: _Form, following: by
         if isinstance(item, bytes):
             table += item
             continue
-        if isinstance(item, _Value):
+        if isinstance(item, Value):
             kind, count, unit = item.kind, len(item.data) // _SIZES[item.kind], _TURNED[item.kind]
-            data = np.frombuffer(item.data, _dtype(source, "u", unit)).astype(_dtype(form, "u", unit)).tobytes()
+            data = np.frombuffer(item.data, _dtype(item, "u", unit)).astype(_dtype(form, "u", unit)).tobytes()
         else:
             kind, count = (_LONG8 if form.big else 4), 1
-            data = _laid(item, behind + len(rest), source, form)
+            data = _laid(item, behind + len(rest), form)
         if isinstance(item, dict) or len(data) > form.word:
             inline = form.bytes(behind + len(rest), form.word)
             rest += data + bytes(-len(data) % form.word)
@@ -277,5 +263,5 @@ def _laid(folder: _Folder, place: int, source: _Form, form: _Form, following: by
     return bytes(table + bytes(behind - place - len(table)) + rest)
 
 
-def _dtype(form: _Form, kind: str, size: int) -> np.dtype[np.integer]:
+def _dtype(form: _Form | Value, kind: str, size: int) -> np.dtype[np.integer]:
     return np.dtype(f"{'<' if form.order == 'little' else '>'}{kind}{size}")

@@ -89,7 +89,7 @@ COLOURS = {"b-w": 1, "grey16": 1, "cmyk": 4, "multiband": 0}  # all others have 
 
 def meant(dtype: np.dtype[Any], colours: int, like: str) -> str:
     """Return libvips' name for the meaning of the channels."""
-    if like in ("cmyk", "lab", "labs") and COLOURS.get(like, 3) == colours:
+    if like in ("cmyk", "lab") and COLOURS.get(like, 3) == colours:
         return like
     if colours not in (1, 3):
         return "multiband"
@@ -97,8 +97,8 @@ def meant(dtype: np.dtype[Any], colours: int, like: str) -> str:
     return names[colours == 3]
 
 
-def check(path: PathLike, form: Format, array: Array, meaning: str, alpha: bool) -> None:
-    """Raise SuppleError for an array that the format cannot hold."""
+def check(path: PathLike, form: Format, array: Array, meaning: str, extra: tuple[int, ...]) -> None:
+    """Raise SuppleError for an array that the format cannot hold, with the meanings of channels above its colours."""
 
     def refuse(what: str, advice: str) -> NoReturn:
         raise unwritable(path, what, advice)
@@ -113,14 +113,18 @@ def check(path: PathLike, form: Format, array: Array, meaning: str, alpha: bool)
         advice = "write TIFF or OpenEXR" if codec and "f4" not in types and array.dtype.kind == "f" else "write a TIFF"
         advice = advice if known else "convert to uint8, uint16 or, for TIFF, float32"
         refuse(f"{name} takes no {array.dtype} values", advice)
-    if alpha and not form.alpha:
+    if meaning == "cmyk" and not form.cmyk:
+        refuse(f"{name} holds no CMYK colours", "write TIFF or JPEG")
+    if meaning == "lab" and form is not TIFF:
+        refuse(f"{name} holds no Lab colours", "write a TIFF")
+    if 0 in extra and form is not TIFF:
+        refuse(f"{name} holds no channels of data beside the colours", "write a TIFF")
+    if 2 in extra and not form.alpha:
         refuse(f"{name} holds no transparency", "write PNG or TIFF" if codec else "write PNG, TIFF, WebP or AVIF")
     if codec:
         held = next(iter(form.pixel_formats.values()))
-        if channels not in held or (alpha and channels == 2):
+        if channels not in held or (extra and channels == 2) or (channels == 4 and not extra and form is not EXR):
             refuse(f"{name} holds {' or '.join(map(str, held))} channels, and not {channels}", "write a TIFF")
-    elif meaning == "cmyk" and not form.cmyk:
-        refuse(f"{name} holds no CMYK colours", "write TIFF or JPEG")
     elif meaning == "multiband" and form is not TIFF:
         refuse(f"{name} does not hold {channels} channels", "write a TIFF")
     if max(array.shape[:2]) > form.limit:
@@ -153,3 +157,13 @@ def settings(form: Format, array: Array, bits: int, quality: int | None, lossles
     if form is AVIF:
         chosen["bitdepth"] = bits
     return chosen
+
+
+def divided(pixels: Array) -> Array:
+    """Return pixels whose colours are not multiplied by their opacity, the last channel."""
+    white = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else 1.0
+    opacity = pixels[..., -1:].astype(np.float64)
+    colours = pixels[..., :-1] * float(white)
+    np.divide(colours, opacity, out=colours, where=opacity > 0)
+    colours = np.rint(np.minimum(colours, white)) if pixels.dtype.kind in "iu" else colours
+    return np.concatenate([colours.astype(pixels.dtype), pixels[..., -1:]], axis=-1)

@@ -6,7 +6,6 @@ import contextlib
 import os
 import re
 import struct
-import zlib
 from collections.abc import Mapping
 from typing import Any, BinaryIO
 
@@ -14,15 +13,17 @@ import numpy as np
 import pyvips
 
 from supple.media.files import PathLike
-from supple.media.image import exif
+from supple.media.image import exif, previews
 from supple.media.image.formats import COLOURS, DTYPES, JPEG, PNG, TIFF, Format
+from supple.media.image.tiff import Page
 
 _ICC_COLOURS = {b"GRAY": 1, b"RGB ": 3, b"Lab ": 3, b"CMYK": 4}
 _KEPT = ("icc-profile-data", "exif-data", "xmp-data", "iptc-data", "image-description", "png-comment-")
+EXTRA = "supple-extra"
+"""The field of an image that has the meanings of the channels above its colours, as `tiff.Tiff.extra`."""
 _THUMBNAIL = ("exif-ifd1-", "jpeg-thumbnail-data")
 _ALL, _EXIF = 63, 1  # libvips' flags for the parts of a header
 _UNKNOWN = 0.1  # a pixel a centimetre, which `finish` removes
-_UNIT = 296  # the tag of the unit of resolution in a TIFF
 _EXIF_MOST = 65_000  # libvips reads no more than fits into a JPEG, and adds a few tags
 
 
@@ -34,10 +35,12 @@ def facts(image: Any) -> tuple[int, int, int]:
     return max(1, pages), orientation if 1 <= orientation <= 8 else 1, bits or depth
 
 
-def has_alpha(image: Any) -> bool:
-    """Return whether the last channel is opacity: a single one above the colours is."""
+def extra_of(image: Any) -> tuple[int, ...]:
+    """Return the meanings of the channels above the colours, as `tiff.Tiff.extra`."""
+    if image.get_typeof(EXTRA):
+        return tuple(map(int, image.get(EXTRA).split()))
     colours = COLOURS.get(image.interpretation, 3)
-    return bool(colours and image.bands == colours + 1)
+    return (2,) if colours and image.bands == colours + 1 else ()
 
 
 def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict[str, Any], list[str]]:
@@ -49,12 +52,22 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
                 header[name] = image.get(name)
     if "xmp-data" in header:  # it may repeat the orientation
         pattern = rb"(tiff:Orientation(?:=[\"']|>)\s*)[2-8]"
-        header["xmp-data"] = re.sub(pattern, rb"\g<1>1", header["xmp-data"])
+        header["xmp-data"] = previews.without_pictures(re.sub(pattern, rb"\g<1>1", header["xmp-data"]))
+    if "iptc-data" in header:
+        header["iptc-data"] = previews.without_thumbnails(header["iptc-data"])
+    for name in [name for name in header if "-Raw profile type " in name]:  # in hexadecimal digits
+        if "ffd8ff" in "".join(header[name].lower().split()):
+            del header[name]
     sizes = (image.yres, image.xres) if turned else (image.xres, image.yres)
     if min(sizes) > 0 and sizes != (1, 1) and _tells_size(path, image, form):  # libvips' code for unknown
         header["xres"], header["yres"] = sizes
     lost = []
     if form == "TIFF":
+        tiff = Page(path).tiff
+        if tiff.has_place and facts(image)[1] != 1:
+            tiff = tiff.without_place()
+            lost.append("the georeference of a turned picture")
+        header["tiff"] = tiff
         block, whole = exif.from_tiff(path)
         if block is not None:
             header["exif-data"] = block
@@ -62,6 +75,8 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
             lost.append("a part of its EXIF")
         if image.get_typeof("iptc-data"):  # libvips garbles it
             lost.append("its IPTC")
+    if "exif-data" in header:
+        header["exif-data"] = previews.blanked(header["exif-data"])
     if image.get_typeof("gainmap-data"):
         lost.append("its HDR gain map")
     return header, lost
@@ -103,6 +118,7 @@ def dressed(
     lost = []
     header = dict(header)
     sizes = header.pop("xres", None), header.pop("yres", None)
+    header.pop("tiff", None)
     if icc is not None:
         sign = icc[16:20]
         stored = colours if form.grey else max(3, colours)
@@ -138,8 +154,8 @@ def kept(image: Any, form: Format) -> dict[str, Any]:
     WebP and AVIF need EXIF for a known resolution.
     """
     if form is TIFF:
-        return {} if _is_sized(image) else {"resunit": "cm"}
-    if image.get_typeof("exif-data") or (form not in (PNG, JPEG) and _is_sized(image)):
+        return {} if is_sized(image) else {"resunit": "cm"}
+    if image.get_typeof("exif-data") or (form not in (PNG, JPEG) and is_sized(image)):
         return {}
     return {"keep": _ALL & ~_EXIF}
 
@@ -147,7 +163,7 @@ def kept(image: Any, form: Format) -> dict[str, Any]:
 # Kept: libvips makes a resolution up, or leaves one out (test_nothing_is_invented, test_resolution_comes_through).
 def finish(path: PathLike, image: Any, form: Format) -> None:
     """Correct the resolution in a written file: none, if it is unknown."""
-    sized = _is_sized(image)
+    sized = is_sized(image)
     if form is JPEG and sized and not image.get_typeof("exif-data"):
         with open(path, "rb+") as file:
             data = file.read()
@@ -156,14 +172,16 @@ def finish(path: PathLike, image: Any, form: Format) -> None:
     elif form is PNG and not sized:
         with open(path, "rb+") as file:
             if _chunk(file, b"pHYs"):
-                chunk = b"pHYs" + struct.pack(">IIB", 1, 1, 0)
-                file.seek(-4, os.SEEK_CUR)
-                file.write(chunk + struct.pack(">I", zlib.crc32(chunk)))
-    elif form is TIFF and not sized:
-        exif.set_tag(path, _UNIT, 1)
+                start = file.tell() - 8
+                file.seek(13, os.SEEK_CUR)  # behind its 9 bytes and their checksum
+                rest = file.read()
+                file.seek(start)
+                file.write(rest)
+                file.truncate()
 
 
-def _is_sized(image: Any) -> bool:
+def is_sized(image: Any) -> bool:
+    """Return whether the resolution of an image that is `dressed` is known."""
     return bool(image.xres != _UNKNOWN)
 
 

@@ -15,9 +15,9 @@ import pyvips
 
 from supple.errors import SuppleError
 from supple.media.files import PathLike, head_of, unreadable, unwritable
-from supple.media.image.exif import retagged, tag_of
 from supple.media.image.formats import DTYPES, LOADERS, Array, meant, wrapped
-from supple.media.image.headers import png_frames
+from supple.media.image.headers import EXTRA, png_frames
+from supple.media.image.tiff import Page
 
 T = TypeVar("T")
 
@@ -26,9 +26,7 @@ _UNSUPPORTED = re.compile(
 )
 _JXL = (b"\xff\x0a", b"\0\0\0\x0cJXL ")
 _HEIC = re.compile(rb"(?s)....ftyp(hei[cxms]|hev[cxms])")
-_BITS, _COMPRESSION, _PHOTOMETRIC, _SAMPLES, _PLANAR, _PREDICTOR, _SAMPLE_FORMAT = 258, 259, 262, 277, 284, 317, 339
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_YCBCR, _JPEGS = 6, (6, 7)
 _MAGIC = (b"\x89PNG", b"\xff\xd8", *_TIFF, b"RIFF", b"GIF8")
 
 
@@ -38,17 +36,13 @@ def opened(path: PathLike) -> tuple[Any, str]:
     head = head_of(path, 12, kinds, kinds)
     known = head.startswith(_MAGIC) or head[4:8] == b"ftyp"
     try:
-        image = (
-            _of_doubles(path) if head.startswith(_TIFF) and _holds_doubles(path) else apart(lambda: sequential(path))
-        )
+        image = of_tiff(path) if head.startswith(_TIFF) else apart(lambda: sequential(path))
         form = LOADERS.get(str(image.get("vips-loader")).partition("load")[0])
         if form == "HEIF" and image.get("heif-compression") == "av1":
             form = "AVIF"
         if form == "PNG" and (frames := png_frames(path)) > 1:  # libvips reads only the first
             image = image.copy()
             image.set_type(pyvips.GValue.gint_type, "n-pages", frames)
-        if form == "TIFF" and is_ycbcr(path):
-            image = _in_rgb(path, image)
     except SuppleError:
         raise
     except (pyvips.Error, ArithmeticError, ValueError) as error:
@@ -81,49 +75,52 @@ def _by_ffmpeg(path: PathLike, codec: str, form: str) -> tuple[Any, str]:
     colours = channels if form == "OpenEXR" else channels - (channels in (2, 4))
     image = wrapped(np.ascontiguousarray(pixels), meant(pixels.dtype, colours, ""), 32)
     image.set_type(pyvips.GValue.gint_type, "bits-per-sample", bits)
+    if form == "OpenEXR" and channels == 4:
+        image.set_type(pyvips.GValue.refstr_type, EXTRA, "1")
     return image, form
 
 
-# Kept: libvips takes it for RGB (test_a_tiff_in_ycbcr_has_its_colours), and reads no doubles (test_tiff_of_doubles).
-def is_ycbcr(path: PathLike) -> bool:
-    """Return whether a TIFF holds YCbCr, which libvips takes for RGB unless it is compressed as JPEG."""
-    return tag_of(path, _PHOTOMETRIC) == _YCBCR and tag_of(path, _COMPRESSION) not in _JPEGS
+# Kept: libvips takes YCbCr for RGB (test_a_tiff_in_ycbcr_has_its_colours), reads no doubles (test_tiff_of_doubles), and
+# mixes planes up (test_planes).
+def of_tiff(path: PathLike, number: int = 0) -> Any:
+    """Open a page of a TIFF; decode what libvips reads wrongly."""
+    page = Page(path, number)
+    # of damaged tiles, libvips only warns
+    options: dict[str, Any] = {"page": number, "fail_on": "warning" if page.tiled else "error"}
+    if page.is_plain or page.is_ycbcr:
+        image = apart(lambda: sequential(path, **options)).copy()
+    if page.is_ycbcr:
+        from supple.media.image import ffmpeg
 
+        if number:
+            raise unreadable(path, "a page after the first is in YCbCr, which is not supported", "convert it to RGB")
+        with ffmpeg.reading(path):
+            image = _with_header(wrapped(ffmpeg.decoded(path, "tiff")[0], "srgb", 8), image)
+    elif not page.is_plain:
+        header: list[Any] = []
 
-def _in_rgb(path: PathLike, image: Any) -> Any:
-    """Decode a TIFF in YCbCr by FFmpeg, since libvips assumes RGB; keep its header."""
-    from supple.media.image import ffmpeg
+        def read(data: Any, number: int) -> Array:
+            source = pyvips.Source.new_from_memory(data)
+            header.append(apart(lambda: pyvips.Image.new_from_source(source, "", access="sequential", **options)))
+            return apart(lambda: decoded(header[-1], 1), header[-1])
 
-    with ffmpeg.reading(path):
-        made = wrapped(ffmpeg.decoded(path, "tiff")[0], "srgb", 8).copy(xres=image.xres, yres=image.yres)
-    return _with_header(made, image)
+        pixels, bits = page.decoded(read)
+        channels, extra = pixels.shape[2] if pixels.ndim == 3 else 1, len(page.tiff.extra)
+        meaning = page.tiff.meaning or meant(pixels.dtype, channels - extra, "")
+        image = _with_header(wrapped(pixels, meaning, 32), header[0])
+        image.set_type(pyvips.GValue.gint_type, "bits-per-sample", bits)
+    elif page.tiff.meaning:
+        image = image.copy(interpretation=page.tiff.meaning)
+    if page.tiff.extra:
+        image.set_type(pyvips.GValue.refstr_type, EXTRA, " ".join(map(str, page.tiff.extra)))
+    return image
 
 
 def _with_header(made: Any, image: Any) -> Any:
+    made = made.copy(xres=image.xres, yres=image.yres)
     for name in image.get_fields():
         if made.get_typeof(name) == 0:
             made.set_type(image.get_typeof(name), name, image.get(name))
-    return made
-
-
-def _holds_doubles(path: PathLike) -> bool:
-    """Return whether a TIFF holds floats of 64 bits, which libvips writes, but does not read."""
-    usual = tag_of(path, _PREDICTOR) in (0, 1) and tag_of(path, _PLANAR) in (0, 1)
-    return usual and tag_of(path, _BITS) == 64 and tag_of(path, _SAMPLE_FORMAT) == 3
-
-
-def _of_doubles(path: PathLike) -> Any:
-    """Decode a TIFF of doubles as a TIFF of eight times as many bytes."""
-    channels = tag_of(path, _SAMPLES) or 1
-    values = {_BITS: 8, _SAMPLES: 8 * channels, _SAMPLE_FORMAT: 1, _PHOTOMETRIC: 1}
-    data, order = retagged(path, values)
-    image = apart(lambda: pyvips.Image.new_from_buffer(data, "", fail_on="error"))
-    shape = (image.height, image.width, channels) if channels > 1 else (image.height, image.width)
-    pixels = np.frombuffer(apart(image.write_to_memory), "<f8" if order == "little" else ">f8").reshape(shape)
-    colours = channels - (channels in (2, 4))
-    made = wrapped(np.ascontiguousarray(pixels, np.float64), meant(pixels.dtype, colours, ""), 64)
-    made = _with_header(made.copy(xres=image.xres, yres=image.yres), image)
-    made.set_type(pyvips.GValue.gint_type, "bits-per-sample", 64)
     return made
 
 

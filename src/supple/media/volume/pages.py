@@ -57,6 +57,7 @@ def read(path: PathLike) -> Volume:
     import pyvips
 
     from supple.media.image.headers import facts
+    from supple.media.image.tiff import Page
     from supple.media.image.vips import apart, decoded, opened, reading
 
     image, form = opened(path)
@@ -67,7 +68,8 @@ def read(path: PathLike) -> Volume:
         if linked(path) != pages:
             raise unreadable(path, f"it is cut short: {pages} of its pages are whole")
         source = pyvips.Source.new_from_file(os.fsencode(path))
-        options = {"access": "sequential", "fail_on": "error"}
+        # of damaged tiles, libvips only warns
+        options = {"access": "sequential", "fail_on": "warning" if Page(path).tiled else "error"}
         tall = apart(lambda: pyvips.Image.new_from_source(source, "", n=-1, **options))
         samples = apart(lambda: decoded(tall, 1), tall)
     told = _description(image)

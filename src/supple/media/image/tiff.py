@@ -1,0 +1,324 @@
+"""What a TIFF says of its samples, those that libvips reads wrongly or not at all, and tags that it does not write."""
+
+from __future__ import annotations
+
+import mmap
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, NoReturn
+
+import numpy as np
+
+from supple.media.files import PathLike, unreadable
+from supple.media.image.exif import Folder, Order, Reader, Value, into_tiff
+from supple.media.image.formats import Array
+
+_WIDTH, _BITS, _COMPRESSION, _PHOTOMETRIC, _SAMPLES, _PLANAR = 256, 258, 259, 262, 277, 284
+_PREDICTOR, _TILE_WIDTH, _TILE_HEIGHT, _INKS, _EXTRA, _FORMAT = 317, 322, 323, 332, 338, 339
+_UNIT = 296
+_STORED = ((273, 279), (324, 325))  # the offsets and sizes of strips, and of tiles
+MINISWHITE, RGB, YCBCR, CIELAB, ICCLAB, ITULAB = 0, 2, 6, 8, 9, 10
+_MASK, _MOSAIC = 4, 32803
+_COLOURS = {
+    0: 1,
+    1: 1,
+    3: 1,
+    _MASK: 1,
+    _MOSAIC: 1,
+}  # by the photometric interpretation; all others have three, and inks their own
+_UNSAVED = (MINISWHITE, CIELAB, ICCLAB, ITULAB)
+_MEANINGS = {5: "cmyk", CIELAB: "lab", ICCLAB: "lab", ITULAB: "lab"}
+_JPEGS = (6, 7)
+_SAVED = {1: "none", 5: "lzw", 7: "jpeg", 8: "deflate", 32773: "packbits", 32946: "deflate", 50000: "zstd"}
+_PREDICTED = {"lzw", "deflate", "zstd"}
+PLACE = (33550, 33922, 34264, 34735, 34736, 34737)
+"""The tags of a GeoTIFF's georeference."""
+_NODATA = 42113
+_TAGS = (*PLACE, 42112, _NODATA, _INKS, 333, 334)  # and GDAL's metadata, and inks
+
+
+@dataclass(frozen=True, slots=True)
+class Tiff:
+    """What a page of a TIFF says of its samples.
+
+    Parameters
+    ----------
+    photometric : int
+        The meaning of the colours, by TIFF's code.
+    extra : tuple of int
+        That of each channel above the colours: 0 data, 1 opacity by which the colours are multiplied, 2 opacity.
+    meaning : str
+        The colours in libvips' terms; empty for grey and RGB.
+    options : dict
+        The settings of libvips' saver for compression and tiles.
+    tags : dict
+        Tags that libvips does not keep: georeference, NoData, inks.
+    """
+
+    photometric: int = 1
+    extra: tuple[int, ...] = ()
+    meaning: str = ""
+    options: dict[str, Any] = field(default_factory=dict)
+    tags: Folder = field(default_factory=dict)
+
+    @property
+    def has_place(self) -> bool:
+        """Whether there is a georeference, which holds for the grid of the file alone."""
+        return any(tag in self.tags for tag in PLACE)
+
+    @property
+    def nodata(self) -> float | None:
+        """The value of pixels without data; None without one."""
+        value = self.tags.get(_NODATA)
+        try:
+            return float(value.data.rstrip(b"\0 ")) if isinstance(value, Value) else None
+        except ValueError:
+            return None
+
+    @property
+    def is_inks(self) -> bool:
+        """Whether the colours are inks other than CMYK."""
+        return self.photometric == 5 and self.meaning != "cmyk"
+
+    @property
+    def is_saved(self) -> bool:
+        """Whether libvips saves such colours as they are."""
+        return self.photometric not in _UNSAVED and not self.is_inks
+
+    def settings(self, lossless: bool, size: int) -> dict[str, Any]:
+        """Return the settings of libvips' saver for samples of a size in bytes."""
+        chosen = dict(self.options)
+        if chosen.get("compression") == "jpeg":
+            chosen |= {"compression": "deflate"} if lossless or size > 1 else {"Q": 95}
+        if size == 8:
+            chosen.pop("predictor", None)
+        return chosen
+
+    def without_place(self) -> Tiff:
+        """Return a copy without georeference."""
+        return replace(self, tags={tag: value for tag, value in self.tags.items() if tag not in PLACE})
+
+
+class Page:
+    """A page of a TIFF, whose tags can be changed before libvips reads it; the file stays as it is.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        The file.
+    number : int
+        The page, from 0.
+    """
+
+    def __init__(self, path: PathLike, number: int = 0) -> None:
+        self._path, self._number = path, number
+        with open(path, "rb") as file:
+            reader = Reader(file)
+            self._form, at = reader.form, reader.first
+            for _ in range(number):
+                at = self._form.number(reader.entries(at)[1])
+            entries, _ = reader.entries(at)
+            form = self._form
+            self._at = {form.number(e[:2]): at + form.count + form.step * k for k, e in reversed([*enumerate(entries)])}
+            self._entries = {form.number(e[:2]): e for e in reversed(entries)}
+            self._size = reader.size
+            whole = [tag for tag in (_BITS, _EXTRA, _FORMAT, *_TAGS) if tag in self._entries]
+            self._values = {tag: value for tag in whole if (value := reader.value(self._entries[tag])) is not None}
+        bits, kinds = self._numbers(_BITS) or (1,), self._numbers(_FORMAT) or (1,)
+        self.bits, self._kind = (bits[0], kinds[0]) if len({*bits}) == len({*kinds}) == 1 else (0, 0)
+        self._kind = 1 if self._kind == 4 else self._kind  # unknown ones are taken for integers
+        self.samples = self._one(_SAMPLES) or 1
+        self.planes = self.samples if self._one(_PLANAR) == 2 else 1
+        self._compression, self.photometric = self._one(_COMPRESSION) or 1, self._one(_PHOTOMETRIC)
+        self.tiled = _TILE_WIDTH in self._entries
+        self.tiff = self._facts()
+
+    def _numbers(self, tag: int) -> tuple[int, ...]:
+        value = self._values.get(tag)
+        if value is None or value.kind not in (1, 3, 4):
+            return ()
+        order = "<" if value.order == "little" else ">"
+        return tuple(np.frombuffer(value.data, f"{order}u{(0, 1, 0, 2, 4)[value.kind]}").tolist())
+
+    def _one(self, tag: int) -> int:
+        """Return an integer in a tag; 0 if it is missing."""
+        if (entry := self._entries.get(tag)) is None:
+            return 0
+        kind = self._form.number(entry[2:4])
+        return self._form.number(entry[-self._form.word :][: {1: 1, 3: 2, 4: 4, 16: 8}.get(kind, 2)])
+
+    def _facts(self) -> Tiff:
+        inks = self.photometric == 5
+        multi = inks and (self._one(_INKS) == 2 or self.samples < 4)
+        extra = self._numbers(_EXTRA)[: self.samples - 1]
+        colours = _COLOURS.get(self.photometric, 3)
+        if inks:
+            colours = self.samples - len(extra) if multi else 4
+        colours = min(colours, self.samples)
+        extra = (extra + (0,) * self.samples)[: self.samples - colours]  # those that are not described are data
+        meaning = "multiband" if multi else _MEANINGS.get(self.photometric, "")
+        saved = _SAVED.get(self._compression, "deflate")
+        if saved == "jpeg" and (extra or multi or self.bits != 8 or self.photometric not in (1, RGB, YCBCR)):
+            saved = "deflate"  # libvips would write fewer channels
+        options: dict[str, Any] = {"compression": saved}
+        if saved in _PREDICTED and (self._compression != 32946 and saved == _SAVED.get(self._compression)):
+            options["predictor"] = {2: "horizontal", 3: "float"}.get(self._one(_PREDICTOR), "none")
+        if self.tiled:
+            options |= {"tile": True, "tile_width": self._one(_TILE_WIDTH), "tile_height": self._one(_TILE_HEIGHT)}
+        if self._form.big:
+            options["bigtiff"] = True
+        tags: Folder = {tag: self._values[tag] for tag in _TAGS if tag in self._values}
+        return Tiff(self.photometric, extra, meaning, options, tags)
+
+    @property
+    def is_ycbcr(self) -> bool:
+        """Whether it is in YCbCr, which libvips takes for RGB unless it is compressed as JPEG."""
+        return self.photometric == YCBCR and self._compression not in _JPEGS and self.planes == 1
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether libvips reads the samples as they are, and knows what they are."""
+        usual = self.bits in (8, 16, 32) or (self.bits in (1, 2, 4) and self.samples == 1)
+        inverted = self.photometric == MINISWHITE and self.samples > 1
+        lab = self.photometric in (CIELAB, ICCLAB, ITULAB) and self._kind != 3
+        odd = inverted or lab or self.photometric in (_MASK, _MOSAIC)
+        return usual and self.planes == 1 and 1 not in self.tiff.extra and not odd
+
+    def decoded(self, read: Callable[[Any, int], Array]) -> tuple[Array, int]:
+        """Return all samples, of shape (H, W) or (H, W, C), in grey, RGB, CMYK or Lab, and their bits.
+
+        In Lab of integers, a* and b* are 0 in the middle of the range, as in ICC's encoding.
+
+        Parameters
+        ----------
+        read : function
+            Decodes a page of a file in memory by libvips, given its number.
+        """
+        if not self.bits or (self.bits == 64 and self._kind != 3) or self._kind not in (1, 2, 3):
+            self._refuse("its samples are of different types, complex, or integers of 64 bits")
+        if self._kind != 1 and self.bits not in (8, 16, 32, 64):
+            self._refuse(f"its samples are of {self.bits} bits, and no unsigned integers")
+        if self.photometric == _MOSAIC:
+            self._refuse("it is a mosaic of colours, from a camera's sensor")
+        if self.planes > 1 and self.photometric == YCBCR:
+            self._refuse("it holds YCbCr in separate planes")
+        parts = [self._plane(read, k) for k in range(self.planes)]
+        made = parts[0] if len(parts) == 1 else np.stack([part.reshape(part.shape[:2]) for part in parts], axis=-1)
+        if made.dtype.kind == "u":
+            depth = made.dtype.itemsize * 8
+            if self.bits < depth:  # so that white is the largest value
+                made = made << (depth - self.bits)
+                for step in (self.bits, 2 * self.bits, 4 * self.bits):
+                    made |= made >> step if step < depth else 0
+        return np.ascontiguousarray(swapped(self.tiff, made)), self.bits
+
+    def _refuse(self, what: str) -> NoReturn:
+        raise unreadable(
+            self._path, f"it is of a kind that is not supported ({what})", "convert it, to PNG for instance"
+        )
+
+    def _plane(self, read: Callable[[Any, int], Array], k: int) -> Array:
+        """Decode one plane, or all samples if they lie together."""
+        with open(self._path, "rb") as file:
+            data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
+        count = self.samples // self.planes
+        usual = self.bits in (8, 16, 32)
+        values = {_PLANAR: 1, _PHOTOMETRIC: RGB if count > 2 and usual else 1, _SAMPLES: count if usual else 1}
+        across, predictor = self._one(_WIDTH), self._one(_PREDICTOR)
+        pixel = self.bits * count
+        if not usual:  # read as bytes
+            values |= {_BITS: 8, _FORMAT: 1, _PREDICTOR: 1}
+            segment = self._one(_TILE_WIDTH) if self.tiled else across
+            whole = -(-across // segment) * segment
+            values[_WIDTH] = -(-whole * pixel // 8)
+            if self.tiled:
+                values[_TILE_WIDTH] = segment * pixel // 8
+        for tag, value in values.items():
+            self._set(data, tag, 4 if tag in (_WIDTH, _TILE_WIDTH) else 3, value)
+        self._hide(data, _EXTRA)
+        if self.planes > 1:
+            for tag in (tag for pair in _STORED for tag in pair if tag in self._at):
+                self._share(data, tag, k)
+        made = read(data, self._number)
+        if usual:
+            return made
+        if self.bits == 64:
+            return self._doubles(made, segment, count, predictor)[:, :across]
+        if predictor > 1:
+            self._refuse(f"its samples of {self.bits} bits are compressed by their differences")
+        held = np.unpackbits(made.reshape(len(made), -1), axis=1)[:, : across * pixel]
+        weights = 1 << np.arange(self.bits, dtype=np.uint32)[::-1]
+        numbers = held.reshape(len(made), across, count, self.bits) @ weights
+        numbers = numbers.astype(np.uint8 if self.bits < 8 else np.uint16 if self.bits < 16 else np.uint32)
+        return numbers[..., 0] if count == 1 else numbers
+
+    def _doubles(self, rows: Array, segment: int, count: int, predictor: int) -> Array:
+        """Return doubles from rows of bytes, of which each segment may be compressed by its differences."""
+        order: Order = self._form.order
+        dtype = np.dtype("<f8" if order == "little" else ">f8")
+        held = rows.reshape(len(rows), -1, segment, count * 8)
+        if predictor == 3:  # differences of bytes, the first bytes of all samples before the second ones
+            steps = np.cumsum(held.reshape(len(rows), -1, segment * 8, count), axis=2, dtype=np.uint8)
+            big = steps.reshape(len(rows), -1, 8, segment * count).swapaxes(2, 3)
+            made = np.ascontiguousarray(big).view(">f8")
+        elif predictor == 2:
+            whole = np.ascontiguousarray(held).view(dtype.str.replace("f", "u")).astype(np.uint64)
+            made = np.cumsum(whole.reshape(len(rows), -1, segment, count), axis=2, dtype=np.uint64).view(np.float64)
+        else:
+            made = np.ascontiguousarray(held).view(dtype)
+        shape = (len(rows), -1, count) if count > 1 else (len(rows), -1)
+        return np.asarray(made.reshape(shape), np.float64)
+
+    def _set(self, data: mmap.mmap, tag: int, kind: int, value: int) -> None:
+        """Change a tag, if it is there, to one integer."""
+        if (at := self._at.get(tag)) is not None:
+            form = self._form
+            entry = form.bytes(tag, 2) + form.bytes(kind, 2) + form.bytes(1, form.word)
+            data[at : at + form.step] = (entry + form.bytes(value, 2 if kind == 3 else 4)).ljust(form.step, b"\0")
+
+    def _hide(self, data: mmap.mmap, tag: int) -> None:
+        """Name a tag as the one before it: libtiff ignores the second of two."""
+        if (at := self._at.get(tag)) is not None:
+            before = max(known for known in self._at if known < tag)
+            data[at : at + 2] = self._form.bytes(before, 2)
+
+    def _share(self, data: mmap.mmap, tag: int, k: int) -> None:
+        """Reduce the offsets or sizes of strips to those of one plane."""
+        form, entry, at = self._form, self._entries[tag], self._at[tag]
+        kind, count = form.number(entry[2:4]), form.number(entry[4 : -form.word])
+        size = {3: 2, 4: 4, 16: 8}.get(kind, 4)
+        if count % self.planes or kind not in (3, 4, 16):
+            self._refuse("its planes have different numbers of strips")
+        few = count // self.planes
+        begin = at + form.step - form.word if count * size <= form.word else form.number(entry[-form.word :])
+        begin += k * few * size
+        inline = data[begin : begin + few * size] if few * size <= form.word else form.bytes(begin, form.word)
+        data[at + 4 : at + form.step] = form.bytes(few, form.word) + inline.ljust(form.word, b"\0")
+
+
+def swapped(tiff: Tiff, pixels: Array) -> Array:
+    """Return stored samples as a picture's, or the reverse: with white at the largest value, and a* and b* offset."""
+    if pixels.dtype.kind == "u" and tiff.photometric in (MINISWHITE, CIELAB):
+        pixels = pixels.copy()
+        if tiff.photometric == CIELAB:
+            pixels[..., 1:3] ^= pixels.dtype.type(1 << pixels.dtype.itemsize * 8 - 1)
+        else:
+            grey = pixels[..., 0] if pixels.ndim == 3 else pixels
+            grey ^= np.iinfo(pixels.dtype).max
+    return pixels
+
+
+def tagged(path: PathLike, tiff: Tiff, added: Folder, sized: bool) -> None:
+    """Write the tags that libvips does not, in all pages of a TIFF, and correct those that it makes up."""
+    changed: Folder = dict(tiff.tags)
+    if not tiff.is_saved:
+        changed[_PHOTOMETRIC] = _shorts(tiff.photometric)
+    if tiff.extra:
+        changed[_EXTRA] = _shorts(*tiff.extra)
+    if not sized:
+        changed[_UNIT] = _shorts(1)  # none: without the tag, readers take it for the inch
+    into_tiff(path, added, changed, () if tiff.extra else (_EXTRA,))
+
+
+def _shorts(*numbers: int) -> Value:
+    return Value(3, np.array(numbers, "<u2").tobytes())

@@ -1,0 +1,276 @@
+"""TIFFs of all layouts: samples, the meaning of channels, and tags come through."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import supple
+from supple.errors import GapWarning, SuppleError
+from supple.files import warp_file
+from supple.media.image import MetadataWarning, Picture, info, read, write
+from supple.media.image.display import in_srgb
+
+tifffile = pytest.importorskip("tifffile")
+
+Array = npt.NDArray[Any]
+SIZE = (37, 53)
+SAME = supple.Deformation(SIZE).affine([[1, 0, 0], [0, 1, 0]])
+HALF = supple.Deformation(SIZE).affine([[1, 0, 0.5], [0, 1, 0]])
+GRAB = supple.Recipe(strokes=[supple.Stroke.grab((20, 20), to=(24, 20), radius=6)])
+
+
+def noise(dtype: str, *shape: int) -> Array:
+    random = np.random.default_rng(sum(shape))
+    if np.dtype(dtype).kind == "f":
+        return random.normal(size=shape).astype(dtype)
+    bounds = np.iinfo(dtype)
+    return random.integers(bounds.min, bounds.max, shape, dtype, endpoint=True)
+
+
+def saved(path: Path, pixels: Array, photometric: str = "rgb", *, planar: bool = False, **options: Any) -> Array:
+    """Write a TIFF by tifffile; return its samples (H, W[, C])."""
+    stored = np.moveaxis(pixels, -1, 0) if planar else pixels
+    order = {"planarconfig": "separate" if planar else "contig"} if pixels.ndim == 3 else {}
+    tifffile.imwrite(path, stored, photometric=photometric, metadata=None, **order, **options)
+    return pixels
+
+
+def stored(path: Path) -> tuple[Array, Any]:
+    """Return the samples (H, W[, C]) in a file, and its first page."""
+    with tifffile.TiffFile(path) as file:
+        page = file.pages[0]
+        assert all(tag.value is not None for tag in page.tags)  # which reads them
+        pixels = page.asarray()
+        return (np.moveaxis(pixels, 0, -1) if page.planarconfig == 2 and pixels.ndim == 3 else pixels), page
+
+
+def same(path: Path) -> tuple[Picture, Array, Any]:
+    """Pass a file through an identity that samples; return what was read, and what was written."""
+    picture = read(path)
+    write(path.with_name("out.tif"), SAME.warp(picture, filter="nearest"), force=True)
+    return picture, *stored(path.with_name("out.tif"))
+
+
+@pytest.mark.parametrize("layout", [{}, {"rowsperstrip": 8}, {"tile": (16, 16)}])
+@pytest.mark.parametrize(
+    ("photometric", "channels", "extra"),
+    [
+        *[("rgb", 4, (kind,)) for kind in (0, 1, 2)],
+        *[("rgb", 5, extra) for extra in ((0, 0), (2, 0), (0, 2))],
+        *[("minisblack", 2, (kind,)) for kind in (0, 2)],
+        ("minisblack", 4, (0, 0, 0)),
+        ("separated", 4, ()),
+        *[("separated", 5, (kind,)) for kind in (0, 2)],
+        ("cielab", 3, ()),
+        ("icclab", 3, ()),
+        ("miniswhite", 2, (0,)),
+    ],
+)
+@pytest.mark.parametrize("dtype", ["u1", "u2", "f4"])
+def test_planes(
+    tmp_path: Path, dtype: str, photometric: str, channels: int, extra: tuple[int, ...], layout: Any
+) -> None:
+    pixels = noise(dtype, *SIZE, channels)
+    for planar in (False, True):
+        saved(tmp_path / "in.tif", pixels, photometric, planar=planar, extrasamples=extra or None, **layout)
+        picture, after, page = same(tmp_path / "in.tif")
+        assert (picture.extra, picture.alpha) == (extra, extra[-1:] == (2,))
+        np.testing.assert_array_equal(after, pixels)
+        assert (page.photometric.name.lower(), page.extrasamples) == (photometric, extra)
+        assert info(tmp_path / "in.tif")["alpha"] == (2 in extra)
+
+
+@pytest.mark.parametrize("compression", ["lzw", "zlib", "packbits"])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_planes_compressed(tmp_path: Path, compression: str, order: str) -> None:
+    for dtype in ("u2", "f4", "f8"):
+        predictor = compression != "packbits"
+        options = {"compression": compression, "predictor": predictor, "byteorder": order, "bigtiff": dtype == "u2"}
+        for layout in ({"rowsperstrip": 10}, {"tile": (16, 32)}):
+            pixels = saved(tmp_path / "in.tif", noise(dtype, *SIZE, 3), planar=True, **options, **layout)
+            _, after, page = same(tmp_path / "in.tif")
+            np.testing.assert_array_equal(after, pixels)
+            assert page.compression.name.lower() == {"zlib": "adobe_deflate"}.get(compression, compression)
+            assert page.is_tiled == ("tile" in layout)
+            assert page.parent.is_bigtiff == (dtype == "u2")
+            assert (page.predictor != 1) == (predictor and dtype != "f8")
+
+
+@pytest.mark.parametrize("bits", [2, 4, 6, 10, 12, 14])
+def test_odd_depths_are_spread(tmp_path: Path, bits: int) -> None:
+    depth = 8 if bits < 8 else 16
+    pixels = noise(f"u{depth // 8}", *SIZE, 3) >> (depth - bits)
+    for planar in (False, True):
+        saved(tmp_path / "in.tif", pixels, planar=planar, bitspersample=bits)
+        picture = read(tmp_path / "in.tif")
+        assert picture.bits == bits
+        wanted = pixels * ((2**depth - 1) / (2**bits - 1))
+        assert np.abs(picture.pixels - wanted).max() <= 1
+        np.testing.assert_array_equal(picture.pixels >> (depth - bits), pixels)
+
+
+def test_white_may_be_zero(tmp_path: Path) -> None:
+    for dtype in ("u1", "u2"):
+        pixels = saved(tmp_path / "in.tif", noise(dtype, *SIZE), "miniswhite")
+        picture, after, page = same(tmp_path / "in.tif")
+        np.testing.assert_array_equal(picture.pixels, np.iinfo(dtype).max - pixels)
+        np.testing.assert_array_equal(after, pixels)
+        assert page.photometric.name == "MINISWHITE"
+        write(tmp_path / "out.png", picture, force=True)
+        np.testing.assert_array_equal(read(tmp_path / "out.png").pixels, picture.pixels)
+
+
+@pytest.mark.parametrize("dtype", ["i8", "u8", "c8"])
+def test_what_is_not_supported_is_refused_by_name(tmp_path: Path, dtype: str) -> None:
+    tifffile.imwrite(tmp_path / "in.tif", np.ones(SIZE, dtype), photometric="minisblack")
+    with pytest.raises(SuppleError, match=r"not supported .*complex, or integers of 64 bits"):
+        read(tmp_path / "in.tif")
+
+
+def test_a_mosaic_is_refused(tmp_path: Path) -> None:
+    saved(tmp_path / "in.tif", noise("u2", *SIZE), "cfa")
+    with pytest.raises(SuppleError, match="mosaic of colours"):
+        read(tmp_path / "in.tif")
+
+
+def test_damaged_tiles_are_no_picture(tmp_path: Path) -> None:
+    saved(tmp_path / "in.tif", noise("u1", *SIZE, 3), tile=(16, 16), compression="zlib")
+    with tifffile.TiffFile(tmp_path / "in.tif") as file:
+        at, size = file.pages[0].dataoffsets[3], file.pages[0].databytecounts[3]
+    data = bytearray((tmp_path / "in.tif").read_bytes())
+    data[at + 5 : at + size] = bytes(size - 5)
+    (tmp_path / "in.tif").write_bytes(data)
+    with pytest.raises(SuppleError, match="damaged"):
+        read(tmp_path / "in.tif")
+
+
+def test_data_do_not_weight_colours(tmp_path: Path) -> None:
+    colours, near = noise("u1", *SIZE, 3), np.zeros(SIZE, np.uint8)
+    pixels = saved(tmp_path / "in.tif", np.dstack([colours, near]), extrasamples=[0])
+    made = HALF.warp(read(tmp_path / "in.tif"), filter="linear").pixels
+    wanted = (pixels[:, :-1].astype(float) + pixels[:, 1:]) / 2
+    assert np.abs(made[:, :-1] - wanted).max() <= 0.5
+    with pytest.raises(SuppleError, match="no channels of data beside the colours: write a TIFF"):
+        write(tmp_path / "out.png", read(tmp_path / "in.tif"))
+
+
+def test_opacity_weights_colours_and_no_data(tmp_path: Path) -> None:
+    pixels = np.zeros((*SIZE, 5), np.uint8)
+    pixels[:, ::2] = (200, 100, 50, 80, 255)  # red, green, blue, data, opacity
+    saved(tmp_path / "in.tif", pixels, extrasamples=[0, 2])
+    made = HALF.warp(read(tmp_path / "in.tif"), filter="linear").pixels
+    np.testing.assert_array_equal(made[5, 5], (200, 100, 50, 40, 128))
+
+
+def test_multiplied_colours_are_averaged_as_they_are(tmp_path: Path) -> None:
+    pixels = saved(tmp_path / "in.tif", noise("u1", *SIZE, 4) // 2, extrasamples=[1])
+    made = HALF.warp(read(tmp_path / "in.tif"), filter="linear").pixels
+    assert np.abs(made[:, :-1] - (pixels[:, :-1].astype(float) + pixels[:, 1:]) / 2).max() <= 0.5
+
+
+def lab_of(dtype: str, photometric: str) -> Array:
+    """Return L* = 46.45, a* = 54.0, b* = 48.03, the sRGB colour (200, 60, 30), as stored."""
+    values = np.array([46.45, 54.0, 48.03])
+    if dtype == "f4":
+        stored = values
+    else:
+        wide = dtype == "u2"
+        middle = (32768 if wide else 128) if photometric == "icclab" else 0
+        step = (257 if photometric == "icclab" else 256) if wide else 1
+        stored = np.rint([values[0] * (65535 if wide else 255) / 100, *(values[1:] * step + middle)])
+    return np.broadcast_to(stored, (*SIZE, 3)).astype(dtype)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "photometric"), [("u1", "cielab"), ("u1", "icclab"), ("u2", "cielab"), ("f4", "cielab")]
+)
+def test_lab_is_seen_and_stays(tmp_path: Path, dtype: str, photometric: str) -> None:
+    saved(tmp_path / "in.tif", lab_of(dtype, photometric), photometric)
+    picture = read(tmp_path / "in.tif")
+    assert picture.interpretation == "lab"
+    assert np.abs(in_srgb(picture).pixels.astype(int) - (200, 60, 30)).max() <= 2
+    with pytest.raises(SuppleError, match="write a TIFF"):
+        write(tmp_path / "out.jpg", picture)
+
+
+def test_an_average_of_lab_goes_through_grey(tmp_path: Path) -> None:
+    pixels = np.zeros((*SIZE, 3), np.int8)
+    pixels[..., 0], pixels[:, ::2, 1:], pixels[:, 1::2, 1:] = 100, (-20, 10), (20, -10)
+    saved(tmp_path / "in.tif", pixels.view(np.uint8), "cielab")
+    write(tmp_path / "out.tif", HALF.warp(read(tmp_path / "in.tif"), filter="linear"))
+    np.testing.assert_array_equal(stored(tmp_path / "out.tif")[0][5, 5], (100, 0, 0))
+
+
+def test_cmyk_and_others_as_seen(tmp_path: Path) -> None:
+    saved(tmp_path / "cmyk.tif", np.full((*SIZE, 4), (0, 255, 255, 0), np.uint8), "separated")
+    seen = in_srgb(read(tmp_path / "cmyk.tif"))
+    assert (seen.pixels.shape, seen.alpha) == ((*SIZE, 3), False)
+    assert seen.pixels[0, 0, 0] > 180
+    assert seen.pixels[0, 0, 1:].max() < 80
+    with pytest.raises(SuppleError, match="holds no CMYK colours"):
+        write(tmp_path / "out.bmp", read(tmp_path / "cmyk.tif"))
+    saved(tmp_path / "multiplied.tif", np.full((*SIZE, 4), (100, 50, 25, 128), np.uint8), extrasamples=[1])
+    seen = in_srgb(read(tmp_path / "multiplied.tif"))
+    assert seen.alpha
+    assert np.abs(seen.pixels[0, 0].astype(int) - (200, 100, 50, 128)).max() <= 1
+    saved(tmp_path / "near.tif", np.full((*SIZE, 4), (9, 8, 7, 0), np.uint8), extrasamples=[0])
+    np.testing.assert_array_equal(in_srgb(read(tmp_path / "near.tif")).pixels[0, 0], (9, 8, 7))
+
+
+PLACE = [
+    (33550, "d", 3, (0.6, 0.6, 0.0), True),
+    (33922, "d", 6, (0, 0, 0, 500000.0, 4000000.0, 0), True),
+    (34735, "H", 8, (1, 1, 0, 1, 3072, 0, 1, 32610), True),
+    (34737, "s", 0, "UTM|", True),
+    (42112, "s", 0, "<GDALMetadata/>", True),
+]
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_georeference_stays_with_its_grid(tmp_path: Path, order: str) -> None:
+    source, out = tmp_path / "in.tif", tmp_path / "out.tif"
+    saved(source, noise("u2", *SIZE), "minisblack", extratags=PLACE, byteorder=order)
+    warp_file(source, out, GRAB)
+    tags = stored(out)[1].tags
+    for tag, _, _, value, _ in PLACE:
+        assert tags[tag].value == value
+    with pytest.warns(MetadataWarning, match=r"in\.tif: its georeference is left out, as the grid is another one$"):
+        warp_file(source, out, GRAB, force=True, grid=supple.GridOptions(crop=(2, 3, 20, 20)))
+    assert not {33550, 33922, 34735} & set(stored(out)[1].tags.keys())
+    with pytest.warns(MetadataWarning, match=r"out\.png: PNG cannot take over the georeference"):
+        warp_file(source, tmp_path / "out.png", GRAB)
+    saved(source, noise("u2", *SIZE), "minisblack", extratags=[*PLACE, (274, "H", 1, 6, True)])
+    with pytest.warns(MetadataWarning, match="the georeference of a turned picture cannot be carried over"):
+        read(source)
+
+
+def test_no_data_is_not_averaged_in_silence(tmp_path: Path) -> None:
+    tag = [(42113, "s", 0, "-9999", True)]
+    heights = noise("f4", *SIZE)
+    heights[18:22, 18:22] = -9999
+    saved(tmp_path / "in.tif", heights, "minisblack", extratags=tag)
+    with pytest.warns(GapWarning, match=r"16 samples are marked as no data \(-9999\), and their neighbours too"):
+        warp_file(tmp_path / "in.tif", tmp_path / "out.tif", GRAB)
+    made, page = stored(tmp_path / "out.tif")
+    assert page.tags[42113].value == "-9999"
+    assert (made == -9999).sum() >= 16
+    assert made[made != -9999].min() >= heights[heights != -9999].min()
+    saved(tmp_path / "whole.tif", heights.astype("i2"), "minisblack", extratags=tag)
+    with pytest.warns(GapWarning, match=r'mixed with others: filter="nearest" keeps them apart$'):
+        warp_file(tmp_path / "whole.tif", tmp_path / "out.tif", GRAB, force=True)
+    warp_file(tmp_path / "whole.tif", tmp_path / "out.tif", GRAB, force=True, filter="nearest")
+
+
+def test_a_jpeg_in_a_tiff_stays_one(tmp_path: Path) -> None:
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]]
+    saved(tmp_path / "in.tif", np.stack([4 * x, 6 * y, 2 * x + y], axis=-1).astype(np.uint8), "rgb", compression="jpeg")
+    picture, after, page = same(tmp_path / "in.tif")
+    assert page.compression.name == "JPEG"
+    assert np.abs(after.astype(int) - picture.pixels).max() <= 4
+    write(tmp_path / "exact.tif", picture, lossless=True)
+    np.testing.assert_array_equal(stored(tmp_path / "exact.tif")[0], picture.pixels)
