@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pyvips
 
 from supple.media.base import Clip
 from supple.media.image import Picture
-from supple.media.image.formats import meant, wrapped
+from supple.media.image.display import in_srgb
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float32]
@@ -48,32 +47,18 @@ def usual_of(source: Picture | Clip) -> str:
 
 
 def on_screen(picture: Picture, transform: str = "") -> Pixels:
-    """Return an image's pixels as (rows, columns, 4) of sRGB.
-
-    Without a view transform, they are converted by the colour profile and the meaning of the channels.
-    """
-    pixels, kind = picture.pixels, picture.interpretation
-    device = kind in ("cmyk", "lab", "labs")  # not grey or RGB
-    deep = pixels.reshape(*pixels.shape[:2], -1)
-    colours = deep[..., :-1] if picture.alpha else deep
-    made: Array | None = None
-    if transform and not device and (colours.dtype.kind == "f" or colours.dtype in (np.uint8, np.uint16)):
-        made = seen(colours[..., : 3 if colours.shape[2] > 2 else 1], transform)
-    elif picture.icc is not None or device:
-        if colours.dtype.kind == "f" and not device:  # profiles are for whole numbers
-            colours = np.rint(np.clip(np.nan_to_num(colours), 0.0, 1.0) * 65535).astype(np.uint16)
-        meaning = kind if device else meant(colours.dtype, colours.shape[2], "")
-        image = wrapped(np.ascontiguousarray(colours), meaning, 16)
-        if picture.icc is not None:
-            image.set_type(pyvips.GValue.blob_type, "icc-profile-data", picture.icc)
-            with contextlib.suppress(pyvips.Error):  # an invalid profile, or one for other colours
-                made = image.icc_transform("srgb", embedded=True).numpy()
-        if made is None and device:
-            made = image.colourspace("srgb").numpy()
-    out = shown(colours if made is None else made, alpha=False)
-    if picture.alpha:
-        out[..., 3] = _eight(deep[..., -1])
-    return out
+    """Return an image's pixels as (rows, columns, 4) of sRGB: through a view transform, or else by its profile."""
+    pixels = picture.pixels
+    if pixels.dtype.kind == "f" and picture.icc is not None and not transform:  # profiles are for whole numbers
+        pixels = np.rint(np.clip(np.nan_to_num(pixels), 0.0, 1.0) * 65535).astype(np.uint16)
+    plain = in_srgb(replace(picture, pixels=pixels, icc=None if transform else picture.icc))
+    made, colours = plain.pixels, plain.pixels[..., :-1] if plain.alpha else plain.pixels
+    if transform and (colours.dtype.kind == "f" or colours.dtype in (np.uint8, np.uint16)):
+        out = shown(seen(colours, transform), alpha=False)
+        if plain.alpha:
+            out[..., 3] = _eight(made[..., -1])
+        return out
+    return shown(made, alpha=plain.alpha)
 
 
 def shown(array: npt.NDArray[Any], *, alpha: bool | None = None) -> Pixels:
