@@ -10,11 +10,12 @@ DEBUG ?=
 # An editable install is a path to src/; the core is compiled there by `make core`.
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check --config-settings core=later --editable
 
-.PHONY: help venv core demo test test-cuda sanitize bench bench-gpu bench-cuda bench-window soak lint wheel clean
+.PHONY: help venv core demo test versions test-cuda sanitize bench bench-gpu bench-cuda bench-window soak lint wheel clean
 
 help:
 	@echo "make demo      a small gallery in demo/, to look at"
 	@echo "make test      all tests"
+	@echo "make versions  a few tests with the lowest and the newest versions of all dependencies"
 	@echo "make test-cuda all tests of the CUDA engine at size, on an NVIDIA GPU"
 	@echo "make bench     how fast and how exact, against others"
 	@echo "make bench-gpu how fast the GPU is, in its own time"
@@ -100,6 +101,9 @@ TEST := -m pytest -q -n logical --dist loadfile --no-loadscope-reorder
 test: venv
 	$(BIN)/python $(TEST) $(APART)
 	$(BIN)/python $(TEST) $(APART:%=--ignore=%)
+
+versions: venv
+	$(BIN)/python tools/versions.py
 
 # On a real GPU, one after the other: each test fails where there is none. The last are few, and watched.
 test-cuda: venv $(VENV)/stamp-cuda

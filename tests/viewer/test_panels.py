@@ -12,6 +12,7 @@ import pytest
 
 import supple
 from supple.engines.wgpu.device import Gpu
+from supple.media import video
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.editing import Document
 from supple.viewer.document.files import FileCommands
@@ -47,7 +48,16 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, float]]:
 
         monkeypatch.setattr(imgui, name, drawn)
 
-    for name in ("button", "small_button", "checkbox", "combo", "slider_float", "slider_int", "input_float"):
+    for name in (
+        "button",
+        "small_button",
+        "checkbox",
+        "combo",
+        "slider_float",
+        "slider_int",
+        "input_float",
+        "input_text",
+    ):
         watch(name)
     for name in ("selectable", "tree_node", "invisible_button", "collapsing_header", "begin_menu"):
         watch(name)
@@ -421,6 +431,34 @@ def test_a_number_that_is_typed_counts_when_it_is_left(
     view.document.undo()
     assert view.document.items[0].stroke.radius == 40  # it is one step
     view.document.mark_saved()
+
+
+def test_options_of_an_export(gpu: Gpu, seen: dict[str, tuple[float, float]], tmp_path: Path) -> None:
+    stroke = Stroke(at=(120, 80, 4), by=(14, 6, 0), radius=40)
+    view, hand = opened(DATA / "bunny.mp4", Recipe(border=None, strokes=(stroke,)), size=(SIZE[0], 1600))
+    view.sections["Export options"] = True
+    hand.canvas.draw()
+    for field, text in (("input_text ##codec", "ffv1"), ("input_float ##time scale", "3")):
+        hand.click(seen[field])
+        hand.modifiers = ("Control",)
+        hand.send("key_down", key="a")
+        hand.canvas.draw()
+        hand.send("key_up", key="a")
+        hand.modifiers = ()
+        hand.canvas.draw()
+        type_(hand, text)
+        hand.key("Enter")
+        hand.canvas.draw()
+    hand.click(seen["checkbox ##time filter"])
+    clip = view.commands.options["clip"]
+    assert (clip.codec, clip.crf, clip.time_scale, clip.time_filter) == ("ffv1", None, 3.0, True)
+    view.commands.begin_export(tmp_path / "out.mkv")
+    assert view.commands.export.join(120)
+    assert view.commands.export.error is None
+    assert video.info(tmp_path / "out.mkv")["codec"] == "ffv1"
+    assert view.commands.export.result.deformation.domain.spacing[2] == 3.0
+    view.document.mark_saved()
+    view.close()
 
 
 def test_what_is_typed_before_a_question_is_not_its_answer(gpu: Gpu) -> None:

@@ -110,6 +110,43 @@ def test_what_is_played_is_marked(gpu: Gpu) -> None:
     view.close()
 
 
+def test_strokes_are_marked_on_the_timeline(gpu: Gpu) -> None:
+    view, hand = opened(DATA / "bunny.mp4")
+
+    def bar() -> np.ndarray:
+        for _ in range(3):
+            hand.canvas.draw()
+        return np.array(hand.canvas.draw()[SIZE[1] - 68 : SIZE[1] - 24, :700, :3]).astype(int)
+
+    before = bar()
+    view.document.add(Stroke(at=(120, 80, 32), by=(14, 6, 16), radius=40))
+    columns = np.flatnonzero((np.abs(bar() - before).max(axis=-1) > 40)[20:].any(axis=0))
+    groups = np.split(columns, np.flatnonzero(np.diff(columns) > 3) + 1)
+    assert len(groups) == 2  # where it begins, and where it ends
+    view.document.undo()
+    assert np.abs(bar() - before).max() < 8
+    view.close()
+
+
+def test_a_long_seek_says_so(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
+    from supple.viewer.panels.overlay import status
+
+    view, hand = opened(DATA / "bunny.mp4")
+    monkeypatch.setattr(view.stage.film, "get", lambda frame: None)
+    view.tools.playback.seek(40)
+    hand.canvas.draw()
+    assert "seeking" not in status(view)
+    view.ready_at -= 0.6
+    hand.canvas.draw()
+    assert status(view) == "seeking frame 40 \u2026"
+    monkeypatch.undo()
+    assert view.stage.film.wait(40, 40, 30.0)
+    for _ in range(2):
+        hand.canvas.draw()
+    assert "seeking" not in status(view)
+    view.close()
+
+
 def test_the_frame_that_is_seen_is_certified(gpu: Gpu) -> None:
     from supple.viewer.panels.overlay import status
 

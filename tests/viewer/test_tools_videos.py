@@ -178,3 +178,14 @@ class TestVideos:
         tools.playback.seek(4)
         move(tools, 201, 101, buttons=())
         assert tools.hover == (100, 50, 4)
+
+    def test_frames_of_strokes(self) -> None:
+        tools = clip(
+            Stroke(at=(100, 50, 5), by=(10, 5, 3), radius=40),
+            Stroke(at=(50, 50, 8), brush="twist", angle=20, radius=20),
+            Stroke(at=(50, 50, 2), by=(1, 0, 0), radius=20, hidden=True),
+            Stroke(at=(50, 50, 18), by=(1, 0, 4), radius=20),
+        )
+        assert tools.stroke_frames == {5: False, 8: False, 18: False}
+        tools.document.select(0)
+        assert tools.stroke_frames == {5: True, 8: True, 18: False}

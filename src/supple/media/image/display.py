@@ -56,6 +56,9 @@ def _converted(colours: Array, picture: Picture) -> Array:
             values = np.concatenate(
                 [values[..., :1] * np.float32(100 / white), (values[..., 1:] / step) - 128], axis=-1, dtype=np.float32
             )
+        elif dtype == np.int16:  # as libvips writes 16 bits: L* by its bits without a sign, a* and b* with one
+            light = np.ascontiguousarray(colours[..., :1]).view(np.uint16) * np.float32(100 / 65535)
+            values = np.concatenate([light, values[..., 1:] / 256], axis=-1, dtype=np.float32)
         image = wrapped(np.ascontiguousarray(values), "lab", 32).colourspace("srgb")
         return np.asarray(image.numpy()).reshape(*colours.shape[:2], 3)
     if dtype not in (np.uint8, np.uint16) or (kind != "cmyk" and not picture.icc):

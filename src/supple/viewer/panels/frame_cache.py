@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections import OrderedDict
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ import numpy.typing as npt
 from supple.errors import SuppleError
 from supple.files import PathLike
 from supple.files.clips import open_clip
+from supple.media.sequence import Pictures
+from supple.viewer.panels.transforms import on_screen, seen, shown, usual_of
 
 Pixels = npt.NDArray[np.uint8]
 Span = tuple[int, int]
@@ -39,6 +42,8 @@ class FrameCache:
             height, width = clip.layout.shape
             self.rate = float(clip.rate)
             found = clip.survey.starts if hasattr(clip, "survey") else ()
+            self.transform = usual_of(clip)  # the view transform, one of `TRANSFORMS`
+            self._like = clip.picture(0)[0] if isinstance(clip, Pictures) else None
             self.starts = found if len(found) == clip.count else ()
             """Seconds at which each frame is shown, where they are not evenly spaced."""
         self.size: tuple[int, int] = (width, height)
@@ -75,6 +80,20 @@ class FrameCache:
             if found is not None:
                 self._frames.move_to_end(frame)
             return found
+
+    def set_transform(self, name: str) -> None:
+        """Set the view transform; frames are decoded again."""
+        with self._news:
+            self.transform = name
+            self._frames.clear()
+            self._news.notify_all()
+
+    def _seen(self, clip: Any, arrays: list[npt.NDArray[Any]], transform: str) -> Pixels:
+        """Return a frame through a view transform."""
+        if self._like is not None:
+            return on_screen(replace(self._like, pixels=arrays[0]), transform)
+        rgb = clip.to_rgb(arrays, deep=bool(transform))
+        return shown(seen(rgb, transform) if transform else rgb, alpha=False)
 
     def wait(self, first: int, last: int, seconds: float) -> bool:
         """Wait for frames; return whether they are there."""
@@ -135,9 +154,11 @@ class FrameCache:
                     keep = at not in self._frames and any(a <= at <= b for a, b in self._due_spans())
                 if keep:
                     picture.copy_to(arrays)
-                    pixels = np.full((self.size[1], self.size[0], 4), 255, np.uint8)
-                    pixels[..., :3] = clip.to_rgb(arrays)
+                    transform = self.transform
+                    pixels = self._seen(clip, arrays, transform)
                     with self._news:
+                        if transform != self.transform:
+                            return
                         self._frames[at] = pixels
                         self._thin()
                         self._news.notify_all()

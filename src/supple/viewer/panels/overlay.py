@@ -109,7 +109,10 @@ def _timeline(view: View, stage: VideoStage) -> None:
     if changed:
         playback.seek(frame)
     _marked(playback)
-    hint("The frame; I and O mark the part that is played, U removes the marks")
+    for at, selected in tools.stroke_frames.items():
+        x, high = round(_at_frame(at, playback)) + 0.5, imgui.get_item_rect_max()
+        imgui.get_window_draw_list().add_line((x, high.y - 6), (x, high.y), theme.BLUE if selected else theme.SOFT, 2.0)
+    hint("The frame; below it, where strokes are. I and O mark the part that is played, U removes the marks")
     imgui.same_line(0, 12)
     imgui.text(said)
     imgui.same_line(width - imgui.get_frame_height() - imgui.calc_text_size("loop").x - 16)
@@ -141,10 +144,15 @@ def _marked(playback: Playback) -> None:
     if (playback.first, playback.last) == (0, playback.count - 1):
         return
     low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-    inset = 0.5 * imgui.get_style().grab_min_size + 2.0  # a slider's knob stays within it
-    wide = (high.x - low.x - 2 * inset) / max(playback.count - 1, 1)
-    first, last = (round(low.x + inset + wide * frame) for frame in (playback.first, playback.last))
+    first, last = (round(_at_frame(frame, playback)) for frame in (playback.first, playback.last))
     imgui.get_window_draw_list().add_rect((first - 2, low.y), (last + 2, high.y), theme.BLUE, 2.0)
+
+
+def _at_frame(frame: float, playback: Playback) -> float:
+    """Return where on the timeline, the last item, a frame is."""
+    low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+    inset = 0.5 * imgui.get_style().grab_min_size + 2.0  # a slider's knob stays within it
+    return low.x + inset + (high.x - low.x - 2 * inset) * frame / max(playback.count - 1, 1)
 
 
 def _status(view: View) -> None:
@@ -161,6 +169,8 @@ def status(view: View) -> str:
     tools, document = view.tools, view.document
     if view.computing:  # what is under the pointer would wait for it
         return COMPUTING
+    if view.seeking:
+        return f"seeking frame {view.frame:.0f} \u2026"
     trouble = tools.status or view.commands.message
     if trouble:
         parts.append(trouble)

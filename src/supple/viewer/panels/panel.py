@@ -2,17 +2,35 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+from typing import Any
+
 from imgui_bundle import imgui
 
 from supple.engines.wgpu.plate import OVERLAYS
 from supple.errors import shown
+from supple.files.clips import ClipOptions
 from supple.viewer.document.background import Export
 from supple.viewer.panels import history, legend, menu, question, strokes, theme, volume
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.icons import cross
 from supple.viewer.panels.overlay import certified
+from supple.viewer.panels.stages import ImageStage
+from supple.viewer.panels.transforms import TRANSFORMS
 from supple.viewer.panels.view import FROZEN, STRIP, WIDE, View
-from supple.viewer.panels.widgets import REST, elided, hint, icon_button, label, primary, section, slider, wrapped
+from supple.viewer.panels.widgets import (
+    REST,
+    elided,
+    hint,
+    icon_button,
+    label,
+    primary,
+    section,
+    slider,
+    typed,
+    wrapped,
+)
 
 _FOOT = 94.0  # logical pixels of the file commands
 _EXPORTING, _DONE = 60.0, 30.0  # and of an export's progress, and of its end
@@ -47,6 +65,7 @@ def panel(view: View) -> None:
     _seeing(view)
     strokes.folds(view)
     _accuracy(view)
+    _exports(view)
     history.draw(view)
     imgui.end_child()
     _files(view)
@@ -64,6 +83,14 @@ def _seeing(view: View) -> None:
         view.overlay = names[index]
         view.refresh()
     legend.draw(view)
+    stage = view.stage
+    if isinstance(stage, ImageStage):
+        label("Colours", "The view transform: how linear and HDR values are shown. An export keeps the values")
+        known = list(TRANSFORMS)
+        changed, index = imgui.combo("##transform", known.index(stage.transform), list(TRANSFORMS.values()))
+        if changed:
+            stage.set_transform(known[index])
+            view.refresh()
     compared = view.document.compared is not None
     what = "Step A of the history" if compared else "The original"
     label("Compare", f"{what} to the left of a line, the result to the right of it")
@@ -92,6 +119,40 @@ def _accuracy(view: View) -> None:
             "Proven for every pixel of an export: how far from where the strokes say it may be read. How far a stroke "
             "ends from its target is said with the stroke."
         )
+
+
+def _exports(view: View) -> None:
+    """Draw the options of an export."""
+    kind, commands = view.stage.kind, view.commands
+    if kind == "volume" or view.source is None or not section(view, "Export options"):
+        return
+    if kind == "image":
+        label("Quality", "From 1 to 100, of JPEG, WebP and AVIF; 0 for what the format usually has")
+        entered, number = typed(view, "##quality", float(commands.options.get("quality") or 0), "%.0f")
+        if entered and math.isfinite(number):
+            commands.options = {**commands.options, "quality": round(number) or None}
+        return
+    clip = commands.options.get("clip") or ClipOptions()
+    made: dict[str, Any] = {}
+    label("Codec", "h264, hevc, av1, prores, ffv1 \u2026; empty for that of the clip")
+    changed, text = imgui.input_text("##codec", clip.codec or "")
+    if changed:
+        made["codec"] = text.strip() or None
+    label("CRF", "Lower is better, and larger: 18 for H.264; below 0 for what the codec usually has")
+    entered, number = typed(view, "##crf", -1.0 if clip.crf is None else clip.crf, "%.1f")
+    if entered:
+        made["crf"] = number if 0 <= number < math.inf else None
+    label("Time scale", "How many pixels a frame is long, for the brush: here, only in the export")
+    length = view.stage.spacing[2] if clip.time_scale is None else clip.time_scale
+    entered, number = typed(view, "##time scale", length, "%.2f")
+    if entered:
+        made["time_scale"] = number if 0 < number < math.inf else None
+    label("Time filter", "Average over several frames where strokes speed time up: motion blur instead of jagged edges")
+    changed, on = imgui.checkbox("##time filter", clip.time_filter)
+    if changed:
+        made["time_filter"] = on
+    if made:
+        commands.options = {**commands.options, "clip": replace(clip, **made)}
 
 
 def _files(view: View) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pyvips
 
 from supple.deformation import Deformation
 from supple.engines.wgpu.device import Gpu
@@ -26,6 +25,7 @@ from supple.render.transfer import LABELS, Transfer
 from supple.viewer.document.background import heard
 from supple.viewer.document.state import Kind
 from supple.viewer.panels.frame_cache import FrameCache
+from supple.viewer.panels.transforms import on_screen, usual_of
 from supple.viewer.panels.warped import Levels, Warped
 
 Pixels = npt.NDArray[np.uint8]
@@ -39,19 +39,33 @@ class ImageStage:
 
     kind: Kind = "image"
 
-    def __init__(self, gpu: Gpu, name: str, pixels: Pixels) -> None:
-        height, width = pixels.shape[:2]
+    def __init__(self, gpu: Gpu, name: str, source: Picture | Pixels) -> None:
+        self._gpu, self._given = gpu, source
+        self.transform = usual_of(source) if isinstance(source, Picture) else ""
+        """The view transform, one of `TRANSFORMS`."""
+        self._lay()
+        height, width = self.pixels.shape[:2]
         self.shape: tuple[int, ...] = (height, width)
         self.spacing: tuple[float, ...] = (1.0, 1.0)
         self._name(name, (width, height))
-        self.pixels = pixels
-        self._by_cpu = gpu.software  # which itself warps faster than shaders on it
+
+    def _lay(self) -> None:
+        """Make the pixels, and hold them on the device."""
+        given = self._given
+        whole = given if isinstance(given, Picture) else Picture(given, alpha=True)
+        self.pixels = on_screen(whole, self.transform)
+        self._by_cpu = self._gpu.software  # which itself warps faster than shaders on it
         if self._by_cpu:
-            levels = Levels(pixels)
-            self._warped = [Warped(gpu, levels), Warped(gpu, levels)]  # the result, and its base beside it
+            levels = Levels(self.pixels)
+            self._warped = [Warped(self._gpu, levels), Warped(self._gpu, levels)]  # the result, and its base beside it
         else:
-            self._plate = Plate(gpu, self.size)
-            self._plate.put(0, pixels)
+            self._plate = Plate(self._gpu, self.pixels.shape[1::-1])
+            self._plate.put(0, self.pixels)
+
+    def set_transform(self, name: str) -> None:
+        """Set the view transform."""
+        self.transform = name
+        self._lay()
 
     def _name(self, name: str, size: tuple[int, int]) -> None:
         self.name, self.size = name, size
@@ -110,7 +124,7 @@ class VideoStage(ImageStage):
     kind = "video"
 
     def __init__(self, gpu: Gpu, film: FrameCache, time_scale: float = 1.0) -> None:
-        self.film, self.rate = film, film.rate
+        self.film, self.rate, self.transform = film, film.rate, film.transform
         width, height = film.size
         self.shape, self.spacing = (film.count, height, width), (1.0, 1.0, time_scale)
         slots = max(2, min(film.most, Plate.most(gpu, film.size), film.count))
@@ -118,6 +132,12 @@ class VideoStage(ImageStage):
         self._plate = Plate(gpu, film.size, film.count, slots)
         self._by_cpu = False
         self._spans: dict[tuple[Deformation, float], Span] = {}
+
+    def set_transform(self, name: str) -> None:
+        """Set the view transform; frames are decoded again."""
+        self.transform = name
+        self.film.set_transform(name)
+        self._plate.earliest = self._plate.held = 0
 
     def expect(self, deformations: tuple[Deformation, ...], sight: Sight) -> None:
         """Prepare the next drawing: request its frames together, since separate requests might displace each other."""
@@ -303,50 +323,3 @@ class VolumeStage:
         geometry = self.volume.geometry
         place = ", ".join(f"{round(v, 1) + 0.0:.1f}" for v in geometry.to_world(point).tolist())
         return f"({place}) mm {geometry.convention}"
-
-
-def on_screen(picture: Picture) -> Pixels:
-    """Return an image's pixels as (rows, columns, 4), through its colour profile, if it has one."""
-    pixels = picture.pixels
-    if picture.icc and pixels.ndim == 3 and pixels.dtype in (np.uint8, np.uint16):
-        kind = "rgb16" if pixels.dtype == np.uint16 else "srgb"
-        kind = "cmyk" if picture.interpretation == "cmyk" else kind
-        image = pyvips.Image.new_from_array(pixels).copy(interpretation=kind)
-        image = image.mutate(lambda m: m.set_type(pyvips.GValue.blob_type, "icc-profile-data", picture.icc))
-        try:
-            return shown(np.asarray(image.icc_transform("srgb", embedded=True).numpy()), alpha=picture.alpha)
-        except pyvips.Error:  # an invalid profile, or one for other colours
-            pass
-    return shown(pixels, alpha=picture.alpha)
-
-
-def shown(array: npt.NDArray[Any], *, alpha: bool | None = None) -> Pixels:
-    """Return an image array (H, W[, C]) as (rows, columns, 4): grey or RGB; of floats, 0 is black and 1 is white.
-
-    The last channel is opacity if ``alpha``; by default, for two or four channels.
-    """
-    deep = array if array.ndim == 3 else array[..., None]
-    channels = deep.shape[2]
-    opaque = not (channels in (2, 4) if alpha is None else alpha)
-    eight = _eight(deep)
-    colours = eight if opaque else eight[..., :-1]
-    out = np.full((*deep.shape[:2], 4), 255, np.uint8)
-    out[..., :3] = colours[..., :3] if colours.shape[2] >= 3 else colours[..., :1]
-    if not opaque:
-        out[..., 3] = eight[..., -1]
-    return out
-
-
-def _eight(array: npt.NDArray[Any]) -> Pixels:
-    kind = array.dtype
-    if kind == np.uint8:
-        return np.asarray(array)
-    if kind == np.bool_:
-        return np.asarray(array, np.uint8) * np.uint8(255)
-    if kind == np.uint16:
-        return np.asarray((array + np.uint32(128)) // np.uint32(257), np.uint8)
-    values = array.astype(np.float32)
-    if kind.kind in "iu":  # types without a known value of white
-        low, high = float(values.min()), float(values.max())
-        values = (values - low) / (high - low) if high > low else np.zeros_like(values)
-    return np.asarray(np.rint(np.clip(np.nan_to_num(values), 0.0, 1.0) * 255), np.uint8)

@@ -38,6 +38,7 @@ SETTLED = 0.15  # seconds without a change, after which an image is drawn at ful
 FROZEN = "frozen"
 """The name of the overlay of what is frozen."""
 COMPUTING = "computing \u2026"
+SLOW = 0.5  # seconds that a frame of a clip is waited for, after which that is said
 PATIENCE = 5.0  # seconds that saving an image waits for its frames
 
 
@@ -75,6 +76,7 @@ class View:
         self.commands = FileCommands(self.document, self.source, self.write, leave, "auto", self.export)
         self.certifier = Certifier(self.canvas.request_draw)
         self._changed_at = 0.0
+        self.ready_at = time.perf_counter()  # when an image was last complete
         self._drawn_key: tuple[Shot, int] | None = None
         self._frames: deque[float] = deque(maxlen=30)
         self._callbacks: list[Callable[[Recipe], None]] = []
@@ -153,6 +155,12 @@ class View:
     def frame(self) -> float:
         """The displayed frame of a clip."""
         return float(self.tools.playback.frame) if isinstance(self.tools, VideoTools) else 0.0
+
+    @property
+    def seeking(self) -> bool:
+        """Return whether the displayed frame of a clip has been waited for for long."""
+        waits = isinstance(self.stage, VideoStage) and not self.painter.ready
+        return waits and time.perf_counter() - self.ready_at > SLOW
 
     @property
     def _playing(self) -> bool:

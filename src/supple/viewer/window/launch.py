@@ -24,7 +24,7 @@ from supple.files.landmarks import read_landmarks
 from supple.files.renders import default_transfer
 from supple.files.volumes import VolumeOptions, background_of, in_space, is_of_labels, is_volume_job, open_volume
 from supple.geometry import Geometry, Grid, check_upright
-from supple.media.image import read
+from supple.media.image import Picture, read
 from supple.media.volume import Volume
 from supple.render.camera import Camera
 from supple.strokes import Fit, Recipe, fit_recipe
@@ -32,8 +32,8 @@ from supple.viewer.document.editing import Document
 from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.panels.frame_cache import FrameCache
 from supple.viewer.panels.slices import first_window
-from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage, on_screen
-from supple.viewer.panels.stages import shown as as_pixels
+from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage
+from supple.viewer.panels.transforms import shown as as_pixels
 from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.drags import Pair
 from supple.viewer.tools.playback import Playback
@@ -117,9 +117,8 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
                 refuse_maps(source)
             return VideoStage(gpu, FrameCache(source), options.time_scale)
         picture = read(source)
-        if (through := options.mapped(Grid(picture.pixels.shape[:2]))) is not None:
-            picture = replace(picture, pixels=through.warp(picture.pixels, alpha=picture.alpha))
-        pixels = on_screen(picture)
+        through = options.mapped(Grid(picture.pixels.shape[:2]))
+        pictured: Picture | npt.NDArray[np.uint8] = picture if through is None else through.warp(picture)
     else:
         name, array = "the array", np.asarray(source)
         if options.maps:
@@ -134,9 +133,9 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
             x, y, z = (length("spacing", v) for v in point("spacing", options.spacing, (3,)))
             volume = Volume(array, Geometry(spacing=(x, y, z)), name, "array")
             return VolumeStage(gpu, volume, default_transfer(volume))
-        pixels = as_pixels(array)
+        pictured = as_pixels(array)
     try:
-        return ImageStage(gpu, name, pixels)
+        return ImageStage(gpu, name, pictured)
     except MemoryError as error:
         raise SuppleError(f"{name} cannot be shown: {error}") from None
 
@@ -147,8 +146,7 @@ def _mapped(volume: Volume, options: ViewOptions) -> Volume:
     if through is None:
         return volume
     labels = options.volume.labels or volume.is_segmentation or is_of_labels(volume)
-    slope, intercept = volume.scaling
-    fill = (background_of(volume, labels=labels) - intercept) / slope
+    fill = volume.stored(background_of(volume, labels=labels))
     first = volume.samples[0] if volume.series else volume.samples
     made = through.warp(first, filter="nearest" if labels else "linear", outside="constant", fill=fill)
     return replace(volume, samples=made[None] if volume.series else made)

@@ -196,6 +196,8 @@ class Window(View):
         self._title()
         begun = time.perf_counter()
         self._frames.append(begun)
+        if self.painter.ready:
+            self.ready_at = begun
         tools, (width, height) = self.tools, self.area
         ratio = self.canvas.get_pixel_ratio()
         if self._laid != (width, height, ratio):
