@@ -55,6 +55,8 @@ def parts(here: Path, runs: int, quick: bool) -> tuple[dict[str, Part], dict[str
         "strokes": lambda: pictures.many_strokes(some),
         "frame": lambda: video.one_frame(runs),
         "clip": lambda: video.whole_clip(here, few, frames),
+        "short-clips": lambda: video.short_clips(here, few),
+        "borders": lambda: volume.borders(some),
         "volume": lambda: volume.whole_warps(some, 128 if quick else 256),
         "picture": lambda: volume.pictures(some),
         "paper": lambda: pictures.against_the_paper(some),

@@ -142,13 +142,22 @@ def more_frames(runs: int) -> Iterator[Row]:
     yield frame_row(runs, "linear", None, 1.0, "0.92")
 
 
-def clip_row(here: Path, runs: int, count: int, options: dict[str, Any], bar: float | None, before: str) -> Row:
-    """Compare a clip from file to file, every frame deformed, with decoding and encoding alone."""
+def clip_row(
+    here: Path,
+    runs: int,
+    count: int,
+    options: dict[str, Any],
+    bar: float | None,
+    before: str,
+    made: supple.Recipe | None = None,
+    said: str = "default options",
+) -> Row:
+    """Compare a clip from file to file with decoding and encoding alone; without a recipe, every frame moves."""
     source = here / f"clip{count}.mp4"
     if not source.exists():
         enlarged(source, count, 1920, 1080)
-    made = recipe(1920, 1080, (count - 1) / 2, (40.0, 0.0, count / 6), 120)
-    how = ", ".join(f"{name} {value}" for name, value in options.items()) or "default options"
+    made = made or recipe(1920, 1080, (count - 1) / 2, (40.0, 0.0, count / 6), 120)
+    how = ", ".join(f"{name} {value}" for name, value in options.items()) or said
     return timed(
         f"1080p 4:2:0, H.264, {count} frames, file to file, {how}: ours / decoding and encoding",
         lambda: warp_clip(source, here / "ours.mp4", made, force=True, **options),
@@ -162,6 +171,18 @@ def clip_row(here: Path, runs: int, count: int, options: dict[str, Any], bar: fl
 
 def whole_clip(here: Path, runs: int, count: int) -> Iterator[Row]:
     yield clip_row(here, runs, count, {}, 1.35, "1.8–2.6")
+
+
+def short_clips(here: Path, runs: int) -> Iterator[Row]:
+    """Of 40 frames, whose border in time is narrow: a large drag, and ordinary ones, in the plane and in time."""
+    for radius, by, bar, before in (
+        (200, (60.0, 40.0, 10.0), 1.6, "7.4"),
+        (108, (60.0, 40.0, 0.0), 1.35, ""),
+        (108, (40.0, 0.0, 8.0), 1.35, ""),
+    ):
+        made = supple.Recipe(strokes=[supple.Stroke.grab((900, 500, 15), by=by, radius=radius)])
+        said = f"a drag by ({', '.join(f'{v:g}' for v in by)}), radius {radius}"
+        yield clip_row(here, runs, 40, {}, bar, before, made, said)
 
 
 def more_clips(here: Path, runs: int, count: int) -> Iterator[Row]:
@@ -283,5 +304,6 @@ __all__ = [
     "more_clips",
     "more_frames",
     "one_frame",
+    "short_clips",
     "whole_clip",
 ]

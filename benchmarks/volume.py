@@ -113,6 +113,35 @@ def more_warps(runs: int, sizes: tuple[int, ...]) -> Iterator[Row]:
             yield against_itk(runs, n, np.float32, "linear", border, bar, figures[n, border])
 
 
+def borders(runs: int) -> Iterator[Row]:
+    """The default border against a free one, for the same stroke in short, thin and long domains."""
+    for shape, part, before in (
+        ((8, 270, 480), 0.2, ""),
+        ((40, 270, 480), 0.2, "9–14"),
+        ((300, 135, 240), 0.2, ""),
+        ((12, 256, 256), 0.2, "17–46"),
+        ((20, 256, 256), 0.2, "17–46"),
+        ((128, 128, 128), 0.2, ""),
+        ((300, 12000), 0.2, ""),
+    ):
+        size = np.array(shape[::-1]) - 1.0
+        radius = part * min(shape[-2:])
+        by = np.eye(len(shape))[0] * 0.5 * radius
+        made = [supple.Deformation(shape, border=b).grab(tuple(size / 2), by=tuple(by), radius=radius)
+                for b in ("auto", None)]  # fmt: skip
+        samples = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
+        outs = [np.empty_like(samples) for _ in made]
+        yield timed(
+            f"`warp` of uint8, {'×'.join(map(str, shape))}, radius {radius:.0f}, drag {radius / 2:.0f}: "
+            "default border / free border",
+            lambda made=made, samples=samples, outs=outs: made[0].warp(samples, out=outs[0]),
+            lambda made=made, samples=samples, outs=outs: made[1].warp(samples, out=outs[1]),
+            runs,
+            2.0,
+            before=before,
+        )
+
+
 def inverted_fields(runs: int, n: int) -> Iterator[Row]:
     """Against inverting a displacement field and resampling by it."""
     sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(2)
@@ -308,4 +337,4 @@ def memory(here: Path, quick: bool) -> Iterator[Row]:
     )
 
 
-__all__ = ["buffered", "inverted_fields", "memory", "more_warps", "pictures", "whole_warps"]
+__all__ = ["borders", "buffered", "inverted_fields", "memory", "more_warps", "pictures", "whole_warps"]
