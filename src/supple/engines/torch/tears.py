@@ -1,8 +1,8 @@
 """Where sampled displacement fields fold, and the samples of their inverses that what folds may be mapped to.
 
 The rules are those of the core (`tears.hpp`), for all cells at once: a cell is a polynomial in Bézier form, and its
-determinant is bounded by the ranges of the differences of its control points; where that does not suffice, the cell is
-cut in halves.
+determinant is bounded by the ranges of the differences of its control points; where that does not suffice, of a linear
+cell by the control points of the determinant itself, and at last the cell is cut in halves.
 """
 
 from __future__ import annotations
@@ -162,7 +162,24 @@ def _upright(points: torch.Tensor) -> torch.Tensor:
             for a in range(n):
                 minor = [[row[k] for k in range(n) if k != a] for row in others]
                 bound = bound - off[b][a] * _expanded(minor, -1).abs()
-    return sure | (bound > 1e-12 * (1 + scale))
+    sure |= bound > 1e-12 * (1 + scale)
+    if points.shape[1] == 2 and not sure.all():
+        sure[~sure] = _by_control_points(points[..., ~sure])
+    return sure
+
+
+def _by_control_points(points: torch.Tensor) -> torch.Tensor:
+    """Return the mask of linear patches whose determinant, of degree D - 1 along each axis, has those above 0 alone."""
+    n = len(points)
+    slopes = [points.diff(dim=axis).squeeze(axis) for axis in range(1, n + 1)]
+    sums: dict[tuple[int, ...], torch.Tensor] = {}
+    scale = torch.zeros_like(points[(0,) * (n + 1)])
+    for corners in itertools.product(itertools.product((0, 1), repeat=n - 1), repeat=n):  # along the other axes
+        columns = [list(slope[(slice(None), *corner)]) for slope, corner in zip(slopes, corners, strict=True)]
+        place = tuple(sum(corners[b][d - (d > b)] for b in range(n) if b != d) for d in range(n))
+        sums[place] = sums.get(place, 0) + _expanded(columns, -1)
+        scale = torch.maximum(scale, _expanded([[x.abs() for x in column] for column in columns], 1))
+    return torch.stack(list(sums.values())).amin(0) > 1e-11 * (1 + scale)
 
 
 def _expanded(m: list[list[torch.Tensor]], sign: int) -> torch.Tensor:
