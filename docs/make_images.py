@@ -388,6 +388,11 @@ def inputs(folder: Path) -> None:
     bowed_wall().pngsave(folder / "wall.png")
     (folder / "bow.csv").write_text("x,y\n102,100\n95,200\n93.5,300\n")
     (folder / "line.csv").write_text("x,y\n110,100\n106,200\n102,300\n")
+    (folder / "before.csv").write_text("label,x,y\nleft,186,148\nright,265,148\nnose,225,120\n")
+    (folder / "after.csv").write_text("label,x,y\nnose,225,120\nleft,190,147\nright,261,147\n")
+    (folder / "nose.csv").write_text("frame,x,y\n10,330,160\n30,342,153\n")
+    face = np.hypot((np.arange(512) - 225) / 75, (np.arange(512)[:, None] - 115) / 95) < 1
+    image.write(folder / "mask.png", np.where(face, 255, 0).astype(np.uint8))
     head, brain = (sitk.ReadImage(str(DATA / f"{name}.nii.gz")) for name in ("head", "brain"))
     values, mask = sitk.GetArrayFromImage(head), sitk.GetArrayFromImage(brain)
     off = supple.Deformation(mask.shape, spacing=(2, 2, 2)).grab((17, 89, 40), by=(4, -5, 0), radius=30, scales=2)
