@@ -99,7 +99,8 @@ class Supple(Tool):
     def deformation(self, shape: tuple[int, int], strokes: Sequence[Stroke]) -> supple.Deformation:
         d = supple.Deformation(shape)
         for stroke in strokes:
-            d = d.grab(stroke.start, to=stroke.end, radius=stroke.radius)
+            grab = supple.Stroke.grab(stroke.start, to=stroke.end, radius=stroke.radius)
+            d = d.add(grab, warn=False)  # at random: some carry others' points away
         return d
 
     def warp(self, picture: Array, strokes: Sequence[Stroke]) -> Array:

@@ -1,8 +1,7 @@
 """A head made asymmetric, and corrected again (paper, figures 5.2 and 6.9): outside, inside, and in numbers.
 
-One stroke flattens the back of the head on the left, as in plagiocephaly. The correction does not use that stroke: at
-five places on that side, the picked surface point is dragged to the mirror image of the right side. All strokes are one
-deformation, and the volume is sampled once.
+One stroke flattens the back of the head on the left, as in plagiocephaly. The correction does not use that stroke: at five
+places there, the picked surface point is dragged to the mirror image of the right side. The volume is sampled once.
 
     python asymmetry.py [FOLDER [VOLUME]]     any CT, or the MR head that comes along
 """
@@ -14,7 +13,7 @@ import numpy as np
 import SimpleITK as sitk  # noqa: N813
 from head import BACKGROUND, HEAD, Layer, layers
 
-from supple import Deformation
+from supple import Deformation, Stroke
 from supple.geometry import Geometry
 from supple.media import image
 from supple.render.camera import Camera
@@ -82,7 +81,8 @@ def main(folder: Path, path: Path = HEAD) -> None:
     for azimuth, elevation in PLACES:
         start, end = held(mended, azimuth, elevation), mirrored(held(mended, -azimuth, elevation), plane)
         print(f"from {np.round(start)} to {np.round(end)}, {np.linalg.norm(end - start):.1f} mm")
-        mended = mended.grab(geometry.from_lps(start), to=geometry.from_lps(end), radius=REACH)
+        drag = Stroke.grab(geometry.from_lps(start), to=geometry.from_lps(end), radius=REACH)
+        mended = mended.add(drag, warn=False)  # what was pushed in is carried back, on purpose
 
     states = {"original": head, "flattened": flat, "corrected": mended}
     rows = []

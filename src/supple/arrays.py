@@ -100,7 +100,11 @@ def warp_array(
         return np.asarray(warp_array(marks.astype(np.float32), space, plain, alpha=False, device=device)[0])
 
     if gaps:
-        _mark(held, result, lambda marks: weights(marks, sampling.outside), work.layout.groups[0].alpha)
+        alpha = work.layout.groups[0].alpha
+        _mark(held, result, lambda marks: weights(marks, sampling.outside), alpha)
+        if alpha and space.grid is None:  # what nothing moves keeps its colours, whatever its opacity
+            still = _still(space)
+            result[still] = held[still]
     if endless and constant and not space.is_identity:
         beyond = weights(np.ones(space.whole), "constant") < 0.5
         result[beyond] = fills if result.ndim > beyond.ndim else fills[0]
@@ -114,6 +118,13 @@ def _has_gaps(array: Array) -> bool:
     return any(not np.isfinite(part.min()) or not np.isfinite(part.max()) for part in _slabs(array))
 
 
+def _still(space: Space) -> npt.NDArray[np.bool_]:
+    """Return the mask of the samples whose source point is their own: copies."""
+    points, _ = NATIVE.inverse_map(space, 0.01)
+    own = np.stack(np.indices(points.shape[:-1], np.float32)[::-1], -1)
+    return np.broadcast_to((points == own).all(-1), space.out)
+
+
 def _mark(source: Array, result: Array, weights: Callable[[Array], Array], alpha: bool) -> None:
     """Store NaN and infinities where those of the source have a weight, whatever its sign."""
 
@@ -124,6 +135,8 @@ def _mark(source: Array, result: Array, weights: Callable[[Array], Array], alpha
     high, low = touched(source == np.inf), touched(source == -np.inf)
     result[high], result[low] = np.inf, -np.inf
     result[touched(np.isnan(source)) | (high & low)] = np.nan
+    if result.shape == source.shape:  # what nothing moves keeps every bit, and NaNs have many
+        np.copyto(result, source, where=np.isnan(result) & np.isnan(source))
 
 
 def warp_picture(

@@ -185,7 +185,7 @@ def test_a_picture_is_replaced_with_force_through_a_link_too(run: Run) -> None:
         ("", "JSON"),
         ("[]", "object"),
         ('{"strokes": []}', "supple"),
-        ('{"supple": 3, "strokes": []}', "version"),
+        ('{"supple": 4, "strokes": []}', "version"),
         ('{"supple": "1", "strokes": []}', "version"),
         ('{"supple": 1, "strokes": [], "boarder": 3}', "boarder"),
         ('{"supple": 1, "strokes": 7}', "strokes"),

@@ -58,7 +58,7 @@ MATCHES = {
         r"1000\*1000\*150\*15 = 2,250,000,000 *$",
     ],
     "retouch": [
-        r"^an eye is 1\.34 times as large, and turned by -4\.1°$",
+        r"^an eye is 1\.35 times as large, and turned by -4\.1°$",
         r"^5 steps, none folds; every pixel is within 0\.00\d of its place$",
     ],
     "stmap": [

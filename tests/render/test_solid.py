@@ -151,7 +151,7 @@ def test_moved_bricks_miss_nothing() -> None:
 
 
 def test_tables_of_another_shape_are_refused() -> None:
-    with pytest.raises(ValueError, match="32 columns"):
+    with pytest.raises(ValueError, match="35 columns"):
         _core.Strokes(np.zeros((2, 19)), np.zeros((3, 5)))
     with pytest.raises(ValueError, match="two nodes of 16 numbers"):
         _core.Lattice(np.zeros((1, 2, 2, 16), np.float32), 2)

@@ -6,6 +6,7 @@ A test here says that a version works at all; that the values are right is for t
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import threading
 import urllib.request
 from pathlib import Path
@@ -23,6 +24,13 @@ from tests.viewer.windows import SIZE, opened, wait_for
 DATA = Path(supple.__file__).parent / "examples" / "data"
 GRAB = ("--grab", "30,20:33,20", "--radius", "6")
 PICTURE = np.random.default_rng(0).integers(0, 255, (40, 60, 3), np.uint8)
+
+
+@pytest.fixture(autouse=True)
+def global_locale() -> None:
+    """ITK's reader of VTK images leaves its thread in the locale C, where Python opens files as ASCII."""
+    with contextlib.suppress(AttributeError, OSError, TypeError):  # on Windows
+        ctypes.CDLL(None).uselocale(ctypes.c_void_p(-1))
 
 
 @pytest.fixture
