@@ -1,7 +1,7 @@
 """A head made asymmetric, and corrected again (paper, figures 5.2 and 6.9): outside, inside, and in numbers.
 
-One stroke flattens the back of the head on the left, as in plagiocephaly. The correction does not use that stroke: at five
-places there, the picked surface point is dragged to the mirror image of the right side. The volume is sampled once.
+One stroke flattens the back of the head on the left, as in plagiocephaly. The correction does not use that stroke: at
+five places there, the picked surface point is dragged to the mirror image of the right side. All are sampled once.
 
     python asymmetry.py [FOLDER [VOLUME]]     any CT, or the MR head that comes along
 """

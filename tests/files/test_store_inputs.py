@@ -220,13 +220,12 @@ def test_oblique_volumes_are_bent_in_space_and_written_along_their_axes() -> Non
     start, end = (nibabel.affines.apply_affine(turned, p) for p in ((20, 16, 5), (23, 17, 6)))
     recipe = Recipe(strokes=[Stroke.grab(tuple(start), to=tuple(end), radius=4)])
     with pytest.warns(VolumeWarning, match=r"turned by 17\.2 degrees .* along its own axes, from 0"):
-        made = warp_store("in.nii", "out.zarr", recipe, options=VolumeOptions(world=True))
+        warp_store("in.nii", "out.zarr", recipe, options=VolumeOptions(world=True), tolerance=1e-4)
     image = open_image("out.zarr")
-    spacing = made.deformation.grid.spacing
-    assert np.allclose(spacing, 1, rtol=1e-6)
-    expected = Deformation.from_recipe(DEEP, Geometry(spacing).grid((11, 32, 40)))
+    expected = Deformation.from_recipe(DEEP, Geometry((1.0, 1.0, 1.0)).grid((11, 32, 40)))
     found = np.asarray(image.levels[0].array[...])
-    assert np.allclose(found, expected.warp(values.T.copy(), between="cubic", time_filter=True), atol=1e-2)
+    warped = expected.warp(values.T.copy(), between="cubic", time_filter=True, tolerance=1e-4)
+    assert np.allclose(found, warped, atol=1e-2)
     assert image.grid.origin == (0, 0, 0)
     assert all(axis.orientation is None for axis in image.axes)
 
