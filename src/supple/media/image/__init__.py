@@ -34,7 +34,7 @@ from supple.media.image.formats import (
     settings,
     wrapped,
 )
-from supple.media.image.headers import collected, dressed, extra_of, facts, finish, is_sized, kept, profile_name
+from supple.media.image.headers import collected, dressed, extra_of, facts, finish, kept, profile_name
 from supple.media.image.tiff import Tiff, swapped, tagged
 from supple.media.image.vips import apart, decoded, of_exr, of_tiff, opened, reading, sequential, widen, writing
 
@@ -459,11 +459,11 @@ def write(
             data = ffmpeg.encoded(array, form.saver, kind, form.options)
             temporary.write_bytes(dpx.dressed(data, head, path) if form is DPX else data)
         return
-    image, lacking = dressed(image, header, icc, form, channels - alpha)
+    image, lacking, sized = dressed(image, header, icc, form, channels - alpha)
     if lost := lost + lacking:
         text = f"{name}: {form.name} cannot take over {' and '.join(lost)}"
         warnings.warn(text, MetadataWarning, stacklevel=2)
-    options = settings(form, array, bits, quality, lossless) | kept(image, form)
+    options = settings(form, array, bits, quality, lossless) | kept(image, form, sized)
     if form is TIFF:
         options |= tiff.settings(lossless, array.dtype.itemsize)
         if like is not None and like.pages > 1:
@@ -473,6 +473,6 @@ def write(
         if form is TIFF:
             block = header.get("exif-data", b"")
             added = exif.for_tiff(block, array.shape[1], array.shape[0]) if block else {}
-            tagged(temporary, tiff, added, is_sized(image))
+            tagged(temporary, tiff, added, sized)
         else:
-            finish(temporary, image, form)
+            finish(temporary, image, form, sized)
