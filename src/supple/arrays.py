@@ -161,15 +161,17 @@ def warp_picture(
     Certificate
         The accuracy of the map.
     """
-    found = Certificate(0.0, 0.0)
+    found, count = Certificate(0.0, 0.0), picture.pixels.shape[2] if picture.pixels.ndim == 3 else 1
+    fill = np.asarray(sampling.filled(count, picture.pixels.dtype, finite=False).fill)
 
-    def warp(pixels: Array, alpha: bool) -> Array:
+    def warp(pixels: Array, alpha: bool, channels: list[int]) -> Array:
         nonlocal found
-        made, certificate = warp_array(pixels, space, sampling, alpha=alpha, device=device)
+        how = replace(sampling, fill=tuple(fill[channels].tolist()))
+        made, certificate = warp_array(pixels, space, how, alpha=alpha, device=device)
         found |= certificate
         if clamp and not space.is_identity:
             for before, after in zip(pixels, made, strict=True) if picture.pages > 1 else ((pixels, made),):
-                clamp_to(before, after, sampling)  # each page by itself
+                clamp_to(before, after, how)  # each page by itself
         return np.asarray(made)
 
     averaged = sampling.filter != "nearest" and not space.is_identity

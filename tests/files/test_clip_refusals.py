@@ -82,7 +82,7 @@ VIDEO_REFUSED = [
     ("out.mp4", ["--filter", "nearest", "--between", "cubic"], "between"),
     ("out.mp4", ["--tolerance", "nan"], "tolerance"),
     ("out.mp4", ["--fill", "1,2"], "fill"),
-    ("out.mp4", ["--fill", "nan"], "fill"),
+    ("out.mp4", ["--outside", "constant", "--fill", "nan"], "fill must be finite for the frames of"),
     ("out.mp4", ["--linear-light"], "--linear-light"),
     ("out%d.png", ["--codec", "h264"], "--codec is for videos"),
     ("out%d.png", ["--crf", "3"], "--crf is for videos"),

@@ -95,7 +95,9 @@ def _filled(clip: Clip, fill: float | Sequence[float]) -> tuple[float, ...]:
     grey = (len(layout.groups) == 1 or not paint) and layout.groups[0].channels - alpha == 1
     full = (1 if grey else 3) + alpha if paint else layout.groups[0].channels
     allowed = {1, full, 3} if paint and not grey else {1, full}
-    if len(values) not in allowed or not np.isfinite(values).all():
+    if not np.isfinite(values).all():
+        refuse("fill", f"finite for the frames of {clip.name}", fill)
+    if len(values) not in allowed:
         colours = "grey" if grey else "red, green and blue"
         refuse("fill", f"a number, or {full} of them ({colours}{', opacity' if alpha else ''}) for {clip.name}", fill)
     if values == [0.0]:

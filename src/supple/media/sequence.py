@@ -102,7 +102,7 @@ class Pictures:
         Colours are not converted, whatever their profile; floats are clipped to 0 to 1.
         """
         pixels = arrays[0][..., : self.layout.groups[0].channels - len(self.extra)]
-        if pixels.shape[2] not in (1, 3) or self.interpretation == "cmyk":
+        if pixels.shape[2] not in (1, 3) or self.interpretation in ("cmyk", "lab"):
             raise SuppleError(f"{self.name} holds neither grey nor RGB pictures: convert them first")
         white, dtype = (65535, np.uint16) if deep else (255, np.uint8)
         if pixels.dtype != dtype:

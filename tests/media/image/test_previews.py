@@ -112,6 +112,18 @@ def test_photoshop_from_file_to_file(tmp_path: Path) -> None:
     assert b"\x1c\x02\x05\0\x03abc" in after
 
 
+def test_a_preview_of_iptc(tmp_path: Path) -> None:
+    PICTURE.save(tmp_path / "in.jpg")
+    data = (tmp_path / "in.jpg").read_bytes()
+    iptc = b"\x1c\x02\x05\0\x03abc\x1c\x02\xca" + struct.pack(">H", len(PREVIEW)) + PREVIEW
+    block = b"Photoshop 3.0\0" + resource(1028, iptc)
+    (tmp_path / "in.jpg").write_bytes(data[:2] + b"\xff\xed" + struct.pack(">H", len(block) + 2) + block + data[2:])
+    write(tmp_path / "out.jpg", read(tmp_path / "in.jpg"))
+    after = (tmp_path / "out.jpg").read_bytes()
+    assert PREVIEW[-200:] not in after
+    assert b"\x1c\x02\x05\0\x03abc" in after
+
+
 def test_profiles_in_hexadecimal_digits(tmp_path: Path) -> None:
     text = PngInfo()
     text.add_text("Raw profile type exif", f"\nexif\n    {len(exif())}\n{exif().hex()}")
@@ -129,3 +141,17 @@ def test_no_resolution_is_made_up(tmp_path: Path) -> None:
     with Image.open(tmp_path / "out.png") as image:
         image.load()
         np.testing.assert_array_equal(np.asarray(image), np.asarray(PICTURE))
+
+
+@pytest.mark.parametrize("source", [".png", ".jpg", ".webp", ".avif", ".tif"])
+def test_no_resolution_is_made_up_with_exif(tmp_path: Path, source: str) -> None:
+    known = Image.Exif()
+    known[0x10F] = "kept"
+    PICTURE.save(tmp_path / f"in{source}", exif=known)
+    picture = read(tmp_path / f"in{source}")
+    for target in (".png", ".tif"):
+        write(tmp_path / f"out{target}", picture)
+        assert b"kept" in (tmp_path / f"out{target}").read_bytes()
+    assert b"pHYs" not in (tmp_path / "out.png").read_bytes()
+    with Image.open(tmp_path / "out.tif") as image:
+        assert image.getexif()[296] == 1  # no unit

@@ -12,7 +12,7 @@ import pytest
 import supple
 from supple.errors import GapWarning, SuppleError
 from supple.files import warp_file
-from supple.media.image import MetadataWarning, Picture, info, read, write
+from supple.media.image import MetadataWarning, PageWarning, Picture, info, read, write
 from supple.media.image.display import in_srgb
 
 tifffile = pytest.importorskip("tifffile")
@@ -274,3 +274,52 @@ def test_a_jpeg_in_a_tiff_stays_one(tmp_path: Path) -> None:
     assert np.abs(after.astype(int) - picture.pixels).max() <= 4
     write(tmp_path / "exact.tif", picture, lossless=True)
     np.testing.assert_array_equal(stored(tmp_path / "exact.tif")[0], picture.pixels)
+
+
+def test_fill_of_channels_of_all_kinds(tmp_path: Path) -> None:
+    pixels = saved(tmp_path / "in.tif", noise("f4", *SIZE, 5), extrasamples=(2, 0))
+    moved = supple.Deformation(SIZE).affine([[1, 0, -10], [0, 1, 0]])
+    made = moved.warp(read(tmp_path / "in.tif"), filter="nearest", outside="constant", fill=(1, 2, 3, 0.5, 4))
+    np.testing.assert_array_equal(made.pixels[:, 0], np.broadcast_to(np.float32([1, 2, 3, 0.5, 4]), (SIZE[0], 5)))
+    np.testing.assert_array_equal(made.pixels[:, 10:], pixels[:, :-10])
+    with pytest.raises(SuppleError, match="5 of them"):
+        moved.warp(read(tmp_path / "in.tif"), outside="constant", fill=(1, 2, 3, 4))
+
+
+@pytest.mark.parametrize("marked", [False, True])
+def test_pages_that_mean_something_else_are_no_pages(tmp_path: Path, marked: bool) -> None:
+    grey = noise("u1", *SIZE)
+    with tifffile.TiffWriter(tmp_path / "in.tif") as file:
+        if marked:  # as GDAL writes masks
+            file.write(grey, photometric="minisblack", metadata=None)
+            file.write(grey > 99, photometric="mask", subfiletype=4, metadata=None)
+        else:
+            for kind in (2, 0):
+                four = np.stack([grey] * 4, axis=-1)
+                file.write(four, photometric="rgb", extrasamples=(kind,), metadata=None)
+    with pytest.warns(PageWarning, match="2 pages, and only one is read"):
+        assert read(tmp_path / "in.tif", pages=True).pages == 1
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_no_data_beyond_the_range_marks_nothing(tmp_path: Path) -> None:
+    mark = [(42113, 2, 0, "-1.7976931348623157e+308", True)]
+    saved(tmp_path / "in.tif", noise("f4", *SIZE), "minisblack", extratags=mark)
+    assert np.isfinite(HALF.warp(read(tmp_path / "in.tif")).pixels).all()
+    with pytest.warns(MetadataWarning, match="the mark of samples without data"):
+        write(tmp_path / "out.exr", read(tmp_path / "in.tif"))
+
+
+def test_rational_polynomials_stay_with_their_grid(tmp_path: Path) -> None:
+    numbers = tuple(map(float, range(92)))
+    saved(tmp_path / "in.tif", noise("u1", *SIZE), "minisblack", extratags=[(50844, 12, 92, numbers, True)])
+    assert same(tmp_path / "in.tif")[2].tags[50844].value == numbers
+
+
+@pytest.mark.parametrize("target", [".tif", ".png"])
+def test_numbers_without_a_unit_are_no_resolution(tmp_path: Path, target: str) -> None:
+    saved(
+        tmp_path / "in.tif", noise("u1", *SIZE), "minisblack", resolution=(300, 150), resolutionunit=1, software=False
+    )
+    write(tmp_path / f"out{target}", read(tmp_path / "in.tif"))
+    assert "xres" not in read(tmp_path / f"out{target}")._header

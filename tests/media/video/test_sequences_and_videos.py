@@ -309,9 +309,10 @@ def test_a_film_of_pictures_is_whole_or_not_there(tmp_path: Path) -> None:
     assert names(tmp_path) == ["in"]
 
 
-def test_pictures_without_colours_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("kind", "bands"), [("cmyk", 4), ("lab", 3)])
+def test_pictures_without_colours_are_refused(tmp_path: Path, kind: str, bands: int) -> None:
     (tmp_path / "in").mkdir()
-    pyvips.Image.black(8, 8, bands=4).copy(interpretation="cmyk").tiffsave(str(tmp_path / "in" / "1.tif"))
+    pyvips.Image.black(8, 8, bands=bands).copy(interpretation=kind).tiffsave(str(tmp_path / "in" / "1.tif"))
     with pytest.raises(SuppleError, match="neither grey nor RGB pictures: convert them"):
         film(tmp_path / "in", tmp_path / "a.mp4")
     assert names(tmp_path) == ["in"]

@@ -34,8 +34,8 @@ from supple.media.image.formats import (
     settings,
     wrapped,
 )
-from supple.media.image.headers import collected, dressed, extra_of, facts, finish, is_sized, kept, profile_name
-from supple.media.image.tiff import Tiff, swapped, tagged
+from supple.media.image.headers import collected, dressed, extra_of, facts, finish, kept, profile_name
+from supple.media.image.tiff import MASK, Page, Tiff, swapped, tagged
 from supple.media.image.vips import apart, decoded, of_exr, of_tiff, opened, reading, sequential, widen, writing
 
 __all__ = [
@@ -109,15 +109,20 @@ class Picture:
     extra: tuple[int, ...] = ()
 
     def warped(
-        self, warp: Callable[[Array, bool], Array], *, regridded: bool = False, averaged: bool = True, name: str = ""
+        self,
+        warp: Callable[[Array, bool, list[int]], Array],
+        *,
+        regridded: bool = False,
+        averaged: bool = True,
+        name: str = "",
     ) -> Picture:
         """Return a picture with new pixels, which `supple.Deformation.warp` returns of this one.
 
         Parameters
         ----------
-        warp : function of (ndarray, bool)
+        warp : function of (ndarray, bool, list of int)
             Returns new samples for those of shape (H, W[, C]), or (pages, H, W[, C]) of several pages, of which the
-            last channel is opacity or not.
+            last channel is opacity or not; and which channels of the picture they are.
         regridded : bool
             Whether the new grid is another one, for which a georeference does not hold.
         averaged : bool
@@ -148,15 +153,16 @@ class Picture:
             text = f"{name}: {count} samples are NaN or infinite, and so are those that are computed from them"
             warnings.warn(text, GapWarning, stacklevel=caller())
         extra = self.extra or ((2,) if self.alpha else ())
+        channels = list(range(self.pixels.shape[2] if self.pixels.ndim == 3 else 1))
         if len(extra) > 1 and 2 in extra:  # opacity weights colours, but no data
-            colours = pixels.shape[-1] - len(extra)
+            colours = len(channels) - len(extra)
             seen = [*range(colours), colours + extra.index(2)]
-            rest = [k for k in range(pixels.shape[-1]) if k not in seen]
-            first, second = warp(pixels[..., seen], True), warp(pixels[..., rest], False)
-            made = np.empty((*first.shape[:-1], pixels.shape[-1]), pixels.dtype)
+            rest = [k for k in channels if k not in seen]
+            first, second = warp(pixels[..., seen], True, seen), warp(pixels[..., rest], False, rest)
+            made = np.empty((*first.shape[:-1], len(channels)), pixels.dtype)
             made[..., seen], made[..., rest] = first, second
         else:
-            made = warp(pixels, extra == (2,))
+            made = warp(pixels, extra == (2,), channels)
         if real and gaps is not None and gaps.any():
             np.copyto(made, made.dtype.type(nodata), where=np.isnan(made))
         header = dict(self._header)
@@ -249,7 +255,10 @@ def read(path: PathLike, *, pages: bool = False, whole: bool = False) -> Picture
 
 def _fits(value: float, dtype: np.dtype[Any]) -> bool:
     """Return whether samples may have a value."""
-    return dtype.kind == "f" or (value.is_integer() and np.iinfo(dtype).min <= value <= np.iinfo(dtype).max)
+    if dtype.kind == "f":
+        with np.errstate(over="ignore"):
+            return bool(np.isinf(dtype.type(value)) == np.isinf(value))
+    return value.is_integer() and np.iinfo(dtype).min <= value <= np.iinfo(dtype).max
 
 
 def warn_of_exact(held: exr.Exr) -> None:
@@ -282,17 +291,23 @@ def _decoded(path: PathLike, image: Any, form: str, orientation: int) -> Array:
 
 
 def _all_pages(path: PathLike, count: int) -> Array | None:
-    """Decode all pages of a TIFF into one array, one below the other; None if they differ."""
+    """Decode all pages of a TIFF into one array, one below the other; None if they differ, also in what they mean."""
     tall: Array | None = None
+    kinds = set()
     with reading(path):
         for k in range(count):
             page = of_tiff(path, k)
+            kinds.add((page.interpretation, extra_of(page), Page(path, k).photometric == MASK))
             pixels = apart(partial(decoded, page, facts(page)[1]), page)
             height = len(pixels)
             if tall is None:
                 tall = np.empty((count * height, *pixels.shape[1:]), pixels.dtype)
             rows = tall[k * height : (k + 1) * height]
-            if count * height != len(tall) or (rows.shape, rows.dtype) != (pixels.shape, pixels.dtype):
+            if (
+                len(kinds) > 1
+                or count * height != len(tall)
+                or (rows.shape, rows.dtype) != (pixels.shape, pixels.dtype)
+            ):
                 return None
             rows[:] = pixels
     return tall
@@ -413,8 +428,8 @@ def write(
         tiff = replace(tiff if alike else Tiff(tags=tiff.tags), extra=extra)
         meaning = meant(array.dtype, channels - len(extra), known if tiff.is_saved else "")
         array = swapped(tiff, array)
-    elif tiff.has_place:
-        lost.append("the georeference")
+    else:
+        lost += ["the georeference"] * tiff.has_place + ["the mark of samples without data"] * (tiff.nodata is not None)
     check(path, form, array, meaning, extra)
     if lossless and form is JPEG:
         raise SuppleError(f"cannot write {name} without loss: JPEG loses some: write PNG, TIFF, WebP or AVIF")
@@ -459,11 +474,11 @@ def write(
             data = ffmpeg.encoded(array, form.saver, kind, form.options)
             temporary.write_bytes(dpx.dressed(data, head, path) if form is DPX else data)
         return
-    image, lacking = dressed(image, header, icc, form, channels - alpha)
+    image, lacking, sized = dressed(image, header, icc, form, channels - alpha)
     if lost := lost + lacking:
         text = f"{name}: {form.name} cannot take over {' and '.join(lost)}"
         warnings.warn(text, MetadataWarning, stacklevel=2)
-    options = settings(form, array, bits, quality, lossless) | kept(image, form)
+    options = settings(form, array, bits, quality, lossless) | kept(image, form, sized)
     if form is TIFF:
         options |= tiff.settings(lossless, array.dtype.itemsize)
         if like is not None and like.pages > 1:
@@ -473,6 +488,6 @@ def write(
         if form is TIFF:
             block = header.get("exif-data", b"")
             added = exif.for_tiff(block, array.shape[1], array.shape[0]) if block else {}
-            tagged(temporary, tiff, added, is_sized(image))
+            tagged(temporary, tiff, added, sized)
         else:
-            finish(temporary, image, form)
+            finish(temporary, image, form, sized)

@@ -50,7 +50,7 @@ def dressed(data: bytes, head: bytes, path: PathLike) -> bytes:
         return data[:801] + bytes(2) + data[803:]
     order, own = _order(head), _order(data)
     made = bytearray(head)
-    fields = [(768, "HHIII"), (804, "HHIII"), *([(784, "IfIf")] if head[803] != data[803] else [])]
+    fields = [(770, "HIII"), (804, "HHIII"), *([(784, "IfIf")] if head[803] != data[803] else [])]
     for at, form in fields:
         struct.pack_into(order + form, made, at, *struct.unpack_from(own + form, data, at))
     made[800], made[803] = data[800], data[803]

@@ -54,7 +54,7 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
         pattern = rb"(tiff:Orientation(?:=[\"']|>)\s*)[2-8]"
         header["xmp-data"] = previews.without_pictures(re.sub(pattern, rb"\g<1>1", header["xmp-data"]))
     if "iptc-data" in header:
-        header["iptc-data"] = previews.without_thumbnails(header["iptc-data"])
+        header["iptc-data"] = previews.blanked(previews.without_thumbnails(header["iptc-data"]))
     for name in [name for name in header if "-Raw profile type " in name]:  # in hexadecimal digits
         if "ffd8ff" in "".join(header[name].lower().split()):
             del header[name]
@@ -102,10 +102,10 @@ def png_frames(path: PathLike) -> int:
 
 
 def _tells_size(path: PathLike, image: Any, form: str) -> bool:
-    """Return whether a resolution is the file's: libvips invents one for JPEG and PNG."""
-    if image.get_typeof("resolution-unit") or form not in ("JPEG", "PNG"):
+    """Return whether a resolution is the file's: libvips invents one for JPEG and PNG, and a unit for TIFF."""
+    if image.get_typeof("resolution-unit") or form not in ("JPEG", "PNG", "TIFF"):
         return True
-    if form == "JPEG":
+    if form != "PNG":
         return False
     with open(path, "rb") as file:
         return bool(_chunk(file, b"pHYs"))
@@ -113,8 +113,11 @@ def _tells_size(path: PathLike, image: Any, form: str) -> bool:
 
 def dressed(
     image: Any, header: Mapping[str, Any], icc: bytes | None, form: Format, colours: int
-) -> tuple[Any, list[str]]:
-    """Return an image with a header and a profile, and the names of those that the format cannot hold."""
+) -> tuple[Any, list[str], bool]:
+    """Return an image with a header and a profile; the names of those that the format cannot hold.
+
+    And whether its resolution is known.
+    """
     lost = []
     header = dict(header)
     sizes = header.pop("xres", None), header.pop("yres", None)
@@ -144,26 +147,25 @@ def dressed(
     image.set_type(pyvips.GValue.gint_type, "orientation", 1)
     if sizes[0] is None and (image.xres, image.yres) != (1, 1):
         sizes = image.xres, image.yres
-    usual = 72 / 25.4 if image.get_typeof("exif-data") else _UNKNOWN  # EXIF's default
-    return image.copy(xres=sizes[0] or usual, yres=sizes[1] or usual), lost
+    usual = 72 / 25.4 if image.get_typeof("exif-data") and form is not TIFF else _UNKNOWN  # EXIF's default
+    return image.copy(xres=sizes[0] or usual, yres=sizes[1] or usual), lost, sizes[0] is not None
 
 
-def kept(image: Any, form: Format) -> dict[str, Any]:
+def kept(image: Any, form: Format, sized: bool) -> dict[str, Any]:
     """Return the settings of a libvips saver that keep it from adding EXIF.
 
     WebP and AVIF need EXIF for a known resolution.
     """
     if form is TIFF:
-        return {} if is_sized(image) else {"resunit": "cm"}
-    if image.get_typeof("exif-data") or (form not in (PNG, JPEG) and is_sized(image)):
+        return {} if sized else {"resunit": "cm"}
+    if image.get_typeof("exif-data") or (form not in (PNG, JPEG) and sized):
         return {}
     return {"keep": _ALL & ~_EXIF}
 
 
 # Kept: libvips makes a resolution up, or leaves one out (test_nothing_is_invented, test_resolution_comes_through).
-def finish(path: PathLike, image: Any, form: Format) -> None:
+def finish(path: PathLike, image: Any, form: Format, sized: bool) -> None:
     """Correct the resolution in a written file: none, if it is unknown."""
-    sized = is_sized(image)
     if form is JPEG and sized and not image.get_typeof("exif-data"):
         with open(path, "rb+") as file:
             data = file.read()
@@ -178,11 +180,6 @@ def finish(path: PathLike, image: Any, form: Format) -> None:
                 file.seek(start)
                 file.write(rest)
                 file.truncate()
-
-
-def is_sized(image: Any) -> bool:
-    """Return whether the resolution of an image that is `dressed` is known."""
-    return bool(image.xres != _UNKNOWN)
 
 
 def _jfif(xres: float, yres: float) -> bytes:

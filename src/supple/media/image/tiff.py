@@ -18,12 +18,12 @@ _PREDICTOR, _TILE_WIDTH, _TILE_HEIGHT, _INKS, _EXTRA, _FORMAT = 317, 322, 323, 3
 _UNIT = 296
 _STORED = ((273, 279), (324, 325))  # the offsets and sizes of strips, and of tiles
 MINISWHITE, RGB, YCBCR, CIELAB, ICCLAB, ITULAB = 0, 2, 6, 8, 9, 10
-_MASK, _MOSAIC = 4, 32803
+MASK, _MOSAIC = 4, 32803
 _COLOURS = {
     0: 1,
     1: 1,
     3: 1,
-    _MASK: 1,
+    MASK: 1,
     _MOSAIC: 1,
 }  # by the photometric interpretation; all others have three, and inks their own
 _UNSAVED = (MINISWHITE, CIELAB, ICCLAB, ITULAB)
@@ -31,8 +31,8 @@ _MEANINGS = {5: "cmyk", CIELAB: "lab", ICCLAB: "lab", ITULAB: "lab"}
 _JPEGS = (6, 7)
 _SAVED = {1: "none", 5: "lzw", 7: "jpeg", 8: "deflate", 32773: "packbits", 32946: "deflate", 50000: "zstd"}
 _PREDICTED = {"lzw", "deflate", "zstd"}
-PLACE = (33550, 33922, 34264, 34735, 34736, 34737)
-"""The tags of a GeoTIFF's georeference."""
+PLACE = (33550, 33920, 33922, 34264, 34735, 34736, 34737, 50844)
+"""The tags of a georeference: of GeoTIFF, and of a camera's rational polynomials."""
 _NODATA = 42113
 _TAGS = (*PLACE, 42112, _NODATA, _INKS, 333, 334)  # and GDAL's metadata, and inks
 
@@ -181,7 +181,7 @@ class Page:
         usual = self.bits in (8, 16, 32) or (self.bits in (1, 2, 4) and self.samples == 1)
         inverted = self.photometric == MINISWHITE and self.samples > 1
         lab = self.photometric in (CIELAB, ICCLAB, ITULAB) and self._kind != 3
-        odd = inverted or lab or self.photometric in (_MASK, _MOSAIC)
+        odd = inverted or lab or self.photometric in (MASK, _MOSAIC)
         return usual and self.planes == 1 and 1 not in self.tiff.extra and not odd
 
     def decoded(self, read: Callable[[Any, int], Array]) -> tuple[Array, int]:

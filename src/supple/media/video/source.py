@@ -108,7 +108,7 @@ class Stills(VideoSource):
         super().__init__(pictures.name, pictures.rate, 1 / pictures.rate)
         self.layout, self.count, group = pictures.layout, pictures.count, pictures.layout.groups[0]
         count, known = group.channels, STILLS[self.layout.dtype.name]
-        if count > len(known) or group.alpha == bool(count % 2) or pictures.interpretation == "cmyk":
+        if count > len(known) or group.alpha == bool(count % 2) or pictures.interpretation in ("cmyk", "lab"):
             raise SuppleError(f"{self.name} holds neither grey nor RGB pictures: convert them first")
         found = form(known[count - 1])
         assert found is not None
