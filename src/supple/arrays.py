@@ -121,7 +121,7 @@ def _has_gaps(array: Array) -> bool:
 def _still(space: Space) -> npt.NDArray[np.bool_]:
     """Return the mask of the samples whose source point is their own: copies."""
     points, _ = NATIVE.inverse_map(space, 0.01)
-    own = np.stack(np.indices(points.shape[:-1], np.float32)[::-1], -1)
+    own = np.moveaxis(np.indices(points.shape[:-1], np.float32)[::-1], 0, -1)
     return np.broadcast_to((points == own).all(-1), space.out)
 
 

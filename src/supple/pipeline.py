@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextvars import copy_context
@@ -29,7 +30,7 @@ from supple.engines.base import (
 from supple.engines.choice import warn_of_failure
 from supple.engines.native import NATIVE, plan_of
 from supple.engines.workers import note
-from supple.errors import SuppleError
+from supple.errors import GapWarning, SuppleError
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -340,7 +341,7 @@ def stream(
         sets = [[np.empty((*g.shape, g.channels), layout.dtype) for g in layout.groups] for _ in range(buffered)]
         planes = _WithFallback(engine, work, window, stack)
         source = iter(frames)
-        reading = stack.enter_context(_reading(source, work.space.count, plan, window, aside=engine.lead > 0))
+        reading = stack.enter_context(_reading(source, work, plan, window, aside=engine.lead > 0))
         waiting: deque[tuple[int, object]] = deque()
 
         def finished() -> tuple[int, list[Array], Certificate]:
@@ -432,19 +433,29 @@ class _Alone:
 
 @contextlib.contextmanager
 def _reading(
-    source: Iterator[Frame], count: int, plan: Plan, window: Sequence[Array], *, aside: bool
+    source: Iterator[Frame], work: Work, plan: Plan, window: Sequence[Array], *, aside: bool
 ) -> Iterator[Callable[[int], None]]:
     """Return a function that reads the frames of a plane into their slots; with ``aside``, a thread reads ahead."""
     have = 0
+    floats = work.layout.dtype.kind == "f" and work.sampling.filter != "nearest"
+    averaged = [k for k, group in enumerate(work.layout.groups) if floats and not group.exact]
+    warned = False
 
     def read(k: int) -> None:
-        nonlocal have
+        nonlocal have, warned
         while have <= plan.read[k]:
             frame = next(source, None)
             if frame is None:
-                raise SuppleError(f"the clip ends after {have} frames, where {count} were expected")
+                raise SuppleError(f"the clip ends after {have} frames, where {work.space.count} were expected")
             if have >= plan.keep[k]:
-                frame.copy_to([held[have % len(held)] for held in window])
+                slots = [held[have % len(held)] for held in window]
+                frame.copy_to(slots)
+                # arrays in memory are freed of them before
+                if averaged and not warned and not isinstance(frame, _ArrayFrame):
+                    warned = not all(np.isfinite(slots[k]).all() for k in averaged)
+                    if warned:
+                        text = f"frame {have} has NaN or infinite samples, which spread as far as the filter reaches"
+                        warnings.warn(text, GapWarning, stacklevel=2)
             have += 1
 
     if not aside:

@@ -12,6 +12,7 @@ import pytest
 
 import supple
 import supple.media.video
+from supple.errors import GapWarning
 from supple.files import warp_file
 from supple.media import image
 from supple.media.video import info
@@ -123,3 +124,16 @@ def test_a_name_with_signs_of_a_file_that_is_there_is_a_name(run: Run) -> None:
     assert run("warp", "photo##.png", "out.png", *GRAB_2D) == (0, "", "")
     pictures(".", 1, "icon@2x.png")
     assert run("warp", "icon@2x.png", "icon@3x.png", *GRAB_2D) == (0, "", "")
+
+
+def test_gaps_of_frames_are_said_once(here: Path) -> None:
+    for k in range(3):
+        pixels = np.zeros((24, 32, 3), np.float32)
+        if k:
+            pixels[12, 16] = np.inf, np.nan, 0
+        image.write(f"in{k}.tif", pixels)
+    with pytest.warns(GapWarning, match="^frame 1 has NaN or infinite samples") as said:
+        warp_file(
+            "in%d.tif", "out%d.tif", supple.Recipe(strokes=[supple.Stroke.grab((14, 12, 1), by=(2, 0, 0), radius=4)])
+        )
+    assert len(said) == 1
