@@ -79,7 +79,7 @@ def _files(here: Path) -> None:
 
 
 FILES: list[tuple[str, str | None, str]] = [
-    ("code.nii", None, "of the intent code 1002, which several programs write: give the convention: afni, itk"),
+    ("code.nii", None, "of the intent code 1002, which several programs write: give the convention: afni"),
     ("code.nii", "itk", "5 axes and the intent code 1002, and a field of ITK has 5 and the code 1007"),
     ("u.nii", "mrtrix", "its intent code is 1007, and that of a field in the convention mrtrix is 0"),
     ("u.nii", "opencv", "the suffix .nii is of no map of OpenCV's"),

@@ -22,6 +22,7 @@ from supple.errors import SuppleError, VolumeWarning
 from supple.fields import Placed
 from supple.files import volumes
 from supple.files.freezing import read_freeze
+from supple.files.stores import warp_store
 from supple.files.volumes import VolumeOptions, deformation_of, is_volume_job, sampling_of, warp_volume
 from supple.geometry import Geometry
 from supple.media import volume as media
@@ -359,6 +360,29 @@ def test_a_fill_that_is_not_held(run: Run) -> None:
     assert not Path("out.nrrd").exists()
     assert run(*command, "7.6")[0] == 0  # rounded, as all values are
     assert 8 in media.read("out.nrrd").samples
+
+
+@pytest.mark.parametrize("target", ["out.nii", "out.mha", "out.nrrd"])
+def test_the_background_of_scaled_labels(here: Path, target: str) -> None:
+    mask = np.zeros((9, 9, 9), np.uint8)
+    mask[3:6, 3:6, 3:6] = 3
+    media.write("mask.nii", mask, media.Volume(mask, Geometry(), scaling=(2.0, -1.0)))
+    away = Placed(Affine(np.c_[np.eye(3), (4, 0, 0)]))
+    on = supple.GridOptions(reference="mask.nii")
+    labels = VolumeOptions(labels=True)
+    made = supple.warp_file("mask.nii", target, supple.Recipe(strokes=[]), maps=[away], volume=labels, grid=on)
+    assert getattr(made, "background") == -1  # noqa: B009
+    assert set(np.unique(media.read(target).rescaled())) == {-1, 5}  # no label that the source lacks
+
+
+@pytest.mark.parametrize("target", ["out.nrrd", "out.zarr"])
+def test_the_background_of_components(here: Path, target: str) -> None:
+    vectors = np.stack([np.full((9, 9, 9), x, np.float32) for x in (20, -50)], axis=-1)
+    stored("in.nrrd", vectors, Geometry())
+    away = Placed(Affine(np.c_[np.eye(3), (4, 0, 0)]))
+    on = supple.GridOptions(reference="in.nrrd")
+    warp: Any = warp_store if target.endswith(".zarr") else warp_volume
+    assert warp("in.nrrd", target, supple.Recipe(strokes=[]), maps=[away], grid=on).background == 0
 
 
 def test_labels_of_scaled_masks_are_true_values(here: Path) -> None:

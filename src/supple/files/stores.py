@@ -204,7 +204,8 @@ def warp_store(
     opened = open_source(source, recipe, known, maps=maps, grid=grid)
     image, medium = opened.image, opened.medium
     if outside is None and opened.is_file and medium.geometry is not None and grid is not None and grid.reference:
-        medium = replace(medium, background=least_of(opened.samples))
+        least = 0.0 if "c" in opened.samples.axes else least_of(opened.samples)  # as of volumes from file to file
+        medium = replace(medium, background=least)
     warp = warp_on(
         medium, recipe, filter=filter, tolerance=tolerance, outside=outside, fill=fill, options=known, fit=fit,
         maps=maps, grid=grid,

@@ -388,6 +388,7 @@ def warp_volume(
         check_target(target, volume, force=force)
     if known.labels and (broken := _first_fraction(volume.samples)) is not None:
         raise SuppleError(f"labels is for whole numbers, and {volume.name} holds {broken:g}: leave it out")
+    as_read = volume
     if not (suffix_of(target).startswith(".nii") or suffix_of(target) in derived.SUFFIXES):  # others hold no scaling
         volume = replace(volume, samples=volume.rescaled(), scaling=(1.0, 0.0))
     regrid = grid_on(grid, volume.grid, volume.name, maps)
@@ -395,7 +396,7 @@ def warp_volume(
     warn_of_still(recipe.strokes)
     background = None
     if outside is None and grid is not None and grid.reference is not None:  # much may lie outside of the input
-        background = background_of(volume, labels=known.labels)
+        background = background_of(as_read, labels=known.labels)
         sampling = replace(sampling, outside="constant", fill=volume.stored(background))
     elif outside == "constant":
         sampling = replace(sampling, fill=volume.stored(fill))

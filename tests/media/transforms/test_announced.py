@@ -42,6 +42,7 @@ def announcing(path: Path, *, name: str = "", kind: int = 0, note: str = "", cod
         ("Mapping", 0, "Deformation field", "spm-deformation"),
         ("Mapping", 0, "", "spm-deformation"),
         ("", 0, "Deformation field", "spm-deformation"),
+        ("", 0, "Forward Deformation", "spm-deformation"),
     ],
 )
 def test_fields_that_name_their_program(tmp_path: Path, name: str, kind: int, note: str, convention: str) -> None:
@@ -55,6 +56,25 @@ def test_fields_that_name_their_program(tmp_path: Path, name: str, kind: int, no
     Field.read(path).write(tmp_path / "again.nii", convention)
     assert convention_in(tmp_path / "again.nii") == convention
     np.testing.assert_allclose(Field.read(tmp_path / "again.nii").values, moves, atol=1e-5)
+
+
+@pytest.mark.parametrize("note", ["Deformation", "Inverse Deformation"])
+def test_fields_of_spm_without_an_intent(tmp_path: Path, note: str) -> None:
+    moves = announcing(tmp_path / "iy_head.nii", note=note, code=0)  # as Segment writes them
+    for given in (None, "spm-deformation"):
+        np.testing.assert_allclose(Field.read(tmp_path / "iy_head.nii", given).values, moves, atol=5e-6)
+    for other in ("itk", "afni"):
+        with pytest.raises(SuppleError, match="give the convention"):
+            Field.read(tmp_path / "iy_head.nii", other)
+
+
+def test_fields_of_spm_whose_header_other_programs_left_out(tmp_path: Path) -> None:
+    for code in (0, KIND):
+        moves = announcing(tmp_path / "y.nii", code=code)
+        np.testing.assert_allclose(Field.read(tmp_path / "y.nii", "spm-deformation").values, moves, atol=5e-6)
+    announcing(tmp_path / "y.nii", code=0)
+    with pytest.raises(SuppleError, match="give the convention: afni, spm-deformation"):
+        Field.read(tmp_path / "y.nii")
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ REFUSED: list[tuple[str, Callable[[Path], object], str | None, list[str]]] = [
         ["fsl-relative", "fsl-absolute", "mrtrix", "afni", "give the convention"],
     ),
     ("a.nii", lambda p: image(p, NOISE, 2006), None, ["2006", "fsl-relative, fsl-absolute"]),
-    ("a.nii", lambda p: image(p, FIVE), None, ["afni, itk"]),
+    ("a.nii", lambda p: image(p, FIVE), None, ["afni, spm-deformation"]),
     ("a.nii", lambda p: image(p, FIVE, 1006), None, ["1006", "LPS", "RAS", "1007"]),
     ("a.nii", lambda p: image(p, NOISE, 2007), None, ["2007", "coefficients", "fnirtfileutils"]),
     ("a.nii", lambda p: image(p, NOISE, 2009), "fsl-relative", ["2009", "fnirtfileutils"]),

@@ -1,6 +1,6 @@
 """Fields of NiftyReg and SPM: NIfTI files whose headers name what they hold, in millimetres in RAS.
 
-Both have the intent code of ITK's fields (1007), and neither holds what ITK reads from these.
+Both have the intent code of ITK's fields (1007), those of SPM's Segment none, and neither holds what ITK takes it for.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from supple.media.transforms.base import (
 def read(path: PathLike, grids: Grids, *, convention: str) -> tuple[Content, ...]:
     """Read a deformation or a displacement field of NiftyReg, or a deformation field of SPM."""
     volume = read_nifti(path, convention)
-    check_intent(path, volume, convention, (VECTOR,))
-    if announced(path, volume.header) != convention:
+    check_intent(path, volume, convention, (VECTOR,) if convention == "niftyreg" else (0, VECTOR))
+    if convention == "niftyreg" and announced(path, volume.header) != convention:  # which says what it holds
         raise unreadable(path, f"its header does not say that it is of {convention}", "give the convention that it has")
     moves = convention == "niftyreg" and int(volume.header["intent_p1"]) == DISPLACEMENTS
     values, grid = vectors_of(path, volume)

@@ -38,6 +38,7 @@ _NO_FIELDS = {
     6: "control points of a spline",
 }
 _FOREIGN = re.compile("veloc|flow field|coefficient|b-?spline", re.IGNORECASE)
+_OF_SPM = re.compile("((inverse|forward) )?deformation( field.*)?", re.IGNORECASE)  # Segment writes no intent
 _TEXTS = {
     b"(Transform ": ("parameters of elastix", "run transformix -def all -tp, and read its deformationField"),
     b"MGH_GPUIT_BSP": ("a B-spline of plastimatch", "run plastimatch xf-convert --output-type vf, and read that"),
@@ -135,7 +136,7 @@ def announced(path: PathLike, header: Any) -> str:
     if found := _FOREIGN.search(name) or _FOREIGN.search(note):
         what = f"its header says {shown(found.string)}, which is no field of displacements or positions"
         raise unreadable(path, what, "let the program that wrote it make one of these (a deformation field)")
-    return "spm-deformation" if name == SPM or note.lower().startswith("deformation field") else ""
+    return "spm-deformation" if name == SPM or _OF_SPM.fullmatch(note) else ""
 
 
 def checked_header(path: PathLike, volume: Volume, convention: str) -> Volume:

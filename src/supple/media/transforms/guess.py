@@ -86,7 +86,7 @@ def _in_nifti(path: PathLike) -> tuple[str, tuple[str, ...]]:
     header, sizes, components, series = nifti.outline(path)
     code, five = int(header["intent_code"]), components > 1
     known = announced(path, header)
-    if five and code == VECTOR:
+    if five and (code == VECTOR or (known and not code)):
         return "", (known or "itk",)
     check_code(path, code)
     if int(header["datatype"]) in _COLOURS:
@@ -98,7 +98,7 @@ def _in_nifti(path: PathLike) -> tuple[str, tuple[str, ...]]:
     what = f"it holds {count} values for each voxel, of the intent code {code}"
     if code in _WARPS:
         return what, _FSL
-    return f"{what}, which several programs write", (("afni", "itk") if five else (*_FSL, *_MRTRIX, "afni"))
+    return f"{what}, which several programs write", (("afni", "spm-deformation") if five else (*_FSL, *_MRTRIX, "afni"))
 
 
 def _in_text(path: PathLike, known: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
