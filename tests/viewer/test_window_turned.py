@@ -86,69 +86,67 @@ def extent(view: Any, hand: Hand) -> tuple[int, int]:
     return int(bright.any(axis=0).sum()), int(bright.any(axis=1).sum())
 
 
-def played(view: Any, hand: Hand) -> np.ndarray:
-    """Pull, twist and freeze something in the window, with the pointer at rest on the picture in the end."""
+def bend(view: Any, hand: Hand) -> None:
+    """Pull, and twist, something in the window."""
     view.tools.radius = 30
     width, height = view.area
     x, y = width / 2, height / 2
-    hand.drag((x - 30, y - 20), (x + 25, y - 45))
+    hand.drag((x - 30, y - 20), (x + 25, y - 45), steps=1)
     hand.key("t")
-    hand.drag((x + 20, y + 30), (x + 40, y + 35))
+    hand.drag((x + 20, y + 30), (x + 40, y + 35), steps=1)
+
+
+def frozen(view: Any, hand: Hand) -> np.ndarray:
+    """Freeze something in the window; what is drawn with the pointer at rest on the picture."""
+    x, y = (n / 2 for n in view.area)
     hand.key("c")
-    hand.drag((x - 60, y + 40), (x - 20, y + 50))
+    hand.drag((x - 60, y + 40), (x - 20, y + 50), steps=1)
     hand.key("Escape")
     hand.key("g")
     hand.move(x + 50, y - 20)
     return settled(view, hand)
 
 
-@pytest.mark.parametrize("ratio", [1.0, 2.0])
-@pytest.mark.parametrize("name", DISPLAYS)
+@pytest.mark.parametrize(("name", "ratio"), [("clockwise", 2.0), *((name, 1.0) for name in DISPLAYS)])
 def test_a_turned_clip_is_shown_and_bent_as_its_upright_frames_are(
     gpu: Gpu, tmp_path: Path, name: str, ratio: float
 ) -> None:
     display, frame = DISPLAYS[name], picture()
-    turned = opened(clip(tmp_path / "turned.mp4", frame, display), Recipe(border=None), ratio=ratio)
-    plain = opened(clip(tmp_path / "plain.mp4", upright(frame, display)), Recipe(border=None), ratio=ratio)
+    given: Any = {"recipe": Recipe(border=None), "ratio": ratio, "size": (640, 400)}
+    turned = opened(clip(tmp_path / "turned.mp4", frame, display), **given)
+    plain = opened(clip(tmp_path / "plain.mp4", upright(frame, display)), **given)
     assert np.abs(settled(*turned) - settled(*plain)).max() <= 1  # a weight that is rounded in another order
     for view, hand in (turned, plain):
         hand.key("1")
         settled(view, hand)
     np.testing.assert_array_equal(settled(*turned), settled(*plain))
-    one, other = played(*turned), played(*plain)
-    assert np.abs(one - other).mean() < 0.05  # edges of lines are drawn in another direction
-    assert (np.abs(one - other).max(axis=-1) > 8).mean() < 0.002
+    bend(*turned), bend(*plain)
     assert np.abs(turned[0].pixels().astype(int) - plain[0].pixels()).max() <= 2
+    one, other = frozen(*turned), frozen(*plain)
+    assert np.abs(one - other).mean() < 0.1  # edges of lines, and samples of the mask, lie otherwise
+    assert (np.abs(one - other).max(axis=-1) > 12).mean() < 0.005
     columns = np.array(display, float).reshape(2, 2)
     for mine, known in zip(turned[0].recipe.strokes, plain[0].recipe.strokes, strict=True):
         np.testing.assert_allclose(np.array(mine.by[:2]) @ columns, known.by[:2], atol=1e-6)
-        assert mine.angle == pytest.approx(known.angle * round(np.linalg.det(columns)))
+        assert (mine.angle or 0) == pytest.approx((known.angle or 0) * round(np.linalg.det(columns)))
 
 
 @pytest.mark.parametrize("name", ["clockwise", "mirrored"])
 def test_a_drag_begins_and_ends_where_the_pointer_is(gpu: Gpu, tmp_path: Path, name: str) -> None:
     frame, aspect = picture(), Fraction(4, 3)
     view, hand = opened(clip(tmp_path / "a.mp4", frame, DISPLAYS[name], aspect), Recipe(border=None))
-    view.tools.radius = 8
+    view.tools.radius = 15
     settled(view, hand)
     start = view.tools.viewport.to_canvas(40, 25)  # within the yellow patch
-    end = start[0] + 90, start[1] + 60
-    before = settled(view, hand)
+    end = view.tools.viewport.to_canvas(95, 70)
+    before = view.pixels()
     hand.drag(start, end)
-    hand.key("Escape")
-    hand.key("h")
     (stroke,) = view.recipe.strokes
     assert stroke.at == pytest.approx((40, 25, 0))
-    assert view.document.deformation.forward((40.0, 25.0, 0.0))[:2] == pytest.approx(
-        view.tools.viewport.to_image(*end), abs=0.1
-    )
-    hand.move(2, 2)
-    view.document.select(None)
-    after = settled(view, hand)
-    x, y = (round(n) for n in end)
-    near = after[y - 9 : y + 10, x - 9 : x + 10].reshape(-1, 3)
-    patch = before[round(start[1]), round(start[0])]
-    assert (np.abs(near - patch).max(axis=1) < 20).sum() > 60
+    assert view.document.deformation.forward((40.0, 25.0, 0.0))[:2] == pytest.approx((95, 70), abs=0.1)
+    (u, v), (x, y) = (map(round, place) for place in (start, end))
+    assert np.abs(view.pixels()[y, x].astype(int) - before[v, u]).max() <= 10
+    assert np.abs(before[y, x].astype(int) - before[v, u]).max() > 50
 
 
 @pytest.mark.parametrize(
