@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -12,10 +13,67 @@ from supple.render.camera import Camera
 from supple.viewer.tools import orbit
 from supple.viewer.tools.orbit import Stage
 from supple.viewer.tools.playback import Playback
-from supple.viewer.tools.viewport import Viewport
+from supple.viewer.tools.viewport import Turn, Viewport, turn_of
+
+TURNS = [
+    turn_of(rotation, aspect, mirrored=mirrored)
+    for rotation in (0, 90, 180, -90)
+    for mirrored in (False, True)
+    for aspect in (None, Fraction(4, 3), Fraction(8, 9))
+]
 
 
 class TestViewport:
+    @pytest.mark.parametrize("mirrored", [False, True])
+    @pytest.mark.parametrize("rotation", [0, 90, 180, 270, -90, -180])
+    @pytest.mark.parametrize("aspect", [None, Fraction(4, 3), Fraction(8, 9)])
+    def test_pixels_are_shown_where_the_upright_picture_has_them(
+        self, rotation: int, mirrored: bool, aspect: Fraction | None
+    ) -> None:
+        width, height = 30, 20
+        stored = np.arange(width * height).reshape(height, width)
+        upright = np.rot90(stored[:, ::-1] if mirrored else stored, rotation // 90)
+        view = Viewport((width, height), (900, 700), 2, turn_of(rotation, aspect, mirrored=mirrored)).actual()
+        sides = (1.0, float(aspect or 1)) if rotation % 180 else (float(aspect or 1), 1.0)
+        assert view.stretch == sides
+        corner = np.array(view.to_canvas(*(int(k) for k in np.argwhere(stored == upright[0, 0])[0][::-1])))
+        for x, y in [(0, 0), (29, 0), (7, 19), (12, 3)]:
+            row, column = np.argwhere(upright == stored[y, x])[0]
+            seen = view.to_canvas(x, y)
+            np.testing.assert_allclose(seen - corner, np.array([column, row]) * sides * view.zoom)
+            assert view.to_image(*seen) == pytest.approx((x, y), abs=1e-9)
+        shown = np.array(upright.shape[::-1]) * sides
+        assert view.fit().zoom == pytest.approx(min(900 / shown[0], 700 / shown[1]))
+
+    @pytest.mark.parametrize("turn", TURNS)
+    def test_what_is_drawn_covers_the_canvas_to_the_pixel(self, turn: Turn) -> None:
+        size, ratio = (1203, 901), 1.5
+        fitting = Viewport((641, 480), (size[0] / ratio, size[1] / ratio), ratio, turn)
+        for view in (fitting, fitting.actual(), fitting.zoom_about(10, 20, 5).pan(3, 4)):
+            origin, scale, count, part = view.drawn(size, ratio)
+            corner, across, down = np.array(part).reshape(3, 2)
+            for place in [(0.5, 0.5), (1202.5, 900.5), (17.5, 400.5)]:
+                within = corner + across * place[0] / size[0] + down * place[1] / size[1]
+                assert ((within * count > 0.499) & (within * count < np.array(count) - 0.499)).all()
+                point = np.array(origin) + (within * count - 0.5) * scale
+                np.testing.assert_allclose(point, view.to_image(place[0] / ratio, place[1] / ratio), atol=1e-6)
+            assert scale <= 1 / (view.zoom * ratio * max(view.stretch)) * (1 + 1e-9)
+            if view.stretch == (1, 1):
+                assert count == (size if turn[0] else size[::-1])
+
+    @pytest.mark.parametrize("aspect", [Fraction(1, 1000), Fraction(1000)])
+    def test_what_is_drawn_fits_any_device(self, aspect: Fraction) -> None:
+        view = Viewport((640, 480), (1000, 700), turn=turn_of(0, aspect))
+        assert max(view.drawn((1000, 700), 1.0)[2]) <= 8192
+
+    @pytest.mark.parametrize("turn", TURNS)
+    def test_turned_images_zoom_and_pan_with_the_pointer(self, turn: Turn) -> None:
+        view = Viewport((640, 480), (1000, 700), 1.0, turn)
+        point = view.to_image(480, 330)
+        view = view.zoom_about(480, 330, 2.5)
+        assert view.to_image(480, 330) == pytest.approx(point)
+        assert view.pan(30, -7).to_canvas(*point) == pytest.approx((510, 323))
+
     def test_fits(self) -> None:
         view = Viewport((200, 100), (800, 600))
         assert (view.zoom, view.centre, view.percent) == (4, (99.5, 49.5), 400)

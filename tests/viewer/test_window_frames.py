@@ -264,7 +264,7 @@ def test_coarse_pixels_lie_where_fine_ones_do(gpu: Gpu, coarse: int, monkeypatch
 def test_coarse_pixels_of_a_volume_lie_about_the_middle() -> None:
     from supple.viewer.panels.painter import _about_the_middle
 
-    assert _about_the_middle((700, 400), (700, 400)) == (0.0, 0.0, 1.0, 1.0)
+    assert _about_the_middle((700, 400), (700, 400)) == (0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
     # 89 x 51 pixels: each covers 401/51 of the canvas, as the shorter side is fitted.
     left, top, width, height = _about_the_middle((705, 401), (89, 51))
     assert (top, height) == pytest.approx((0.0, 1.0))

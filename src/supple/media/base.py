@@ -84,6 +84,10 @@ class Clip(Protocol):
         """Whether frames are mirrored for display, left to right, before they are rotated."""
 
     @property
+    def aspect(self) -> Fraction | None:
+        """The width of a pixel, relative to its height, before frames are rotated; None if the file does not say."""
+
+    @property
     def fields(self) -> str:
         """The field of interlaced frames that is shown first, ``"top"`` or ``"bottom"``; else empty."""
 

@@ -91,6 +91,11 @@ class Pictures:
         """The number of frames."""
         return len(self.paths)
 
+    @property
+    def aspect(self) -> Fraction | None:
+        """The width of a pixel, relative to its height; None but for OpenEXR."""
+        return exr.head_only(self.paths[0])[0].aspect if exr.is_exr(self.paths[0]) else None
+
     def frames(self) -> Iterator[Frame]:
         """Yield the frames in order; each is read when it is copied."""
         for path in self.paths:

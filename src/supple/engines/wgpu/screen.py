@@ -10,12 +10,12 @@ from supple.engines.wgpu.buffers import Bound, Kept
 from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.kernel import UNIFORM, source
 
-Part = tuple[float, float, float, float]
-"""A part of a texture: left, top, width and height, as fractions."""
-ALL: Part = (0.0, 0.0, 1.0, 1.0)
+Part = tuple[float, float, float, float, float, float]
+"""A part of a texture, in fractions of it: x and y of its first corner on screen, of its side across, and down."""
+ALL: Part = (0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
 
 _PLAIN = "rgba8unorm"
-_SETTINGS = np.dtype([("part", "f4", 4), ("split", "f4"), ("line", "f4"), ("linear", "u4"), ("unused", "u4")])
+_SETTINGS = np.dtype([("sides", "f4", 4), ("corner", "f4", 2), ("split", "f4"), ("linear", "u4")])
 
 
 def canvas_texture(gpu: Gpu, size: tuple[int, int]) -> Any:
@@ -33,13 +33,15 @@ def pixels_of(gpu: Gpu, texture: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:
     return np.frombuffer(data, np.uint8).reshape(height, width, 4)
 
 
-def composed(gpu: Gpu, first: Any, second: Any, split: float) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Return two textures side by side, as `Screen` draws them: (rows, columns, 4)."""
-    onto = gpu.device.create_texture(size=first.size, format=_PLAIN, usage="RENDER_ATTACHMENT|COPY_SRC")
+def composed(
+    gpu: Gpu, size: tuple[int, int], first: Any, second: Any, split: float, part: Part
+) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """Return what `Screen` draws of a texture, or of two side by side, in columns and rows: (rows, columns, 4)."""
+    onto = gpu.device.create_texture(size=(*size, 1), format=_PLAIN, usage="RENDER_ATTACHMENT|COPY_SRC")
     colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store"}
     encoder = gpu.device.create_command_encoder()
     drawing = encoder.begin_render_pass(color_attachments=[colours])
-    Screen(gpu, _PLAIN).draw(drawing, first, second, split)
+    Screen(gpu, _PLAIN).draw(drawing, first, second, split, part=part)
     drawing.end()
     gpu.device.queue.submit([encoder.finish()])
     return pixels_of(gpu, onto)
@@ -100,10 +102,10 @@ class Screen:
         split : float
         place : (int, int, int, int), optional
             The rectangle on the screen: left, top, columns and rows; by default, all of it.
-        part : (float, float, float, float), optional
+        part : tuple of float, optional
             The visible part of the textures.
         """
-        settings = np.array([(part, split if second is not None else -1.0, 0.001, self._linear, 0)], _SETTINGS)
+        settings = np.array([(part[2:], part[:2], split if second is not None else -1.0, self._linear)], _SETTINGS)
         things = self._told.hold(settings), first, second or first
         drawing.set_pipeline(self._pipelines[second is not None])
         if place is not None:

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import os
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -85,6 +87,12 @@ class Exr:
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the box."""
         return _shape(self.box)
+
+    @property
+    def aspect(self) -> Fraction | None:
+        """The width of a pixel, relative to its height; None if the header has no number above 0."""
+        said = float(self.attributes[0].get("pixelAspectRatio", 0.0))
+        return Fraction(said).limit_denominator(1000) or None if 0 < said < math.inf else None
 
     @property
     def corner(self) -> tuple[int, int]:

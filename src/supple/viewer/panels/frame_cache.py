@@ -16,6 +16,7 @@ from supple.files import PathLike
 from supple.files.clips import open_clip
 from supple.media.sequence import Pictures
 from supple.viewer.panels.transforms import on_screen, seen, shown, usual_of
+from supple.viewer.tools.viewport import turn_of
 
 Pixels = npt.NDArray[np.uint8]
 Span = tuple[int, int]
@@ -41,6 +42,7 @@ class FrameCache:
             self.count: int = clip.count
             height, width = clip.layout.shape
             self.rate = float(clip.rate)
+            self.turn = turn_of(clip.rotation, clip.aspect, mirrored=clip.mirrored)
             found = clip.survey.starts if hasattr(clip, "survey") else ()
             self.transform = usual_of(clip)  # the view transform, one of `TRANSFORMS`
             self._like = clip.picture(0)[0] if isinstance(clip, Pictures) else None

@@ -63,10 +63,15 @@ def rings(tools: ImageTools | SliceTools, lines: imgui.ImDrawList) -> None:
     if tools.brush in MASKS:
         reach = None
     if reach is not None and reach > 1.0:
-        lines.add_circle(middle, reach * radius, theme.SHADE, 0, 3.0)
-        lines.add_circle(middle, reach * radius, theme.PALE, 0, 1.0)
-    lines.add_circle(middle, radius, theme.DARK, 0, 3.0)
-    lines.add_circle(middle, radius, theme.WHITE, 0, 1.0)
+        ring(lines, middle, reach * radius, tools.stretch, theme.SHADE, 3.0)
+        ring(lines, middle, reach * radius, tools.stretch, theme.PALE)
+    ring(lines, middle, radius, tools.stretch, theme.DARK, 3.0)
+    ring(lines, middle, radius, tools.stretch, theme.WHITE)
+
+
+def ring(lines: imgui.ImDrawList, middle: Pair, radius: float, stretch: Pair, colour: int, thick: float = 1.0) -> None:
+    """Draw a circle of the image: an ellipse where its pixels are not square."""
+    lines.add_ellipse(middle, (radius * stretch[0], radius * stretch[1]), colour, 0.0, 0, thick)
 
 
 def names(tools: ImageTools | SliceTools, lines: imgui.ImDrawList, place: Place, down: float) -> None:

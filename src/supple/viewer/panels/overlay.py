@@ -59,9 +59,10 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
     assert isinstance(tools, ImageTools)
     document, viewport = view.document, tools.viewport
     (left, top), zoom = viewport.to_canvas(0.0, 0.0), viewport.zoom
+    a, b, c, d = (zoom * n for n in viewport.turn)
 
     def placed(point: Point) -> Pair:  # as the viewport does, which finds its zoom anew for each
-        return left + point[0] * zoom, top + point[1] * zoom
+        return left + a * point[0] + b * point[1], top + c * point[0] + d * point[1]
 
     for i, track in document.tracks():
         selected = document.selected == i
@@ -84,7 +85,7 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
             if stroke.brush == "grab":
                 marks.end_of(lines, end, colour, None if wanted is None else placed(wanted))
             if selected:
-                lines.add_circle(start, stroke.radius * zoom, theme.BALL, 0, 1.0)
+                marks.ring(lines, start, stroke.radius * zoom, tools.stretch, theme.BALL)
             wanted = None  # only the first one's is known
 
 

@@ -23,7 +23,7 @@ def _about_the_middle(seen: tuple[int, int], drawn: tuple[int, int]) -> Part:
     """Return the visible part of a volume's image: a camera looks at its centre, and fits the shorter side."""
     pixel = min(seen) / min(drawn)
     width, height = (n / (m * pixel) for n, m in zip(seen, drawn, strict=True))
-    return 0.5 - 0.5 * width, 0.5 - 0.5 * height, width, height
+    return 0.5 - 0.5 * width, 0.5 - 0.5 * height, width, 0.0, 0.0, height
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +32,11 @@ class Shot:
 
     deformation: Deformation
     base: Deformation  # of what the result is compared with: the original, or a step of the history
-    size: tuple[int, int]  # columns and rows of the image's area of the canvas, in physical pixels
-    place: tuple[int, int] = (0, 0)  # the upper left corner of that area
+    size: tuple[int, int]  # columns and rows of what is drawn, along the axes of the image as it is stored
+    place: tuple[int, int, int, int] = (0, 0, 0, 0)  # left, top, columns and rows of its area, in physical pixels
+    part: Part = ALL  # what is drawn, as it lies on that area
     moving: bool = False  # during a drag, a smaller image will do
-    origin: tuple[float, float] = (0.0, 0.0)  # the position of the first physical pixel in the image
+    origin: tuple[float, float] = (0.0, 0.0)  # the position in the image of the first pixel that is drawn
     scale: float = 1.0  # the step to the next, in pixels of the image
     time: float = 0.0  # the frame
     camera: Camera = _HOME
@@ -115,7 +116,9 @@ class Painter:
             stage.draw(deformation, shot.camera, size, texture, shot.overlay, int(shot.original or k))
             self.part = _about_the_middle(shot.size, size)
             return texture
-        self.part = 0.0, 0.0, shot.size[0] / (size[0] * coarse), shot.size[1] / (size[1] * coarse)
+        x, y = (n / (m * coarse) for n, m in zip(shot.size, size, strict=True))
+        a, b, c, d, e, f = shot.part
+        self.part = a * x, b * y, c * x, d * y, e * x, f * y
         # The centre of a coarse pixel lies between those of the fine ones that it covers.
         inset = 0.5 * (coarse - 1) * shot.scale
         (x, y), scale = shot.origin, shot.scale * coarse

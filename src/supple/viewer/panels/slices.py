@@ -167,6 +167,8 @@ class Slices:
                 (low[0] - box[0]) / box[2],
                 (low[1] - box[1]) / box[3],
                 columns / box[2],
+                0.0,
+                0.0,
                 rows / box[3],
             )
             second = self._textures[k, True][0] if tools.split is not None else None

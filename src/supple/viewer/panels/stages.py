@@ -27,6 +27,7 @@ from supple.viewer.document.state import Kind
 from supple.viewer.panels.frame_cache import FrameCache
 from supple.viewer.panels.transforms import on_screen, usual_of
 from supple.viewer.panels.warped import Levels, Warped
+from supple.viewer.tools.viewport import turn_of
 
 Pixels = npt.NDArray[np.uint8]
 Point = tuple[float, ...]
@@ -43,6 +44,9 @@ class ImageStage:
         self._gpu, self._given = gpu, source
         self.transform = usual_of(source) if isinstance(source, Picture) else ""
         """The view transform, one of `TRANSFORMS`."""
+        layers = source.layers if isinstance(source, Picture) else None
+        self.turn = turn_of(0.0, None if layers is None else layers.aspect)
+        """The map of displacements in the image to those that are shown."""
         self._lay()
         height, width = self.pixels.shape[:2]
         self.shape: tuple[int, ...] = (height, width)
@@ -124,7 +128,7 @@ class VideoStage(ImageStage):
     kind = "video"
 
     def __init__(self, gpu: Gpu, film: FrameCache, time_scale: float = 1.0) -> None:
-        self.film, self.rate, self.transform = film, film.rate, film.transform
+        self.film, self.rate, self.transform, self.turn = film, film.rate, film.transform, film.turn
         width, height = film.size
         self.shape, self.spacing = (film.count, height, width), (1.0, 1.0, time_scale)
         slots = max(2, min(film.most, Plate.most(gpu, film.size), film.count))

@@ -68,7 +68,10 @@ class Veil:
                 high[k] = mask.first[k] + mask.step[k] * (mask.size[k] - _INNER)
         (a, b), (c, d) = (seen(tuple(end)) for end in ends)
         lines.push_clip_rect((min(a, c), min(b, d)), (max(a, c), max(b, d)), True)
-        lines.add_image(imgui.ImTextureRef(which), seen(tuple(low)), seen(tuple(high)), col=theme.VEIL)
+        right, left = low.copy(), high.copy()
+        right[across], left[across] = high[across], low[across]
+        first, second, third, fourth = (seen(tuple(corner)) for corner in (low, right, high, left))
+        lines.add_image_quad(imgui.ImTextureRef(which), first, second, third, fourth, col=theme.VEIL)
         lines.pop_clip_rect()
 
     def _upload(self, which: int, mask: Freeze, axes: tuple[int, int, int], index: int, outline: bool) -> None:

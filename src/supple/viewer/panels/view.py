@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.screen import composed, pixels_of
+from supple.engines.wgpu.screen import composed
 from supple.errors import SuppleError
 from supple.media import image
 from supple.render.labels import LabelColours
@@ -140,16 +140,16 @@ class View:
     def _shot(self, moving: bool) -> Shot:
         tools, ratio = self.tools, self.canvas.get_pixel_ratio()
         size = tuple(round(n * ratio) for n in self.area)
-        common: dict[str, Any] = {"size": size, "moving": moving, "ratio": ratio}
+        common: dict[str, Any] = {"size": size, "place": (0, 0, *size), "moving": moving, "ratio": ratio}
         common["overlay"] = "" if self.overlay == FROZEN else self.overlay
         common |= {"base": self.document.base, "original": tools.original, "split": tools.split is not None}
         if isinstance(tools, SliceTools):
             hidden = (0.0, 0.0, 1.0, 1.0)  # a pixel of it is drawn
-            left, top, *extent = physical(tools.places.get(RENDERED, hidden), ratio, (size[0], size[1]))
-            common |= {"size": tuple(extent), "place": (left, top)}
+            place = physical(tools.places.get(RENDERED, hidden), ratio, (size[0], size[1]))
+            common |= {"size": place[2:], "place": place}
             return Shot(self.document.deformation, camera=tools.stage.placed(tools.camera), **common)
-        first, scale = tools.view.to_image(0.5 / ratio, 0.5 / ratio), 1.0 / (tools.view.zoom * ratio)
-        return Shot(self.document.deformation, origin=first, scale=scale, time=self.frame, **common)
+        first, scale, common["size"], part = tools.view.drawn((size[0], size[1]), ratio)
+        return Shot(self.document.deformation, origin=first, scale=scale, part=part, time=self.frame, **common)
 
     @property
     def frame(self) -> float:
@@ -224,7 +224,5 @@ class View:
             self.slices.update(self.tools)
             seen = self.slices.composed(self.tools, ratio, size, (first, second), self.painter.part)
             return np.ascontiguousarray(seen[..., :3])
-        seen = pixels_of(self.gpu, first)
-        if second is not None:
-            seen = composed(self.gpu, first, second, self.tools.split or 0.0)
+        seen = composed(self.gpu, shot.place[2:], first, second, self.tools.split or 0.0, self.painter.part)
         return np.ascontiguousarray(seen[..., :3])

@@ -18,7 +18,7 @@ from supple.viewer.tools.cube import Face, face_at, faces_of
 from supple.viewer.tools.drags import Held, Pair
 from supple.viewer.tools.gestures import Event, Lead, Tools, commanded, shifted
 from supple.viewer.tools.playback import Playback
-from supple.viewer.tools.viewport import Viewport
+from supple.viewer.tools.viewport import UPRIGHT, Turn, Viewport
 
 GRIP = 40.0  # logical pixels from the lower edge of a view to the knob of the line of symmetry
 ZOOM = 1.2  # the zoom factor of a notch of the wheel, which is 100
@@ -36,12 +36,17 @@ def pans(event: Event) -> bool:
 class ImageTools(Tools[Viewport]):
     """The tools of an image: a left drag pulls the point under the pointer.
 
-    The canvas has a width and a height in logical pixels; the ratio is that of physical to logical pixels.
+    The canvas has a width and a height in logical pixels; the ratio is that of physical to logical pixels. The image is
+    shown turned, as a `Viewport` does it; points, strokes and the brush's radius are those of the stored one.
     """
 
-    def __init__(self, document: Document, canvas_size: Pair, pixel_ratio: float = 1.0) -> None:
+    def __init__(self, document: Document, canvas_size: Pair, pixel_ratio: float = 1.0, turn: Turn = UPRIGHT) -> None:
         height, width = document.shape[-2:]
-        super().__init__(document, Viewport((width, height), canvas_size, pixel_ratio))
+        super().__init__(document, Viewport((width, height), canvas_size, pixel_ratio, turn))
+        a, b, c, d = turn
+        self.stretch, self.handed = self.view.stretch, math.copysign(1.0, a * d - b * c)
+        if not a:  # the axis that is shown from left to right
+            self.across, self.middle = 1, 0.5 * (height - 1)
 
     @property
     def viewport(self) -> Viewport:
@@ -73,11 +78,11 @@ class ImageTools(Tools[Viewport]):
     @property
     def grip(self) -> Pair | None:
         """The position of the knob of the line of symmetry; None where that is not drawn."""
-        at = self.view.to_canvas(self.middle, 0.0)[0], self.canvas_size[1] - GRIP
+        at = self.view.to_canvas(self.middle, self.middle)[0], self.canvas_size[1] - GRIP
         return at if self.symmetric else None
 
     def _level(self, place: Pair) -> float:
-        return self.view.to_image(*place)[0]
+        return self.view.to_image(*place)[self.across]
 
     def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
         point = self.view.to_image(x, y)
@@ -118,8 +123,15 @@ class ImageTools(Tools[Viewport]):
 class VideoTools(ImageTools):
     """The tools of a clip: the held point can be moved through time, too, by the wheel or the arrow keys."""
 
-    def __init__(self, document: Document, playback: Playback, canvas_size: Pair, pixel_ratio: float = 1.0) -> None:
-        super().__init__(document, canvas_size, pixel_ratio)
+    def __init__(
+        self,
+        document: Document,
+        playback: Playback,
+        canvas_size: Pair,
+        pixel_ratio: float = 1.0,
+        turn: Turn = UPRIGHT,
+    ) -> None:
+        super().__init__(document, canvas_size, pixel_ratio, turn)
         self.playback = playback
         self._frame = 0  # displayed at the start of the drag
 

@@ -40,6 +40,8 @@ class Drawing(ABC):
         self.symmetric = False  # whether new strokes have a mirror image
         self.across, self.middle = 0, 0.5 * (document.shape[-1] - 1)
         """The axis across which they have it, x is 0; and where its line or plane lies on it, in samples."""
+        self.stretch: Pair = (1.0, 1.0)  # of a circle of the image on the canvas, to the right and down
+        self.handed = 1.0  # the sense of a turn to the right in the image: -1.0 if it is shown mirrored
 
     @property
     def radius(self) -> float:
@@ -214,7 +216,7 @@ class Drawing(ABC):
             (x, y), (a, b), (u, v) = held.now, held.offset, held.start
             gone = self._carried(held, x - a, y - b)
             ring = stroke.radius * self._scale(held.point)
-            stroke = held.dragged(gone, ((x - u) / ring, (y - v) / ring), self._normal(held.point))
+            stroke = held.dragged(gone, (self.handed * (x - u) / ring, (y - v) / ring), self._normal(held.point))
             if held.item is None and held.firmness < 1:
                 stroke = stroke.weakened(held.firmness)
         if not held.new:

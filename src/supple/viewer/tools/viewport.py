@@ -4,27 +4,53 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import Self
 
 from supple.viewer.tools.drags import Pair
 
 CLOSEST = 64.0  # the largest size of an image pixel, in physical pixels of the screen
 FARTHEST = 0.25  # the smallest zoom, relative to the one that fits, or to 100 % if that is less
+_MOST = 8192  # columns or rows that are drawn: those of any device
+
+Turn = tuple[float, float, float, float]
+"""A map of displacements in an image to those that are shown: x from x and from y, and y from x and from y."""
+Part = tuple[float, float, float, float, float, float]
+UPRIGHT: Turn = (1.0, 0.0, 0.0, 1.0)
+
+
+def turn_of(rotation: float, aspect: Fraction | None = None, *, mirrored: bool = False) -> Turn:
+    """Return the map to an image as it is shown.
+
+    Parameters
+    ----------
+    rotation : float
+        Degrees counterclockwise, by which it is turned last; quarters, like `supple.media.base.Clip.upright`.
+    aspect : Fraction, optional
+        The width of a stored pixel, relative to its height; square by default.
+    mirrored : bool
+        Whether it is mirrored, left to right.
+    """
+    quarters = round(rotation / 90) % 4
+    cosine, sine = (1.0, 0.0, -1.0, 0.0)[quarters], (0.0, 1.0, 0.0, -1.0)[quarters]
+    wide = float(aspect or 1) * (-1 if mirrored else 1)
+    return wide * cosine, sine, -wide * sine, cosine
 
 
 @dataclass(frozen=True, slots=True)
 class Viewport:
-    """An image on a canvas, zoomed and panned.
+    """An image on a canvas, turned as it is shown, zoomed and panned.
 
-    Points of the image are measured from the centre of its upper left pixel; those of the canvas are in logical pixels,
-    from its upper left corner. The centre of the canvas is always over the image, which stays visible. The state is the
-    zoom, and the point of the image in the centre of the canvas; without them, the image fits, after a change of size
-    too.
+    Points of the image, as it is stored, are measured from the centre of its upper left pixel; those of the canvas are
+    in logical pixels, from its upper left corner. The centre of the canvas is always over the image, which stays
+    visible. The state is the zoom, and the point of the image in the centre of the canvas; without them, the image
+    fits, after a change of size too.
     """
 
     image_size: tuple[int, int]  # width and height
     canvas_size: Pair
     pixel_ratio: float = 1.0  # physical pixels for each logical pixel
+    turn: Turn = UPRIGHT
     held: tuple[float, Pair] | None = None
 
     def __post_init__(self) -> None:
@@ -39,7 +65,7 @@ class Viewport:
 
     @property
     def zoom(self) -> float:
-        """The logical pixels of the canvas for each pixel of the image."""
+        """The logical pixels of the canvas for each pixel of the image: those along its axes by `stretch` of that."""
         return self._fit if self.held is None else self.held[0]
 
     @property
@@ -60,19 +86,67 @@ class Viewport:
         return FARTHEST * min(self._fit, actual), max(self._fit, CLOSEST * actual)
 
     @property
+    def stretch(self) -> Pair:
+        """The extent of a pixel of the image as it is shown, to the right and down: 1 where pixels are square."""
+        a, b, c, d = self.turn
+        return abs(a + b), abs(c + d)  # of each two, one is 0
+
+    @property
     def _fit(self) -> float:
-        (width, height), (columns, rows) = self.canvas_size, self.image_size
-        return min(width / columns, height / rows)
+        (width, height), (columns, rows), (a, b, c, d) = self.canvas_size, self.image_size, map(abs, self.turn)
+        return min(width / (a * columns + b * rows), height / (c * columns + d * rows))
 
     def to_image(self, x: float, y: float) -> Pair:
         """Return the point of the image under a point of the canvas; it may lie outside."""
         (width, height), (cx, cy), zoom = self.canvas_size, self.centre, self.zoom
-        return cx + (x - width / 2) / zoom, cy + (y - height / 2) / zoom
+        dx, dy = self._back((x - width / 2) / zoom, (y - height / 2) / zoom)
+        return cx + dx, cy + dy
 
     def to_canvas(self, x: float, y: float) -> Pair:
         """Return the position of a point of the image on the canvas."""
         (width, height), (cx, cy), zoom = self.canvas_size, self.centre, self.zoom
-        return width / 2 + (x - cx) * zoom, height / 2 + (y - cy) * zoom
+        dx, dy = self._shown(x - cx, y - cy)
+        return width / 2 + dx * zoom, height / 2 + dy * zoom
+
+    def _shown(self, x: float, y: float) -> Pair:
+        """Return a displacement in the image as it is shown."""
+        a, b, c, d = self.turn
+        return a * x + b * y, c * x + d * y
+
+    def _back(self, x: float, y: float) -> Pair:
+        """Return the displacement in the image that is shown as this one."""
+        a, b, c, d = self.turn
+        size = a * d - b * c
+        return (d * x - b * y) / size, (a * y - c * x) / size
+
+    def drawn(self, size: tuple[int, int], ratio: float) -> tuple[Pair, float, tuple[int, int], Part]:
+        """Return what is drawn of the image, along its axes, for a canvas of physical pixels; it is as fine as these.
+
+        Returns
+        -------
+        origin : (float, float)
+            The point of the image at the first sample.
+        scale : float
+            The step to the next, in pixels of the image.
+        size : (int, int)
+            Columns and rows.
+        part : tuple of float
+            The canvas in fractions of them: its upper left corner, and its sides across and down, x and y of each.
+        """
+        width, height = (n / ratio for n in size)
+        inset = 0.5 / ratio
+        near, far = self.to_image(inset, inset), self.to_image(width - inset, height - inset)
+        origin = min(near[0], far[0]), min(near[1], far[1])
+        extent = abs(far[0] - near[0]), abs(far[1] - near[1])
+        scale = max(1.0 / (self.zoom * ratio * max(self.stretch)), max(extent) / (_MOST - 1))
+        columns, rows = (math.ceil(e / scale - 1e-3) + 1 for e in extent)
+
+        def within(x: float, y: float) -> Pair:
+            p, q = self.to_image(x, y)
+            return ((p - origin[0]) / scale + 0.5) / columns, ((q - origin[1]) / scale + 0.5) / rows
+
+        (x, y), (a, b), (c, d) = within(0.0, 0.0), within(width, 0.0), within(0.0, height)
+        return origin, scale, (columns, rows), (x, y, a - x, b - y, c - x, d - y)
 
     def holds(self, x: float, y: float) -> bool:
         """Return whether a point lies within the image."""
@@ -84,9 +158,9 @@ class Viewport:
 
     def actual(self) -> Self:
         """Return the viewport at 100 %: image pixels on the physical pixels of the screen."""
-        middles = (n * self.pixel_ratio / 2 - 0.5 for n in self.canvas_size)
-        x, y = (c - math.remainder(c - m, 1.0) for c, m in zip(self.centre, middles, strict=True))
-        return replace(self, held=(1 / self.pixel_ratio, (x, y)))
+        middles, corner = (n * self.pixel_ratio / 2 for n in self.canvas_size), (c + 0.5 for c in self.centre)
+        x, y = self._back(*(c - math.remainder(c - m, 1.0) for c, m in zip(self._shown(*corner), middles, strict=True)))
+        return replace(self, held=(1 / self.pixel_ratio, (x - 0.5, y - 0.5)))
 
     def zoom_about(self, x: float, y: float, factor: float) -> Self:
         """Return the viewport zoomed about a point of the canvas."""
@@ -102,7 +176,8 @@ class Viewport:
         if not (dx or dy):
             return self
         (cx, cy), zoom = self.centre, self.zoom
-        return replace(self, held=(zoom, (cx - dx / zoom, cy - dy / zoom)))
+        x, y = self._back(dx / zoom, dy / zoom)
+        return replace(self, held=(zoom, (cx - x, cy - y)))
 
     def resize(self, canvas_size: Pair, pixel_ratio: float | None = None) -> Self:
         """Return the viewport for another size of canvas: the centre stays in place, and a fitted image still fits."""

@@ -171,9 +171,10 @@ def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool
 def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) -> ImageTools | SliceTools:
     """Return the tools for a stage."""
     if isinstance(stage, VideoStage):
-        return VideoTools(document, Playback(stage.film.count, stage.rate, stage.film.starts), size)
+        playback = Playback(stage.film.count, stage.rate, stage.film.starts)
+        return VideoTools(document, playback, size, turn=stage.turn)
     if isinstance(stage, ImageStage):
-        return ImageTools(document, size)
+        return ImageTools(document, size, turn=stage.turn)
 
     def placed() -> Camera:
         return tools.stage.placed(tools.camera)

@@ -245,8 +245,8 @@ class Window(View):
         colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 1)}
         drawing = encoder.begin_render_pass(color_attachments=[colours])
         if self._textures is not None and (not isinstance(self.tools, SliceTools) or RENDERED in self.tools.places):
-            left, top = shot.place
-            place = (left, top, min(shot.size[0], onto.size[0] - left), min(shot.size[1], onto.size[1] - top))
+            left, top, columns, rows = shot.place
+            place = (left, top, min(columns, onto.size[0] - left), min(rows, onto.size[1] - top))
             if min(place[2:]) > 0:  # a canvas may have shrunk since
                 self._screen.draw(drawing, *self._textures, self.tools.split or 0.0, place, self.painter.part)
         if self.slices is not None and isinstance(self.tools, SliceTools):

@@ -1,12 +1,13 @@
 // Composition on the screen: two textures of any size side by side, divided at the split.
 
 struct Settings {
-    part: vec4f, // the visible part of the textures: left, top, width and height
+    sides: vec4f, // of the visible part of the textures: from one end to the other of the screen, across and down
+    corner: vec2f, // and its upper left corner on the screen
     split: f32, // the right edge of the second texture, from 0 to 1
-    line: f32, // half the width of the line between them
     linear: u32, // true if the screen takes linear light
-    unused: u32,
 }
+
+const LINE: f32 = 0.001; // half the width of the line between them
 
 override SPLIT: bool = true; // constant, as software GPUs would sample both textures everywhere
 
@@ -28,12 +29,12 @@ fn corner(@builtin(vertex_index) k: u32) -> Corner {
 
 @fragment
 fn shown(corner: Corner) -> @location(0) vec4f {
-    let at = settings.part.xy + settings.part.zw * corner.at;
+    let at = settings.corner + settings.sides.xy * corner.at.x + settings.sides.zw * corner.at.y;
     var v = textureSampleLevel(first, smooth_, at, 0.0).xyz;
     if (SPLIT) {
         let other = textureSampleLevel(second, smooth_, at, 0.0).xyz;
         v = select(v, other, corner.at.x < settings.split);
-        if (abs(corner.at.x - settings.split) < settings.line) {
+        if (abs(corner.at.x - settings.split) < LINE) {
             v = vec3f(1.0);
         }
     }
