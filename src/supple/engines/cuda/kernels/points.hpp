@@ -56,7 +56,8 @@ INLINE void move_point(const Some& job) {
     if (!passed.upright) atomicAdd(&job.told->folded, 1);
     if (!passed.within) atomicAdd(&job.told->outside, 1);
     for (int d = 0; d < D; d++) {
-        job.to[i * D + d] = jet.x[d] == q[d] ? from[d] : jet.x[d] / map.axes[d].spacing;  // what is unmoved keeps its bits
+        job.to[i * D + d] =
+            jet.x[d] == q[d] ? from[d] : jet.x[d] / map.axes[d].spacing;  // what is unmoved keeps its bits
         for (int e = 0; job.matrices && e < D; e++)
             job.matrices[(i * D + d) * D + e] = jet.t[e][d] * map.axes[e].spacing / map.axes[d].spacing;
     }
