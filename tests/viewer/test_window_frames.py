@@ -266,7 +266,7 @@ def test_coarse_pixels_of_a_volume_lie_about_the_middle() -> None:
 
     assert _about_the_middle((700, 400), (700, 400)) == (0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
     # 89 x 51 pixels: each covers 401/51 of the canvas, as the shorter side is fitted.
-    left, top, width, height = _about_the_middle((705, 401), (89, 51))
+    left, top, width, _, _, height = _about_the_middle((705, 401), (89, 51))
     assert (top, height) == pytest.approx((0.0, 1.0))
     assert width == pytest.approx(705 / (89 * 401 / 51))
     assert left + 0.5 * width == pytest.approx(0.5)

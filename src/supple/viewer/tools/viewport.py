@@ -15,8 +15,9 @@ _MOST = 8192  # columns or rows that are drawn: those of any device
 
 Turn = tuple[float, float, float, float]
 """A map of displacements in an image to those that are shown: x from x and from y, and y from x and from y."""
-Part = tuple[float, float, float, float, float, float]
 UPRIGHT: Turn = (1.0, 0.0, 0.0, 1.0)
+Part = tuple[float, float, float, float, float, float]
+"""A part of what is drawn, as `supple.engines.wgpu.screen.Part`."""
 
 
 def turn_of(rotation: float, aspect: Fraction | None = None, *, mirrored: bool = False) -> Turn:
@@ -65,7 +66,7 @@ class Viewport:
 
     @property
     def zoom(self) -> float:
-        """The logical pixels of the canvas for each pixel of the image: those along its axes by `stretch` of that."""
+        """The logical pixels of the canvas for each pixel of the image, where `stretch` is 1."""
         return self._fit if self.held is None else self.held[0]
 
     @property
