@@ -101,6 +101,7 @@ def test_what_is_no_field_by_its_header_is_refused(tmp_path: Path, given: dict[s
     ("text", "said"),
     [
         ('(Transform "BSplineTransform")\n(NumberOfParameters 3)\n', "parameters of elastix: run transformix -def all"),
+        ("// a comment\n" * 300 + '(Transform "EulerTransform")\n', "parameters of elastix: run transformix -def all"),
         ("MGH_GPUIT_BSP <experimental>\nimg_origin = 0 0 0\n", "a B-spline of plastimatch: run plastimatch"),
     ],
 )

@@ -150,7 +150,8 @@ class Picture:
             warnings.warn(f"{text}{what}{advice}", GapWarning, stacklevel=caller())
             pixels = np.where(gaps, pixels.dtype.type(np.nan), pixels) if real else pixels
         if real and averaged and (count := pixels.size - np.count_nonzero(np.isfinite(self.pixels))):
-            text = f"{name}: {count} samples are NaN or infinite, and so are those that are computed from them"
+            some = "1 sample is NaN or infinite" if count == 1 else f"{count} samples are NaN or infinite"
+            text = f"{name}: {some}, and so are those that are computed from them"
             warnings.warn(text, GapWarning, stacklevel=caller())
         extra = self.extra or ((2,) if self.alpha else ())
         channels = list(range(self.pixels.shape[2] if self.pixels.ndim == 3 else 1))

@@ -150,6 +150,10 @@ def checked_header(path: PathLike, volume: Volume, convention: str) -> Volume:
     return volume
 
 
+TEXT = 1 << 14
+"""The bytes at the beginning of a text that tell what it is: comments may come first."""
+
+
 def check_text(path: PathLike, head: bytes) -> None:
     """Raise SuppleError for text of programs whose transforms are not read."""
     for begin, (what, how) in _TEXTS.items():
@@ -329,7 +333,7 @@ def write_nifti(
 def lines_of(path: PathLike, what: str, most: int = 1 << 20) -> list[str]:
     """Return the lines of a text file without comments (#) and empty ones; SuppleError if it is no text."""
     head = head_of(path, most)
-    check_text(path, head[:512])
+    check_text(path, head[:TEXT])
     try:
         text = head.decode("utf-8")
     except UnicodeDecodeError as error:

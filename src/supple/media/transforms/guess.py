@@ -9,7 +9,7 @@ from supple.errors import SuppleError, shown
 from supple.media import image
 from supple.media.codecs import SUFFIXES as CLIPS
 from supple.media.files import PathLike, head_of, unreadable, unwritable
-from supple.media.transforms.base import VECTOR, announced, check_code, check_count, check_text, suffix_of
+from supple.media.transforms.base import TEXT, VECTOR, announced, check_code, check_count, check_text, suffix_of
 from supple.media.volume import nifti
 
 _FSL = ("fsl-relative", "fsl-absolute")
@@ -102,7 +102,7 @@ def _in_nifti(path: PathLike) -> tuple[str, tuple[str, ...]]:
 
 
 def _in_text(path: PathLike, known: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
-    head = head_of(path, 512)
+    head = head_of(path, TEXT)
     check_text(path, head)
     if "itk" in known:
         if b"#Insight Transform File" in head or b"Transform_" in head:

@@ -15,6 +15,7 @@ from supple.errors import SuppleError, shown
 from supple.geometry import Grid
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable, unwritable
 from supple.media.transforms.base import (
+    TEXT,
     VECTOR,
     Content,
     Displacements,
@@ -82,7 +83,7 @@ def _field(path: PathLike, form: str) -> Displacements:
 
 def _transforms(path: PathLike) -> tuple[Content, ...]:
     sitk = itk.imported()
-    check_text(path, head_of(path, 512))
+    check_text(path, head_of(path, TEXT))
     with reading(path), open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         kinds = len(_KIND.findall(data))
         composed = data.find(b"CompositeTransform_") >= 0

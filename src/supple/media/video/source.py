@@ -113,7 +113,7 @@ class Stills(VideoSource):
         found = form(known[count - 1])
         assert found is not None
         self.form, self.colour = found, Colour(FULL, BT709, BT709, RGB)
-        self._starts, self.plays = pictures.starts, pictures.plays
+        self._starts, self.plays, self.aspect = pictures.starts, pictures.plays, pictures.aspect
         if self._starts:
             self.base = Fraction(1, 1000)
         profile = pictures.picture(0)[0].icc
