@@ -259,7 +259,10 @@ def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
         across = fixed & (target != position)  # the axes along which it has to leave its face
         beyond = across & ((target <= first) | (target >= last))
         if beyond.any() or np.any(across & (beta < 1e-100)):
-            where = "its target is on the edge or outside, and" if beyond.any() else "it starts on the edge, and"
+            where = "it starts on the edge, and"
+            if beyond.any():
+                ends = ((axes[:, :2] / axes[:, 3:4])[: domain.ndim]).T.round().astype(int).tolist()
+                where = f"its target is on the edge or outside of {tuple(ends[0])} to {tuple(ends[1])}, and"
             raise SuppleError(
                 f"{described(stroke)} cannot arrive: {where} the border is fixed, so that what is on it only slides "
                 "along it, and nothing else gets there; use border=None, or points further in"

@@ -15,6 +15,7 @@ import pytest
 import supple
 from supple.errors import LayerWarning, OutsideWarning, SuppleError
 from supple.files import warp_file
+from supple.files.clips import ClipOptions
 from supple.media import image
 from supple.media.image import MetadataWarning
 from tests.cli.commands import Run
@@ -324,3 +325,18 @@ def test_a_smaller_stmap_is_said(tmp_path: Path) -> None:
     with pytest.warns(OutsideWarning, match="map.exr holds 12 x 10 pixels of its 24 x 18: beyond, its edge goes on"):
         (field,) = read(tmp_path / "map.exr")
     assert field.grid.origin == (3, 2)  # type: ignore[union-attr]
+
+
+def test_films_of_pictures(tmp_path: Path) -> None:
+    """Their pixels' aspect is known; colours multiplied by opacity are refused for what they are."""
+    box, folder = (0, 0, 63, 47), tmp_path / "in"
+    folder.mkdir()
+    drag = supple.Recipe(strokes=[supple.Stroke.grab((30, 20, 1), by=(4, 0, 0), radius=8)])
+    for k in range(3):
+        save(folder / f"rgb.{k}.exr", box, box, ramps(box), pixelAspectRatio=2.0)
+        save(folder / f"rgba.{k}.exr", box, box, {**ramps(box), "A": np.ones((48, 64), np.float32)})
+    codec = ClipOptions(codec="ffv1")
+    with pytest.warns(UserWarning, match="cannot say that pixels are 2 as wide as high"):
+        warp_file(folder / "rgb.%d.exr", tmp_path / "o.mkv", drag, clip=codec)
+    with pytest.raises(SuppleError, match=r"colours that are multiplied by their opacity \(A\), which films do not"):
+        warp_file(folder / "rgba.%d.exr", tmp_path / "a.mkv", drag, clip=codec)

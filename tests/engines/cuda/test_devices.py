@@ -137,17 +137,17 @@ class NoDevice(Failed):
     [
         (
             {"cuInit": RuntimeError("Failed to dlopen libcuda.so.1")},
-            "NVIDIA's driver, which is not installed; device cpu",
+            "NVIDIA's driver, which is not installed; device='cpu'",
         ),
-        ({"cuInit": (NoDevice(100),)}, "no NVIDIA GPU was found: the driver sees none; device cpu"),
-        ({"cuInit": (Failed(999),)}, "driver does not work .cuInit: CUDA_ERROR_UNKNOWN.; device cpu"),
+        ({"cuInit": (NoDevice(100),)}, "no NVIDIA GPU was found: the driver sees none; device='cpu'"),
+        ({"cuInit": (Failed(999),)}, "driver does not work .cuInit: CUDA_ERROR_UNKNOWN.; device='cpu'"),
         ({"cuDeviceGetCount": (Status(0), 0)}, "no NVIDIA GPU was found"),
         (
             {"cuDriverGetVersion": (Status(0), 12040)},
             r"knows CUDA 12\.4, and what is installed needs 13: .*supple.cuda12",
         ),
         ({"capability": (7, 0)}, r"a GPU is too old: its compute capability is 7\.0, and 7\.5 is needed"),
-        ({"cuMemGetInfo": (Failed(2), None, None)}, r"GPU 0 cannot be opened .cuMemGetInfo: .*; device cpu"),
+        ({"cuMemGetInfo": (Failed(2), None, None)}, r"GPU 0 cannot be opened .cuMemGetInfo: .*; device='cpu'"),
     ],
 )
 def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, results: dict[str, Any], wanted: str) -> None:
@@ -170,12 +170,12 @@ def test_a_number_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_this_machine_has_a_card_or_says_why_not() -> None:
-    said = "device cpu"
+    said = "device='cpu'"
     try:
         assert devices.open_device().name
     except SuppleError as error:
         said = str(error)
-    assert "device cpu" in said or "pip install" in said
+    assert "device='cpu'" in said or "pip install" in said
     assert "\n" not in said
 
 

@@ -453,7 +453,7 @@ PLAIN = bent()
         ),
         (
             lambda: bending.warp(IMAGE.byte(), PLAIN, at=numbers(PLAIN)["at"]),
-            "tensor must be of floats where strokes need gradients, found 'torch.uint8'",
+            "tensor must be of floats where strokes need gradients, found torch.uint8",
         ),
         (lambda: bending.warp(IMAGE, PLAIN, outside="wrap"), 'outside must be "edge" or "constant" or "reflect"'),
         (lambda: bending.warp(IMAGE, PLAIN, fill=(1, 2)), "fill must be a number, or 1 of them"),

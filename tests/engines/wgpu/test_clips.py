@@ -244,7 +244,8 @@ def test_averages_over_time_and_place(gpu: Gpu) -> None:
 def test_a_failure_in_the_middle_ends_in_the_cpu_s_frames(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
     layout = LAYOUTS["4:2:0"]
     arrays = noise(layout)
-    ours, theirs = (streamed(device, bent().space, layout, arrays)[0] for device in ("cpu", "gpu"))
+    space = bent().space
+    ours, theirs = (streamed(device, space, layout, arrays)[0] for device in ("cpu", "gpu"))
     calls = 0
     run = planes.run
 
@@ -257,7 +258,7 @@ def test_a_failure_in_the_middle_ends_in_the_cpu_s_frames(gpu: Gpu, monkeypatch:
 
     monkeypatch.setattr(planes, "run", failing)
     with pytest.warns(DeviceWarning, match="the CPU did what .* could not: Parent device is lost") as told:
-        made = streamed("gpu", bent().space, layout, arrays)[0]
+        made = streamed("gpu", space, layout, arrays)[0]
     assert len(told) == 1
     for one, mixed, other in zip(ours, made, theirs, strict=True):
         by_cpu = [k for k in range(12) if (mixed[k] == one[k]).all()]

@@ -108,6 +108,9 @@ class Stills(VideoSource):
         super().__init__(pictures.name, pictures.rate, 1 / pictures.rate)
         self.layout, self.count, group = pictures.layout, pictures.count, pictures.layout.groups[0]
         count, known = group.channels, STILLS[self.layout.dtype.name]
+        if pictures.extra == (1,):
+            what = "colours that are multiplied by their opacity (A), which films do not"
+            raise SuppleError(f"{self.name} holds {what}: write pictures, or leave A out")
         if count > len(known) or group.alpha == bool(count % 2) or pictures.interpretation in ("cmyk", "lab"):
             raise SuppleError(f"{self.name} holds neither grey nor RGB pictures: convert them first")
         found = form(known[count - 1])
