@@ -275,7 +275,7 @@ def _ready(number: int) -> CudaDevice:
         if 10 * major + minor < OLDEST:
             raise SuppleError(
                 f"{name} is too old: its compute capability is {major}.{minor}, and {OLDEST / 10:.1f} is needed; "
-                "device cpu needs no GPU"
+                "device='cpu' needs no GPU"
             )
         context = call("cuDevicePrimaryCtxRetain", device)
         made = CudaDevice(number, name, 10 * major + minor, context)
@@ -286,7 +286,7 @@ def _ready(number: int) -> CudaDevice:
             call("cuMemPoolSetAttribute", pool, kept, driver().cuuint64_t(POOL))
         made.free  # noqa: B018 - it fails here, and not during a warp
     except RuntimeError as error:  # of the bindings, where the driver lacks a function
-        raise SuppleError(f"GPU {number} cannot be opened ({_short(error)}); device cpu needs no GPU") from None
+        raise SuppleError(f"GPU {number} cannot be opened ({_short(error)}); device='cpu' needs no GPU") from None
     return made
 
 
