@@ -73,6 +73,7 @@ class Pictures:
     rotation, mirrored, fields = 0.0, False, ""
     plays: int | None = None  # how often it plays, as in `supple.media.video.source.VideoSource`
     unpictured: tuple[str, ...] = ()
+    extra: tuple[int, ...] = ()  # the meanings of the channels above the colours, as in `Picture`
     display: tuple[int, int, int, int] | None = None
 
     def __init__(self, name: str, paths: list[Path], rate: Fraction, first: int | None) -> None:
@@ -94,7 +95,7 @@ class Pictures:
     @property
     def aspect(self) -> Fraction | None:
         """The width of a pixel, relative to its height; None but for OpenEXR."""
-        return exr.head_only(self.paths[0])[0].aspect if exr.is_exr(self.paths[0]) else None
+        return exr.head_only(self.paths[0])[0].aspect if self.paths and exr.is_exr(self.paths[0]) else None
 
     def frames(self) -> Iterator[Frame]:
         """Yield the frames in order; each is read when it is copied."""
