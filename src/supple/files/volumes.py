@@ -175,7 +175,7 @@ def holds_volumes(path: PathLike) -> bool:
 
 
 def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volume:
-    """Read a volume with these options."""
+    """Return a volume with the samples as they are stored: `Volume.rescaled` has the true values."""
     known = options or VolumeOptions()
     volume = read(source, raw=known.layout, series=known.series)
     if known.series is not None and volume.format != "DICOM":
