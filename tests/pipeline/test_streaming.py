@@ -245,6 +245,7 @@ def test_only_what_is_wanted_is_made_and_held() -> None:
         np.testing.assert_array_equal(part, source[[0, 1, 59]])
 
 
+@pytest.mark.filterwarnings("ignore::supple.errors.GapWarning")
 @pytest.mark.parametrize("layout", [LAYOUTS["4:2:2 of 10 bits"], LAYOUTS["grey of floats"]])
 def test_still_planes_are_passed_on_bit_for_bit(layout: Layout) -> None:
     arrays = noise(layout, 30)

@@ -6,7 +6,7 @@ A test here says that a version works at all; that the values are right is for t
 from __future__ import annotations
 
 import contextlib
-import ctypes
+import locale
 import threading
 import urllib.request
 from pathlib import Path
@@ -28,9 +28,8 @@ PICTURE = np.random.default_rng(0).integers(0, 255, (40, 60, 3), np.uint8)
 
 @pytest.fixture(autouse=True)
 def global_locale() -> None:
-    """ITK's reader of VTK images leaves its thread in the locale C, where Python opens files as ASCII."""
-    with contextlib.suppress(AttributeError, OSError, TypeError):  # on Windows
-        ctypes.CDLL(None).uselocale(ctypes.c_void_p(-1))
+    """ITK's reader of VTK images leaves the process in the locale C, where Python opens files as ASCII."""
+    locale.setlocale(locale.LC_CTYPE, "")
 
 
 @pytest.fixture
