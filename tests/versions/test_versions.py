@@ -206,6 +206,14 @@ def test_zarr_tifffile_and_imagecodecs(folder: Path, name: str) -> None:
     assert command(["info", name]) == 0
 
 
+def test_distributed(folder: Path) -> None:
+    import zarr
+
+    samples = np.random.default_rng(0).integers(0, 9, (200, 300), np.uint16)
+    zarr.create_array("in.zarr", data=samples, chunks=(64, 64))
+    warped("in.zarr", "workers.zarr", "--grab", "150,100:160,100", "--radius", "20", "--workers", "1")
+
+
 def test_dask_arrays() -> None:
     import dask.array as da
 
