@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+import pyvips
 
 import supple
 from supple.errors import GapWarning, SuppleError
@@ -323,3 +324,12 @@ def test_numbers_without_a_unit_are_no_resolution(tmp_path: Path, target: str) -
     )
     write(tmp_path / f"out{target}", read(tmp_path / "in.tif"))
     assert "xres" not in read(tmp_path / f"out{target}")._header
+
+
+def test_a_compression_that_is_not_kept_is_said(tmp_path: Path) -> None:
+    ink = np.zeros((32, 64), np.uint8)
+    ink[8:16] = 255
+    pyvips.Image.new_from_array(ink).tiffsave(str(tmp_path / "fax.tif"), compression="ccittfax4", bitdepth=1)
+    with pytest.warns(MetadataWarning, match="cannot take over the compression by CCITT, which becomes deflate"):
+        write(tmp_path / "o.tif", read(tmp_path / "fax.tif"))
+    assert (read(tmp_path / "o.tif").pixels == ink).all()

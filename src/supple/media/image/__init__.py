@@ -429,6 +429,7 @@ def write(
         tiff = replace(tiff if alike else Tiff(tags=tiff.tags), extra=extra)
         meaning = meant(array.dtype, channels - len(extra), known if tiff.is_saved else "")
         array = swapped(tiff, array)
+        lost += [f"the compression by {tiff.unkept}, which becomes deflate"] * bool(tiff.unkept)
     else:
         lost += ["the georeference"] * tiff.has_place + ["the mark of samples without data"] * (tiff.nodata is not None)
     check(path, form, array, meaning, extra)

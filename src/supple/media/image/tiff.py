@@ -30,6 +30,7 @@ _UNSAVED = (MINISWHITE, CIELAB, ICCLAB, ITULAB)
 _MEANINGS = {5: "cmyk", CIELAB: "lab", ICCLAB: "lab", ITULAB: "lab"}
 _JPEGS = (6, 7)
 _SAVED = {1: "none", 5: "lzw", 7: "jpeg", 8: "deflate", 32773: "packbits", 32946: "deflate", 50000: "zstd"}
+_UNKEPT = {2: "CCITT", 3: "CCITT", 4: "CCITT", 6: "JPEG", 7: "JPEG", 34712: "JPEG 2000", 50001: "WebP"}
 _PREDICTED = {"lzw", "deflate", "zstd"}
 PLACE = (33550, 33920, 33922, 34264, 34735, 34736, 34737, 50844)
 """The tags of a georeference: of GeoTIFF, and of a camera's rational polynomials."""
@@ -53,6 +54,8 @@ class Tiff:
         The settings of libvips' saver for compression and tiles.
     tags : dict
         Tags that libvips does not keep: georeference, NoData, inks.
+    unkept : str
+        The name of a compression in place of which deflate is used; empty if it is kept.
     """
 
     photometric: int = 1
@@ -60,6 +63,7 @@ class Tiff:
     meaning: str = ""
     options: dict[str, Any] = field(default_factory=dict)
     tags: Folder = field(default_factory=dict)
+    unkept: str = ""
 
     @property
     def has_place(self) -> bool:
@@ -168,7 +172,9 @@ class Page:
         if self._form.big:
             options["bigtiff"] = True
         tags: Folder = {tag: self._values[tag] for tag in _TAGS if tag in self._values}
-        return Tiff(self.photometric, extra, meaning, options, tags)
+        kept = saved != "deflate" or _SAVED.get(self._compression) == saved
+        unkept = "" if kept else _UNKEPT.get(self._compression, f"method {self._compression}")
+        return Tiff(self.photometric, extra, meaning, options, tags, unkept)
 
     @property
     def is_ycbcr(self) -> bool:
