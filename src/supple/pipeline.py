@@ -438,7 +438,7 @@ def _reading(
     """Return a function that reads the frames of a plane into their slots; with ``aside``, a thread reads ahead."""
     have = 0
     floats = work.layout.dtype.kind == "f" and work.sampling.filter != "nearest"
-    averaged = [k for k, group in enumerate(work.layout.groups) if floats and not group.exact]
+    averaged = [number for number, group in enumerate(work.layout.groups) if floats and not group.exact]
     warned = False
 
     def read(k: int) -> None:
@@ -450,9 +450,9 @@ def _reading(
             if have >= plan.keep[k]:
                 slots = [held[have % len(held)] for held in window]
                 frame.copy_to(slots)
-                # arrays in memory are freed of them before
+                # of arrays in memory, warp_array takes them out before
                 if averaged and not warned and not isinstance(frame, _ArrayFrame):
-                    warned = not all(np.isfinite(slots[k]).all() for k in averaged)
+                    warned = not all(np.isfinite(slots[number]).all() for number in averaged)
                     if warned:
                         text = f"frame {have} has NaN or infinite samples, which spread as far as the filter reaches"
                         warnings.warn(text, GapWarning, stacklevel=2)

@@ -199,13 +199,13 @@ void mark_folds(const Inversion& job) {
     auto mark = [&](const Spot<D>& s) {
         each_of(s, [](uint8_t* at) { return __atomic_store_n(at, (uint8_t)FOLDED, __ATOMIC_RELAXED), true; });
     };
-    each_bad_cell<D, N>(k, true, [&](const int* at, const Patch<D, N>& p) {
+    each_bad_cell<D, N>(k, true, [&](const int* at, const Patch<D, N>& p, bool turned) {
         bool low[D], high[D];
         for (int d = 0; d < D; d++) {
             low[d] = at[d] < k.first[d];
             high[d] = at[d] >= k.last[d];
         }
-        Folds<D, N, decltype(all), decltype(mark)>(job.back, job.size, all, mark).find(p, low, high);
+        Folds<D, N, decltype(all), decltype(mark)>(job.back, job.size, all, mark).find(p, turned, low, high);
     });
 }
 
@@ -246,7 +246,7 @@ void invert_field(const Field& field, const Doubles& grid, const Doubles& back, 
 // above 0 everywhere, after all cuts.
 template <int D, int N>
 void find_cells(const Sampled& k, uint8_t* cells, const int* shape) {
-    each_bad_cell<D, N>(k, false, [&](const int* at, const Patch<D, N>& p) {
+    each_bad_cell<D, N>(k, false, [&](const int* at, const Patch<D, N>& p, bool turned) {
         auto bad = [](auto&& self, const Patch<D, N>& p, int cuts) -> bool {  // of one that is not surely upright
             if (cuts == CUTS + 1 || turned_at_corner(p)) return true;
             const Halves<D, N> halves(p);
@@ -256,7 +256,7 @@ void find_cells(const Sampled& k, uint8_t* cells, const int* shape) {
             }
             return false;
         };
-        if (!bad(bad, p, 0)) return;
+        if (!turned && !bad(bad, p, 0)) return;
         size_t index = 0;
         for (int d = D - 1; d >= 0; d--) index = index * shape[d] + (at[d] - (int)k.first[d]);
         cells[index] = 1;

@@ -273,15 +273,16 @@ class Folds {
 public:
     Folds(const double (*out)[4], const int* size, All all, Mark mark) : out(out), size(size), all(all), mark(mark) {}
 
-    // A patch that is not surely upright. Ends of the field are continued without an end.
-    void find(const Patch<D, N>& p, const bool* low_end, const bool* high_end) {
+    // A patch that is not surely upright, but may be surely turned over. Ends of the field are continued without an
+    // end.
+    void find(const Patch<D, N>& p, bool turned, const bool* low_end, const bool* high_end) {
         this->low_end = low_end;
         this->high_end = high_end;
         double q[D][Patch<D, N>::COUNT];
         for (int n = 0; n < Patch<D, N>::COUNT; n++) send(p.c, n, q);
         Spot<D> spot;
         if (!spot_of(q, [](int n) { return n; }, spot)) return;
-        spot.extent <= FINE ? mark(spot) : cut(p, sign_of(p) < 0, 1);
+        spot.extent <= FINE ? mark(spot) : cut(p, turned, 1);
     }
 
 private:
@@ -420,9 +421,11 @@ private:
     void load(int y, int z) { k.wide ? read<double>(y, z) : read<float>(y, z); }
 };
 
-// Visit the cells of a field in which it may fold: visit(cell, patch), with those beyond its ends if `ends`.
+// Visit the cells of a field in which it may fold: visit(cell, patch, whether all of it surely does), with those beyond
+// its ends if `ends`.
 template <int D, int N>
-void each_bad_cell(const Sampled& k, bool ends, const std::function<void(const int* at, const Patch<D, N>&)>& visit) {
+void each_bad_cell(const Sampled& k, bool ends,
+                   const std::function<void(const int* at, const Patch<D, N>&, bool turned)>& visit) {
     constexpr int BLOCK = 16;  // lines
     int from[3] = {0, 0, 0}, to[3] = {1, 1, 1};
     for (int d = 0; d < D; d++) {
@@ -438,7 +441,8 @@ void each_bad_cell(const Sampled& k, bool ends, const std::function<void(const i
             for (at[0] = from[0]; at[0] < to[0]; at[0]++) {
                 if (at[0] >= 0 && at[0] < k.size[0] && sure[at[0]]) continue;
                 Patch<D, N> p = patch_of<D, N>(k, at);
-                if (sign_of(p) <= 0) visit(at, p);
+                const int sign = sign_of(p);
+                if (sign <= 0) visit(at, p, sign < 0);
             }
         }
     });

@@ -80,8 +80,7 @@ def size_of(space: Space, tolerance: float) -> int:
     radius, reach = np.sqrt(space.table["radius2"][:, 0].min()), space.table["reach"].min()
     widths = [length / space.axes[:2, 3].max() for length in (radius, reach / 3)]  # over which a stroke ends, in pixels
     widths += [sigma / spacing for sigma, spacing in space.axes[:2, 2:4] if sigma > 0]
-    radius = min(widths)
-    return max([SIZES[0], *(h for h in SIZES if 0.15 * h**4 <= tolerance * radius**3)])
+    return max([SIZES[0], *(h for h in SIZES if 0.15 * h**4 <= tolerance * min(widths) ** 3)])
 
 
 def positions(first: int, n: int, axis: npt.NDArray[np.float64], size: int) -> npt.NDArray[np.int32]:
