@@ -21,7 +21,7 @@ help:
 	@echo "make bench-gpu how fast the GPU is, in its own time"
 	@echo "make bench-cuda how fast CUDA is on an NVIDIA GPU, against others"
 	@echo "make bench-window  how fast the window follows a hand"
-	@echo "make soak      a billion points of random strokes"
+	@echo "make soak      slow tests, all combinations of options, and a billion points of random strokes"
 	@echo "make sanitize  tests of the native core, with memory and undefined behaviour watched"
 	@echo "make lint      style, types and the import rule"
 	@echo "make venv      only the virtual environment, in .venv, and the native core"
@@ -132,6 +132,8 @@ bench-window: venv
 	$(BIN)/python benchmarks/window.py
 
 soak: venv
+	SUPPLE_TEST_ALL=1 $(BIN)/python $(TEST) $(APART)
+	SUPPLE_TEST_ALL=1 $(BIN)/python $(TEST) $(APART:%=--ignore=%)
 	$(BIN)/python tests/soak.py
 
 lint: $(VENV)/stamp

@@ -6,16 +6,20 @@ import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import pytest
 
 from supple.engines.wgpu.device import Gpu, open_gpu
 from supple.errors import SuppleError
+from tests import effort
 
-# No test fails because a machine is slow.
-hypothesis.settings.register_profile("supple", deadline=None)
+# No test fails because a machine is slow; a fixed number of examples, so that none takes longer on some day.
+hypothesis.settings.register_profile("supple", deadline=None, max_examples=300 if effort.ALL else 30)
 hypothesis.settings.load_profile("supple")
+
+LEFT_OUT = pytest.StashKey[int]()
 
 # A worker has a file at a time: those that take longest are begun first, so that none of them is waited for at the end.
 LONGEST = (
@@ -46,6 +50,27 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the longest files first."""
     turn = {Path(__file__).parent / name: k for k, name in enumerate(LONGEST)}
     items.sort(key=lambda item: turn.get(item.path, len(turn)))
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Give what this worker left out to the process that reports."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["left_out"] = effort.left_out
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """Keep what a worker left out: all collect the same files."""
+    node.config.stash[LEFT_OUT] = getattr(node, "workeroutput", {}).get("left_out", 0)
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Say what is left out; slow tests are listed with what was skipped."""
+    rows = config.stash.get(LEFT_OUT, effort.left_out)
+    if rows:
+        terminalreporter.write_line(
+            f"Of options, every pair was tested; the {rows} other combinations are left out: make soak tests all"
+        )
 
 
 @pytest.fixture(scope="module", autouse=True)
