@@ -35,7 +35,7 @@ venv: $(VENV)/stamp core
 core: $(VENV)/stamp
 	@$(BIN)/python tools/core.py $(if $(filter-out 0,$(DEBUG)),--debug)
 
-$(VENV)/stamp: pyproject.toml
+$(VENV)/made:
 	@if $(BIN)/python -m pip --version >/dev/null 2>&1; then exit 0; fi; \
 	found=; bare=; \
 	for python in $(if $(PYTHON),"$(PYTHON)",python3.14 python3.13 python3.12 python3.11 python3 python); do \
@@ -54,7 +54,11 @@ $(VENV)/stamp: pyproject.toml
 	fi; \
 	echo "Setting up $(VENV) with $$found"; \
 	"$$found" -m venv --clear $(VENV)
-	@$(PIP) '.[dev]' || { echo "make: pip could not install what Supple needs: is there a network?" >&2; exit 1; }
+	@touch $@
+
+# What is installed while the core is compiled.
+$(VENV)/stamp: pyproject.toml | $(VENV)/made
+	@$(BIN)/python tools/install.py dev
 	@touch $@
 
 $(VENV)/stamp-bench: $(VENV)/stamp
@@ -87,10 +91,9 @@ $(VENV)/stamp-cuda: $(VENV)/stamp
 	done
 	@touch $@
 
-# Of the core, what this processor runs best is all that a first look needs.
-demo: $(VENV)/stamp
-	@$(BIN)/python tools/core.py --best
-	$(BIN)/supple demo demo --force
+# A first look needs neither what tests need, nor a core for other processors.
+demo: | $(VENV)/made
+	@$(BIN)/python tools/install.py demo --demo demo
 
 # A worker for each processor; a file's tests stay together, as they share what is made once. Not the files with the most
 # tests first: those with the slowest would be last. CUDA is tested on a GPU that is played in memory.

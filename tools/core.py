@@ -11,20 +11,24 @@ import importlib
 import json
 import os
 import platform
+import re
 import shlex
 import shutil
 import subprocess
 import sys
 import sysconfig
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 
+from progress import Progress
+
 ROOT = Path(__file__).resolve().parent.parent
 CORE = Path("src", "supple", "_core")
 ZIGLANG = "ziglang>=0.13"
+WHAT = "the core in C++"
 COMPILERS = ["clang-cl"] if sys.platform == "win32" else ["c++", "g++", "clang++"]
 SANITIZED = [
     *(f"tests/engines/cuda/test_{name}.py" for name in ("brushes", "driver", "large", "maps", "parity")),
@@ -139,10 +143,25 @@ def _tool(name: str) -> str:
     return found
 
 
-def _best(ninja: str, where: Path, output: Path) -> str:
-    """Return the target of the best instruction set that this processor runs; what tells that is built for it."""
-    if subprocess.run([ninja, "-C", str(where), "--quiet", "cpu"], check=False).returncode:
+def _compile(ninja: str, where: Path, target: str, environment: Mapping[str, str], tell: Callable[[str], None]) -> None:
+    """Compile what changed; what Ninja says of its progress is told, and nothing else shown but errors."""
+    command = [ninja, "-C", str(where), target]
+    environment = {**environment, "NINJA_STATUS": "[%f of %t] "}
+    with subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, encoding="utf-8", errors="replace"
+    ) as child:
+        assert child.stdout is not None
+        for line in child.stdout:
+            if done := re.match(r"\[(\d+ of \d+)\]", line):
+                tell(f"{done[1]} files")
+            elif not line.startswith("ninja: "):
+                print(line, end="", file=sys.stderr, flush=True)
+    if child.returncode:
         raise BuildError("The core does not compile: the first error is above.")
+
+
+def _best(ninja: str, where: Path, output: Path) -> str:
+    """Return the target of the best instruction set that this processor runs; what tells that is compiled."""
     built = next((ROOT / output).glob("cpu*.pyd" if sys.platform == "win32" else "cpu*.so"))
     spec = spec_from_file_location("cpu", built)
     assert spec is not None
@@ -154,7 +173,14 @@ def _best(ninja: str, where: Path, output: Path) -> str:
     return next((f"core_{isa}" for isa in cpu.isas() if f"core_{isa}" in targets), "all")
 
 
-def build(kind: str = "release", output: Path = CORE, *, folder: Path | None = None, best: bool = False) -> None:
+def build(
+    kind: str = "release",
+    output: Path = CORE,
+    *,
+    folder: Path | None = None,
+    best: bool = False,
+    tell: Callable[[str], None] = lambda state: None,
+) -> None:
     """Compile what changed, and put the modules into ``output``.
 
     Parameters
@@ -168,6 +194,8 @@ def build(kind: str = "release", output: Path = CORE, *, folder: Path | None = N
         Where CMake works; by default one for each Python, in build/.
     best
         Whether to compile for the best instruction set of this processor alone.
+    tell
+        Called with how far it is.
     """
     need_headers()
     nanobind = find_spec("nanobind")
@@ -206,14 +234,16 @@ def build(kind: str = "release", output: Path = CORE, *, folder: Path | None = N
         }
         command += [f"-D{name}={value}" for name, value in options.items()]
         command += shlex.split(environment.get("CMAKE_ARGS", ""))
-        print("Compiling the native core, which takes some minutes", flush=True)
+        tell("prepared")
         # What goes well is not shown; errors go to standard error.
         if subprocess.run(command, env=environment, stdout=subprocess.DEVNULL, check=False).returncode:
             raise BuildError("CMake could not prepare the build of the core: what is missing is said above.")
         stamp.write_text(json.dumps({"wanted": wanted}))
-    target = _best(ninja, where, output) if best else "all"
-    if subprocess.run([ninja, "-C", str(where), "--quiet", target], env=environment, check=False).returncode:
-        raise BuildError("The core does not compile: the first error is above.")
+    target = "all"
+    if best:
+        _compile(ninja, where, "cpu", environment, tell)
+        target = _best(ninja, where, output)
+    _compile(ninja, where, target, environment, tell)
 
 
 def shadow(folder: Path) -> None:
@@ -286,7 +316,10 @@ def main() -> int:
     try:
         if options.sanitize:
             return sanitize(options.tests)
-        build("debug" if options.debug else "release", best=options.best)
+        progress = Progress()
+        kind = "debug" if options.debug else "release"
+        build(kind, best=options.best, tell=lambda state: progress.tell(WHAT, state))
+        progress.end(WHAT, "compiled")
     except BuildError as error:
         print(f"core: {error}", file=sys.stderr)
         return 1

@@ -111,8 +111,8 @@ def demo(
 
     console.started(**options.asked())
     warn_of_software(console, device)
-    progress = console.say if console.terminal else None
-    page = write_gallery(folder, force=options.force, device=device, progress=progress)
+    written = None if options.quiet or options.json else lambda path: console.say(f"wrote {path}")
+    page = write_gallery(folder, force=options.force, device=device, written=written)
     if options.json:
         console.tell({"output": str(page)})
     elif not options.quiet:

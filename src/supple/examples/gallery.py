@@ -50,7 +50,7 @@ def write_gallery(
     *,
     force: bool = False,
     device: str = "cpu",
-    progress: Callable[[str], None] | None = None,
+    written: Callable[[Path], None] | None = None,
 ) -> Path:
     """Write photographs, a clip and a volume, their warped versions, plots, and a page that shows them.
 
@@ -62,8 +62,8 @@ def write_gallery(
         Whether to write into a folder with other contents, and replace files of the same names.
     device : str
         The device: ``"cpu"``, ``"gpu"`` or ``"auto"``, as in `supple.warp_file`; the page names it.
-    progress : function, optional
-        Called with the name of each image or clip before it is computed.
+    written : function, optional
+        Called with the path of each warped picture, clip or rendering once it is written: photographs come first.
 
     Returns
     -------
@@ -84,8 +84,7 @@ def write_gallery(
             continue
         with replacing(place / name, force=True) as temporary:
             temporary.write_bytes((files("supple.examples") / "data" / name).read_bytes())
-    tell = progress or (lambda name: None)
-    sections = [_section(place, scene, device, tell) for scene in SCENES]
+    sections = [_section(place, scene, device, written or (lambda path: None)) for scene in SCENES]
     template = (files("supple.examples") / "data" / "gallery.html").read_text(encoding="utf-8")
     page = Template(template).substitute(sections="\n".join(sections), credits=escape(_CREDITS), maker=escape(maker))
     with replacing(place / PAGE, force=True) as temporary:
@@ -112,16 +111,18 @@ def _prepared(folder: Path, force: bool) -> Path:
     return folder
 
 
-def _section(place: Path, scene: Scene, device: str, tell: Callable[[str], None]) -> str:
-    shots = "".join(_made(place, shot, device, tell) for shot in scene.shots)
+def _section(place: Path, scene: Scene, device: str, written: Callable[[Path], None]) -> str:
+    shots = "".join(_made(place, shot, device, written) for shot in scene.shots)
     return f"<section>\n<h2>{escape(scene.title)}</h2>\n<p>{escape(scene.text)}</p>\n{shots}</section>"
 
 
-def _made(place: Path, shot: Shot, device: str, tell: Callable[[str], None]) -> str:
-    tell(shot.target)
+def _made(place: Path, shot: Shot, device: str, written: Callable[[Path], None]) -> str:
     if isinstance(shot, Look):
-        return _look(place, shot, device)
-    return _take(place, shot, device) if isinstance(shot, Take) else _shot(place, shot, device)
+        text = _look(place, shot, device)
+    else:
+        text = _take(place, shot, device) if isinstance(shot, Take) else _shot(place, shot, device)
+    written(place / shot.target)
+    return text
 
 
 def _shot(place: Path, shot: Shot, device: str) -> str:
