@@ -20,9 +20,8 @@ from pathlib import Path
 import core
 from progress import Progress
 
-# What compiles the core, and what makes an editable install of it.
+# What compiles the core.
 TOOLS = {"cmake": "cmake>=3.26", "nanobind": "nanobind>=3", "ninja": "ninja>=1.10"}
-TOOLS |= {"scikit_build_core": "scikit-build-core>=1"}
 NO_NETWORK = "what Supple needs could not be installed: is there a network?"
 
 
@@ -75,9 +74,7 @@ def main() -> int:
             importlib.invalidate_caches()
         compiler = threading.Thread(target=compiled, daemon=True)
         compiler.start()
-        # The tools are there: no environment of its own is made for the build.
-        editable = ["--no-build-isolation", "--config-settings", "core=later", "--editable"]
-        install([*editable, f".[{options.extras}]"], progress, "libraries")
+        install(["--config-settings", "core=later", "--editable", f".[{options.extras}]"], progress, "libraries")
         compiler.join()
         if failures:
             raise failures[0]
