@@ -144,6 +144,8 @@ lint: $(VENV)/stamp
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+	$(BIN)/zizmor --offline --no-progress --quiet .github
 	$(BIN)/clang-format --dry-run --Werror $(wildcard src/supple/_core/*.[ch]pp src/supple/engines/cuda/kernels/*)
 
 wheel: $(VENV)/stamp
