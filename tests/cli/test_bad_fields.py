@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,6 @@ import SimpleITK as sitk  # noqa: N813
 
 from supple import Field, SuppleError
 from supple.media import image, transforms
-from tests.children import ROOT
 from tests.cli.commands import Run, noise, one_line
 from tests.media.transforms.mapping import DATA
 
@@ -255,18 +252,6 @@ def test_what_does_not_fit_together(run: Run, line: str, said: str) -> None:
     assert (status, out) == (2, ""), err
     assert said in one_line(err)
     assert {name: os.path.getmtime(name) for name in sorted(os.listdir())} == before
-
-
-def test_a_process_ends_so_too() -> None:
-    made = subprocess.run(
-        [sys.executable, "-m", "supple", "check", "nan.nii"],
-        capture_output=True,
-        encoding="utf-8",
-        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
-        check=False,
-    )
-    assert (made.returncode, made.stdout) == (2, "")
-    assert "hold NaN or infinity" in one_line(made.stderr)
 
 
 def test_a_field_that_leads_to_a_far_image_is_taken(run: Run) -> None:
