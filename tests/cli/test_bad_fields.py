@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +33,21 @@ def nifti(name: str, values: Any, code: int = 0, matrix: Any = PLACE, dtype: Any
     nibabel.save(made, name)
 
 
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("files")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        write_files()
+    return folder
+
+
 @pytest.fixture(autouse=True)
-def _files(here: Path) -> None:
+def _files(here: Path, files: Path) -> None:
+    shutil.copytree(files, here, dirs_exist_ok=True)
+
+
+def write_files() -> None:
     for name, matrix in (("", PLACE), ("far-", FAR), ("nowhere-", None)):
         nifti(f"{name}head.nii", GREY, matrix=matrix)
         nifti(f"{name}u.nii", WAVES, 1007, matrix)
