@@ -52,6 +52,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: turn.get(item.path, len(turn)))
 
 
+def pytest_collection_finish() -> None:
+    """What is imported stays: it need not be looked through whenever something is freed."""
+    gc.collect()
+    gc.freeze()
+
+
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Give what this worker left out to the process that reports."""
     if hasattr(session.config, "workeroutput"):

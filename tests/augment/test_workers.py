@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -52,12 +53,13 @@ class Pictures(Dataset):
 
 if __name__ == "__main__":
     import json
-    loader = DataLoader(Pictures(), batch_size=2, num_workers=2, multiprocessing_context=sys.argv[1])
-    print(json.dumps([[points.tolist(), more.tolist()] for points, more in loader]))
+    for start, count in (("fork", 2), ("spawn", 1)):  # one batch each: what sends it starts threads of its own
+        loader = DataLoader(Pictures(), batch_size=4 // count, num_workers=count, multiprocessing_context=start)
+        print(json.dumps([[points.tolist(), more.tolist()] for points, more in loader]))
 """
 
 
-def told(program: str, start: str, folder: Path, **more: str) -> object:
+def told(program: str, start: str, folder: Path, **more: str) -> list[Any]:
     path = folder / "program.py"
     path.write_text(program, encoding="utf-8")
     around = {**os.environ, "PYTHONPATH": SOURCE, **more}
@@ -67,7 +69,7 @@ def told(program: str, start: str, folder: Path, **more: str) -> object:
         [sys.executable, str(path), start], env=around, capture_output=True, encoding="utf-8", check=False
     )
     assert result.returncode == 0, result.stderr
-    return json.loads(result.stdout)
+    return [json.loads(line) for line in result.stdout.splitlines()]
 
 
 needs_tasks = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="threads are counted in /proc")
@@ -76,7 +78,7 @@ needs_tasks = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="t
 @needs_tasks
 @pytest.mark.parametrize("start", ["fork", "spawn"])
 def test_workers_use_one_thread_each_and_draw_the_same(start: str, tmp_path: Path) -> None:
-    here, there = told(PROGRAM, start, tmp_path)  # type: ignore[misc]
+    ((here, there),) = told(PROGRAM, start, tmp_path)
     assert [pixels for pixels, *_ in here] == [pixels for pixels, *_ in there]
     assert {(more, asked) for _, more, asked in there} == {(0, "1")}
     assert {asked for *_, asked in here} == {None}
@@ -84,15 +86,16 @@ def test_workers_use_one_thread_each_and_draw_the_same(start: str, tmp_path: Pat
 
 @needs_tasks
 def test_another_number_of_threads_can_be_asked_for(tmp_path: Path) -> None:
-    _, there = told(PROGRAM, "spawn", tmp_path, SUPPLE_THREADS="3")  # type: ignore[misc]
+    ((_, there),) = told(PROGRAM, "spawn", tmp_path, SUPPLE_THREADS="3")
     assert {(more, asked) for _, more, asked in there} == {(2, "3")}
 
 
 @needs_tasks
-@pytest.mark.parametrize("start", ["fork", "spawn"])
-def test_workers_of_a_data_loader_differ_and_start_no_threads(start: str, tmp_path: Path) -> None:
+def test_workers_of_a_data_loader_differ_and_start_no_threads(tmp_path: Path) -> None:
     pytest.importorskip("torch")
-    batches = told(LOADED, start, tmp_path)
-    points = [tuple(point) for batch, _ in batches for point in batch]  # type: ignore[attr-defined]
-    assert len(set(points)) == 4
-    assert {more for _, some in batches for more in some} == {0}  # type: ignore[attr-defined]
+    loaders = told(LOADED, "", tmp_path)
+    assert len(loaders) == 2
+    for batches in loaders:
+        points = [tuple(point) for batch, _ in batches for point in batch]
+        assert len(set(points)) == 4
+        assert {more for _, some in batches for more in some} == {0}

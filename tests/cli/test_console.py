@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import ast
+import functools
 import json
 import os
 import re
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -270,7 +271,8 @@ PYTHON = re.compile(r"\bNone\b|\bTrue\b|\bFalse\b|(?<![\w-])[a-z]+_\w+|\b[a-z_]+
 NUMBERED = ("number", "integer", "length", "point", "refuse", "choice")
 
 
-def messages(path: Path) -> Iterator[str]:
+@functools.cache
+def messages(path: Path) -> list[str]:
     """What the calls in a module raise or warn with, as far as it stands there; values are left out."""
 
     def text(node: ast.AST) -> str:
@@ -280,16 +282,18 @@ def messages(path: Path) -> Iterator[str]:
             return node.value
         return "X" if isinstance(node, ast.FormattedValue) else ""
 
+    found: list[str] = []
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
         if isinstance(node, ast.Call):
             name = node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
             given = [text(argument) for argument in node.args]
             if name in NUMBERED and given and given[0]:
-                yield f"{given[0]} must be {' '.join(filter(None, given[1:]))}, found X"
+                found.append(f"{given[0]} must be {' '.join(filter(None, given[1:]))}, found X")
             elif name.endswith("Error") or name in ("warn", "_warn", "say", "unreadable", "unwritable"):
-                yield from filter(None, given)
+                found += filter(None, given)
         elif isinstance(node, ast.Assign):
-            yield from (said for part in ast.walk(node.value) if " " in (said := text(part)) and "\n" not in said)
+            found += (said for part in ast.walk(node.value) if " " in (said := text(part)) and "\n" not in said)
+    return found
 
 
 def test_the_messages_of_the_library_are_found() -> None:

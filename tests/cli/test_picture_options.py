@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import shlex
 import subprocess
 import sys
-from importlib.resources import files
+from contextlib import redirect_stderr
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,10 @@ import pytest
 
 import supple
 from supple.cli import command
+from supple.geometry import Geometry
+from supple.media import volume
 from supple.media.image import read, write
+from tests import clips
 from tests.children import SOURCE
 
 GRAB = ("--grab", "20,20:23,20", "--radius", "6")
@@ -87,13 +91,14 @@ def test_what_an_array_does_not_take_is_refused(option: dict[str, object]) -> No
 
 
 def run(*arguments: str, given: bytes = b"") -> tuple[int, bytes, str]:
-    done = subprocess.run(
-        [sys.executable, "-m", "supple", *arguments],
-        input=given,
-        capture_output=True,
-        env={**os.environ, "PYTHONPATH": SOURCE},
-    )
-    return done.returncode, done.stdout, done.stderr.decode()
+    """Run a command line in this process, with standard streams of its own."""
+    read, written = (io.TextIOWrapper(io.BytesIO(held), encoding="utf-8") for held in (given, b""))
+    with pytest.MonkeyPatch.context() as patch, redirect_stderr(io.StringIO()) as told:
+        patch.setattr(sys, "stdin", read)
+        patch.setattr(sys, "stdout", written)
+        status = command(arguments)
+    written.seek(0)
+    return status, written.buffer.read(), told.getvalue()
 
 
 def test_standard_input_and_output(picture: Path) -> None:
@@ -104,14 +109,22 @@ def test_standard_input_and_output(picture: Path) -> None:
     assert run("warp", "-", str(out), *GRAB, "--force", given=picture.read_bytes()) == (0, b"", "")
     assert run("warp", str(picture), "-", *GRAB) == (0, out.read_bytes(), "")
     assert run("warp", "-", "-", *GRAB, given=picture.read_bytes()) == (0, out.read_bytes(), "")
+    process = [sys.executable, "-m", "supple", "warp", "-", "-", *GRAB]
+    env = {**os.environ, "PYTHONPATH": SOURCE}
+    done = subprocess.run(process, input=picture.read_bytes(), capture_output=True, env=env)
+    assert (done.returncode, done.stdout, done.stderr) == (0, out.read_bytes(), b"")
     assert sorted(path.name for path in picture.parent.iterdir()) == ["in.png", "out.png"]
 
 
-@pytest.mark.parametrize("name", ["bunny.mp4", "head.nii.gz"])
+@pytest.mark.parametrize("name", ["in.mp4", "in.nii.gz"])
 def test_clips_and_volumes_through_standard_input_and_output(tmp_path: Path, name: str) -> None:
-    source = files("supple.examples") / "data" / name
-    strokes = ["--grab", "100,60:110,60" if name == "bunny.mp4" else "50,50,50:54,50,50", "--radius", "20"]
-    wanted = tmp_path / name
+    source, wanted = tmp_path / name, tmp_path / f"wanted-{name}"
+    if name == "in.mp4":
+        clips.make(source)
+    else:
+        samples = np.random.default_rng(0).integers(0, 200, (16, 20, 24)).astype(np.uint8)
+        volume.write(source, samples, volume.Volume(samples, Geometry()))
+    strokes = ["--grab", "20,20:24,20" if name == "in.mp4" else "10,10,8:12,10,8", "--radius", "6"]
     assert run("warp", str(source), str(wanted), *strokes)[0] == 0
     status, out, told = run("warp", "-", "-", *strokes, given=source.read_bytes())
     assert (status, told) == (0, "")

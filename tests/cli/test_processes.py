@@ -70,7 +70,7 @@ def when_it_writes(process: subprocess.Popen[str], folder: str, number: int) -> 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupt_in_mid_write_leaves_nothing(here: Path, number: int, status: int) -> None:
-    image.write("big.tif", noise(3000, 4000))
+    image.write("big.tif", noise(2400, 2000))
     Path("out").mkdir()
     process = start("warp", "big.tif", "out/big.png", *GRAB)
     when_it_writes(process, "out", number)

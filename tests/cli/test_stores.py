@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -19,7 +18,7 @@ pytest.importorskip("dask")
 
 from supple import Recipe, Stroke  # noqa: E402
 from supple.files.stores import warp_store  # noqa: E402
-from tests.children import HEARING, SOURCE  # noqa: E402
+from tests.children import HEARING, SOURCE, full_disk  # noqa: E402
 from tests.cli.commands import Run, one_line  # noqa: E402
 
 FLAT = ("--grab", "14,12:17,14", "--radius", "5")
@@ -208,14 +207,14 @@ def start(*arguments: str, **options: object) -> subprocess.Popen[str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         encoding="utf-8",
-        preexec_fn=options.pop("preexec_fn", HEARING),  # type: ignore[call-overload]
+        preexec_fn=HEARING,
         **options,
     )
 
 
 @pytest.mark.parametrize("workers", [(), ("--workers", "1")], ids=["threads", "processes"])
 def test_an_interrupt_is_one_line_and_the_same_command_goes_on(here: Path, workers: tuple[str, ...]) -> None:
-    store("in.zarr", (48, 512, 512), 32)
+    store("in.zarr", (32, 320, 320), 32)
     line = ("warp", "in.zarr", "out.zarr", *DEEP, "--reach", "none", "--threads", "1")
     process = start(*line, *workers, start_new_session=True)
     end = time.monotonic() + 100
@@ -234,14 +233,10 @@ def test_an_interrupt_is_one_line_and_the_same_command_goes_on(here: Path, worke
     assert sorted(os.listdir()) == ["in.png", "in.zarr", "out.zarr"]
 
 
-def test_a_full_disk_is_one_line(here: Path) -> None:
+def test_a_full_disk_is_one_line(run: Run) -> None:
     store("in.zarr", (200, 300), 128)
-
-    def little() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-
-    process = start("warp", "in.zarr", "out.zarr", *FLAT, "--reach", "none", preexec_fn=little)
-    out, err = process.communicate(timeout=100)
-    assert (process.returncode, out) == (2, "")
+    with full_disk(4096):
+        status, out, err = run("warp", "in.zarr", "out.zarr", *FLAT, "--reach", "none")
+    assert (status, out) == (2, "")
     assert "cannot write out.zarr" in one_line(err)
     assert not os.path.exists("out.zarr")

@@ -353,16 +353,17 @@ def test_names_that_begin_with_a_dash(run: Run) -> None:
 @pytest.mark.parametrize("size", [(63, 47), (1, 1), (2, 2), (1, 40), (65, 1)])
 @pytest.mark.parametrize("border", ["none", "50"])
 def test_odd_sizes(run: Run, size: tuple[int, int], border: str) -> None:
-    for k, pixel_format in enumerate(("yuv420p", "yuv444p")):
-        source = f"in{k}.mkv"
-        clips.make(source, "ffv1", pixel_format, count=5, size=size, options={"level": "1", "slices": "1"})
-        for grab in ("0,0,2:0,0,3", "0,0,2:3,3,3", "0,0:3,3"):
-            drag = ["--grab", grab, "--radius", "5", "--border", border, "--on-fold", "damp", "--quiet", "--force"]
-            assert run("warp", source, "out.mkv", *drag) == (0, "", "")
-            frame = clips.decoded("out.mkv")[-1]
-            assert ((frame.width, frame.height), frame.format.name) == (size, pixel_format)
-            assert run("warp", source, "out", *drag) == (0, "", "")
-            assert image.read("out/00005.png").pixels.shape == (*size[::-1], 3)
+    formats = ("yuv420p", "yuv444p")
+    for name in formats:
+        clips.make(f"{name}.mkv", "ffv1", name, count=5, size=size, options={"level": "1", "slices": "1"})
+    for k, grab in enumerate(("0,0,2:0,0,3", "0,0,2:3,3,3", "0,0:3,3"), border == "none"):
+        drag = ["--grab", grab, "--radius", "5", "--border", border, "--on-fold", "damp", "--quiet", "--force"]
+        one, other = formats[k % 2], formats[1 - k % 2]
+        assert run("warp", f"{one}.mkv", "out.mkv", *drag) == (0, "", "")
+        frame = clips.decoded("out.mkv")[-1]
+        assert ((frame.width, frame.height), frame.format.name) == (size, one)
+        assert run("warp", f"{other}.mkv", "out", *drag) == (0, "", "")
+        assert image.read("out/00005.png").pixels.shape == (*size[::-1], 3)
 
 
 def test_a_miscounted_clip_is_read_once_more(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -377,12 +378,13 @@ def test_a_miscounted_clip_is_read_once_more(run: Run, monkeypatch: pytest.Monke
     off = 0
     monkeypatch.setattr(supple.media.video, "survey", survey)
     d = supple.Deformation.from_recipe(TIMED, frames.shape[:3])
-    for off in (-2, 3):  # noqa: B007
+    sheet, cut, grid = ["sheet"], ["slice", "--x", "3"], ["grid", "--frame", "9"]
+    for off, whats in ((-2, [sheet, grid]), (3, [cut])):  # noqa: B007
         assert run("warp", "in.mkv", "out.mkv", *GRAB, "--force") == (0, "", "")
         np.testing.assert_array_equal(stack("out.mkv"), d.warp(frames))
         assert run("warp", "in.mkv", "out/%d.png", *GRAB, "--force") == (0, "", "")
         assert len(os.listdir("out")) == 12
-        for what in (["sheet"], ["slice", "--x", "3"], ["grid", "--frame", "9"]):
+        for what in whats:
             assert run("plot", "in.mkv", "out.png", *GRAB, "--force", "--what", *what) == (0, "", "")
 
     def other(self: Any) -> Any:

@@ -202,12 +202,11 @@ def peak(*arguments: str) -> float:
     return float(size) if sys.platform != "darwin" else float(size) / 1024
 
 
-@pytest.mark.parametrize("suffix", [".png", ".tif"])
-def test_memory(tmp_path: Path, suffix: str) -> None:
+def test_memory(tmp_path: Path) -> None:
     # Smaller than what the bar is stated for; what comes on top of the pixels hardly depends on the size.
     y, x = np.mgrid[:3072, :3072]
     pixels = np.stack([x >> 4, y >> 4, (x + y) >> 5], axis=-1).astype(np.uint8)
-    small, big, target = (str(tmp_path / name) for name in (f"small{suffix}", f"big{suffix}", f"out{suffix}"))
+    small, big, target = (str(tmp_path / name) for name in ("small.png", "big.png", "out.png"))
     image.write(small, pixels[:16, :16].copy())
     image.write(big, pixels)
     del x, y

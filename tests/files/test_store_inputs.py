@@ -155,8 +155,8 @@ INPUTS: dict[str, tuple[Callable[[], tuple[str, Array]], str]] = {
     "tiff-pyramid": (of_pyramid, "cyx"),
     "tiff-stack": (tiff((11, 32, 40), photometric="minisblack"), "zyx"),
     "tiff-stack-tiles": (tiff((11, 32, 40), photometric="minisblack", tile=(16, 16)), "zyx"),
-    "imagej": (tiff((2, 11, 3, 32, 40), imagej=True, metadata={"axes": "TZCYX"}), "tczyx"),
-    "ome": (tiff((3, 2, 11, 32, 40), ome=True, metadata={"axes": "CTZYX"}, tile=(16, 16)), "tczyx"),
+    "imagej": (tiff((2, 9, 3, 32, 40), imagej=True, metadata={"axes": "TZCYX"}), "tczyx"),
+    "ome": (tiff((3, 2, 9, 32, 40), ome=True, metadata={"axes": "CTZYX"}, tile=(16, 16)), "tczyx"),
     "png": (of_png, "cyx"),
 }
 

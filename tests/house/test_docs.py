@@ -6,14 +6,13 @@ import os
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import supple
+from supple.cli import command
 from supple.media import image
 from supple.render.transfer import PRESETS, TransferFunction
 from tests.children import ROOT
@@ -59,17 +58,17 @@ def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pyte
         exec(compile(block, str(page), "exec"), names)
 
 
-def test_the_commands_of_the_how_to_page_run_without_a_warning(tmp_path: Path) -> None:
+def test_the_commands_of_the_how_to_page_run_without_a_warning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
     copy_inputs(tmp_path)
     page = (ROOT / "docs" / "how-to.md").read_text(encoding="utf-8").replace("\\\n", " ")
-    commands = re.findall(r"^supple (.*)$", page, re.MULTILINE)
-    assert len(commands) == 10
-    for command in commands:
-        run = [sys.executable, "-m", "supple", *shlex.split(command)]
-        path = {"PYTHONPATH": str(ROOT / "src")}
-        result = subprocess.run(run, cwd=tmp_path, env={**os.environ, **path}, capture_output=True, encoding="utf-8")
-        assert (result.returncode, result.stderr) == (0, ""), command
-        assert (tmp_path / shlex.split(command)[2]).exists()
+    lines = [shlex.split(line) for line in re.findall(r"^supple (.*)$", page, re.MULTILINE)]
+    assert len(lines) == 10
+    for line in lines:
+        assert (command(line), capsys.readouterr().err) == (0, ""), line
+        assert Path(line[2]).exists()
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -98,18 +97,15 @@ def test_pictures_are_small() -> None:
     assert all(size < 60_000 for path, size in sizes.items() if path.suffix == ".webp" and path not in moving)
 
 
-def test_every_option_that_is_named_exists_and_every_one_that_exists_is_named() -> None:
+def test_every_option_that_is_named_exists_and_every_one_that_exists_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
     helps = {}
     verbs = ("warp", "render", "points", "plot", "info", "demo", "view", "invert", "check", "compose", "convert")
-    for command in ("", *verbs):
-        result = subprocess.run(
-            [sys.executable, "-m", "supple", *command.split(), "--help"],
-            env={**os.environ, "PYTHONPATH": str(ROOT / "src"), "COLUMNS": "200"},
-            capture_output=True,
-            encoding="utf-8",
-            check=True,
-        )
-        helps[command] = set(re.findall(OPTION, result.stdout))
+    for verb in ("", *verbs):
+        assert command([*verb.split(), "--help"]) == 0
+        helps[verb] = set(re.findall(OPTION, capsys.readouterr().out))
     text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
     named = set(re.findall(OPTION, re.sub(r"^(pip|make|git|python) .*$", "", text, flags=re.MULTILINE)))
     known = set().union(*helps.values())

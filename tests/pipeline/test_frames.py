@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pytest
 
 from supple import Deformation, SuppleError
-from tests import reference
+from tests import effort, reference
 from tests.pipeline.frames import BETWEEN, FILTERS, RULES, SHAPE, Array, Floats, exact, hurried, noise, top_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
@@ -135,9 +135,7 @@ def test_a_plane_through_the_pivot_is_a_picture() -> None:
                     assert off.max() <= 0.01
 
 
-@pytest.mark.parametrize("averaged", [False, True])
-@pytest.mark.parametrize("between", BETWEEN)
-@pytest.mark.parametrize("filter", DIRECT)
+@pytest.mark.parametrize(("filter", "between", "averaged"), effort.pairs(DIRECT, BETWEEN, [False, True]))
 def test_both_ways_to_a_sample_agree(filter: str, between: str, averaged: bool) -> None:
     """Up to four plain channels whose edges go on are sampled straight from the frames, all others by tiles."""
     how: dict[str, Any] = {"filter": filter, "between": between, "time_filter": averaged}
@@ -175,9 +173,9 @@ def test_the_last_of_four_channels_of_8_or_16_bits_is_opacity_unless_told() -> N
                 assert (bent().warp(source, alpha=False) != bent().warp(source, alpha=True)).any()
 
 
-@pytest.mark.parametrize("averaged", [False, True])
-@pytest.mark.parametrize("between", BETWEEN)
-@pytest.mark.parametrize("filter", ["linear", "cubic", "auto"])
+@pytest.mark.parametrize(
+    ("filter", "between", "averaged"), effort.pairs(["linear", "cubic", "auto"], BETWEEN, [False, True])
+)
 def test_constants_stay_constant(filter: str, between: str, averaged: bool) -> None:
     """All weights sum to one: a clip of one colour is left as it is."""
     how: dict[str, Any] = {"filter": filter, "between": between, "time_filter": averaged}

@@ -19,7 +19,7 @@ from PIL import Image
 from supple import Deformation, SuppleError
 from supple.geometry import Geometry
 from supple.media.volume import Volume
-from tests import reference
+from tests import effort, reference
 from tests.pipeline.pictures import FILTERS, SHAPE, Array, Floats, bent, exact, noise
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
@@ -319,17 +319,15 @@ def test_as_far_outside_as_numbers_go(size: float) -> None:
     d = Deformation((3, 280), border=None, on_fold="damp").grab(
         (150, 1), by=(size, size / 3), radius=size / 2, reach=None
     )
-    for channels in (1, 3):
-        for dtype in ("u1", "f4"):
-            source = noise(dtype, channels, d.shape)
-            for name in FILTERS:
-                how: dict[str, Any] = {"filter": name, "alpha": False}
-                made = d.warp(source, outside="edge", **how).astype(float)
-                np.testing.assert_allclose(made, np.broadcast_to(source[0, 0], made.shape), rtol=1e-5, atol=1e-4)
-                np.testing.assert_allclose(d.warp(source, outside="constant", fill=7, **how), 7, rtol=1e-5)
-                made = d.warp(source, outside="reflect", **how).astype(float)
-                assert np.isfinite(made).all()
-                assert np.abs(made).max() <= 1.6 * np.abs(source.astype(float)).max()
+    for channels, dtype, name in effort.pairs([1, 3], ["u1", "f4"], FILTERS):
+        source = noise(dtype, channels, d.shape)
+        how: dict[str, Any] = {"filter": name, "alpha": False}
+        made = d.warp(source, outside="edge", **how).astype(float)
+        np.testing.assert_allclose(made, np.broadcast_to(source[0, 0], made.shape), rtol=1e-5, atol=1e-4)
+        np.testing.assert_allclose(d.warp(source, outside="constant", fill=7, **how), 7, rtol=1e-5)
+        made = d.warp(source, outside="reflect", **how).astype(float)
+        assert np.isfinite(made).all()
+        assert np.abs(made).max() <= 1.6 * np.abs(source.astype(float)).max()
 
 
 SIZES = [(1, 1), (1, 2), (1, 50), (50, 1), (2, 2), (3, 33), (32, 32), (33, 33), (5, 257), (4, 300)]

@@ -14,7 +14,7 @@ from supple import Deformation, Stroke
 from supple.engines.base import Group, Layout, Sampling, Work
 from supple.engines.native import NATIVE
 from supple.pipeline import make_plan
-from tests import reference
+from tests import effort, reference
 from tests.pipeline.streams import COUNT, LAYOUTS, SHAPE, Array, bent, layout_of, noise, streamed
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
@@ -42,30 +42,32 @@ def same(found: Array, values: Floats, white: float, leeway: float = 2e-3) -> No
     assert off.max() <= leeway * white + (0.5 if whole else 0)
 
 
-@pytest.mark.parametrize("rule", RULES)
-@pytest.mark.parametrize("kind", LAYOUTS)
-def test_every_plane_is_bent_in_its_own_coordinates(kind: str, rule: str) -> None:
+@pytest.mark.parametrize(
+    ("kind", "rule", "name", "between", "border"),
+    effort.pairs(list(LAYOUTS), RULES, ["linear", "cubic"], ["linear", "cubic"], [None, 50.0]),
+)
+def test_every_plane_is_bent_in_its_own_coordinates(
+    kind: str, rule: str, name: str, between: str, border: float | None
+) -> None:
     layout = LAYOUTS[kind]
     arrays = noise(layout)
     fill = tuple(
         (layout.white * x // 1 if layout.white > 1 else x)
         for x in (0.2, 0.5, 0.7)[: sum(g.channels for g in layout.groups)]
     )
-    for border, filters in ((None, ("linear", "cubic")), (50.0, ("cubic", "linear"))):
-        d = bent(border=border)
-        places = [source_points(d, group, range(COUNT))[:, ::2, ::2] for group in layout.groups]
-        for name, between in zip(filters, ("linear", "cubic"), strict=True):
-            sampling = Sampling(name, between, outside=rule, fill=fill, tolerance=FINE)
-            found, plan, _ = streamed(d.space, layout, arrays, sampling)
-            at = 0
-            for group, points, source, out in zip(layout.groups, places, arrays, found, strict=True):
-                colours = fill[at : at + group.channels]
-                at += group.channels
-                expected = reference.sample_frames(source, points, name, between, rule, colours)
-                same(out[:, ::2, ::2], expected.astype(np.float64), layout.white)
-                # What is still is passed on: for a plan's purposes, within the tolerance.
-                for z in np.flatnonzero(plan.still):
-                    np.testing.assert_array_equal(out[z], source[z])
+    d = bent(border=border)
+    sampling = Sampling(name, between, outside=rule, fill=fill, tolerance=FINE)
+    found, plan, _ = streamed(d.space, layout, arrays, sampling)
+    at = 0
+    for group, source, out in zip(layout.groups, arrays, found, strict=True):
+        colours = fill[at : at + group.channels]
+        at += group.channels
+        points = source_points(d, group, range(COUNT))[:, ::2, ::2]
+        expected = reference.sample_frames(source, points, name, between, rule, colours)
+        same(out[:, ::2, ::2], expected.astype(np.float64), layout.white)
+        # What is still is passed on: for a plan's purposes, within the tolerance.
+        for z in np.flatnonzero(plan.still):
+            np.testing.assert_array_equal(out[z], source[z])
 
 
 def test_opacity_is_a_group_s_own() -> None:

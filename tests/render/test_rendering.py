@@ -18,6 +18,7 @@ from supple.render.camera import Camera
 from supple.render.picture import Rendering
 from supple.render.scene import MODES, Scene
 from supple.render.transfer import ENTRIES, TransferFunction
+from tests import effort
 
 Floats = npt.NDArray[np.float64]
 
@@ -26,6 +27,7 @@ AMBIENT, DIFFUSE, SPECULAR = 0.15, 0.8, 0.2  # of light; the highlight is the co
 LAYER = 4  # voxels behind a cut face over which the light of gradients takes over
 SOFT = TransferFunction(((0.2, 1.0, 0.2, 0.1, 0.0), (0.5, 0.9, 0.5, 0.3, 0.2), (1.0, 1.0, 1.0, 1.0, 0.6)))
 HARD = TransferFunction(((0.49, 1.0, 0.8, 0.6, 0.0), (0.5, 1.0, 0.8, 0.6, 1.0), (1.0, 1.0, 0.8, 0.6, 1.0)))
+TRANSFERS = {"soft": SOFT, "hard": HARD}
 
 
 def cloud(shape: tuple[int, int, int] = (24, 30, 28), seed: int = 0) -> npt.NDArray[np.float32]:
@@ -60,9 +62,9 @@ def reference(scene: Scene, camera: Camera, size: tuple[int, int]) -> tuple[Floa
     low, high = scene.range
     table = scene.transfer.table(low, high, scene.step).astype(np.float64)
     entries = np.linspace(low, high, ENTRIES)
-    seen = (table[:, 3] > 0) & (entries >= scene.density[0]) & (entries <= scene.density[1])
-    first = entries[np.argmax(seen)] - 0.5 * (entries[1] - entries[0])
-    threshold = -math.inf if seen[0] and scene.density[0] <= low else max(first, scene.density[0])
+    shown = (table[:, 3] > 0) & (entries >= scene.density[0]) & (entries <= scene.density[1])
+    first = entries[np.argmax(shown)] - 0.5 * (entries[1] - entries[0])
+    threshold = -math.inf if shown[0] and scene.density[0] <= low else max(first, scene.density[0])
     light = -view.ahead - 0.35 * view.packed[3] / np.linalg.norm(view.packed[3])
     light -= 0.45 * view.packed[4] / np.linalg.norm(view.packed[4])
     light /= np.linalg.norm(light)
@@ -71,86 +73,86 @@ def reference(scene: Scene, camera: Camera, size: tuple[int, int]) -> tuple[Floa
         made: Floats = ndimage.map_coordinates(field, points[:, ::-1].T, order=1, mode="nearest")
         return made
 
-    def source(points: Floats) -> tuple[Floats, Floats]:
-        if scene.deformation is None or scene.mode == "buffered":
-            return points, np.broadcast_to(np.eye(3), (len(points), 3, 3))
-        found = scene.deformation.inverse(points).points
-        return found, np.linalg.inv(scene.deformation.jacobian(found))
+    d = None if scene.mode == "buffered" else scene.deformation
+
+    def source(points: Floats) -> Floats:
+        return points if d is None else d.inverse(points).points
+
+    def visible(values: Floats) -> npt.NDArray[np.bool_]:
+        return (values >= threshold) & (values <= scene.density[1])
 
     out, depth = np.zeros((*size, 4)), np.full((*size, 2), math.inf)
     first, last = np.array(scene.clip).T
-    for y in range(size[0]):
-        for x in range(size[1]):
-            direction = view.direction(x, y)
-            along = direction / view.spacing
-            with np.errstate(divide="ignore"):
-                faces = np.stack([(first - view.eye) / along, (last - view.eye) / along])
-            near, far = max(faces.min(axis=0).max(), 0), faces.max(axis=0).min()
-            entered = int(faces.min(axis=0).argmax())
-            if near > far:
-                continue
-            ts = np.append(np.arange(near, far, scene.step), far)
-            points = view.eye + ts[:, None] * along
-            values = sampled(volume, source(points)[0])
-            hit = values >= threshold
-            if scene.density[1] < math.inf:
-                hit &= values <= scene.density[1]
-            if threshold == -math.inf:
-                start = near
-            elif not hit.any():
-                continue
-            else:
-                k = int(np.argmax(hit))
-                a, b = max(near, ts[k] - scene.step), ts[k]
-                for _ in range(40):
-                    middle = (a + b) / 2
-                    value = sampled(volume, source(view.eye + middle * along[None])[0])[0]
-                    if value >= threshold and value <= scene.density[1]:
-                        b = middle
-                    else:
-                        a = middle
-                start = b
-            # Between the ends of a step, values are taken as linear; it is lit in the middle of what is visible of it.
-            ends = np.append(np.arange(start, far, scene.step), far)
-            values = sampled(volume, source(view.eye + ends[:, None] * along)[0])
-            values[0] = max(values[0], threshold)
-            within = (np.arange(200) + 0.5) / 200
-            fine = values[:-1, None] + np.diff(values)[:, None] * within
-            visible = (fine >= threshold) & (fine <= scene.density[1])
-            colours = table[np.rint((fine - low) / (high - low) * (ENTRIES - 1)).astype(int)]
-            parts = -np.log1p(-np.minimum(colours[..., 3], 1 - 1e-9)) * visible / 200
-            parts *= np.diff(ends)[:, None] / scene.step
-            thick = parts.sum(axis=1)
-            mixed = (parts[..., None] * colours[..., :3]).sum(axis=1) / np.maximum(thick, 1e-12)[:, None]
-            colours = np.column_stack([mixed, -np.expm1(-thick)])
-            middle = (visible * within).sum(axis=1) / np.maximum(visible.sum(axis=1), 1)
-            ts = ends[:-1]
-            places, inverse = source(view.eye + (ts + middle * np.diff(ends))[:, None] * along)
-            lit, shine = np.ones(len(ts)), np.zeros(len(ts))
-            if scene.shaded:
-                sides = [(sampled(volume, places + e) - sampled(volume, places - e)) / 2 for e in np.eye(3)]
-                slopes = np.stack(sides, axis=-1)
-                slopes = np.einsum("nji,nj->ni", inverse, slopes) / view.spacing
-                size_ = np.linalg.norm(slopes, axis=1)
-                normals = slopes / np.maximum(size_, 1e-12)[:, None]
-                half = light - direction
-                half /= np.linalg.norm(half)
-                lit = AMBIENT + DIFFUSE * np.where(size_ > 0, abs(normals @ light), 1)
-                shine = SPECULAR * np.where(size_ > 0, abs(normals @ half), 0) ** 16
-                if start == near > 0:
-                    layer = np.clip(1 - (ts - near) / (LAYER * min(view.spacing)), 0, 1)
-                    flat = layer * np.logical_and.accumulate(colours[:, 3] > 0)
-                    lit += flat * (AMBIENT + DIFFUSE * abs(light[entered]) - lit)
-                    shine *= 1 - flat
-            total = np.zeros(3)
-            for k in range(len(ts) - 1, -1, -1):
-                alpha = colours[k, 3]
-                total = alpha * (colours[k, :3] * lit[k] + shine[k]) + (1 - alpha) * total
-            gathered = 1 - np.cumprod(1 - colours[:, 3])
-            out[y, x] = *total, gathered[-1]
-            depth[y, x, 0] = start
-            if (gathered >= 0.9).any():
-                depth[y, x, 1] = ts[np.argmax(gathered >= 0.9)]
+    rays, bounds = [], []
+    for y, x in np.ndindex(size):
+        direction = view.direction(x, y)
+        along = direction / view.spacing
+        with np.errstate(divide="ignore"):
+            faces = np.stack([(first - view.eye) / along, (last - view.eye) / along])
+        near, far = max(faces.min(axis=0).max(), 0), faces.max(axis=0).min()
+        entered = int(faces.min(axis=0).argmax())
+        if near > far:
+            continue
+        ts = np.append(np.arange(near, far, scene.step), far)
+        hit = visible(sampled(volume, source(view.eye + ts[:, None] * along)))
+        if threshold == -math.inf:
+            bounds.append((near, near))
+        elif hit.any():
+            k = int(np.argmax(hit))
+            bounds.append((max(near, ts[k] - scene.step), ts[k]))
+        else:
+            continue
+        rays.append((y, x, direction, along, near, far, entered))
+    ways = np.array([ray[3] for ray in rays])
+    before, starts = np.array(bounds).T
+    for _ in range(40):
+        middle = (before + starts) / 2
+        hit = visible(sampled(volume, source(view.eye + middle[:, None] * ways)))
+        before, starts = np.where(hit, before, middle), np.where(hit, middle, starts)
+    for (y, x, direction, along, near, far, entered), start in zip(rays, starts, strict=True):
+        # Between the ends of a step, values are taken as linear; it is lit in the middle of what is visible of it.
+        ends = np.append(np.arange(start, far, scene.step), far)
+        values = sampled(volume, source(view.eye + ends[:, None] * along))
+        values[0] = max(values[0], threshold)
+        within = (np.arange(200) + 0.5) / 200
+        fine = values[:-1, None] + np.diff(values)[:, None] * within
+        seen = visible(fine)
+        colours = table[np.rint((fine - low) / (high - low) * (ENTRIES - 1)).astype(int)]
+        parts = -np.log1p(-np.minimum(colours[..., 3], 1 - 1e-9)) * seen / 200
+        parts *= np.diff(ends)[:, None] / scene.step
+        thick = parts.sum(axis=1)
+        mixed = (parts[..., None] * colours[..., :3]).sum(axis=1) / np.maximum(thick, 1e-12)[:, None]
+        colours = np.column_stack([mixed, -np.expm1(-thick)])
+        middle = (seen * within).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+        ts = ends[:-1]
+        places = source(view.eye + (ts + middle * np.diff(ends))[:, None] * along)
+        lit, shine = np.ones(len(ts)), np.zeros(len(ts))
+        if scene.shaded:
+            sides = [(sampled(volume, places + e) - sampled(volume, places - e)) / 2 for e in np.eye(3)]
+            slopes = np.stack(sides, axis=-1)
+            if d is not None:
+                slopes = np.einsum("nji,nj->ni", np.linalg.inv(d.jacobian(places)), slopes)
+            slopes = slopes / view.spacing
+            size_ = np.linalg.norm(slopes, axis=1)
+            normals = slopes / np.maximum(size_, 1e-12)[:, None]
+            half = light - direction
+            half /= np.linalg.norm(half)
+            lit = AMBIENT + DIFFUSE * np.where(size_ > 0, abs(normals @ light), 1)
+            shine = SPECULAR * np.where(size_ > 0, abs(normals @ half), 0) ** 16
+            if start == near > 0:
+                layer = np.clip(1 - (ts - near) / (LAYER * min(view.spacing)), 0, 1)
+                flat = layer * np.logical_and.accumulate(colours[:, 3] > 0)
+                lit += flat * (AMBIENT + DIFFUSE * abs(light[entered]) - lit)
+                shine *= 1 - flat
+        total = np.zeros(3)
+        for k in range(len(ts) - 1, -1, -1):
+            alpha = colours[k, 3]
+            total = alpha * (colours[k, :3] * lit[k] + shine[k]) + (1 - alpha) * total
+        gathered = 1 - np.cumprod(1 - colours[:, 3])
+        out[y, x] = *total, gathered[-1]
+        depth[y, x, 0] = start
+        if (gathered >= 0.9).any():
+            depth[y, x, 1] = ts[np.argmax(gathered >= 0.9)]
     return out[..., :3], out[..., 3], depth
 
 
@@ -170,15 +172,20 @@ GEOMETRIES = {
 }
 
 
-@pytest.mark.parametrize("mode", ["plain", "exact", "lattice"])
-@pytest.mark.parametrize("transfer", [SOFT, HARD], ids=["soft", "hard"])
-@pytest.mark.parametrize("where", GEOMETRIES)
-def test_a_picture_is_the_slow_one(where: str, transfer: TransferFunction, mode: str) -> None:
+@pytest.mark.parametrize(
+    ("where", "transfer", "mode"), effort.pairs(list(GEOMETRIES), ["soft", "hard"], ["plain", "exact", "lattice"])
+)
+def test_a_picture_is_the_slow_one(where: str, transfer: str, mode: str) -> None:
     geometry = GEOMETRIES[where]
     volume = cloud()
     d = None if mode == "plain" else bent(volume.shape, geometry)
     scene = Scene(
-        volume, geometry, deformation=d, transfer=transfer, mode="lattice" if mode == "plain" else mode, tolerance=0.2
+        volume,
+        geometry,
+        deformation=d,
+        transfer=TRANSFERS[transfer],
+        mode="lattice" if mode == "plain" else mode,
+        tolerance=0.2,
     )
     camera = Camera(35, 20, roll=10)
     picture = scene.render(camera, SIZE)
@@ -198,16 +205,16 @@ def test_a_picture_is_the_slow_one(where: str, transfer: TransferFunction, mode:
     assert np.quantile(away, 0.9) < scene.step / 50
 
 
-@pytest.mark.parametrize("mode", ["plain", *MODES])
-@pytest.mark.parametrize("transfer", [SOFT, HARD], ids=["soft", "hard"])
-@pytest.mark.parametrize("where", GEOMETRIES)
-def test_a_picture_of_a_box_is_the_slow_one(where: str, transfer: TransferFunction, mode: str) -> None:
+@pytest.mark.parametrize(
+    ("where", "transfer", "mode"), effort.pairs(list(GEOMETRIES), ["soft", "hard"], ["plain", *MODES])
+)
+def test_a_picture_of_a_box_is_the_slow_one(where: str, transfer: str, mode: str) -> None:
     geometry = GEOMETRIES[where]
     volume = cloud()
     d = None if mode == "plain" else bent(volume.shape, geometry)
     mode = "lattice" if mode == "plain" else mode
-    clip = ((6, 20.25), (4, 22), (5, 20)) if transfer is HARD else ((None, None), (11.5, None), (None, 16))
-    scene = Scene(volume, geometry, deformation=d, transfer=transfer, mode=mode, clip=clip)
+    clip = ((6, 20.25), (4, 22), (5, 20)) if transfer == "hard" else ((None, None), (11.5, None), (None, 16))
+    scene = Scene(volume, geometry, deformation=d, transfer=TRANSFERS[transfer], mode=mode, clip=clip)
     camera = Camera(35, 20, roll=10)
     picture = scene.render(camera, SIZE)
     colours, alpha, depth = reference(scene, camera, SIZE)

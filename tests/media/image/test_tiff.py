@@ -15,6 +15,7 @@ from supple.errors import GapWarning, SuppleError
 from supple.files import warp_file
 from supple.media.image import MetadataWarning, PageWarning, Picture, info, read, write
 from supple.media.image.display import in_srgb
+from tests import effort
 
 tifffile = pytest.importorskip("tifffile")
 
@@ -57,28 +58,26 @@ def same(path: Path) -> tuple[Picture, Array, Any]:
     return picture, *stored(path.with_name("out.tif"))
 
 
-@pytest.mark.parametrize("layout", [{}, {"rowsperstrip": 8}, {"tile": (16, 16)}])
-@pytest.mark.parametrize(
-    ("photometric", "channels", "extra"),
-    [
-        *[("rgb", 4, (kind,)) for kind in (0, 1, 2)],
-        *[("rgb", 5, extra) for extra in ((0, 0), (2, 0), (0, 2))],
-        *[("minisblack", 2, (kind,)) for kind in (0, 2)],
-        ("minisblack", 4, (0, 0, 0)),
-        ("separated", 4, ()),
-        *[("separated", 5, (kind,)) for kind in (0, 2)],
-        ("cielab", 3, ()),
-        ("icclab", 3, ()),
-        ("miniswhite", 2, (0,)),
-    ],
-)
-@pytest.mark.parametrize("dtype", ["u1", "u2", "f4"])
-def test_planes(
-    tmp_path: Path, dtype: str, photometric: str, channels: int, extra: tuple[int, ...], layout: Any
-) -> None:
+KINDS = [
+    *[("rgb", 4, (kind,)) for kind in (0, 1, 2)],
+    *[("rgb", 5, extra) for extra in ((0, 0), (2, 0), (0, 2))],
+    *[("minisblack", 2, (kind,)) for kind in (0, 2)],
+    ("minisblack", 4, (0, 0, 0)),
+    ("separated", 4, ()),
+    *[("separated", 5, (kind,)) for kind in (0, 2)],
+    ("cielab", 3, ()),
+    ("icclab", 3, ()),
+    ("miniswhite", 2, (0,)),
+]
+PLACED: dict[str, Any] = {"whole": {}, "strips": {"rowsperstrip": 8}, "tiles": {"tile": (16, 16)}}
+
+
+@pytest.mark.parametrize(("kind", "dtype", "placed"), effort.pairs(KINDS, ["u1", "u2", "f4"], list(PLACED)))
+def test_planes(tmp_path: Path, kind: tuple[str, int, tuple[int, ...]], dtype: str, placed: str) -> None:
+    photometric, channels, extra = kind
     pixels = noise(dtype, *SIZE, channels)
     for planar in (False, True):
-        saved(tmp_path / "in.tif", pixels, photometric, planar=planar, extrasamples=extra or None, **layout)
+        saved(tmp_path / "in.tif", pixels, photometric, planar=planar, extrasamples=extra or None, **PLACED[placed])
         picture, after, page = same(tmp_path / "in.tif")
         assert (picture.extra, picture.alpha) == (extra, extra[-1:] == (2,))
         np.testing.assert_array_equal(after, pixels)

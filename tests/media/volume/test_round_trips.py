@@ -231,30 +231,32 @@ class TestRefusals:
         like = volume(noise("i2", *SHAPE))
         assert "make them alike" in refused(write, tmp_path / "out.nii", like.samples[:2], like)
 
-    @pytest.mark.parametrize("suffix", SUFFIXES_OUT)
-    def test_a_full_disk(self, tmp_path, suffix):
+    def test_a_full_disk(self, tmp_path):
         code = """
-            import resource, signal, sys
+            import os, resource, signal, sys
             import numpy as np
             from supple.geometry import Geometry
             from supple.media.volume import Volume, write
             from supple.errors import SuppleError
             samples = np.random.default_rng(0).integers(0, 60000, (20, 40, 50)).astype("u2")
             signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-            resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
-            try:
-                write(sys.argv[1], samples, Volume(samples, Geometry()))
-            except SuppleError as error:
-                print(error)
+            folder, *suffixes = sys.argv[1:]
+            for suffix in suffixes:
+                for limit in (300, 40_000, 79_990):
+                    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+                    try:
+                        write(f"{folder}/out{suffix}", samples, Volume(samples, Geometry()))
+                    except SuppleError as error:
+                        assert error.args[0].count("\\n") == 0
+                        assert f"out{suffix}" in error.args[0] or "out.raw" in error.args[0], error
+                        print(suffix)
+                    assert not os.listdir(folder)
         """
-        for limit in (300, 40_000, 79_990):
-            command = [sys.executable, "-c", textwrap.dedent(code), str(tmp_path / f"out{suffix}"), str(limit)]
-            environment = {**os.environ, "PYTHONPATH": SOURCE}
-            done = subprocess.run(command, capture_output=True, encoding="utf-8", env=environment)
-            assert (done.returncode, done.stderr) == (0, "")
-            assert done.stdout.count("\n") == 1
-            assert f"out{suffix}" in done.stdout or "out.raw" in done.stdout
-            assert not list(tmp_path.iterdir())
+        command = [sys.executable, "-c", textwrap.dedent(code), str(tmp_path), *SUFFIXES_OUT]
+        environment = {**os.environ, "PYTHONPATH": SOURCE}
+        done = subprocess.run(command, capture_output=True, encoding="utf-8", env=environment)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert done.stdout.splitlines() == [suffix for suffix in SUFFIXES_OUT for _ in range(3)]
 
 
 class TestInfo:
