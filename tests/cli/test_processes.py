@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import pty
 import resource
@@ -156,3 +157,20 @@ def test_an_interrupt_that_another_thread_is_given_is_heard(capsys: pytest.Captu
         signal.signal(signal.SIGINT, before)
     assert time.monotonic() - given[0] < 10
     assert capsys.readouterr() == ("", "supple: interrupted\n")
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupt_is_not_lost_where_c_calls_python(number: signal.Signals, status: int) -> None:
+    """What a function raises that C has called goes no further: ctypes and cffi only write it down."""
+
+    def work(console: Console) -> None:
+        ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(number))()
+        time.sleep(10)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    begun = time.monotonic()
+    try:
+        assert console.run(work) == status
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert time.monotonic() - begun < 9

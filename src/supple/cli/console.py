@@ -326,11 +326,31 @@ def _signals() -> Iterator[None]:
     for number in (getattr(signal, name) for name in names):
         if signal.getsignal(number) == signal.SIG_DFL:  # others, such as nohup, have set their own
             before[number] = signal.signal(number, _terminate)
+    hook = sys.unraisablehook
+
+    def again(ignored: sys.UnraisableHookArgs) -> None:
+        # What is raised where C calls Python, as a library that writes does, goes no further: the signal is sent once
+        # more, after this has returned.
+        sent = {KeyboardInterrupt: signal.SIGINT, Terminated: signal.SIGTERM}.get(ignored.exc_type)
+        if sent is None:
+            hook(ignored)
+        else:
+            threading.Timer(0.05, _send, (sent,)).start()
+
+    sys.unraisablehook = again
     try:
         yield
     finally:
+        sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _send(number: signal.Signals) -> None:
+    if sys.platform == "win32":
+        signal.raise_signal(number)
+    else:  # which also ends a wait in the main thread
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
 
 
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:
