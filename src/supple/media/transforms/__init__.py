@@ -45,19 +45,6 @@ def _pair(module: Any, **kind: bool | str) -> Convention:
     return Convention(partial(module.read, **kind), partial(module.write, **kind))
 
 
-def _of_source(module: Any) -> Convention:
-    """Return a convention that may refer to the input image alone."""
-
-    def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
-        found: tuple[Content, ...] = module.read(path, source=grids.source)
-        return found
-
-    def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: bool) -> None:
-        module.write(path, contents, source=grids.source, force=force)
-
-    return Convention(read, write)
-
-
 CONVENTIONS = {
     "itk": _pair(itk_files),
     "fsl-relative": _pair(fsl, absolute=False),
@@ -69,9 +56,9 @@ CONVENTIONS = {
     "freesurfer": _pair(freesurfer),
     "niftyreg": _pair(announced, convention="niftyreg"),
     "spm-deformation": _pair(announced, convention="spm-deformation"),
-    "ngff": _of_source(ngff),
-    "opencv": _of_source(opencv),
-    "stmap": _of_source(stmap),
+    "ngff": _pair(ngff),
+    "opencv": _pair(opencv),
+    "stmap": _pair(stmap),
 }
 
 
