@@ -14,7 +14,7 @@ from supple.viewer.panels import theme
 from supple.viewer.tools.drags import Pair
 
 _FIRST = 1 << 20  # the number of the first texture: those of letters have low ones
-_INNER = 1.5  # coefficients from the outermost ones to the edges of a texture, whose texels are at coefficients
+_OUTER = 0.5  # coefficients from the outermost ones to the edges of a texture, whose texels are at coefficients
 
 
 class Veil:
@@ -64,8 +64,8 @@ class Veil:
         for k in (across, down):
             low[k], high[k] = ends[0][k], ends[1][k]
             if mask.size[k] > 1:
-                low[k] = mask.first[k] + mask.step[k] * (_INNER - 1)
-                high[k] = mask.first[k] + mask.step[k] * (mask.size[k] - _INNER)
+                low[k] = mask.first[k] - mask.step[k] * _OUTER
+                high[k] = mask.first[k] + mask.step[k] * (mask.size[k] - _OUTER)
         (a, b), (c, d) = (seen(tuple(end)) for end in ends)
         lines.push_clip_rect((min(a, c), min(b, d)), (max(a, c), max(b, d)), True)
         right, left = low.copy(), high.copy()
@@ -87,6 +87,7 @@ class Veil:
             shade = shade.squeeze(2 - normal)
         if down < across:
             shade = shade.T
+        shade = np.pad(shade, 1, mode="edge")  # at its very edge, a texture repeats
         rows, columns = shade.shape
         pixels = np.full((rows, columns, 4), 255, np.uint8)
         veil = 1 - np.clip(shade, 0, 1)
