@@ -11,6 +11,7 @@ from imgui_bundle import imgui
 from supple.engines.wgpu.device import Gpu
 from supple.freezing import Freeze
 from supple.viewer.panels import theme
+from supple.viewer.panels.stages import filled
 from supple.viewer.tools.drags import Pair
 
 _FIRST = 1 << 20  # the number of the first texture: those of letters have low ones
@@ -88,15 +89,7 @@ class Veil:
         if down < across:
             shade = shade.T
         shade = np.pad(shade, 1, mode="edge")  # at its very edge, a texture repeats
-        rows, columns = shade.shape
-        pixels = np.full((rows, columns, 4), 255, np.uint8)
+        pixels = np.full((*shade.shape, 4), 255, np.uint8)
         veil = 1 - np.clip(shade, 0, 1)
         pixels[..., 3] = np.rint(255 * (4 * veil * (1 - veil) if outline else veil))
-        texture = self.textures.get(which)
-        if texture is None or texture.size[:2] != (columns, rows):
-            usage = "TEXTURE_BINDING|COPY_DST"
-            texture = self._gpu.device.create_texture(size=(columns, rows, 1), format="rgba8unorm", usage=usage)
-            self.textures[which] = texture
-        self._gpu.device.queue.write_texture(
-            {"texture": texture}, pixels, {"bytes_per_row": 4 * columns, "rows_per_image": rows}, (columns, rows, 1)
-        )
+        self.textures[which] = filled(self._gpu, self.textures.get(which), pixels)
