@@ -142,7 +142,7 @@ def least_at_corners(values: Array, grid: Grid) -> tuple[float, Floats]:
 def least_at_samples(packed: _core.Sampled, grid: Grid) -> tuple[float, Floats]:
     """Return the least determinant of an interpolant at the samples of a grid, and the index of that sample."""
     least, index = math.inf, np.zeros(grid.ndim)
-    for indices, points in _planes(grid, _INWARDS):
+    for indices, points in planes(grid, _INWARDS):
         _, matrices = _through([packed], points, grid.ndim, jacobian=True)
         found = np.linalg.det(matrices)
         flat = int(found.argmin())
@@ -154,7 +154,7 @@ def least_at_samples(packed: _core.Sampled, grid: Grid) -> tuple[float, Floats]:
 def values_at(packed: _core.Sampled, grid: Grid) -> npt.NDArray[np.float32]:
     """Return the displacements of an interpolant at the samples of a grid."""
     made = np.empty((*grid.shape, grid.ndim), np.float32)
-    for plane, (_, points) in zip(made.reshape(-1, *grid.shape[-2:], grid.ndim), _planes(grid), strict=True):
+    for plane, (_, points) in zip(made.reshape(-1, *grid.shape[-2:], grid.ndim), planes(grid), strict=True):
         plane[...] = (_through([packed], points, grid.ndim)[0] - points).reshape(plane.shape)
     return made
 
@@ -183,9 +183,8 @@ def distances(
         How far the second field goes beyond its outermost samples, in samples.
     """
     made = np.empty(grid.shape, np.float32)
-    planes = made.reshape(-1, *grid.shape[-2:])
     last = np.array(within.sizes) - 1 + margin + _WITHIN
-    for plane, (_, points) in zip(planes, _planes(grid), strict=True):
+    for plane, (_, points) in zip(made.reshape(-1, *grid.shape[-2:]), planes(grid), strict=True):
         there, _ = _through([first], points, grid.ndim)
         places = within.indices(there)
         inside = ((places >= -margin - _WITHIN) & (places <= last)).all(axis=-1)
@@ -203,6 +202,19 @@ def consistency_of(found: npt.NDArray[np.float32]) -> Consistency:
         return Consistency(0, outside, math.nan, math.nan, math.nan)
     percentile = float(np.percentile(known, 99))
     return Consistency(known.size, outside, float(known.max()), percentile, float(known.mean(dtype=np.float64)))
+
+
+def planes(grid: Grid, inwards: float = 0.0) -> Iterator[tuple[Floats, Floats]]:
+    """Yield the indices and the positions (N, D) of the samples of each plane of a grid, the outermost within it."""
+    height, width = grid.shape[-2:]
+    index = np.zeros((height * width, grid.ndim))
+    index[:, 1], index[:, 0] = np.indices((height, width)).reshape(2, -1)
+    for z in range(grid.shape[0] if grid.ndim == 3 else 1):
+        if grid.ndim == 3:
+            index[:, 2] = z
+        least = np.where(np.array(grid.sizes) > 1, inwards, 0.0)
+        within = np.clip(index, least, np.array(grid.sizes) - 1 - least)
+        yield within, grid.positions(within)
 
 
 def _slopes(values: Array, axis: int) -> Floats:
@@ -234,19 +246,6 @@ def _determinant(steps: list[Floats], grid: Grid) -> Floats:
     found = found + a[..., 1] * (b[..., 2] * c[..., 0] - b[..., 0] * c[..., 2])
     found = found + a[..., 2] * (b[..., 0] * c[..., 1] - b[..., 1] * c[..., 0])
     return np.asarray(found / whole)
-
-
-def _planes(grid: Grid, inwards: float = 0.0) -> Iterator[tuple[Floats, Floats]]:
-    """Yield the indices and the positions (N, D) of the samples of each plane of a grid, the outermost within it."""
-    height, width = grid.shape[-2:]
-    index = np.zeros((height * width, grid.ndim))
-    index[:, 1], index[:, 0] = np.indices((height, width)).reshape(2, -1)
-    for z in range(grid.shape[0] if grid.ndim == 3 else 1):
-        if grid.ndim == 3:
-            index[:, 2] = z
-        least = np.where(np.array(grid.sizes) > 1, inwards, 0.0)
-        within = np.clip(index, least, np.array(grid.sizes) - 1 - least)
-        yield within, grid.positions(within)
 
 
 def _through(parts: list[_core.Sampled], points: Floats, n: int, *, jacobian: bool = False) -> tuple[Floats, Floats]:

@@ -492,18 +492,12 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
     parts = [placed.packed(np.eye(n + 1)) for placed in given]
     composite = _core.Composite(n, np.array([FREE] * 3), parts)
     values = np.empty((*grid.shape, n), np.float32)
-    height, width = grid.shape[-2:]
-    index = np.zeros((height * width, n))
-    index[:, 1], index[:, 0] = np.indices((height, width)).reshape(2, -1)
-    points, status = np.zeros((height * width, 3)), np.empty(height * width, np.uint8)
     certificate = Certificate(0.0, 0.0)
-    for z in range(grid.shape[0] if n == 3 else 1):
-        if n == 3:
-            index[:, 2] = z
-        here = grid.positions(index)
+    for plane, (_, here) in zip(values.reshape(-1, *grid.shape[-2:], n), checks.planes(grid), strict=True):
+        points, status = np.zeros((len(here), 3)), np.empty(len(here), np.uint8)
         points[:, :n] = here
         found, _, _ = composite.through(points, False, False, status)
-        (values[z] if n == 3 else values)[...] = (found[:, :n] - here).reshape(height, width, n)
+        plane[...] = (found[:, :n] - here).reshape(plane.shape)
         certificate |= certificate_of_status(status)
     warn_of(certificate, 1.0, 3, folds_of(given), only_name(given))
     return Field(values, grid)

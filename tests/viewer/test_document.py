@@ -23,7 +23,7 @@ from supple.keys import Key
 from supple.media.image import read, write
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.editing import Document
-from supple.viewer.document.state import History, Item, State
+from supple.viewer.document.state import Item, State
 
 SHAPE = (120, 160)
 
@@ -44,33 +44,6 @@ def same(d: Document) -> None:
     assert d.deformation.recipe == expected.recipe
     points = np.random.default_rng(0).uniform(0, 100, (20, len(d.shape)))
     np.testing.assert_array_equal(d.deformation.forward(points), expected.forward(points))
-
-
-class TestHistory:
-    def test_goes_back_and_forth(self) -> None:
-        history = History(0)
-        assert (history.can_undo, history.can_redo, history.undo(), history.redo()) == (False, False, 0, 0)
-        for k in range(1, 1001):
-            history.push(k)
-        assert [history.undo() for _ in range(1000)] == list(range(999, -1, -1))
-        assert not history.can_undo
-        assert [history.redo() for _ in range(1000)] == list(range(1, 1001))
-        history.undo()
-        history.push(7)
-        assert (history.can_redo, history.undo()) == (False, 999)
-
-    def test_merges_nothing(self) -> None:
-        history = History("a")
-        history.push("a")
-        assert history.undo() == "a"
-        assert not history.can_undo
-
-    def test_amends_without_a_step(self) -> None:
-        history = History(0)
-        history.push(1)
-        history.undo()
-        history.amend(5)
-        assert (history.present, history.redo(), history.undo()) == (5, 1, 5)
 
 
 class TestEdits:

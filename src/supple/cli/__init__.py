@@ -154,6 +154,8 @@ def _dispatch(arguments: Sequence[str]) -> None:
     try:
         app(list(arguments), exit_on_error=False, print_error=False, verbose=False)
     except CycloptsError as error:
+        if isinstance(error.__cause__, SuppleError):  # of a value, which says all
+            raise error.__cause__ from None
         raise SuppleError(f"{_advised(str(error).strip().rstrip('.'))} (supple --help tells more)") from None
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Group, Parameter
 
 from supple.cli.console import Console, current
-from supple.cli.options import RunOptions, parse_number
+from supple.cli.options import RunOptions, number
 from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def invert(
     to: Name = None,
     source: Image = None,
     reference: Image = None,
-    tolerance: Annotated[str, Parameter(group=MAPS, metavar="N", allow_leading_hyphen=True)] = "0.01",
+    tolerance: Annotated[float, number("a number of voxels above 0", "N", group=MAPS)] = 0.01,
     error: Output = None,
     status: Output = None,
     report: Output = None,
@@ -73,7 +73,6 @@ def invert(
     console = _started(options, field)
     from supple.files.fields import invert_file
 
-    exact = parse_number("--tolerance", tolerance, "a number of voxels above 0")
     made = invert_file(
         field,
         target,
@@ -81,7 +80,7 @@ def invert(
         to=to,
         reference=reference,
         image=source,
-        tolerance=exact,
+        tolerance=tolerance,
         error=error,
         status=status,
         report=report,

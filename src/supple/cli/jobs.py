@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
+from supple.buffers import machine_memory
 from supple.cli.console import FAULT, REFUSED, STREAM, Console, deaf, fault
 from supple.errors import SuppleError, shown
 from supple.files import check_recipe_name, is_media_name
@@ -225,7 +226,7 @@ class Crew:
 
     def __init__(self, workers: int, memory: float | None = None) -> None:
         self._workers = workers
-        self._free = self._memory = _half_of_memory() if memory is None else memory
+        self._free = self._memory = machine_memory() / 2 if memory is None else memory
         self._writing = 0
         self._stopped = False
         self._changed = threading.Condition()
@@ -335,13 +336,6 @@ def _size(path: Path) -> float:
         return 0.0
     width, height, channels = (float(str(facts[name])) for name in ("width", "height", "channels"))
     return 2.0 * width * height * channels * max(1, int(str(facts["bits"])) // 8)
-
-
-def _half_of_memory() -> float:
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2
-    except (AttributeError, ValueError, OSError):
-        return 4e9
 
 
 @contextlib.contextmanager

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import Group, Parameter
+from cyclopts import Group, Parameter, Token
 
 from supple.errors import SuppleError
 
@@ -17,6 +19,70 @@ if TYPE_CHECKING:
 
 VIDEO = Group("Videos and image sequences", sort_key=4)
 RUNNING = Group("Running", sort_key=5)
+
+
+def parse_number(name: str, text: str, wanted: str) -> float:
+    """Read a number from the command line."""
+    try:
+        return float(text)
+    except ValueError:
+        raise SuppleError(f"{name} must be {wanted}, found {text!r}") from None
+
+
+def parse_integer(name: str, text: str, wanted: str) -> int:
+    """Read a whole number from the command line."""
+    try:
+        return int(text)
+    except ValueError:
+        raise SuppleError(f"{name} must be {wanted}, found {text!r}") from None
+
+
+def read(how: Callable[[str, str], object], metavar: str, **more: Any) -> Parameter:
+    """Return an option that a function reads, from its name and its value."""
+
+    def convert(kind: object, tokens: Sequence[Token]) -> object:
+        return how(tokens[0].keyword or "", tokens[0].value)
+
+    return Parameter(metavar=metavar, allow_leading_hyphen=True, converter=convert, n_tokens=1, **more)
+
+
+def number(wanted: str, metavar: str, **more: Any) -> Parameter:
+    """Return an option that is a number; anything else must be what is ``wanted``."""
+    return read(partial(parse_number, wanted=wanted), metavar, **more)
+
+
+def _scale(option: str, text: str) -> float:
+    wanted = "a number of pixels above 0"
+    scale = parse_number(option, text, wanted)
+    if not 0 < scale < math.inf:
+        raise SuppleError(f"{option} must be {wanted}, found {text!r}")
+    return scale
+
+
+def _rate(option: str, text: str) -> float | Fraction:
+    """Read frames a second: a number, or a ratio of two."""
+    from fractions import Fraction
+
+    if "/" not in text:
+        rate: float | Fraction = parse_number(option, text, "a number of frames a second")
+    else:
+        try:
+            rate = Fraction(text)
+        except (ValueError, ZeroDivisionError):
+            raise SuppleError(f"{option} must be a number of frames a second, or 24000/1001, found {text!r}") from None
+    if not 0 < rate <= 100_000:
+        raise SuppleError(f"{option} must be a number of frames a second above 0, found {text!r}")
+    return rate
+
+
+def _memory(option: str, text: str) -> float:
+    """Read gigabytes, as bytes."""
+    from supple.files.clips import GB
+
+    memory = parse_number(option, text, "a number of gigabytes")
+    if not memory >= 0:
+        raise SuppleError(f"{option} must be a number of gigabytes from 0, found {text!r}")
+    return min(memory, 1e12) * GB
 
 
 @Parameter(name="*", group=RUNNING)
@@ -60,17 +126,7 @@ class TimeOptions:
         How many pixels one frame counts as, for radius and border (default: what the recipe says, or 1).
     """
 
-    time_scale: Annotated[str | None, Parameter(metavar="PX", allow_leading_hyphen=True)] = None
-
-    def to_scale(self) -> float | None:
-        """Return the options as the library takes them."""
-        if self.time_scale is None:
-            return None
-        wanted = "a number of pixels above 0"
-        scale = parse_number("--time-scale", self.time_scale, wanted)
-        if not 0 < scale < math.inf:
-            raise SuppleError(f"--time-scale must be {wanted}, found {self.time_scale!r}")
-        return scale
+    time_scale: Annotated[float | None, read(_scale, "PX")] = None
 
 
 @Parameter(name="*", group=VIDEO)
@@ -92,7 +148,7 @@ class VideoOptions(TimeOptions):
         Speed preset of the encoder: slower presets give smaller files (medium, slow, …).
     pixel_format
         Pixel format: yuv420p, yuv444p10le, … (default: that of the input).
-    fps
+    rate
         Frames per second when an image sequence becomes a video: 25, 29.97 or 24000/1001 (default 24).
     memory
         Memory for frames, in gigabytes (default 2). What does not fit is kept in a temporary file.
@@ -101,73 +157,19 @@ class VideoOptions(TimeOptions):
     between: Annotated[Literal["linear", "cubic", "nearest"] | None, Parameter()] = None
     time_filter: bool = False
     codec: Annotated[str | None, Parameter(metavar="NAME")] = None
-    crf: Annotated[str | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
+    crf: Annotated[float | None, number("a number", "N")] = None
     preset: Annotated[str | None, Parameter(metavar="NAME")] = None
     pixel_format: Annotated[str | None, Parameter(metavar="NAME")] = None
-    fps: Annotated[str | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
-    memory: Annotated[str | None, Parameter(metavar="GB", allow_leading_hyphen=True)] = None
+    rate: Annotated[Any, read(_rate, "N", name="--fps")] = None
+    memory: Annotated[float | None, read(_memory, "GB")] = None
 
     def to_clip(self) -> ClipOptions:
         """Return the options as the library takes them."""
-        from supple.files.clips import GB, ClipOptions
+        from supple.files.clips import ClipOptions
 
-        def read(name: str, text: str | None, wanted: str) -> float | None:
-            return None if text is None else parse_number(name, text, wanted)
-
-        rate = None if self.fps is None else _rate(self.fps)
-        if rate is not None and not 0 < rate <= 100_000:
-            raise SuppleError(f"--fps must be a number of frames a second above 0, found {self.fps!r}")
-        memory = read("--memory", self.memory, "a number of gigabytes")
-        if memory is not None and not memory >= 0:
-            raise SuppleError(f"--memory must be a number of gigabytes from 0, found {self.memory!r}")
-        return ClipOptions(
-            between=self.between,
-            time_filter=self.time_filter,
-            time_scale=self.to_scale(),
-            rate=rate,
-            codec=self.codec,
-            crf=read("--crf", self.crf, "a number"),
-            preset=self.preset,
-            pixel_format=self.pixel_format,
-            memory=2 * GB if memory is None else min(memory, 1e12) * GB,
-        )
-
-
-def parse_number(name: str, text: str, wanted: str) -> float:
-    """Read a number from the command line."""
-    try:
-        return float(text)
-    except ValueError:
-        raise SuppleError(f"{name} must be {wanted}, found {text!r}") from None
-
-
-def parse_integer(name: str, text: str, wanted: str) -> int:
-    """Read a whole number from the command line."""
-    try:
-        return int(text)
-    except ValueError:
-        raise SuppleError(f"{name} must be {wanted}, found {text!r}") from None
-
-
-def _rate(text: str) -> float | Fraction:
-    """Read frames a second from the command line: a number, or a ratio of two."""
-    if "/" not in text:
-        return parse_number("--fps", text, "a number of frames a second")
-    from fractions import Fraction
-
-    try:
-        return Fraction(text)
-    except (ValueError, ZeroDivisionError):
-        raise SuppleError(f"--fps must be a number of frames a second, or 24000/1001, found {text!r}") from None
+        return ClipOptions(**{name: value for name, value in vars(self).items() if value is not None})
 
 
 def parse_fill(text: str) -> list[float]:
     """Read a colour from the command line."""
-    return [
-        parse_number(
-            "--fill",
-            part,
-            "a number, or one for each channel: 255,0,0",
-        )
-        for part in text.split(",")
-    ]
+    return [parse_number("--fill", part, "a number, or one for each channel: 255,0,0") for part in text.split(",")]

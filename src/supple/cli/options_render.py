@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from supple.cli.options import parse_number
+from supple.cli.options import number, parse_number, read
 from supple.cli.options_volume import parse_numbers, parse_three
 from supple.errors import SuppleError
 
@@ -19,6 +19,47 @@ if TYPE_CHECKING:
 
 CAMERA = Group("Camera", sort_key=2)
 LOOK = Group("Look", sort_key=3)
+_DEGREES = "a number of degrees"
+
+
+def _range(option: str, text: str) -> tuple[float, ...]:
+    return parse_numbers(option, text, 2, "two values LO,HI")
+
+
+def _box(option: str, text: str) -> Clip:
+    """A box; None where an end is left out."""
+    wanted = "X0:X1,Y0:Y1,Z0:Z1 in voxels, with ends left out where nothing is cut away"
+    ranges = [part.split(":") for part in text.split(",")]
+    if len(ranges) != 3 or any(len(ends) != 2 for ends in ranges):
+        raise SuppleError(f"{option} must be {wanted}, found {text!r}")
+    ends = [[parse_number(option, end, wanted) if end.strip() else None for end in pair] for pair in ranges]
+    return [(low, high) for low, high in ends]
+
+
+def _plane(option: str, text: str) -> Plane:
+    voxel, colon, way = text.partition(":")
+    if not colon:
+        raise SuppleError(f"{option} must be a voxel and a direction, X,Y,Z:DX,DY,DZ, found {text!r}")
+    return parse_three(option, voxel), parse_three(option, way)
+
+
+def _size(option: str, text: str) -> tuple[int, int]:
+    """Rows and columns."""
+    width, _, height = text.lower().replace("×", "x").partition("x")
+    if not (width.isdecimal() and height.isdecimal() and len(text) < 20):
+        raise SuppleError(f"{option} must be a width and a height in pixels, such as 512x512, found {text!r}")
+    return int(height), int(width)
+
+
+def _colour(option: str, text: str, verb: str = "must be") -> tuple[float, float, float]:
+    digits = text.removeprefix("#")
+    try:
+        if len(digits) != 6:
+            raise ValueError
+        red, green, blue = bytes.fromhex(digits)
+    except ValueError:
+        raise SuppleError(f"{option} {verb} a colour such as #1a1a1e, found {text!r}") from None
+    return red / 255, green / 255, blue / 255
 
 
 @Parameter(name="*", group=CAMERA)
@@ -44,30 +85,13 @@ class CameraOptions:
         Direction that is up in the picture, in LPS coordinates; 0,0,1 points to the head.
     """
 
-    azimuth: Annotated[str, Parameter(metavar="DEG", allow_leading_hyphen=True)] = "0"
-    elevation: Annotated[str, Parameter(metavar="DEG", allow_leading_hyphen=True)] = "0"
-    distance: Annotated[str | None, Parameter(metavar="MM", allow_leading_hyphen=True)] = None
-    field_of_view: Annotated[str, Parameter(metavar="DEG", allow_leading_hyphen=True)] = "30"
-    roll: Annotated[str, Parameter(metavar="DEG", allow_leading_hyphen=True)] = "0"
-    target: Annotated[str | None, Parameter(metavar="X,Y,Z", allow_leading_hyphen=True)] = None
-    up: Annotated[str, Parameter(metavar="X,Y,Z", allow_leading_hyphen=True)] = "0,0,1"
-
-    def to_camera(self) -> Camera:
-        """Return the options as the library takes them."""
-        from supple.render.camera import Camera
-
-        degrees = "a number of degrees"
-        return Camera(
-            azimuth=parse_number("--azimuth", self.azimuth, degrees),
-            elevation=parse_number("--elevation", self.elevation, degrees),
-            distance=None
-            if self.distance is None
-            else parse_number("--distance", self.distance, "a number of millimetres"),
-            field_of_view=parse_number("--field-of-view", self.field_of_view, degrees),
-            roll=parse_number("--roll", self.roll, degrees),
-            target=None if self.target is None else parse_three("--target", self.target),
-            up=parse_three("--up", self.up),
-        )
+    azimuth: Annotated[float, number(_DEGREES, "DEG")] = 0
+    elevation: Annotated[float, number(_DEGREES, "DEG")] = 0
+    distance: Annotated[float | None, number("a number of millimetres", "MM")] = None
+    field_of_view: Annotated[float, number(_DEGREES, "DEG")] = 30
+    roll: Annotated[float, number(_DEGREES, "DEG")] = 0
+    target: Annotated[Any, read(parse_three, "X,Y,Z")] = None
+    up: Annotated[Any, read(parse_three, "X,Y,Z", show_default="0,0,1")] = (0.0, 0.0, 1.0)
 
 
 @Parameter(name="*", group=LOOK)
@@ -137,24 +161,24 @@ class LookOptions:
 
     transfer: Annotated[str | None, Parameter(metavar="NAME|FILE")] = None
     save_transfer: Annotated[str | None, Parameter(metavar="FILE")] = None
-    density: Annotated[str | None, Parameter(metavar="LO,HI", allow_leading_hyphen=True)] = None
-    clip: Annotated[str | None, Parameter(metavar="X0:X1,Y0:Y1,Z0:Z1", allow_leading_hyphen=True)] = None
-    crop: Annotated[str | None, Parameter(metavar="X0:X1,Y0:Y1,Z0:Z1", allow_leading_hyphen=True)] = None
-    plane: Annotated[str | None, Parameter(metavar="X,Y,Z:DX,DY,DZ", allow_leading_hyphen=True)] = None
+    density: Annotated[Any, read(_range, "LO,HI")] = None
+    clip: Annotated[Any, read(_box, "X0:X1,Y0:Y1,Z0:Z1")] = None
+    crop: Annotated[Any, read(_box, "X0:X1,Y0:Y1,Z0:Z1")] = None
+    plane: Annotated[Any, read(_plane, "X,Y,Z:DX,DY,DZ")] = None
     mesh: Annotated[list[str], Parameter(metavar="FILE[:#RRGGBB]", show_default=False)] = ()  # type: ignore[assignment]
     largest: bool = False
     projection: Literal["none", "maximum", "minimum", "average"] = "none"
-    silhouettes: Annotated[str, Parameter(metavar="S", allow_leading_hyphen=True)] = "0"
-    shadows: Annotated[str, Parameter(metavar="S", allow_leading_hyphen=True)] = "0"
-    size: Annotated[str, Parameter(metavar="WxH", allow_leading_hyphen=True)] = "512x512"
-    step: Annotated[str | None, Parameter(metavar="MM", allow_leading_hyphen=True)] = None
+    silhouettes: Annotated[float, number("a number from 0 to 1", "S")] = 0
+    shadows: Annotated[float, number("a number from 0 to 1", "S")] = 0
+    size: Annotated[Any, read(_size, "WxH", show_default="512x512")] = (512, 512)
+    step: Annotated[float | None, number("a number of millimetres", "MM")] = None
     mode: Literal["lattice", "exact", "buffered", "hybrid"] = "lattice"
     flat: bool = False
     annotate: bool = False
-    background: Annotated[str | None, Parameter(metavar="#RRGGBB")] = None
+    background: Annotated[Any, read(_colour, "#RRGGBB")] = None
     smooth: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 1
     turntable: Annotated[int | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
-    rate: Annotated[str | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
+    rate: Annotated[float | None, number("a number of pictures a second", "N")] = None
     what: Literal["picture", "inversions"] = "picture"
     time: Annotated[int, Parameter(metavar="K", allow_leading_hyphen=True)] = 0
     device: Literal["auto", "cpu", "gpu"] = "cpu"
@@ -163,73 +187,15 @@ class LookOptions:
         """Return the options as the library takes them."""
         from supple.files.renders import RenderOptions
 
+        given = dict(vars(self))
+        meshes, flat, smooth = [_mesh(text) for text in given.pop("mesh")], given.pop("flat"), given.pop("smooth")
         return RenderOptions(
-            transfer=self.transfer,
-            save_transfer=self.save_transfer,
-            density=None if self.density is None else parse_numbers("--density", self.density, 2, "two values LO,HI"),  # type: ignore[arg-type]
-            clip=None if self.clip is None else _box("--clip", self.clip),
-            crop=None if self.crop is None else _box("--crop", self.crop),
-            plane=None if self.plane is None else _plane(self.plane),
-            meshes=[_mesh(text) for text in self.mesh],
-            convention=convention,
-            largest=self.largest,
-            projection=self.projection,
-            silhouettes=parse_number("--silhouettes", self.silhouettes, "a number from 0 to 1"),
-            shadows=parse_number("--shadows", self.shadows, "a number from 0 to 1"),
-            camera=camera,
-            size=_size(self.size),
-            step=None if self.step is None else parse_number("--step", self.step, "a number of millimetres"),
-            mode=self.mode,
-            shaded=not self.flat,
-            annotate=self.annotate,
-            background=None if self.background is None else _colour("--background must be", self.background),
-            supersampling=self.smooth,
-            turntable=self.turntable,
-            rate=None if self.rate is None else parse_number("--rate", self.rate, "a number of pictures a second"),
-            what=self.what,
-            time=self.time,
-            device=self.device,
+            **given, meshes=meshes, shaded=not flat, supersampling=smooth, camera=camera, convention=convention
         )
-
-
-def _box(option: str, text: str) -> Clip:
-    """A box; None where an end is left out."""
-    wanted = "X0:X1,Y0:Y1,Z0:Z1 in voxels, with ends left out where nothing is cut away"
-    ranges = [part.split(":") for part in text.split(",")]
-    if len(ranges) != 3 or any(len(ends) != 2 for ends in ranges):
-        raise SuppleError(f"{option} must be {wanted}, found {text!r}")
-    ends = [[parse_number(option, end, wanted) if end.strip() else None for end in pair] for pair in ranges]
-    return [(low, high) for low, high in ends]
-
-
-def _plane(text: str) -> Plane:
-    voxel, colon, way = text.partition(":")
-    if not colon:
-        raise SuppleError(f"--plane must be a voxel and a direction, X,Y,Z:DX,DY,DZ, found {text!r}")
-    return parse_three("--plane", voxel), parse_three("--plane", way)
-
-
-def _size(text: str) -> tuple[int, int]:
-    """Rows and columns."""
-    width, _, height = text.lower().replace("×", "x").partition("x")
-    if not (width.isdecimal() and height.isdecimal() and len(text) < 20):
-        raise SuppleError(f"--size must be a width and a height in pixels, such as 512x512, found {text!r}")
-    return int(height), int(width)
 
 
 def _mesh(text: str) -> MeshFile:
     from supple.files.meshes import MeshFile
 
     path, _, digits = text.rpartition(":#")
-    return MeshFile(path, _colour("--mesh must end in", digits)) if path else MeshFile(text)
-
-
-def _colour(wanted: str, text: str) -> tuple[float, float, float]:
-    digits = text.removeprefix("#")
-    try:
-        if len(digits) != 6:
-            raise ValueError
-        red, green, blue = bytes.fromhex(digits)
-    except ValueError:
-        raise SuppleError(f"{wanted} a colour such as #1a1a1e, found {text!r}") from None
-    return red / 255, green / 255, blue / 255
+    return MeshFile(path, _colour("--mesh", digits, "must end in")) if path else MeshFile(text)

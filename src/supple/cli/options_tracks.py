@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from supple.cli.options import VIDEO, parse_integer
+from supple.cli.options import VIDEO, parse_integer, read
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
     from supple.strokes import Recipe
+
+
+_whole = partial(parse_integer, wanted="a whole number")
 
 
 @Parameter(name="*", group=VIDEO)
@@ -36,11 +40,11 @@ class TrackOptions:
 
     track: Annotated[str | None, Parameter(metavar="FILE")] = None
     track_name: Annotated[list[str], Parameter(metavar="NAME", allow_leading_hyphen=True, show_default=False)] = ()  # type: ignore[assignment]
-    track_frame: Annotated[str | None, Parameter(metavar="K", allow_leading_hyphen=True)] = None
+    track_frame: Annotated[int | None, read(_whole, "K")] = None
     track_from: Annotated[
         Literal["pixels", "nuke", "ae"] | None, Parameter(metavar="pixels|nuke|ae", show_choices=False)
     ] = None
-    track_first: Annotated[str | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
+    track_first: Annotated[int | None, read(_whole, "N")] = None
 
     def followed(self, recipe: Recipe, count: int, clip: str) -> Recipe:
         """Return a recipe whose last ``count`` strokes, those of the command line, follow the tracks."""
@@ -53,17 +57,14 @@ class TrackOptions:
             raise SuppleError("--track moves strokes of the command line, and there are none: give a --grab")
         from supple.files.tracks import follow_tracks
 
-        def read(option: str, text: str | None) -> int | None:
-            return None if text is None else parse_integer(option, text, "a whole number")
-
         total = len(recipe.strokes)
         return follow_tracks(
             recipe,
             self.track,
             clip,
             names=self.track_name,
-            frame=read("--track-frame", self.track_frame),
+            frame=self.track_frame,
             strokes=range(total - count, total),
             convention=self.track_from,
-            first=read("--track-first", self.track_first),
+            first=self.track_first,
         )

@@ -13,7 +13,7 @@ from cyclopts import Group, Parameter
 
 from supple.cli.console import STREAM, Console, File, Terminated, about, as_options, current, one_line, say_convention
 from supple.cli.console import told as told_of
-from supple.cli.options import RUNNING, parse_fill, parse_number
+from supple.cli.options import RUNNING, number, parse_fill
 from supple.cli.options_maps import (
     OTHERS,
     MapOptions,
@@ -201,7 +201,7 @@ def plan(
     filter: Annotated[str, Parameter(group=SAMPLING, metavar="auto|cubic|linear|nearest")] = "auto",
     outside: Annotated[Outside | None, Parameter(group=SAMPLING)] = None,
     fill: Annotated[str | None, Parameter(group=SAMPLING, metavar="V", allow_leading_hyphen=True)] = None,
-    tolerance: Annotated[str, Parameter(group=SAMPLING, metavar="PX", allow_leading_hyphen=True)] = "0.01",
+    tolerance: Annotated[float, number("a number of pixels above 0", "PX", group=SAMPLING)] = 0.01,
     labels: Annotated[bool, Parameter(group=VOLUME)] = False,
     volume: VolumeArguments = _VOLUME,
     workers: WorkerOptions = _WORKERS,
@@ -246,13 +246,12 @@ def plan(
     outside = check_fill(fill, outside, elements, output)
     known: dict[str, Any] = {"volume": volume.to_reading(labels=labels), "grid": grid}
     own = refer(console, source, recipe, elements, known)
-    exact = parse_number("--tolerance", tolerance, "a number of pixels above 0")
     with counted(console.terminal, "blocks") as tell:
         found = plan_file(
             source,
             recipe,
             filter=filter,
-            tolerance=exact,
+            tolerance=tolerance,
             outside=outside,
             fill=parse_fill("0" if fill is None else fill),
             options=known["volume"],

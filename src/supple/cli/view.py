@@ -74,7 +74,7 @@ def view(
         if (own := grid_of(source, "", Recipe(), volume=reading)) is None:
             refuse_maps(source)
         placed = elements.on(current(), own, shown(source))
-    scale = time.to_scale() or (recipe and recipe.time_scale) or 1.0
+    scale = time.time_scale or (recipe and recipe.time_scale) or 1.0
     options = ViewOptions(
         time_scale=scale,
         volume=reading,

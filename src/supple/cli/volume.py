@@ -54,6 +54,7 @@ def render(
     from supple.files.renders import render_file
     from supple.media.volume import grid_of
     from supple.progress import counted
+    from supple.render.camera import Camera
 
     console.started(**options.asked(), file=source)
     warn_of_software(console, look.device)
@@ -63,7 +64,7 @@ def render(
     recipe, fit = strokes.to_recipe(**given) if strokes.any else None, strokes.to_fit()
     before = 0 if recipe is None else len(recipe.strokes) - strokes.count
     elements = maps.to_maps(console.arguments, before, strokes.given)
-    render, reading = look.to_render(camera.to_camera(), convention), volume.to_reading()
+    render, reading = look.to_render(Camera(**vars(camera)), convention), volume.to_reading()
     if convention is not None and not (strokes.pull or look.mesh):
         raise SuppleError("--convention is of tables of --pull and of meshes, and there are none: leave it out")
     if reading.world and recipe is None:

@@ -26,7 +26,7 @@ from supple.cli.console import (
     told,
     warn_of_software,
 )
-from supple.cli.options import RUNNING, RunOptions, VideoOptions, parse_fill, parse_number
+from supple.cli.options import RUNNING, RunOptions, VideoOptions, number, parse_fill
 from supple.cli.options_maps import (
     OTHERS,
     MapOptions,
@@ -79,7 +79,7 @@ def warp(
     filter: Annotated[str, Parameter(group=SAMPLING, metavar="auto|cubic|linear|nearest")] = "auto",
     outside: Annotated[Outside | None, Parameter(group=SAMPLING)] = None,
     fill: Annotated[str | None, Parameter(group=SAMPLING, metavar="V|V,V,V", allow_leading_hyphen=True)] = None,
-    tolerance: Annotated[str, Parameter(group=SAMPLING, metavar="PX", allow_leading_hyphen=True)] = "0.01",
+    tolerance: Annotated[float, number("a number of pixels above 0", "PX", group=SAMPLING)] = 0.01,
     linear_light: Annotated[bool, Parameter(group=SAMPLING)] = False,
     clamp: Annotated[bool | None, Parameter(group=SAMPLING, negative="--no-clamp")] = None,
     quality: Annotated[int | None, Parameter(group=WRITING, metavar="1..100", allow_leading_hyphen=True)] = None,
@@ -161,16 +161,16 @@ def warp(
     if elements and save_recipe is not None:
         raise SuppleError("--save-recipe is for strokes alone, which --field and --affine are not: leave it out")
     warn_of_software(console, device)
-    exact = parse_number("--tolerance", tolerance, "a number of pixels above 0")
-    if 1e-9 <= exact < FINEST:
+    if 1e-9 <= tolerance < FINEST:
+        written = f"{tolerance:g}".replace("e-0", "e-")
         console.warn(
-            f"--tolerance {tolerance} is not reached everywhere: source points are float32, and exact to about "
+            f"--tolerance {written} is not reached everywhere: source points are float32, and exact to about "
             f"{FINEST:g} pixels"
         )
     sampling: dict[str, Any] = {
         "filter": filter,
         "fill": parse_fill("0" if fill is None else fill),
-        "tolerance": exact,
+        "tolerance": tolerance,
         "linear_light": linear_light,
         "clamp": clamp,
         "quality": quality,

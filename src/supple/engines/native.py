@@ -67,26 +67,11 @@ def plan_of(space: Space, z: float, tolerance: float, step: tuple[int, int] = (1
     step : (int, int)
         The largest spacing of samples, in pixels, x first.
     """
-    grid = space.grid
-    if grid is None:
-        shape = space.planned(step) if space.composite is None else space.shape
-        return _core.Plan(
-            numbers(space.table),
-            space.axes,
-            space.ndim,
-            *shape,
-            float(z),
-            tolerance,
-            space.composite,
-            None,
-            space.freeze,
-        )
-    planes, box = _part(grid)
-    (height, width), first = grid.whole[-2:], planes[0]
-    table = numbers(space.table)
+    first, shape, box = _laid(space, step)
     return _core.Plan(
-        table, space.axes, space.ndim, height, width, first + z, tolerance, space.composite, box, space.freeze
-    )
+        numbers(space.table), space.axes, space.ndim, *shape, float(first + z), tolerance, space.composite, box,
+        space.freeze,
+    )  # fmt: skip
 
 
 def needed(space: Space, sampling: Sampling) -> tuple[tuple[int, ...], list[float], Certificate]:
@@ -144,6 +129,14 @@ def _part(grid: Grid) -> tuple[range, tuple[int, int, int, int]]:
     (x, y, *z), (width, height, *depth) = grid.first, grid.sizes
     planes = range(z[0], z[0] + depth[0]) if z else range(1)
     return planes, (x, x + width, y, y + height)
+
+
+def _laid(space: Space, step: tuple[int, int]) -> tuple[int, tuple[int, int], tuple[int, int, int, int] | None]:
+    """Return the first plane of the output, the shape of whole planes, and the box of each that is wanted."""
+    if space.grid is None:
+        return 0, space.planned(step) if space.composite is None else space.shape, None
+    planes, box = _part(space.grid)
+    return planes[0], (space.grid.whole[-2], space.grid.whole[-1]), box
 
 
 def certificate_of(plan: _core.Plan, space: Space) -> Certificate:
@@ -269,10 +262,7 @@ class Native:
                     plan.sample(each)
             yield len(wanted), certificate_of(plan, space)
             return
-        first, shape, box = 0, space.planned(step) if space.is_plain else space.shape, None
-        if space.grid is not None:
-            parts, box = _part(space.grid)
-            first, shape = parts[0], (space.grid.whole[-2], space.grid.whole[-1])
+        first, shape, box = _laid(space, step)
         numbered = [first + z for z in wanted]
         yield from _stacked(
             work,
@@ -333,16 +323,13 @@ class Native:
 
     def forward(self, space: Space, points: npt.ArrayLike, *, matrices: bool = False) -> Floats:
         """See `Engine.forward`."""
-        if not matrices:
-            moved, certificate = forward_of(space, points)
-            warn_of(certificate, 1.0, 4)
-            return moved
         rows, given = _rows(space, points)
-        if space.composite is not None:
-            return _slopes_through(space, rows, given.shape)
-        _, found = _core.forward(numbers(space.table), space.axes, rows, True, space.freeze)
+        found, slopes, certificate = _sent(space, rows, matrices)
+        warn_of(certificate, 1.0, 4)
+        if slopes is None:
+            return _points(space, found, rows, given)
         n, steps = space.ndim, space.axes[: space.ndim, 3]
-        full = found[:, :n, :n] * (steps[None, :] / steps[:, None])
+        full = slopes[:, :n, :n] * (steps[None, :] / steps[:, None])
         return np.ascontiguousarray(full.reshape(*given.shape[:-1], n, n))
 
     def inverse(
@@ -350,19 +337,22 @@ class Native:
     ) -> tuple[Floats, Floats, npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
         """See `Engine.inverse`; the residual is in pixels, by the least spacing."""
         targets, given = _rows(space, points)
-        shape = given.shape
-        finest = float(space.axes[: space.ndim, 3].min())
-        if space.composite is not None:
-            return _back(space, targets, given, finest)
-        found, residual, steps = _core.inverse(
-            numbers(space.table), space.axes, targets, space.ndim, 1e-9 * finest, space.freeze
-        )
-        solved = _points(space, found, targets, given)
+        shape, finest = given.shape[:-1], float(space.axes[: space.ndim, 3].min())
+        status = np.zeros(len(targets), np.uint8)
+        if space.composite is None:
+            found, residual, steps = _core.inverse(
+                numbers(space.table), space.axes, targets, space.ndim, 1e-9 * finest, space.freeze
+            )
+        else:
+            found, _, steps = space.composite.through(targets, True, False, status)
+            seen, _, _ = space.composite.through(found, False, False, np.zeros_like(status))
+            residual = np.linalg.norm((seen - targets)[:, : space.ndim], axis=1)
+            warn_of(certificate_of_status(status), 1.0, 4)
         # A bound on the residual in pixels, which for one spacing along all axes is the residual.
-        off = residual.reshape(shape[:-1]) / finest
-        scale = np.abs(targets).max(axis=1, initial=0.0).reshape(shape[:-1]) / finest
-        near = off <= np.maximum(CONVERGED, 1e-14 * scale)
-        return solved, off, steps.astype(np.int64).reshape(shape[:-1]), near
+        off = residual.reshape(shape) / finest
+        scale = np.abs(targets).max(axis=1, initial=0.0).reshape(shape) / finest
+        near = (off <= np.maximum(CONVERGED, 1e-14 * scale)) & (status.reshape(shape) & 4 == 0)
+        return _points(space, found, targets, given), off, steps.astype(np.int64).reshape(shape), near
 
     def inverse_map(
         self, space: Space, tolerance: float, like: Any = None
@@ -383,12 +373,17 @@ NATIVE = Native()
 def forward_of(space: Space, points: npt.ArrayLike) -> tuple[Floats, Certificate]:
     """Return T of points, as `Engine.forward` does, and its certificate: without fields, T is explicit."""
     rows, given = _rows(space, points)
+    found, _, certificate = _sent(space, rows, jacobian=False)
+    return _points(space, found, rows, given), certificate
+
+
+def _sent(space: Space, rows: Floats, jacobian: bool) -> tuple[Floats, Floats | None, Certificate]:
+    """Return T of points in the core's form, the derivatives or None, and the certificate."""
     if space.composite is None:
-        found, _ = _core.forward(numbers(space.table), space.axes, rows, False, space.freeze)
-        return _points(space, found, rows, given), Certificate(0.0, 0.0)
+        return *_core.forward(numbers(space.table), space.axes, rows, jacobian, space.freeze), Certificate(0.0, 0.0)
     status = np.zeros(len(rows), np.uint8)
-    found, _, _ = space.composite.through(rows, False, False, status)
-    return _points(space, found, rows, given), certificate_of_status(status)
+    found, slopes, _ = space.composite.through(rows, False, jacobian, status)
+    return found, slopes, certificate_of_status(status)
 
 
 def _check_held(value: Any, name: str) -> None:
@@ -404,34 +399,6 @@ def _check_held(value: Any, name: str) -> None:
         told = f'a picture of the mode {mode}, whose numbers do not mix: give image.convert("RGB")'
     if told:
         raise SuppleError(f"{name} must be an array, found {told}")
-
-
-def _slopes_through(space: Space, given: Floats, shape: tuple[int, ...]) -> Floats:
-    """Return the derivatives of T at points, for a composite map."""
-    assert space.composite is not None
-    status = np.zeros(len(given), np.uint8)
-    _, slopes, _ = space.composite.through(given, False, True, status)
-    assert slopes is not None
-    warn_of(certificate_of_status(status), 1.0, 5)
-    n, steps = space.ndim, space.axes[: space.ndim, 3]
-    full = slopes[:, :n, :n] * (steps[None, :] / steps[:, None])
-    return np.ascontiguousarray(full.reshape(*shape[:-1], n, n))
-
-
-def _back(
-    space: Space, targets: Floats, given: Floats, finest: float
-) -> tuple[Floats, Floats, npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-    """Return T⁻¹ of points for a composite map, as `Native.inverse` does."""
-    assert space.composite is not None
-    status, again = np.zeros(len(targets), np.uint8), np.zeros(len(targets), np.uint8)
-    found, _, steps = space.composite.through(targets, True, False, status)
-    seen, _, _ = space.composite.through(found, False, False, again)
-    shape = given.shape
-    off = np.linalg.norm((seen - targets)[:, : space.ndim], axis=1).reshape(shape[:-1]) / finest
-    scale = np.abs(targets).max(axis=1, initial=0.0).reshape(shape[:-1]) / finest
-    near = (off <= np.maximum(CONVERGED, 1e-14 * scale)) & (status.reshape(shape[:-1]) & 4 == 0)
-    warn_of(certificate_of_status(status), 1.0, 5)
-    return _points(space, found, targets, given), off, steps.astype(np.int64).reshape(shape[:-1]), near
 
 
 class _Window:

@@ -196,44 +196,20 @@ def warp_file(
         grid=grid,
     )
     check_device(device, "clips" if kind == "clip" else "")
+    shared: dict[str, Any] = {"filter": filter, "tolerance": tolerance, "fill": fill, "fit": fit, "force": force}
+    shared["device"] = device
     if kind == "volume":
         with counted(progress, "slices", tell) as counts:
             return warp_volume(
-                source,
-                target,
-                recipe,
-                filter=filter,
-                tolerance=tolerance,
-                outside=outside,
-                fill=fill,
-                clamp=clamp is not False,
-                device=device,
-                force=force,
-                options=volume,
-                tell=counts,
-                fit=fit,
-                maps=maps,
-                grid=grid,
-            )
+                source, target, recipe, outside=outside, clamp=clamp is not False, options=volume, tell=counts,
+                maps=maps, grid=grid, **shared,
+            )  # fmt: skip
     if kind == "clip":
         with counted(progress, also=tell) as counts:
             return warp_clip(
-                source,
-                target,
-                recipe,
-                filter=filter,
-                tolerance=tolerance,
-                outside=outside or "edge",
-                fill=fill,
-                linear_light=linear_light,
-                quality=quality,
-                lossless=lossless,
-                device=device,
-                force=force,
-                options=clip,
-                tell=counts,
-                fit=fit,
-            )
+                source, target, recipe, outside=outside or "edge", linear_light=linear_light, quality=quality,
+                lossless=lossless, options=clip, tell=counts, **shared,
+            )  # fmt: skip
     with contextlib.nullcontext(progress) if callable(progress) else staged(source, progress) as show:
 
         def begin(part: str) -> None:

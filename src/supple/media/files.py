@@ -285,7 +285,9 @@ def replacing_all(folder: Path, *, force: bool = False) -> Iterator[Path]:
         if new and not os.path.lexists(place):
             os.rename(temporary, place)
         else:
-            _publish_all(temporary, place, folder, force)
+            names, backup = sorted(os.listdir(temporary)), temporary / "replaced"
+            backup.mkdir()
+            _publish_all([(temporary / n, place / n, folder / n, backup / n) for n in names], force)
     except OSError as error:
         reason = error.strerror or str(error) or type(error).__name__
         raise SuppleError(f"cannot write into {shown(folder)}: {reason}: choose another place") from error
@@ -324,32 +326,16 @@ def replacing_together(paths: Sequence[PathLike], *, force: bool = False) -> Ite
     for i, target in enumerate(targets):
         if target in targets[:i]:
             raise SuppleError(f"{shown(paths[i])} is to be written twice: give each output a name of its own")
-    token, folders, moved = os.urandom(6).hex(), [], []
+    token, folders = os.urandom(6).hex(), []
     try:
         for i, target in enumerate(targets):
             folder = target.parent / f".{token}-{i}"
             folder.mkdir()
             folders.append(folder)
         hidden = [folder / target.name for folder, target in zip(folders, targets, strict=True)]
-        try:
-            yield hidden
-            for path, made, target in zip(paths, hidden, targets, strict=True):
-                if not os.path.lexists(made):
-                    continue
-                if os.path.lexists(target):
-                    if not force:
-                        raise _exists(path)
-                    os.chmod(made, (made.stat().st_mode & ~0o777) | (target.stat().st_mode & 0o777))
-                    kept = made.with_name(f".{token}-before")
-                    moved.append((target, kept))  # noted first: an interrupt may come between
-                    os.rename(target, kept)
-                moved.append((made, target))
-                os.rename(made, target)
-        except BaseException:
-            for before, after in reversed(moved):
-                if not os.path.lexists(before):
-                    os.rename(after, before)
-            raise
+        yield hidden
+        made = [each for each in zip(hidden, targets, paths, strict=True) if os.path.lexists(each[0])]
+        _publish_all([(*each, each[0].with_name(f".{token}-before")) for each in made], force)
     except OSError as error:
         name = next((p for p, folder in zip(paths, folders, strict=False) if str(folder) in str(error)), paths[0])
         raise _refused(name, error) from error
@@ -366,34 +352,26 @@ def replacing_together(paths: Sequence[PathLike], *, force: bool = False) -> Ite
 
 
 def _check_place(path: PathLike, force: bool) -> Path:
-    if Path(path).suffix.lower() == ".zarr" and os.path.isdir(path):
-        if not force:
-            raise _exists(path)
-        return Path(os.path.realpath(path))
-    return check_output(path, force=force)
+    return (check_store if Path(path).suffix.lower() == ".zarr" else check_output)(path, force=force)
 
 
-def _publish_all(temporary: Path, place: Path, folder: Path, force: bool) -> None:
-    """Move every file to its place; if one cannot be moved, move all of them back."""
-    backup = temporary / "replaced"
-    names = sorted(os.listdir(temporary))
-    backup.mkdir()
+def _publish_all(moves: Iterable[tuple[Path, Path, PathLike, Path]], force: bool) -> None:
+    """Move all files to their places, or none; each has a name for messages, and a place for what is replaced."""
     moved: list[tuple[Path, Path]] = []
     try:
-        for name in names:
-            target = place / name
+        for made, target, name, aside in moves:
             if os.path.lexists(target):
                 if not force:
-                    raise _exists(folder / name)
-                mode = os.lstat(target).st_mode
-                if stat.S_ISDIR(mode):
-                    raise OSError(errno.EISDIR, f"{shown(folder / name)} is a folder")
-                if stat.S_ISREG(mode):
-                    os.chmod(temporary / name, mode & 0o777)
-                moved.append((target, backup / name))  # noted first: an interrupt may come between
-                os.rename(target, backup / name)
-            moved.append((temporary / name, target))
-            os.rename(temporary / name, target)
+                    raise _exists(name)
+                mode, own = os.lstat(target).st_mode, os.lstat(made).st_mode
+                if stat.S_ISDIR(mode) and not stat.S_ISDIR(own):
+                    raise OSError(errno.EISDIR, f"{shown(name)} is a folder")
+                if not stat.S_ISLNK(mode):
+                    os.chmod(made, (own & ~0o777) | (mode & 0o777))
+                moved.append((target, aside))  # noted first: an interrupt may come between
+                os.rename(target, aside)
+            moved.append((made, target))
+            os.rename(made, target)
     except BaseException:
         for before, after in reversed(moved):
             # A file that was noted but not moved is still in its place.

@@ -178,7 +178,7 @@ class Layered(Pictures):
                 raise SuppleError(f"{shown(path)} has {what} other than {shown(paths[0])}: make them alike")
         held = exr.read(paths[0], exr.around([head.box for head in self._heads]))
         picture = pictures.of_layers(held)
-        self.format, self.interpretation, self._bits = picture.format, picture.interpretation, held.bits
+        self.format, self.interpretation = picture.format, picture.interpretation
         groups = [Group(held.shape, n, exact=exact) for (exact, _), n in zip(held.groups, held.planes, strict=True)]
         self.layout = Layout(tuple(groups), np.dtype(np.float32), 1.0)
         self._like = replace(held, arrays=())

@@ -45,8 +45,6 @@ from supple.render.transfer import Transfer
 MODES = ("lattice", "exact", "buffered", "hybrid")
 _STORAGE = 0x08  # wgpu.TextureUsage.STORAGE_BINDING
 _ROWS = 256  # of an image, between two reports of progress
-PICKED = 0.9
-"""The accumulated opacity at which a ray picks a voxel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)

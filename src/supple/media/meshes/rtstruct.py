@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import SuppleError, VolumeWarning, shown
+from supple.errors import SuppleError, VolumeWarning, said, shown
 from supple.media.files import PathLike, unreadable
 from supple.media.meshes.base import Floats, Mesh, checked
 from supple.media.meshes.cells import Part, joined, part_of
@@ -49,8 +49,7 @@ def parsed(path: PathLike, data: bytes, series: Volume | None = None) -> Mesh:
         kind = str(dataset.get("SOPClassUID", ""))
         blocks = [np.array(contour.ContourData, np.float64) for contour in _contours(dataset)]
     except Exception as error:  # pydicom has many
-        said = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-        raise unreadable(path, f"it is no whole DICOM file ({said})") from error
+        raise unreadable(path, f"it is no whole DICOM file ({said(error)[:120]})") from error
     if not whole:
         raise unreadable(path, "its end is missing")
     if kind != _STRUCTURES:
@@ -80,10 +79,8 @@ def parsed(path: PathLike, data: bytes, series: Volume | None = None) -> Mesh:
                 _refer(made, series, pydicom)
             pydicom.dcmwrite(held, made, enforce_file_format=True)
         except Exception as error:
-            said = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-            raise SuppleError(
-                f"cannot write the contours of {name}: pydicom refuses ({said}): mend that file"
-            ) from error
+            told = f"cannot write the contours of {name}: pydicom refuses ({said(error)[:120]})"
+            raise SuppleError(f"{told}: mend that file") from error
         return held.getvalue()
 
     return Mesh(points, "LPS", rewritten, lambda: _parts(path, dataset, len(points)))

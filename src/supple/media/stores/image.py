@@ -15,7 +15,7 @@ from supple.geometry import Grid
 from supple.media.files import PathLike, unreadable
 from supple.media.stores import ome
 from supple.media.stores.places import Place, quiet
-from supple.media.transforms.omezarr import space_matrix
+from supple.media.transforms.omezarr import ome_of, space_matrix
 
 LABELS = "labels"
 """The group of an image's label images."""
@@ -101,7 +101,7 @@ class StoredImage:
     @property
     def is_labels(self) -> bool:
         """Whether the metadata say that it is a label image."""
-        return "image-label" in ome.ome_of(self.attributes)
+        return "image-label" in ome_of(self.attributes)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -193,7 +193,7 @@ def described(place: Place, node: Any, ndim: int | None) -> StoredImage:
     attributes = dict(node.attrs)
     if hasattr(node, "shape"):
         made = _plain(place, node, attributes, ndim)
-    elif "multiscales" not in ome.ome_of(attributes):
+    elif "multiscales" not in ome_of(attributes):
         raise place.unreadable(*_without_image(place, node))
     else:
         made = _multiscale(place, node, attributes, ndim)

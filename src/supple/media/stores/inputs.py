@@ -15,6 +15,7 @@ from supple.media.files import PathLike
 from supple.media.stores.image import StoredImage, described
 from supple.media.stores.places import Place, quiet
 from supple.media.stores.samples import Samples
+from supple.media.transforms.omezarr import ORIENTATIONS
 
 _CHUNK = {2: 512, 3: 64}
 """The side of a chunk, of so many axes of space."""
@@ -23,11 +24,6 @@ _SHARDS = 16  # at least, so that there is work for all
 _COARSEST = 256  # samples along each axis, at most
 _MICROSCOPIC = 0.01  # millimetres
 _KINDS = {"t": "time", "c": "channel"}
-_PATIENT = (
-    ("right-to-left", "left-to-right"),
-    ("anterior-to-posterior", "posterior-to-anterior"),
-    ("inferior-to-superior", "superior-to-inferior"),
-)
 
 
 def like_file(path: PathLike, samples: Samples, *, ndim: int | None = None) -> StoredImage:
@@ -115,7 +111,8 @@ def _placed(path: PathLike, samples: Samples) -> tuple[list[dict[str, Any]], lis
                 column = geometry.direction[:, k]
                 axis = int(np.argmax(np.abs(column)))
                 back = bool(column[axis] < 0)
-                one["orientation"] = {"type": "anatomical", "value": _PATIENT[axis][back]}
+                value = next(name for name, turn in ORIENTATIONS.items() if turn == (axis, -1.0 if back else 1.0))
+                one["orientation"] = {"type": "anatomical", "value": value}
                 start = geometry.origin[axis] / size * (-1 if back else 1)
         axes.append(one)
         scale.append(step)

@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 from supple.errors import SuppleError
+from supple.media.transforms.omezarr import Json, ome_of
 
-Json = Mapping[str, Any]
 Version = Literal["", "0.4", "0.5", "0.6"]
 Refusal = Callable[[str, str], SuppleError]
 """It returns an error from what was found and what would do."""
@@ -97,12 +97,6 @@ def rewritten(attributes: Json, version: Version, datasets: Sequence[Dataset] | 
             old["coordinateTransformations"] = _steps(new, version, old["coordinateTransformations"])
     ome["multiscales"] = [image]
     return {**attributes, "ome": ome} if "ome" in attributes else ome
-
-
-def ome_of(attributes: Json) -> Json:
-    """Return the metadata of OME-Zarr among those of a group; before version 0.5, they had no name of their own."""
-    ome = attributes.get("ome", attributes)
-    return ome if isinstance(ome, Mapping) else {}
 
 
 def _axes(image: Json, dataset: Json, error: Refusal) -> list[Json]:

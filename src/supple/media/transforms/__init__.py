@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from supple.errors import SuppleError, shown
 from supple.geometry import Grid
 from supple.media.files import PathLike, unreadable
-from supple.media.transforms import afni, announced, freesurfer, fsl, itk_files, mrtrix, ngff, opencv, stmap
+from supple.media.transforms import afni, freesurfer, fsl, itk_files, ngff, opencv, ras, stmap
 from supple.media.transforms.base import Content, Displacements, Grids, MissingGridError
 from supple.media.transforms.guess import convention_in, convention_of
 from supple.media.transforms.itk import SUFFIXES_OUT, check_target, write_field
@@ -45,33 +45,18 @@ def _pair(module: Any, **kind: bool | str) -> Convention:
     return Convention(partial(module.read, **kind), partial(module.write, **kind))
 
 
-def _of_source(module: Any) -> Convention:
-    """Return a convention that may refer to the input image alone."""
-
-    def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
-        found: tuple[Content, ...] = module.read(path, source=grids.source)
-        return found
-
-    def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: bool) -> None:
-        module.write(path, contents, source=grids.source, force=force)
-
-    return Convention(read, write)
-
-
 CONVENTIONS = {
     "itk": _pair(itk_files),
     "fsl-relative": _pair(fsl, absolute=False),
     "fsl-absolute": _pair(fsl, absolute=True),
     "fsl-affine": Convention(fsl.read_affine, fsl.write_affine),
     "afni": _pair(afni),
-    "mrtrix": _pair(mrtrix, absolute=True),
-    "mrtrix-displacement": _pair(mrtrix, absolute=False),
+    **{name: _pair(ras, convention=name) for name in ("mrtrix", "mrtrix-displacement")},
     "freesurfer": _pair(freesurfer),
-    "niftyreg": _pair(announced, convention="niftyreg"),
-    "spm-deformation": _pair(announced, convention="spm-deformation"),
-    "ngff": _of_source(ngff),
-    "opencv": _of_source(opencv),
-    "stmap": _of_source(stmap),
+    **{name: _pair(ras, convention=name) for name in ("niftyreg", "spm-deformation")},
+    "ngff": _pair(ngff),
+    "opencv": _pair(opencv),
+    "stmap": _pair(stmap),
 }
 
 

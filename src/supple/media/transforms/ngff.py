@@ -6,22 +6,17 @@ output that of the image that is resampled. Axes stand in the order of arrays, z
 
 from __future__ import annotations
 
-import contextlib
-import os
-import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from supple.geometry import Grid
-from supple.media.files import PathLike, check_store, check_suffix, unwritable
-from supple.media.transforms.base import Content, Displacements, Matrix
+from supple.media.files import PathLike, check_suffix, replacing_together, unwritable
+from supple.media.transforms.base import Content, Displacements, Grids, Matrix
 from supple.media.transforms.omezarr import Store, imported
 
 SUFFIXES = (".zarr",)
-UNAMBIGUOUS = SUFFIXES
 VERSION = "0.6"
 _FIELDS = "coordinateTransformations"
 _ARRAY = "s0"
@@ -29,59 +24,29 @@ _SIDES = {2: 512, 3: 64}  # of chunks
 _INTERPOLATION = {"linear": "linear", "cubic": "cubic"}  # so the schema; its text calls the latter bspline-cubic
 
 
-def read(path: PathLike, *, source: Grid | None = None) -> tuple[Content, ...]:
-    """Read the coordinate transformation of an OME-Zarr store.
+def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
+    """Read the coordinate transformation of an OME-Zarr store, of Zarr format 2 or 3, as parts that apply in order.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        The folder, of Zarr format 2 or 3: a scene, a multiscale image or a transformation by itself, with one
-        transformation of two or three space axes: identity, scale, translation, rotation, affine, mapAxis, byDimension
-        of these; displacements or coordinates, whose field is a multiscale group or, as in drafts of RFC-5, an array;
-        a sequence of these; or a bijection, of which the forward part is read.
-    source : Grid, optional
-        Not needed.
+    The folder is a scene, a multiscale image or a transformation by itself, with one transformation of two or three
+    space axes: identity, scale, translation, rotation, affine, mapAxis, byDimension of these; displacements or
+    coordinates, whose field is a multiscale group or, as in drafts of RFC-5, an array; a sequence of these; or a
+    bijection, of which the forward part is read.
 
-    Returns
-    -------
-    tuple of Content
-        x first. Lengths that have a unit are in millimetres, those without are left as they are; axes that have an
-        anatomical orientation are turned to LPS, others are left as they are. A field between an affine map and its
-        inverse, as `write` makes them, is one field on an oriented grid, if its axes are at right angles. The format
-        does not say what a field is beyond its edges: it is taken as no displacement.
-
-    Raises
-    ------
-    SuppleError
-        If the folder cannot be read, holds no transformation or several, or one that is not of these.
+    Parts are x first. Lengths that have a unit are in millimetres, those without are left as they are; axes that have
+    an anatomical orientation are turned to LPS, others are left as they are. A field between an affine map and its
+    inverse, as `write` makes them, is one field on an oriented grid, if its axes are at right angles. The format does
+    not say what a field is beyond its edges: it is taken as no displacement.
     """
     check_suffix(path, Path(path).suffix, SUFFIXES, "is of no OME-Zarr store", "use .zarr", "read")
     return Store(path).contents()
 
 
-def write(path: PathLike, contents: Sequence[Content], *, source: Grid | None = None, force: bool = False) -> None:
+def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: bool = False) -> None:
     """Write a map as an OME-Zarr scene of version 0.6, whose transformation leads from the output to the input image.
 
     Fields of volumes are in millimetres, those of pictures in pixels. A field whose grid is turned is written as a
     sequence: an affine map, the field along its own axes, and the map back; `read` makes one field of it. What a field
     is beyond its edges, the format does not say.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-        The folder, with the suffix ``.zarr``. It appears whole or not at all.
-    contents : sequence of Content
-        Matrices and fields of one dimension, of which the first applies first.
-    source : Grid, optional
-        Not needed.
-    force : bool
-        Whether to replace an existing Zarr store.
-
-    Raises
-    ------
-    SuppleError
-        If there is nothing to write, a field holds coefficients of a spline, NaN or infinity, or the folder cannot be
-        written.
     """
     check_suffix(path, Path(path).suffix, SUFFIXES, "is of no OME-Zarr store", "use .zarr")
     sizes = {len(one) - 1 if isinstance(one, np.ndarray) else one.grid.ndim for one in contents}
@@ -95,7 +60,7 @@ def write(path: PathLike, contents: Sequence[Content], *, source: Grid | None = 
         if not all(np.isfinite(part).all() for part in (one if isinstance(one, np.ndarray) else one.values)):
             raise unwritable(path, "the map holds NaN or infinity", "mend it first")
     imported()
-    with _replacing_store(path, force) as temporary:
+    with replacing_together([path], force=force) as (temporary,):
         fields: list[tuple[Displacements, Matrix]] = []
         steps: list[dict[str, Any]] = []
         for one in contents:
@@ -216,28 +181,3 @@ def _write_field(root: Any, index: int, field: Displacements, turn: Matrix) -> N
     origin = turn[:-1, :-1] @ grid.origin
     samples = Placement(grid.shape, grid.spacing[::-1], origin[::-1].tolist())
     _field(root, index, _axes(n), samples, dtype)[...] = np.moveaxis(values[..., ::-1], -1, 0).astype(dtype)
-
-
-@contextlib.contextmanager
-def _replacing_store(path: PathLike, force: bool) -> Iterator[Path]:
-    """Write a hidden folder beside a store's place, and move it there when it is complete."""
-    target = check_store(path, force=force)
-    exists = os.path.lexists(target)
-    token = f".{os.urandom(6).hex()}"
-    temporary, old = target.with_name(f"{token}-{target.name[-40:]}"), target.with_name(f"{token}-old")
-    try:
-        temporary.mkdir()
-        yield temporary
-        if exists:
-            os.rename(target, old)
-        try:
-            os.rename(temporary, target)
-        except OSError:
-            if exists:
-                os.rename(old, target)
-            raise
-    except OSError as error:
-        raise unwritable(path, error.strerror or str(error), "make room or choose another place") from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        shutil.rmtree(old, ignore_errors=True)

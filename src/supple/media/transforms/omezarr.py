@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from supple.errors import SuppleError, need
+from supple.errors import SuppleError, need, said
 from supple.geometry import Grid
 from supple.media.files import PathLike, unreadable
 from supple.media.transforms.base import Array, Content, Displacements, Matrix
@@ -32,7 +32,7 @@ _UNITS |= {
 # Not of the specification, but of many files.
 _UNITS |= {**dict.fromkeys(("um", "\u00b5m", "\u03bcm", "micron", "microns"), 1e-3), "nm": 1e-6, "mm": 1.0, "cm": 10.0}
 """Millimetres."""
-_ORIENTATIONS = {
+ORIENTATIONS = {
     "right-to-left": (0, 1.0), "left-to-right": (0, -1.0), "anterior-to-posterior": (1, 1.0),
     "posterior-to-anterior": (1, -1.0), "inferior-to-superior": (2, 1.0), "superior-to-inferior": (2, -1.0),
 }  # fmt: skip
@@ -77,9 +77,9 @@ def space_matrix(axes: Sequence[Json], units: Sequence[str | None], error: Calla
     told = [axis.get("orientation") for axis in axes]
     if any(told):
         values = [one.get("value") if isinstance(one, Mapping) else one for one in told]
-        turns = [_ORIENTATIONS.get(str(value), (-1, 1.0)) for value in values]
+        turns = [ORIENTATIONS.get(str(value), (-1, 1.0)) for value in values]
         if {axis for axis, _ in turns} != set(range(n)):
-            raise error(f"its axes have the orientations {values}", f"use {', '.join(_ORIENTATIONS)}")
+            raise error(f"its axes have the orientations {values}", f"use {', '.join(ORIENTATIONS)}")
         order, signs = [axis for axis, _ in turns], [sign for _, sign in turns]
     made = np.zeros((n, n))
     for i, unit in enumerate(units):
@@ -87,6 +87,12 @@ def space_matrix(axes: Sequence[Json], units: Sequence[str | None], error: Calla
             raise error(f"its axis {names[i]} has the unit {unit!r}", "name a length, as micrometer or millimeter")
         made[order[i], i] = signs[i] * (_UNITS[unit] if unit else 1.0)
     return made
+
+
+def ome_of(attributes: Json) -> Json:
+    """Return the metadata of OME-Zarr among those of a group; before version 0.5, they had no name of their own."""
+    ome = attributes.get("ome", attributes)
+    return ome if isinstance(ome, Mapping) else {}
 
 
 class Store:
@@ -112,8 +118,7 @@ class Store:
         except SuppleError:
             raise
         except Exception as error:  # zarr's codecs raise any of them
-            said = (str(error).splitlines() or [type(error).__name__])[0]
-            raise self.error(f"{what} ({said})") from error
+            raise self.error(f"{what} ({said(error)})") from error
 
     @contextlib.contextmanager
     def parsing(self) -> Iterator[None]:
@@ -143,7 +148,7 @@ class Store:
 
     def _only(self) -> tuple[Json, Json]:
         """Return the only transformation, and the object that it is listed in."""
-        ome = _ome(self.root)
+        ome = ome_of(self.root.attrs)
         holders = [ome.get("scene"), ome, *ome.get("multiscales", [])[:1]]
         for holder in holders:
             listed = holder.get("coordinateTransformations") if holder else None
@@ -172,9 +177,9 @@ class Store:
     def _axes(self, end: Any, holder: Json) -> list[Json] | None:
         """Return the axes of a coordinate system; None if the store describes none at all."""
         name, path = (end.get("name"), end.get("path")) if isinstance(end, Mapping) else (end, None)
-        holders: list[Json] = [holder, _ome(self.root)]
+        holders: list[Json] = [holder, ome_of(self.root.attrs)]
         if path:
-            ome = _ome(self._node(path))
+            ome = ome_of(self._node(path).attrs)
             holders = [ome, *ome.get("multiscales", [])]
         systems = [system for one in holders for system in one.get("coordinateSystems", [])]
         for system in systems:
@@ -277,7 +282,7 @@ class Store:
         """Return the array of a field, its axes, and the transformations of its indices."""
         path = found["path"]
         node = self._node(path)
-        ome = _ome(node)
+        ome = ome_of(node.attrs)
         image: Json
         dataset: Json | None
         if hasattr(node, "shape") and not ome.get("coordinateSystems"):
@@ -303,7 +308,7 @@ class Store:
         """Return the multiscale image, in a group above, that an array is part of, and its description there."""
         parts = path.strip("/").split("/")
         for k in reversed(range(len(parts))):
-            for image in _ome(self._node("/".join(parts[:k]))).get("multiscales", []):
+            for image in ome_of(self._node("/".join(parts[:k])).attrs).get("multiscales", []):
                 for dataset in image["datasets"]:
                     if dataset["path"].strip("/").split("/") == parts[k:]:
                         return image, dataset
@@ -347,13 +352,6 @@ class _Raw(NamedTuple):
     values: Array
     matrix: Matrix  # from an index to its position
     interpolation: Literal["linear", "cubic"]
-
-
-def _ome(node: Any) -> Json:
-    """Return the metadata of a node; before version 0.5, they had no name of their own."""
-    found = dict(node.attrs)
-    ome = found.get("ome", found)
-    return ome if isinstance(ome, Mapping) else found
 
 
 def _homogeneous(linear: Matrix) -> Matrix:

@@ -10,13 +10,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from supple.geometry import Grid
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable, unwritable
-from supple.media.transforms.base import Array, Content
+from supple.media.transforms.base import Array, Content, Grids
 from supple.media.transforms.positions import of_positions, to_positions
 
 SUFFIXES = (".npy", ".npz", ".xml", ".yml", ".yaml")
-UNAMBIGUOUS = SUFFIXES
 _WANTED = "give an array (H, W, 2) of source positions, or two of (H, W), named map1 and map2"
 _PAIRS = (("map1", "map2"), ("mapx", "mapy"), ("xmap", "ymap"), ("x", "y"))
 _STEPS = 32  # a pixel, in OpenCV's fixed point
@@ -28,28 +26,13 @@ _YAML = re.compile(
 _LONGEST = 32_767  # pixels on a side, of cv2.remap
 
 
-def read(path: PathLike, *, source: Grid | None = None) -> tuple[Content, ...]:
-    """Read a map for ``cv2.remap``.
+def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
+    """Read a map for ``cv2.remap``; beyond its edges, it goes on as at the edge.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        ``.npy``: an array (H, W, 2), or (2, H, W), of float32 or float64, or of int16. ``.npz``: that, or two arrays
-        (H, W) of names that tell x from y (map1 and map2, map_x and map_y, mapx and mapy, x and y). ``.xml``, ``.yml``
-        and ``.yaml``, as ``cv2.FileStorage`` writes them: matrices of these names. A map1 of int16 (H, W, 2) with a
-        map2 of uint16 (H, W) is the fixed-point form of ``cv2.convertMaps``, to a thirty-second of a pixel.
-    source : Grid, optional
-        Not needed: the positions are in pixels.
-
-    Returns
-    -------
-    tuple of one Displacements
-        Beyond its edges, it goes on as at the edge.
-
-    Raises
-    ------
-    SuppleError
-        If the file cannot be read, or holds no such map.
+    ``.npy``: an array (H, W, 2), or (2, H, W), of float32 or float64, or of int16. ``.npz``: that, or two arrays (H, W)
+    of names that tell x from y (map1 and map2, map_x and map_y, mapx and mapy, x and y). ``.xml``, ``.yml`` and
+    ``.yaml``, as ``cv2.FileStorage`` writes them: matrices of these names. A map1 of int16 (H, W, 2) with a map2 of
+    uint16 (H, W) is the fixed-point form of ``cv2.convertMaps``, to a thirty-second of a pixel.
     """
     suffix = Path(path).suffix.lower()
     check_suffix(path, suffix, SUFFIXES, "is of no map of OpenCV's", f"use {', '.join(SUFFIXES)}", "read")
@@ -60,25 +43,8 @@ def read(path: PathLike, *, source: Grid | None = None) -> tuple[Content, ...]:
     return (of_positions(path, *_planes(path, *maps)),)
 
 
-def write(path: PathLike, contents: Sequence[Content], *, source: Grid | None = None, force: bool = False) -> None:
-    """Write a map for ``cv2.remap``, in float32.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-        ``.npy``: one array (H, W, 2). ``.npz``, ``.xml``, ``.yml`` and ``.yaml``: map1 and map2, of x and of y.
-    contents : sequence of Content
-        One displacement field with a sample at each pixel.
-    source : Grid, optional
-        Not needed.
-    force : bool
-        Whether to replace an existing file.
-
-    Raises
-    ------
-    SuppleError
-        If the contents are not such a field, or the file cannot be written.
-    """
+def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: bool = False) -> None:
+    """Write a map for ``cv2.remap``, in float32: as one array (H, W, 2) in ``.npy``, else as map1 and map2, x and y."""
     suffix = Path(path).suffix.lower()
     check_suffix(path, suffix, SUFFIXES, "is of no map of OpenCV's", f"use {', '.join(SUFFIXES)}")
     places = to_positions(path, contents, "a map of OpenCV's").astype(np.float32)

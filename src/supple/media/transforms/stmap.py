@@ -15,46 +15,31 @@ from typing import Any
 import numpy as np
 
 from supple.errors import OutsideWarning, shown
-from supple.geometry import Grid
 from supple.media import image
 from supple.media.files import PathLike, check_suffix, unreadable, unwritable
 from supple.media.image import exr
-from supple.media.transforms.base import Array, Content
+from supple.media.transforms.base import Array, Content, Grids
 from supple.media.transforms.positions import of_positions, to_positions
 
 SUFFIXES = (".exr", ".tif", ".tiff", ".png")
 SUFFIXES_OUT = (".exr", ".tif", ".tiff")
-UNAMBIGUOUS = (".exr",)  # of those that more than one convention reads, pictures left out
 _PAIRS = (("R", "G"), ("S", "T"), ("U", "V"), ("X", "Y"))
 _WHITE = 65_535
 _WANTED = "an STMap needs red and green of 16 or 32 bits"
 
 
-def read(path: PathLike, *, source: Grid | None = None) -> tuple[Content, ...]:
-    """Read an STMap.
+def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
+    """Read an STMap, in pixels; beyond its edges, it goes on as at the edge.
 
-    Blue is not read. Neither is opacity if it is the same everywhere, as in maps that were made without it.
+    It is an ``.exr`` of 16 or 32 bits, of which half floats are exact to about a 4000th of the source; a ``.tif``,
+    ``.tiff`` or ``.png`` of 16 bits, exact to half a 65535th of the source; or a ``.tif`` of 32. Blue is not read.
+    Neither is opacity if it is the same everywhere, as in maps that were made without it: where it is transparent, a
+    map is not defined.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        ``.exr``, of 16 or 32 bits; half floats are exact to about a 4000th of the source. Or ``.tif``, ``.tiff`` and
-        ``.png`` of 16 bits, exact to half a 65535th of the source, and ``.tif`` of 32.
-    source : Grid, optional
-        The grid of the source, whose width and height are what 1 stands for; by default, those of the map. An EXR's are
-        those of its display window; pixels beyond it (overscan) are kept.
-
-    Returns
-    -------
-    tuple of one Displacements
-        In pixels. Beyond its edges, it goes on as at the edge.
-
-    Raises
-    ------
-    SuppleError
-        If the file cannot be read, lacks a channel, has 8 bits, holds NaN, or is transparent in parts, where a map is
-        not defined.
+    1 stands for the width and the height of the source; by default, of the map. An EXR's are those of its display
+    window; pixels beyond it (overscan) are kept.
     """
+    source = grids.source
     suffix = Path(path).suffix.lower()
     check_suffix(path, suffix, SUFFIXES, "is of no STMap", f"use {', '.join(SUFFIXES)}", "read")
     s, t, opacity, first, own = (_exr if suffix == ".exr" else _picture)(path)
@@ -73,27 +58,13 @@ def read(path: PathLike, *, source: Grid | None = None) -> tuple[Content, ...]:
     return (found._replace(values=found.values.astype(np.float32)),)
 
 
-def write(path: PathLike, contents: Sequence[Content], *, source: Grid | None = None, force: bool = False) -> None:
-    """Write an STMap, with blue at 0.
+def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: bool = False) -> None:
+    """Write an STMap, with blue at 0; 1 stands for the width and the height of the source, by default the field's.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        ``.exr``, of 32-bit floats; or ``.tif`` and ``.tiff`` of 16-bit integers, which round positions to half a
-        65535th of the source: to 0.03 pixels, if it is 4096 wide.
-    contents : sequence of Content
-        One displacement field with a sample at each pixel.
-    source : Grid, optional
-        The grid of the source, whose width and height are what 1 stands for; by default, the field's.
-    force : bool
-        Whether to replace an existing file.
-
-    Raises
-    ------
-    SuppleError
-        If the contents are not such a field; positions outside the source are to be written to a TIFF; or the file
-        cannot be written.
+    An ``.exr`` is of 32-bit floats; ``.tif`` and ``.tiff`` of 16-bit integers, which round positions to half a 65535th
+    of the source: to 0.03 pixels, if it is 4096 wide. They hold no positions outside of it.
     """
+    source = grids.source
     suffix = Path(path).suffix.lower()
     check_suffix(path, suffix, SUFFIXES_OUT, "is of no STMap", f"use {', '.join(SUFFIXES_OUT)}")
     places = to_positions(path, contents, "an STMap")

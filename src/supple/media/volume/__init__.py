@@ -166,17 +166,7 @@ def place_of(
     path: PathLike, *, raw: RawLayout | None = None, series: str | None = None
 ) -> tuple[Geometry, tuple[int, int, int]]:
     """Return the geometry of a volume, and its shape (Z, H, W); as `grid_of` does."""
-    if raw is None:
-        form = _format(path)
-        if form == "NIfTI":
-            from supple.media.volume import nifti
-
-            return nifti.read_place(path)
-        if form in ("NRRD", "MetaImage"):
-            from supple.media.volume import itk
-
-            return itk.read_place(path, form)
-    found = read(path, raw=raw, series=series)
+    found = outline_of(path, raw=raw, series=series)
     width, height, depth = found.sizes
     return found.geometry, (depth, height, width)
 

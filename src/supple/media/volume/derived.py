@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import SuppleError, need
+from supple.errors import SuppleError, need, said
 from supple.media.files import PathLike, check_output, replacing, replacing_all, unwritable
 from supple.media.volume.data import Array, Volume
 from supple.media.volume.frames import Frames, frames_of, item_of, quiet
@@ -170,8 +170,8 @@ def _save(made: Any, file: Path, path: PathLike) -> None:
     except OSError:
         raise
     except Exception as error:  # what it finds wrong in a source has many types
-        said = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-        raise unwritable(path, f"it cannot be written by pydicom ({said})", "use .nrrd or .mha") from error
+        what = f"it cannot be written by pydicom ({said(error)[:120]})"
+        raise unwritable(path, what, "use .nrrd or .mha") from error
 
 
 def _nearest(places: Array, place: Array) -> int:

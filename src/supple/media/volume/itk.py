@@ -141,20 +141,6 @@ def _scaling(path: PathLike, fields: dict[str, str]) -> tuple[float, float]:
     return slope, intercept
 
 
-def read_place(path: PathLike, form: str) -> tuple[Geometry, tuple[int, int, int]]:
-    """Return geometry and shape (Z, H, W) of a NRRD or a MetaImage file, from its header alone; errors as in `read`."""
-    sitk = imported()
-    fields, _ = _fields(path, form)
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(os.fspath(path))
-    reader.SetImageIO(_LOADERS[form])
-    with failing(path, form):
-        reader.ReadImageInformation()
-    _check_place(path, fields, reader.GetDimension())
-    x, y, z = (*reader.GetSize(), 1)[:3]
-    return geometry_of(path, reader), (z, y, x)
-
-
 def check_voxels(path: PathLike, sitk: Any, reader: Any) -> None:
     """Raise SuppleError for voxels that are not real numbers."""
     kind = _kind(sitk, reader)

@@ -108,15 +108,6 @@ def outline(path: PathLike) -> tuple[Any, tuple[int, ...], int, bool]:
     return header, *_axes(path, header)
 
 
-def read_place(path: PathLike) -> tuple[Geometry, tuple[int, int, int]]:
-    """Return the geometry and the shape (Z, H, W) of a NIfTI file, from its header alone; errors as in `read`."""
-    first, _ = _pair(path)
-    header, _ = _header(first)
-    x, y, z = _axes(path, header)[0][:3]
-    unit = _MILLIMETRES.get(int(header["xyzt_units"]) & 7, 1.0)
-    return _geometry(path, first, header, (x, y, z), unit), (z, y, x)
-
-
 def _pair(path: PathLike) -> tuple[Path, Path]:
     """Return the files of the header and of the voxels, which may be the same."""
     file = Path(path)

@@ -84,4 +84,3 @@ def count_bytes(path: PathLike, start: int, most: int, packed: int | None = None
             count += len(stream.decompress(data, _CHUNK))
             data = stream.unused_data if stream.eof else stream.unconsumed_tail
     return count
-    return count

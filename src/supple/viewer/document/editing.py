@@ -13,7 +13,7 @@ from supple.files.volumes import indexed, placed
 from supple.freezing import Freeze
 from supple.geometry import Geometry
 from supple.strokes import PAINTINGS, FoldPolicy, Recipe, Stroke, spoken
-from supple.viewer.document.state import Handle, History, Item, Kind, Solved, State, Track, handles_of
+from supple.viewer.document.state import Handle, Item, Kind, Solved, State, Track, handles_of
 
 _HIDDEN = attrgetter("hidden")
 
@@ -48,7 +48,9 @@ class Document:
         self._drag: tuple[Solved, int | None] | None = None
         self._timed = kind == "video" and len(self.shape) == 3
         self._now = self._solved(self._state(recipe or Recipe()), None)
-        self._history = History(self._now.state)
+        self.steps: tuple[State, ...] = (self._now.state,)
+        """The states that undo and redo go through, from the first to the last; as many as there were edits."""
+        self.step = 0  # the index of the present one
         self._saved = self._now.state.content
         self._plain = self.deformation.without_strokes()
         self._base: tuple[State, Deformation] | None = None
@@ -244,42 +246,27 @@ class Document:
         self._rest()
         state = replace(self.state, selected=None if i is None else self._checked(i))
         if state != self.state:
-            self._history.amend(state)
+            self.steps = (*self.steps[: self.step], state, *self.steps[self.step + 1 :])
             self._show(replace(self._now, state=state))
 
     @property
     def can_undo(self) -> bool:
         """Return whether there is a step to undo."""
-        return self.dragging or self._history.can_undo
+        return self.dragging or self.step > 0
 
     @property
     def can_redo(self) -> bool:
         """Return whether there is a step to redo."""
-        return not self.dragging and self._history.can_redo
-
-    @property
-    def steps(self) -> tuple[State, ...]:
-        """The states that undo and redo go through, from the first to the last."""
-        return self._history.states
-
-    @property
-    def step(self) -> int:
-        """The index of the present one of `steps`."""
-        return self._history.index
+        return not self.dragging and self.step < len(self.steps) - 1
 
     def go(self, step: int) -> None:
         """Undo or redo as many steps as lead to one of `steps`."""
         self._rest()
         count = len(self.steps)
         step = integer("a step", step, f"one of {count}, from 0 to {count - 1}", 0, count - 1)
-        if step == self.step:
-            return
-        state = self.state
-        while self.step > step:
-            state = self._history.undo()
-        while self.step < step:
-            state = self._history.redo()
-        self._show(self._solved(state, self._now))
+        if step != self.step:
+            made, self.step = self._solved(self.steps[step], self._now), step
+            self._show(made)
 
     @property
     def compared(self) -> State | None:
@@ -315,13 +302,13 @@ class Document:
         """Undo the last step, or the current drag."""
         if self.dragging:
             self.abandon()
-        elif self._history.can_undo:
-            self._show(self._solved(self._history.undo(), self._now))
+        elif self.can_undo:
+            self.go(self.step - 1)
 
     def redo(self) -> None:
         """Redo the last undone step."""
         if self.can_redo:
-            self._show(self._solved(self._history.redo(), self._now))
+            self.go(self.step + 1)
 
     @property
     def dragging(self) -> bool:
@@ -374,7 +361,7 @@ class Document:
         if self.state.content == before.state.content:
             self._now = before
         else:
-            self._history.push(self.state)
+            self._push(self.state)
         self._tell()
         return self._now is not before
 
@@ -399,8 +386,12 @@ class Document:
         if state.content == self.state.content:
             return
         made = self._solved(state, self._now)
-        self._history.push(state)
+        self._push(state)
         self._show(made)
+
+    def _push(self, state: State) -> None:
+        """Add a state to the steps; undone ones are dropped."""
+        self.steps, self.step = (*self.steps[: self.step + 1], state), self.step + 1
 
     def _solved(self, state: State, known: Solved | None) -> Solved:
         """Return the deformation of a state; strokes shared with a known state are not resolved again."""

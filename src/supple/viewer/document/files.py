@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from supple.errors import SuppleError, shown
-from supple.files import PathLike, check_job, write_recipe
+from supple.files import PathLike, check_job, read_recipe, write_recipe
 from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
 from supple.files.clips import is_picture_target
 from supple.media.files import check_output, same_file
@@ -20,7 +20,7 @@ from supple.media.image import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.image import check_target
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import suffix_of
-from supple.strokes import Recipe, spoken
+from supple.strokes import spoken
 from supple.viewer.document import autosave
 from supple.viewer.document.autosave import Autosave
 from supple.viewer.document.background import Export
@@ -248,12 +248,7 @@ class FileCommands:
         SuppleError
             If it cannot be read, or does not fit.
         """
-        try:
-            text = Path(path).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError, ValueError) as error:
-            why = getattr(error, "strerror", None) or "it is no text"
-            raise SuppleError(f"cannot read {shown(path)}: {why}: check the name") from None
-        recipe = Recipe.from_json(text)
+        recipe = read_recipe(path)
         if self.document.dirty and not sure:
             self.document.fitted(recipe)
             self.asked = Question("over", "Open it?", _OVER, ("Open it", "Cancel"), opens=path)

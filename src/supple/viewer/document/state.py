@@ -1,9 +1,9 @@
-"""States of a document, their deformations, and the undo history."""
+"""States of a document, and their deformations."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Generic, Literal, Self, TypeVar
+from typing import Literal, Self
 
 from supple.deformation import Deformation, after
 from supple.domain import refuse
@@ -14,7 +14,6 @@ Kind = Literal["image", "video", "volume"]
 Point = tuple[float, ...]
 Handle = tuple[Point, Point]
 """A point of a stroke, and where it ends."""
-S = TypeVar("S")
 _EMPTY = Recipe()
 
 
@@ -132,59 +131,3 @@ class Solved:
         if whole is not now:
             stroke = replace(stroke, at=tuple(whole.forward(now.inverse(stroke.at).points).tolist()))
         return replace(stroke.weakened(1 / part), strength=stroke.strength) if 0 < part < 1 else stroke
-
-
-class History(Generic[S]):
-    """The undo history: the present state, those before it, and the undone ones.
-
-    It is unlimited, and merges no steps. States must be immutable.
-    """
-
-    def __init__(self, present: S) -> None:
-        self.present = present
-        self._past: list[S] = []
-        self._future: list[S] = []
-
-    @property
-    def can_undo(self) -> bool:
-        """Return whether there is a state before this one."""
-        return bool(self._past)
-
-    @property
-    def can_redo(self) -> bool:
-        """Return whether a state was undone, and nothing was pushed since."""
-        return bool(self._future)
-
-    @property
-    def states(self) -> tuple[S, ...]:
-        """All states, from the first to the one that was undone first."""
-        return (*self._past, self.present, *reversed(self._future))
-
-    @property
-    def index(self) -> int:
-        """The index of the present state among all."""
-        return len(self._past)
-
-    def push(self, state: S) -> None:
-        """Add a state; undone states are dropped."""
-        self._past.append(self.present)
-        self.present = state
-        self._future.clear()
-
-    def amend(self, state: S) -> None:
-        """Replace the present state, without a step."""
-        self.present = state
-
-    def undo(self) -> S:
-        """Return to the state before, if there is one."""
-        if self._past:
-            self._future.append(self.present)
-            self.present = self._past.pop()
-        return self.present
-
-    def redo(self) -> S:
-        """Return to the state that was undone last, if there is one."""
-        if self._future:
-            self._past.append(self.present)
-            self.present = self._future.pop()
-        return self.present

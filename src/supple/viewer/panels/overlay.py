@@ -95,7 +95,7 @@ def _timeline(view: View, stage: VideoStage) -> None:
     playback = tools.playback
     width, height = view.area[0], view.logical[1]
     _bar("timeline", height - LINE - BAR, width, BAR, (8, 8))
-    if icon_button("play", icons.pause if playback.playing else icons.play, imgui.get_frame_height()):
+    if icon_button("play", icons.PAUSE if playback.playing else icons.PLAY, imgui.get_frame_height()):
         tools.press(" ")
     hint("Pause (Space)" if playback.playing else "Play (Space)")
     imgui.same_line()

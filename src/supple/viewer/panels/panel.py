@@ -14,7 +14,7 @@ from supple.files.clips import ClipOptions
 from supple.viewer.document.background import Export
 from supple.viewer.panels import history, legend, menu, question, strokes, theme, volume
 from supple.viewer.panels.actions import ACTIONS
-from supple.viewer.panels.icons import cross
+from supple.viewer.panels.icons import CROSS
 from supple.viewer.panels.overlay import certified
 from supple.viewer.panels.stages import ImageStage
 from supple.viewer.panels.transforms import TRANSFORMS
@@ -188,7 +188,7 @@ def _exporting(view: View, job: Export) -> None:
     hint(done if job.done else "At full quality, in the background: the file appears when it is complete")
     if job.done:
         imgui.same_line(imgui.get_window_width() - imgui.get_style().window_padding.x - size)
-        if icon_button("dismiss", cross, size):
+        if icon_button("dismiss", CROSS, size):
             view.commands.end_export()
         hint("Close")
         return

@@ -19,6 +19,7 @@ from supple.files.volumes import sampling_of
 from supple.media.volume import Volume
 from supple.media.volume.data import rescaled
 from supple.render.labels import LabelColours
+from supple.viewer.panels.stages import filled
 from supple.viewer.tools.planes import RENDERED, Plane
 from supple.viewer.tools.slices import SliceTools
 
@@ -127,15 +128,7 @@ class Slices:
         known = self._textures.get(key)
         if known is not None and known[1] is values and known[2] == window:
             return False
-        pixels = turned(self.shaded(values, window), plane)
-        rows, columns = pixels.shape[:2]
-        texture = known[0] if known is not None else None
-        if texture is None:
-            usage = "TEXTURE_BINDING|COPY_DST"
-            texture = self._gpu.device.create_texture(size=(columns, rows, 1), format=_PLAIN, usage=usage)
-        self._gpu.device.queue.write_texture(
-            {"texture": texture}, pixels, {"bytes_per_row": 4 * columns, "rows_per_image": rows}, (columns, rows, 1)
-        )
+        texture = filled(self._gpu, None if known is None else known[0], turned(self.shaded(values, window), plane))
         self._textures[key] = texture, values, window
         return True
 

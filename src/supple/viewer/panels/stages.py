@@ -306,9 +306,7 @@ class VolumeStage:
             return
         pixels = np.full((rows, columns, 4), 255, np.uint8)
         pixels[..., :3] = scene.render(camera, (rows, columns)).pixels(BACK)
-        self._gpu.device.queue.write_texture(
-            {"texture": texture}, pixels, {"bytes_per_row": 4 * columns, "rows_per_image": rows}, (columns, rows, 1)
-        )
+        filled(self._gpu, texture, pixels)
 
     def fill(self, deformation: Deformation, camera: Camera, size: tuple[int, int], seconds: float) -> float:
         """Fill a part of the buffer; return the filled part."""
@@ -327,3 +325,14 @@ class VolumeStage:
         geometry = self.volume.geometry
         place = ", ".join(f"{round(v, 1) + 0.0:.1f}" for v in geometry.to_world(point).tolist())
         return f"({place}) mm {geometry.convention}"
+
+
+def filled(gpu: Gpu, texture: Any, pixels: Pixels) -> Any:
+    """Return a texture with pixels (rows, columns, 4): the given one, or a new one if there is none of their size."""
+    rows, columns = pixels.shape[:2]
+    if texture is None or texture.size[:2] != (columns, rows):
+        usage = "TEXTURE_BINDING|COPY_DST"
+        texture = gpu.device.create_texture(size=(columns, rows, 1), format="rgba8unorm", usage=usage)
+    layout = {"bytes_per_row": 4 * columns, "rows_per_image": rows}
+    gpu.device.queue.write_texture({"texture": texture}, pixels, layout, (columns, rows, 1))
+    return texture

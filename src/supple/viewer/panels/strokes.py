@@ -15,7 +15,7 @@ from supple.viewer.document.state import Item
 from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, listed, others
 from supple.viewer.panels import legend, theme
 from supple.viewer.panels.actions import ACTIONS
-from supple.viewer.panels.icons import hidden, seen
+from supple.viewer.panels.icons import HIDDEN, SEEN
 from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import REST, hint, icon_button, label, listing, section, slider, typed, wrapped
 from supple.viewer.tools.drags import IMMATERIAL, MASKS, SHAPES
@@ -135,7 +135,7 @@ def strokes(view: View) -> None:
 def _row(view: View, i: int, item: Item, selected: bool) -> None:
     document = view.document
     imgui.push_id(i)
-    if icon_button("seen", hidden if item.hidden else seen, imgui.get_frame_height()):
+    if icon_button("seen", HIDDEN if item.hidden else SEEN, imgui.get_frame_height()):
         view.attempt(lambda: document.hide(i, not item.hidden))
     hint("Hidden: click to show it" if item.hidden else "Seen: click to hide it")
     imgui.same_line()

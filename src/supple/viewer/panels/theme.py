@@ -43,10 +43,12 @@ def packed(colour: Colour, opacity: float = 1.0) -> int:
 
 def apply(io: imgui.IO) -> None:
     """Set the letters, and the style of the current context."""
-    font = resources.files("imgui_bundle") / "assets" / "fonts" / "Roboto" / "Roboto-Regular.ttf"
-    with resources.as_file(font) as path:
-        if path.is_file():
-            io.fonts.add_font_from_file_ttf(str(path), LETTERS)
+    fonts, icons = resources.files("imgui_bundle") / "assets" / "fonts", imgui.ImFontConfig()
+    icons.merge_mode = True
+    for font, config in (("Roboto/Roboto-Regular.ttf", None), ("Font_Awesome_6_Free-Solid-900.otf", icons)):
+        with resources.as_file(fonts / font) as path:
+            if path.is_file():
+                io.fonts.add_font_from_file_ttf(str(path), LETTERS, config)
     style()
 
 

@@ -11,10 +11,11 @@ from imgui_bundle import imgui
 from supple.engines.wgpu.device import Gpu
 from supple.freezing import Freeze
 from supple.viewer.panels import theme
+from supple.viewer.panels.stages import filled
 from supple.viewer.tools.drags import Pair
 
 _FIRST = 1 << 20  # the number of the first texture: those of letters have low ones
-_INNER = 1.5  # coefficients from the outermost ones to the edges of a texture, whose texels are at coefficients
+_OUTER = 0.5  # coefficients from the outermost ones to the edges of a texture, whose texels are at coefficients
 
 
 class Veil:
@@ -64,8 +65,8 @@ class Veil:
         for k in (across, down):
             low[k], high[k] = ends[0][k], ends[1][k]
             if mask.size[k] > 1:
-                low[k] = mask.first[k] + mask.step[k] * (_INNER - 1)
-                high[k] = mask.first[k] + mask.step[k] * (mask.size[k] - _INNER)
+                low[k] = mask.first[k] - mask.step[k] * _OUTER
+                high[k] = mask.first[k] + mask.step[k] * (mask.size[k] - _OUTER)
         (a, b), (c, d) = (seen(tuple(end)) for end in ends)
         lines.push_clip_rect((min(a, c), min(b, d)), (max(a, c), max(b, d)), True)
         right, left = low.copy(), high.copy()
@@ -87,15 +88,8 @@ class Veil:
             shade = shade.squeeze(2 - normal)
         if down < across:
             shade = shade.T
-        rows, columns = shade.shape
-        pixels = np.full((rows, columns, 4), 255, np.uint8)
+        shade = np.pad(shade, 1, mode="edge")  # at its very edge, a texture repeats
+        pixels = np.full((*shade.shape, 4), 255, np.uint8)
         veil = 1 - np.clip(shade, 0, 1)
         pixels[..., 3] = np.rint(255 * (4 * veil * (1 - veil) if outline else veil))
-        texture = self.textures.get(which)
-        if texture is None or texture.size[:2] != (columns, rows):
-            usage = "TEXTURE_BINDING|COPY_DST"
-            texture = self._gpu.device.create_texture(size=(columns, rows, 1), format="rgba8unorm", usage=usage)
-            self.textures[which] = texture
-        self._gpu.device.queue.write_texture(
-            {"texture": texture}, pixels, {"bytes_per_row": 4 * columns, "rows_per_image": rows}, (columns, rows, 1)
-        )
+        self.textures[which] = filled(self._gpu, self.textures.get(which), pixels)

@@ -7,8 +7,7 @@ from collections.abc import Callable
 
 from imgui_bundle import imgui
 
-from supple.viewer.panels import settings, theme
-from supple.viewer.panels.icons import Icon, placed
+from supple.viewer.panels import icons, settings, theme
 from supple.viewer.panels.view import View
 
 LABEL = 104.0  # logical pixels of the labels before fields
@@ -91,7 +90,7 @@ def toggle(text: str, on: bool, wide: float) -> bool:
     return pressed
 
 
-def icon_button(name: str, icon: Icon, size: float, on: bool = False, enabled: bool = True) -> bool:
+def icon_button(name: str, icon: str, size: float, on: bool = False, enabled: bool = True) -> bool:
     """Draw a button with an icon; return whether it was pressed."""
     imgui.begin_disabled(not enabled)
     pressed = imgui.invisible_button(name, (size, size))
@@ -103,10 +102,7 @@ def icon_button(name: str, icon: Icon, size: float, on: bool = False, enabled: b
         ground = theme.PRIMARY if on else theme.PRESSED if held else theme.RAISED
         lines.add_rect_filled((low.x, low.y), (high.x, high.y), theme.packed(ground), 6.0)
     colour = theme.packed((1.0, 1.0, 1.0, 1.0) if on else theme.TEXT, 1.0 if enabled else 0.3)
-    # The middle of a pixel: lines of a whole width are sharp.
-    middle = (round(0.5 * (low.x + high.x)), round(0.5 * (low.y + high.y)))
-    for part in placed(icon, *middle, round(0.25 * size)):
-        part(lines, colour)
+    icons.draw(lines, icon, (0.5 * (low.x + high.x), 0.5 * (low.y + high.y)), round(0.5 * size), colour)
     return bool(pressed)
 
 

@@ -1,19 +1,29 @@
-"""Warps of MRtrix: positions ("deformations") or displacements in millimetres in RAS, in NIfTI or .mif files."""
+"""Fields in millimetres in RAS, of MRtrix, NiftyReg and SPM: positions or displacements in NIfTI, or in MRtrix' .mif.
+
+Fields of NiftyReg and SPM name themselves in their headers: they have the intent code of ITK's (1007), those of SPM's
+Segment none, and hold something else.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from supple.media.files import PathLike, head_of, unreadable
 from supple.media.transforms.base import (
+    DISPLACEMENTS,
     LPS,
+    NIFTYREG,
+    SPM,
+    VECTOR,
     Array,
     Content,
     Displacements,
     Grids,
+    announced,
     check_finite,
     check_intent,
     matrix_grid,
@@ -27,31 +37,55 @@ from supple.media.transforms.base import (
 )
 from supple.media.volume.data import native, reading
 
-SUFFIXES = (".nii", ".nii.gz", ".mif", ".mif.gz")
+_MIF = (".mif", ".mif.gz")
 _CONVERT = "run mrconvert, and give its .nii.gz"
 _CHUNK = 1 << 16
+_MARKED = "MRtrix marks so what lies outside the input: crop the warp, or fill these voxels"
+_OUTSIDE = "such voxels lie outside the input: crop the field, or fill them"
 
 
-def read(path: PathLike, grids: Grids, *, absolute: bool) -> tuple[Content, ...]:
-    """Read a warp of MRtrix."""
-    if suffix_of(path, SUFFIXES) in (".mif", ".mif.gz"):
+class _Kind(NamedTuple):
+    """What a convention holds, the intent codes that are read, what to do about NaN, and what is written."""
+
+    absolute: bool
+    codes: tuple[int, ...]
+    gaps: str
+    written: dict[str, Any]
+
+
+_KINDS = {
+    "mrtrix": _Kind(True, (0,), _MARKED, {"axes": 4}),
+    "mrtrix-displacement": _Kind(False, (0,), _MARKED, {"axes": 4}),
+    "niftyreg": _Kind(True, (VECTOR,), _OUTSIDE, {"axes": 5, "intent": VECTOR, "name": NIFTYREG}),
+    "spm-deformation": _Kind(True, (0, VECTOR), _OUTSIDE, {"axes": 5, "intent": VECTOR, "name": SPM}),
+}
+
+
+def read(path: PathLike, grids: Grids, *, convention: str) -> tuple[Content, ...]:
+    """Read a field of positions or displacements."""
+    absolute, codes, gaps, _ = _KINDS[convention]
+    if convention.startswith("mrtrix") and suffix_of(path, _MIF) in _MIF:
         values, matrix = _mif(path)
         grid = matrix_grid(path, matrix, values.shape[2::-1])
     else:
-        convention = "mrtrix" if absolute else "mrtrix-displacement"
         volume = read_nifti(path, convention)
-        check_intent(path, volume, convention, (0,))
+        check_intent(path, volume, convention, codes)
+        if convention == "niftyreg":  # which says what it holds
+            if announced(path, volume.header) != convention:
+                what = f"its header does not say that it is of {convention}"
+                raise unreadable(path, what, "give the convention that it has")
+            absolute = int(volume.header["intent_p1"]) != DISPLACEMENTS
         values, grid = vectors_of(path, volume)
-    check_finite(path, values, "MRtrix marks so what lies outside the input: crop the warp, or fill these voxels")
+    check_finite(path, values, gaps)
     made = moved(values, grid, None, LPS, np.eye(4) if absolute else None)
     return (Displacements(made, grid, beyond="edge"),)
 
 
-def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, absolute: bool, force: bool = False) -> None:
-    """Write a warp of MRtrix as NIfTI."""
-    field = only_field(path, contents, "mrtrix" if absolute else "mrtrix-displacement")
-    made = moved(field.values, field.grid, np.eye(4) if absolute else None, LPS)
-    write_nifti(path, made, field.grid, axes=4, force=force)
+def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, convention: str, force: bool = False) -> None:
+    """Write a field as NIfTI: of positions, unless the convention is one of displacements."""
+    known, field = _KINDS[convention], only_field(path, contents, convention)
+    made = moved(field.values, field.grid, np.eye(4) if known.absolute else None, LPS)
+    write_nifti(path, made, field.grid, **known.written, force=force)
 
 
 def _mif(path: PathLike) -> tuple[Array, Array]:
