@@ -107,7 +107,7 @@ def test_a_photograph_in_a_browser(gpu: Gpu, photo: Path, state: Path) -> None:
         assert away(before) > 8
 
 
-@effort.soak("the frames of a clip in a browser, which others have on a screen, and with every brush")
+@effort.soak("the frames of a clip in a browser, which others have on a screen")
 def test_a_clip_in_a_browser(gpu: Gpu, clip: Path, state: Path) -> None:
     saved, made = state / "clip.recipe.json", state / "clip-bent.mp4"
     with browsing(clip) as browser:
@@ -130,6 +130,7 @@ def test_a_clip_in_a_browser(gpu: Gpu, clip: Path, state: Path) -> None:
         assert away(before) > 10
 
 
+@effort.soak("a volume in a browser, which others have without a screen, and in planes by a pointer")
 def test_a_volume_in_a_browser(gpu: Gpu, volume: Path, state: Path) -> None:
     saved, made = state / "head.recipe.json", state / "head-bent.nii.gz"
     with browsing(volume) as browser:

@@ -103,7 +103,7 @@ def rendering(mouse: Mouse) -> None:
     mouse.settled()
 
 
-@effort.soak("the rendering of a volume on a screen, which others have in planes, in a browser and without a screen")
+@effort.soak("the rendering of a volume on a screen, which others have in planes, and without a screen")
 def test_a_volume_by_a_real_pointer(gpu: Gpu, volume: Path, state: Path) -> None:
     seen, recipe = edited(volume, "head", "head-bent.nii.gz", rendering, 1.5)
     assert all(np.linalg.norm(stroke.by) > 2 for stroke in recipe.strokes)
