@@ -42,7 +42,7 @@ class OfHand:
 
     def key(self, key: str, *, control: bool = False) -> None:
         self._hand.key(key, *["Control"][:control])
-        for _ in range(3):  # a question takes some frames
+        for _ in range(3 * (control or key == "Enter")):  # a question takes some frames
             self._hand.canvas.draw()
 
     def drag(self, start: Pair, end: Pair) -> None:
