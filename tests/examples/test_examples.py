@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from supple.media import image, video
+from tests import effort
 from tests.children import ROOT
 
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
@@ -77,7 +79,19 @@ def test_there_are_examples() -> None:
     assert {path.stem for path in EXAMPLES} >= stills | clips | volumes
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+LONG = {"asymmetry", "delay", "fractal", "head", "invert_field", "modes", "smile", "spacetime", "warp_large"}
+long = effort.soak("examples that take some seconds each")
+
+
+@pytest.mark.parametrize("path", [path for path in EXAMPLES if path.stem in LONG], ids=lambda path: path.stem)
+def test_what_a_long_example_imports_is_there(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(path.parent))
+    assert callable(runpy.run_path(str(path), run_name=path.stem)["main"])
+
+
+@pytest.mark.parametrize(
+    "path", [pytest.param(path, id=path.stem, marks=long if path.stem in LONG else ()) for path in EXAMPLES]
+)
 def test_an_example_runs(path: Path, tmp_path: Path) -> None:
     result = subprocess.run(
         [sys.executable, "-W", "default", str(path), str(tmp_path)],

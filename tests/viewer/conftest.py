@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -34,24 +35,29 @@ def photo(state: Path) -> Path:
     return small_photo(state)
 
 
-@pytest.fixture
-def clip(state: Path) -> Path:
+@pytest.fixture(scope="session")
+def media(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of a clip, and of the head with voxels of 4 mm."""
     import av
+    import SimpleITK as sitk  # noqa: N813
 
-    target, count = state / "clip.mp4", 16
-    with av.open(str(DATA / "bunny.mp4")) as source, av.open(str(target), "w") as out:
+    folder, count = tmp_path_factory.mktemp("media"), 16
+    with av.open(str(DATA / "bunny.mp4")) as source, av.open(str(folder / "clip.mp4"), "w") as out:
         stream = out.add_stream("libx264", rate=25, options={"crf": "12", "preset": "fast"})
         stream.width, stream.height, stream.pix_fmt = 640, 360, "yuv420p"
         for frame in itertools.islice(source.decode(video=0), count):
             out.mux(stream.encode(frame.reformat(640, 360)))
         out.mux(stream.encode(None))
-    return target
+    small = sitk.BinShrink(sitk.ReadImage(str(DATA / "head.nii.gz")), (2, 2, 2))
+    sitk.WriteImage(small, str(folder / "head.nii.gz"))
+    return folder
 
 
 @pytest.fixture
-def volume(state: Path) -> Path:
-    """The head, of voxels of 4 mm."""
-    import SimpleITK as sitk  # noqa: N813
+def clip(media: Path, state: Path) -> Path:
+    return Path(shutil.copy(media / "clip.mp4", state))
 
-    sitk.WriteImage(sitk.BinShrink(sitk.ReadImage(str(DATA / "head.nii.gz")), (2, 2, 2)), str(state / "head.nii.gz"))
-    return state / "head.nii.gz"
+
+@pytest.fixture
+def volume(media: Path, state: Path) -> Path:
+    return Path(shutil.copy(media / "head.nii.gz", state))

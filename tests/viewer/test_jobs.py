@@ -1,12 +1,12 @@
-"""Five jobs that people have, done by a real pointer on a real screen, each within a minute of a hand's time."""
+"""Five jobs that people have, done by a hand at a window, each within a minute of its time."""
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,11 +26,10 @@ from supple.viewer.tools.slices import SliceTools
 from supple.viewer.tools.viewport import Viewport
 from supple.viewer.window.launch import SIZE
 from tests.viewer.sessions import DATA, recipe_in, warped
-from tests.viewer.windows import Mouse, a_screen, viewing
+from tests.viewer.windows import Hand, opened, wait_for
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
-pytest.importorskip("glfw")
 AREA = (SIZE[0] - WIDE, SIZE[1] - LINE)
 CLICK, DRAG = 1.0, 2.0  # seconds of a hand: a click, a key or a turn of the wheel; a drag
 Pair = tuple[float, float]
@@ -50,14 +49,14 @@ FACE = (
 class Job:
     """A hand at a window, what it does, and how long that takes."""
 
-    def __init__(self, mouse: Mouse, place: Callable[..., Pair]) -> None:
-        self.mouse, self.place = mouse, place
+    def __init__(self, view: Any, hand: Hand, place: Callable[..., Pair]) -> None:
+        self.view, self.hand, self.place = view, hand, place
         self.events, self.seconds = 0, 0.0
 
     def _did(self, seconds: float) -> None:
         self.events += 1
         self.seconds += seconds
-        time.sleep(0.4)
+        self.hand.canvas.draw()
 
     def _at(self, *point: float) -> tuple[int, int]:
         x, y = self.place(*point)
@@ -65,32 +64,35 @@ class Job:
 
     def key(self, *keys: str) -> None:
         for key in keys:
-            self.mouse.do("key", key)
+            self.hand.key(key)
             self._did(CLICK)
 
     def click(self, *point: float) -> None:
-        self.mouse.do("mousemove", *self._at(*point))
-        time.sleep(0.1)
-        self.mouse.do("click", 1)
+        self.hand.click(self._at(*point))
         self._did(CLICK)
 
     def drag(self, start: tuple[float, ...], end: tuple[float, ...]) -> None:
         self.drag_on_canvas(self._at(*start), self._at(*end))
 
     def drag_on_canvas(self, start: tuple[int, int], end: tuple[int, int]) -> None:
-        self.mouse.drag(start, end)
+        self.hand.drag(start, end)
         self._did(DRAG)
 
     def wheel(self, notches: int, at: tuple[float, ...], *held: str) -> None:
         """Turn the wheel by some notches, up above 0, at a point."""
-        self.mouse.do("mousemove", *self._at(*at))
-        for key in held:
-            self.mouse.do("keydown", key)
+        x, y = self._at(*at)
+        self.hand.move(x, y)
+        self.hand.modifiers = held
         for _ in range(abs(notches)):
-            self.mouse.do("click", 4 if notches > 0 else 5)
-        for key in held:
-            self.mouse.do("keyup", key)
+            self.hand.wheel(x, y, -100.0 if notches > 0 else 100.0)
+        self.hand.modifiers = ()
         self._did(CLICK)
+
+    def seen(self) -> np.ndarray:
+        """What is on the canvas, drawn in full."""
+        wait_for(lambda: self.hand.canvas.draw() is not None and self.view.painter.ready, every=0.02)
+        self.view._changed_at = -10.0
+        return np.asarray(self.hand.canvas.draw())
 
 
 def pinned(job: Job, *points: tuple[float, ...]) -> None:
@@ -102,15 +104,14 @@ def pinned(job: Job, *points: tuple[float, ...]) -> None:
 
 def done(source: Path, target: str, place: Callable[..., Pair], work: Callable[[Job], None]) -> tuple[Recipe, Path]:
     """Do a job, save and export: the recipe, and what was exported, which is what the command line makes of it."""
-    folder = source.parent
-    saved, made = folder / f"{source.name.split('.')[0]}.recipe.json", folder / target
-    with a_screen(folder / "screen") as mouse, viewing(str(source), folder=folder, display=mouse.display):
-        mouse.settled()
-        job = Job(mouse, place)
-        work(job)
-        for keys, path in (("ctrl+s", saved), ("ctrl+e", made)):
-            mouse.do("mousemove", 1100, 780)
-            mouse.filed(keys, path)
+    saved, made = source.with_name("job.recipe.json"), source.with_name(target)
+    view, hand = opened(source, size=SIZE)
+    job = Job(view, hand, place)
+    work(job)
+    view.commands.save(saved)
+    view.commands.begin_export(made)
+    assert view.commands.export.join(120)
+    view.close()
     print(f"{job.events} events, {job.seconds:.0f} s of a hand")
     assert job.seconds + 4 * CLICK < 60  # two commands, and a question each
     wanted = warped(source, "wanted" + "".join(source.suffixes), saved)
@@ -178,7 +179,7 @@ def test_both_eyes_are_opened(gpu: Gpu, portrait: Path) -> None:
 
     def work(job: Job) -> None:
         job.place = before.to_canvas
-        job.wheel(5, NOSE, "ctrl")
+        job.wheel(5, NOSE, "Control")
         job.place = near.to_canvas
         job.key("w")
         job.wheel(notches(64, 11), NOSE)
@@ -212,7 +213,7 @@ def crooked(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 def edges(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The height of the horizon in columns, and both edges of the door in rows, to a part of a pixel."""
-    grey = pixels[..., 2].astype(float)
+    grey = pixels[..., -1].astype(float)
     horizon = [100 + np.clip((grey[100:180, x] - 90) / 145, 0, 1).sum() - 0.5 for x in COLUMNS]
     left = [350 + np.clip((grey[y, 350:415] - 30) / 60, 0, 1).sum() - 0.5 for y in ROWS]
     right = [415 + np.clip((90 - grey[y, 415:490]) / 60, 0, 1).sum() - 0.5 for y in ROWS]
@@ -228,11 +229,11 @@ def test_a_horizon_and_a_door_are_straightened(gpu: Gpu, state: Path) -> None:
 
     def found(job: Job, part: int) -> Callable[[int], float]:
         """What an eye sees, which no thin lines of the window confuse: where the horizon, or the door, is now."""
-        job.mouse.do("mousemove", 1100, 780)
-        places = (COLUMNS, ROWS, ROWS)[part]
-        seen = ndimage.median_filter(job.mouse.settled(), (9, 9, 1))
+        job.hand.move(1100, 780)
+        places, seen = (COLUMNS, ROWS, ROWS)[part], job.seen()
         across, down = (np.array([round(view.to_canvas(k, k)[n]) for k in range(m)]) for n, m in enumerate((560, 380)))
-        return lambda at: float(np.interp(at, places, edges(seen[down][:, across])[part]))
+        blue = ndimage.median_filter(seen[down][:, across, 2:3], (5, 5, 1))
+        return lambda at: float(np.interp(at, places, edges(blue)[part]))
 
     def straight(job: Job, *places: int, at: float, part: int) -> None:
         """Drag points of a line to where it should be."""
@@ -320,7 +321,7 @@ def test_the_edge_of_a_tumour_is_pushed_in_a_slice(gpu: Gpu, state: Path) -> Non
 
     def work(job: Job) -> None:
         job.wheel(5, edge(0))  # to its slice
-        job.wheel(notches(22.75, 12), edge(0), "shift")
+        job.wheel(notches(22.75, 12), edge(0), "Shift")
         job.drag(edge(RADIUS), edge(RADIUS + 4))
         pinned(job, edge(-RADIUS), edge(RADIUS + 12))
 

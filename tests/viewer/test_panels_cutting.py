@@ -45,7 +45,7 @@ def at(places: Places, name: str, across: float = 0.5) -> tuple[float, float]:
 
 @pytest.fixture
 def window(gpu: Gpu, volume: Any, places: Places) -> tuple[Any, Hand]:
-    view, hand = opened(volume, Recipe(border=None, strokes=(PULL,)), size=(1280, 1000))
+    view, hand = opened(volume, Recipe(border=None, strokes=(PULL,)), size=(760, 1000))
     hand.canvas.draw()
     left, top, _, bottom = places["Cut away"]
     hand.click((left + 8, 0.5 * (top + bottom)))

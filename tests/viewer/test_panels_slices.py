@@ -19,6 +19,7 @@ from supple.render.camera import Camera
 from supple.strokes import Recipe, Stroke
 from supple.viewer.panels.slices import SOFT_TISSUE, first_window, turned
 from supple.viewer.tools.planes import RENDERED, planes_of
+from tests import effort
 from tests.viewer.windows import opened
 
 pytest.importorskip("rendercanvas")
@@ -86,7 +87,7 @@ def status(view: Any) -> str:
 
 def test_the_canvas_shows_planes_the_way_they_are_seen(gpu: Gpu, tmp_path: Path) -> None:
     """Each voxel's centre has the grey of its value, in each plane, before and after."""
-    view, hand = opened(DATA / "head.nii.gz", Recipe(strokes=(PULL,)), size=(1300, 1024))
+    view, hand = opened(DATA / "head.nii.gz", Recipe(strokes=(PULL,)), size=(960, 640))
     tools, bent = view.tools, view.document.deformation
     view.write(str(tmp_path / "seen.png"), True)
     seen = image.read(tmp_path / "seen.png").pixels
@@ -198,7 +199,7 @@ def test_a_hidden_rendering_is_not_drawn_and_comes_back(gpu: Gpu) -> None:
 
 
 def test_a_click_on_the_cube_that_is_drawn_looks_from_there(gpu: Gpu) -> None:
-    view, hand = opened(DATA / "head.nii.gz", size=(1280, 720))
+    view, hand = opened(DATA / "head.nii.gz", size=(900, 600))
     view.tools.view = Camera(30, 20)
     for face in view.tools.cube:
         hand.move(5, 5)
@@ -291,7 +292,14 @@ def test_landmarks_are_shown_before_and_after(gpu: Gpu, tmp_path: Path) -> None:
     view.document.mark_saved()
 
 
-@pytest.mark.parametrize("size", [(1600, 1000), (1280, 720), (900, 540), (640, 480)])
+@pytest.mark.parametrize(
+    "size",
+    [
+        (1280, 720),
+        (640, 480),
+        *(pytest.param(size, marks=effort.soak("words in other windows")) for size in [(1600, 1000), (900, 540)]),
+    ],
+)
 def test_no_words_lie_on_others(
     gpu: Gpu, size: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -340,7 +348,7 @@ def test_the_curve_is_the_opacity_of_the_transfer_function(gpu: Gpu) -> None:
     from supple.render.transfer import TransferFunction
     from supple.viewer.panels.curve import opacities
 
-    view, hand = opened(DATA / "head.nii.gz", size=(1000, 1400))
+    view, hand = opened(DATA / "head.nii.gz", size=(468, 1400))
     hand.canvas.draw()
     assert view._gui.trouble == ""
     transfer = view.stage.scene.transfer

@@ -16,13 +16,15 @@ from supple.engines.wgpu.device import Gpu
 from supple.media import image
 from supple.strokes import Stroke
 from supple.viewer.panels.view import BAR, LINE, WIDE
+from tests import effort
 from tests.clips import decoded
 from tests.viewer.sessions import near, on_canvas, recipe_in, warped
-from tests.viewer.windows import Browser, Pixels, as_in_a_window, needs, viewing, wait_for
+from tests.viewer.windows import Browser, Pixels, as_in_a_window, needs, small_photo, viewing, wait_for
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
 pytest.importorskip("glfw")
+Page = tuple[Browser, Path, list[str]]
 
 
 @contextmanager
@@ -47,6 +49,15 @@ def browsing(source: Path, addresses: list[str] | None = None) -> Iterator[Brows
             assert "token" not in str(browser.call("Runtime.evaluate", expression="location.href"))
         finally:
             browser.close()
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """A browser that shows a photograph, for several tests that leave it as it was; the file, and the address."""
+    photo = small_photo(tmp_path_factory.mktemp("page"))
+    addresses: list[str] = []
+    with browsing(photo, addresses) as browser:
+        yield browser, photo, addresses
 
 
 def edited_there(browser: Browser, saved: Path, made: Path) -> tuple[Stroke, ...]:
@@ -96,56 +107,7 @@ def test_a_photograph_in_a_browser(gpu: Gpu, photo: Path, state: Path) -> None:
         assert away(before) > 8
 
 
-def test_hints_and_the_list_of_keys_in_a_browser(gpu: Gpu, photo: Path, state: Path) -> None:
-    with browsing(photo) as browser:
-        x = browser.shown().shape[1] - WIDE + 20
-
-        def there(before: Pixels, left: int, right: int) -> bool:
-            box = np.s_[60:110, left:right]
-            return bool((np.abs(browser.shown()[box].astype(int) - before[box]) > 50).any())
-
-        browser.mouse("mouseMoved", x, 300)
-        time.sleep(1)
-        before = browser.shown()
-        browser.mouse("mouseMoved", x, 60)
-        wait_for(lambda: there(before, x + 30, x + 200), 10)
-        browser.mouse("mouseMoved", 300, 580)
-        wait_for(lambda: not there(before, x + 30, x + 200), 10)
-        before = browser.shown()
-        for kind in ("keyDown", "keyUp"):
-            browser.call("Input.dispatchKeyEvent", type=kind, key="?", text="?", windowsVirtualKeyCode=191, modifiers=8)
-        wait_for(lambda: there(before, 100, 500), 10)
-
-
-def test_a_pen_in_a_browser(gpu: Gpu, photo: Path, state: Path) -> None:
-    saved, made = state / "photo.recipe.json", state / "photo-bent.png"
-    with browsing(photo) as browser:
-        browser.drag((350, 300), (410, 270), pointerType="pen", force=0.5)
-        time.sleep(1)
-        # The greatest pressure is that of a move which is not sent, as the next one follows at once.
-        pen = {"pointerType": "pen", "force": 0.2}
-        browser.mouse("mousePressed", 350, 220, button="left", buttons=1, clickCount=1, **pen)
-        browser.mouse("mouseMoved", 380, 200, button="left", buttons=1, **pen)
-        time.sleep(0.2)
-        browser.call(
-            "Runtime.evaluate",
-            expression='dispatchEvent(new PointerEvent("pointermove", { pointerType: "pen", pressure: 0.5 }))',
-        )
-        browser.mouse("mouseMoved", 410, 190, button="left", buttons=1, **pen)
-        browser.mouse("mouseReleased", 410, 190, button="left", clickCount=1, **pen)
-        time.sleep(1)
-        browser.drag((350, 150), (410, 120))
-        time.sleep(1)
-        browser.key("s", 83, 2)
-        wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=0.5)
-        browser.key("e", 69, 2)
-        wait_for(lambda: browser.key("Enter", 13) or made.exists(), every=0.5)
-    even, peak, mouse = recipe_in(saved).strokes
-    for stroke in (even, peak):
-        np.testing.assert_allclose(stroke.by, 0.75 * np.array(mouse.by), rtol=0.01)
-    np.testing.assert_array_equal(image.read(made).pixels, image.read(warped(photo, "wanted.png", saved)).pixels)
-
-
+@effort.soak("the frames of a clip in a browser, which others have on a screen")
 def test_a_clip_in_a_browser(gpu: Gpu, clip: Path, state: Path) -> None:
     saved, made = state / "clip.recipe.json", state / "clip-bent.mp4"
     with browsing(clip) as browser:
@@ -168,6 +130,7 @@ def test_a_clip_in_a_browser(gpu: Gpu, clip: Path, state: Path) -> None:
         assert away(before) > 10
 
 
+@effort.soak("a volume in a browser, which others have without a screen, and in planes by a pointer")
 def test_a_volume_in_a_browser(gpu: Gpu, volume: Path, state: Path) -> None:
     saved, made = state / "head.recipe.json", state / "head-bent.nii.gz"
     with browsing(volume) as browser:
@@ -193,6 +156,88 @@ def test_a_volume_in_a_browser(gpu: Gpu, volume: Path, state: Path) -> None:
         assert away(pictures[1]) > 4.2
 
 
+def test_hints_and_the_list_of_keys_in_a_browser(gpu: Gpu, page: Page) -> None:
+    browser, *_ = page
+    x = browser.shown().shape[1] - WIDE + 20
+
+    def there(before: Pixels, left: int, right: int) -> bool:
+        box = np.s_[60:110, left:right]
+        return bool((np.abs(browser.shown()[box].astype(int) - before[box]) > 50).any())
+
+    browser.mouse("mouseMoved", x, 300)
+    time.sleep(1)
+    before = browser.shown()
+    browser.mouse("mouseMoved", x, 60)
+    wait_for(lambda: there(before, x + 30, x + 200), 10)
+    browser.mouse("mouseMoved", 300, 580)
+    wait_for(lambda: not there(before, x + 30, x + 200), 10)
+    before = browser.shown()
+    for kind in ("keyDown", "keyUp"):
+        browser.call("Input.dispatchKeyEvent", type=kind, key="?", text="?", windowsVirtualKeyCode=191, modifiers=8)
+    wait_for(lambda: there(before, 100, 500), 10)
+    browser.key("F1", 112)
+    wait_for(lambda: not there(before, 100, 500), 10)
+
+
+def test_another_page_takes_over_and_gives_back(gpu: Gpu, page: Page) -> None:
+    first, photo, addresses = page
+    area = slice(100, 500), slice(100, 600)
+    plain = first.shown()
+    first.drag((350, 300), (430, 260))
+    first.mouse("mouseMoved", 900, 600)
+    wait_for(lambda: near(first.shown()[area], plain[area]) > 6)
+    time.sleep(2)  # until it is drawn in full
+    drawn_there = first.shown()
+    second = Browser(photo.with_name("second"))
+    try:
+        second.go(addresses[0])
+        wait_for(lambda: "Another page has taken this window over." in first.text())
+        assert "reconnect" not in first.text()
+        wait_for(lambda: np.ptp(second.shown()[100:300, 100:400].astype(int)) > 100)
+        # The same session: the stroke of the first page is there, and is undone in the second.
+        wait_for(lambda: near(second.shown()[area], drawn_there[area]) < 6)
+        second.key("z", 90, 2)
+        wait_for(lambda: near(second.shown()[area], plain[area]) < 6)
+        first.call("Runtime.evaluate", expression="document.querySelector('#taken button').click()")
+        wait_for(lambda: "Another page has taken this window over." in second.text())
+        wait_for(lambda: "taken this window" not in first.text())
+        wait_for(lambda: near(first.shown()[area], plain[area]) < 6)
+        first.key("y", 89, 2)
+        wait_for(lambda: near(first.shown()[area], drawn_there[area]) < 6)
+        first.key("z", 90, 2)
+    finally:
+        second.close()
+
+
+def test_a_pen_in_a_browser(gpu: Gpu, page: Page) -> None:
+    browser, photo, _ = page
+    saved, made = photo.with_name("photo.recipe.json"), photo.with_name("photo-bent.png")
+    browser.drag((350, 300), (410, 270), pointerType="pen", force=0.5)
+    time.sleep(1)
+    # The greatest pressure is that of a move which is not sent, as the next one follows at once.
+    pen = {"pointerType": "pen", "force": 0.2}
+    browser.mouse("mousePressed", 350, 220, button="left", buttons=1, clickCount=1, **pen)
+    browser.mouse("mouseMoved", 380, 200, button="left", buttons=1, **pen)
+    time.sleep(0.2)
+    browser.call(
+        "Runtime.evaluate",
+        expression='dispatchEvent(new PointerEvent("pointermove", { pointerType: "pen", pressure: 0.5 }))',
+    )
+    browser.mouse("mouseMoved", 410, 190, button="left", buttons=1, **pen)
+    browser.mouse("mouseReleased", 410, 190, button="left", clickCount=1, **pen)
+    time.sleep(1)
+    browser.drag((350, 150), (410, 120))
+    time.sleep(1)
+    browser.key("s", 83, 2)
+    wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=0.5)
+    browser.key("e", 69, 2)
+    wait_for(lambda: browser.key("Enter", 13) or made.exists(), every=0.5)
+    even, peak, mouse = recipe_in(saved).strokes
+    for stroke in (even, peak):
+        np.testing.assert_allclose(stroke.by, 0.75 * np.array(mouse.by), rtol=0.01)
+    np.testing.assert_array_equal(image.read(made).pixels, image.read(warped(photo, "wanted.png", saved)).pixels)
+
+
 # What the browser would do with a key, or a click, is asked of the event once all have heard it.
 LOGGED = """
 window.heard = [];
@@ -202,64 +247,32 @@ for (const kind of ["keydown", "contextmenu", "wheel"])
 """
 
 
-def test_the_keys_of_the_window_are_kept_from_the_browser_and_no_others(gpu: Gpu, photo: Path) -> None:
-    with browsing(photo) as browser:
-        browser.call("Runtime.evaluate", expression=LOGGED)
-        ours = {("s", 83, 2), ("o", 79, 2), ("e", 69, 2), ("z", 90, 2), ("y", 89, 2), ("Z", 90, 10), ("S", 83, 10)}
-        theirs = {("r", 82, 2), ("t", 84, 2), ("c", 67, 2), ("v", 86, 2), ("F5", 116, 0), ("s", 83, 0), (" ", 32, 0)}
-        for key, code, modifiers in (*ours, ("F1", 112, 0), *theirs):
-            browser.call(
-                "Input.dispatchKeyEvent", type="rawKeyDown", key=key, windowsVirtualKeyCode=code, modifiers=modifiers
-            )
-            browser.call(
-                "Input.dispatchKeyEvent", type="keyUp", key=key, windowsVirtualKeyCode=code, modifiers=modifiers
-            )
-        browser.mouse("mouseMoved", 300, 300)
-        for kind in ("mousePressed", "mouseReleased"):
-            browser.mouse(kind, 300, 300, button="right", clickCount=1)
-        browser.mouse("mouseWheel", 300, 300, deltaX=0, deltaY=-100, modifiers=2)
+def test_the_keys_of_the_window_are_kept_from_the_browser_and_no_others(gpu: Gpu, page: Page) -> None:
+    browser, *_ = page
+    browser.call("Runtime.evaluate", expression=LOGGED)
+    ours = {("s", 83, 2), ("o", 79, 2), ("e", 69, 2), ("z", 90, 2), ("y", 89, 2), ("Z", 90, 10), ("S", 83, 10)}
+    theirs = {("r", 82, 2), ("t", 84, 2), ("c", 67, 2), ("v", 86, 2), ("F5", 116, 0), ("s", 83, 0), (" ", 32, 0)}
+    for key, code, modifiers in (*ours, ("F1", 112, 0), *theirs):
+        browser.call(
+            "Input.dispatchKeyEvent", type="rawKeyDown", key=key, windowsVirtualKeyCode=code, modifiers=modifiers
+        )
+        browser.call("Input.dispatchKeyEvent", type="keyUp", key=key, windowsVirtualKeyCode=code, modifiers=modifiers)
+    browser.mouse("mouseMoved", 300, 300)
+    for kind in ("mousePressed", "mouseReleased"):
+        browser.mouse(kind, 300, 300, button="right", clickCount=1)
+    browser.mouse("mouseWheel", 300, 300, deltaX=0, deltaY=-100, modifiers=2)
 
-        def heard() -> list[list[object]]:
-            found = browser.call("Runtime.evaluate", expression="heard", returnByValue=True)["result"]["value"]
-            return found if {kind for kind, *_ in found} == {"keydown", "contextmenu", "wheel"} else []
+    def heard() -> list[list[object]]:
+        found = browser.call("Runtime.evaluate", expression="heard", returnByValue=True)["result"]["value"]
+        return found if {kind for kind, *_ in found} == {"keydown", "contextmenu", "wheel"} else []
 
-        kept = {(kind, key, control): prevented for kind, key, control, prevented in wait_for(heard)}
-        for key, _, modifiers in ours:
-            assert kept["keydown", key, bool(modifiers & 2)] is True, key
-        assert kept["keydown", "F1", False] is True
-        for key, _, modifiers in theirs:
-            assert kept["keydown", key, bool(modifiers & 2)] is False, key
-        assert kept["contextmenu", "", False] is True
-        assert kept["wheel", "", True] is True
-        place = browser.call("Runtime.evaluate", expression="scrollX + scrollY + innerWidth - outerWidth")
-        assert place["result"]["value"] == 0  # neither moved nor zoomed
-
-
-def test_another_page_takes_over_and_gives_back(gpu: Gpu, photo: Path, state: Path) -> None:
-    addresses: list[str] = []
-    with browsing(photo, addresses) as first:
-        area = slice(100, 500), slice(100, 600)
-        plain = first.shown()
-        first.drag((350, 300), (430, 260))
-        first.mouse("mouseMoved", 900, 600)
-        wait_for(lambda: near(first.shown()[area], plain[area]) > 6)
-        time.sleep(2)  # until it is drawn in full
-        drawn_there = first.shown()
-        second = Browser(state / "second")
-        try:
-            second.go(addresses[0])
-            wait_for(lambda: "Another page has taken this window over." in first.text())
-            assert "reconnect" not in first.text()
-            wait_for(lambda: np.ptp(second.shown()[100:300, 100:400].astype(int)) > 100)
-            # The same session: the stroke of the first page is there, and is undone in the second.
-            wait_for(lambda: near(second.shown()[area], drawn_there[area]) < 6)
-            second.key("z", 90, 2)
-            wait_for(lambda: near(second.shown()[area], plain[area]) < 6)
-            first.call("Runtime.evaluate", expression="document.querySelector('#taken button').click()")
-            wait_for(lambda: "Another page has taken this window over." in second.text())
-            wait_for(lambda: "taken this window" not in first.text())
-            wait_for(lambda: near(first.shown()[area], plain[area]) < 6)
-            first.key("y", 89, 2)
-            wait_for(lambda: near(first.shown()[area], drawn_there[area]) < 6)
-        finally:
-            second.close()
+    kept = {(kind, key, control): prevented for kind, key, control, prevented in wait_for(heard)}
+    for key, _, modifiers in ours:
+        assert kept["keydown", key, bool(modifiers & 2)] is True, key
+    assert kept["keydown", "F1", False] is True
+    for key, _, modifiers in theirs:
+        assert kept["keydown", key, bool(modifiers & 2)] is False, key
+    assert kept["contextmenu", "", False] is True
+    assert kept["wheel", "", True] is True
+    place = browser.call("Runtime.evaluate", expression="scrollX + scrollY + innerWidth - outerWidth")
+    assert place["result"]["value"] == 0  # neither moved nor zoomed

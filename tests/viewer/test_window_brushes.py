@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from supple.cli import command
 from supple.engines.wgpu.device import Gpu
 from supple.media import image
 from supple.viewer.panels.overlay import status
-from tests.viewer.sessions import recipe_in, warped
-from tests.viewer.windows import Hand, opened, wait_for
+from tests.viewer.sessions import near, recipe_in, warped
+from tests.viewer.windows import Hand, as_in_a_window, opened, wait_for
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
@@ -105,3 +106,19 @@ def test_a_volume_is_twisted_in_a_plane_and_on_the_object(gpu: Gpu, volume: Path
     paths = both(view, volume, "wanted.nii.gz")
     made, wanted = (sitk.GetArrayFromImage(sitk.ReadImage(str(path))) for path in paths)
     np.testing.assert_array_equal(made, wanted)
+
+
+def test_the_rendering_is_what_the_command_line_makes(gpu: Gpu, volume: Path) -> None:
+    view, hand = opened(volume, size=(660, 400))
+    hand.key("4")
+    width, height = (round(n) for n in view.area)
+    hand.drag((width / 2 - 20, height / 2), (width / 2 + 20, height / 2 - 30))
+    both(view, volume, "wanted.nii.gz")
+    seen, look = view.pixels(), as_in_a_window(volume, width, height)
+    for name, options, near_it in (
+        ("bent", ["--recipe", str(volume.with_name("strokes.json"))], True),
+        ("plain", [], False),
+    ):
+        target = volume.with_name(f"{name}.png")
+        assert command(["render", str(volume), str(target), *options, *look]) == 0
+        assert (near(seen, image.read(target).pixels[..., :3]) < 4) == near_it

@@ -1,7 +1,8 @@
-"""Every brush in every medium, by a pointer and in a browser: exports are what the command line makes of recipes."""
+"""Every brush in every medium, without a screen, by a pointer and in a browser: exports are what recipes make."""
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,16 +17,41 @@ import SimpleITK as sitk  # noqa: N813
 from supple.engines.wgpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe
+from tests import effort
 from tests.clips import decoded
 from tests.viewer.sessions import recipe_in, warped
 from tests.viewer.test_window_browser import browsing
-from tests.viewer.windows import Browser, Mouse, a_screen, small_photo, viewing, wait_for
+from tests.viewer.windows import Browser, Hand, Mouse, a_screen, opened, small_photo, viewing, wait_for
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
 pytest.importorskip("glfw")
 Pair = tuple[int, int]
 Box = tuple[int, int, int, int]
+
+
+class OfHand:
+    """A hand at a window without a screen."""
+
+    def __init__(self, view: Any, hand: Hand) -> None:
+        self._view, self._hand = view, hand
+
+    def rest(self) -> None:
+        self._hand.move(5, 5)
+        wait_for(lambda: self._hand.canvas.draw() is not None and self._view.painter.ready, every=0.02)
+
+    def key(self, key: str, *, control: bool = False) -> None:
+        self._hand.key(key, *["Control"][:control])
+        for _ in range(3 * (control or key == "Enter")):  # a question takes some frames
+            self._hand.canvas.draw()
+
+    def drag(self, start: Pair, end: Pair) -> None:
+        self._hand.move(*start)
+        self._hand.press(*start)
+        for k in range(1, 4):
+            self._hand.move(*(a + (b - a) * k / 3 for a, b in zip(start, end, strict=True)), 1)
+        self._hand.release(*end)
+        self._hand.canvas.draw()
 
 
 class OfMouse:
@@ -87,6 +113,13 @@ def clip(state: Path) -> Path:
 
 
 @contextmanager
+def without_screen(source: Path) -> Iterator[OfHand]:
+    view, hand = opened(source)
+    yield OfHand(view, hand)
+    view.close()
+
+
+@contextmanager
 def by_pointer(source: Path) -> Iterator[OfMouse]:
     folder = source.parent
     with a_screen(folder / "screen") as mouse, viewing(str(source), folder=folder, display=mouse.display):
@@ -100,7 +133,7 @@ def by_page(source: Path) -> Iterator[OfBrowser]:
         yield OfBrowser(browser)
 
 
-def drawn(hand: OfMouse | OfBrowser, box: Box) -> None:
+def drawn(hand: OfHand | OfMouse | OfBrowser, box: Box) -> None:
     """Drag with each brush, at places of a grid in a box; in the end, some of it is restored, evened out and frozen."""
     left, top, right, bottom = box
     wide = (right - left) // 20
@@ -109,10 +142,11 @@ def drawn(hand: OfMouse | OfBrowser, box: Box) -> None:
         return left + (right - left) * column // 4, top + (bottom - top) * row // 3
 
     def drag(key: str, place: Pair, by: Pair = (wide, wide // 2)) -> None:
+        pause = not isinstance(hand, OfHand)
         hand.key(key)
-        time.sleep(0.1)
+        time.sleep(0.1 * pause)
         hand.drag(place, (place[0] + by[0], place[1] + by[1]))
-        time.sleep(0.3)
+        time.sleep(0.3 * pause)
 
     for column, key in enumerate("twpn"):
         drag(key, at(column, 0))
@@ -150,17 +184,23 @@ def pixels_in(path: Path) -> Any:
     return sitk.GetArrayFromImage(sitk.ReadImage(str(path)))
 
 
-@pytest.mark.parametrize("way", [by_pointer, by_page])
+BOXES = {"photo": (200, 220, 680, 460), "clip": (200, 220, 680, 460), "volume": (170, 130, 290, 250)}
+USUAL = [("volume", without_screen), ("clip", without_screen), ("photo", by_pointer)]
+
+
 @pytest.mark.parametrize(
-    ("medium", "box"),
-    [("photo", (200, 220, 680, 460)), ("clip", (200, 220, 680, 460)), ("volume", (170, 130, 290, 250))],
+    ("medium", "way"),
+    [
+        pytest.param(*row, marks=() if row in USUAL else effort.soak("every brush in all media in all ways"))
+        for row in itertools.product(BOXES, (without_screen, by_pointer, by_page))
+    ],
 )
-def test_every_brush(gpu: Gpu, way: Any, medium: str, box: Box, request: Any) -> None:
+def test_every_brush(gpu: Gpu, medium: str, way: Any, request: Any) -> None:
     source: Path = request.getfixturevalue(medium)
     stem, _, suffix = source.name.partition(".")
     saved, made = source.with_name(f"{stem}.recipe.json"), source.with_name(f"{stem}-bent.{suffix}")
     with way(source) as hand:
-        drawn(hand, box)
+        drawn(hand, BOXES[medium])
         hand.rest()  # until all is carried out
         for key, path in (("s", saved), ("e", made)):
             # What is pressed while the question before is still seen would be lost.

@@ -279,7 +279,7 @@ def test_a_compared_step_of_a_volume_is_solved_once(gpu: Gpu, volume: Path, monk
     deformed = Scene.deformed
     monkeypatch.setattr(Scene, "deformed", lambda scene, made: solved.append(made) or deformed(scene, made))
     one, two = (Stroke.grab((22, 40, z), by=(2, -3, 2), radius=40) for z in (22, 30))
-    view, hand = opened(volume, Recipe(border=None, strokes=(one,)))
+    view, hand = opened(volume, Recipe(border=None, strokes=(one,)), size=(700, 480))
 
     def rest() -> np.ndarray:
         """What is seen once nothing is filled, solved or drawn any more."""

@@ -204,6 +204,7 @@ def test_a_hint_is_shown_soon_and_without_drawing_on(view: tuple[Any, Hand], mon
                 drawn.append(np.asarray(hand.canvas.draw())[..., :3].copy())
             time.sleep(1 / 60)
 
+    hand.drag((300, 250), (330, 260))  # a stroke that is in no file of the user's
     live(1.0)
     hand.move(SIZE[0] - WIDE + 20, 60)
     # Half a second, and what a loaded machine takes for frames. The hint is beside the tool, over the panel.

@@ -10,13 +10,12 @@ import pytest
 
 from supple.engines.wgpu.device import Gpu
 from supple.media import volume as volumes
-from supple.strokes import Recipe
 from supple.viewer.panels.slices import first_window, turned
 from supple.viewer.panels.view import LINE, WIDE
 from supple.viewer.tools.slices import SliceTools
 from supple.viewer.window.launch import SIZE
-from tests.viewer.sessions import recipe_in, warped
-from tests.viewer.windows import Pixels, a_screen, viewing
+from tests.viewer.sessions import near, recipe_in, warped
+from tests.viewer.windows import Pixels, a_screen, viewing, wait_for
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
@@ -47,7 +46,7 @@ def greys(seen: Pixels, tools: SliceTools, samples: np.ndarray, k: int) -> float
     return float(np.median(apart)) + float(np.percentile(apart, 80))
 
 
-def test_drags_in_all_planes_by_a_real_pointer(gpu: Gpu, volume: Path, state: Path) -> None:
+def test_drags_and_the_crosshair_in_all_planes_by_a_real_pointer(gpu: Gpu, volume: Path, state: Path) -> None:
     head = volumes.read(volume)
     tools = expected(head)
     saved, made = state / "head.recipe.json", state / "head-bent.nii.gz"
@@ -68,7 +67,22 @@ def test_drags_in_all_planes_by_a_real_pointer(gpu: Gpu, volume: Path, state: Pa
         mouse.do("key", "Escape")
         mouse.do("key", "Escape")
         mouse.do("mousemove", 1100, 780)
-        seen = mouse.settled()
+        seen, sight = mouse.settled(), tools.sight
+        # A click moves the crosshair, the wheel goes to another slice, and a key shows a plane alone.
+        left, top, width, height = tools.places[0]
+        place = round(left + 0.4 * width), round(top + 0.35 * height)
+        point = tools.pane(0).to_point(*place)
+        mouse.do("mousemove", *place)
+        time.sleep(0.3)
+        mouse.do("click", 1)
+        mouse.do("click", 4)  # the wheel, forward
+        mouse.do("mousemove", 1100, 780)
+        crossed = mouse.settled()
+        mouse.do("mousemove", *place)
+        mouse.do("key", "2")
+        mouse.do("mousemove", 1100, 780)
+        wait_for(lambda: near(mouse.shown(), crossed) > 10)
+        alone = mouse.settled()
     recipe = recipe_in(saved)
     assert len(recipe.strokes) == 3
     for k, (stroke, (at, by)) in enumerate(zip(recipe.strokes, wanted, strict=True)):
@@ -81,32 +95,9 @@ def test_drags_in_all_planes_by_a_real_pointer(gpu: Gpu, volume: Path, state: Pa
         assert greys(plain, expected(head), head.samples, k) < 6
         assert greys(seen, tools, bent, k) < 6
         assert greys(seen, tools, head.samples, k) > 8
-    assert isinstance(recipe, Recipe)
-
-
-def test_the_crosshair_by_a_real_pointer(gpu: Gpu, volume: Path, state: Path) -> None:
-    head = volumes.read(volume)
-    tools = expected(head)
-    with a_screen(state / "screen") as mouse, viewing(str(volume), folder=state, display=mouse.display):
-        mouse.settled()
-        left, top, width, height = tools.places[0]
-        place = round(left + 0.4 * width), round(top + 0.35 * height)
-        point = tools.pane(0).to_point(*place)
-        mouse.do("mousemove", *place)
-        time.sleep(0.3)
-        mouse.do("click", 1)
-        tools.sight = tools.sight.at(point, tools.sizes)
-        mouse.do("click", 4)  # the wheel, forward
-        tools.step(0, 1)
-        mouse.do("mousemove", 1100, 780)
-        seen = mouse.settled()
-        mouse.do("mousemove", *place)
-        mouse.do("key", "2")  # a plane alone
-        tools.enlarge(1)
-        mouse.do("mousemove", 1100, 780)
-        time.sleep(0.6)
-        alone = mouse.settled()
-    assert greys(alone, tools, head.samples, 1) < 8
-    tools.enlarge(None)
+    tools.sight = sight.at(point, tools.sizes)
+    tools.step(0, 1)
     for k in range(3):
-        assert greys(seen, tools, head.samples, k) < 6
+        assert greys(crossed, tools, bent, k) < 6
+    tools.enlarge(1)
+    assert greys(alone, tools, bent, 1) < 8

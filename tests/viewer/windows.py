@@ -157,7 +157,8 @@ def small_photo(folder: Path) -> Path:
 def viewing(*arguments: str, folder: Path, display: str = "") -> Iterator[subprocess.Popen[str]]:
     """A process of ``supple view``."""
     # Without programs for dialogs, files are typed.
-    env = os.environ | {"XDG_STATE_HOME": str(folder / "state"), "PYTHONUNBUFFERED": "1", "PATH": str(folder / "none")}
+    env = os.environ | {"PYTHONUNBUFFERED": "1", "PATH": str(folder / "none")}
+    env |= {"XDG_STATE_HOME": str(folder / "state"), "XDG_CONFIG_HOME": str(folder / "config")}
     if display:
         env["DISPLAY"] = display
     process = subprocess.Popen(

@@ -71,6 +71,12 @@ class Autosave:
         self._kept: object = self._now()
         self._ended = False
 
+    @property
+    def due(self) -> bool:
+        """Whether there are changes that are not saved yet."""
+        writing = self._writing is not None and not self._writing.done()
+        return not self._ended and (writing or self._now() != self._kept)
+
     def tick(self) -> None:
         """Save changes if it is time to; may be called at any rate."""
         now = self._now()
