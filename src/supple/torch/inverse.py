@@ -12,14 +12,11 @@ import torch
 
 from supple.domain import checked_spacing, choice, number, refuse
 from supple.engines.torch.engine import grid
-from supple.engines.torch.newton import solve
 from supple.engines.torch.sampled import Samples, add_gradient, coefficients, coefficients_gradient
-from supple.engines.torch.tears import folded
 from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
-from supple.fields import FOLDED, OK, OUTSIDE, STATUS, UNCONVERGED, Beyond, Field, Interpolation, margin_of
+from supple.fields import FOLDED, OK, OUTSIDE, STATUS, UNCONVERGED, Beyond, Field, Interpolation
 
 _TOGETHER = 1 << 20  # points in memory at once
-_CONVERGED = 1e-8  # samples; as in the core (`fields.cpp`)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,7 +180,7 @@ class _Inverse(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        found, error, status = (solved_on_device if values.is_cuda else solved_by_core)(values, job)
+        found, error, status = _solved(values, job)
         ctx.job = job
         ctx.mark_non_differentiable(error, status)
         ctx.save_for_backward(values, found, status)
@@ -207,7 +204,7 @@ def _empty(values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, torch.Tensor,
     )
 
 
-def solved_by_core(values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def _solved(values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return the values, errors and status of inverses by the core, as `supple.Field.invert` does."""
     found, error, status = _empty(values, job)
     for k, each in enumerate(values.detach()):
@@ -218,37 +215,6 @@ def solved_by_core(values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, torch
         error[k] = torch.from_numpy(made.error)
         status[k] = torch.from_numpy(made.status)
     return found, error, status
-
-
-def solved_on_device(values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return the values, errors and status of inverses by operations of PyTorch, by the rules of the core."""
-    with torch.no_grad():
-        found, error, status = _empty(values, job)
-        samples, spread = job.samples(values), sum(step * step for step in job.spacing) ** 0.5
-        folds = folded(samples)
-        made, flat_error, flat_status = found.flatten(2), error.flatten(), status.flatten()
-        for start in range(0, status.numel(), _TOGETHER):
-            part = slice(start, min(start + _TOGETHER, status.numel()))
-            numbers = torch.arange(part.start, part.stop, device=values.device)
-            at, item, base = _points(numbers, samples)
-            target = torch.stack(at).double()
-            got = solve(samples, target, base, min(0.125 * job.tolerance, _CONVERGED))
-            spacing = torch.tensor(job.spacing, device=values.device, dtype=target.dtype)[:, None]
-            off = (got.points - target) * spacing
-            kept = off.to(values.dtype)
-            made[item, :, numbers % _count(samples)] = kept.T
-            lost, left = kept.double() - off, 4 * got.step2.sqrt()
-            bound = left * spread + lost.square().sum(0).sqrt()
-            exact = got.done & (left + (lost / spacing).square().sum(0).sqrt() <= job.tolerance)
-            flat_error[part] = torch.where(got.done, bound * (1 + 1e-6), torch.inf).float()
-            within = torch.ones_like(got.done)
-            margin = margin_of(job.interpolation)
-            for x, (first, last) in zip(got.points, samples.ends, strict=True):
-                within &= (x >= first - margin) & (x < last + margin)
-            known = torch.where(within, OK, OUTSIDE)
-            known = torch.where((got.determinant > 0) & ~folds.flatten()[part], known, FOLDED)
-            flat_status[part] = torch.where(exact, known, UNCONVERGED).to(torch.uint8)
-        return found, error, status
 
 
 def _count(samples: Samples) -> int:
