@@ -22,8 +22,9 @@ else:
 
 import supple.torch as bending
 from supple import splines
-from supple.engines.torch.sampled import coefficients
+from supple.engines.torch.taps import coefficients
 from supple.torch import inverse
+from tests.effort import pairs
 from tests.engines.torch.test_gradients import picture
 
 DOUBLE = torch.float64
@@ -45,10 +46,10 @@ def swirl(*shape: int, dtype: Any = torch.float32) -> torch.Tensor:
     return 0.08 * min(shape) * torch.stack(steps).to(dtype)
 
 
-@pytest.mark.parametrize("interpolation", KINDS)
-@pytest.mark.parametrize("beyond", ["edge", "zero"])
-@pytest.mark.parametrize("dtype", [torch.float32, DOUBLE])
-@pytest.mark.parametrize("shape", [(2, 11, 14), (3, 2, 9, 8), (3, 6, 7, 8), (2, 3, 5, 6, 5)])
+@pytest.mark.parametrize(
+    ("shape", "dtype", "beyond", "interpolation"),
+    pairs([(2, 11, 14), (3, 2, 9, 8), (3, 6, 7, 8), (2, 3, 5, 6, 5)], [torch.float32, DOUBLE], ["edge", "zero"], KINDS),
+)
 def test_values_are_those_of_fields(shape: tuple[int, ...], dtype: Any, beyond: Any, interpolation: Any) -> None:
     given = field(*shape, size=0.5, dtype=dtype)
     batch = len(shape) == 5 or shape[1] == 2
@@ -72,20 +73,23 @@ def test_values_are_those_of_fields(shape: tuple[int, ...], dtype: Any, beyond: 
 def test_many_points_go_part_by_part(monkeypatch: pytest.MonkeyPatch) -> None:
     given = field(3, 2, 6, 7).requires_grad_()
     found = []
-    for together in (1 << 20, 25):
-        monkeypatch.setattr(inverse, "_TOGETHER", together)
+    for room in (1 << 20, 25 * 16):
+        monkeypatch.setattr(inverse, "_ROOM", room)
         made = bending.invert(given, spacing=STEPS[:2], interpolation="cubic", tolerance=1e-9)
-        (slope,) = torch.autograd.grad(made.values.square().sum(), given)
-        found.append(slope)
+        found += torch.autograd.grad(made.values.square().sum(), given)
     assert torch.allclose(*found, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("interpolation", KINDS)
-@pytest.mark.parametrize("beyond", ["edge", "zero"])
-@pytest.mark.parametrize("shape", [(2, 5, 6), (3, 2, 4, 5), (3, 4, 5, 4), (2, 3, 2, 3, 4)])
+@pytest.mark.parametrize(
+    ("shape", "beyond", "interpolation"),
+    pairs(
+        [(2, 5, 6), (3, 2, 4, 5), (3, 4, 5, 4), (2, 3, 2, 3, 4)],
+        ["edge", "zero"],
+        KINDS,
+        where=lambda shape, _, kind: (kind == "bspline") == (min(shape[-3:]) >= 4),  # four samples, which are slow
+    ),
+)
 def test_gradients_of_a_field(shape: tuple[int, ...], beyond: Any, interpolation: Any) -> None:
-    if (interpolation == "bspline") != (min(shape[-3:]) >= 4):  # which need four samples, and are slow
-        return
     given = field(*shape).requires_grad_()
     batch = len(shape) == 5 or shape[1] == 2
     options: Any = {"spacing": STEPS[: shape[batch]], "interpolation": interpolation, "beyond": beyond}
