@@ -19,6 +19,9 @@ from tests import effort
 hypothesis.settings.register_profile("supple", deadline=None, max_examples=300 if effort.ALL else 30)
 hypothesis.settings.load_profile("supple")
 
+# Workers fill all processors: threads of PyTorch would only wait for each other.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 LEFT_OUT = pytest.StashKey[int]()
 
 # A worker has a file at a time: those that take longest are begun first, so that none of them is waited for at the end.

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import prod
+from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 import torch
 
 from supple.domain import checked_spacing, choice, number, refuse
 from supple.engines.torch.engine import grid
-from supple.engines.torch.newton import solve
-from supple.engines.torch.sampled import Samples, add_gradient, coefficients, coefficients_gradient
-from supple.engines.torch.tears import folded
+from supple.engines.torch.field import solved
+from supple.engines.torch.taps import around, coefficients, count
 from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
-from supple.fields import FOLDED, OK, OUTSIDE, STATUS, UNCONVERGED, Beyond, Field, Interpolation, margin_of
+from supple.fields import FOLDED, OK, OUTSIDE, STATUS, UNCONVERGED, Beyond, Field, Interpolation
 
-_TOGETHER = 1 << 20  # points in memory at once
-_CONVERGED = 1e-8  # samples; as in the core (`fields.cpp`)
+_ROOM = 1 << 18  # the samples around points that are processed at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,26 +62,6 @@ class _Job:
     def solved(self) -> tuple[int, ...]:
         """The statuses that have gradients: beyond its grid, too, a field goes on by its edge, but not by zero."""
         return (OK, OUTSIDE) if self.beyond == "edge" else (OK,)
-
-    def samples(self, values: torch.Tensor) -> Samples:
-        """Return fields (N, D, *shape) as samples, differentiably."""
-        n, sizes = values.shape[1], tuple(values.shape[:1:-1])
-        held = values.double()
-        if self.interpolation == "cubic":
-            held = coefficients(held, n).to(values.dtype).double()  # as the core holds them
-        flat = held.flatten(2) / self._steps(values)[:, None]
-        cubic = self.interpolation != "linear"
-        return Samples(flat.movedim(1, 0).reshape(n, -1), sizes, cubic, self.edge, self.beyond == "zero")
-
-    def unpacked(self, gradient: torch.Tensor, like: torch.Tensor) -> torch.Tensor:
-        """Return the gradient of fields from that of their samples."""
-        n = like.shape[1]
-        made = gradient.reshape(n, len(like), -1).movedim(0, 1) / self._steps(like)[:, None]
-        made = made.reshape(like.shape)
-        return coefficients_gradient(made, n) if self.interpolation == "cubic" else made
-
-    def _steps(self, like: torch.Tensor) -> torch.Tensor:
-        return torch.tensor(self.spacing, dtype=torch.float64, device=like.device)
 
 
 def invert(
@@ -179,11 +156,21 @@ def _warn(made: Inverted, job: _Job) -> None:
 
 
 class _Inverse(torch.autograd.Function):
-    """The inverses of fields (N, D, *shape), their errors and status."""
+    """The inverses of fields (N, D, *shape), their errors and status, by the core."""
 
     @staticmethod
     def forward(ctx: Any, values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        found, error, status = (solved_on_device if values.is_cuda else solved_by_core)(values, job)
+        shape = [size - 2 * job.edge for size in values.shape[2:]]
+        found = values.new_empty((*values.shape[:2], *shape))
+        error = values.new_empty((len(values), *shape), dtype=torch.float32)
+        status = torch.empty_like(error, dtype=torch.uint8)
+        for k, each in enumerate(values.detach()):
+            array = each.movedim(0, -1).numpy(force=True)
+            field = Field.from_array(array, spacing=job.spacing, interpolation=job.interpolation, beyond=job.beyond)
+            made = field.invert(tolerance=job.tolerance)
+            found[k] = torch.from_numpy(made.field.values).movedim(-1, 0)
+            error[k] = torch.from_numpy(made.error)
+            status[k] = torch.from_numpy(made.status)
         ctx.job = job
         ctx.mark_non_differentiable(error, status)
         ctx.save_for_backward(values, found, status)
@@ -197,88 +184,40 @@ class _Inverse(torch.autograd.Function):
         return _gradient(values, found, status, slopes, ctx.job).to(gradient), None
 
 
-def _empty(values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return a tensor for the results."""
-    shape = [size - 2 * job.edge for size in values.shape[2:]]
-    return (
-        values.new_empty((*values.shape[:2], *shape)),
-        values.new_empty((len(values), *shape), dtype=torch.float32),
-        values.new_empty((len(values), *shape), dtype=torch.uint8),
-    )
-
-
-def solved_by_core(values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return the values, errors and status of inverses by the core, as `supple.Field.invert` does."""
-    found, error, status = _empty(values, job)
-    for k, each in enumerate(values.detach()):
-        array = each.movedim(0, -1).numpy(force=True)
-        field = Field.from_array(array, spacing=job.spacing, interpolation=job.interpolation, beyond=job.beyond)
-        made = field.invert(tolerance=job.tolerance)
-        found[k] = torch.from_numpy(made.field.values).movedim(-1, 0)
-        error[k] = torch.from_numpy(made.error)
-        status[k] = torch.from_numpy(made.status)
-    return found, error, status
-
-
-def solved_on_device(values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return the values, errors and status of inverses by operations of PyTorch, by the rules of the core."""
-    with torch.no_grad():
-        found, error, status = _empty(values, job)
-        samples, spread = job.samples(values), sum(step * step for step in job.spacing) ** 0.5
-        folds = folded(samples)
-        made, flat_error, flat_status = found.flatten(2), error.flatten(), status.flatten()
-        for start in range(0, status.numel(), _TOGETHER):
-            part = slice(start, min(start + _TOGETHER, status.numel()))
-            numbers = torch.arange(part.start, part.stop, device=values.device)
-            at, item, base = _points(numbers, samples)
-            target = torch.stack(at).double()
-            got = solve(samples, target, base, min(0.125 * job.tolerance, _CONVERGED))
-            spacing = torch.tensor(job.spacing, device=values.device, dtype=target.dtype)[:, None]
-            off = (got.points - target) * spacing
-            kept = off.to(values.dtype)
-            made[item, :, numbers % _count(samples)] = kept.T
-            lost, left = kept.double() - off, 4 * got.step2.sqrt()
-            bound = left * spread + lost.square().sum(0).sqrt()
-            exact = got.done & (left + (lost / spacing).square().sum(0).sqrt() <= job.tolerance)
-            flat_error[part] = torch.where(got.done, bound * (1 + 1e-6), torch.inf).float()
-            within = torch.ones_like(got.done)
-            margin = margin_of(job.interpolation)
-            for x, (first, last) in zip(got.points, samples.ends, strict=True):
-                within &= (x >= first - margin) & (x < last + margin)
-            known = torch.where(within, OK, OUTSIDE)
-            known = torch.where((got.determinant > 0) & ~folds.flatten()[part], known, FOLDED)
-            flat_status[part] = torch.where(exact, known, UNCONVERGED).to(torch.uint8)
-        return found, error, status
-
-
-def _count(samples: Samples) -> int:
-    """Return the number of samples of one inverse."""
-    return prod(last - first + 1 for first, last in samples.ends)
-
-
-def _points(numbers: torch.Tensor, samples: Samples) -> tuple[list[torch.Tensor], torch.Tensor, torch.Tensor]:
-    """Return the indices of samples of inverses, their items, and the numbers of the first samples of their fields."""
-    count = _count(samples)
-    item = numbers // count
-    at = grid(numbers % count, [last - first + 1 for first, last in samples.ends])
-    return [x + samples.edge for x in at], item, item * samples.count
-
-
 def _gradient(
     values: torch.Tensor, found: torch.Tensor, status: torch.Tensor, gradient: torch.Tensor, job: _Job
 ) -> torch.Tensor:
-    """Return ∂L/∂values from ∂L/∂found, differentiable in all of them."""
-    samples = job.samples(values)
-    into = torch.zeros_like(samples.values)
-    count, n = _count(samples), len(samples.sizes)
-    flat = [x.movedim(1, 0).reshape(n, -1) for x in (found, gradient)]
-    for start in range(0, len(found) * count, _TOGETHER):
-        part = slice(start, min(start + _TOGETHER, len(found) * count))
-        numbers = torch.arange(part.start, part.stop, device=values.device)
-        at, _, base = _points(numbers, samples)
-        well = torch.isin(status.flatten()[part], torch.tensor(job.solved, device=status.device))
-        at, base = [x[well] for x in at], base[well]
-        offsets, slopes = ([row[part][well].double() for row in rows] for rows in flat)
-        points = [i + x / step for i, x, step in zip(at, offsets, job.spacing, strict=True)]
-        add_gradient(samples, points, base, [g * s for g, s in zip(slopes, job.spacing, strict=True)], into)
-    return job.unpacked(into, values)
+    """Return ∂L/∂values from ∂L/∂found, differentiable in all of them.
+
+    With i the index of a position, i → i + w(i). For a loss L of the points i(w) that are solutions of i + w(i) = q,
+
+        dL/dw = -Sᵀ λ,    (I+J)ᵀ λ = ∂L/∂i,
+
+    where S interpolates at the points i, and J = ∂w/∂i there.
+    """
+    n, sizes, shape = values.shape[1], values.shape[:1:-1], status.shape[:0:-1]
+    kind, reach = ("linear", 2) if job.interpolation == "linear" else ("bspline", 1)
+    with torch.enable_grad():
+        held = values.double()
+        if job.interpolation == "cubic":
+            held = coefficients(held, n).to(values.dtype).double()  # as the core holds them
+        steps = torch.tensor(job.spacing, dtype=held.dtype, device=held.device)
+        samples = (held.flatten(2) / steps[:, None]).movedim(1, 0).reshape(n, -1)
+    into = torch.zeros_like(samples)
+    offsets, slopes = (x.double().movedim(1, 0).reshape(n, -1) for x in (found, gradient))
+    well = torch.isin(status.flatten(), torch.tensor(job.solved, device=status.device)).nonzero()[:, 0]
+    for part in well.split(_ROOM // count([kind] * n)):
+        whole, rest, free = [], [], []
+        for k, i in enumerate(grid(part % shape.numel(), shape)):
+            i = i + job.edge + offsets[k, part] / job.spacing[k]
+            c = i.clamp(job.edge, sizes[k] - 1 - job.edge)
+            whole.append(c.detach().long().clamp(max=max(sizes[k] - reach, 0)))
+            rest.append(c - whole[-1])
+            free.append((c == i).double())
+        taps = around(whole, rest, sizes, [kind] * n, "mirror")
+        taps = replace(taps, index=taps.index + part // shape.numel() * sizes.numel())
+        w, along = taps.values(samples), [taps.weights(b) for b in range(n)]
+        rows = [[free[b] * (along[b] * w[a]).sum(0) + (a == b) for b in range(n)] for a in range(n)]
+        adjoint = torch.stack(solved(rows, [-g * s for g, s in zip(slopes[:, part], job.spacing, strict=True)]))
+        into.index_add_(1, taps.index.flatten(), (taps.weights() * adjoint[:, None]).flatten(1))
+    return torch.autograd.grad(samples, values, into, create_graph=torch.is_grad_enabled())[0]

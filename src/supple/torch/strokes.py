@@ -10,8 +10,7 @@ import torch
 
 from supple.deformation import Deformation
 from supple.domain import refuse
-from supple.engines.torch.field import Kind, Strokes, axes_of
-from supple.engines.torch.freedom import Freedom
+from supple.engines.torch.field import Freedom, Kind, Strokes, axes_of
 from supple.errors import FoldWarning, MissWarning, SuppleError
 from supple.strokes import pack
 

@@ -15,10 +15,10 @@ from torch.autograd.function import once_differentiable
 
 from supple.deformation import Deformation
 from supple.domain import refuse
-from supple.engines.base import Group, Layout, Sampling, Work, warn_of
-from supple.engines.torch.engine import TORCH, grid, offsets_of, seen_at, working
-from supple.engines.torch.field import Columns, Strokes, strokes_gradients
-from supple.engines.torch.sample import Filter, read, spread
+from supple.engines.base import Group, Layout, Sampling, Space, Work, warn_of
+from supple.engines.torch.engine import TORCH, adjoint_of, grid, offsets_of, seen_at, working
+from supple.engines.torch.field import Strokes, strokes_gradients
+from supple.engines.torch.taps import Columns, Taps, around, count
 from supple.pipeline import sampled
 from supple.torch.strokes import Item, items
 
@@ -32,13 +32,16 @@ class Job:
     work: Work
     strokes: Strokes | None = None
 
-    def how(self, dtype: torch.dtype, device: torch.device) -> Filter:
-        """Return the differentiable filter."""
-        space, sampling = self.work.space, self.work.sampling
+    @property
+    def kinds(self) -> list[str]:
+        """The kernels of the differentiable filter."""
+        sampling = self.work.sampling
         between = "catmull-rom" if sampling.between == "cubic" else sampling.between
-        kinds = [sampling.filter, sampling.filter, between][: space.ndim]
-        fill = torch.tensor(self.work.fills[0], dtype=dtype, device=device)
-        return Filter(space.whole[::-1], kinds, sampling.outside, fill[:, None])
+        return [sampling.filter, sampling.filter, str(between)][: self.work.space.ndim]
+
+    def fill(self, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+        """Return the fill values, of shape (K, 1, 1)."""
+        return torch.tensor(self.work.fills[0], dtype=dtype, device=device)[:, None, None]
 
 
 _ROOM = 1 << 23  # the numbers in memory for points processed at once, mostly for gradients of T
@@ -255,8 +258,9 @@ class _Warp(torch.autograd.Function):
             made = _values(tensor, job.work)
         else:
             offsets = offsets_of(tensor, job.work.space, job.work.sampling.tolerance)
-            how, source = job.how(tensor.dtype, tensor.device), tensor.reshape(len(tensor), -1)
-            parts = [read(source, *_places(offsets, *ends, how), how) for ends in _chunks(offsets, job)]
+            source, fill = tensor.reshape(len(tensor), -1), job.fill(tensor.dtype, tensor.device)
+            near = (_taps(offsets, *ends, job) for ends in _chunks(offsets, job))
+            parts = [(taps.values(source, fill) * taps.weights()).sum(1) for taps in near]
             # Unchanged pixels are copied, so that no NaN of a neighbour reaches them.
             made = torch.where(offsets.any(1), torch.cat(parts, 1), source).reshape(tensor.shape)
         ctx.job = job
@@ -267,34 +271,47 @@ class _Warp(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, gradient: torch.Tensor) -> tuple[Any, ...]:
         tensor, at, by, radius, offsets = ctx.saved_tensors
-        job, dtype = ctx.job, working(gradient)
-        offsets = offsets_of(gradient, job.work.space, job.work.sampling.tolerance) if offsets is None else offsets
-        how, flat = job.how(dtype, gradient.device), gradient.reshape(len(gradient), -1)
+        job, space, dtype = ctx.job, ctx.job.work.space, working(gradient)
+        offsets = offsets_of(gradient, space, job.work.sampling.tolerance) if offsets is None else offsets
+        flat, fill = gradient.reshape(len(gradient), -1), job.fill(dtype, gradient.device)
         into = torch.zeros_like(flat, dtype=dtype) if ctx.needs_input_grad[0] else None
         found, strokes, source = None, None, None
         if at is not None:
             found = [torch.zeros_like(x) for x in (at, by, radius)]
-            if how.smooth:
+            if any(kind != "nearest" for kind in job.kinds):
                 strokes = replace(job.strokes, at=at, by=by, radius=radius)
                 source = tensor.reshape(len(tensor), -1)
         for start, stop in _chunks(offsets, job) if into is not None or strokes is not None else ():
-            whole, rest = _places(offsets, start, stop, how)
-            slopes = spread(flat[:, start:stop].to(dtype), source, whole, rest, how, into)
+            taps, own = _taps(offsets, start, stop, job), flat[:, None, start:stop].to(dtype)
+            if into is not None:
+                weights = taps.weights() if taps.inside is None else taps.weights() * taps.inside
+                into.index_add_(1, taps.index.flatten(), (own * weights).flatten(1))
             if strokes is not None and found is not None:
-                points = [i + t for i, t in zip(whole, rest, strict=True)]
+                seen = (own * taps.values(source, fill)).sum(0)
+                slopes = [(seen * taps.weights(axis)).sum(0) for axis in range(space.ndim)]
+                pixels = _points(offsets, start, stop, space)
+                points = [i + x for i, x in zip(*pixels, strict=True)]
+                slopes = adjoint_of(space, points, slopes)
                 for total, more in zip(found, strokes_gradients(points, slopes, strokes), strict=True):
                     total += more
         image = None if into is None else into.to(gradient.dtype).reshape(gradient.shape)
         return image, *(found or (None, None, None)), None
 
 
-def _places(offsets: torch.Tensor, start: int, stop: int, how: Filter) -> tuple[Columns, Columns]:
-    """Return the source points of some pixels, as whole pixels and remainders."""
-    pixels = grid(torch.arange(start, stop, device=offsets.device), how.sizes)
-    columns = offsets[start:stop].unbind(-1)
+def _points(offsets: torch.Tensor, start: int, stop: int, space: Space) -> tuple[Columns, Columns]:
+    """Return the source points of some pixels, as pixels and offsets from them."""
+    pixels = grid(torch.arange(start, stop, device=offsets.device), space.whole[::-1])
+    return pixels, list(offsets[start:stop].unbind(-1))
+
+
+def _taps(offsets: torch.Tensor, start: int, stop: int, job: Job) -> Taps:
+    """Return the samples around the source points of some pixels."""
+    space = job.work.space
+    pixels, columns = _points(offsets, start, stop, space)
     lower = [torch.floor(x) for x in columns]
     whole = [i + x.long() for i, x in zip(pixels, lower, strict=True)]
-    return whole, [x - low for x, low in zip(columns, lower, strict=True)]
+    rest = [x - low for x, low in zip(columns, lower, strict=True)]
+    return around(whole, rest, space.whole[::-1], job.kinds, job.work.sampling.outside)
 
 
 def _chunks(offsets: torch.Tensor, job: Job) -> list[tuple[int, int]]:
@@ -302,5 +319,5 @@ def _chunks(offsets: torch.Tensor, job: Job) -> list[tuple[int, int]]:
     if job.strokes is not None:
         frozen = _OF_MASKS if job.strokes.freedom is not None else 0
         terms = sum(kind.scales + frozen for kind in job.strokes.kinds)
-    size, total = max(1, _ROOM // (len(job.work.fills[0]) + 16 * (terms + 1))), len(offsets)
+    size, total = max(1, _ROOM // (len(job.work.fills[0]) * count(job.kinds) + 16 * (terms + 1))), len(offsets)
     return [(start, min(start + size, total)) for start in range(0, total, size)]

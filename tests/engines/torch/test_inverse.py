@@ -1,4 +1,4 @@
-"""Inverses of sampled fields: the core's values, the same on a device, gradients by the implicit function theorem."""
+"""Inverses of sampled fields: the core's values, and gradients by the implicit function theorem."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ else:
 
 import supple.torch as bending
 from supple import splines
-from supple.engines.torch.sampled import coefficients
+from supple.engines.torch.taps import coefficients
 from supple.torch import inverse
+from tests.effort import pairs
 from tests.engines.torch.test_gradients import picture
 
 DOUBLE = torch.float64
@@ -45,10 +46,10 @@ def swirl(*shape: int, dtype: Any = torch.float32) -> torch.Tensor:
     return 0.08 * min(shape) * torch.stack(steps).to(dtype)
 
 
-@pytest.mark.parametrize("interpolation", KINDS)
-@pytest.mark.parametrize("beyond", ["edge", "zero"])
-@pytest.mark.parametrize("dtype", [torch.float32, DOUBLE])
-@pytest.mark.parametrize("shape", [(2, 11, 14), (3, 2, 9, 8), (3, 6, 7, 8), (2, 3, 5, 6, 5)])
+@pytest.mark.parametrize(
+    ("shape", "dtype", "beyond", "interpolation"),
+    pairs([(2, 11, 14), (3, 2, 9, 8), (3, 6, 7, 8), (2, 3, 5, 6, 5)], [torch.float32, DOUBLE], ["edge", "zero"], KINDS),
+)
 def test_values_are_those_of_fields(shape: tuple[int, ...], dtype: Any, beyond: Any, interpolation: Any) -> None:
     given = field(*shape, size=0.5, dtype=dtype)
     batch = len(shape) == 5 or shape[1] == 2
@@ -69,62 +70,26 @@ def test_values_are_those_of_fields(shape: tuple[int, ...], dtype: Any, beyond: 
     assert not made.values.requires_grad
 
 
-@pytest.mark.parametrize("interpolation", KINDS)
-@pytest.mark.parametrize("beyond", ["edge", "zero"])
-@pytest.mark.parametrize("shape", [(3, 2, 13, 17), (2, 3, 5, 6, 7), (1, 2, 1, 9), (2, 2, 9, 1)])
-@pytest.mark.parametrize("size", [0.2, 0.5, 1.5])
-def test_operations_of_pytorch_find_what_the_core_finds(
-    size: float, shape: tuple[int, ...], beyond: Any, interpolation: Any
-) -> None:
-    if (interpolation == "bspline" and min(shape[2:]) < 4) or (size > 1 and len(shape) == 5):
-        return
-    given, steps = field(*shape, size=size), STEPS[: shape[1]]
-    job = inverse._Job(steps, interpolation, beyond, 1e-6)
-    values, error, status = inverse.solved_by_core(given, job)
-    others = inverse.solved_on_device(given, job)
-    # Which of several points is found, and whether any, depends on where the search starts.
-    same = (status == others[2]).double().mean()
-    assert same == 1 if size < 0.5 else same > 0.99 if size < 1 else same > 0.9
-    well = (status == OK) & (others[2] == OK)
-    assert well.any() or size > 1
-    far = (values - others[0]).norm(dim=1)
-    assert (far[well] <= error[well] + others[1][well] + 1e-13).all()
-    assert (others[1][well] < 1e-5).all()
-    assert others[1][others[2] == inverse.UNCONVERGED].isinf().all()
-
-
-@pytest.mark.parametrize("interpolation", ["linear", "cubic"])
-@pytest.mark.parametrize("shape", [(40, 50), (14, 16, 18)])
-@pytest.mark.parametrize("dtype", [torch.float32, DOUBLE])
-def test_operations_of_pytorch_on_a_smooth_field(shape: tuple[int, ...], interpolation: Any, dtype: Any) -> None:
-    given = swirl(*shape, dtype=dtype)[None]
-    job = inverse._Job((1.0,) * len(shape), interpolation, "edge", 1e-4)
-    (values, error, status), others = inverse.solved_by_core(given, job), inverse.solved_on_device(given, job)
-    assert torch.equal(status, others[2])
-    assert ((status == OK) | (status == OUTSIDE)).all()
-    assert (status == OK).double().mean() > 0.9
-    assert ((values - others[0]).norm(dim=1) <= error + others[1] + 1e-13)[status == OK].all()
-
-
 def test_many_points_go_part_by_part(monkeypatch: pytest.MonkeyPatch) -> None:
     given = field(3, 2, 6, 7).requires_grad_()
-    job = inverse._Job(STEPS[:2], "cubic", "edge", 1e-9)
     found = []
-    for together in (1 << 20, 25):
-        monkeypatch.setattr(inverse, "_TOGETHER", together)
+    for room in (1 << 20, 25 * 16):
+        monkeypatch.setattr(inverse, "_ROOM", room)
         made = bending.invert(given, spacing=STEPS[:2], interpolation="cubic", tolerance=1e-9)
-        (slope,) = torch.autograd.grad(made.values.square().sum(), given)
-        found.append([*inverse.solved_on_device(given.detach(), job), slope])
-    for one, other in zip(*found, strict=True):
-        assert torch.allclose(one, other, rtol=0, atol=1e-12)
+        found += torch.autograd.grad(made.values.square().sum(), given)
+    assert torch.allclose(*found, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("interpolation", KINDS)
-@pytest.mark.parametrize("beyond", ["edge", "zero"])
-@pytest.mark.parametrize("shape", [(2, 5, 6), (3, 2, 4, 5), (3, 4, 5, 4), (2, 3, 2, 3, 4)])
+@pytest.mark.parametrize(
+    ("shape", "beyond", "interpolation"),
+    pairs(
+        [(2, 5, 6), (3, 2, 4, 5), (3, 4, 5, 4), (2, 3, 2, 3, 4)],
+        ["edge", "zero"],
+        KINDS,
+        where=lambda shape, _, kind: (kind == "bspline") == (min(shape[-3:]) >= 4),  # four samples, which are slow
+    ),
+)
 def test_gradients_of_a_field(shape: tuple[int, ...], beyond: Any, interpolation: Any) -> None:
-    if (interpolation == "bspline") != (min(shape[-3:]) >= 4):  # which need four samples, and are slow
-        return
     given = field(*shape).requires_grad_()
     batch = len(shape) == 5 or shape[1] == 2
     options: Any = {"spacing": STEPS[: shape[batch]], "interpolation": interpolation, "beyond": beyond}

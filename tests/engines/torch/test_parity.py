@@ -23,13 +23,10 @@ from supple.engines.torch.engine import TORCH
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
+# What is frozen is in test_freeze.py.
 ROWS = [
-    *rows(["image", "image, local", "image, turned", "image, frozen"], ("bool", "u1", "i2", "f4", "f8"), few=True),
-    *(
-        row
-        for row in rows(["clip", "volume", "volume, turned", "volume, frozen"], ("u1", "f4"), few=True)
-        if not row.average
-    ),
+    *rows(["image", "image, local", "image, turned"], ("bool", "u1", "i2", "f4", "f8"), few=True),
+    *(row for row in rows(["clip", "volume", "volume, turned"], ("u1", "f4"), few=True) if not row.average),
 ]
 
 

@@ -16,7 +16,8 @@ from supple.domain import refuse
 from supple.engines.base import SLACK, Certificate, Engine, Layout, Planes, Space, Steps, Work, warn_of
 from supple.engines.choice import engine_at
 from supple.engines.native import NATIVE
-from supple.engines.torch.field import Columns, Strokes, moved
+from supple.engines.torch.field import Strokes, moved, solved
+from supple.engines.torch.taps import Columns
 from supple.errors import ToleranceWarning
 
 _SOLVED = 1 << 18  # points solved in one call
@@ -84,19 +85,15 @@ class Torch:
         refuse("device", '"cpu", "gpu" or "auto" for clips', self.name)
 
     def forward(self, space: Space, points: torch.Tensor, *, matrices: bool = False) -> torch.Tensor:
-        """See `Engine.forward`; it is differentiable in the points."""
-        strokes = Strokes.of(space, working(points), points.device)
-        if matrices:
-            made = torch.func.vmap(torch.func.jacrev(lambda p: seen_at(p, strokes)))(points.reshape(-1, space.ndim))
-            return made.reshape(*points.shape, space.ndim)
-        return seen_at(points, strokes)
+        """See `Engine.forward`; the engine of the points' device moves them, without gradients."""
+        engine, held = _held(space, points)
+        found = torch.as_tensor(engine.forward(space, held, matrices=matrices))
+        return found.to(points.dtype).to(points.device)  # not every device has float64
 
     def inverse(self, space: Space, points: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """See `Engine.inverse`; the engine of the points' device solves for them."""
-        held: Any = points.detach().double()
-        engine = _engine_of(space, held)
-        found = engine.inverse(space, held.cpu().numpy() if engine is NATIVE else held)
-        return tuple(torch.as_tensor(x).to(points.device) for x in found)
+        engine, held = _held(space, points)
+        return tuple(torch.as_tensor(x).to(points.device) for x in engine.inverse(space, held))
 
     def inverse_map(self, space: Space, tolerance: float, like: Any = None) -> tuple[torch.Tensor, Certificate]:
         """See `Engine.inverse_map`; it is a tensor on the device of ``like``."""
@@ -114,6 +111,13 @@ TORCH = Torch()
 def _engine_of(space: Space, tensor: Any) -> Engine:
     """Return the engine of a tensor's device, or the native one for freeze masks."""
     return engine_at(tensor) if space.freeze is None else NATIVE
+
+
+def _held(space: Space, points: torch.Tensor) -> tuple[Engine, Any]:
+    """Return the engine for points, and them as it takes them."""
+    held: Any = points.detach()
+    engine = _engine_of(space, held)
+    return engine, held.cpu().double().numpy() if engine is NATIVE else held.double()
 
 
 def _on(work: Work, held: Any) -> Work:
@@ -163,6 +167,12 @@ def offsets_of(like: torch.Tensor, space: Space, tolerance: float) -> torch.Tens
         text = f"{lost} of {len(made)} source points did not converge: what is shown there is a guess"
         warnings.warn(text, ToleranceWarning, stacklevel=2)
     return made.to(like.device)
+
+
+def adjoint_of(space: Space, points: Columns, slopes: Columns) -> Columns:
+    """Return λ of (I+J)ᵀ λ = ∂L/∂p at points, in pixels; the engine of their device knows J."""
+    matrices = TORCH.forward(space, torch.stack(points, -1), matrices=True)
+    return solved([row.unbind(-1) for row in matrices.unbind(-2)], slopes)
 
 
 def grid(index: torch.Tensor, sizes: Sequence[int]) -> Columns:

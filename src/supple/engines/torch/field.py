@@ -22,14 +22,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import torch
 
 from supple.domain import PROFILE_CODES
 from supple.engines.base import Space
-from supple.engines.torch.freedom import Freedom
+from supple.engines.torch.taps import Columns, around
 from supple.errors import SuppleError
+from supple.strain import Mask
 
 # For one, two and three scales: the weights of a stroke's terms, and their radii over ε.
 _WEIGHTS = {1: (1.0,), 2: (11.0, -11.0), 3: (14641 / 331, -26741 / 331, 12100 / 331)}
@@ -38,7 +40,6 @@ _RADII = (1.0, 1.1, 1.21)
 _SINE = PROFILE_CODES["sine"]
 
 Axis = tuple[float, float, float, float, float]  # first, last, sigma and spacing in physical units, and the profile
-Columns = list[torch.Tensor]  # one for each coordinate, x first
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +89,44 @@ class Kind:
             turn=row["turn"][:ndim].tolist() if row["turn"].any() else None,
             joined=bool(row["joined"]),
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Freedom:
+    """m(p), what a freeze mask lets through: a cubic B-spline, differentiable any number of times in the points.
+
+    Parameters
+    ----------
+    values : tensor of floats, shape (nx * ny * nz,)
+        The coefficients, from 0 to 1.
+    sizes : sequence of int
+        Their number along each axis; 1 where m does not vary.
+    first, step : sequence of float
+        The position of the first one, and the distance from one to the next, in physical units.
+    """
+
+    values: torch.Tensor
+    sizes: Sequence[int]
+    first: Sequence[float]
+    step: Sequence[float]
+
+    @classmethod
+    def of(cls, mask: Mask | None, dtype: torch.dtype, device: torch.device) -> Self | None:
+        """Return a mask in a type, on a device; None for none."""
+        if mask is None:
+            return None
+        values = torch.tensor(mask.coefficients / 255, dtype=dtype, device=device)
+        return cls(values.flatten(), values.shape[::-1], mask.first.tolist(), mask.step.tolist())
+
+    def at(self, points: Columns) -> torch.Tensor:
+        """Return m of points in physical units: D tensors of one shape."""
+        whole, rest, sizes = [], [], self.sizes[: len(points)]
+        for x, n, first, step in zip(points, sizes, self.first, self.step, strict=False):
+            place = ((x - first) / step).clamp(1, n - 2) if n > 1 else torch.zeros_like(x)
+            whole.append(place.detach().long().clamp(max=max(n - 3, 0)))
+            rest.append(place - whole[-1])
+        taps = around(whole, rest, sizes, ["bspline" if n > 1 else "nearest" for n in sizes], "edge")
+        return (taps.values(self.values) * taps.weights()).sum(0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,25 +213,14 @@ def moved(points: Columns, strokes: Strokes) -> Columns:
     return points
 
 
-def strokes_gradients(points: Columns, slopes: Columns, strokes: Strokes) -> list[torch.Tensor]:
-    """Return the parts of ∂L/∂at, ∂L/∂by and ∂L/∂radius from points p = T⁻¹(q) with the gradients ∂L/∂p.
-
-    Parameters
-    ----------
-    points, slopes : D tensors of one shape
-        In pixels.
-    strokes : Strokes
-    """
+def strokes_gradients(points: Columns, adjoint: Columns, strokes: Strokes) -> list[torch.Tensor]:
+    """Return the parts of ∂L/∂at, ∂L/∂by and ∂L/∂radius from points p = T⁻¹(q) and λ there, both in pixels."""
     with torch.enable_grad():
         leaves = [x.detach().requires_grad_() for x in (strokes.at, strokes.by, strokes.radius)]
         given = replace(strokes, at=leaves[0], by=leaves[1], radius=leaves[2])
-        steps = [axis[3] for axis in strokes.axes]
-        p = [(x * step).detach().requires_grad_() for x, step in zip(points, steps, strict=True)]
-        seen = moved(p, given)
-        ones = torch.ones_like(seen[0])
-        rows = [torch.autograd.grad(x, p, ones, retain_graph=True, materialize_grads=True) for x in seen]
-        weights = solved(rows, [-g / step for g, step in zip(slopes, steps, strict=True)])
-        return list(torch.autograd.grad(seen, leaves, weights, materialize_grads=True))
+        seen = moved([x * axis[3] for x, axis in zip(points, strokes.axes, strict=True)], given)
+    weights = [-x / axis[3] for x, axis in zip(adjoint, strokes.axes, strict=True)]
+    return list(torch.autograd.grad(seen, leaves, weights, materialize_grads=True))
 
 
 def solved(rows: Sequence[Sequence[torch.Tensor]], g: Columns) -> Columns:
