@@ -74,7 +74,7 @@ def test_pictures_need_no_extra(here: Path) -> None:
         ("volume", ("warp", str(DATA / "head.nii.gz"), "out.nii", *GRAB), "NIfTI files need nibabel"),
         ("plot", ("plot", "in.png", "out.png", *GRAB), "plots need matplotlib"),
         ("plot", ("render", str(DATA / "head.nii.gz"), "out.png", "--annotate"), "plots need matplotlib"),
-        ("gpu", ("warp", "in.png", "out.png", *GRAB, "--device", "gpu"), "the GPU needs wgpu"),
+        ("gpu", ("demo", "gallery", "--device", "gpu"), "the GPU needs wgpu"),
         ("view", ("view", "in.png", "--serve"), "window needs"),
     ],
 )

@@ -197,15 +197,15 @@ def test_scenes_of_one_volume_take_turns_with_its_buffer(gpu: Gpu, cloud: np.nda
 def test_what_scenes_hold_is_freed(gpu: Gpu) -> None:
     import wgpu
 
-    given = np.zeros((128, 128, 128), np.float32)  # 16 MB, with its buffer
-    given[40:90, 40:90, 40:90] = 1.0
+    given = np.zeros((80, 80, 80), np.float32)  # 4 MB, with its buffer
+    given[25:56, 25:56, 25:56] = 1.0
     scene = Scene(given, mode="hybrid", device="gpu")
     d = supple.Deformation(given.shape, border=None, on_fold="damp")
 
     def work(k: int) -> None:
         other = Scene(
             given,
-            deformation=d.grab((64, 64, 64), by=(k % 3, 1, 2), radius=40, reach=None),
+            deformation=d.grab((40, 40, 40), by=(k % 3, 1, 2), radius=25, reach=None),
             mode="hybrid",
             device="gpu",
         )
@@ -223,7 +223,7 @@ def test_what_scenes_hold_is_freed(gpu: Gpu) -> None:
         for k in range(3):
             work(k)
         before = held()
-        for k in range(12):
+        for k in range(6):
             work(k)
         after = held()
     finally:
@@ -284,7 +284,7 @@ def test_the_cpu_sees_what_a_buffer_shows(
     options: dict[str, Any] = {"deformation": rough, "transfer": SOFT, "tolerance": 0.02}
     exact = Scene(ball, mode="exact", **options)
     theirs = Scene(ball, mode="buffered", device="gpu", **options)
-    one, other = (scene.pick(Camera(), SIZE, (26, 20)) for scene in (exact, theirs))
+    one, other = (scene.pick(Camera(), SIZE, (20, 15)) for scene in (exact, theirs))
     assert one is not None
     assert other is not None
     np.testing.assert_allclose(one.index, other.index, atol=0.05)
