@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import supple
 from supple.geometry import Geometry
 from supple.render.picture import Rendering
 from supple.render.transfer import TransferFunction
+from tests.turns import AFFINE
 
 SHAPE, SIZE = (22, 30, 26), (30, 39)
 GEOMETRY = Geometry(spacing=(0.9, 1.1, 1.8))
@@ -42,3 +44,13 @@ def frozen(shape: tuple[int, ...], spacing: Any = 1.0, **options: Any) -> supple
     turned = {"axis": (1, 2, 3)} if len(shape) == 3 else {}
     d = d.grab(0.55 * size, by=-0.06 * size, radius=0.3 * float(size.min()) * min(d.domain.spacing))
     return d.twist(0.6 * size, angle=40, radius=0.4 * float(size.min()) * min(d.domain.spacing), reach=None, **turned)
+
+
+def turned(shape: tuple[int, ...], **options: Any) -> supple.Deformation:
+    """Return one stroke of each brush."""
+    d = supple.Deformation(shape, on_fold="damp", **options)
+    size, n = np.array(shape[::-1]) - 1.0, len(shape)
+    for k, stroke in enumerate(AFFINE[n]):
+        at = (0.3 + 0.2 * k) * size
+        d = d.add(replace(stroke, at=at, radius=0.2 * float(size.min()) * min(d.domain.spacing)))
+    return d.grab(0.5 * size, by=0.05 * size, radius=0.2 * float(size.max()))

@@ -19,7 +19,7 @@ from supple.render import device as drawing
 from supple.render.camera import Camera
 from supple.render.scene import Scene
 from tests import reference
-from tests.engines.wgpu.scenes import GEOMETRY, SHAPE, SIZE, SOFT, apart
+from tests.engines.wgpu.scenes import GEOMETRY, SHAPE, SIZE, SOFT, apart, turned
 
 
 def displaced(nodes: np.ndarray, step: float, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -77,6 +77,20 @@ def test_the_buffer_is_the_warped_volume(
     away = np.abs(texels_of(gpu, held.warped) - wanted)
     assert away.max() < 0.3
     assert np.mean(away) < 0.01
+
+
+@pytest.mark.filterwarnings("ignore::supple.FoldWarning")
+def test_the_buffer_has_every_brush(gpu: Gpu, cloud: np.ndarray) -> None:
+    d, held = turned(SHAPE, border=None), volume.hold(gpu, cloud)
+    assert volume.beside(held)
+    lattice, nodes, error, _ = solid.solve(gpu, d.space.table, d.space.axes, SHAPE, 2)
+    q = 2 * reference.grid(nodes.shape[:3])
+    np.testing.assert_allclose(nodes[..., :3], d.inverse(q).points - q, atol=1e-3)
+    assert error < 0.5
+    assert fill.Filling(held, lattice, polished=True, tolerance=0.01).advance(60.0) == 1.0
+    away = np.abs(texels_of(gpu, held.warped) - d.warp(cloud, filter="linear", tolerance=1e-3))
+    assert away.max() < 0.02
+    assert np.abs(texels_of(gpu, held.warped) - cloud).max() > 0.1
 
 
 def texels_of(gpu: Gpu, texture: Any) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,8 +20,8 @@ from supple.errors import FoldWarning
 from supple.strokes import pack
 from tests import effort, reference
 from tests.engines.wgpu import points as shaders
-from tests.engines.wgpu.scenes import ball, frozen
-from tests.turns import AFFINE, at_once
+from tests.engines.wgpu.scenes import ball, frozen, turned
+from tests.turns import at_once
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.MissWarning", "ignore::supple.FoldWarning")
 
@@ -49,16 +48,6 @@ def grabs(
                 reach=None if reach is None else reach + float(rng.uniform(0, 2)),
             )
     return d
-
-
-def turned(shape: tuple[int, ...], **options: Any) -> supple.Deformation:
-    """Return one stroke of each brush."""
-    d = supple.Deformation(shape, on_fold="damp", **options)
-    size, n = np.array(shape[::-1]) - 1.0, len(shape)
-    for k, stroke in enumerate(AFFINE[n]):
-        at = (0.3 + 0.2 * k) * size
-        d = d.add(replace(stroke, at=at, radius=0.2 * float(size.min()) * min(d.domain.spacing)))
-    return d.grab(0.5 * size, by=0.05 * size, radius=0.2 * float(size.max()))
 
 
 def columns(d: supple.Deformation, points: Floats) -> tuple[Floats, Floats]:

@@ -25,7 +25,6 @@ LIMITS: dict[str, int] = {
     "max-compute-workgroups-per-dimension": 65535,
     "max-storage-buffer-binding-size": 128 << 20,
     "max-storage-buffers-per-shader-stage": 8,
-    "max-texture-array-layers": 256,
     "max-texture-dimension-2d": 8192,
     "max-texture-dimension-3d": 2048,
     "max-uniform-buffer-binding-size": 64 << 10,
