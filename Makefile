@@ -18,7 +18,7 @@ help:
 	@echo "make versions  a few tests with the lowest and the newest versions of all dependencies"
 	@echo "make test-cuda all tests of the CUDA engine at size, on an NVIDIA GPU"
 	@echo "make bench     how fast and how exact, against others"
-	@echo "make bench-gpu how fast the GPU is, in its own time"
+	@echo "make bench-gpu how fast a GPU draws volumes"
 	@echo "make bench-cuda how fast CUDA is on an NVIDIA GPU, against others"
 	@echo "make bench-window  how fast the window follows a hand"
 	@echo "make soak      slow tests, all combinations of options, and a billion points of random strokes"

@@ -1,8 +1,4 @@
-"""The GPU engine: `make bench-gpu`, or `python benchmarks/gpu.py [--quick]`.
-
-What a GPU takes is told by its own clock, where it has one, beside the wall time of the whole call, with upload and
-download. The adapter is named with the table.
-"""
+"""Volumes drawn by a GPU, which is named: `make bench-gpu`, or `python benchmarks/gpu.py [--quick]`."""
 
 from __future__ import annotations
 
@@ -18,12 +14,10 @@ import numpy as np
 from measure import milliseconds
 
 import supple
-from supple.engines.wgpu import kernel
 from supple.engines.wgpu.device import open_gpu
 from supple.engines.wgpu.fill import Filling
 from supple.engines.wgpu.volume import beside, hold
 from supple.files.volumes import open_volume
-from supple.media import image
 from supple.media.volume import Volume
 from supple.render.camera import Camera
 from supple.render.device import lattice_of
@@ -32,41 +26,24 @@ from supple.render.scene import MODES, Scene
 DATA = Path(supple.__file__).parent / "examples" / "data"
 
 
-def timed(work: Callable[[], object], runs: int) -> tuple[float, float | None]:
-    """The median wall time of some work, and of what the GPU's clock says of it, in seconds."""
-    walls, clocks = [], []
-    work()  # compiles
-    for _ in range(runs):
-        with kernel.clocked(open_gpu()) as clock:
-            start = time.perf_counter()
-            work()
-            walls.append(time.perf_counter() - start)
-        clocks.append(clock.seconds() if clock else None)
-    known = [c for c in clocks if c is not None]
-    return statistics.median(walls), statistics.median(known) if known else None
+def timed(work: Callable[[], object], runs: int) -> float:
+    """The median time of some work, in seconds; the first time compiles, and is not counted."""
+    times = []
+    for _ in range(runs + 1):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times[1:])
 
 
 def row(what: str, work: Callable[[], object], cpu: Callable[[], object] | None, runs: int) -> str:
-    wall, clock = timed(work, runs)
-    other = ""
-    if cpu is not None:
-        cpu()
-        start = time.perf_counter()
-        for _ in range(runs):
-            cpu()
-        other = milliseconds((time.perf_counter() - start) / runs)
-    told = milliseconds(clock) if clock is not None else "no clock"
-    return f"| {what} | {told} | {milliseconds(wall)} | {other} | {runs} |"
+    other = milliseconds(timed(cpu, runs)) if cpu is not None else ""
+    return f"| {what} | {milliseconds(timed(work, runs))} | {other} | {runs} |"
 
 
 def frame(scene: Scene, camera: Camera, size: tuple[int, int], runs: int) -> float:
     """The median time of a picture, in seconds; one before it is not counted."""
-    times = []
-    for _ in range(runs + 1):
-        start = time.perf_counter()
-        scene.render(camera, size)
-        times.append(time.perf_counter() - start)
-    return statistics.median(times[1:])
+    return timed(lambda: scene.render(camera, size), runs)
 
 
 def ways(name: str, head: Volume, look: dict[str, Any], camera: Camera, size: tuple[int, int]) -> str:
@@ -125,34 +102,7 @@ def main() -> None:
     warnings.simplefilter("ignore", supple.FoldWarning)
     gpu = open_gpu()
     print(f"{gpu.name}, {gpu.backend}\n")
-    print("| what | GPU | whole call | CPU engine, whole call | runs |\n|---|---|---|---|---|")
-    photo = image.read(DATA / "coffee.jpg").pixels
-    height, width = 1080 // scale, 1920 // scale
-    frame = np.ascontiguousarray(np.tile(photo, (3, 4, 1))[:height, :width])
-    d = supple.Deformation((height, width), border=None).grab(
-        (width / 2, height / 2), by=(200 / scale, 0), radius=300 / scale
-    )
-    for kind in ("linear", "cubic", "auto"):
-        print(
-            row(
-                f"picture, {width}×{height} RGB, {kind}",
-                lambda kind=kind: d.warp(frame, filter=kind, device="gpu"),  # type: ignore[misc]
-                lambda kind=kind: d.warp(frame, filter=kind),  # type: ignore[misc]
-                runs,
-            )
-        )
-    clip = np.stack([np.roll(frame, 3 * k, axis=1) for k in range(9)])
-    t = supple.Deformation(clip.shape[:3], border=None).grab(
-        (width / 2, height / 2, 4), by=(0, 0, 3), radius=300 / scale
-    )
-    print(
-        row(
-            "9 frames of it bent in time, linear",
-            lambda: t.warp(clip, filter="linear", device="gpu"),
-            lambda: t.warp(clip, filter="linear"),
-            runs,
-        )
-    )
+    print("| what | whole call | by the CPU | runs |\n|---|---|---|---|")
     head = open_volume(DATA / "head.nii.gz")
     size = (1000 // scale, 1000 // scale)
     camera = Camera(azimuth=38, elevation=12, distance=480)
@@ -172,20 +122,6 @@ def main() -> None:
             )
         )
     print(filled(n=512 // scale, runs=1 if gpu.software else runs))
-    n = 512 // scale
-    volume = np.random.default_rng(0).random((n, n, n), np.float32)
-    middle = (n / 2, n / 2, n / 2)
-    v = supple.Deformation(volume.shape, border=None).grab(middle, by=(n / 16, 0, 0), radius=n / 5)
-    out = np.empty_like(volume)
-    print(
-        row(
-            f"volume, {n}³ float32, linear",
-            lambda: v.warp(volume, filter="linear", device="gpu", out=out),
-            lambda: v.warp(volume, filter="linear", out=out),
-            1 if gpu.software else runs,
-        )
-    )
-
     print(f"\nThe four ways, {size[1] // 2}×{size[0] // 2}:\n")
     print(
         "| seen | exact | lattice | made in | buffered | made in | hybrid, while it fills | filled after | and then |"

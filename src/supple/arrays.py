@@ -10,11 +10,11 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import choice, integer, refuse
-from supple.engines.base import Array, Certificate, Engine, Layout, Sampling, Space, Work, warn_of
-from supple.engines.choice import DEVICES, engine_at, engine_for
+from supple.domain import integer, refuse
+from supple.engines.base import Array, Certificate, Engine, EngineError, Layout, Sampling, Space, Work, warn_of
+from supple.engines.choice import check_device, engine_at, engine_for
 from supple.engines.native import NATIVE
-from supple.errors import SuppleError, ToleranceWarning
+from supple.errors import DeviceWarning, SuppleError, ToleranceWarning
 from supple.pipeline import Arrays, Tell, run, sampled
 
 _MOST_POINTS = 1 << 18  # points in one call of a function
@@ -85,13 +85,15 @@ def warp_array(
     if endless := not np.isfinite(fills).all():  # averages take the edge's values, and what is beyond is filled later
         sampling = replace(sampling, outside="edge" if constant else sampling.outside, fill=0.0)
         work = work_of(held, space, sampling, alpha)
-    engine = engine_for(device, work)
+    engine = engine_for(device)
     result = engine.result(out, held, shape_of(held, work))
     own = held
     if gaps := not space.is_identity and sampling.filter != "nearest" and _has_gaps(held):
         own = np.where(np.isfinite(held), held, held.dtype.type(0))
     frames, planes = (Arrays((_as_frames(a, len(space.whole)),)) for a in (own, result))
-    done = run(frames, planes, work, engine, tell=tell)
+    certificate = _by_device(engine, frames, planes, work, tell)
+    if certificate is None:
+        certificate = run(frames, planes, work, tell=tell).certificate
     if clamp and not space.is_identity:
         clamp_to(held, result, work.sampling)
 
@@ -108,7 +110,19 @@ def warp_array(
     if endless and constant and not space.is_identity:
         beyond = weights(np.ones(space.whole), "constant") < 0.5
         result[beyond] = fills if result.ndim > beyond.ndim else fills[0]
-    return result, done.certificate
+    return result, certificate
+
+
+def _by_device(engine: Engine, source: Arrays, target: Arrays, work: Work, tell: Tell) -> Certificate | None:
+    """Send arrays to a device; None if there is none, nothing to do, or, with a warning, if it fails."""
+    if engine is NATIVE or work.space.is_identity:
+        return None
+    planes = len(target.arrays[0])
+    try:
+        return sampled(engine, work, source.arrays, target.arrays, lambda done: tell("warp", done, planes))
+    except EngineError as error:
+        warnings.warn(f"the CPU did what {engine.name} could not: {error}", DeviceWarning, stacklevel=4)
+        return None
 
 
 def _has_gaps(array: Array) -> bool:
@@ -200,10 +214,7 @@ def _as_frames(array: Array, axes: int) -> Array:
 
 def _on_device(engine: Engine, held: Any, work: Work, device: str, out: Any) -> tuple[Any, Certificate]:
     """Warp an array on its CUDA device."""
-    choice("device", device, DEVICES)
-    if device == "gpu":
-        refuse("device", "left out for an array on a CUDA device, which is warped there", device)
-    engine.check(work)
+    check_device(device)
     result = engine.result(out, held, shape_of(held, work))
     return result.given, sampled(engine, work, [held], [result])
 

@@ -74,5 +74,4 @@ def start(
     engine = Cuda(held.gpu)
     many = isinstance(deformations, Sequence)
     work = batch_of(held, spaces, sampling, alpha) if many else work_of(held, spaces[0], sampling, alpha)
-    engine.check(work)
     return job.start(work, held, engine.result(out, held, shape_of(held, work)), slab=slab, stream=stream)

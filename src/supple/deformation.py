@@ -16,7 +16,7 @@ from supple import _core
 from supple.affine import Affine, matrix_rows
 from supple.domain import BorderProfile, Domain, choice, colours_hint, flag, integer, length, number, point, refuse
 from supple.engines.base import Certificate, Sampling, Space, warn_of
-from supple.engines.choice import DEVICES, engine_at
+from supple.engines.choice import check_device, engine_at
 from supple.engines.native import NATIVE, measured, plan_of
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, caller
 from supple.fields import Field, Placed, check_path, folds_of
@@ -1059,9 +1059,8 @@ class Deformation:
             Whether to clamp the result to the finite range of the source (and ``fill``, if it is visible), which cubic
             filters overshoot beside sharp edges. Only for arrays in host memory, not on a CUDA device.
         device : str
-            The ``"cpu"``; the ``"gpu"``, which may be software; or ``"auto"``: the GPU if there is one that supports
-            the work, and the CPU otherwise. ``"cuda"`` sends the array to an NVIDIA GPU in slabs, so that it need not
-            fit its memory.
+            The ``"cpu"``, as ``"auto"`` is; or ``"cuda"``, which sends the array to an NVIDIA GPU in slabs, so that it
+            need not fit its memory.
         out : array, optional
             The array for the result, of its shape and type, and not overlapping ``source``.
         grid : Grid, optional
@@ -1107,9 +1106,7 @@ class Deformation:
                 refuse("grid", "left out for a function of points", grid)
             if clamp:
                 refuse("clamp", "False for a function of points, which is not interpolated", clamp)
-            if device in ("gpu", "cuda"):
-                refuse("device", '"cpu" for a function of points, which Python evaluates', device)
-            choice("device", device, DEVICES)
+            check_device(device, "a function of points, which Python evaluates")
             if self.ndim == 3:
                 raise SuppleError(f"a function of points is warped as an image, and shape {self.shape} has three axes")
             return warp_function(source, self.space, samples, out)

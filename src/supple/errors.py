@@ -35,7 +35,7 @@ class FoldWarning(MissWarning):
 
 
 class DeviceWarning(UserWarning):
-    """A GPU failed or does not support the work, and the CPU took over."""
+    """A GPU failed, and the CPU took over."""
 
 
 class OutsideWarning(UserWarning):

@@ -1,4 +1,4 @@
-"""The pipeline, Source → Plan → Engine → Sink: frames stream through an engine, or are sampled in memory."""
+"""The pipeline, Source → Plan → Engine → Sink: frames stream through the native engine, or are sampled in memory."""
 
 from __future__ import annotations
 
@@ -17,17 +17,11 @@ import numpy.typing as npt
 from supple.buffers import buffers
 from supple.engines.base import (
     LONGEST,
-    SUPPORT,
     Array,
     Certificate,
     Engine,
-    EngineError,
-    Planes,
     Work,
-    frames_needed,
-    times_seen,
 )
-from supple.engines.choice import warn_of_failure
 from supple.engines.native import NATIVE, plan_of
 from supple.engines.workers import note
 from supple.errors import GapWarning, SuppleError
@@ -37,6 +31,8 @@ if TYPE_CHECKING:
 
 Tell = Callable[[str, int, int], None]
 
+SUPPORT = {"nearest": 1, "linear": 1, "cubic": 2}
+_SLACK = 1e-3  # frames: points are of float32, and may lie a little outside of the bounds of a plan
 _AHEAD = 2  # planes in the queue of the writer
 
 
@@ -124,19 +120,17 @@ def run(
     source: Source,
     sink: Sink,
     work: Work,
-    engine: Engine,
     *,
     memory: float = math.inf,
     tell: Tell = lambda step, done, total: None,
 ) -> Done:
-    """Process all frames with an engine, and those on which it fails with the native engine.
+    """Process all frames with the native engine.
 
     Parameters
     ----------
     source : Source
     sink : Sink
     work : Work
-    engine : Engine
     memory : float
         The bytes of memory for frames; frames beyond that go to a temporary file.
     tell : function
@@ -146,11 +140,6 @@ def run(
     ------
     SuppleError
         If the source ends too early, there is no room for the temporary file, or the sink refuses a plane.
-
-    Warns
-    -----
-    DeviceWarning
-        If the engine failed.
     """
     count = work.space.count
     if isinstance(source, Arrays) and isinstance(sink, Arrays):
@@ -158,34 +147,30 @@ def run(
             for target, held in zip(sink.arrays, source.arrays, strict=True):
                 target[...] = held
             return Done(Certificate(0.0, 0.0), count)
-        frames, outs = ([engine.view(a) for a in some.arrays] for some in (source, sink))
+        frames, outs = ([NATIVE.view(a) for a in some.arrays] for some in (source, sink))
         if all(a is not None for a in (*frames, *outs)):
-            try:
-                planes = len(sink.arrays[0])
-                return Done(sampled(engine, work, frames, outs, lambda done: tell("warp", done, planes)))
-            except EngineError as error:
-                warn_of_failure(engine, error, 4)
-            return run(source, sink, work, NATIVE, memory=memory, tell=tell)
-        work = replace(work, layout=replace(work.layout, dtype=engine.working_dtype(work.layout.dtype)))
+            planes = len(sink.arrays[0])
+            return Done(sampled(NATIVE, work, frames, outs, lambda done: tell("warp", done, planes)))
+        work = replace(work, layout=replace(work.layout, dtype=NATIVE.working_dtype(work.layout.dtype)))
         if not work.space.is_plain:
-            return _converted(source, sink, work, engine, tell)
-    plan = make_plan(work, range(count), lambda done: tell("plan", done, count), engine)
+            return _converted(source, sink, work, tell)
+    plan = make_plan(work, range(count), lambda done: tell("plan", done, count))
     certificate = Certificate(0.0, 0.0)
     buffered = _AHEAD + 1 if sink.aside else 1
-    made = stream(work, plan, source.frames(), memory=memory, buffered=buffered, engine=engine)
+    made = stream(work, plan, source.frames(), memory=memory, buffered=buffered)
     with contextlib.closing(made), _writing(sink) as write:
         for z, arrays, known in made:
             write(arrays, z, still=bool(plan.still[z]))
             certificate |= known
             tell("warp", z + 1, count)
-    return Done(certificate, int(plan.still.sum()), capacity_of(plan, engine))
+    return Done(certificate, int(plan.still.sum()), plan.capacity)
 
 
-def _converted(source: Arrays, sink: Arrays, work: Work, engine: Engine, tell: Tell) -> Done:
+def _converted(source: Arrays, sink: Arrays, work: Work, tell: Tell) -> Done:
     """Sample copies of frames in the engine's type: a composite map may need any of them at any time."""
     frames = [np.ascontiguousarray(array, work.layout.dtype) for array in source.arrays]
     outs = [np.empty(array.shape, work.layout.dtype) for array in sink.arrays]
-    certificate = sampled(engine, work, frames, outs, lambda done: tell("warp", done, len(outs[0])))
+    certificate = sampled(NATIVE, work, frames, outs, lambda done: tell("warp", done, len(outs[0])))
     with np.errstate(over="ignore"):
         for target, made in zip(sink.arrays, outs, strict=True):
             target[...] = made
@@ -242,9 +227,7 @@ class Plan:
     capacity: int
 
 
-def make_plan(
-    work: Work, planes: Sequence[int], tell: Callable[[int], None] = lambda done: None, engine: Engine = NATIVE
-) -> Plan:
+def make_plan(work: Work, planes: Sequence[int], tell: Callable[[int], None] = lambda done: None) -> Plan:
     """Solve the lattice of every plane to find the frames that it needs.
 
     ``tell`` is called at intervals with the number of finished planes.
@@ -254,8 +237,8 @@ def make_plan(
     first, last = np.array(planes, np.int64), np.array(planes, np.int64)
     still = np.array([space.is_identity if work.items is None else work.items[z].is_identity for z in planes], bool)
     if space.ndim == 3 and not space.is_identity:
-        support, slack = SUPPORT[sampling.between], engine.slack(sampling.tolerance)
-        earliest, latest = times_seen(sampling.outside, count, sampling.time_filter)
+        support = SUPPORT[sampling.between]
+        earliest, latest = _times_seen(sampling.outside, count, sampling.time_filter)
         step = work.layout.step
         for k, z in enumerate(planes):
             plan = plan_of(space, z, sampling.tolerance, step)
@@ -265,26 +248,33 @@ def make_plan(
                 # A chroma sample covers several pixels; and derivatives between nodes may be larger.
                 wide = 1.5 * rate * math.hypot(*step, 1)
                 beyond = min(wide, LONGEST) / 2 + 1 if sampling.time_filter else 0.0
-                early, late = (min(max(t, earliest), latest) for t in (low[2] - slack, high[2] + slack))
+                early, late = (min(max(t, earliest), latest) for t in (low[2] - _SLACK, high[2] + _SLACK))
                 first[k] = math.floor(early - beyond) - support + 1
                 last[k] = math.floor(late + beyond) + support
             if k % 64 == 63 or k == n - 1:
                 tell(k + 1)
-    needed = np.array([frames_needed(a, b, count, sampling.outside) for a, b in zip(first, last, strict=True)])
+    needed = np.array([_frames_needed(a, b, count, sampling.outside) for a, b in zip(first, last, strict=True)])
     keep = np.minimum.accumulate(needed[::-1, 0])[::-1]
     # The timestamp of a frame is known when it has been read.
     read = np.maximum.accumulate(np.maximum(needed[:, 1], planes)) if n else needed[:, 1]
     return Plan(tuple(planes), first, last, still, keep, read, int((read - keep).max()) + 1)
 
 
-def capacity_of(plan: Plan, engine: Engine) -> int:
-    """Return the number of frames held at once, for planes in progress and the next frame to read."""
-    lead = engine.lead
-    if not lead or not plan.planes:
-        return plan.capacity
-    n = len(plan.planes)
-    ahead, behind = np.minimum(np.arange(n) + 1, n - 1), np.maximum(np.arange(n) - lead, 0)
-    return int((plan.read[ahead] - plan.keep[behind]).max()) + 1
+def _frames_needed(first: int, last: int, count: int, outside: str) -> tuple[int, int]:
+    """Return the range of frames read for a range of times."""
+    if outside == "reflect" and (first < 0 or last >= count):
+        k = np.arange(max(first, last - 2 * count), last + 1) % (2 * count)
+        seen = np.minimum(k, 2 * count - 1 - k)
+        return int(seen.min()), int(seen.max())
+    return min(max(first, 0), count - 1), min(max(last, 0), count - 1)
+
+
+def _times_seen(outside: str, count: int, average: bool) -> tuple[float, float]:
+    """Return the times beyond which an edge or a constant continues unchanged."""
+    beyond = 3.0 + (LONGEST / 2 if average else 0.0)
+    if outside == "reflect":
+        return -1e9, 1e9
+    return -beyond, count - 1.0 + beyond
 
 
 def stream(
@@ -294,7 +284,6 @@ def stream(
     *,
     memory: float = math.inf,
     buffered: int = 1,
-    engine: Engine = NATIVE,
 ) -> Generator[tuple[int, list[Array], Certificate], None, None]:
     """Warp frames in the order in which they are read.
 
@@ -308,8 +297,6 @@ def stream(
         The bytes of memory for frames; frames beyond that go to a temporary file.
     buffered : int
         The number of planes whose samples are kept.
-    engine : Engine
-        The engine of the planes, for which the plan was made.
 
     Yields
     ------
@@ -328,7 +315,7 @@ def stream(
     """
     layout = work.layout
     with contextlib.ExitStack() as stack:
-        capacity = capacity_of(plan, engine)
+        capacity = plan.capacity
         shapes = [(capacity, *g.shape, g.channels) for g in layout.groups]
 
         def full(size: str, folder: str, reason: str) -> str:
@@ -339,103 +326,24 @@ def stream(
 
         window = stack.enter_context(buffers(shapes, layout.dtype, memory, full))
         sets = [[np.empty((*g.shape, g.channels), layout.dtype) for g in layout.groups] for _ in range(buffered)]
-        planes = _WithFallback(engine, work, window, stack)
+        make = NATIVE.stream(work, window)
         source = iter(frames)
-        reading = stack.enter_context(_reading(source, work, plan, window, aside=engine.lead > 0))
-        waiting: deque[tuple[int, object]] = deque()
-
-        def finished() -> tuple[int, list[Array], Certificate]:
-            k, begun = waiting.popleft()
-            z, outs = plan.planes[k], sets[k % buffered]
+        read = _reading(source, work, plan, window)
+        for k, z in enumerate(plan.planes):
+            read(k)
+            outs, known = sets[k % buffered], Certificate(0.0, 0.0)
             if plan.still[k]:
                 for held, out in zip(window, outs, strict=True):
                     out[...] = held[z % len(held)]
-                return z, outs, Certificate(0.0, 0.0)
-            return z, outs, planes.finish(begun, z, int(plan.first[k]), int(plan.last[k]), outs)
-
-        for k, z in enumerate(plan.planes):
-            reading(k)
-            begun = None if plan.still[k] else planes.begin(z, int(plan.first[k]), int(plan.last[k]))
-            waiting.append((k, begun))
-            if len(waiting) > engine.lead:
-                yield finished()
-        while waiting:
-            yield finished()
+            else:
+                known = make(z, outs)
+            yield z, outs, known
         for _ in source:
             pass
 
 
-class _WithFallback:
-    """Planes by an engine and, after it fails, by the native one (`supple.engines.base.Planes`)."""
-
-    def __init__(self, engine: Engine, work: Work, window: Sequence[Array], stack: contextlib.ExitStack) -> None:
-        self._engine, self._work, self._window, self._stack = engine, work, window, stack
-        self._planes: Planes | None = None
-        self._spare: Planes | None = None
-        self._warned = False
-        with self._failing():
-            self._planes = stack.enter_context(_opened(engine, work, window))
-
-    def begin(self, z: int, first: int, last: int) -> object:
-        if self._planes is not None:
-            with self._failing():
-                return (self._planes.begin(z, first, last),)  # not None, whatever the engine returns
-        return None
-
-    def finish(self, begun: Any, z: int, first: int, last: int, outs: Sequence[Array]) -> Certificate:
-        if self._planes is not None and begun is not None:
-            with self._failing():
-                known = self._planes.finish(begun[0], z, first, last, outs)
-                note(self._engine.name)
-                return known
-        # No engine is left, or it failed just now.
-        if self._spare is None:
-            self._spare = self._stack.enter_context(_opened(NATIVE, self._work, self._window))
-        note(NATIVE.name)
-        return self._spare.finish(None, z, first, last, outs)
-
-    @contextlib.contextmanager
-    def _failing(self) -> Iterator[None]:
-        """Warn of a failure once; drop the engine if the device is lost."""
-        try:
-            yield
-        except EngineError as error:
-            if error.lost:
-                self._planes = None
-            if not self._warned:
-                warn_of_failure(self._engine, error, 5)
-            self._warned = True
-
-
-def _opened(engine: Engine, work: Work, window: Sequence[Array]) -> contextlib.AbstractContextManager[Planes]:
-    """Return a maker of the planes of a stream."""
-    if work.items is None:
-        return engine.stream(work, window)
-    return contextlib.nullcontext(_Alone(engine, work, window))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Alone:
-    """A maker of planes that are each an image with a map of its own (`supple.engines.base.Planes`)."""
-
-    engine: Engine
-    work: Work
-    window: Sequence[Array]
-
-    def begin(self, z: int, first: int, last: int) -> object:
-        return None
-
-    def finish(self, begun: Any, z: int, first: int, last: int, outs: Sequence[Array]) -> Certificate:
-        assert self.work.items is not None
-        work, slot = replace(self.work, space=self.work.items[z], items=None), z % len(self.window[0])
-        return sampled(self.engine, work, [held[slot : slot + 1] for held in self.window], [out[None] for out in outs])
-
-
-@contextlib.contextmanager
-def _reading(
-    source: Iterator[Frame], work: Work, plan: Plan, window: Sequence[Array], *, aside: bool
-) -> Iterator[Callable[[int], None]]:
-    """Return a function that reads the frames of a plane into their slots; with ``aside``, a thread reads ahead."""
+def _reading(source: Iterator[Frame], work: Work, plan: Plan, window: Sequence[Array]) -> Callable[[int], None]:
+    """Return a function that reads the frames of a plane into their slots."""
     have = 0
     floats = work.layout.dtype.kind == "f" and work.sampling.filter != "nearest"
     averaged = [number for number, group in enumerate(work.layout.groups) if floats and not group.exact]
@@ -458,23 +366,7 @@ def _reading(
                         warnings.warn(text, GapWarning, stacklevel=2)
             have += 1
 
-    if not aside:
-        yield read
-        return
-    from concurrent.futures import ThreadPoolExecutor
-
-    ahead: Future[None] | None = None
-
-    def fetch(k: int) -> None:
-        nonlocal ahead
-        (ahead or begun(k)).result()
-        ahead = begun(k + 1) if k + 1 < len(plan.planes) else None
-
-    def begun(k: int) -> Future[None]:
-        return pool.submit(copy_context().run, read, k)
-
-    with ThreadPoolExecutor(1, "supple-read") as pool:
-        yield fetch
+    return read
 
 
 @contextlib.contextmanager

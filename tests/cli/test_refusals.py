@@ -23,7 +23,8 @@ def test_a_wrong_amount_is_one_line(run: Run, text: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "wanted"),
     [
-        (["warp", "in.png", "x.png", *GRAB, "--gpu"], "--device gpu is for warp, render and demo"),
+        (["warp", "in.png", "x.png", *GRAB, "--gpu"], "--device gpu is for render and demo"),
+        (["warp", "in.png", "x.png", *GRAB, "--device", "gpu"], "here it is cpu, cuda (on an NVIDIA GPU) or auto"),
         (["plot", "in.png", "x.png", *GRAB, "--device", "gpu"], "is for warp, render and demo"),
         (["info", "in.png", "--device", "gpu"], "is for warp, render and demo"),
     ],

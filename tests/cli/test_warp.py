@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import supple
-from supple.engines.wgpu.device import Gpu
 from supple.media import image
 from tests.cli.commands import GRAB, Run, noise, one_line
 
@@ -254,16 +253,7 @@ def test_json_tells_what_was_done(run: Run) -> None:
     assert one_line(err)[8:].strip() == json.loads(out)["error"]
 
 
-def test_json_tells_who_did_it(run: Run, gpu: Gpu) -> None:
-    def device(name: str, *options: str) -> tuple[str, str]:
-        status, out, err = run("warp", "in.png", "out.png", *GRAB, "--json", "--force", "--device", name, *options)
-        assert status == 0
-        return json.loads(out)["device"], err
-
-    assert device("cpu") == ("cpu", "")
-    assert device("gpu")[0] == gpu.name
-    assert device("auto")[0] == ("cpu" if gpu.software else gpu.name)
-    # What it could not do, the CPU did.
-    who, err = device("gpu", "--tolerance", "1e-9")
-    assert who == "cpu"
-    assert "the CPU did what" in err
+@pytest.mark.parametrize("device", ["cpu", "auto"])
+def test_json_tells_who_did_it(run: Run, device: str) -> None:
+    status, out, err = run("warp", "in.png", "out.png", *GRAB, "--json", "--device", device)
+    assert (status, json.loads(out)["device"], err) == (0, "cpu", "")

@@ -264,8 +264,6 @@ REFUSED: list[tuple[tuple[str, ...], str]] = [
     (("in.png", "out.png", *GRAB, "--reference", "head.nii.gz"), "head.nii.gz is a volume, and the grid of a picture"),
     (("head.nii.gz", "out.nii", "--reference", "in.png"), "in.png is a picture, and the grid of a volume is needed"),
     (("in.png", "out.png", "--field", "flat.npy", "--save-recipe", "r.json"), "--save-recipe is for strokes alone"),
-    (("in.png", "out.png", "--field", "flat.npy", "--device", "gpu"), '--device must be "cpu", "cuda" or "auto" f'),
-    (("in.png", "out.png", *GRAB, "--crop", "0,0,5,5", "--device", "gpu"), '--device must be "cpu", "cuda" or "auto"'),
     (("in.png", "out.xyz", "--field", "gone.npy"), "cannot write out.xyz"),
 ]
 

@@ -12,8 +12,6 @@ import pytest
 
 import supple
 from supple import Key, Recipe, Stroke
-from supple.engines.base import EngineError
-from supple.engines.native import Native
 from supple.errors import FoldWarning, OutsideWarning, SuppleError
 from supple.files import warp_file
 from supple.files.clips import ClipOptions, WarpedClip
@@ -121,38 +119,6 @@ def test_what_is_said_of_many_frames_is_one_warning(here: Path) -> None:
     with pytest.raises(supple.FoldError, match=r"^frame \d: "):
         warp_file("in.mkv", "none.mkv", Recipe(strokes=(strong,), on_fold="error"))
     assert not os.path.exists("none.mkv")
-
-
-@pytest.mark.parametrize("lead", [0, 1])
-@pytest.mark.parametrize("lost", [True, False])
-def test_where_a_device_fails_the_cpu_bends_each_frame(
-    here: Path, monkeypatch: pytest.MonkeyPatch, lead: int, lost: bool
-) -> None:
-    class Broken(Native):
-        """An engine that fails in every frame."""
-
-        def warp(self, *arguments: Any, **options: Any) -> Any:
-            raise EngineError("it is broken", lost=lost)
-            yield
-
-    noisy("in.mkv", "yuv420p")
-    warp_file("in.mkv", "a.mkv", MOVING)
-    monkeypatch.setattr("supple.files.clips.engine_for", lambda device, work: Broken("broken", lead))
-    with pytest.warns(supple.DeviceWarning, match="the CPU did what broken could not: it is broken") as caught:
-        warp_file("in.mkv", "b.mkv", MOVING)
-    assert len(caught) == 1
-    same_frames("a.mkv", "b.mkv")
-
-
-def test_a_gpu_bends_each_frame(here: Path) -> None:
-    pytest.importorskip("wgpu")
-    noisy("in.mkv", "yuv420p", 8)
-    warp_file("in.mkv", "a.mkv", MOVING)
-    warp_file("in.mkv", "b.mkv", MOVING, device="gpu")
-    for one, other in zip(clips.decoded("a.mkv"), clips.decoded("b.mkv"), strict=True):
-        for left, right in zip(clips.rows(one), clips.rows(other), strict=True):
-            off = np.frombuffer(left, np.uint8).astype(int) - np.frombuffer(right, np.uint8)
-            assert abs(off).max() <= 2
 
 
 def test_it_tells_how_far_it_is_and_may_be_stopped(here: Path) -> None:

@@ -286,13 +286,10 @@ def blocks_of(dtype: Any) -> npt.NDArray[Any]:
     return np.where(np.indices(SHAPE).sum(axis=0) // 4 % 2, -1024, 1500).astype(dtype)
 
 
-@pytest.mark.parametrize("device", ["cpu", "gpu"])
 @pytest.mark.parametrize("dtype", [np.int16, np.float32])
-def test_values_stay_within_their_range(here: Path, dtype: Any, device: str) -> None:
-    if device == "gpu":
-        pytest.importorskip("wgpu")
+def test_values_stay_within_their_range(here: Path, dtype: Any) -> None:
     stored("in.nii", blocks_of(dtype))
-    options: dict[str, Any] = {"filter": "cubic", "device": device, "force": True}
+    options: dict[str, Any] = {"filter": "cubic", "force": True}
     warp_volume("in.nii", "out.nii", RECIPE, clamp=False, **options)
     free = np.array(media.read("out.nii").samples)
     assert free.min() < -1100

@@ -95,7 +95,7 @@ NEEDED = {
         ("plot", "in.png", "out.png", *GRAB): "plots need matplotlib",
         ("render", HEAD, "out.png", "--annotate"): "plots need matplotlib",
     },
-    "gpu": {("warp", "in.png", "out.png", *GRAB, "--device", "gpu"): "the GPU needs wgpu"},
+    "gpu": {("demo", "gallery", "--device", "gpu"): "the GPU needs wgpu"},
     "view": {("view", "in.png", "--serve"): "window needs"},
 }
 

@@ -20,8 +20,7 @@ ENGINES = (
     "scipy",
     "torch",
     "wgpu",
-    "supple.engines.wgpu.warp",
-    "supple.engines.wgpu.engine",
+    "supple.engines.wgpu.raymarch",
     "supple.cuda",
     "supple.engines.cuda.engine",
 )

@@ -9,8 +9,8 @@ import numpy.typing as npt
 import pytest
 
 import supple
-from supple.engines.base import SUPPORT
 from supple.errors import SuppleError
+from supple.pipeline import SUPPORT
 
 Array = npt.NDArray[Any]
 SIZE = (60, 80)

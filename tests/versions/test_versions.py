@@ -80,7 +80,6 @@ def test_wgpu_rendercanvas_imgui_and_platformdirs(gpu: Gpu, folder: Path) -> Non
     view.commands.ask("save")
     view.canvas.draw()
     assert view.commands.asked is not None
-    warped("in.png", "out.png", *GRAB, "--device", "gpu")
 
 
 def test_anywidget(gpu: Gpu, folder: Path) -> None:

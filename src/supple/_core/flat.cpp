@@ -105,25 +105,9 @@ void bind_flat(nb::module_& m) {
     m.def("flatten", &flatten, "maps"_a, "base"_a,
           "Return maps (strokes, axes, composite or None, freeze mask or None) as one block for a GPU, at an address.");
     nb::dict constants;
-#define CONSTANT(name) constants[#name] = (double)name;
-    CONSTANT(KEYS)
-    CONSTANT(LOW)
-    CONSTANT(RISE)
-    CONSTANT(NARROW)
-    CONSTANT(SQUARE)
-    CONSTANT(WIDEST_SPOT)
-    CONSTANT(PER_SPOT)
-    CONSTANT(FADES)
-    CONSTANT(MOST_SPOTS)
-    CONSTANT(THICKEST)
-    CONSTANT(FLATTEST)
-    CONSTANT(LEVEL)
-    CONSTANT(LONG)
-    CONSTANT(LONGEST)
-    CONSTANT(RESOLVED)
-    CONSTANT(QUARTIC)
-    CONSTANT(SINE)
-#undef CONSTANT
+    constants["LONGEST"] = (double)LONGEST;
+    constants["QUARTIC"] = (double)QUARTIC;
+    constants["SINE"] = (double)SINE;
     m.attr("constants") = constants;  // of the shaders, too
 }
 

@@ -163,7 +163,9 @@ def _advised(text: str) -> str:
     """Return the text of an option error; where one that only looks alike would be advised, the one that is meant."""
     wrong, _, _ = text.partition(" Did you mean")
     if "option: --gpu" in wrong:
-        return f"{wrong} --device gpu is for warp, render and demo, and info --gpu tells what there is"
+        return f"{wrong} --device gpu is for render and demo, and info --gpu tells what there is"
+    if '"gpu" for --device' in wrong:
+        return "--device gpu draws, for render and demo: here it is cpu, cuda (on an NVIDIA GPU) or auto"
     if '"cuda" for --device' in wrong:
         return "--device cuda is for warp, of pictures and volumes: here it is cpu, gpu or auto"
     if left_out := _LEFT_OUT.fullmatch(wrong):

@@ -104,7 +104,7 @@ def demo(
     folder
         Folder to write the gallery to.
     device
-        Where to compute: cpu, gpu, or auto (the GPU if there is one).
+        Where to render volumes: cpu, gpu, or auto (the GPU if there is one).
     """
     console = current()
     from supple.examples.gallery import write_gallery

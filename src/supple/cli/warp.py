@@ -24,7 +24,6 @@ from supple.cli.console import (
     one_line,
     say_convention,
     told,
-    warn_of_software,
 )
 from supple.cli.options import RUNNING, RunOptions, VideoOptions, number, parse_fill
 from supple.cli.options_maps import (
@@ -54,7 +53,7 @@ if TYPE_CHECKING:
     from supple.strokes import Recipe
 
 Outside = Literal["edge", "constant", "reflect"]
-Warper = Literal["auto", "cpu", "gpu", "cuda"]
+Warper = Literal["auto", "cpu", "cuda"]
 Tell = Callable[[str], None]
 PathLike = str | os.PathLike[str]
 
@@ -133,13 +132,12 @@ def warp(
         Also write the displacement field of the inverse map, for SimpleITK, ANTs and 3D Slicer: NIfTI, NRRD,
         MHA or .h5; or beside a Zarr store, of both directions of the map, as OME-Zarr: .zarr.
     device
-        Where to compute: cpu, gpu, auto (the GPU if there is one), or cuda (an NVIDIA GPU, for pictures and
-        volumes).
+        Where to compute: cpu (which auto is), or cuda (an NVIDIA GPU, for pictures and volumes).
     """
     console = current()
     from supple.cli.jobs import Crew, check_recipe_file, make_folders, pair, piped, summary
     from supple.engines.base import FINEST, check_filter
-    from supple.engines.choice import check_device, check_host
+    from supple.engines.choice import check_device
     from supple.files import check_job, grid_of, warp_file, write_recipe
     from supple.files.clips import is_clip
     from supple.files.volumes import holds_volumes, is_from_dicom, is_volume_job
@@ -156,11 +154,8 @@ def warp(
     )  # fmt: skip
     recipe = tracks.followed(recipe, strokes.count, paths[0])
     elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given, output)
-    if maps.any or grid is not None:
-        check_host(device)
     if elements and save_recipe is not None:
         raise SuppleError("--save-recipe is for strokes alone, which --field and --affine are not: leave it out")
-    warn_of_software(console, device)
     if 1e-9 <= tolerance < FINEST:
         written = f"{tolerance:g}".replace("e-0", "e-")
         console.warn(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Generator, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -19,14 +18,12 @@ from supple.strain import Mask
 
 Array = npt.NDArray[Any]
 
-# Codes shared with the core, WGSL and CUDA.
+# Codes shared with the core and CUDA.
 FILTERS = {"auto": 3, "cubic": 2, "linear": 1, "nearest": 0}
 BETWEEN = {"nearest": 0, "linear": 1, "cubic": 2}
 OUTSIDE = {"edge": 0, "constant": 1, "reflect": 2}
 
-SUPPORT = {"nearest": 1, "linear": 1, "cubic": 2}
 LONGEST = _core.constants["LONGEST"]  # frames: the longest time average of a pixel
-SLACK = 1e-3  # frames
 FINEST = 3e-4
 """The approximate accuracy of a source point in float32, in pixels."""
 
@@ -422,42 +419,18 @@ Steps = Generator[tuple[int, Certificate], None, None]
 
 
 class EngineError(Exception):
-    """A failure of a device in work it generally supports; the CPU takes over.
-
-    ``lost`` is true if the device cannot process other planes either.
-    """
-
-    def __init__(self, reason: str, *, lost: bool = True) -> None:
-        super().__init__(reason)
-        self.lost = lost
-
-
-class Planes(Protocol):
-    """A maker of planes from a window of frames; frame k is in slot k modulo the capacity of the window."""
-
-    def begin(self, z: int, first: int, last: int) -> object:
-        """Begin a plane that samples frames ``first`` to ``last``, which are in the window."""
-
-    def finish(self, begun: Any, z: int, first: int, last: int, outs: Sequence[Array]) -> Certificate:
-        """Write a plane that was begun into one array for each group; its frames are still in the window."""
+    """A failure of a device in work it generally supports; the CPU takes over."""
 
 
 class Engine(Protocol):
     """A device that samples frames at the source point of every pixel, and maps points.
 
-    Methods raise `EngineError` if the device fails, and SuppleError, in one sentence, for unsupported work.
+    Methods raise `EngineError` if the device fails, and SuppleError, in one sentence, for what they do not take.
     """
 
     @property
     def name(self) -> str:
         """The name of the device, as shown to users."""
-
-    @property
-    def lead(self) -> int:
-        """The number of planes of a stream begun before the first is finished; if not 0, a thread reads the frames."""
-
-    def slack(self, tolerance: float) -> float:
-        """Return how far source points may lie outside the bounds of a plan, in frames."""
 
     def taken(self, value: Any, name: str) -> Any:
         """Return an array in the form the engine holds it, with a shape and a dtype; SuppleError if unsupported."""
@@ -468,15 +441,6 @@ class Engine(Protocol):
         It is of the type of the held array, and of its shape or the given one.
         """
 
-    def check(self, work: Work) -> None:
-        """Raise SuppleError for unsupported work."""
-
-    def working_dtype(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
-        """Return the type in which samples of ``dtype`` are processed."""
-
-    def view(self, array: Array) -> Array | None:
-        """Return a view of an array in the engine's form, of its `working_dtype`; None if it must be copied."""
-
     def warp(self, work: Work, frames: Sequence[Array], outs: Sequence[Array]) -> Steps:
         """Sample frames that are all in memory.
 
@@ -484,7 +448,7 @@ class Engine(Protocol):
         ----------
         work : Work
         frames, outs : sequence of arrays
-            All frames, and the destination of all planes: an array (count, h, w, channels) for each group, from `view`.
+            All frames, and the destination of all planes: an array (count, h, w, channels) for each group.
 
         Yields
         ------
@@ -494,9 +458,6 @@ class Engine(Protocol):
             The accuracy of the map of the planes finished since the last step.
         """
 
-    def stream(self, work: Work, window: Sequence[Array]) -> AbstractContextManager[Planes]:
-        """Return a maker of planes from a window: for each group, an array (capacity, h, w, channels)."""
-
     def forward(self, space: Space, points: Any, *, matrices: bool = False) -> Any:
         """Return T of points (..., D) in pixels, x first; or, if ``matrices``, ∂T/∂p (..., D, D), in float64."""
 
@@ -505,33 +466,3 @@ class Engine(Protocol):
 
     def inverse_map(self, space: Space, tolerance: float, like: Any = None) -> tuple[Any, Certificate]:
         """Return the source point of every pixel, float32 (*shape, D), stored like ``like``, and the certificate."""
-
-
-def frames_needed(first: int, last: int, count: int, outside: str) -> tuple[int, int]:
-    """Return the range of frames read for a range of times."""
-    if outside == "reflect" and (first < 0 or last >= count):
-        seen = slots_of(max(first, last - 2 * count), last, count, outside, count)
-        return int(seen.min()), int(seen.max())
-    return min(max(first, 0), count - 1), min(max(last, 0), count - 1)
-
-
-def times_seen(outside: str, count: int, average: bool) -> tuple[float, float]:
-    """Return the times beyond which an edge or a constant continues unchanged."""
-    beyond = 3.0 + (LONGEST / 2 if average else 0.0)
-    if outside == "reflect":
-        return -1e9, 1e9
-    return -beyond, count - 1.0 + beyond
-
-
-def slots_of(first: int, last: int, count: int, outside: str, capacity: int) -> npt.NDArray[np.int64]:
-    """Return the slots of frames ``first`` to ``last`` in a window that holds frame k in slot k modulo its capacity.
-
-    Frames outside the clip have the slots of the frames that replace them; -1 for the constant.
-    """
-    k = np.arange(first, last + 1)
-    if outside == "reflect":
-        k = k % (2 * count)
-        k = np.where(k < count, k, 2 * count - 1 - k)
-    elif outside == "constant":
-        return np.where((k >= 0) & (k < count), k % capacity, -1)
-    return np.clip(k, 0, count - 1) % capacity

@@ -1,25 +1,27 @@
-"""The choice of an engine, native, GPU or CUDA, by the user's request and the location of the array."""
+"""The choice of an engine, native or CUDA, by the user's request and the location of the array; of a GPU that draws."""
 
 from __future__ import annotations
 
 import contextlib
-import warnings
 
 import numpy as np
 
 from supple.domain import choice, refuse
-from supple.engines.base import Engine, EngineError, Work
+from supple.engines.base import Engine
 from supple.engines.native import NATIVE
 from supple.engines.wgpu.device import Gpu, open_gpu
-from supple.errors import DeviceWarning, SuppleError
+from supple.errors import SuppleError
 
-# GPU engines are imported only if there is a device, to keep `import supple` fast.
+# The CUDA engine is imported only if there is a device, to keep `import supple` fast.
 
-DEVICES = ("auto", "cpu", "gpu", "cuda")
+DEVICES = ("auto", "cpu", "cuda")
+"""The devices that warp."""
+DRAWING = ("auto", "cpu", "gpu")
+"""The devices that draw volumes."""
 
 
-def check_device(device: str, what: str = "") -> None:
-    """Raise SuppleError for an unknown device, and for ``"cuda"`` where it cannot be used.
+def check_device(device: object, what: str = "") -> None:
+    """Raise SuppleError for a device that does not warp, and for ``"cuda"`` where it cannot be used.
 
     ``what`` names a kind of work that CUDA devices do not support.
 
@@ -28,71 +30,43 @@ def check_device(device: str, what: str = "") -> None:
     SuppleError
         The message names the devices that can be used.
     """
-    choice("device", device, DEVICES)
+    if not isinstance(device, str) or device not in DEVICES:
+        refuse("device", '"cpu", "cuda" (on an NVIDIA GPU) or "auto"', device)
     if device == "cuda":
         if what:
-            refuse("device", f'"cpu", "gpu" or "auto" for {what}', device)
+            refuse("device", f'"cpu" or "auto" for {what}', device)
         _cuda()
 
 
-def check_host(device: str) -> None:
-    """Raise SuppleError for a device that warps by strokes alone."""
-    if device == "gpu":
-        refuse(
-            "device",
-            '"cpu", "cuda" or "auto" for fields, affine maps, output grids and sheared volumes, which it does not know',
-            device,
-        )
-
-
-def gpu_of(device: str, what: str = "this") -> Gpu | None:
-    """Return the GPU for some kind of work, or None for the CPU.
+def gpu_of(device: str) -> Gpu | None:
+    """Return the GPU that draws, or None for the CPU.
 
     ``"auto"`` takes a hardware GPU if there is one, never a software one; ``"gpu"`` takes either.
 
     Raises
     ------
     SuppleError
-        If there is no such device, or the device is ``"cuda"``, which does not support this work.
+        If there is no such device.
     """
-    check_device(device, what)
-    if device == "cpu":
-        return None
+    choice("device", device, DRAWING)
     if device == "gpu":
         return open_gpu()
-    with contextlib.suppress(SuppleError):
-        return open_gpu(software=False)
+    if device == "auto":
+        with contextlib.suppress(SuppleError):
+            return open_gpu(software=False)
     return None
 
 
-def engine_for(device: str, work: Work) -> Engine:
-    """Return the engine for work on host arrays.
+def engine_for(device: str) -> Engine:
+    """Return the engine that warps host arrays.
 
     Raises
     ------
     SuppleError
-        If the user names a device that does not exist, or does not support this work.
+        If the user names a device that does not exist, or does not warp.
     """
-    if device == "cuda":
-        cuda = _cuda()
-        cuda.check(work)
-        return cuda
-    if not work.space.is_plain:
-        check_host(device)
-        return NATIVE
-    gpu = gpu_of(device)
-    if gpu is None:
-        return NATIVE
-    from supple.engines.wgpu.engine import Wgpu
-
-    engine = Wgpu(gpu)
-    try:
-        engine.check(work)
-    except SuppleError:
-        if device == "gpu":
-            raise
-        return NATIVE
-    return NATIVE if work.is_identity else engine
+    check_device(device)
+    return _cuda() if device == "cuda" else NATIVE
 
 
 def lies_on_device(value: object) -> bool:
@@ -113,8 +87,3 @@ def _cuda() -> Engine:
     from supple.engines.cuda.engine import open_cuda
 
     return open_cuda()
-
-
-def warn_of_failure(engine: Engine, error: EngineError, stacklevel: int) -> None:
-    """Warn that the CPU took over from a device that failed."""
-    warnings.warn(f"the CPU did what {engine.name} could not: {error}", DeviceWarning, stacklevel=stacklevel + 1)

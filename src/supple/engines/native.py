@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,10 +16,8 @@ from supple.engines.base import (
     BETWEEN,
     FILTERS,
     OUTSIDE,
-    SLACK,
     Array,
     Certificate,
-    Planes,
     Sampling,
     Space,
     Steps,
@@ -202,11 +199,6 @@ class Native:
     """The engine that is always available (`supple.engines.base.Engine`)."""
 
     name: str = CPU
-    lead: int = 0
-
-    def slack(self, tolerance: float) -> float:
-        """See `Engine.slack`: points are of float32, and may lie a little outside."""
-        return SLACK
 
     def taken(self, value: object, name: str) -> Array:
         """Return a value as a NumPy array; SuppleError if it is not an array."""
@@ -233,9 +225,6 @@ class Native:
         if np.may_share_memory(out, held) or _same_bytes(out, held):
             raise SuppleError("out must not overlap source: the source is read while the result is written")
         return out
-
-    def check(self, work: Work) -> None:
-        """Accept all work."""
 
     def working_dtype(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
         """Return the type in which samples are processed."""
@@ -317,9 +306,28 @@ class Native:
             certificate |= known
         return certificate
 
-    def stream(self, work: Work, window: Sequence[Array]) -> contextlib.AbstractContextManager[Planes]:
-        """See `Engine.stream`."""
-        return contextlib.nullcontext(_Window(work, window))
+    def stream(self, work: Work, window: Sequence[Array]) -> Callable[[int, Sequence[Array]], Certificate]:
+        """Return a function that makes a plane of a stream, given its number and an array for each group.
+
+        The frames that it samples are in the window, for each group an array (capacity, h, w, channels); frame k is in
+        slot k modulo the capacity.
+        """
+        tolerance, step = work.sampling.tolerance, work.layout.step
+        every = None  # one map for all frames
+        if work.space.ndim == 2 and work.items is None:
+            every = plan_of(work.space, 0, tolerance, step)
+
+        def make(z: int, outs: Sequence[Array]) -> Certificate:
+            space, frames, count = work.space if work.items is None else work.items[z], window, work.space.count
+            plan = every or plan_of(space, z if space.ndim == 3 else 0, tolerance, step)
+            if space.ndim == 2:  # each frame is an image of its own
+                slot = z % len(window[0])
+                frames, count = [held[slot : slot + 1] for held in window], 1
+            for each in samplings_of(work, frames, outs, count):
+                plan.sample(each)
+            return certificate_of(plan, space)
+
+        return make
 
     def forward(self, space: Space, points: npt.ArrayLike, *, matrices: bool = False) -> Floats:
         """See `Engine.forward`."""
@@ -399,29 +407,6 @@ def _check_held(value: Any, name: str) -> None:
         told = f'a picture of the mode {mode}, whose numbers do not mix: give image.convert("RGB")'
     if told:
         raise SuppleError(f"{name} must be an array, found {told}")
-
-
-class _Window:
-    """A maker of planes that are computed in `finish` (`supple.engines.base.Planes`)."""
-
-    def __init__(self, work: Work, window: Sequence[Array]) -> None:
-        self._work, self._window = work, window
-        self._every: _core.Plan | None = None
-        if work.space.ndim == 2:  # one map for all frames
-            self._every = plan_of(work.space, 0, work.sampling.tolerance, work.layout.step)
-
-    def begin(self, z: int, first: int, last: int) -> object:
-        return None
-
-    def finish(self, begun: Any, z: int, first: int, last: int, outs: Sequence[Array]) -> Certificate:
-        work, frames, count = self._work, self._window, self._work.space.count
-        plan = self._every or plan_of(work.space, z, work.sampling.tolerance, work.layout.step)
-        if self._every:  # each frame is an image of its own
-            slot = z % len(frames[0])
-            frames, count = [held[slot : slot + 1] for held in frames], 1
-        for each in samplings_of(work, frames, outs, count):
-            plan.sample(each)
-        return certificate_of(plan, work.space)
 
 
 def _stacked(

@@ -61,7 +61,7 @@ def write_gallery(
     force : bool
         Whether to write into a folder with other contents, and replace files of the same names.
     device : str
-        The device: ``"cpu"``, ``"gpu"`` or ``"auto"``, as in `supple.warp_file`; the page names it.
+        The device that renders volumes: ``"cpu"``, ``"gpu"`` or ``"auto"``; the page names it.
     written : function, optional
         Called with the path of each warped picture, clip or rendering once it is written: photographs come first.
 
@@ -75,8 +75,8 @@ def write_gallery(
     SuppleError
         If the folder has other contents, or cannot be written.
     """
-    gpu = gpu_of(device, "the gallery")
-    maker = f"the GPU {gpu.name}, through {gpu.backend}" if gpu is not None else "the CPU"
+    gpu = gpu_of(device)
+    maker = "the CPU" if gpu is None else f"the CPU, and views of volumes by the GPU {gpu.name}, through {gpu.backend}"
     place = _prepared(Path(folder), force)
     for name in dict.fromkeys(shot.source for scene in SCENES for shot in scene.shots):
         if name == INSIDE:
@@ -120,17 +120,15 @@ def _made(place: Path, shot: Shot, device: str, written: Callable[[Path], None])
     if isinstance(shot, Look):
         text = _look(place, shot, device)
     else:
-        text = _take(place, shot, device) if isinstance(shot, Take) else _shot(place, shot, device)
+        text = _take(place, shot) if isinstance(shot, Take) else _shot(place, shot)
     written(place / shot.target)
     return text
 
 
-def _shot(place: Path, shot: Shot, device: str) -> str:
+def _shot(place: Path, shot: Shot) -> str:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", MissWarning)
-        made = warp_file(
-            place / shot.source, place / shot.target, shot.recipe, outside=shot.outside, device=device, force=True
-        )
+        made = warp_file(place / shot.source, place / shot.target, shot.recipe, outside=shot.outside, force=True)
     assert isinstance(made, Warped)
     said = [str(w.message).partition(" (on_fold")[0] for w in caught if issubclass(w.category, MissWarning)]
     image = read(place / shot.source).pixels
@@ -149,10 +147,10 @@ def _shot(place: Path, shot: Shot, device: str) -> str:
     )
 
 
-def _take(place: Path, take: Take, device: str) -> str:
+def _take(place: Path, take: Take) -> str:
     source, target = place / take.source, place / take.target
     options = ClipOptions(time_scale=take.time_scale)
-    made = warp_file(source, target, take.recipe, clip=options, device=device, force=True)
+    made = warp_file(source, target, take.recipe, clip=options, force=True)
     assert isinstance(made, WarpedClip)
     before, after = _frames(source), _frames(target)
     x, y, width, height = take.area

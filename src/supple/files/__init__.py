@@ -13,9 +13,9 @@ from typing import Any, Literal
 
 from supple.arrays import warp_picture
 from supple.deformation import Deformation, Report
-from supple.domain import choice, refuse
+from supple.domain import refuse
 from supple.engines.base import Sampling, warn_of
-from supple.engines.choice import DEVICES, check_device, check_host
+from supple.engines.choice import check_device
 from supple.errors import SuppleError, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
@@ -178,9 +178,6 @@ def warp_file(
     >>> recipe = Recipe(strokes=[Stroke.grab((256, 256), to=(256, 346), radius=100)])  # doctest: +SKIP
     >>> warp_file("photo.jpg", "bent.jpg", recipe).report().error  # doctest: +SKIP
     """
-    choice("device", device, DEVICES)
-    if maps or grid not in (None, GridOptions()):
-        check_host(device)
     kind = check_job(
         source,
         target,

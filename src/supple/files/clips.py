@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from supple.deformation import Deformation, Report
 from supple.domain import integer, number
 from supple.engines.base import Certificate, warn_of
-from supple.engines.choice import check_device, engine_for
+from supple.engines.choice import check_device
 from supple.errors import OutsideWarning, SuppleError, caller, shown
 from supple.files.clip_work import deformations_of, sampling_of, warn_of_frames, work_on
 from supple.geometry import Grid
@@ -270,11 +270,10 @@ def warp_clip(
                         shutil.copyfile(source, place)
                     done, copied = Done(Certificate(0.0, 0.0), still=clip.count), clip.count
                 else:
-                    engine = engine_for(device, work)
                     tell("write", 0, clip.count)
                     # The writer first: its errors come before any work.
                     with _writer(clip, target, known, quality, lossless, force) as sink:
-                        done = run(clip, sink, work, engine, memory=known.memory, tell=tell)
+                        done = run(clip, sink, work, memory=known.memory, tell=tell)
                         warn_of(done.certificate, tolerance, 3)  # before the target is renamed
                         if done.still == clip.count:
                             _warn_of_none(recipe, clip)

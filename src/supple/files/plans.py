@@ -16,7 +16,6 @@ from supple.arrays import work_of
 from supple.blocks import Block, Box, Read, Warp, batches, boxes_of
 from supple.deformation import Deformation
 from supple.engines.base import Certificate, Sampling, warn_of
-from supple.engines.choice import engine_for
 from supple.engines.workers import threads
 from supple.errors import SuppleError, shown
 from supple.fields import Placed, folds_of, only_name
@@ -343,7 +342,7 @@ def warp_on(
         regrid = grid_on(grid, medium.grid, medium.name, maps)
         volume = Volume(whole, medium.geometry, medium.name)
         deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
-    engine_for("cpu", work_of(whole, deformation.space_on(regrid), sampling, alpha=False))  # raise its errors now
+    work_of(whole, deformation.space_on(regrid), sampling, alpha=False)  # raise its errors now
     return Warp(deformation, sampling, regrid)
 
 

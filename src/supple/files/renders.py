@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.domain import choice, integer, number, point
-from supple.engines.choice import check_device
+from supple.engines.choice import DRAWING
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Placed
 from supple.files.meshes import MeshFile, read_surfaces
@@ -127,7 +127,7 @@ class RenderOptions:
     save_transfer: PathLike | None = None
 
     def __post_init__(self) -> None:
-        check_device(self.device, "a volume that is seen")
+        choice("device", self.device, DRAWING)
         choice("mode", self.mode, MODES)
         choice("what", self.what, WHATS)
         choice("projection", self.projection, PROJECTIONS)

@@ -19,7 +19,7 @@ from supple.arrays import clamp_to, warp_array, work_of
 from supple.buffers import beside, machine_memory
 from supple.deformation import Arrival, Deformation, Report
 from supple.engines.base import Certificate, Sampling, Space, warn_of
-from supple.engines.choice import check_device, engine_for
+from supple.engines.choice import check_device
 from supple.errors import GapWarning, SuppleError, VolumeWarning, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.grids import GridOptions, arrivals_on, grid_on, warn_of_place
@@ -405,7 +405,7 @@ def warp_volume(
         check_target(target, like, force=force)
     space = deformation.space_on(regrid, volume.grid)
     frames = volume.samples[0] if volume.series else volume.samples
-    engine_for(device, work_of(frames, space, sampling, alpha=False, finite=False))  # raise its errors now
+    work_of(frames, space, sampling, alpha=False, finite=False)  # raise its errors now
     _warn_of_gaps(volume, sampling.filter)
     mixed = not deformation.is_identity or not (regrid is None or regrid.uncropped().is_same_space(volume.grid))
     if sampling.filter != "nearest" and mixed:

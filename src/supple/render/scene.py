@@ -13,7 +13,7 @@ import numpy.typing as npt
 from supple import _core
 from supple.deformation import Deformation
 from supple.domain import choice, integer, number, point, refuse
-from supple.engines.choice import check_device
+from supple.engines.choice import DRAWING
 from supple.engines.wgpu import raymarch as shading
 from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.kernel import failures, let_through, passing, trouble
@@ -178,7 +178,7 @@ class Scene:
     ) -> None:
         choice("mode", mode, MODES)
         choice("projection", projection, PROJECTIONS)
-        check_device(device, "a volume that is seen")
+        choice("device", device, DRAWING)
         places: object = Geometry() if geometry is None else geometry
         if not isinstance(places, Geometry):
             refuse("geometry", "a Geometry", geometry)

@@ -211,26 +211,27 @@ def test_files_are_not_read_for_a_card_that_is_not_there() -> None:
 
 @pytest.mark.usefixtures("folder")
 def test_clips_and_views_are_refused_whoever_is_there(capfd: pytest.CaptureFixture[str]) -> None:
-    wanted = '--device must be "cpu", "gpu" or "auto" for clips, found \'cuda\''
+    wanted = '--device must be "cpu" or "auto" for clips, found \'cuda\''
     assert refused(capfd, "warp", "clip.mp4", "out.mp4", *GRAB, "--device", "cuda") == wanted
     assert refused(capfd, "warp", "pictures/%d.png", "out/%d.png", *GRAB, "--device", "cuda") == wanted
     here = "--device cuda is for warp, of pictures and volumes: here it is cpu, gpu or auto"
     assert refused(capfd, "render", "head.nrrd", "new.png", "--device", "cuda").startswith(here)
     assert refused(capfd, "demo", "gallery", "--device", "cuda").startswith(here)
     assert "Unknown option: --device" in refused(capfd, "view", "photo.png", "--device", "cuda")
-    for ask, what in (
-        (lambda: RenderOptions(device="cuda"), "a volume that is seen"),
-        (lambda: Scene(np.zeros((4, 4, 4)), device="cuda"), "a volume that is seen"),
-        (lambda: write_gallery("gallery", device="cuda"), "the gallery"),
-        (lambda: warp_clip("clip.mp4", "out.mp4", Recipe(), device="cuda"), "clips"),
+    drawing = '"auto" or "cpu" or "gpu", found'
+    for ask, known in (
+        (lambda: RenderOptions(device="cuda"), drawing),
+        (lambda: Scene(np.zeros((4, 4, 4)), device="cuda"), drawing),
+        (lambda: write_gallery("gallery", device="cuda"), drawing),
+        (lambda: warp_clip("clip.mp4", "out.mp4", Recipe(), device="cuda"), '"cpu" or "auto" for clips'),
     ):
-        with pytest.raises(SuppleError, match=f'device must be "cpu", "gpu" or "auto" for {what}'):
+        with pytest.raises(SuppleError, match=f"device must be {known}"):
             ask()
     assert not Path("gallery").exists()
 
 
 def test_a_function_of_points_is_the_cpu_s() -> None:
-    with pytest.raises(SuppleError, match='device must be "cpu" for a function of points'):
+    with pytest.raises(SuppleError, match='device must be "cpu" or "auto" for a function of points'):
         supple.Deformation((9, 9)).warp(lambda points: points[:, 0], device="cuda")
 
 

@@ -328,7 +328,7 @@ def test_what_cannot_be_done_is_said() -> None:
         ),
         (sent(np.zeros((9, 12), np.complex64)), {}, "found dtype complex64"),
         (source, {"filter": "lanczos"}, "filter must be .*cubic.* found 'lanczos'"),
-        (source, {"device": "gpu"}, "device must be left out for an array on a "),
+        (source, {"device": "gpu"}, 'device must be "cpu", "cuda" .* or "auto", found'),
         (source, {"out": np.zeros((9, 12), np.float32)}, "out must be an array on the source's GPU"),
         (source, {"out": sent(np.zeros((9, 12)))}, "out must be .*found float64"),
         (source, {"out": source}, "out must not overlap source"),

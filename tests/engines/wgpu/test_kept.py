@@ -8,8 +8,8 @@ import numpy as np
 
 from supple.engines.wgpu.buffers import Bound, Kept
 from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.field import FIELD
 from supple.engines.wgpu.kernel import READ, WRITE, bound, download, pipeline, room, run, upload
+from tests.engines.wgpu.points import KINDS, compiled
 
 
 def test_what_changes_is_written_and_only_that(gpu: Gpu, monkeypatch: Any) -> None:
@@ -54,9 +54,8 @@ def test_what_a_shader_reads_is_what_is_held(gpu: Gpu) -> None:
 
 
 def test_a_group_is_made_anew_for_other_things(gpu: Gpu) -> None:
-    kinds = ("uniform", "uniform", READ, READ, READ, WRITE, READ)
-    layout = pipeline(gpu, (*FIELD, "points", "turns"), "forward", kinds)[1]
-    one, other = ([upload(gpu, np.zeros(64, np.float32), k) for k in kinds] for _ in range(2))
+    layout = compiled(gpu, "forward")[1]
+    one, other = ([upload(gpu, np.zeros(64, np.float32), k) for k in KINDS] for _ in range(2))
     kept, made = Bound(), 0
 
     def make(things: Any) -> Any:

@@ -14,7 +14,7 @@ from supple.render.scene import Scene
 from tests.engines.wgpu.scenes import apart
 from tests.render.test_labels import CAMERA, GEOMETRY, OPAQUE, bent, colours_of, cube, regions, table_colours, two
 
-SIZE = (40, 40)
+SIZE = (30, 30)
 MIXED = LabelColours({1: (1, 0, 0, 1), 2: (0, 1, 0, 0.1), 3: (0, 0, 1, 0.4)})
 
 

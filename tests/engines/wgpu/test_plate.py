@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,10 @@ import supple
 from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.plate import OVERLAYS, Plate, Sight
 from supple.engines.wgpu.screen import canvas_texture, pixels_of
+from tests.engines.wgpu.scenes import ball
+from tests.turns import AFFINE
+
+pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning", "ignore::supple.MissWarning")
 
 SHAPE = (90, 120)
 
@@ -41,6 +47,35 @@ def test_pixel_for_pixel_it_is_the_warp(gpu: Gpu, photo: np.ndarray, border: flo
     apart = np.abs(seen[..., :3] - wanted)
     assert np.quantile(apart, 0.98) <= (5 if solved else 12)
     assert np.abs(wanted - photo[..., :3]).max() > 60
+
+
+def test_every_brush(gpu: Gpu, photo: np.ndarray) -> None:
+    for stroke in AFFINE[2]:
+        d = supple.Deformation(SHAPE, border=12.0, on_fold="damp").add(replace(stroke, at=(60, 45), radius=30))
+        seen = drawn(gpu, photo, d, Sight((0.0, 0.0), 1.0, SHAPE[::-1]))
+        wanted = d.warp(photo[..., :3], filter="linear").astype(int)
+        assert np.quantile(np.abs(seen[..., :3] - wanted), 0.98) <= 5, stroke.brush
+        assert np.abs(wanted - photo[..., :3]).max() > 30
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_frames_are_bent_in_time(gpu: Gpu, photo: np.ndarray, held: bool) -> None:
+    """Strokes with a time, on axes of which two are space: pixels are those of other frames, too."""
+    frames = np.stack([np.roll(photo, 4 * k, axis=1) for k in range(5)])
+    freeze = supple.Freeze.of(ball(SHAPE, 0.35, 18), width=7.0) if held else None
+    d = supple.Deformation(frames.shape[:3], border=None, time=True, freeze=freeze)
+    d = d.grab((66, 45, 2), by=(7, -5, 0.9), radius=22, reach=None)
+    d = d.twist((50, 60, 2), angle=30, radius=12, axis=(0, 0, 1))
+    plate, texture = Plate(gpu, SHAPE[::-1], 5, 5), canvas_texture(gpu, SHAPE[::-1])
+    for k, frame in enumerate(frames):
+        plate.put(k, frame)
+    wanted = d.warp(frames[..., :3], filter="linear", between="linear").astype(int)
+    for k in (1, 3):
+        plate.draw(Sight((0.0, 0.0), 1.0, SHAPE[::-1], k), d.space.table, d.space.axes, texture, freeze=d.space.freeze)
+        seen = pixels_of(gpu, texture).astype(int)[..., :3]
+        assert np.quantile(np.abs(seen - wanted[k]), 0.98) <= 5
+        assert np.abs(wanted[k] - frames[k, ..., :3]).max() > 60
+    assert np.abs(d.inverse((66, 45, 2)).points - (66, 45, 2))[2] > 0.3
 
 
 @pytest.mark.parametrize(("origin", "scale"), [((10.5, 7.25), 0.25), ((-20.0, -8.0), 1.7), ((0.5, 0.5), 2.0)])

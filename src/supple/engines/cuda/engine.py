@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, closing
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from supple.domain import refuse
-from supple.engines.base import SLACK, Certificate, EngineError, Planes, Space, Steps, Work
+from supple.engines.base import Certificate, EngineError, Space, Steps, Work
 from supple.engines.cuda import arrays, job
 from supple.engines.cuda import points as moving
 from supple.engines.cuda.device import FAILURES, CudaDevice, open_device
@@ -27,22 +24,14 @@ def open_cuda(number: int = 0) -> Cuda:
 
 @dataclass(frozen=True, slots=True)
 class Cuda:
-    """The engine of a CUDA device (`supple.engines.base.Engine`), without streaming of clips."""
+    """The engine of a CUDA device (`supple.engines.base.Engine`): for all types that a layout has."""
 
     gpu: CudaDevice
-    lead: int = 0
 
     @property
     def name(self) -> str:
         """The name of the GPU."""
         return self.gpu.name
-
-    def slack(self, tolerance: float) -> float:
-        """See `Engine.slack`."""
-        return SLACK
-
-    def check(self, work: Work) -> None:
-        """Accept all work: there are kernels for all types that a layout has."""
 
     def taken(self, value: Any, name: str) -> Any:
         """Return a CUDA array of any library as `DeviceArray`, and a host array as NumPy's."""
@@ -57,14 +46,6 @@ class Cuda:
             return arrays.checked_out(out, held, shape)
         return arrays.made_like(held, shape, held.dtype, as_it_lies=shape == held.shape)
 
-    def working_dtype(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
-        """See `Engine.working_dtype`."""
-        return dtype
-
-    def view(self, array: Any) -> Any:
-        """See `Engine.view`: it takes any array."""
-        return array
-
     def warp(self, work: Work, frames: Sequence[Any], outs: Sequence[Any]) -> Steps:
         """See `Engine.warp`. Arrays on a device are taken as they are, without an axis for frames or channels."""
         if isinstance(frames[0], arrays.DeviceArray):
@@ -75,10 +56,6 @@ class Cuda:
                 yield from made
         except FAILURES as error:
             raise EngineError(" ".join(str(error).split())[:120] or type(error).__name__) from error
-
-    def stream(self, work: Work, window: Sequence[Any]) -> AbstractContextManager[Planes]:
-        """Raise SuppleError: clips are not supported."""
-        refuse("device", '"cpu", "gpu" or "auto" for clips', "cuda")
 
     def forward(self, space: Space, points: Any, *, matrices: bool = False) -> Any:
         """See `Engine.forward`."""

@@ -87,7 +87,7 @@ def _slabs(work: Work, source: Array, target: Array, room: int) -> Iterator[tupl
         elif here > 1:
             together = (here + 1) // 2
         else:
-            raise EngineError(f"{size / 1e9:.2g} GB for a plane do not fit into its memory", lost=False)
+            raise EngineError(f"{size / 1e9:.2g} GB for a plane do not fit into its memory")
 
 
 def _needed(work: Work, planes: Range) -> Range:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 import torch
 
 from supple.domain import refuse
-from supple.engines.base import SLACK, Certificate, Engine, Layout, Planes, Space, Steps, Work, warn_of
+from supple.engines.base import Certificate, Engine, Layout, Space, Steps, Work, warn_of
 from supple.engines.choice import engine_at
 from supple.engines.native import NATIVE
 from supple.engines.torch.field import Strokes, moved, solved
@@ -29,11 +28,6 @@ class Torch:
     """The engine of tensors (`supple.engines.base.Engine`), whose channels come first: (K, *shape)."""
 
     name: str = "torch"
-    lead: int = 0
-
-    def slack(self, tolerance: float) -> float:
-        """See `Engine.slack`."""
-        return SLACK
 
     def taken(self, value: Any, name: str) -> torch.Tensor:
         """Return a tensor, detached from its gradients; SuppleError for other values."""
@@ -46,17 +40,6 @@ class Torch:
     ) -> torch.Tensor:
         """See `Engine.result`; it has the shape of the source."""
         return torch.empty_like(held, memory_format=torch.contiguous_format) if out is None else out
-
-    def check(self, work: Work) -> None:
-        """Accept all work; the engine of the device refuses its own limits."""
-
-    def working_dtype(self, dtype: Any) -> Any:
-        """See `Engine.working_dtype`."""
-        return dtype
-
-    def view(self, array: torch.Tensor) -> torch.Tensor:
-        """See `Engine.view`: it takes any tensor."""
-        return array
 
     def warp(self, work: Work, frames: Sequence[torch.Tensor], outs: Sequence[torch.Tensor]) -> Steps:
         """See `Engine.warp`; a tensor (K, *shape) is all frames. The values are those of the engine of its device."""
@@ -79,10 +62,6 @@ class Torch:
             yield from engine.warp(_on(work, source), [source], [result])
             given = result.given
         out.copy_(given.movedim(-1, 0))
-
-    def stream(self, work: Work, window: Sequence[Any]) -> AbstractContextManager[Planes]:
-        """Raise SuppleError: tensors are not streamed."""
-        refuse("device", '"cpu", "gpu" or "auto" for clips', self.name)
 
     def forward(self, space: Space, points: torch.Tensor, *, matrices: bool = False) -> torch.Tensor:
         """See `Engine.forward`; the engine of the points' device moves them, without gradients."""

@@ -25,7 +25,6 @@ LIMITS: dict[str, int] = {
     "max-compute-workgroups-per-dimension": 65535,
     "max-storage-buffer-binding-size": 128 << 20,
     "max-storage-buffers-per-shader-stage": 8,
-    "max-texture-array-layers": 256,
     "max-texture-dimension-2d": 8192,
     "max-texture-dimension-3d": 2048,
     "max-uniform-buffer-binding-size": 64 << 10,
@@ -37,7 +36,6 @@ TEXTURE = 512 << 20  # bytes of a texture, where storage buffers may not be larg
 
 _SIZES = ("max-storage-buffer-binding-size", "max-buffer-size")
 
-CLOCK = "timestamp-query"
 _KINDS = ("DiscreteGPU", "IntegratedGPU", "VirtualGPU", "Unknown", "CPU")
 
 
@@ -58,12 +56,10 @@ class Gpu:
         Compiled pipelines.
     lock
         Held by the one thread that works on the device.
-    clocks : list
-        The running clocks (`supple.engines.wgpu.kernel.clocked`).
     binding : int
         The size of the largest array for a shader, in bytes.
     texture : int
-        The size of the largest texture of frames or nodes, in bytes.
+        The size of the largest texture of nodes, in bytes.
     lost : bool
         Whether the device failed; the next `open_gpu` opens a new one.
     """
@@ -74,7 +70,6 @@ class Gpu:
     device: Any = field(repr=False)
     pipelines: dict[Any, Any] = field(repr=False)
     lock: Any = field(repr=False)
-    clocks: list[Any] = field(repr=False)
     binding: int
     texture: int
     lost: bool = False
@@ -168,18 +163,17 @@ def open_gpu(software: bool = True) -> Gpu:
             if short:
                 reason = f"{adapter.info['device']} is too small ({short[0]}): "
                 continue
-            features = [CLOCK] if CLOCK in adapter.features else []
             binding = next(size for size in _BINDINGS if all(adapter.limits.get(name, size) >= size for name in _SIZES))
             limits = LIMITS | dict.fromkeys(_SIZES, max(binding, LIMITS["max-buffer-size"]))
             limits["max-storage-buffer-binding-size"] = binding
             try:
-                device = adapter.request_device_sync(required_limits=limits, required_features=features)
+                device = adapter.request_device_sync(required_limits=limits)
             except Exception as error:  # drivers fail in many ways
                 reason = f"{adapter.info['device']} cannot be opened ({' '.join(str(error).split())[:100]}): "
                 continue
             name, kind, backend = (str(adapter.info[key]) for key in ("device", "adapter_type", "backend_type"))
             _opened[k] = Gpu(
-                name, kind == "CPU", backend, device, {}, threading.RLock(), [], binding, max(binding, TEXTURE)
+                name, kind == "CPU", backend, device, {}, threading.RLock(), binding, max(binding, TEXTURE)
             )
             return _opened[k]
     raise SuppleError(f"no GPU was found: {reason}{missing()}; device='cpu' needs none")

@@ -1,4 +1,4 @@
-"""The strokes and their domain in the layout of the shaders; T and T⁻¹ of points."""
+"""The strokes and their domain in the layout of the shaders."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.kernel import READ, TURNS, UNIFORM, WRITE, download, pipeline, room, run, spread, upload
+from supple.engines.wgpu.kernel import UNIFORM, upload
 from supple.strain import Mask
 
 Floats = npt.NDArray[np.float64]
@@ -33,7 +33,6 @@ STROKE = np.dtype(
 FIELD = ("field", "freeze", "newton")
 """The shaders of T and T⁻¹."""
 
-_POINTS = (*FIELD, "points", "turns")
 _EXACT = 9  # bits of a step: a multiple of it by up to 2¹⁵ is exact in float32
 _CALM = 8  # powers of 2
 
@@ -69,17 +68,6 @@ def fits(table: npt.NDArray[np.void]) -> bool:
     made = packed(table)
     names = ("pivot", "force", "matrix", "radius2", "p", "q", "r", "turn")
     return all(bool((np.abs(made[name]) < 1e18).all()) for name in names)
-
-
-def local(table: npt.NDArray[np.void]) -> bool:
-    """Return whether all strokes have a limited reach, so that some pixels may be unchanged."""
-    return bool(np.isfinite(table["reach"]).all())
-
-
-def reached(table: npt.NDArray[np.void], axes: Floats, planes: tuple[int, int]) -> npt.NDArray[np.bool_]:
-    """Return the mask of the planes, in a range of the third axis, that intersect the ball of any stroke."""
-    z = np.arange(*planes)[:, None] * axes[2, 3]
-    return np.asarray((np.abs(z - table["pivot"][:, 2]) < table["reach"]).any(axis=1))
 
 
 def domain(axes: Floats, freeze: Mask | None = None) -> npt.NDArray[np.float32]:
@@ -157,56 +145,3 @@ def uploaded(gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, freeze: Mask |
     """
     mask = packed_mask(gpu, freeze)
     return upload(gpu, domain(axes, freeze), UNIFORM), upload(gpu, packed(table)), upload(gpu, mask)
-
-
-def forward(
-    gpu: Gpu,
-    table: npt.NDArray[np.void],
-    axes: Floats,
-    anchors: Floats,
-    offsets: Floats,
-    freeze: Mask | None = None,
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Return T(p) - anchor (N, 3) and ∂T/∂p (N, 3, 3) of points p = ``anchors + offsets`` (N, 3), in physical units."""
-    found = _points(gpu, "forward", table, axes, anchors, offsets, 0.0, freeze)
-    return found[:, 0, :3], np.moveaxis(found[:, 1:, :3], 1, 2)
-
-
-def inverse(
-    gpu: Gpu,
-    table: npt.NDArray[np.void],
-    axes: Floats,
-    anchors: Floats,
-    tolerance: float,
-    freeze: Mask | None = None,
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Return T⁻¹(q) - q of points q (N, 3), in physical units, the residual |T(p) - q| and the evaluations of T."""
-    found = _points(gpu, "inverse", table, axes, anchors, np.zeros_like(anchors), tolerance, freeze)
-    return found[:, 0, :3], found[:, 0, 3], found[:, 1, 3]
-
-
-def _points(
-    gpu: Gpu,
-    entry: str,
-    table: npt.NDArray[np.void],
-    axes: Floats,
-    anchors: Floats,
-    offsets: Floats,
-    tolerance: float,
-    freeze: Mask | None,
-) -> npt.NDArray[np.float32]:
-    n = len(anchors)
-    settings = np.zeros(1, [("strokes", "u4"), ("count", "u4"), ("tolerance", "f4"), ("turns", "u4")])
-    settings["strokes"], settings["count"], settings["tolerance"] = table.size, n, tolerance
-    settings["turns"] = TURNS
-
-    def four(values: Floats) -> Any:
-        return upload(gpu, np.pad(values, ((0, 0), (0, 1))).astype(np.float32))
-
-    results = room(gpu, n * 64)
-    places, strokes, mask = uploaded(gpu, table, axes, freeze)
-    buffers = [upload(gpu, settings, UNIFORM), places, strokes, four(anchors), four(offsets), results, mask]
-    kinds = (UNIFORM, UNIFORM, READ, READ, READ, WRITE, READ)
-    made = pipeline(gpu, _POINTS, entry, kinds, constants(table, freeze))
-    run(gpu, [(made, buffers, spread(n, 64))])
-    return download(gpu, results, np.float32, n * 16).reshape(n, 4, 4).copy()

@@ -14,19 +14,16 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.engines.wgpu.device import CLOCK, Gpu, forget
+from supple.engines.wgpu.device import Gpu, forget
 
 Array = npt.NDArray[Any]
 T = TypeVar("T")
 
-UNIFORM, READ, WRITE, TEXTURE = "uniform", "read-only-storage", "storage", "texture"
-PICTURE, LAYERS, WHOLE_LAYERS = "picture", "layers", "layers of whole numbers"
+UNIFORM, READ, WRITE, TEXTURE, PICTURE = "uniform", "read-only-storage", "storage", "texture", "picture"
 SOLID, WHOLE_SOLID, SIGNED_SOLID, FILLED = "solid", "solid of whole numbers", "solid of signed numbers", "filled solid"
 _TEXTURES: dict[str, Any] = {
     TEXTURE: {"storage_texture": {"access": "write-only", "format": "rgba8unorm", "view_dimension": "2d"}},
     PICTURE: {"texture": {"sample_type": "unfilterable-float", "view_dimension": "2d"}},
-    LAYERS: {"texture": {"sample_type": "unfilterable-float", "view_dimension": "2d-array"}},
-    WHOLE_LAYERS: {"texture": {"sample_type": "uint", "view_dimension": "2d-array"}},
     SOLID: {"texture": {"sample_type": "unfilterable-float", "view_dimension": "3d"}},
     WHOLE_SOLID: {"texture": {"sample_type": "uint", "view_dimension": "3d"}},
     SIGNED_SOLID: {"texture": {"sample_type": "sint", "view_dimension": "3d"}},
@@ -107,8 +104,8 @@ def pipeline(
 ) -> Any:
     """Return the compiled entry point of a compute shader, cached on the device.
 
-    ``kinds`` are those of its bindings: UNIFORM, READ, WRITE, TEXTURE (rgba8unorm, written to), a picture, layers or a
-    solid that is read, as in `_TEXTURES`; None for a number without a binding.
+    ``kinds`` are those of its bindings: UNIFORM, READ, WRITE, TEXTURE (rgba8unorm, written to), a picture or a solid
+    that is read, as in `_TEXTURES`; None for a number without a binding.
     """
     chosen = tuple(sorted((constants or {}).items()))
     key = (tuple(names), entry, tuple(kinds), chosen)
@@ -170,26 +167,16 @@ def bound(gpu: Gpu, layout: Any, buffers: Sequence[Any]) -> Any:
     return gpu.device.create_bind_group(layout=layout, entries=entries)
 
 
-def run(gpu: Gpu, passes: Sequence[tuple[Any, Sequence[Any], Any]]) -> None:
-    """Run pipelines in order: each with its buffers and its workgroups, or the buffer with their count."""
-    encoder, stack = gpu.device.create_command_encoder(), contextlib.ExitStack()
-    clock = gpu.clocks[-1] if gpu.clocks else None
+def run(gpu: Gpu, passes: Sequence[tuple[Any, Sequence[Any], tuple[int, ...]]]) -> None:
+    """Run pipelines in order, each with its buffers and its workgroups."""
+    encoder = gpu.device.create_command_encoder()
     for (made, layout), buffers, groups in passes:
-        group = bound(gpu, layout, buffers)
-        told = None
-        if not isinstance(groups, tuple):  # a shader cannot write its own dispatch counts
-            (told,) = owned(stack, gpu.device.create_buffer(size=16, usage="INDIRECT|COPY_DST"))
-            encoder.copy_buffer_to_buffer(groups, 0, told, 0, 12)
-        step = encoder.begin_compute_pass(timestamp_writes=clock.next_pass() if clock else None)
+        step = encoder.begin_compute_pass()
         step.set_pipeline(made)
-        step.set_bind_group(0, group)
-        if told is None:
-            step.dispatch_workgroups(*groups)
-        else:
-            step.dispatch_workgroups_indirect(told, 0)
+        step.set_bind_group(0, bound(gpu, layout, buffers))
+        step.dispatch_workgroups(*groups)
         step.end()
-    with stack:  # submitted work keeps its resources alive
-        gpu.device.queue.submit([encoder.finish()])
+    gpu.device.queue.submit([encoder.finish()])
 
 
 def wait(gpu: Gpu) -> None:
@@ -198,54 +185,6 @@ def wait(gpu: Gpu) -> None:
         gpu.device._poll_wait()
     except AttributeError:  # wgpu's own poll: its public alternative (0.32) fails, or takes a buffer each time
         download(gpu, room(gpu, LEAST), np.uint32, 1)
-
-
-class Clock:
-    """A timer of compute passes, by the GPU's timestamps."""
-
-    def __init__(self, gpu: Gpu, most: int = 2048) -> None:
-        self._gpu, self._most, self._passes = gpu, most, 0
-        self._queries = gpu.device.create_query_set(type="timestamp", count=2 * most)
-
-    def next_pass(self) -> dict[str, Any] | None:
-        """Return the timestamp entries of the next pass; None when all are used."""
-        if self._passes >= self._most:
-            return None
-        k = 2 * self._passes
-        self._passes += 1
-        return {
-            "query_set": self._queries,
-            "beginning_of_pass_write_index": k,
-            "end_of_pass_write_index": k + 1,
-        }
-
-    def seconds(self) -> float:
-        """Return the total time of all passes."""
-        if not self._passes:
-            return 0.0
-        buffer = self._gpu.device.create_buffer(size=16 * self._most, usage="QUERY_RESOLVE|COPY_SRC")
-        encoder = self._gpu.device.create_command_encoder()
-        encoder.resolve_query_set(self._queries, 0, 2 * self._passes, buffer, 0)
-        self._gpu.device.queue.submit([encoder.finish()])
-        times = np.frombuffer(self._gpu.device.queue.read_buffer(buffer, 0, 16 * self._passes), np.uint64)
-        from wgpu.backends.wgpu_native._ffi import lib
-
-        period = float(lib.wgpuQueueGetTimestampPeriod(self._gpu.device.queue._internal))  # nanoseconds a tick
-        return float((times[1::2].astype(np.int64) - times[::2].astype(np.int64)).sum()) * period * 1e-9
-
-
-@contextlib.contextmanager
-def clocked(gpu: Gpu) -> Iterator[Clock | None]:
-    """Time the passes within; None if the GPU has no timestamps."""
-    if CLOCK not in gpu.device.features:
-        yield None
-        return
-    clock = Clock(gpu)
-    gpu.clocks.append(clock)
-    try:
-        yield clock
-    finally:
-        gpu.clocks.remove(clock)
 
 
 def download(gpu: Gpu, buffer: Any, dtype: Any, count: int) -> Array:

@@ -13,7 +13,6 @@ import numpy.typing as npt
 from supple.engines.wgpu.field import FIELD
 from supple.engines.wgpu.fill import BLOCK, Filling
 from supple.engines.wgpu.kernel import (
-    LAYERS,
     MOST_GROUPS,
     READ,
     SOLID,
@@ -31,7 +30,7 @@ from supple.engines.wgpu.kernel import (
     upload,
 )
 from supple.engines.wgpu.solid import Lattice
-from supple.engines.wgpu.texels import layers, put_solid, solid
+from supple.engines.wgpu.texels import put_solid, solid, table
 from supple.engines.wgpu.volume import Volume
 
 Floats = npt.NDArray[np.float64]
@@ -286,7 +285,7 @@ def _rays(
     pace = Pace(max(1, held.pace.count // row_), most)
     with contextlib.ExitStack() as stack:
         skips = solid(gpu, look.skips.shape, np.uint8)
-        colours = layers(gpu, (2, len(look.sums)), 1, np.float32, 4)
+        colours = table(gpu, np.stack([np.pad(look.table, ((0, 1), (0, 0))), look.sums]))
         owned(stack, skips, colours)
         put_solid(gpu, skips, look.skips)
         shadows, lit = look.arrives[0], lattice.nodes  # any texture, without shadows
@@ -294,7 +293,6 @@ def _rays(
             (held_light,) = owned(stack, solid(gpu, shadows.shape, np.float32))
             put_solid(gpu, held_light, shadows)
             lit = held_light.create_view()
-        colours.put(gpu, 0, np.stack([np.pad(look.table, ((0, 1), (0, 0))), look.sums.astype(np.float32)]))
         (seen,) = owned(stack, room(gpu, 32 * row_ * most))
         for first, count in pace.parts(height // fine):
             settings["first"], settings["rows"] = first * fine, count * fine
@@ -302,7 +300,7 @@ def _rays(
                 part = np.zeros(4, np.float32) if ends is None else ends[first * fine :][: count * fine]
                 told, ended = owned(own, upload(gpu, settings, UNIFORM), upload(gpu, np.minimum(part, _FAR), READ))
                 finished = filling.finished if filling is not None else lattice.strokes
-                read = _read(held, skips.create_view(), colours.view)
+                read = _read(held, skips.create_view(), colours.create_view())
                 buffers = [told, *read, seen, finished, lattice.mask, lit, ended, _painted(held)]
                 run(gpu, [(made, buffers, (-(-width // 8), -(-count * fine // 8), 1))])
             yield first * fine, count * fine, seen
@@ -333,7 +331,7 @@ def _marching(held: Held, mode: int, buffer: bool) -> Any:
         volume.kind,
         SOLID,
         WHOLE_SOLID,
-        LAYERS,
+        SOLID,
         WRITE,
         READ,
         READ,
@@ -352,9 +350,9 @@ def prepare(held: Held, filling: Filling) -> None:
     with contextlib.ExitStack() as stack:
         told, seen = owned(stack, upload(volume.gpu, np.zeros(1, SETTINGS), UNIFORM), room(volume.gpu, 32))
         (ended,) = owned(stack, room(volume.gpu, 16))
-        skips, colours = solid(volume.gpu, (1, 1, 1), np.uint8), layers(volume.gpu, (1, 1), 1, np.float32, 4)
+        skips, colours = solid(volume.gpu, (1, 1, 1), np.uint8), table(volume.gpu, np.zeros((2, 1, 4)))
         owned(stack, skips, colours)
-        buffers = [told, *_read(held, skips.create_view(), colours.view), seen, filling.finished]
+        buffers = [told, *_read(held, skips.create_view(), colours.create_view()), seen, filling.finished]
         buffers += [held.lattice.mask, held.lattice.nodes, ended, _painted(held)]
         run(volume.gpu, [(_marching(held, mode, True), buffers, (1, 1, 1)) for mode in (LATTICE, HYBRID, PLAIN)])
         filling.prepare()

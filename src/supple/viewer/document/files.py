@@ -69,8 +69,7 @@ class FileCommands:
     source: Path | None  # the source file; None for an array
     write_view: Callable[[str, bool], None]  # writes the view to a file; the flag allows replacing one
     leave: Callable[[], None]  # closes the window
-    device: str = "cpu"  # the device for exports, as in `supple.warp_file`
-    options: Mapping[str, Any] = field(default_factory=dict)  # its other options, for the same image as on screen
+    options: Mapping[str, Any] = field(default_factory=dict)  # of exports, for the same image as on screen
 
     def __post_init__(self) -> None:
         self.message = ""  # the text of the status line
@@ -291,7 +290,7 @@ class FileCommands:
         recipe, options = self.document.recipe, self.options
         check_job(self.source, path, recipe, force=force, **options)
         self.message = ""
-        self.export = Export(self.source, path, recipe, force=force, device=self.device, **options)
+        self.export = Export(self.source, path, recipe, force=force, **options)
 
     def end_export(self) -> None:
         """Cancel a running export, or dismiss a finished one."""

@@ -73,7 +73,7 @@ class View:
             colours = transfer if isinstance(transfer, LabelColours) else None
             self.slices = Slices(self.gpu, self.stage.volume, labels, self.stage.unit, colours)
         leave = partial(self.call_later, 0, self.canvas.close)
-        self.commands = FileCommands(self.document, self.source, self.write, leave, "auto", self.export)
+        self.commands = FileCommands(self.document, self.source, self.write, leave, self.export)
         self.certifier = Certifier(self.canvas.request_draw)
         self._changed_at = 0.0
         self.ready_at = time.perf_counter()  # when an image was last complete

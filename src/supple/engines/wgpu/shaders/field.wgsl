@@ -190,19 +190,6 @@ fn moved_by(k: u32, q: vec3f, start: Moved, at: Moved) -> Moved {
     return Moved(at.offset + beta * moving, at.jacobian + m * start.jacobian);
 }
 
-// True if a point lies outside the balls of all strokes, where T is the identity.
-fn unreached(q: vec3f) -> bool {
-    let near = clamped_to_domain(q, vec3f(0.0));
-    for (var k = 0u; k < settings.strokes; k++) {
-        let d = (q - strokes[k].pivot) + (near - strokes[k].rest.xyz);
-        let over = strokes[k].rest.w;
-        if (dot(d, d) * over * over < RIM) {
-            return false;
-        }
-    }
-    return true;
-}
-
 fn moved(first: u32, last: u32, q: vec3f, w: vec3f) -> Moved {
     var at = Moved(w, mat3x3f(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
     var start = at;

@@ -39,7 +39,7 @@ struct Settings {
 @group(0) @binding(1) var<uniform> domain: Domain;
 @group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
 @group(0) @binding(6) var skips: texture_3d<u32>;
-@group(0) @binding(7) var colours: texture_2d_array<f32>; // the transfer function, and its sums before each entry
+@group(0) @binding(7) var colours: texture_3d<f32>; // the transfer function, and its sums before each entry
 @group(0) @binding(8) var<storage, read_write> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
 @group(0) @binding(9) var<storage, read> finished: array<u32>; // for each brick of the buffer, 1 if it can be read
 @group(0) @binding(10) var<storage, read> mask: array<u32>; // see freeze.wgsl
@@ -196,9 +196,11 @@ fn side(value: f32) -> i32 {
     return select(select(0, 1, value > settings.top), -1, value < settings.threshold);
 }
 
-// An entry of the transfer function, or of its sums; a layer of the texture has 8192 of them.
+const ROW = 2048u; // entries in a layer of the texture
+
+// An entry of the transfer function, or of its sums.
 fn table_at(entry: u32, row: u32) -> vec4f {
-    return textureLoad(colours, vec2u(entry % 8192u, row), entry / 8192u, 0);
+    return textureLoad(colours, vec3u(entry % ROW, row, entry / ROW), 0);
 }
 
 fn colour_of(value: f32) -> vec4f {
