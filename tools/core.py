@@ -18,12 +18,12 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
-
-from progress import Progress
 
 ROOT = Path(__file__).resolve().parent.parent
 CORE = Path("src", "supple", "_core")
@@ -35,6 +35,8 @@ SANITIZED = [
     "tests/test_blocks.py", "tests/core", "tests/engines/test_native.py",
 ]  # fmt: skip
 GLIBC = "2.28"  # the oldest that what Zig builds runs with: RHEL 8, Debian 10, Ubuntu 18.10
+
+SECONDS = 10.0  # between two lines, where a line cannot be written anew
 
 # What a compiler must be able to do.
 PROBE = """
@@ -49,6 +51,42 @@ int main() { std::vector<double> v{1, 2}; return std::popcount(3u) + int(sum<dou
 
 class BuildError(Exception):
     """The core cannot be built; the message says in one sentence why, and what to do."""
+
+
+class Progress:
+    """What is going on, by name: on a terminal one line that is written anew, elsewhere a line now and then."""
+
+    def __init__(self) -> None:
+        self._begun = time.monotonic()
+        self._said = -SECONDS
+        self._states: dict[str, str] = {}
+        self._lock = threading.Lock()
+        self._anew = sys.stdout.isatty()
+
+    def tell(self, what: str, state: str) -> None:
+        """Say how far something is."""
+        with self._lock:
+            self._states[what] = state
+            self._show()
+
+    def end(self, what: str, state: str) -> None:
+        """Say that something has ended, in a line of its own, if it was begun."""
+        with self._lock:
+            if self._states.pop(what, None) is not None:
+                self._print(f"{what}: {state}", "\n")
+                self._show()
+
+    def _show(self) -> None:
+        if self._states and (self._anew or time.monotonic() > self._said + SECONDS):
+            self._said = time.monotonic()
+            self._print("; ".join(f"{name}: {state}" for name, state in self._states.items()))
+
+    def _print(self, text: str, end: str = "") -> None:
+        line = f"[{time.monotonic() - self._begun:3.0f} s] {text}"
+        if self._anew:
+            print(f"\r\033[K{line[: shutil.get_terminal_size().columns - 1]}", end=end, flush=True)
+        else:
+            print(line, flush=True)
 
 
 @dataclass(frozen=True)

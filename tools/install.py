@@ -18,14 +18,13 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import core
-from progress import Progress
 
 # What compiles the core.
 TOOLS = {"cmake": "cmake>=3.26", "nanobind": "nanobind>=3", "ninja": "ninja>=1.10"}
 NO_NETWORK = "what Supple needs could not be installed: is there a network?"
 
 
-def install(requirements: Sequence[str], progress: Progress, what: str) -> None:
+def install(requirements: Sequence[str], progress: core.Progress, what: str) -> None:
     """Install into this Python."""
     uv = shutil.which("uv")
     if uv:
@@ -57,7 +56,7 @@ def main() -> int:
     parser.add_argument("extras", help="separated by commas")
     parser.add_argument("--demo", metavar="DIR", help="make the gallery there; compile for this processor alone")
     options = parser.parse_args()
-    progress = Progress()
+    progress = core.Progress()
     failures: list[core.BuildError] = []
 
     def compiled() -> None:
