@@ -204,6 +204,9 @@ def build(kind: str = "release", output: Path = CORE, *, folder: Path | None = N
             "SUPPLE_OUTPUT": str(ROOT / output),
             "SUPPLE_SANITIZE": "ON" if kind == "sanitize" else "OFF",
         }
+        if folder is None and os.name == "posix" and "CMAKE_CXX_COMPILER_LAUNCHER" not in os.environ:
+            # For tests/house/test_compile.py: Ninja's log has time on the clock, which other processes lengthen.
+            options["CMAKE_CXX_COMPILER_LAUNCHER"] = f"{sys.executable};-S;{ROOT / 'tools' / 'timed.py'}"
         command += [f"-D{name}={value}" for name, value in options.items()]
         command += shlex.split(environment.get("CMAKE_ARGS", ""))
         print("Compiling the native core, which takes some minutes", flush=True)
