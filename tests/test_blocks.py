@@ -114,7 +114,7 @@ def cases(draw: st.DrawFn) -> tuple[Warp, Array, list[int]]:
 
 
 @given(cases())
-@examples(40)
+@examples(30)
 def test_blocks_are_the_whole_bit_for_bit(case: tuple[Warp, Array, list[int]]) -> None:
     warp, source, steps = case
     made, blocks, _ = in_blocks(warp, source, steps)

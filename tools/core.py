@@ -30,6 +30,7 @@ SANITIZED = [
     *(f"tests/engines/cuda/test_{name}.py" for name in ("brushes", "driver", "large", "maps", "parity")),
     "tests/test_blocks.py", "tests/core", "tests/engines/test_native.py",
 ]  # fmt: skip
+EVERY = 11  # of many cases that differ little, how many are one under sanitizers
 GLIBC = "2.28"  # the oldest that what Zig builds runs with: RHEL 8, Debian 10, Ubuntu 18.10
 
 # What a compiler must be able to do.
@@ -238,6 +239,7 @@ def sanitize(tests: Sequence[str]) -> int:
     folder = Path("build", "sanitized")
     shadow(ROOT / folder)
     build("sanitize", folder / "supple" / "_core")
+    (built,) = (path for path in (ROOT / folder / "supple" / "_core").glob("*.so") if not path.name.startswith("cpu."))
     compiler = machine_compiler()
     assert compiler is not None
     libraries = []
@@ -259,11 +261,17 @@ def sanitize(tests: Sequence[str]) -> int:
         "PYTHONMALLOC": "malloc",  # so that Python's objects are watched as well
         "PYTHONPATH": str(ROOT / folder),
         "PYTHONDONTWRITEBYTECODE": "1",
-        "SUPPLE_TEST_EVERY": "11",
+        "SUPPLE_TEST_EVERY": str(EVERY),
         # The kernels for CUDA, compiled for this machine.
         "SUPPLE_TEST_KERNELS": "-O0 -g1 -fsanitize=address,undefined,float-cast-overflow "
-        "-fno-sanitize=null,object-size,pointer-overflow -fno-sanitize-recover=all",
+        "-fno-sanitize=null,object-size,pointer-overflow -fno-sanitize-recover=all "
+        "--param asan-instrumentation-with-call-threshold=0",
     }
+    print(
+        f"Watching memory and undefined behaviour of the core for {built.stem.partition('.')[0]}, and of kernels for CUDA "
+        f"that are compiled for this processor: one case in {EVERY} of {', '.join(tests or SANITIZED)}",
+        flush=True,
+    )
     # Reports are written by C, past what Python's sys.stderr is: of a test that they end, pytest would keep them.
     command = [sys.executable, "-m", "pytest", "-q", "--capture=sys", "-p", "no:cacheprovider"]
     command += ["-n", "logical", "-o", f"pythonpath={folder}"]

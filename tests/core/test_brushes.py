@@ -140,7 +140,7 @@ def lowest(table: npt.NDArray[np.void], domain: Domain, points: Floats) -> float
     return float(np.linalg.eigvalsh((matrices + np.swapaxes(matrices, 1, 2)) / 2)[:, 0].min())
 
 
-@examples(60)
+@examples(30)
 @given(st.integers(0, 2**32), st.sampled_from(["damp", "flow"]), st.booleans())
 def test_nothing_is_below_the_margin(seed: int, on_fold: Any, flat: bool) -> None:
     rng = np.random.default_rng(seed)

@@ -80,7 +80,7 @@ def test_one_stroke(seed: int) -> None:
         promised(d, tolerance)
 
 
-@examples(40)
+@examples(30)
 @given(deformations(2, 90, 6), st.sampled_from(TOLERANCES))
 def test_any_strokes(d: Deformation, tolerance: float) -> None:
     promised(d, tolerance)
@@ -214,7 +214,7 @@ def bounded(d: Deformation, z: float, shape: tuple[int, int] | None = None, tole
     return low, high, moved, rate, points
 
 
-@examples(60)
+@examples(30)
 @given(deformations(most=70), st.floats(0, 1))
 def test_bounds_hold_every_point(d: Deformation, where: float) -> None:
     z = float(round(where * (d.shape[0] - 1))) if d.ndim == 3 else 0.0

@@ -112,7 +112,7 @@ def test_inverses_are_within_their_error(
                 assert np.isfinite(found.error).all()
 
 
-@examples(150)
+@examples(60)
 @given(
     seed=st.integers(0, 2**32 - 1),
     tolerance=st.sampled_from([1e-6, 1e-3, 0.05, 0.5]),

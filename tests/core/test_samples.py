@@ -79,7 +79,7 @@ def close(found: Array, expected: Array, *, most: float = 3e-3, mean: float = 5e
 
 
 @pytest.mark.filterwarnings("ignore::supple.errors.ToleranceWarning")  # float32 may not hold as much near a fold
-@examples(40)
+@examples(30)
 @given(
     deformations(2, 36, 2),
     st.sampled_from(["u1", "u2", "f4", "f8"]),
