@@ -268,8 +268,8 @@ def sanitize(tests: Sequence[str]) -> int:
         "--param asan-instrumentation-with-call-threshold=0",
     }
     print(
-        f"Watching memory and undefined behaviour of the core ({built.stem.partition('.')[0]}) and of kernels for CUDA, "
-        f"compiled for this processor: one case in {EVERY} of {', '.join(tests or SANITIZED)}",
+        f"Watching memory and undefined behaviour: the core ({built.stem.partition('.')[0]}), and kernels for CUDA, "
+        f"compiled for this processor; one case in {EVERY} of {', '.join(tests or SANITIZED)}",
         flush=True,
     )
     # Reports are written by C, past what Python's sys.stderr is: of a test that they end, pytest would keep them.
