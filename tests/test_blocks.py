@@ -114,7 +114,7 @@ def cases(draw: st.DrawFn) -> tuple[Warp, Array, list[int]]:
 
 
 @given(cases())
-@examples(30)
+@examples(20)
 def test_blocks_are_the_whole_bit_for_bit(case: tuple[Warp, Array, list[int]]) -> None:
     warp, source, steps = case
     made, blocks, _ = in_blocks(warp, source, steps)
@@ -128,7 +128,7 @@ def test_blocks_are_the_whole_bit_for_bit(case: tuple[Warp, Array, list[int]]) -
 
 
 @given(cases())
-@examples(15)
+@examples(10)
 def test_nothing_but_the_part_is_read(case: tuple[Warp, Array, list[int]]) -> None:
     """As `Deformation.warp` makes a block from a whole source whose samples beyond the part are all wrong."""
     warp, source, steps = case

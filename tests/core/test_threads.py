@@ -66,7 +66,7 @@ def work():
         d.warp(image)
 for _ in range(2):
     threading.Thread(target=work, daemon=True).start()
-for _ in range(25):
+for _ in range(10):
     child = os.fork()
     if child == 0:
         sys.exit(0)
