@@ -21,8 +21,8 @@ KINDS = ["opacity", "light", "opacity and light"]
 IMAGES = [*rows(PLANES, few=True), *rows(["image"], CLEAR, KINDS, few=True)]
 CLIPS = [*rows(STACKS, few=True), *rows(["clip"], CLEAR, KINDS, few=True)]
 
-# One row in some: no multiple of the table's other sides.
-IMAGES, CLIPS = IMAGES[::EVERY], CLIPS[::EVERY]
+if EVERY > 1:
+    IMAGES, CLIPS = IMAGES[::2], CLIPS[::2]
 
 # Types whose rows are the same otherwise: the reference is asked for all of them together.
 BESIDE: dict[Row, list[str]] = defaultdict(list)
