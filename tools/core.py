@@ -256,7 +256,8 @@ def sanitize(tests: Sequence[str]) -> int:
     environment = {
         **os.environ,
         "LD_PRELOAD": " ".join(libraries),
-        "ASAN_OPTIONS": f"{options}:detect_leaks=0:detect_stack_use_after_return=1",
+        # All of Python's objects are of this allocator: of the calls that made them, it keeps the last few.
+        "ASAN_OPTIONS": f"{options}:detect_leaks=0:detect_stack_use_after_return=1:malloc_context_size=4",
         "UBSAN_OPTIONS": options,
         "PYTHONMALLOC": "malloc",  # so that Python's objects are watched as well
         "PYTHONPATH": str(ROOT / folder),

@@ -103,8 +103,8 @@ def drawn(seed: int, *, flat: bool, on_fold: Any = "flow") -> tuple[Deformation,
 def test_one_stroke_is_m_times_as_much(seed: int, flat: bool) -> None:
     d, _ = drawn(seed, flat=flat)
     rng = np.random.default_rng(seed)
-    points = rng.uniform(0, 1, (200, d.ndim)) * d.shape[::-1]
-    padded = np.zeros((200, 3))
+    points = rng.uniform(0, 1, (60, d.ndim)) * d.shape[::-1]
+    padded = np.zeros((60, 3))
     padded[:, : d.ndim] = points * d.domain.spacing
     at = padded
     for row in numbers(d.space.table):

@@ -21,8 +21,7 @@ KINDS = ["opacity", "light", "opacity and light"]
 IMAGES = [*rows(PLANES, few=True), *rows(["image"], CLEAR, KINDS, few=True)]
 CLIPS = [*rows(STACKS, few=True), *rows(["clip"], CLEAR, KINDS, few=True)]
 
-if EVERY > 1:
-    IMAGES, CLIPS = IMAGES[::2], CLIPS[::2]
+IMAGES, CLIPS = IMAGES[:: -(-EVERY // 2)], CLIPS[:: -(-EVERY // 2)]
 
 # Types whose rows are the same otherwise: the reference is asked for all of them together.
 BESIDE: dict[Row, list[str]] = defaultdict(list)
