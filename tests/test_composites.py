@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 from scipy.stats import special_ortho_group
@@ -21,6 +18,7 @@ from supple.engines.native import plan_of
 from supple.errors import SuppleError
 from supple.fields import Field
 from supple.geometry import Grid
+from tests.effort import examples
 from tests.fields import drawn
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
@@ -103,7 +101,6 @@ seeds = st.integers(0, 2**32 - 1)
 axes = st.sampled_from([2, 2, 3])
 
 
-@settings(max_examples=120)
 @given(seed=seeds, n=axes, odd=st.booleans())
 def test_points_go_there_and_back(seed: int, n: int, odd: bool) -> None:
     made, rng = random_deformation(seed, n, odd=odd), np.random.default_rng(seed)
@@ -114,7 +111,6 @@ def test_points_go_there_and_back(seed: int, n: int, odd: bool) -> None:
     assert (off[found.converged] <= 1e-5).all()
 
 
-@settings(max_examples=60)
 @given(seed=seeds, n=axes)
 def test_fields_without_an_end_are_always_solved(seed: int, n: int) -> None:
     made, rng = random_deformation(seed, n, beyond="edge"), np.random.default_rng(seed)
@@ -126,7 +122,6 @@ def test_fields_without_an_end_are_always_solved(seed: int, n: int) -> None:
     assert report.unconverged == report.folds == 0
 
 
-@settings(max_examples=80)
 @given(seed=seeds, n=axes)
 def test_jacobians_are_central_differences(seed: int, n: int) -> None:
     made, rng, h = random_deformation(seed, n), np.random.default_rng(seed), 1e-6
@@ -140,7 +135,6 @@ def test_jacobians_are_central_differences(seed: int, n: int) -> None:
     assert (off[smooth] <= 1e-3 * (1 + np.abs(ahead[smooth]).max(axis=(1, 2)))).all()
 
 
-@settings(max_examples=80)
 @given(seed=seeds, n=axes, tolerance=st.sampled_from([1e-3, 0.01, 0.1]), odd=st.booleans())
 def test_maps_are_the_inverse_at_every_pixel(seed: int, n: int, tolerance: float, odd: bool) -> None:
     made = random_deformation(seed, n, odd=odd)
@@ -151,7 +145,6 @@ def test_maps_are_the_inverse_at_every_pixel(seed: int, n: int, tolerance: float
     assert report.unconverged or report.within
 
 
-@settings(max_examples=100)
 @given(seed=seeds, n=axes, tolerance=st.sampled_from([1e-3, 0.05]))
 def test_other_grids_are_sampled_at_their_positions(seed: int, n: int, tolerance: float) -> None:
     made, rng = random_deformation(seed, n), np.random.default_rng(seed)
@@ -166,7 +159,7 @@ def test_other_grids_are_sampled_at_their_positions(seed: int, n: int, tolerance
     assert (np.abs(got.ravel() - wanted) <= 1e-4 + 2 * tolerance * steep)[found.converged].all()
 
 
-@settings(max_examples=300)
+@examples(60)
 @given(
     seed=seeds,
     n=axes,
@@ -308,18 +301,12 @@ def digest() -> str:
     return made.hexdigest()
 
 
-def test_threads_do_not_matter() -> None:
-    code = "import warnings; warnings.simplefilter('ignore'); from tests.test_composites import digest; print(digest())"
-    found = {
-        subprocess.run(
-            [sys.executable, "-c", code],
-            env=os.environ | {"SUPPLE_THREADS": threads},
-            check=True,
-            capture_output=True,
-            text=True,
-        ).stdout
-        for threads in ("1", "2", "3")
-    }
+@pytest.mark.filterwarnings("ignore")
+def test_threads_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = set()
+    for threads in ("1", "2", "3"):
+        monkeypatch.setenv("SUPPLE_THREADS", threads)
+        found.add(digest())
     assert len(found) == 1
 
 

@@ -412,19 +412,18 @@ def client() -> Iterator[Any]:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
 def test_a_worker_that_dies_changes_nothing(client: Any, bend: supple.Deformation, bent: Array, tmp_path: Path) -> None:
-    before = set(client.run(os.getpid).values())
     source = Recording(tmp_path / "volume.npy", VOLUME, seconds=0.05)
     made = warp(source, bend, chunks=(10, 24, 24))  # planned on the cluster, too
     assert made.npartitions == 4 * 3 * 4
     future = client.compute(made)
-    limit = time.monotonic() + 30
-    while {pid for pid, _ in source.reads()} < before or len(source.reads()) < 12:
+    limit = time.monotonic() + 300  # there are machines with much else to do
+    while len(source.reads()) < 12:
         assert time.monotonic() < limit
         time.sleep(0.01)
     assert not future.done()
-    victim = min(before)
+    victim = source.reads()[0][0]
     os.kill(victim, signal.SIGKILL)
-    assert np.array_equal(future.result(timeout=60), bent)
+    assert np.array_equal(future.result(timeout=300), bent)
     reads = source.reads()
     # What it held is made anew, by others.
     assert len(reads) > made.npartitions

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from supple.deformation import Deformation
@@ -169,7 +169,6 @@ def test_an_inverse_that_is_not_known_has_no_error() -> None:
     assert np.isfinite(found.field.values).all()
 
 
-@settings(max_examples=60)
 @given(
     seed=st.integers(0, 2**32 - 1),
     option=st.sampled_from(OPTIONS),

@@ -10,7 +10,7 @@ from typing import get_args
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from supple import _core, strain
@@ -180,7 +180,6 @@ def test_with_a_free_border_mu_is_the_limit() -> None:
         assert lower == pytest.approx(upper, rel=1e-11 if reach is None else 1.1e-9)
 
 
-@settings(max_examples=40)
 @given(
     st.floats(-5, 0.5),
     st.floats(1, 50),
@@ -226,7 +225,6 @@ def test_a_ball_off_the_domain_moves_nothing() -> None:
     assert weakest(closer, Domain((512, 512)).packed(), target=0)[1] < 0
 
 
-@settings(max_examples=60)
 @given(cases(), st.integers(0, 2**32))
 def test_mu_is_bounded_on_both_sides(case: tuple[Stroke, Domain], seed: int) -> None:
     stroke, domain = case
@@ -240,7 +238,6 @@ def test_mu_is_bounded_on_both_sides(case: tuple[Stroke, Domain], seed: int) -> 
         assert lower >= 1.02 * found
 
 
-@settings(max_examples=40)
 @given(cases(), st.integers(0, 2**32))
 def test_damped_strokes_do_not_fold_and_are_as_strong_as_can_be(case: tuple[Stroke, Domain], seed: int) -> None:
     (stroke, domain), rng = case, np.random.default_rng(seed)
@@ -265,7 +262,6 @@ def test_damped_strokes_do_not_fold_and_are_as_strong_as_can_be(case: tuple[Stro
     assert ours.min() >= MARGIN - 1e-9
 
 
-@settings(max_examples=25)
 @given(
     st.sampled_from([(40, 60), (9, 30, 20), (1, 50), (1, 20, 30)]),
     st.one_of(st.none(), st.floats(0.1, 100)),

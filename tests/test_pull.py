@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from supple import Deformation, Recipe, _core, pulls, strain
@@ -205,7 +205,6 @@ def test_in_millimetres() -> None:
     np.testing.assert_allclose(d.forward(points), points + np.array([(3, 0, 1), (0, -4, 0)]), atol=1e-6)
 
 
-@settings(max_examples=25)
 @given(st.integers(0, 10_000), st.sampled_from([None, "auto"]))
 def test_any_pull_arrives_or_is_refused(seed: int, border: str | None) -> None:
     rng = np.random.default_rng(seed)

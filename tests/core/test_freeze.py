@@ -98,13 +98,13 @@ def drawn(seed: int, *, flat: bool, on_fold: Any = "flow") -> tuple[Deformation,
     return d, mask
 
 
-@examples(30)
+@examples(15)
 @given(st.integers(0, 2**32), st.booleans())
 def test_one_stroke_is_m_times_as_much(seed: int, flat: bool) -> None:
     d, _ = drawn(seed, flat=flat)
     rng = np.random.default_rng(seed)
-    points = rng.uniform(0, 1, (200, d.ndim)) * d.shape[::-1]
-    padded = np.zeros((200, 3))
+    points = rng.uniform(0, 1, (60, d.ndim)) * d.shape[::-1]
+    padded = np.zeros((60, 3))
     padded[:, : d.ndim] = points * d.domain.spacing
     at = padded
     for row in numbers(d.space.table):
@@ -117,7 +117,7 @@ def test_one_stroke_is_m_times_as_much(seed: int, flat: bool) -> None:
     np.testing.assert_allclose(d.forward(points), at[:, : d.ndim] / d.domain.spacing, atol=1e-4)
 
 
-@examples(30)
+@examples(15)
 @given(st.integers(0, 2**32), st.booleans())
 def test_slopes_and_inverse(seed: int, flat: bool) -> None:
     d, _ = drawn(seed, flat=flat)
@@ -133,7 +133,7 @@ def test_slopes_and_inverse(seed: int, flat: bool) -> None:
     np.testing.assert_allclose(d.forward(found.points), points, atol=1e-8)
 
 
-@examples(30)
+@examples(15)
 @given(st.integers(0, 2**32), st.booleans(), st.sampled_from(["flow", "damp"]))
 def test_no_row_is_below_its_margin(seed: int, flat: bool, on_fold: str) -> None:
     with warnings.catch_warnings():
@@ -171,7 +171,7 @@ def test_the_bound_is_close() -> None:
     assert lower <= upper <= 0.99 * lower
 
 
-@examples(25)
+@examples(15)
 @given(st.integers(0, 2**32), st.booleans(), st.sampled_from(["auto", "linear"]))
 def test_frozen_samples_keep_every_bit(seed: int, flat: bool, filter: str) -> None:
     d, mask = drawn(seed, flat=flat)

@@ -17,7 +17,7 @@ from supple.engines.native import plan_of
 from supple.strokes import numbers
 from tests import reference
 from tests.core.drawn import deformation, deformations, plan, sampling
-from tests.effort import examples
+from tests.effort import EVERY, examples
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
@@ -80,7 +80,7 @@ def test_one_stroke(seed: int) -> None:
         promised(d, tolerance)
 
 
-@examples(40)
+@examples(30)
 @given(deformations(2, 90, 6), st.sampled_from(TOLERANCES))
 def test_any_strokes(d: Deformation, tolerance: float) -> None:
     promised(d, tolerance)
@@ -107,10 +107,11 @@ def dabs(shape: tuple[int, int], count: int, seed: int) -> Deformation:
 @pytest.mark.parametrize(("count", "tolerance"), [(1, 1e-4), (20, 1e-1), (60, 1e-2), (60, 1e-3), (30, 1e-4)])
 def test_many_small_dabs(count: int, tolerance: float) -> None:
     """None is missed between the nodes of a cell, however few of its pixels it moves."""
-    d = dabs((512, 512), count, count)
+    size = int(512 / EVERY**0.5)  # as dense under sanitizers
+    d = dabs((size, size), -(-count // EVERY), count)
     p = plan(d, tolerance)
-    points = points_of(p, (512, 512), 2)
-    q = reference.grid((512, 512))
+    points = points_of(p, (size, size), 2)
+    q = reference.grid((size, size))
     moves = np.linalg.norm(d.forward(q) - q, axis=-1) > 0
     near = np.linalg.norm(points - q, axis=-1) > 0
     some = moves | near
@@ -214,7 +215,7 @@ def bounded(d: Deformation, z: float, shape: tuple[int, int] | None = None, tole
     return low, high, moved, rate, points
 
 
-@examples(60)
+@examples(30)
 @given(deformations(most=70), st.floats(0, 1))
 def test_bounds_hold_every_point(d: Deformation, where: float) -> None:
     z = float(round(where * (d.shape[0] - 1))) if d.ndim == 3 else 0.0

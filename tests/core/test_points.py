@@ -50,7 +50,7 @@ def agrees(table: Table, steps: Sequence[reference.Step], domain: Domain, points
     np.testing.assert_allclose(matrices, slopes, rtol=1e-9, atol=1e-9)
 
 
-@examples(80)
+@examples(30)
 @given(deformations())
 def test_forward_is_the_printed_equation(d: Deformation) -> None:
     agrees(d.space.table, reference.carried_out(d), d.domain, places(d, 80))
@@ -116,7 +116,7 @@ def test_any_number_of_points(count: int) -> None:
         np.testing.assert_allclose(part, all_of_it[:count], rtol=0, atol=1e-9)
 
 
-@examples(80)
+@examples(30)
 @given(deformations())
 def test_the_inverse_undoes_the_map(d: Deformation) -> None:
     rows, finest = numbers(d.space.table), min(d.domain.spacing)

@@ -290,7 +290,7 @@ def test_nothing_steps_at_a_threshold(
 ) -> None:
     rng = np.random.default_rng(2)
     source = rng.uniform(0, 255, (96, 96, 1))
-    points = rng.uniform(20, 75, (150, 2))
+    points = rng.uniform(20, 75, (40, 2))
 
     def at(t: float) -> Floats:
         return np.asarray(reference.sample(source, points, symmetric(large(t), small(t), angle)))

@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from supple import Deformation, FoldWarning, Freeze, MissWarning, Stroke
 from tests import reference
+from tests.effort import pairs
 
 Floats = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
@@ -379,16 +380,12 @@ def _expected(
 def rows(
     scenes: Iterable[str], types: Iterable[str] = TYPES, kinds: Iterable[str] = ("plain",), *, few: bool = False
 ) -> list[Row]:
-    """Return all rows of some scenes; or ``few``, in which every two of type, filter and boundary mode meet."""
-    made = []
-    for name, dtype, kind in itertools.product(scenes, types, kinds):
-        flat = len(scene(name).shape) == 2
-        for way, outside in itertools.product(FILTERS if flat else TIMED, RULES):
-            if kind != "plain" and (way[0] == "nearest" or dtype not in _types(kind)):
-                continue
-            if few and dtype != "f4":
-                turn = TYPES.index(dtype) + (FILTERS if flat else TIMED).index(way)
-                if RULES[turn % 3] != outside:
-                    continue
-            made.append(Row(name, dtype, *way, outside, kind))
-    return made
+    """Return all rows of some scenes; or ``few``, in which every two of scene, type, filter, rule and kind meet."""
+
+    def known(name: str, dtype: str, way: tuple[str, str | None, bool], outside: str, kind: str) -> bool:
+        ways = FILTERS if len(scene(name).shape) == 2 else TIMED
+        return way in ways and (kind == "plain" or (way[0] != "nearest" and dtype in _types(kind)))
+
+    axes = (list(scenes), list(types), FILTERS + TIMED, RULES, list(kinds))
+    chosen = pairs(*axes, where=known) if few else [row for row in itertools.product(*axes) if known(*row)]
+    return [Row(name, dtype, *way, outside, kind) for name, dtype, way, outside, kind in chosen]

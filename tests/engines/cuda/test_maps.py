@@ -10,6 +10,7 @@ import pytest
 import supple
 import supple.cuda
 from supple import Deformation, Field, Freeze, Grid
+from tests.effort import pairs
 from tests.engines.cuda.driver import on_host, sent
 
 pytestmark = pytest.mark.usefixtures("gpu")
@@ -57,9 +58,7 @@ NAMES = list(maps(SHAPES[0]))
 
 
 @pytest.mark.filterwarnings("ignore::supple.FoldWarning", "ignore::supple.OutsideWarning")
-@pytest.mark.parametrize("filter", ["nearest", "linear", "auto"])
-@pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("name", "shape", "filter"), pairs(NAMES, SHAPES, ["nearest", "linear", "auto"]))
 def test_arrays(name: str, shape: tuple[int, ...], filter: str) -> None:
     d = maps(shape)[name]
     source = np.random.default_rng(0).random(shape).astype(np.float32)

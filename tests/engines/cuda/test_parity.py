@@ -103,8 +103,7 @@ def close(made: np.ndarray, wanted: np.ndarray, source: np.ndarray) -> None:
 ROWS = [
     *rows(["small image"], few=True),
     *(row for row in rows(["small image, turned"], ("f4",)) if row.outside == "edge"),
-    *rows(["small clip"], few=True),
-    *rows(["small volume"], few=True),
+    *rows(["small clip", "small volume"], few=True),
     *rows(["small image"], ("u1", "f4"), ["opacity", "light", "opacity and light"], few=True),
 ]
 

@@ -10,6 +10,7 @@ from supple.engines.cuda import programs
 from supple.engines.cuda.device import CudaError
 from supple.engines.cuda.programs import UNITS, Program, compiled, folder, kept, sources
 from supple.engines.cuda.warp import _TYPES
+from tests.effort import soak
 from tests.engines.cuda.driver import REAL
 from tests.engines.cuda.registers import known, rows, used
 
@@ -21,12 +22,20 @@ def test_the_table_has_all_kernels() -> None:
     assert list(known()) == list(rows())
 
 
-# A compiler takes seconds for each. Where there is no GPU: those of volumes; of other architectures, what asks most.
-MOST = ("3-D composite", "rough 3-D")
-CHECKED = [name for name in rows() if REAL or ("3-D" in name and ("sm_90" in name or any(x in name for x in MOST)))]
+# A compiler takes seconds for each. Of all kernels, on the oldest and the newest GPUs, and by both kinds of maps:
+FEW = ("nodes 2-D strokes sm_75", "rough 2-D auto float sm_90", "fill 3-D auto float sm_90", "points 3-D strokes sm_90",
+       "cells 2-D composite sm_100")  # fmt: skip
+slow = soak("all kernels compiled for GPUs of three kinds, and each type by every filter")
+KERNELS = [pytest.param(name, marks=() if REAL or name in FEW else slow) for name in rows()]
+SAMPLES = sorted({sample for sample, _ in _TYPES.values()})
+FILLS = [
+    pytest.param(sample, number, marks=() if REAL or k % 4 == number else slow)
+    for k, sample in enumerate(SAMPLES)
+    for number in range(4)
+]
 
 
-@pytest.mark.parametrize("name", CHECKED)
+@pytest.mark.parametrize("name", KERNELS)
 def test_registers_and_spills(name: str) -> None:
     registers, stack, spills = used(*rows()[name])
     wanted = known()[name]
@@ -37,8 +46,7 @@ def test_registers_and_spills(name: str) -> None:
     assert spills <= 1.15 * wanted[2] + 64
 
 
-@pytest.mark.parametrize("filter", [0, 1, 2, 3])
-@pytest.mark.parametrize("sample", sorted({sample for sample, _ in _TYPES.values()}))
+@pytest.mark.parametrize(("sample", "filter"), FILLS)
 def test_every_type_compiles(sample: str, filter: int) -> None:
     number = dict(_TYPES.values())[sample]
     rare = int(filter == 2)
