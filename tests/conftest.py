@@ -26,26 +26,21 @@ LEFT_OUT = pytest.StashKey[int]()
 
 # A worker has a file at a time: those that take longest are begun first, so that none of them is waited for at the end.
 LONGEST = (
-    "viewer/test_window_pointer.py",
-    "engines/cuda/test_programs.py",
     "viewer/test_window_every_brush.py",
-    "viewer/test_window_browser.py",
     "viewer/test_panels.py",
+    "viewer/test_window_browser.py",
+    "engines/wgpu/test_rendering.py",
+    "engines/cuda/test_programs.py",
+    "viewer/test_window_pointer.py",
     "viewer/test_jobs.py",
-    "examples/test_examples.py",
-    "engines/cuda/test_at_size.py",
-    "engines/wgpu/test_freeze.py",
+    "viewer/test_freezing.py",
     "engines/test_native.py",
-    "engines/cuda/test_brushes.py",
-    "viewer/test_window_slices.py",
-    "engines/torch/test_inverse.py",
-    "examples/test_gallery.py",
+    "files/test_stores.py",
+    "house/test_docs.py",
     "plot/test_diagnostics.py",
+    "files/test_clip_commands.py",
     "pipeline/test_frames.py",
-    "pipeline/test_streaming.py",
-    "engines/wgpu/test_parity.py",
-    "engines/wgpu/test_images.py",
-    "engines/wgpu/test_clips.py",
+    "examples/test_gallery.py",
 )
 
 
