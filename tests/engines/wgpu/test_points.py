@@ -228,7 +228,7 @@ def drawn(seed: int, kind: str) -> tuple[supple.Deformation, npt.NDArray[np.bool
     for _ in range(2):
         mask |= ball(lies, rng.uniform(0.1, 0.9, len(lies)), rng.uniform(0.05, 0.25) * min(shape[-2:]))
     spacing = (1.0,) * 3 if kind == "clip" else tuple(np.exp(rng.uniform(-0.3, 0.3, len(shape))).tolist())
-    width = float(np.exp(rng.uniform(np.log(4), np.log(100))))
+    width = 4 * min(spacing) * float(np.exp(rng.uniform(1e-3, np.log(25))))  # 4 samples are the least
     freeze = Freeze.of(mask, width=width, spacing=spacing[: len(lies)])
     border = ("auto", None, 5.0)[rng.integers(3)]
     d = supple.Deformation(shape, spacing=spacing[: len(shape)], border=border, freeze=freeze, time=kind == "clip")
