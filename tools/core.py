@@ -343,7 +343,7 @@ def sanitize(tests: Sequence[str]) -> int:
     )
     # Reports are written by C, past what Python's sys.stderr is: of a test that they end, pytest would keep them.
     command = [sys.executable, "-m", "pytest", "-q", "--capture=sys", "-p", "no:cacheprovider"]
-    command += ["-n", "logical", "-o", f"pythonpath={folder}"]
+    command += ["-n", "logical", "--dist", "loadfile", "-o", f"pythonpath={folder}"]
     if subprocess.run(
         [*command, *(tests or [*SANITIZED, "--ignore=tests/core/test_reference.py"])],  # which is NumPy alone
         cwd=ROOT,
