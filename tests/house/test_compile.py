@@ -13,7 +13,7 @@ SOURCES = sorted(path.name for path in (ROOT / "src" / "supple" / "_core").glob(
 
 
 def seconds(pattern: str) -> list[float]:
-    """Seconds of a processor that the compiler took the last time for each of some objects: see `tools/timed.py`."""
+    """Seconds of a processor that the compiler took the last time for each of some objects."""
     return [float(path.read_text("ascii")) for path in BUILD.glob(f"{pattern}.seconds")]
 
 
