@@ -75,6 +75,7 @@ def test_a_photograph_by_a_real_pointer(gpu: Gpu, photo: Path, state: Path) -> N
     assert on_canvas(image.read(photo).pixels, seen, AREA, recipe.strokes) > 8
 
 
+@effort.soak("a clip on a screen, which others have without one, and photographs and planes have by a pointer")
 def test_a_clip_by_a_real_pointer(gpu: Gpu, clip: Path, state: Path) -> None:
     def first(mouse: Mouse) -> None:
         """Go to a frame, and to 100 %."""
