@@ -95,11 +95,13 @@ $(VENV)/stamp-cuda: $(VENV)/stamp
 demo: | $(VENV)/made
 	@$(BIN)/python tools/install.py demo --demo demo
 
-# A worker for each processor; a file's tests stay together, as they share what is made once. Not the files with the most
-# tests first: those with the slowest would be last. CUDA is tested on a GPU that is played in memory.
-# What needs windows and devices, whose memory is freed with its processes alone, is tested before the rest.
+# A worker for each processor, and one more, as some wait for windows and processes. A file's tests stay together, as they
+# share what is made once. Not the files with the most tests first: those with the slowest would be last. CUDA is tested on
+# a simulated driver. What needs windows and devices, whose memory is freed with its processes alone, is tested before
+# the rest.
 APART := tests/engines tests/viewer
-TEST := -m pytest -q -n logical --dist loadfile --no-loadscope-reorder
+WORKERS = $$(($$($(BIN)/python -c 'import os; print(os.cpu_count())') + 1))
+TEST := -m pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 test: venv
 	$(BIN)/python $(TEST) $(APART)
