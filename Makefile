@@ -8,6 +8,8 @@ CUDA ?=
 DEBUG ?=
 
 # An editable install is a path to src/; the core is compiled there by `make core`.
+# What was installed after pyproject.toml was last changed.
+DONE = $(shell find $(VENV)/stamp $(VENV)/stamp-demo -newer pyproject.toml 2>/dev/null)
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check --config-settings core=later --editable
 
 .PHONY: help venv core demo test versions test-cuda sanitize bench bench-gpu bench-cuda bench-window soak lint wheel clean
@@ -35,7 +37,7 @@ venv: $(VENV)/stamp core
 core: $(VENV)/stamp
 	@$(BIN)/python tools/core.py $(if $(filter-out 0,$(DEBUG)),--debug)
 
-$(VENV)/made:
+$(VENV)/made: pyproject.toml
 	@if $(BIN)/python -m pip --version >/dev/null 2>&1; then exit 0; fi; \
 	found=; bare=; \
 	for python in $(if $(PYTHON),"$(PYTHON)",python3.14 python3.13 python3.12 python3.11 python3 python); do \
@@ -93,15 +95,14 @@ $(VENV)/stamp-cuda: $(VENV)/stamp
 
 # A first look needs neither what tests need, nor a core for other processors.
 demo: | $(VENV)/made
-	@$(BIN)/python tools/install.py demo --demo demo
+	@$(BIN)/python tools/install.py "$(if $(DONE),,demo)" --demo demo
+	@touch $(VENV)/stamp-demo
 
-# A worker for each processor, and one more, as some wait for windows and processes. A file's tests stay together, as they
-# share what is made once. Not the files with the most tests first: those with the slowest would be last. CUDA is tested on
-# a simulated driver. What needs windows and devices, whose memory is freed with its processes alone, is tested before
-# the rest.
+# A worker for each processor. A file's tests stay together, as they share what is made once. Not the files with the most
+# tests first: those with the slowest would be last. CUDA is tested on a simulated driver. What needs windows and devices,
+# whose memory is freed with its processes alone, is tested before the rest.
 APART := tests/engines tests/viewer
-WORKERS = $$(($$($(BIN)/python -c 'import os; print(os.cpu_count())') + 1))
-TEST := -m pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+TEST := -m pytest -q -n logical --dist loadfile --no-loadscope-reorder
 
 test: venv
 	$(BIN)/python $(TEST) $(APART)

@@ -72,7 +72,7 @@ def pytest_testnodedown(node: Any) -> None:
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
     """Say what is left out; slow tests are listed with what was skipped."""
     rows = config.stash.get(LEFT_OUT, effort.left_out)
-    if rows:
+    if rows and effort.EVERY == 1:
         terminalreporter.write_line(
             f"Of options, every pair was tested; the {rows} other combinations are left out: make soak tests all"
         )

@@ -29,6 +29,7 @@ def pairs(*axes: Sequence[Any], where: Callable[..., bool] | None = None) -> lis
     """
     global left_out
     product = [row for row in itertools.product(*axes) if where is None or where(*row)]
+    assert product, "no row is admitted"
     if ALL:
         return product
     met = [{(*at, *(row[k] for k in at)) for at in itertools.combinations(range(len(axes)), 2)} for row in product]

@@ -31,6 +31,7 @@ dask = pytest.importorskip("dask")
 import cloudpickle  # noqa: E402
 
 from supple.dask import warp  # noqa: E402
+from tests.effort import soak  # noqa: E402
 
 Array = npt.NDArray[Any]
 RNG = np.random.default_rng(17)
@@ -410,6 +411,7 @@ def client() -> Iterator[Any]:
         time.sleep(0.05)
 
 
+@soak("a worker that is killed, which the scheduler replaces")
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
 def test_a_worker_that_dies_changes_nothing(client: Any, bend: supple.Deformation, bent: Array, tmp_path: Path) -> None:
     source = Recording(tmp_path / "volume.npy", VOLUME, seconds=0.05)

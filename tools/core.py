@@ -194,7 +194,7 @@ def _compile(ninja: str, where: Path, target: str, environment: Mapping[str, str
             if done := re.match(r"\[(\d+ of \d+)\]", line):
                 tell(f"{done[1]} files")
             elif not line.startswith("ninja: "):
-                print(line, end="", file=sys.stderr, flush=True)
+                print("\r\033[K" if sys.stdout.isatty() else "", line, sep="", end="", file=sys.stderr, flush=True)
     if child.returncode:
         raise BuildError("The core does not compile: the first error is above.")
 
@@ -243,6 +243,10 @@ def build(
     what = "sanitize" if kind == "sanitize" else "core"
     where = folder or ROOT / "build" / f"{what}-{sys.implementation.cache_tag}"
     cmake, ninja = _tool("cmake"), _tool("ninja")
+    launcher = ""
+    if folder is None and os.name == "posix" and "CMAKE_CXX_COMPILER_LAUNCHER" not in os.environ:
+        # For tests/house/test_compile.py: Ninja's log has time on the clock, which other processes lengthen.
+        launcher = f"{sys.executable};-S;{ROOT / 'tools' / 'timed.py'}"
     # A configured folder is good for as long as all that it was configured with.
     wanted = {
         "kind": kind,
@@ -251,6 +255,7 @@ def build(
         "nanobind": str(nanobind.origin),
         "tools": [cmake, ninja],
         "compilers": [shutil.which(name) for name in COMPILERS],
+        "launcher": launcher,
         "environment": {k: os.environ.get(k, "") for k in ("CXX", "CXXFLAGS", "LDFLAGS", "CMAKE_ARGS")},
     }
     stamp = where / "configured.json"
@@ -271,9 +276,8 @@ def build(
             "SUPPLE_OUTPUT": str(ROOT / output),
             "SUPPLE_SANITIZE": "ON" if kind == "sanitize" else "OFF",
         }
-        if folder is None and os.name == "posix" and "CMAKE_CXX_COMPILER_LAUNCHER" not in os.environ:
-            # For tests/house/test_compile.py: Ninja's log has time on the clock, which other processes lengthen.
-            options["CMAKE_CXX_COMPILER_LAUNCHER"] = f"{sys.executable};-S;{ROOT / 'tools' / 'timed.py'}"
+        if launcher:
+            options["CMAKE_CXX_COMPILER_LAUNCHER"] = launcher
         command += [f"-D{name}={value}" for name, value in options.items()]
         command += shlex.split(environment.get("CMAKE_ARGS", ""))
         tell("prepared")

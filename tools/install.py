@@ -15,7 +15,6 @@ import sys
 import threading
 from collections.abc import Sequence
 from importlib.util import find_spec
-from pathlib import Path
 
 import core
 
@@ -25,67 +24,88 @@ NO_NETWORK = "what Supple needs could not be installed: is there a network?"
 
 
 def install(requirements: Sequence[str], progress: core.Progress, what: str) -> None:
-    """Install into this Python."""
-    uv = shutil.which("uv")
-    if uv:
-        command = [uv, "pip", "install", "--python", sys.executable]
-    else:
-        command = [sys.executable, "-m", "pip", "install", "--disable-pip-version-check", "--progress-bar", "off"]
-        command += ["--no-compile", "--no-warn-script-location"]
+    """Install into this Python: by uv, if there is one and it can, or by pip."""
+    pip = [sys.executable, "-m", "pip", "install", "--disable-pip-version-check", "--progress-bar", "off"]
     # Python compiles what is imported, when it is.
-    progress.tell(what, "begun")
+    commands = [[*pip, "--no-compile", "--no-warn-script-location"]]
+    if uv := shutil.which("uv"):
+        commands.insert(0, [uv, "pip", "install", "--python", sys.executable])
     last: collections.deque[str] = collections.deque(maxlen=30)
-    with subprocess.Popen(
-        [*command, *requirements], cwd=core.ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, encoding="utf-8"
-    ) as child:
-        assert child.stdout is not None
-        for line in child.stdout:
-            last.append(line)
-            words = line.split()
-            if words and words[0] in {"Collecting", "Downloading", "Installing", "Resolved", "Prepared"}:
-                progress.tell(what, " ".join(words)[:60])
-    if child.returncode:
-        print("", *last, sep="\n" if sys.stdout.isatty() else "", file=sys.stderr)
-        raise core.BuildError(NO_NETWORK)
-    progress.end(what, "installed")
+    for command in commands:
+        progress.tell(what, "begun")
+        with subprocess.Popen(
+            [*command, *requirements],
+            cwd=core.ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            encoding="utf-8",
+            errors="replace",
+        ) as child:
+            assert child.stdout is not None
+            for line in child.stdout:
+                last.append(line)
+                words = line.split()
+                if words and words[0] in {"Collecting", "Downloading", "Installing", "Resolved", "Prepared"}:
+                    progress.tell(what, " ".join(words)[:60])
+        if not child.returncode:
+            progress.end(what, "installed")
+            return
+    progress.end(what, "not installed")
+    print(*last, sep="", file=sys.stderr)
+    raise core.BuildError(NO_NETWORK)
+
+
+class Compiling(threading.Thread):
+    """The core, compiled in a thread; ``failure`` says why it is not."""
+
+    failure: core.BuildError | None = None
+
+    def __init__(self, progress: core.Progress, best: bool) -> None:
+        super().__init__()
+        self._progress, self._best = progress, best
+
+    def run(self) -> None:
+        """Compile."""
+        try:
+            core.build(best=self._best, tell=lambda state: self._progress.tell(core.WHAT, state))
+            self._progress.end(core.WHAT, "compiled")
+        except Exception as error:
+            self._progress.end(core.WHAT, "not compiled")
+            known = isinstance(error, core.BuildError)
+            self.failure = error if known else core.BuildError(f"the core: {type(error).__name__}: {error}")
 
 
 def main() -> int:
     """Install, compile, and make the gallery if that is asked for."""
     parser = argparse.ArgumentParser(description="Install Supple with extras, and compile its core meanwhile.")
-    parser.add_argument("extras", help="separated by commas")
+    parser.add_argument("extras", help="separated by commas; none if everything is installed")
     parser.add_argument("--demo", metavar="DIR", help="make the gallery there; compile for this processor alone")
     options = parser.parse_args()
     progress = core.Progress()
-    failures: list[core.BuildError] = []
-
-    def compiled() -> None:
-        try:
-            core.build(best=bool(options.demo), tell=lambda state: progress.tell(core.WHAT, state))
-            progress.end(core.WHAT, "compiled")
-        except core.BuildError as error:
-            failures.append(error)
-
     try:
         missing = [requirement for name, requirement in TOOLS.items() if find_spec(name) is None]
         if missing:
             install(missing, progress, "tools that compile")
             importlib.invalidate_caches()
-        compiler = threading.Thread(target=compiled, daemon=True)
-        compiler.start()
-        install(["--config-settings", "core=later", "--editable", f".[{options.extras}]"], progress, "libraries")
-        compiler.join()
-        if failures:
-            raise failures[0]
+        compiling = Compiling(progress, bool(options.demo))
+        compiling.start()
+        try:
+            if options.extras:
+                editable = ["--config-settings", "core=later", "--editable", f".[{options.extras}]"]
+                install(editable, progress, "libraries")
+        finally:
+            compiling.join()
+        if compiling.failure:
+            raise compiling.failure
+        if options.demo:
+            command = [sys.executable, "-m", "supple", "demo", options.demo, "--force"]
+            return subprocess.run(command, cwd=core.ROOT, check=False).returncode
     except core.BuildError as error:
         print(f"install: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("\ninstall: interrupted; run it again to go on.", file=sys.stderr)
         return 130
-    if options.demo:
-        command = Path(sys.executable).parent / "supple"
-        return subprocess.run([command, "demo", options.demo, "--force"], cwd=core.ROOT, check=False).returncode
     return 0
 
 

@@ -214,7 +214,7 @@ def _as_frames(array: Array, axes: int) -> Array:
 
 def _on_device(engine: Engine, held: Any, work: Work, device: str, out: Any) -> tuple[Any, Certificate]:
     """Warp an array on its CUDA device."""
-    check_device(device)
+    check_device("auto" if device == "cuda" else device)  # the array says which GPU
     result = engine.result(out, held, shape_of(held, work))
     return result.given, sampled(engine, work, [held], [result])
 

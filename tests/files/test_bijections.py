@@ -27,6 +27,7 @@ from supple.files.tasks import Running  # noqa: E402
 from supple.files.volumes import VolumeOptions  # noqa: E402
 from supple.media.stores import Target, open_image  # noqa: E402
 from supple.media.transforms import ngff  # noqa: E402
+from tests.effort import soak  # noqa: E402
 
 Array = npt.NDArray[Any]
 
@@ -440,6 +441,7 @@ def test_the_map_of_a_file_that_becomes_a_store() -> None:
     assert np.abs(field.values[4, 12, 14] - (there - here)).max() < 0.02
 
 
+@soak("processes that write fields, as others write stores")
 def test_processes_make_the_same() -> None:
     pytest.importorskip("distributed")
     image("in.zarr", "zyx")

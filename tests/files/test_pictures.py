@@ -19,6 +19,7 @@ from supple.errors import ScaleWarning
 from supple.files import check_job, read_recipe, warp_file, write_recipe
 from supple.media import image
 from tests.children import SOURCE
+from tests.effort import soak
 
 DATA = Path(supple.__file__).parent / "examples" / "data"
 RECIPE = supple.Recipe(border=10, strokes=(supple.Stroke.grab((30, 20), to=(36, 24), radius=15),))
@@ -202,6 +203,7 @@ def peak(*arguments: str) -> float:
     return float(size) if sys.platform != "darwin" else float(size) / 1024
 
 
+@soak("the memory of a command, whose parts have tests of theirs")
 def test_memory(tmp_path: Path) -> None:
     # Smaller than what the bar is stated for; what comes on top of the pixels hardly depends on the size.
     y, x = np.mgrid[:3072, :3072]

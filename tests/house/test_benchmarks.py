@@ -13,6 +13,7 @@ from types import ModuleType
 import pytest
 
 from tests.children import ROOT
+from tests.effort import soak
 from tools.core import machine_compiler
 
 FOLDER = ROOT / "benchmarks"
@@ -98,6 +99,7 @@ def test_cells_of_a_peer_agree(paired: ModuleType) -> None:
     assert paired.seconds(1.234) == "1.23 s"
 
 
+@soak("the benchmark of CUDA, without a GPU")
 @pytest.mark.skipif(machine_compiler() is None, reason="there is no C++ compiler")
 def test_cuda_s_benchmark_runs_without_a_gpu(tmp_path: Path) -> None:
     written = tmp_path / "lines.json"

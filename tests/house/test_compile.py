@@ -20,7 +20,7 @@ def seconds(pattern: str) -> list[float]:
 def test_no_file_takes_three_times_as_long_as_the_largest_of_nanobind() -> None:
     known = seconds("nanobind-*/**/*.o")
     longest = {name: max(found) for name in SOURCES if (found := seconds(f"core_*/**/{name}.o"))}
-    if not known or not longest:
+    if not known or not longest or max(known) < 1:  # as where a compiler's results are kept
         pytest.skip("how long the compiler took is not known: the core was not compiled here, by `make core`")
     slow = {name: round(took / max(known), 1) for name, took in longest.items() if took > 3 * max(known)}
     assert not slow, f"times as long as nanobind: {slow}"

@@ -14,6 +14,7 @@ from supple.viewer.panels.slices import first_window, turned
 from supple.viewer.panels.view import LINE, WIDE
 from supple.viewer.tools.slices import SliceTools
 from supple.viewer.window.launch import SIZE
+from tests.effort import soak
 from tests.viewer.sessions import near, recipe_in, warped
 from tests.viewer.windows import Pixels, a_screen, viewing, wait_for
 
@@ -46,6 +47,7 @@ def greys(seen: Pixels, tools: SliceTools, samples: np.ndarray, k: int) -> float
     return float(np.median(apart)) + float(np.percentile(apart, 80))
 
 
+@soak("planes on a screen, which others have without one, and photographs have by a pointer")
 def test_drags_and_the_crosshair_in_all_planes_by_a_real_pointer(gpu: Gpu, volume: Path, state: Path) -> None:
     head = volumes.read(volume)
     tools = expected(head)

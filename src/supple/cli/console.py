@@ -327,6 +327,7 @@ def _signals() -> Iterator[None]:
         if signal.getsignal(number) == signal.SIG_DFL:  # others, such as nohup, have set their own
             before[number] = signal.signal(number, _terminate)
     hook = sys.unraisablehook
+    timers: list[threading.Timer] = []
 
     def again(ignored: sys.UnraisableHookArgs) -> None:
         # What is raised where C calls Python, as a library that writes does, goes no further: the signal is sent once
@@ -335,13 +336,16 @@ def _signals() -> Iterator[None]:
         if sent is None:
             hook(ignored)
         else:
-            threading.Timer(0.05, _send, (sent,)).start()
+            timers.append(threading.Timer(0.05, _send, (sent,)))
+            timers[-1].start()
 
     sys.unraisablehook = again
     try:
         yield
     finally:
         sys.unraisablehook = hook
+        for timer in timers:
+            timer.cancel()
         for number, handler in before.items():
             signal.signal(number, handler)
 

@@ -366,7 +366,7 @@ def _publish_all(moves: Iterable[tuple[Path, Path, PathLike, Path]], force: bool
                 mode, own = os.lstat(target).st_mode, os.lstat(made).st_mode
                 if stat.S_ISDIR(mode) and not stat.S_ISDIR(own):
                     raise OSError(errno.EISDIR, f"{shown(name)} is a folder")
-                if not stat.S_ISLNK(mode):
+                if stat.S_ISREG(mode) or stat.S_ISDIR(mode):
                     os.chmod(made, (own & ~0o777) | (mode & 0o777))
                 moved.append((target, aside))  # noted first: an interrupt may come between
                 os.rename(target, aside)

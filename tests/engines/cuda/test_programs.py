@@ -23,8 +23,7 @@ def test_the_table_has_all_kernels() -> None:
 
 
 # A compiler takes seconds for each. Of all kernels, on the oldest and the newest GPUs, and by both kinds of maps:
-FEW = ("nodes 2-D strokes sm_75", "rough 2-D auto float sm_90", "fill 3-D auto float sm_90", "points 3-D strokes sm_90",
-       "cells 2-D composite sm_100")  # fmt: skip
+FEW = ("nodes 2-D strokes sm_75", "fill 3-D auto float sm_90", "cells 2-D composite sm_100")
 slow = soak("all kernels compiled for GPUs of three kinds, and each type by every filter")
 KERNELS = [pytest.param(name, marks=() if REAL or name in FEW else slow) for name in rows()]
 SAMPLES = sorted({sample for sample, _ in _TYPES.values()})

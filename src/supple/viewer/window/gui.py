@@ -89,6 +89,8 @@ class Gui:
 
     def draw(self, drawing: Any) -> None:
         """Draw what is laid out into a render pass."""
+        for which in self._shown.keys() - self._pictures.keys():
+            del self._shown[which], self._renderer.backend._texture_views[which]
         for which, texture in self._pictures.items():
             if self._shown.get(which) is not texture:
                 self._shown[which] = texture
