@@ -96,7 +96,10 @@ def test_any_strokes_and_shapes(d: Deformation, dtype: str, channels: int, filte
     source = (wave * reference.opaque(dtype)).astype(dtype)
     found = d.warp(source, filter=filter, outside=outside, alpha=False, tolerance=1e-4)
     expected = reference.warp(source, reference.carried_out(d), d.domain, filter=filter, outside=outside, alpha=False)
-    close(found, expected, most=5e-3, mean=1e-3, odd=0.02 if filter == "nearest" or outside == "constant" else 0.005)
+    # At an edge, or halfway between two samples, a pixel may be either; of a small picture, one is a large part.
+    doubtful = filter == "nearest" or outside == "constant"
+    odd = max(0.02, 1 / (d.shape[0] * d.shape[1])) if doubtful else 0.005
+    close(found, expected, most=5e-3, mean=1e-3 + 5e-3 * odd, odd=odd)
 
 
 # ---------------------------------------------------------------- memory
