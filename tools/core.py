@@ -191,8 +191,9 @@ def _compile(ninja: str, where: Path, target: str, environment: Mapping[str, str
     ) as child:
         assert child.stdout is not None
         for line in child.stdout:
-            if done := re.match(r"\[(\d+ of \d+)\]", line):
-                tell(f"{done[1]} files")
+            if done := re.match(r"\[(\d+) of (\d+)\]", line):
+                if done[1] != "0":
+                    tell(f"{done[1]} of {done[2]} files to compile")
             elif not line.startswith("ninja: "):
                 print("\r\033[K" if sys.stdout.isatty() else "", line, sep="", end="", file=sys.stderr, flush=True)
     if child.returncode:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import collections
 import importlib
+import re
 import shutil
 import subprocess
 import sys
@@ -32,7 +33,7 @@ def install(requirements: Sequence[str], progress: core.Progress, what: str) -> 
         commands.insert(0, [uv, "pip", "install", "--python", sys.executable])
     last: collections.deque[str] = collections.deque(maxlen=30)
     for command in commands:
-        progress.tell(what, "begun")
+        progress.tell(what, "being installed")
         with subprocess.Popen(
             [*command, *requirements],
             cwd=core.ROOT,
@@ -44,9 +45,10 @@ def install(requirements: Sequence[str], progress: core.Progress, what: str) -> 
             assert child.stdout is not None
             for line in child.stdout:
                 last.append(line)
-                words = line.split()
-                if words and words[0] in {"Collecting", "Downloading", "Installing", "Resolved", "Prepared"}:
-                    progress.tell(what, " ".join(words)[:60])
+                if found := re.match(r"\s*Collecting ([\w.-]+)", line):
+                    progress.tell(what, f"{found[1]} is fetched")
+                elif line.startswith("Installing collected packages"):
+                    progress.tell(what, "all are fetched, and unpacked")
         if not child.returncode:
             progress.end(what, "installed")
             return
@@ -85,7 +87,7 @@ def main() -> int:
     try:
         missing = [requirement for name, requirement in TOOLS.items() if find_spec(name) is None]
         if missing:
-            install(missing, progress, "tools that compile")
+            install(missing, progress, "tools for compiling")
             importlib.invalidate_caches()
         compiling = Compiling(progress, bool(options.demo))
         compiling.start()
