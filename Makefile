@@ -8,8 +8,6 @@ CUDA ?=
 DEBUG ?=
 
 # An editable install is a path to src/; the core is compiled there by `make core`.
-# What was installed after pyproject.toml was last changed.
-DONE = $(shell find $(VENV)/stamp $(VENV)/stamp-demo -newer pyproject.toml 2>/dev/null)
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check --config-settings core=later --editable
 
 .PHONY: help venv core demo test versions test-cuda sanitize bench bench-gpu bench-cuda bench-window soak lint wheel clean
@@ -92,6 +90,9 @@ $(VENV)/stamp-cuda: $(VENV)/stamp
 	  $$pip "$$other" || echo "make: without $$other: its rows say so, and its tests are left out" >&2; \
 	done
 	@touch $@
+
+# What was installed since pyproject.toml was last changed.
+DONE = $(shell find $(VENV)/stamp $(VENV)/stamp-demo -newer pyproject.toml 2>/dev/null)
 
 # A first look needs neither what tests need, nor a core for other processors.
 demo: | $(VENV)/made

@@ -37,8 +37,6 @@ SANITIZED = [
 EVERY = 11  # of many cases that differ little, how many are one under sanitizers
 GLIBC = "2.28"  # the oldest that what Zig builds runs with: RHEL 8, Debian 10, Ubuntu 18.10
 
-SECONDS = 10.0  # between two lines, where a line cannot be written anew
-
 # What a compiler must be able to do.
 PROBE = """
 #include <bit>
@@ -57,9 +55,11 @@ class BuildError(Exception):
 class Progress:
     """What is going on, by name: on a terminal one line that is written anew, elsewhere a line now and then."""
 
+    SECONDS = 10.0  # between two lines
+
     def __init__(self) -> None:
         self._begun = time.monotonic()
-        self._said = -SECONDS
+        self._said = -self.SECONDS
         self._states: dict[str, str] = {}
         self._lock = threading.Lock()
         self._anew = sys.stdout.isatty()
@@ -78,7 +78,7 @@ class Progress:
                 self._show()
 
     def _show(self) -> None:
-        if self._states and (self._anew or time.monotonic() > self._said + SECONDS):
+        if self._states and (self._anew or time.monotonic() > self._said + self.SECONDS):
             self._said = time.monotonic()
             self._print("; ".join(f"{name}: {state}" for name, state in self._states.items()))
 
@@ -359,6 +359,18 @@ def sanitize(tests: Sequence[str]) -> int:
     return 0
 
 
+def ended(name: str, work: Callable[[], int]) -> int:
+    """Return the exit status of some work; what it could not do is one line."""
+    try:
+        return work()
+    except BuildError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f"\n{name}: interrupted; run it again to go on.", file=sys.stderr)
+        return 130
+
+
 def main() -> int:
     """Do what the command line says."""
     parser = argparse.ArgumentParser(description="Build the native core in place.")
@@ -368,21 +380,14 @@ def main() -> int:
     how.add_argument("--sanitize", action="store_true", help="with sanitizers, elsewhere, and run its tests")
     parser.add_argument("tests", nargs="*", help="which tests, with --sanitize; by default the core's")
     options = parser.parse_args()
-    try:
-        if options.sanitize:
-            return sanitize(options.tests)
-        progress = Progress()
-        kind = "debug" if options.debug else "release"
-        build(kind, best=options.best, tell=lambda state: progress.tell(WHAT, state))
-        progress.end(WHAT, "compiled")
-    except BuildError as error:
-        print(f"core: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("core: interrupted; run it again to go on.", file=sys.stderr)
-        return 130
+    if options.sanitize:
+        return sanitize(options.tests)
+    progress = Progress()
+    kind = "debug" if options.debug else "release"
+    build(kind, best=options.best, tell=lambda state: progress.tell(WHAT, state))
+    progress.end(WHAT, "compiled")
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(ended("core", main))

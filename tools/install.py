@@ -84,32 +84,25 @@ def main() -> int:
     parser.add_argument("--demo", metavar="DIR", help="make the gallery there; compile for this processor alone")
     options = parser.parse_args()
     progress = core.Progress()
+    missing = [requirement for name, requirement in TOOLS.items() if find_spec(name) is None]
+    if missing:
+        install(missing, progress, "tools for compiling")
+        importlib.invalidate_caches()
+    compiling = Compiling(progress, bool(options.demo))
+    compiling.start()
     try:
-        missing = [requirement for name, requirement in TOOLS.items() if find_spec(name) is None]
-        if missing:
-            install(missing, progress, "tools for compiling")
-            importlib.invalidate_caches()
-        compiling = Compiling(progress, bool(options.demo))
-        compiling.start()
-        try:
-            if options.extras:
-                editable = ["--config-settings", "core=later", "--editable", f".[{options.extras}]"]
-                install(editable, progress, "libraries")
-        finally:
-            compiling.join()
-        if compiling.failure:
-            raise compiling.failure
-        if options.demo:
-            command = [sys.executable, "-m", "supple", "demo", options.demo, "--force"]
-            return subprocess.run(command, cwd=core.ROOT, check=False).returncode
-    except core.BuildError as error:
-        print(f"install: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("\ninstall: interrupted; run it again to go on.", file=sys.stderr)
-        return 130
+        if options.extras:
+            editable = ["--config-settings", "core=later", "--editable", f".[{options.extras}]"]
+            install(editable, progress, "libraries")
+    finally:
+        compiling.join()
+    if compiling.failure:
+        raise compiling.failure
+    if options.demo:
+        command = [sys.executable, "-m", "supple", "demo", options.demo, "--force"]
+        return subprocess.run(command, cwd=core.ROOT, check=False).returncode
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(core.ended("install", main))
