@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from supple import _core
 from supple.domain import integer, refuse
 from supple.engines.base import Array, Certificate, Engine, EngineError, Layout, Sampling, Space, Work, warn_of
 from supple.engines.choice import check_device, engine_at, engine_for
@@ -129,6 +130,8 @@ def _has_gaps(array: Array) -> bool:
     """Return whether any sample is NaN or infinite."""
     if array.dtype.kind != "f":
         return False
+    if array.dtype in ("f4", "f8") and array.flags.c_contiguous:
+        return not _core.finite(array)
     return any(not np.isfinite(part.min()) or not np.isfinite(part.max()) for part in _slabs(array))
 
 

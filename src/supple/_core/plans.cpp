@@ -81,6 +81,35 @@ struct Sampling {
     Sampling(const Sampling&) = delete;
 };
 
+// Whether no sample is NaN or infinite.
+template <class T>
+bool all_finite(const T* samples, size_t count) {
+    constexpr size_t some = 1 << 15;
+    constexpr int lanes = REGISTER / sizeof(T);
+    std::atomic<bool> all{true};
+    parallel((int)((count + some - 1) / some), [&](int item, int) {
+        const T *p = samples + item * some, *end = samples + std::min((item + 1) * some, count);
+        Pack<T, lanes> off{};  // v - v is 0, or NaN
+        for (; p + lanes <= end; p += lanes) {
+            const Pack<T, lanes> v = load<T, lanes>(p);
+            off += v - v;
+        }
+        T sum = 0;
+        for (int l = 0; l < lanes; l++) sum += off[l];
+        for (; p < end; p++) sum += *p - *p;
+        if (sum != 0) all = false;
+    });
+    return all;
+}
+bool finite(Source samples) {
+    const int type = type_of(samples.dtype());
+    if (type != F32 && type != F64) return true;
+    return unlocked([&] {
+        return type == F32 ? all_finite((const float*)samples.data(), samples.size())
+                           : all_finite((const double*)samples.data(), samples.size());
+    });
+}
+
 typedef std::array<int, 4> Box;  // x0, x1, y0, y1
 
 // A part of the frames that is held must have all that is read.
@@ -357,6 +386,7 @@ void bind_plans(nb::module_& m) {
             },
             "sampling"_a, "box"_a = nb::none(),
             "Fill what a box (x0, x1, y0, y1) holds of a sampling's output, or all of it.");
+    m.def("finite", &finite, "samples"_a.noconvert(), "Return whether no sample is NaN or infinite.");
     m.def("warp_stack", &warp_stack, "strokes"_a, "axes"_a, "height"_a, "width"_a, "planes"_a, "tolerance"_a,
           "samplings"_a, "map"_a = nb::none(), "box"_a = nb::none(), "copied"_a = nb::none(), "freeze"_a = nb::none(),
           "Sample planes of a stack, each by one thread; return the largest error, the evaluations, and how many nodes "

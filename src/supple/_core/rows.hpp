@@ -197,20 +197,31 @@ struct Places {
     }
     template <int LEFT, int RIGHT, int C, class T>
     INLINE void find(const Frames<T>& f, const int* x, const int* y, int from, int end) {
-        int least_x = x[from], most_x = x[from], least_y = y[from], most_y = y[from];
-        const unsigned stride = (unsigned)f.row;
-        for (int k = from; k < end; k++) {
-            at[k] = (int)((unsigned)y[k] * stride + (unsigned)x[k] * C);
-            least_x = std::min(least_x, x[k]);
-            most_x = std::max(most_x, x[k]);
-            least_y = std::min(least_y, y[k]);
-            most_y = std::max(most_y, y[k]);
+        // A window that begins before a frame's first sample lies far beyond it, as an unsigned number.
+        typedef Pack<uint32_t, REGISTER / 4> Some;
+        constexpr int some = REGISTER / 4;
+        Some lane{}, far_x{}, far_y{};
+        for (int l = 0; l < some; l++) lane[l] = l;
+        for (int k = from; k < end; k += some) {
+            const Some a = load<uint32_t, some>((const uint32_t*)x + k),
+                       b = load<uint32_t, some>((const uint32_t*)y + k);
+            const Some all = b * (uint32_t)f.row + a * (uint32_t)C, own = (Some)(lane < (uint32_t)(end - k));
+            memcpy(at + k, &all, sizeof all);
+            far_x = most(far_x, Some((a - (uint32_t)LEFT) & own));
+            far_y = most(far_y, Some((b - (uint32_t)LEFT) & own));
         }
-        inside = least_x >= LEFT && most_x < f.w - RIGHT && least_y >= LEFT && most_y < f.h - RIGHT &&
-                 f.has(most_y + RIGHT, (most_x - LEFT) * C + 20, C) && f.limit <= INT32_MAX;
+        uint32_t most_x = 0, most_y = 0;
+        for (int l = 0; l < some; l++) {
+            most_x = std::max<uint32_t>(most_x, far_x[l]);
+            most_y = std::max<uint32_t>(most_y, far_y[l]);
+        }
+        constexpr int around = LEFT + RIGHT;
+        inside = f.w > around && f.h > around && most_x < (uint32_t)(f.w - around) &&
+                 most_y < (uint32_t)(f.h - around) && f.has((int)most_y + around, (int)most_x * C + 20, C) &&
+                 f.limit <= INT32_MAX;
         // Prefetch the samples of a row four further down, in one frame.
         if constexpr (sizeof(T) <= 4)
-            if (inside && most_y + 4 < f.h) {
+            if (inside && (int)most_y + LEFT + 4 < f.h) {
                 const T* next = f.at[0] + at[from] + 4 * f.row;
                 if (next)
                     for (int o = 0; o < (end - from) * C; o += 64 / (int)sizeof(T)) __builtin_prefetch(next + o);
@@ -219,7 +230,8 @@ struct Places {
 };
 
 template <Filter FILTER, class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
-INLINE void sample_each(const Frames<T>& given, const Row<D>& row, Run run, int from, int end, MixOf mix_of, Put put) {
+NOINLINE void sample_each(const Frames<T>& given, const Row<D>& row, Run run, int from, int end, MixOf mix_of,
+                          Put put) {
     constexpr int left = FILTER == LINEAR ? 0 : 1, right = FILTER == LINEAR ? 1 : 2;
     const Frames<T> f = given;
     const int *x = row.whole[0], *y = row.whole[1];

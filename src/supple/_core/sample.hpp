@@ -164,7 +164,7 @@ INLINE Pixel<N> within(const Frames<T>& f, const Mix<N>& mix, ptrdiff_t place, U
 
 // A mixed window of samples around (x, y), some of which lie beyond the edge.
 template <class N, int C, class T>
-NOINLINE void gather(const Frames<T>& f, const Mix<N>& mix, int x, int y, int left, int right, N* own) {
+NOINLINE void gather(const Frames<T>& f, Mix<N> mix, int x, int y, int left, int right, N* own) {
     int columns[WINDOW], rows[WINDOW];
     for (int i = 0; i < WINDOW; i++) {
         columns[i] = placed(x - 1 + i, f.w, f.rule);

@@ -138,20 +138,19 @@ struct Putting {
             else
                 for (int c = 0; c < C; c++) p[c] = v[c];
         } else {
-            T four[4];
 #if defined(__SSE4_1__)
             v = (Pixel<float>)_mm_min_ps((__m128)v, _mm_set1_ps(high));
-            __m128i s = _mm_cvtps_epi32((__m128)v);
-            s = narrowed(s, s);
-            memcpy(four, &s, sizeof four);
+            __m128i four = _mm_cvtps_epi32((__m128)v);
+            four = narrowed(four, four);
 #else
+            T four[4];
             const float low = std::numeric_limits<T>::lowest();
             for (int c = 0; c < 4; c++) four[c] = (T)__builtin_rintf(v[c] > low ? v[c] < high ? v[c] : high : low);
 #endif
             if (room)
-                memcpy(p, four, sizeof four);
+                memcpy(p, &four, sizeof(T) * 4);
             else
-                memcpy(p, four, sizeof(T) * C);
+                memcpy(p, &four, sizeof(T) * C);
         }
     }
 #if defined(__AVX2__)

@@ -358,8 +358,10 @@ class Native:
             warn_of(certificate_of_status(status), 1.0, 4)
         # A bound on the residual in pixels, which for one spacing along all axes is the residual.
         off = residual.reshape(shape) / finest
-        scale = np.abs(targets).max(axis=1, initial=0.0).reshape(shape) / finest
-        near = (off <= np.maximum(CONVERGED, 1e-14 * scale)) & (status.reshape(shape) & 4 == 0)
+        near = off <= CONVERGED
+        if not near.all():  # far from the origin, rounding alone leaves more
+            near |= off <= 1e-14 / finest * np.abs(targets).max(axis=1, initial=0.0).reshape(shape)
+        near &= status.reshape(shape) & 4 == 0
         return _points(space, found, targets, given), off, steps.astype(np.int64).reshape(shape), near
 
     def inverse_map(
@@ -447,7 +449,8 @@ def _rows(space: Space, points: npt.ArrayLike) -> tuple[Floats, Floats]:
 def _points(space: Space, found: Floats, rows: Floats, given: Floats) -> Floats:
     """Return the images of points in samples; a coordinate that did not change keeps every bit."""
     n, flat = space.ndim, given.reshape(-1, space.ndim)
-    made = np.where(found[:, :n] == rows[:, :n], flat, found[:, :n] / space.axes[:n, 3])
+    made = found[:, :n] / space.axes[:n, 3]
+    np.copyto(made, flat, where=found[:, :n] == rows[:, :n])
     return made.reshape(given.shape)
 
 
