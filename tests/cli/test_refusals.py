@@ -24,7 +24,7 @@ def test_a_wrong_amount_is_one_line(run: Run, text: str) -> None:
     ("arguments", "wanted"),
     [
         (["warp", "in.png", "x.png", *GRAB, "--gpu"], "--device gpu is for render and demo"),
-        (["warp", "in.png", "x.png", *GRAB, "--device", "gpu"], "here it is cpu, cuda (on an NVIDIA GPU) or auto"),
+        (["warp", "in.png", "x.png", *GRAB, "--device", "gpu"], "give cpu, cuda (for an NVIDIA GPU) or auto"),
         (["plot", "in.png", "x.png", *GRAB, "--device", "gpu"], "is for warp, render and demo"),
         (["info", "in.png", "--device", "gpu"], "is for warp, render and demo"),
     ],

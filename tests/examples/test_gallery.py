@@ -189,7 +189,7 @@ def test_a_gallery_is_written_anew_and_nothing_else_is_touched(
     try:
         assert command(["demo", str(gallery), "--force"]) == 0
         said = f"supple: wrote {gallery / STILLS[0].target}\n"
-        assert capsys.readouterr() == (f"open {gallery / 'index.html'}\n", said)
+        assert capsys.readouterr() == (f"{gallery / 'index.html'}: open it in a browser\n", said)
         assert (gallery / "mine.txt").read_text() == "precious"
         assert image.info(gallery / STILLS[0].target)["format"] == "JPEG"
     finally:

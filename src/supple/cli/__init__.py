@@ -165,9 +165,9 @@ def _advised(text: str) -> str:
     if "option: --gpu" in wrong:
         return f"{wrong} --device gpu is for render and demo, and info --gpu tells what there is"
     if '"gpu" for --device' in wrong:
-        return "--device gpu draws, for render and demo: here it is cpu, cuda (on an NVIDIA GPU) or auto"
+        return "--device gpu is for render and demo: give cpu, cuda (for an NVIDIA GPU) or auto"
     if '"cuda" for --device' in wrong:
-        return "--device cuda is for warp, of pictures and volumes: here it is cpu, gpu or auto"
+        return "--device cuda is for warp, of pictures and volumes: give cpu, gpu or auto"
     if left_out := _LEFT_OUT.fullmatch(wrong):
         verb, what = left_out.groups()
         usage = next(usage for _, usage, _ in _COMMANDS if usage.startswith(verb))

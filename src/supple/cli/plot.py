@@ -116,4 +116,4 @@ def demo(
     if options.json:
         console.tell({"output": str(page)})
     elif not options.quiet:
-        print(f"open {page}")
+        print(f"{page}: open it in a browser")
