@@ -57,7 +57,7 @@ def describe(name: str, *, layout: RawLayout | None = None, series: str | None =
         recipe = read_recipe(name)
         return {"file": name, "kind": "recipe", **json.loads(recipe.to_json())}, _recipe(name, recipe)
     from supple.media import volume
-    from supple.media.stores import is_store
+    from supple.media.files import is_store
 
     if is_store(name) and layout is None:
         return _stored(name)

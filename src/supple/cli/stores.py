@@ -116,7 +116,7 @@ def refer(console: Console, source: str, recipe: Recipe, maps: Maps, known: Mapp
 def _pair(paths: Sequence[str]) -> tuple[str, str]:
     """Return the input and the output; SuppleError for more of them, or an output that is no store."""
     from supple.files import is_media_name
-    from supple.media.stores import is_store
+    from supple.media.files import is_store
 
     *sources, target = paths
     if len(sources) > 1 or (glob.has_magic(sources[0]) and not os.path.exists(sources[0]) and "://" not in sources[0]):
@@ -137,7 +137,7 @@ def check_known(paths: Sequence[str], known: Mapping[str, Any]) -> None:
     from dataclasses import fields
 
     from supple.files.clips import ClipOptions
-    from supple.media.stores import is_store
+    from supple.media.files import is_store
 
     wrong = [f"--{name.replace('_', '-')}" for name in ("linear_light", "quality", "lossless") if known.get(name)]
     if known.get("clamp") is not None:

@@ -176,7 +176,7 @@ def _deformation(
     from supple.files.landmarks import warn_of_frame
     from supple.files.volumes import deformation_of as on_volume
     from supple.files.volumes import is_volume_job, open_volume
-    from supple.media.stores import is_store
+    from supple.media.files import is_store
     from supple.strokes import fit_recipe
 
     if is_store(on):

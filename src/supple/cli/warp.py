@@ -141,7 +141,7 @@ def warp(
     from supple.files import check_job, grid_of, warp_file, write_recipe
     from supple.files.clips import is_clip
     from supple.files.volumes import holds_volumes, is_from_dicom, is_volume_job
-    from supple.media.stores import is_store
+    from supple.media.files import is_store
 
     if len(paths) < 2:
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")

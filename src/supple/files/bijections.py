@@ -21,8 +21,8 @@ from supple.fields import Placed, folds_of, only_name
 from supple.files.plans import chunks_of
 from supple.files.tasks import Runner, check_seen
 from supple.files.transforms import between, pull_of
-from supple.media.files import check_output
-from supple.media.stores import NOTES, StoredImage, Target, check_free, create_arrays, is_store, overlap
+from supple.media.files import check_output, is_store
+from supple.media.stores import NOTES, StoredImage, Target, check_free, create_arrays, overlap
 from supple.media.transforms import check_target, ngff
 from supple.pipeline import Tell
 

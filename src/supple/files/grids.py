@@ -15,6 +15,7 @@ from supple.fields import Placed, check_path
 from supple.geometry import Geometry, Grid
 from supple.media import volume as volumes
 from supple.media.codecs import SUFFIXES as CLIPS
+from supple.media.files import is_store
 from supple.media.image import SUFFIXES, info
 
 PathLike = str | os.PathLike[str]
@@ -121,8 +122,6 @@ def reference_grid(path: PathLike, ndim: int) -> Grid:
     SuppleError
         If it cannot be read, or has another number of axes.
     """
-    from supple.media.stores import is_store
-
     if is_store(path):
         return _stored_grid(path, ndim)
     is_volume = volumes.is_volume(path) or (ndim == 3 and volumes.has_pages(path))

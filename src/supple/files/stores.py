@@ -28,17 +28,15 @@ from supple.files.tasks import Runner, Running, check_seen, check_shared, runner
 from supple.files.transforms import write_transform
 from supple.files.volumes import VolumeOptions, least_of, warn_of_labels
 from supple.geometry import Geometry, Grid
-from supple.media.files import check_store, replacing, unwritable
+from supple.media.files import ROOTS, check_store, is_store, replacing, unwritable
 from supple.media.stores import (
     LABELS,
-    ROOTS,
     Level,
     Place,
     StoredImage,
     Target,
     create,
     holding,
-    is_store,
 )
 from supple.media.transforms.ngff import Placement
 from supple.pipeline import Tell

@@ -26,7 +26,7 @@ from supple.files.grids import GridOptions, arrivals_on, grid_on, warn_of_place
 from supple.files.transforms import write_transform
 from supple.geometry import Floats, Geometry, Grid
 from supple.media import transforms
-from supple.media.files import check_output, replacing
+from supple.media.files import check_output, is_store, replacing
 from supple.media.volume import (
     SUFFIXES_OUT,
     RawLayout,
@@ -191,9 +191,9 @@ def place_of(path: PathLike, options: VolumeOptions | None = None) -> str | None
     SuppleError
         If it cannot be read.
     """
-    from supple.media.stores import is_store, open_image
-
     if is_store(path):
+        from supple.media.stores import open_image
+
         image = open_image(path)
         return None if len(image.spatial) < 3 else "LPS" if image.placed else "array"
     known = options or VolumeOptions()

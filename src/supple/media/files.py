@@ -16,6 +16,8 @@ from typing import IO
 from supple.errors import SuppleError, shown
 
 PathLike = str | os.PathLike[str]
+ROOTS = ("zarr.json", ".zgroup", ".zarray")
+"""Files of which a Zarr store has one."""
 _NEW = os.O_CREAT | os.O_EXCL | os.O_WRONLY
 _SPARE = 65_536  # bytes: with less, a disk counts as full
 _NO_ROOM = "make room or choose another place"
@@ -116,6 +118,33 @@ def check_output(path: PathLike, *, force: bool = False) -> Path:
     return target
 
 
+def is_store(address: PathLike) -> bool:
+    """Return whether a name is that of a Zarr store: an address of fsspec, a folder with one, or ``NAME.zarr``."""
+    text = os.fspath(address)
+    if protocol_of(text) or text.rstrip("/").lower().endswith(".zarr"):
+        return True
+    return any(os.path.isfile(os.path.join(text, name)) for name in ROOTS) or nameless(text) is not None
+
+
+def replaced(target: Path) -> Path:
+    """Return where an output lies between the two renames by which a new one takes its name."""
+    return target.with_name(f".{target.name}.supple")
+
+
+def nameless(path: PathLike) -> Path | None:
+    """Return where an output lies whose process was killed before it had its name; None if there is none."""
+    with contextlib.suppress(OSError, ValueError):  # no file can have that name
+        target = Path(os.path.realpath(path))
+        if not os.path.lexists(target) and os.path.lexists(replaced(target)):
+            return replaced(target)
+    return None
+
+
+def protocol_of(address: str) -> str:
+    """Return the protocol of an address of fsspec, the first of a chain; empty for a path."""
+    return address.partition("::")[0].partition("://")[0].lower() if "://" in address else ""
+
+
 def check_store(path: PathLike, *, force: bool = False) -> Path:
     """Raise SuppleError for a Zarr store, a folder, that cannot be written; return its path: absolute, without links.
 
@@ -130,7 +159,7 @@ def check_store(path: PathLike, *, force: bool = False) -> Path:
         return check_output(path)
     if not force:
         raise _exists(path)
-    if not any((target / name).is_file() for name in ("zarr.json", ".zgroup", ".zarray")):
+    if not any((target / name).is_file() for name in ROOTS):
         raise unwritable(path, "what is there is no Zarr store", "give another name")
     return target
 

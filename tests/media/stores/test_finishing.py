@@ -14,7 +14,8 @@ import pytest
 import zarr
 
 from supple import SuppleError
-from supple.media.stores import Target, check_free, create, create_arrays, holding, is_store, open_image
+from supple.media.files import is_store
+from supple.media.stores import Target, check_free, create, create_arrays, holding, open_image
 from tests.media.stores.images import Array, child, files, fill, small, whole
 
 HOLDER = """

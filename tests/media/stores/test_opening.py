@@ -14,7 +14,8 @@ import pytest
 import zarr
 
 from supple import SuppleError
-from supple.media.stores import create, is_store, open_image
+from supple.media.files import is_store
+from supple.media.stores import create, open_image
 from tests.media.stores.images import Json, described_axes, fill, image, metadata, small
 
 

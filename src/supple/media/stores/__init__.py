@@ -3,14 +3,13 @@
 from supple.media.stores.claims import NOTES, check_free, holding, overlap
 from supple.media.stores.image import LABELS, Level, StoredAxis, StoredImage, open_image
 from supple.media.stores.inputs import like_file
-from supple.media.stores.places import ROOTS, Place, is_store
+from supple.media.stores.places import Place
 from supple.media.stores.samples import Samples
 from supple.media.stores.target import Target, create, create_arrays
 
 __all__ = [
     "LABELS",
     "NOTES",
-    "ROOTS",
     "Level",
     "Place",
     "Samples",
@@ -21,7 +20,6 @@ __all__ = [
     "create",
     "create_arrays",
     "holding",
-    "is_store",
     "like_file",
     "open_image",
     "overlap",

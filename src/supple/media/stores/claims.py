@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from supple.errors import SuppleError, shown
-from supple.media.files import PathLike, check_store, locked
-from supple.media.stores.places import MARKER, ROOTS, Place, is_store, mend, put, read, replaced, run
+from supple.media.files import ROOTS, PathLike, check_store, is_store, locked, replaced
+from supple.media.stores.places import MARKER, Place, mend, put, read, run
 
 NOTES = "supple"
 """The attribute that says what is known of an output."""

@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from supple.errors import SuppleError, need, said
-from supple.media.files import PathLike, _refused, unreadable, unwritable
+from supple.media.files import PathLike, _refused, nameless, protocol_of, unreadable, unwritable
 from supple.media.transforms.omezarr import imported
 
 MARKER = "supple.json"
 """The file in the root of an output that is being written."""
-ROOTS = ("zarr.json", ".zgroup", ".zarray")
 _WHAT = "Zarr stores"
 _ATOMIC = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oci", "memory"}
 """Protocols of stores in which an object appears whole or not at all."""
@@ -43,7 +42,7 @@ class Place:
         self.folder: Path | None = None
         self.atomic = True
         imported(_WHAT)
-        protocol = _protocol(self.address)
+        protocol = protocol_of(self.address)
         if not protocol:
             self.folder = Path(os.path.abspath(self.address))
             return
@@ -64,7 +63,7 @@ class Place:
         try:
             return FsspecStore.from_url(self.address.rstrip("/"), read_only=read_only)
         except ImportError as error:
-            what = f"{_protocol(self.address)}:// addresses need a package of their own ({error})"
+            what = f"{protocol_of(self.address)}:// addresses need a package of their own ({error})"
             raise unreadable(self.address, what, "install it") from error
         except (ValueError, OSError) as error:
             raise unreadable(self.address, said(error), "check the address") from error
@@ -195,32 +194,11 @@ class Place:
             raise self.unreadable("it is an unfinished output of Supple", "run the command that writes it again")
 
 
-def is_store(address: PathLike) -> bool:
-    """Return whether a name is that of a Zarr store: an address of fsspec, a folder with one, or ``NAME.zarr``."""
-    text = os.fspath(address)
-    if _protocol(text) or text.rstrip("/").lower().endswith(".zarr"):
-        return True
-    return any(os.path.isfile(os.path.join(text, name)) for name in ROOTS) or _nameless(text) is not None
-
-
-def replaced(target: Path) -> Path:
-    """Return where an output lies between the two renames by which a new one takes its name."""
-    return target.with_name(f".{target.name}.supple")
-
-
 def mend(path: PathLike) -> None:
     """Give an output its name back, if the process was killed between those."""
-    if (old := _nameless(path)) is not None:
+    if (old := nameless(path)) is not None:
         with contextlib.suppress(OSError):
             os.rename(old, os.path.realpath(path))
-
-
-def _nameless(path: PathLike) -> Path | None:
-    with contextlib.suppress(OSError, ValueError):  # no file can have that name
-        target = Path(os.path.realpath(path))
-        if not os.path.lexists(target) and os.path.lexists(replaced(target)):
-            return replaced(target)
-    return None
 
 
 def run(work: Coroutine[Any, Any, Any]) -> Any:
@@ -277,16 +255,11 @@ def quiet() -> Iterator[None]:
         yield
 
 
-def _protocol(address: str) -> str:
-    """Return the protocol of an address of fsspec, the first of a chain; empty for a path."""
-    return address.partition("::")[0].partition("://")[0].lower() if "://" in address else ""
-
-
 def _parts(address: str) -> tuple[str, ...]:
     """Return the protocol, the host if that is no part of the path, and the path; nothing is reached."""
     from fsspec.registry import get_filesystem_class
 
-    protocol, path = _protocol(address), address.partition("://")[2]
+    protocol, path = protocol_of(address), address.partition("://")[2]
     root: tuple[str, ...] = (protocol,)
     with contextlib.suppress(ImportError, ValueError):  # it is not installed, or there is none: no store can be there
         kind = get_filesystem_class(protocol)
