@@ -20,8 +20,19 @@ N Numbers<N>::number(T v) const {
 template <class N>
 template <class T>
 void Numbers<N>::convert(const T* p, int n, int group, N* out) const {
-    int some = count(group), first = group * colours;
-    for (int i = 0; i < n; i++, p += job.channels, out += lanes) {
+    int some = count(group), first = group * colours, i = 0;
+    // Four numbers at once, where there are as many: of the last pixels, there may not be.
+    if constexpr (sizeof(N) == sizeof(float) && (sizeof(T) < 4 || std::is_same_v<T, N>))
+        for (; lanes == 4 && !job.light && i + 4 < n; i++, p += job.channels, out += lanes) {
+            Pixel<N> v = load<N, 4>(p + first);
+            if (job.alpha >= 0) {
+                v *= (N)((double)p[job.alpha] / job.white);
+                v[3] = (N)p[job.alpha];
+            }
+            for (int c = 0; c < 4; c++) v[c] = c < some || (c == 3 && job.alpha >= 0) ? v[c] : 0;
+            memcpy(out, &v, sizeof v);
+        }
+    for (; i < n; i++, p += job.channels, out += lanes) {
         N weight = job.alpha < 0 ? 1 : (N)((double)p[job.alpha] / job.white);
         for (int c = 0; c < some; c++) out[c] = number(p[first + c]) * weight;
         for (int c = some; c < lanes; c++) out[c] = 0;
@@ -57,31 +68,33 @@ template <class N>
 template <class T>
 void Numbers<N>::store(const N* from, int n, int group, T* p) const {
     constexpr bool whole = std::numeric_limits<T>::is_integer;
-    int some = count(group), first = group * colours;
-    double low = whole ? (double)std::numeric_limits<T>::lowest() : 0;
-    double high = whole ? std::min((double)std::numeric_limits<T>::max(), job.white) : 0;
-    auto put = [&](double v) {
-        if constexpr (whole) {
-            v = floor(v + 0.5);
-            if (!(v > low)) return v == v ? (T)low : T(0);
-            return v >= high ? limit_of<T>(high) : (T)v;
-        } else
-            return (T)v;
-    };
-    for (int i = 0; i < n; i++, p += job.channels) {
-        double opacity = 0;
+    const int some = count(group), first = group * colours;
+    const double low = whole ? (double)std::numeric_limits<T>::lowest() : 0;
+    const double high = whole ? std::min((double)std::numeric_limits<T>::max(), job.white) : 0;
+    const T most = limit_of<T>(high);
+    for (int i = 0; i < n; i++, p += job.channels, from += 4) {
+        double v[4];
+        for (int c = 0; c < 4; c++) v[c] = from[c];
         if (job.alpha >= 0) {
             // A cubic overshoots: clamp opacity to its range. The colours overshoot with it, and are divided by the
             // unclamped value.
-            opacity = from[4 * i + lanes - 1];
-            p[job.alpha] = put(std::clamp(opacity, 0.0, job.white));
+            const double opacity = v[lanes - 1];
+            for (int c = 0; c < 4; c++) v[c] = opacity > 0 ? v[c] * job.white / opacity : 0;
+            v[lanes - 1] = std::clamp(opacity, 0.0, job.white);
         }
-        for (int c = 0; c < some; c++) {
-            double v = from[4 * i + c];
-            if (job.alpha >= 0) v = opacity > 0 ? v * job.white / opacity : 0;
-            if (job.light) v = job.white * from_light(v / job.white);
-            p[first + c] = put(v);
+        if (job.light)
+            for (int c = 0; c < some; c++) v[c] = job.white * from_light(v[c] / job.white);
+        T to[4];
+        for (int c = 0; c < 4; c++) {
+            if constexpr (whole) {
+                const double rounded = floor(v[c] + 0.5);
+                to[c] = rounded >= high ? most : rounded > low ? (T)rounded : rounded == rounded ? (T)low : T(0);
+            } else
+                to[c] = (T)v[c];
         }
+        for (int c = 0; c < 4; c++)
+            if (c < some) p[first + c] = to[c];
+        if (job.alpha >= 0) p[job.alpha] = to[lanes - 1];
     }
 }
 template <class N>

@@ -713,10 +713,16 @@ void Plan<D>::visit_rows(const Grid& grid, int root_row, const int (&box)[4], bo
     Row<D> row{};  // vectors of eight read past a row's end
     int top, bottom;
     rows_of(grid, root_row, top, bottom);
+    // The roots that the box meets.
+    int begin = 0, end = across;
+    for (int left, right; begin < end; begin++)
+        if (columns_of(grid, begin, left, right), right > box[0]) break;
+    for (int left, right; end > begin; end--)
+        if (columns_of(grid, end - 1, left, right), left < box[1]) break;
     // Whole rows, so that frames are read, and results written, in order.
     for (int y = std::max(top, box[2]); y < std::min(bottom, box[3]); y++) {
         const double at = y * grid.step[1] + grid.offset[1];
-        for (int i = 0; i < across; i++) {
+        for (int i = begin; i < end; i++) {
             int left, right, index = root_row * across + i;
             columns_of(grid, i, left, right);
             int a = std::max(left, box[0]), b = std::min(right, box[1]);
