@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import io
+import itertools
 import json
 import re
 import shutil
@@ -17,6 +18,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,7 @@ import numpy as np
 import numpy.typing as npt
 import pyvips
 import SimpleITK as sitk  # noqa: N813
+import zarr
 
 import supple
 from supple.cli import command
@@ -33,6 +36,7 @@ from supple.cli import command
 Array = npt.NDArray[Any]
 KNOWN = Path(__file__).with_suffix(".json")
 DATA = Path(str(files("supple.examples") / "data"))
+BEYOND = ("edge", "constant", "reflect")
 DRAG = ("--grab", "200,120:214,131", "--radius", "40")
 
 
@@ -80,6 +84,42 @@ def arrays() -> Iterator[tuple[str, Callable[[], Any]]]:
         how: dict[str, Any] = {"between": between, "filter": "nearest" if between == "nearest" else "auto"}
         yield f"frames {between}", lambda h=how: bent(7, 40, 50, time=True).warp(clip, **h)  # type: ignore[misc]
     yield "frames time filter", lambda: bent(7, 40, 50).warp(clip, time_filter=True)
+    for dtype, name, outside in itertools.product(("u1", "u2", "f4", "f8"), ("auto", "linear"), BEYOND):
+        free, source = bent(40, 53, border=None), noise(40, 53, 3, dtype=dtype)
+        yield f"free image {dtype} {name} {outside}", partial(free.warp, source, filter=name, outside=outside)
+    for between, outside in itertools.product(("linear", "cubic"), BEYOND):
+        free = bent(7, 40, 50, border=None, time=True)
+        yield f"free frames {between} {outside}", partial(free.warp, clip, between=between, outside=outside)
+    for words in ("u1 nearest edge", "i2 linear reflect", "f4 auto constant", "f4 linear edge", "f8 cubic reflect"):
+        dtype, name, outside = words.split()
+        options = {"between": "nearest" if name == "nearest" else "linear", "filter": name, "outside": outside}
+        free, source = bent(12, 30, 40, border=None), noise(12, 30, 40, dtype=dtype)
+        yield f"free volume {words}", partial(free.warp, source, **options)
+    plain, mask = supple.Deformation((60, 83)), np.zeros((60, 83), bool)
+    mask[:, 50:] = True
+    frozen = supple.Deformation((60, 83), freeze=mask)
+    brushes = {
+        "twist": plain.twist((40, 30), angle=40, radius=12),
+        "scale": plain.scale((40, 30), factor=1.6, radius=12),
+        "pinch": plain.pinch((40, 30), factor=0.6, radius=12),
+        "pull": plain.pull([(20, 20), (50, 30)], to=[(26, 22), (47, 35)], pins=[(35, 25)], radius=15),
+        "path": plain.grab((20, 20), path=[(30, 22), (35, 30)], to=(50, 34), radius=10),
+        "freeze": frozen.grab((40, 30), by=(8, 3), radius=20),
+        "scales": plain.grab((40, 30), by=(8, 3), radius=20, scales=3, reach=None),
+        "shrink": plain.scale((40, 30), factor=0.3, radius=20),
+        "affine": bent(60, 83).affine([[0.9, 0.2, 3], [-0.2, 0.9, 9], [0, 0, 1]]),
+    }
+    for name, made in brushes.items():
+        yield f"image {name}", lambda d=made: d.warp(photo)  # type: ignore[misc]
+    waves = np.moveaxis(np.indices((30, 42))[::-1], 0, -1)
+    grid = supple.Grid((30, 42), spacing=(2, 2))
+    linear, cubic = (supple.Field(3 * np.sin(waves / 4), grid, order) for order in ("linear", "cubic"))
+    for name, field in (("linear", linear), ("cubic", cubic)):
+        yield f"field {name} inverted", lambda f=field: [(i := f.invert()).field.values, i.error]  # type: ignore[misc]
+        yield f"field {name} checked", lambda f=field: repr(f.check())  # type: ignore[misc]
+        yield f"field {name} warp", lambda f=field: bent(60, 83).field(f).warp(photo)  # type: ignore[misc]
+        yield f"field {name} back", lambda f=field: plain.field(f, inverse=True).warp(photo, filter="linear")  # type: ignore[misc]
+    yield "fields composed", lambda: linear.compose(cubic).values
     volume = noise(20, 30, 40, dtype="int16")
     yield "volume", lambda: bent(20, 30, 40, spacing=(1, 1, 2.5)).warp(volume, between="cubic", time_filter=True)
     points = np.random.default_rng(1).uniform(-5, 70, (200, 2))
@@ -111,6 +151,14 @@ VOLUMES: dict[str, tuple[str, ...]] = {
     "world.nrrd": ("--grab", "0,0,0:8,0,6", "--radius", "40", "--world"),
     "labels.nii.gz": ("--grab", "60,60,60:66,60,63", "--radius", "30", "--labels"),
 }
+RENDERS: dict[str, tuple[str, ...]] = {
+    "": (),
+    "bent": VOLUMES["voxels.nii.gz"],
+    "exact": (*VOLUMES["voxels.nii.gz"], "--mode", "exact"),
+    "brain": ("--transfer", "mr-brain"),
+    "buffered": (*VOLUMES["voxels.nii.gz"], "--mode", "buffered"),
+    "projection": ("--projection", "maximum"),
+}
 ERRORS: dict[str, tuple[str, ...]] = {
     "no file": ("warp", "missing.png", "out.png", *DRAG),
     "no stroke": ("warp", "in.jpg", "out.png"),
@@ -126,14 +174,37 @@ ERRORS: dict[str, tuple[str, ...]] = {
     "world": ("warp", "in.jpg", "out.png", *DRAG, "--world"),
     "no command": ("bend", "in.jpg"),
     "empty recipe": ("warp", "in.jpg", "out.png", "--recipe", "empty.json"),
+    "GPU": ("warp", "in.jpg", "out.png", *DRAG, "--device", "gpu"),
+    "two numbers": ("warp", "in.jpg", "out.png", "--grab", "1,2:3", "--radius", "9"),
+    "radius 0": ("warp", "in.jpg", "out.png", "--grab", "1,2:3,4", "--radius", "0"),
+    "poisson": ("warp", "in.jpg", "out.png", *DRAG, "--poisson", "0.6"),
+    "freeze": ("warp", "in.jpg", "out.png", *DRAG, "--freeze", "mask.png"),
+    "render": ("render", "in.jpg", "out.png"),
+    "plot": ("plot", "in.jpg", "out.png", *DRAG, "--what", "nothing"),
+    "points": ("points", "points.csv", "moved.csv", *DRAG),
+    "info": ("info", "missing.mp4"),
+    "invert": ("invert", "in.jpg", "out.nii.gz"),
+    "convert": ("convert", "in.jpg", "out.xyz", "--from", "itk", "--to", "nothing"),
+    "plan": ("plan", "in.jpg"),
+    "one name": ("warp", "in.jpg"),
 }
 TOLD: dict[str, tuple[str, ...]] = {
     "info picture": ("info", "in.jpg", "--json"),
     "info volume": ("info", "head.nii.gz", "--json"),
     "info clip": ("info", "bunny.mp4"),
     "json": ("warp", "in.jpg", "told.png", *DRAG, "--json"),
-    "damped": ("warp", "in.jpg", "told.png", "--grab", "200,200:400,200", "--radius", "40", "--on-fold", "damp"),
+    "damped": ("warp", "in.jpg", "damped.png", "--grab", "200,200:400,200", "--radius", "40", "--on-fold", "damp"),
     "help": ("warp", "--help"),
+    "commands": ("--help",),
+    "info recipe": ("info", "recipe.json"),
+    "info field": ("info", "field.nii.gz", "--json"),
+    "json clip": ("warp", "bunny.mp4", "told.mkv", *DRAG, "--codec", "ffv1", "--json"),
+    "json volume": ("warp", "head.nii.gz", "told.nii.gz", *VOLUMES["voxels.nii.gz"], "--json"),
+    "json render": ("render", "head.nii.gz", "told.png", "--size", "60x50", "--json", "--force"),
+    "check": ("check", "field.nii.gz"),
+    "invert json": ("invert", "field.nii.gz", "back.nii.gz", "--json"),
+    "compose": ("compose", "field.nii.gz", "back.nii.gz", "--out", "both.nii.gz"),
+    "convert json": ("convert", "field.nii.gz", "field.h5", "--json"),
 }
 
 
@@ -148,6 +219,12 @@ def decoded(path: Path) -> list[Array]:
         with av.open(str(path)) as container:
             return [frame.to_ndarray() for frame in container.decode(video=0)]
     return [pyvips.Image.new_from_file(str(path)).numpy()]
+
+
+def stores(name: str) -> list[Array]:
+    """Return all levels of an OME-Zarr image."""
+    group = zarr.open_group(name, mode="r")
+    return [np.asarray(group[key]) for key in sorted(group.array_keys())]
 
 
 def hashed(*parts: Any) -> str:
@@ -188,8 +265,13 @@ def commands() -> Iterator[tuple[str, Callable[[], Any]]]:
     for target, options in VOLUMES.items():
         source = "few.nii.gz" if "--labels" in options else "head.nii.gz"
         yield f"warp {target}", lambda s=source, t=target, o=options: made(s, t, *o)  # type: ignore[misc]
-    render = ("render", "head.nii.gz", "head.png", "--size", "120x100", "--azimuth", "30")
-    yield "render", lambda: [said(render), *decoded(Path("head.png"))]
+    render = ("render", "head.nii.gz", "head.png", "--size", "120x100", "--azimuth", "30", "--force")
+    for name, options in RENDERS.items():
+        yield f"render {name}".strip(), lambda o=options: [said((*render, *o)), *decoded(Path("head.png"))]  # type: ignore[misc]
+    stored = ("warp", "head.nii.gz", "head.zarr", *VOLUMES["voxels.nii.gz"])
+    yield "store", lambda: [said(stored), *stores("head.zarr")]
+    again = ("warp", "head.zarr", "again.zarr", *VOLUMES["world.nrrd"], "--filter", "linear")
+    yield "store of a store", lambda: [said(again), *stores("again.zarr")]
     field = ("--grab", "60,60,60:66,60,63", "--radius", "30", "--save-field", "field.nii.gz")
     yield "field", lambda: [said(("warp", "head.nii.gz", "t.nii.gz", *field)), *decoded(Path("field.nii.gz"))]
     points = ("points", "points.csv", "moved.csv", "--on", "in.jpg", *DRAG)
