@@ -227,10 +227,10 @@ def stores(name: str) -> list[Array]:
     return [np.asarray(group[key]) for key in sorted(group.array_keys())]
 
 
-def hashed(*parts: Any) -> str:
-    """Return a short hash of arrays, with their types and shapes, and of texts."""
+def hashed(value: Any) -> str:
+    """Return a short hash of an array, with its type and shape, or a text, or a list of these."""
     made = hashlib.sha256()
-    for part in parts:
+    for part in value if isinstance(value, list) else [value]:
         if isinstance(part, np.ndarray):
             made.update(f"{part.dtype.str} {part.shape}".encode())
             made.update(np.ascontiguousarray(part).tobytes())
@@ -297,8 +297,7 @@ def found(only: str = "") -> dict[str, str]:
         Path("empty.json").write_text("{}")
         for name, make in (*arrays(), *commands()):
             if only in name:
-                value = make()
-                made[name] = hashed(*value) if isinstance(value, list) else hashed(value)
+                made[name] = hashed(make())
     return made
 
 
