@@ -63,18 +63,16 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 def edited_there(browser: Browser, saved: Path, made: Path) -> tuple[Stroke, ...]:
     """Drag, undo, redo, save and export in a browser; the strokes that were saved."""
     browser.drag((350, 300), (410, 270))
-    time.sleep(1)
     browser.drag((420, 250), (400, 300))
-    time.sleep(1)
     browser.key("z", 90, 2)
     browser.key("s", 83, 2)
-    wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=0.5)
+    wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=0.2)
     (stroke,) = recipe_in(saved).strokes
     assert np.linalg.norm(stroke.by) > 2
     again = ("y", 89, 2), ("s", 83, 2)
-    wait_for(lambda: [browser.key(*key) for key in again] and len(recipe_in(saved).strokes) == 2, every=0.5)
+    wait_for(lambda: [browser.key(*key) for key in again] and len(recipe_in(saved).strokes) == 2, every=0.2)
     browser.key("e", 69, 2)
-    wait_for(lambda: browser.key("Enter", 13) or made.exists(), every=0.5)
+    wait_for(lambda: browser.key("Enter", 13) or made.exists(), every=0.2)
     browser.key("Escape", 27)
     browser.mouse("mouseMoved", 900, 600)
     return recipe_in(saved).strokes
@@ -165,8 +163,7 @@ def test_hints_and_the_list_of_keys_in_a_browser(gpu: Gpu, page: Page) -> None:
         return bool((np.abs(browser.shown()[box].astype(int) - before[box]) > 50).any())
 
     browser.mouse("mouseMoved", x, 300)
-    time.sleep(1)
-    before = browser.shown()
+    before = browser.settled()
     browser.mouse("mouseMoved", x, 60)
     wait_for(lambda: there(before, x + 30, x + 200), 10)
     browser.mouse("mouseMoved", 300, 580)
@@ -186,8 +183,7 @@ def test_another_page_takes_over_and_gives_back(gpu: Gpu, page: Page) -> None:
     first.drag((350, 300), (430, 260))
     first.mouse("mouseMoved", 900, 600)
     wait_for(lambda: near(first.shown()[area], plain[area]) > 6)
-    time.sleep(2)  # until it is drawn in full
-    drawn_there = first.shown()
+    drawn_there = first.settled()
     second = Browser(photo.with_name("second"))
     try:
         second.go(addresses[0])
@@ -213,7 +209,6 @@ def test_a_pen_in_a_browser(gpu: Gpu, page: Page) -> None:
     browser, photo, _ = page
     saved, made = photo.with_name("photo.recipe.json"), photo.with_name("photo-bent.png")
     browser.drag((350, 300), (410, 270), pointerType="pen", force=0.5)
-    time.sleep(1)
     # The greatest pressure is that of a move which is not sent, as the next one follows at once.
     pen = {"pointerType": "pen", "force": 0.2}
     browser.mouse("mousePressed", 350, 220, button="left", buttons=1, clickCount=1, **pen)
@@ -225,13 +220,11 @@ def test_a_pen_in_a_browser(gpu: Gpu, page: Page) -> None:
     )
     browser.mouse("mouseMoved", 410, 190, button="left", buttons=1, **pen)
     browser.mouse("mouseReleased", 410, 190, button="left", clickCount=1, **pen)
-    time.sleep(1)
     browser.drag((350, 150), (410, 120))
-    time.sleep(1)
     browser.key("s", 83, 2)
-    wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=0.5)
+    wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=0.2)
     browser.key("e", 69, 2)
-    wait_for(lambda: browser.key("Enter", 13) or made.exists(), every=0.5)
+    wait_for(lambda: browser.key("Enter", 13) or made.exists(), every=0.2)
     even, peak, mouse = recipe_in(saved).strokes
     for stroke in (even, peak):
         np.testing.assert_allclose(stroke.by, 0.75 * np.array(mouse.by), rtol=0.01)

@@ -69,8 +69,15 @@ def as_in_a_window(volume: Path, width: int, height: int) -> list[str]:
 class Hand:
     """A pointer and a keyboard for a canvas without a screen."""
 
-    def __init__(self, canvas: Any) -> None:
-        self.canvas, self.modifiers, self.stamp = canvas, (), 0.0
+    def __init__(self, canvas: Any, view: Any) -> None:
+        self.canvas, self._view, self.modifiers, self.stamp = canvas, view, (), 0.0
+
+    def pass_frame(self) -> None:
+        """Draw a frame at which nobody looks: a program takes longest to put it together on the canvas."""
+        queue = self._view.gpu.device.queue
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(self._view, "_present", lambda shot, encoder: queue.submit([encoder.finish()]))
+            self._view.draw()
 
     def send(self, kind: str, **event: Any) -> None:
         self.stamp += 0.01
@@ -89,12 +96,12 @@ class Hand:
 
     def click(self, place: tuple[float, float]) -> None:
         self.move(*place)
-        self.canvas.draw()
+        self.pass_frame()
         self.press(*place)
-        self.canvas.draw()
+        self.pass_frame()
         self.release(*place)
-        for _ in range(2):
-            self.canvas.draw()
+        self.pass_frame()
+        self.canvas.draw()
 
     def drag(self, start: tuple[float, float], end: tuple[float, float], button: int = 1, steps: int = 4) -> None:
         self.move(*start)
@@ -102,7 +109,7 @@ class Hand:
         for k in range(1, steps + 1):
             x, y = (a + (b - a) * k / steps for a, b in zip(start, end, strict=True))
             self.move(x, y, button)
-            self.canvas.draw()
+            self.pass_frame()
         self.release(*end, button)
         self.canvas.draw()
 
@@ -134,7 +141,7 @@ def opened(
     view = opened_on(source, recipe, canvas, loop, options=ViewOptions(**options))
     _opened.append(view)
     canvas.draw()
-    return view, Hand(canvas)
+    return view, Hand(canvas, view)
 
 
 def close_all() -> None:
@@ -257,7 +264,7 @@ class Mouse:
             times = times + 1 if drawn and np.array_equal(before, last) else 0
             return times == looks
 
-        wait_for(still, seconds, every=0.4)
+        wait_for(still, seconds, every=0.25)
         return last
 
     def enter(self) -> None:
@@ -273,7 +280,7 @@ class Mouse:
             self.settled()
             self.do("key", keys)
             with contextlib.suppress(AssertionError):
-                wait_for(lambda: self.enter() or path.exists(), 60.0, every=0.5)
+                wait_for(lambda: self.enter() or path.exists(), 60.0, every=0.2)
                 return
         raise AssertionError(f"{path.name} was not written")
 
@@ -344,6 +351,18 @@ class Browser:
             return np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
         data = base64.b64decode(taken["data"])
         return np.asarray(pyvips.Image.new_from_buffer(data, "").numpy())[..., :3]
+
+    def settled(self) -> Pixels:
+        """What is on the page, once it stays as it is."""
+        last = self.shown()
+
+        def still() -> bool:
+            nonlocal last
+            before, last = last, self.shown()
+            return np.array_equal(before, last)
+
+        wait_for(still, every=0.5)
+        return last
 
     def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
