@@ -29,15 +29,16 @@ LEFT_OUT = pytest.StashKey[int]()
 
 # A worker has a file at a time: those that take longest are begun first, so that none of them is waited for at the end.
 LONGEST = (
-    "viewer/test_window_every_brush.py",
-    "viewer/test_panels.py",
     "viewer/test_window_browser.py",
-    "engines/wgpu/test_rendering.py",
-    "engines/cuda/test_programs.py",
-    "viewer/test_window_pointer.py",
-    "viewer/test_jobs.py",
-    "viewer/test_freezing.py",
     "engines/test_native.py",
+    "viewer/test_freezing.py",
+    "viewer/test_panels_slices.py",
+    "viewer/test_panels.py",
+    "viewer/test_jobs.py",
+    "viewer/test_panels_parts.py",
+    "engines/wgpu/test_rendering.py",
+    "viewer/test_window_pointer.py",
+    "engines/cuda/test_programs.py",
     "files/test_stores.py",
     "house/test_docs.py",
     "plot/test_diagnostics.py",
