@@ -29,7 +29,7 @@ from supple.media import image
 from supple.media import volume as volumes
 from supple.render.camera import Camera
 from supple.render.scene import Scene
-from tests.children import HEARING
+from tests.children import HEARING, SOURCE
 
 MUST = os.environ.get("SUPPLE_TEST_WINDOW") == "1"
 SIZE = (1000, 640)
@@ -164,7 +164,7 @@ def small_photo(folder: Path) -> Path:
 def viewing(*arguments: str, folder: Path, display: str = "") -> Iterator[subprocess.Popen[str]]:
     """A process of ``supple view``."""
     # Without programs for dialogs, files are typed.
-    env = os.environ | {"PYTHONUNBUFFERED": "1", "PATH": str(folder / "none")}
+    env = os.environ | {"PYTHONPATH": SOURCE, "PYTHONUNBUFFERED": "1", "PATH": str(folder / "none")}
     env |= {"XDG_STATE_HOME": str(folder / "state"), "XDG_CONFIG_HOME": str(folder / "config")}
     if display:
         env["DISPLAY"] = display
