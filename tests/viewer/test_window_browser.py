@@ -63,16 +63,18 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 def edited_there(browser: Browser, saved: Path, made: Path) -> tuple[Stroke, ...]:
     """Drag, undo, redo, save and export in a browser; the strokes that were saved."""
     browser.drag((350, 300), (410, 270))
+    time.sleep(1)
     browser.drag((420, 250), (400, 300))
+    time.sleep(1)
     browser.key("z", 90, 2)
     browser.key("s", 83, 2)
-    wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=0.2)
+    wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=0.5)
     (stroke,) = recipe_in(saved).strokes
     assert np.linalg.norm(stroke.by) > 2
     again = ("y", 89, 2), ("s", 83, 2)
-    wait_for(lambda: [browser.key(*key) for key in again] and len(recipe_in(saved).strokes) == 2, every=0.2)
+    wait_for(lambda: [browser.key(*key) for key in again] and len(recipe_in(saved).strokes) == 2, every=0.5)
     browser.key("e", 69, 2)
-    wait_for(lambda: browser.key("Enter", 13) or made.exists(), every=0.2)
+    wait_for(lambda: browser.key("Enter", 13) or made.exists(), every=0.5)
     browser.key("Escape", 27)
     browser.mouse("mouseMoved", 900, 600)
     return recipe_in(saved).strokes
@@ -209,6 +211,7 @@ def test_a_pen_in_a_browser(gpu: Gpu, page: Page) -> None:
     browser, photo, _ = page
     saved, made = photo.with_name("photo.recipe.json"), photo.with_name("photo-bent.png")
     browser.drag((350, 300), (410, 270), pointerType="pen", force=0.5)
+    time.sleep(1)
     # The greatest pressure is that of a move which is not sent, as the next one follows at once.
     pen = {"pointerType": "pen", "force": 0.2}
     browser.mouse("mousePressed", 350, 220, button="left", buttons=1, clickCount=1, **pen)
@@ -220,11 +223,13 @@ def test_a_pen_in_a_browser(gpu: Gpu, page: Page) -> None:
     )
     browser.mouse("mouseMoved", 410, 190, button="left", buttons=1, **pen)
     browser.mouse("mouseReleased", 410, 190, button="left", clickCount=1, **pen)
+    time.sleep(1)
     browser.drag((350, 150), (410, 120))
+    time.sleep(1)
     browser.key("s", 83, 2)
-    wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=0.2)
+    wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=0.5)
     browser.key("e", 69, 2)
-    wait_for(lambda: browser.key("Enter", 13) or made.exists(), every=0.2)
+    wait_for(lambda: browser.key("Enter", 13) or made.exists(), every=0.5)
     even, peak, mouse = recipe_in(saved).strokes
     for stroke in (even, peak):
         np.testing.assert_allclose(stroke.by, 0.75 * np.array(mouse.by), rtol=0.01)

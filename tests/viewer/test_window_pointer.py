@@ -28,7 +28,7 @@ AREA = (SIZE[0] - WIDE, SIZE[1] - LINE)
 
 
 def edited(
-    source: Path, stem: str, target: str, first: Callable[[Mouse], None], pause: float = 0.2
+    source: Path, stem: str, target: str, first: Callable[[Mouse], None], pause: float = 0.6
 ) -> tuple[Pixels, Recipe]:
     """Drag, undo, redo, save, export and open, by hand; what is seen of two strokes, and the recipe that was saved."""
     folder = source.parent

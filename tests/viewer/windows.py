@@ -264,7 +264,7 @@ class Mouse:
             times = times + 1 if drawn and np.array_equal(before, last) else 0
             return times == looks
 
-        wait_for(still, seconds, every=0.25)
+        wait_for(still, seconds, every=0.4)
         return last
 
     def enter(self) -> None:
@@ -280,7 +280,7 @@ class Mouse:
             self.settled()
             self.do("key", keys)
             with contextlib.suppress(AssertionError):
-                wait_for(lambda: self.enter() or path.exists(), 60.0, every=0.2)
+                wait_for(lambda: self.enter() or path.exists(), 60.0, every=0.5)
                 return
         raise AssertionError(f"{path.name} was not written")
 
