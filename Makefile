@@ -101,13 +101,14 @@ demo: | $(VENV)/made
 
 # A worker for each processor. A file's tests stay together, as they share what is made once. Not the files with the most
 # tests first: those with the slowest would be last. CUDA is tested on a simulated driver. What needs windows and devices,
-# whose memory is freed with its processes alone, is tested before the rest.
+# whose memory is freed with its processes alone, is tested before the rest. Bytecode is kept, whatever the environment
+# says: hundreds of processes would compile the package anew.
 APART := tests/engines tests/viewer
-TEST := -m pytest -q -n logical --dist loadfile --no-loadscope-reorder
+TEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -q -n logical --dist loadfile --no-loadscope-reorder
 
 test: venv
-	$(BIN)/python $(TEST) $(APART)
-	$(BIN)/python $(TEST) $(APART:%=--ignore=%)
+	$(TEST) $(APART)
+	$(TEST) $(APART:%=--ignore=%)
 
 versions: venv
 	$(BIN)/python tools/versions.py
@@ -139,8 +140,8 @@ bench-window: venv
 	$(BIN)/python benchmarks/window.py
 
 soak: venv
-	SUPPLE_TEST_ALL=1 $(BIN)/python $(TEST) $(APART)
-	SUPPLE_TEST_ALL=1 $(BIN)/python $(TEST) $(APART:%=--ignore=%)
+	SUPPLE_TEST_ALL=1 $(TEST) $(APART)
+	SUPPLE_TEST_ALL=1 $(TEST) $(APART:%=--ignore=%)
 	$(BIN)/python tests/soak.py
 
 lint: $(VENV)/stamp

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import gc
 import os
 import sys
@@ -9,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cyclopts
 import hypothesis
 import pytest
 
@@ -27,15 +29,16 @@ LEFT_OUT = pytest.StashKey[int]()
 
 # A worker has a file at a time: those that take longest are begun first, so that none of them is waited for at the end.
 LONGEST = (
-    "viewer/test_window_every_brush.py",
-    "viewer/test_panels.py",
     "viewer/test_window_browser.py",
-    "engines/wgpu/test_rendering.py",
-    "engines/cuda/test_programs.py",
-    "viewer/test_window_pointer.py",
-    "viewer/test_jobs.py",
-    "viewer/test_freezing.py",
     "engines/test_native.py",
+    "viewer/test_freezing.py",
+    "viewer/test_panels_slices.py",
+    "viewer/test_panels.py",
+    "viewer/test_jobs.py",
+    "viewer/test_panels_parts.py",
+    "engines/wgpu/test_rendering.py",
+    "viewer/test_window_pointer.py",
+    "engines/cuda/test_programs.py",
     "files/test_stores.py",
     "house/test_docs.py",
     "plot/test_diagnostics.py",
@@ -76,6 +79,26 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
         terminalreporter.write_line(
             f"Of options, every pair was tested; the {rows} other combinations are left out: make soak tests all"
         )
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _options_read_once() -> Iterator[None]:
+    """Read the options of a command from its signature once: for each of a thousand command lines, it takes 20 ms."""
+    read, known = cyclopts.App.assemble_argument_collection, dict[Any, Any]()
+
+    def fresh(app: cyclopts.App, **options: Any) -> Any:
+        key = app.default_command, *options.items()
+        if key not in known:
+            known[key] = read(app, **options)
+        copies = {id(argument): copy.copy(argument) for argument in known[key]}
+        for argument in copies.values():
+            argument.tokens = []
+            argument.children = type(known[key])(copies[id(child)] for child in argument.children)
+        return type(known[key])(copies.values())
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cyclopts.App, "assemble_argument_collection", fresh)
+        yield
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -14,7 +14,7 @@ import tomllib
 import core
 
 PLACE = core.ROOT / "build" / "versions"
-TESTS = ("pytest>=8.3", "pytest-timeout>=2.3", "hypothesis>=6.100")
+TESTS = ("pytest>=8.4", "pytest-timeout>=2.3", "pytest-xdist>=3.6", "hypothesis>=6.100")
 NOT_INSTALLED = 3
 RESOLUTIONS = {"lowest": "lowest-direct", "newest": "highest"}
 

@@ -314,12 +314,14 @@ def test_the_edge_of_a_tumour_is_pushed_in_a_slice(gpu: Gpu, state: Path) -> Non
     window = first_window(volume, "")
     tools = SliceTools(document, geometry, AREA, lambda x, y: None, lambda pick, to: (0.0, 0.0, 0.0), window)
     tools.step(0, TUMOUR[2] - tools.index[2])
+    tools.enlarge(0)
     axial = tools.pane(0)
 
     def edge(x: float) -> tuple[float, ...]:
         return TUMOUR[0] + x, TUMOUR[1], TUMOUR[2]
 
     def work(job: Job) -> None:
+        job.key("1")  # the axial plane alone
         job.wheel(5, edge(0))  # to its slice
         job.wheel(notches(22.75, 12), edge(0), "Shift")
         job.drag(edge(RADIUS), edge(RADIUS + 4))

@@ -112,7 +112,7 @@ def test_every_control_can_be_clicked(gpu: Gpu, seen: dict[str, tuple[float, flo
         view.document.load(Recipe(border=None, strokes=strokes))
         view.document.select(0)
         view.sections |= dict.fromkeys(SECTIONS, True)  # what was folded is opened again
-        hand.canvas.draw()
+        hand.pass_frame()
         before = view.document.state
         hand.click(seen[label])
         assert view._gui.trouble == "", label
@@ -402,7 +402,7 @@ def type_(hand: Hand, text: str) -> None:
         hand.send("key_down", key=letter)
         hand.send("char", data=letter, is_composing=False, input_type="insertText", repeat=False)
         hand.send("key_up", key=letter)
-        hand.canvas.draw()
+        hand.pass_frame()
 
 
 @pytest.mark.parametrize("leaving", ["Tab", "Enter", "elsewhere"])

@@ -165,8 +165,7 @@ def test_hints_and_the_list_of_keys_in_a_browser(gpu: Gpu, page: Page) -> None:
         return bool((np.abs(browser.shown()[box].astype(int) - before[box]) > 50).any())
 
     browser.mouse("mouseMoved", x, 300)
-    time.sleep(1)
-    before = browser.shown()
+    before = browser.settled()
     browser.mouse("mouseMoved", x, 60)
     wait_for(lambda: there(before, x + 30, x + 200), 10)
     browser.mouse("mouseMoved", 300, 580)
@@ -186,8 +185,7 @@ def test_another_page_takes_over_and_gives_back(gpu: Gpu, page: Page) -> None:
     first.drag((350, 300), (430, 260))
     first.mouse("mouseMoved", 900, 600)
     wait_for(lambda: near(first.shown()[area], plain[area]) > 6)
-    time.sleep(2)  # until it is drawn in full
-    drawn_there = first.shown()
+    drawn_there = first.settled()
     second = Browser(photo.with_name("second"))
     try:
         second.go(addresses[0])

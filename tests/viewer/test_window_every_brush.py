@@ -79,14 +79,7 @@ class OfBrowser:
 
     def rest(self) -> None:
         self._browser.mouse("mouseMoved", 5, 5)
-        last = self._browser.shown()
-
-        def still() -> bool:
-            nonlocal last
-            before, last = last, self._browser.shown()
-            return np.array_equal(before, last)
-
-        wait_for(still, every=0.7)
+        self._browser.settled()
 
     def key(self, key: str, *, control: bool = False) -> None:
         self._browser.key(key, {"Enter": 13}.get(key, ord(key[0].upper())), 2 * control)

@@ -29,7 +29,7 @@ from supple.media import image
 from supple.media import volume as volumes
 from supple.render.camera import Camera
 from supple.render.scene import Scene
-from tests.children import HEARING
+from tests.children import HEARING, SOURCE
 
 MUST = os.environ.get("SUPPLE_TEST_WINDOW") == "1"
 SIZE = (1000, 640)
@@ -69,8 +69,15 @@ def as_in_a_window(volume: Path, width: int, height: int) -> list[str]:
 class Hand:
     """A pointer and a keyboard for a canvas without a screen."""
 
-    def __init__(self, canvas: Any) -> None:
-        self.canvas, self.modifiers, self.stamp = canvas, (), 0.0
+    def __init__(self, canvas: Any, view: Any) -> None:
+        self.canvas, self._view, self.modifiers, self.stamp = canvas, view, (), 0.0
+
+    def pass_frame(self) -> None:
+        """Draw a frame at which nobody looks: a program takes longest to put it together on the canvas."""
+        queue = self._view.gpu.device.queue
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(self._view, "_present", lambda shot, encoder: queue.submit([encoder.finish()]))
+            self._view.draw()
 
     def send(self, kind: str, **event: Any) -> None:
         self.stamp += 0.01
@@ -89,12 +96,12 @@ class Hand:
 
     def click(self, place: tuple[float, float]) -> None:
         self.move(*place)
-        self.canvas.draw()
+        self.pass_frame()
         self.press(*place)
-        self.canvas.draw()
+        self.pass_frame()
         self.release(*place)
-        for _ in range(2):
-            self.canvas.draw()
+        self.pass_frame()
+        self.canvas.draw()
 
     def drag(self, start: tuple[float, float], end: tuple[float, float], button: int = 1, steps: int = 4) -> None:
         self.move(*start)
@@ -102,7 +109,7 @@ class Hand:
         for k in range(1, steps + 1):
             x, y = (a + (b - a) * k / steps for a, b in zip(start, end, strict=True))
             self.move(x, y, button)
-            self.canvas.draw()
+            self.pass_frame()
         self.release(*end, button)
         self.canvas.draw()
 
@@ -134,7 +141,7 @@ def opened(
     view = opened_on(source, recipe, canvas, loop, options=ViewOptions(**options))
     _opened.append(view)
     canvas.draw()
-    return view, Hand(canvas)
+    return view, Hand(canvas, view)
 
 
 def close_all() -> None:
@@ -157,7 +164,7 @@ def small_photo(folder: Path) -> Path:
 def viewing(*arguments: str, folder: Path, display: str = "") -> Iterator[subprocess.Popen[str]]:
     """A process of ``supple view``."""
     # Without programs for dialogs, files are typed.
-    env = os.environ | {"PYTHONUNBUFFERED": "1", "PATH": str(folder / "none")}
+    env = os.environ | {"PYTHONPATH": SOURCE, "PYTHONUNBUFFERED": "1", "PATH": str(folder / "none")}
     env |= {"XDG_STATE_HOME": str(folder / "state"), "XDG_CONFIG_HOME": str(folder / "config")}
     if display:
         env["DISPLAY"] = display
@@ -344,6 +351,18 @@ class Browser:
             return np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
         data = base64.b64decode(taken["data"])
         return np.asarray(pyvips.Image.new_from_buffer(data, "").numpy())[..., :3]
+
+    def settled(self) -> Pixels:
+        """What is on the page, once it stays as it is."""
+        last = self.shown()
+
+        def still() -> bool:
+            nonlocal last
+            before, last = last, self.shown()
+            return np.array_equal(before, last)
+
+        wait_for(still, every=0.5)
+        return last
 
     def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
