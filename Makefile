@@ -103,7 +103,7 @@ demo: | $(VENV)/made
 # tests first: those with the slowest would be last. CUDA is tested on a simulated driver. What needs windows and devices,
 # whose memory is freed with its processes alone, is tested before the rest. Bytecode is kept, whatever the environment
 # says: hundreds of processes would compile the package anew.
-APART := tests/engines tests/viewer
+APART := tests/engines tests/gpu tests/torch tests/viewer
 TEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -q -n logical --dist loadfile --no-loadscope-reorder
 
 test: venv

@@ -24,7 +24,7 @@ from scipy.stats import special_ortho_group
 
 from supple.errors import SuppleError
 from supple.fields import Field
-from supple.geometry import Grid
+from supple.space.geometry import Grid
 
 Floats = npt.NDArray[np.float64]
 Rng = np.random.Generator

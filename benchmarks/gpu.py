@@ -14,10 +14,10 @@ import numpy as np
 from measure import milliseconds
 
 import supple
-from supple.engines.wgpu.device import open_gpu
-from supple.engines.wgpu.fill import Filling
-from supple.engines.wgpu.volume import beside, hold
 from supple.files.volumes import open_volume
+from supple.gpu.device import open_gpu
+from supple.gpu.fill import Filling
+from supple.gpu.volume import beside, hold
 from supple.media.volume import Volume
 from supple.render.camera import Camera
 from supple.render.device import lattice_of

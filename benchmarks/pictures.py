@@ -23,8 +23,8 @@ from measure import Row, faster, milliseconds, run, timed
 from mesh import rasterize
 
 import supple
-from supple.domain import Border
 from supple.engines import paper
+from supple.space.domain import Border
 
 Array = npt.NDArray[Any]
 

@@ -24,10 +24,10 @@ from measure import Row, faster, run, timed
 from reference import psnr, reference_frame
 
 import supple
-from supple.domain import Border
 from supple.engines.base import Group, Layout, Sampling, Work
 from supple.engines.native import NATIVE
 from supple.files.clips import warp_clip
+from supple.space.domain import Border
 
 Array = npt.NDArray[Any]
 DATA = Path(supple.__file__).parent / "examples" / "data"

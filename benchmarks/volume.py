@@ -17,13 +17,13 @@ from reference import psnr
 from scipy import ndimage
 
 import supple
-from supple.domain import Border
 from supple.files.volumes import open_volume
-from supple.geometry import Geometry
 from supple.media import volume as media
 from supple.render.camera import Camera
 from supple.render.scene import Scene
 from supple.render.transfer import PRESETS
+from supple.space.domain import Border
+from supple.space.geometry import Geometry
 
 Array = npt.NDArray[Any]
 

@@ -29,7 +29,7 @@ from wgpu.backends.wgpu_native import _api, _ffi, _helpers
 
 import supple
 from supple import arrays
-from supple.engines.wgpu.device import open_gpu
+from supple.gpu.device import open_gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
 from supple.viewer.panels.view import BAR, LINE, WIDE

@@ -14,10 +14,10 @@ import SimpleITK as sitk  # noqa: N813
 from head import BACKGROUND, HEAD, Layer, layers
 
 from supple import Deformation, Stroke
-from supple.geometry import Geometry
 from supple.media import image
 from supple.render.camera import Camera
 from supple.render.scene import Scene
+from supple.space.geometry import Geometry
 
 FLAT, PUSH, RADIUS = (145, 12), (-10, -28, 0), 50  # azimuth and elevation; millimetres along LPS
 PLACES = ((160, 25), (128, 25), (135, -5), (158, 0), (120, 5))

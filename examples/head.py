@@ -13,10 +13,10 @@ import SimpleITK as sitk  # noqa: N813
 import supple
 from supple.files.renders import default_transfer
 from supple.files.volumes import open_volume
-from supple.geometry import Geometry
 from supple.media import image
 from supple.render.camera import Camera
 from supple.render.scene import Scene
+from supple.space.geometry import Geometry
 
 DATA = Path(supple.__file__).parent / "examples" / "data"
 HEAD, BRAIN = DATA / "head.nii.gz", DATA / "brain.nii.gz"

@@ -14,8 +14,8 @@ import cyclopts
 import hypothesis
 import pytest
 
-from supple.engines.wgpu.device import Gpu, open_gpu
 from supple.errors import SuppleError
+from supple.gpu.device import Gpu, open_gpu
 from tests import effort
 
 # No test fails because a machine is slow; a fixed number of examples, so that none takes longer on some day.
@@ -36,7 +36,7 @@ LONGEST = (
     "viewer/test_panels.py",
     "viewer/test_jobs.py",
     "viewer/test_panels_parts.py",
-    "engines/wgpu/test_rendering.py",
+    "gpu/test_rendering.py",
     "viewer/test_window_pointer.py",
     "engines/cuda/test_programs.py",
     "files/test_stores.py",

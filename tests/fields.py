@@ -11,7 +11,7 @@ from scipy import ndimage
 from scipy.stats import special_ortho_group
 
 from supple.fields import Field, Inverted
-from supple.geometry import Grid
+from supple.space.geometry import Grid
 
 Floats = npt.NDArray[np.float64]
 OPTIONS = [(i, b, d) for i in ("linear", "cubic", "bspline") for b in ("zero", "edge") for d in ("f4", "f8")]

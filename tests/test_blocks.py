@@ -16,7 +16,7 @@ from supple.blocks import Block, Box, Warp, boxes_of
 from supple.deformation import Deformation
 from supple.engines.base import Certificate, Sampling
 from supple.errors import SuppleError
-from supple.geometry import Grid
+from supple.space.geometry import Grid
 from tests.effort import examples
 from tests.fields import drawn
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from supple import Deformation, FoldError, FoldWarning, Stroke, SuppleError
-from supple.domain import Domain
-from supple.strain import MARGIN, weakest
+from supple.folding.strain import MARGIN, weakest
+from supple.space.domain import Domain
 from supple.strokes import pack
 from tests.children import ROOT
 

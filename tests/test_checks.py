@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from supple import Affine, Field, FieldReport, Grid, SuppleError, checks
+from supple import Affine, Field, FieldReport, Grid, SuppleError
+from supple.fields import checks
 from tests.sampled_fields import GRID, moved, positions, sine, smooth
 
 Floats = npt.NDArray[np.float64]

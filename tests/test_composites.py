@@ -17,7 +17,7 @@ from supple import Deformation
 from supple.engines.native import plan_of
 from supple.errors import SuppleError
 from supple.fields import Field
-from supple.geometry import Grid
+from supple.space.geometry import Grid
 from tests.effort import examples
 from tests.fields import drawn
 

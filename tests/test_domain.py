@@ -15,8 +15,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from supple.domain import Domain, border_factor, choice, integer, items, length, number, point, value_shown
 from supple.errors import SuppleError
+from supple.space.domain import Domain, border_factor, choice, integer, items, length, number, point, value_shown
 
 HUGE = pytest.param(10**5000, id="huge")  # too long for Python to spell
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from supple.deformation import Deformation
 from supple.errors import FoldWarning, OutsideWarning, SuppleError
 from supple.fields import FOLDED, OK, OUTSIDE, Affine, Field, Placed, compose, own_grid
-from supple.geometry import Grid
+from supple.space.geometry import Grid
 from tests.fields import OPTIONS, along_x, checked, drawn, drawn_grid, moved, on_grid, positions_of
 
 

@@ -13,12 +13,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from supple import _core, strain
-from supple.domain import BorderProfile, Domain
+from supple import _core
 from supple.errors import FoldError, SuppleError
-from supple.folding import NEAR, resolve
-from supple.resolved import Resolved
-from supple.strain import CLEARLY_SAFE, MARGIN, limit
+from supple.folding import strain
+from supple.folding.limits import NEAR, resolve
+from supple.folding.resolved import Resolved
+from supple.folding.strain import CLEARLY_SAFE, MARGIN, limit
+from supple.space.domain import BorderProfile, Domain
 from supple.strokes import STROKE_DTYPE, FoldPolicy, Stroke, numbers, pack, poisson_of
 from tests import reference
 

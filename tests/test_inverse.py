@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 
 from supple import Deformation, SuppleError
-from supple.strain import limit
+from supple.folding.strain import limit
 from supple.strokes import Stroke
 from tests import reference, soak
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import supple
 from supple import Key, Recipe, Stroke, SuppleError
-from supple.keys import curve
+from supple.strokes.keys import curve
 
 NUMBERS = st.floats(-1e6, 1e6)
 KEYS = (Key(2, at=(30, 20), strength=0), Key(6, at=(40, 24)), Key(9, strength=1))

@@ -13,8 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from supple import Deformation, Recipe, _core, pulls, strain
+from supple import Deformation, Recipe, _core
 from supple.errors import FoldError, FoldWarning, SuppleError
+from supple.folding import pulls, strain
 from supple.strokes import MOST_HANDLES, Stroke, numbers, pack
 from tests import reference
 from tests.strokes import refusal

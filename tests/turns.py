@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import Domain
+from supple.space.domain import Domain
 from supple.strokes import Stroke, pack
 from tests.reference import Step
 

@@ -112,8 +112,8 @@ class SuppleBendLogic(ScriptedLoadableModuleLogic):
         if not pulls:
             raise ValueError("there are no pulls: draw one, from a point to its new place")
         from supple import Deformation
-        from supple.geometry import Geometry
         from supple.media.transforms.itk import write_field
+        from supple.space.geometry import Geometry
 
         held = vtk.vtkMatrix4x4()
         volume.GetIJKToRASMatrix(held)

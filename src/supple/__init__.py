@@ -4,11 +4,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from supple.affine import Affine
     from supple.arrays import warp_batch
-    from supple.checks import FieldReport
     from supple.deformation import Arrival, Deformation, Inverse, Report
-    from supple.domain import Domain
     from supple.errors import (
         DeviceWarning,
         FoldError,
@@ -19,13 +16,16 @@ if TYPE_CHECKING:
         ToleranceWarning,
     )
     from supple.fields import Field, Inverted, Placed, compose, read_maps
+    from supple.fields.checks import FieldReport
     from supple.files import warp_file
     from supple.files.grids import GridOptions
     from supple.files.maps import grid_of
-    from supple.freezing import Freeze
-    from supple.geometry import Grid
-    from supple.keys import Key
+    from supple.space.affine import Affine
+    from supple.space.domain import Domain
+    from supple.space.freezing import Freeze
+    from supple.space.geometry import Grid
     from supple.strokes import Recipe, Stroke
+    from supple.strokes.keys import Key
     from supple.viewer.window.launch import view
 
 __version__ = "0.1.0"
@@ -64,21 +64,21 @@ __all__ = [
 
 # The module of each name. Modules are loaded on first use, as image libraries and engines take time.
 _HOMES = {
-    "Affine": "affine",
+    "Affine": "space.affine",
     "Arrival": "deformation",
     "Deformation": "deformation",
     "DeviceWarning": "errors",
-    "Domain": "domain",
+    "Domain": "space.domain",
     "Field": "fields",
-    "FieldReport": "checks",
+    "FieldReport": "fields.checks",
     "FoldError": "errors",
     "FoldWarning": "errors",
-    "Freeze": "freezing",
-    "Grid": "geometry",
+    "Freeze": "space.freezing",
+    "Grid": "space.geometry",
     "GridOptions": "files.grids",
     "Inverse": "deformation",
     "Inverted": "fields",
-    "Key": "keys",
+    "Key": "strokes.keys",
     "MissWarning": "errors",
     "OutsideWarning": "errors",
     "Placed": "fields",

@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.domain import integer, refuse
 from supple.engines.base import Array, Certificate, Engine, EngineError, Layout, Sampling, Space, Work, warn_of
 from supple.engines.choice import check_device, engine_at, engine_for
 from supple.engines.native import NATIVE
 from supple.errors import DeviceWarning, SuppleError, ToleranceWarning
 from supple.pipeline import Arrays, Tell, run, sampled
+from supple.space.domain import integer, refuse
 
 _MOST_POINTS = 1 << 18  # points in one call of a function
 _WEIGHTLESS = 1e-6  # a weight that rounding leaves

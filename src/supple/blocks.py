@@ -15,7 +15,7 @@ import numpy.typing as npt
 from supple.deformation import Deformation
 from supple.engines.base import Array, Certificate, Layout, Sampling, Space, Work
 from supple.engines.native import NATIVE, needed
-from supple.geometry import Grid
+from supple.space.geometry import Grid
 
 Box = tuple[tuple[int, int], ...]
 """The first index along each axis and the one after the last, in the order of an array's axes."""

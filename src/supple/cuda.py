@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from supple.arrays import Deforming, batch_of, shape_of, spaces_of, work_of
-from supple.domain import integer
 from supple.engines.base import Sampling
 from supple.engines.cuda import job
 from supple.engines.cuda.arrays import taken
 from supple.engines.cuda.engine import Cuda
 from supple.engines.cuda.job import Warping
+from supple.space.domain import integer
 
 __all__ = ["start"]
 

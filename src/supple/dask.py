@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from supple.blocks import Block, Box, Read, Warp, batches, boxes_of
 from supple.deformation import Deformation
-from supple.domain import refuse
 from supple.engines.base import Layout, Sampling, warn_of
 from supple.errors import SuppleError, need
-from supple.geometry import Grid
+from supple.space.domain import refuse
+from supple.space.geometry import Grid
 
 need("zarr", "warps by Dask", "dask")
 import dask  # noqa: E402

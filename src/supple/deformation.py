@@ -13,18 +13,29 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.affine import Affine, matrix_rows
-from supple.domain import BorderProfile, Domain, choice, colours_hint, flag, integer, length, number, point, refuse
 from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import check_device, engine_at
 from supple.engines.native import NATIVE, measured, plan_of
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, caller
 from supple.fields import Field, Placed, check_path, folds_of
-from supple.folding import NEAR, resolve
-from supple.freezing import Freeze
-from supple.geometry import Grid
-from supple.resolved import FREE_ENOUGH, Resolved, apart, described, freedom_at, padded
-from supple.strain import mask_of
+from supple.folding.limits import NEAR, resolve
+from supple.folding.resolved import FREE_ENOUGH, Resolved, apart, described, freedom_at, padded
+from supple.folding.strain import mask_of
+from supple.space.affine import Affine, matrix_rows
+from supple.space.domain import (
+    BorderProfile,
+    Domain,
+    choice,
+    colours_hint,
+    flag,
+    integer,
+    length,
+    number,
+    point,
+    refuse,
+)
+from supple.space.freezing import Freeze
+from supple.space.geometry import Grid
 from supple.strokes import PAINTINGS, REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
 
 _HIT = 1e-6  # samples: a point of a pull that is as near as this has arrived

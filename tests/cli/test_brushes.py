@@ -12,8 +12,8 @@ import pytest
 from supple import Deformation, Recipe, Stroke
 from supple.cli.options_strokes import in_order
 from supple.errors import SuppleError
-from supple.geometry import Geometry
 from supple.media import image, volume
+from supple.space.geometry import Geometry
 from tests.cli.commands import Run, one_line
 
 

@@ -17,8 +17,8 @@ from scipy.ndimage import map_coordinates
 
 from supple import Affine, Field, Grid, SuppleError
 from supple.fields import read_maps
-from supple.geometry import Geometry
 from supple.media import image, volume
+from supple.space.geometry import Geometry
 from tests.cli.commands import Run, one_line
 from tests.media.transforms.mapping import DATA, Floats, centres, grid_of
 

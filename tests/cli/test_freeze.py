@@ -11,8 +11,8 @@ import numpy.typing as npt
 import pytest
 
 from supple import Deformation, Freeze, Recipe, Stroke, SuppleError
-from supple.geometry import Geometry
 from supple.media import image, volume
+from supple.space.geometry import Geometry
 from tests.cli.commands import Run, noise, one_line
 
 GRAB = ("--grab", "20,16:25,18", "--radius", "12")

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from supple.geometry import Geometry
 from supple.media import image, volume
+from supple.space.geometry import Geometry
 from tests.cli.commands import GRAB, Run, noise, one_line, pictures
 
 

@@ -19,10 +19,10 @@ from supple import Affine, Deformation, Recipe
 from supple.fields import Placed
 from supple.files.renders import RenderOptions, scene_of
 from supple.files.volumes import background_of
-from supple.geometry import Geometry
 from supple.media import image
 from supple.media import volume as media
 from supple.media.points import read_points
+from supple.space.geometry import Geometry
 from supple.viewer.window.launch import ViewOptions, _mapped
 from tests.cli.commands import Run, one_line
 from tests.media.landmarks import fcsv

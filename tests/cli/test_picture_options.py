@@ -16,9 +16,9 @@ import pytest
 
 import supple
 from supple.cli import command
-from supple.geometry import Geometry
 from supple.media import volume
 from supple.media.image import read, write
+from supple.space.geometry import Geometry
 from tests import clips
 from tests.children import SOURCE
 

@@ -17,9 +17,9 @@ from supple.cli.options_maps import MapOptions
 from supple.cli.options_strokes import StrokeOptions
 from supple.fields import Map
 from supple.files.maps import MapFile
-from supple.geometry import Geometry
 from supple.media import image
 from supple.media import volume as media
+from supple.space.geometry import Geometry
 from tests.cli.commands import GRAB, Run, noise, one_line, pictures
 
 SHAPE = (12, 16, 14)

@@ -13,10 +13,10 @@ from hypothesis import given, reject
 from hypothesis import strategies as st
 
 from supple import Deformation, Stroke, SuppleError, _core
-from supple.domain import Domain
 from supple.engines.native import NATIVE
-from supple.folding import resolve
-from supple.strain import MARGIN
+from supple.folding.limits import resolve
+from supple.folding.strain import MARGIN
+from supple.space.domain import Domain
 from supple.strokes import matrix_of, numbers
 from tests import reference
 from tests.core.drawn import lifted, places, turning

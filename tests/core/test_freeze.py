@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from supple import Deformation, Freeze, Stroke, SuppleError, _core
 from supple.errors import FoldError, MissWarning
-from supple.folding import MARGIN
-from supple.strain import mask_of, weakest
+from supple.folding.limits import MARGIN
+from supple.folding.strain import mask_of, weakest
 from supple.strokes import numbers
 from tests import reference
 from tests.core.drawn import turning

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 
 from supple import Deformation, _core
-from supple.domain import Domain
-from supple.strain import limit
+from supple.folding.strain import limit
+from supple.space.domain import Domain
 from supple.strokes import Stroke, numbers, pack
 from tests import reference
 from tests.core.drawn import POISSONS, deformation, deformations, lifted, places

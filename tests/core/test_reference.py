@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from supple.domain import Domain
+from supple.space.domain import Domain
 from supple.strokes import Stroke
 from tests import reference
 

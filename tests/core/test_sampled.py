@@ -13,9 +13,9 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import brentq
 
 from supple import _core
-from supple.domain import FREE
 from supple.fields import FOLDED, OK, OUTSIDE, UNCONVERGED, Field
-from supple.geometry import Grid, overlap
+from supple.space.domain import FREE
+from supple.space.geometry import Grid, overlap
 from tests.effort import ALL, examples, pairs
 from tests.fields import OPTIONS, along_x, checked, drawn, drawn_grid, moved, on_grid, positions_of, settled, solutions
 

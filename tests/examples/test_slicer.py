@@ -13,7 +13,7 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 import supple
-from supple.geometry import Geometry
+from supple.space.geometry import Geometry
 from tests.children import ROOT
 
 pytest.importorskip("vtk")  # of which Slicer's matrices are

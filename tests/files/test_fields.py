@@ -18,8 +18,8 @@ from supple import Affine, Field, FoldWarning, Grid, OutsideWarning, SuppleError
 from supple.files import fields as verbs
 from supple.files.fields import Input, check_file, compose_files, convert_file, invert_file
 from supple.files.maps import KINDS, PULL, PUSH, grid_of, read_file
-from supple.geometry import Geometry
 from supple.media import transforms, volume
+from supple.space.geometry import Geometry
 from tests.sampled_fields import GRID, moved, positions, sine, smooth
 
 Array = npt.NDArray[Any]

@@ -31,9 +31,9 @@ from supple import (
 )
 from supple.files import check_job, warp_file
 from supple.files.volumes import VolumeOptions
-from supple.geometry import Geometry
 from supple.media import image
 from supple.media import volume as media
+from supple.space.geometry import Geometry
 
 SHAPE = (14, 18, 16)
 DIRECTION = np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]) @ np.diag([1.0, -1.0, 1.0])

@@ -15,8 +15,8 @@ import supple
 from supple import Deformation
 from supple.errors import SuppleError, VolumeWarning
 from supple.files.landmarks import move_points, read_landmarks
-from supple.geometry import Geometry
 from supple.media.points import check_target, read_points, write_points
+from supple.space.geometry import Geometry
 from tests.media.landmarks import Floats, fcsv, markup, markups, read, refused
 
 SHAPE = (24, 30, 28)

@@ -12,7 +12,7 @@ from supple import Deformation, SuppleError
 from supple.cli import command
 from supple.errors import VolumeWarning
 from supple.files.landmarks import move_points, read_landmarks
-from supple.geometry import Geometry
+from supple.space.geometry import Geometry
 from tests.media.meshes import made
 from tests.media.meshes.contours import circle, contours, points_of, structures
 from tests.media.meshes.made import Floats

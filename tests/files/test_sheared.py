@@ -15,10 +15,10 @@ import SimpleITK as sitk  # noqa: N813
 
 import supple
 from supple import Grid, Recipe, Stroke, SuppleError
-from supple.domain import Domain
 from supple.errors import VolumeWarning
 from supple.files.volumes import VolumeOptions, WarpedVolume, open_volume
 from supple.media import volume as media
+from supple.space.domain import Domain
 from tests import reference
 from tests.files.clip_files import Run
 from tests.media.volume.test_dicom import slices

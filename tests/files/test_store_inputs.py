@@ -27,10 +27,10 @@ from supple.files.grids import GridOptions  # noqa: E402
 from supple.files.plans import plan_file  # noqa: E402
 from supple.files.stores import warp_store  # noqa: E402
 from supple.files.volumes import VolumeOptions  # noqa: E402
-from supple.geometry import Geometry  # noqa: E402
 from supple.media import volume  # noqa: E402
 from supple.media.stores import Samples, inputs, open_image, target  # noqa: E402
 from supple.media.volume import RawLayout  # noqa: E402
+from supple.space.geometry import Geometry  # noqa: E402
 
 Array = npt.NDArray[Any]
 

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from supple import Deformation, Recipe, Stroke
 from supple.cli import command
 from supple.files.volumes import indexed, placed
-from supple.geometry import Floats, Geometry
 from supple.media import volume
+from supple.space.geometry import Floats, Geometry
 from supple.strokes import matrix_of
 
 TURNED = Rotation.from_euler("xyz", (20, -35, 50), degrees=True).as_matrix()

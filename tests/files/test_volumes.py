@@ -16,7 +16,6 @@ import pytest
 from scipy import ndimage
 
 import supple
-from supple.affine import Affine
 from supple.cli import command
 from supple.errors import SuppleError, VolumeWarning
 from supple.fields import Placed
@@ -24,8 +23,9 @@ from supple.files import volumes
 from supple.files.freezing import read_freeze
 from supple.files.stores import warp_store
 from supple.files.volumes import VolumeOptions, deformation_of, is_volume_job, sampling_of, warp_volume
-from supple.geometry import Geometry
 from supple.media import volume as media
+from supple.space.affine import Affine
+from supple.space.geometry import Geometry
 from tests import reference
 from tests.files.clip_files import Run
 

@@ -34,9 +34,9 @@ def test_imports_against_the_rule_are_found(tmp_path: Path) -> None:
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     shutil.copytree(ROOT / "src", tmp_path / "src", ignore=shutil.ignore_patterns("__pycache__", "*.so"))
     for module, line in (
-        ("errors.py", "import supple.domain\n"),
+        ("errors.py", "import supple.space.domain\n"),
         ("strokes/stroke.py", "from supple import cli\n"),
-        ("domain.py", "def late() -> None:\n    import supple.deformation\n"),
+        ("space/domain.py", "def late() -> None:\n    import supple.deformation\n"),
         ("_core/bad.py", "import supple.media\n"),
         ("engines/native.py", "import supple.pipeline\n"),
     ):
@@ -47,9 +47,9 @@ def test_imports_against_the_rule_are_found(tmp_path: Path) -> None:
     assert "Data flows one way BROKEN" in result.stdout
     assert sorted(re.findall(r"^(\S+) is not allowed to import (\S+):$", result.stdout, re.MULTILINE)) == [
         ("supple._core", "supple.media"),
-        ("supple.domain", "supple.deformation"),
         ("supple.engines", "supple.pipeline"),
-        ("supple.errors", "supple.domain"),
+        ("supple.errors", "supple.space"),
+        ("supple.space", "supple.deformation"),
         ("supple.strokes", "supple.cli"),
     ]
     assert "The window's rooms, one above the other KEPT" in result.stdout

@@ -20,7 +20,7 @@ ENGINES = (
     "scipy",
     "torch",
     "wgpu",
-    "supple.engines.wgpu.raymarch",
+    "supple.gpu.raymarch",
     "supple.cuda",
     "supple.engines.cuda.engine",
 )

@@ -20,8 +20,8 @@ import SimpleITK as sitk  # noqa: N813
 from supple import Deformation, Recipe, Stroke, SuppleError
 from supple.files.transforms import displacement_of, write_transform
 from supple.files.volumes import VolumeOptions, warp_volume
-from supple.geometry import Geometry
 from supple.media.transforms import SUFFIXES_OUT, check_target, write_field
+from supple.space.geometry import Geometry
 
 Array = npt.NDArray[Any]
 
@@ -264,7 +264,7 @@ def test_a_full_disk_leaves_what_was_there_and_no_word_of_itks(tmp_path: Path) -
         import os, resource, sys
         import numpy as np
         from supple.errors import SuppleError
-        from supple.geometry import Geometry
+        from supple.space.geometry import Geometry
         from supple.media.transforms import SUFFIXES_OUT, write_field
         field = np.random.default_rng(0).normal(size=(9, 20, 30, 3))
         for suffix in SUFFIXES_OUT:

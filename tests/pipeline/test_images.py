@@ -17,8 +17,8 @@ import SimpleITK
 from PIL import Image
 
 from supple import Deformation, SuppleError
-from supple.geometry import Geometry
 from supple.media.volume import Volume
+from supple.space.geometry import Geometry
 from tests import effort, reference
 from tests.pipeline.pictures import FILTERS, SHAPE, Array, Floats, bent, exact, noise
 

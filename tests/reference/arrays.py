@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.deformation import Deformation
-from supple.domain import Domain
+from supple.space.domain import Domain
 from tests.reference.motion import Step, grid, inverse, matrices, reached
 from tests.reference.samples import faded, sample, sample_frames
 

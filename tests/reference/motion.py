@@ -14,9 +14,9 @@ from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
 from supple.deformation import Deformation
-from supple.domain import Domain
-from supple.folding import resolve
-from supple.freezing import Freeze
+from supple.folding.limits import resolve
+from supple.space.domain import Domain
+from supple.space.freezing import Freeze
 from supple.strokes import Stroke, matrix_of, poisson_of
 
 Floats = npt.NDArray[np.float64]

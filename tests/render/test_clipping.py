@@ -14,12 +14,12 @@ from scipy import ndimage
 
 import supple
 from supple.files.renders import RenderOptions, render_file
-from supple.geometry import Geometry
 from supple.render.appearance import cropped, lamp
 from supple.render.box import box_of
 from supple.render.camera import Camera
 from supple.render.scene import MODES, Scene
 from supple.render.transfer import TransferFunction
+from supple.space.geometry import Geometry
 from tests.children import ROOT
 from tests.render.test_files import stored
 
@@ -175,7 +175,7 @@ def test_the_gpu_lights_as_the_core_does() -> None:
     """What both name has the same value."""
     folder = ROOT / "src" / "supple"
     core = (folder / "_core" / "raymarch.hpp").read_text(encoding="utf-8")
-    shader = (folder / "engines" / "wgpu" / "shaders" / "raymarch.wgsl").read_text(encoding="utf-8")
+    shader = (folder / "gpu" / "shaders" / "raymarch.wgsl").read_text(encoding="utf-8")
     for name in ("OPAQUE", "LAYER", "AMBIENT", "DIFFUSE", "SPECULAR"):
         one, other = (re.findall(rf"\b{name} = ([\d.]+)", text) for text in (core, shader))
         assert len(one) == len(other) == 1, name

@@ -16,15 +16,15 @@ import pytest
 import supple
 from supple import cli
 from supple.cli import command
-from supple.engines.wgpu.device import Gpu
 from supple.files.renders import RenderOptions, default_transfer, render_file
 from supple.files.volumes import VolumeOptions
-from supple.geometry import Geometry
+from supple.gpu.device import Gpu
 from supple.media import image
 from supple.media import volume as media
 from supple.render.camera import Camera
 from supple.render.labels import LabelColours
 from supple.render.transfer import PRESETS
+from supple.space.geometry import Geometry
 
 SHAPE = (24, 30, 28)
 GRAB = ["--grab", "13,14,11:17,14,11", "--radius", "9"]

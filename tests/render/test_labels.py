@@ -15,13 +15,13 @@ from supple import _core
 from supple.errors import SuppleError, VolumeWarning
 from supple.files.renders import RenderOptions, render_file
 from supple.files.volumes import VolumeOptions
-from supple.geometry import Geometry
 from supple.render.appearance import largest
 from supple.render.camera import Camera
 from supple.render.labels import LabelColours, labels_in, numbered, palette
 from supple.render.picture import Rendering
 from supple.render.scene import Scene
 from supple.render.transfer import TransferFunction, transfer_of
+from supple.space.geometry import Geometry
 
 Floats = npt.NDArray[np.float64]
 

@@ -15,12 +15,12 @@ from supple.cli import command
 from supple.errors import SuppleError
 from supple.files.renders import RenderOptions, render_file
 from supple.files.volumes import open_volume
-from supple.geometry import Geometry
 from supple.media import image
 from supple.render.appearance import largest
 from supple.render.camera import Camera
 from supple.render.scene import Scene
 from supple.render.transfer import TransferFunction
+from supple.space.geometry import Geometry
 from tests.render.test_files import head, stored
 
 Floats = npt.NDArray[np.float64]

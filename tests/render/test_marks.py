@@ -16,15 +16,15 @@ import pytest
 
 import supple
 from supple.cli import command
-from supple.engines.wgpu.device import Gpu
 from supple.files.renders import RenderOptions, render_file
-from supple.geometry import Geometry
+from supple.gpu.device import Gpu
 from supple.media import image
 from supple.plot.annotate import annotated
 from supple.render.camera import Camera
 from supple.render.marks import Bar, bar_of, sides_of
 from supple.render.scene import Scene
 from supple.render.transfer import TransferFunction
+from supple.space.geometry import Geometry
 
 Array = npt.NDArray[Any]
 

@@ -13,12 +13,11 @@ from vtk.util.numpy_support import vtk_to_numpy
 
 import supple
 from supple.cli import command
-from supple.engines.wgpu.device import Gpu
 from supple.errors import OutsideWarning, SuppleError
 from supple.files.meshes import COLOURS, MeshFile, read_surfaces
 from supple.files.renders import RenderOptions, render_file
 from supple.files.volumes import open_volume
-from supple.geometry import Geometry
+from supple.gpu.device import Gpu
 from supple.media import image
 from supple.media import volume as media
 from supple.render.camera import Camera
@@ -26,6 +25,7 @@ from supple.render.meshes import Surface
 from supple.render.picture import Rendering, light_of
 from supple.render.scene import Scene
 from supple.render.transfer import TransferFunction
+from supple.space.geometry import Geometry
 from tests.media.meshes import made
 from tests.media.meshes.contours import structures
 

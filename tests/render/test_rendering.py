@@ -12,12 +12,12 @@ from scipy import ndimage
 
 import supple
 from supple import _core
-from supple.geometry import Geometry
 from supple.render.appearance import brick_counts
 from supple.render.camera import Camera
 from supple.render.picture import Rendering
 from supple.render.scene import MODES, Scene
 from supple.render.transfer import ENTRIES, TransferFunction
+from supple.space.geometry import Geometry
 from tests import effort
 
 Floats = npt.NDArray[np.float64]

@@ -14,7 +14,6 @@ import supple
 from supple import _core
 from supple.cli import command
 from supple.files.renders import RenderOptions, render_file
-from supple.geometry import Geometry
 from supple.media import image
 from supple.render import scene as scenes
 from supple.render import shadows
@@ -22,6 +21,7 @@ from supple.render.appearance import lamp
 from supple.render.camera import Camera
 from supple.render.scene import Scene
 from supple.render.transfer import TransferFunction
+from supple.space.geometry import Geometry
 from tests.render.test_files import head, stored
 
 Floats = npt.NDArray[np.float64]

@@ -7,9 +7,9 @@ import pytest
 
 import supple
 from supple import _core
-from supple.domain import BorderProfile
 from supple.render.appearance import FINE, brick_counts
 from supple.render.solid import COARSEST, FINEST, Solid, solve_solid, strokes_of
+from supple.space.domain import BorderProfile
 from tests import reference
 
 SHAPE = (37, 50, 43)

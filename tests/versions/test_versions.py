@@ -17,7 +17,7 @@ import pytest
 
 import supple
 from supple.cli import command
-from supple.engines.wgpu.device import Gpu
+from supple.gpu.device import Gpu
 from supple.media import image
 from tests.viewer.windows import SIZE, opened, wait_for
 

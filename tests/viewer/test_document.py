@@ -18,10 +18,10 @@ from supple.deformation import Deformation
 from supple.errors import FoldError, FoldWarning, SuppleError
 from supple.files import read_recipe, warp_file, write_recipe
 from supple.files.clip_work import deformation_of as on_clip
-from supple.geometry import Geometry
-from supple.keys import Key
 from supple.media.image import read, write
+from supple.space.geometry import Geometry
 from supple.strokes import Recipe, Stroke
+from supple.strokes.keys import Key
 from supple.viewer.document.editing import Document
 from supple.viewer.document.state import Item, State
 

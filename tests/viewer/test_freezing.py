@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from supple.engines.wgpu.device import Gpu
 from supple.errors import SuppleError
-from supple.freezing import Freeze
+from supple.gpu.device import Gpu
 from supple.media import image as images
+from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.words import described, settings, step
 from supple.viewer.panels.overlay import status

@@ -13,7 +13,7 @@ import pytest
 from scipy import ndimage
 
 from supple.deformation import Deformation
-from supple.engines.wgpu.device import Gpu
+from supple.gpu.device import Gpu
 from supple.media import image
 from supple.media import volume as volumes
 from supple.strokes import Recipe

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import supple
-from supple.engines.wgpu.device import Gpu
+from supple.gpu.device import Gpu
 from supple.media import video
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.editing import Document

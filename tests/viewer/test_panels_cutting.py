@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from supple.engines.wgpu.device import Gpu
-from supple.freezing import Freeze
+from supple.gpu.device import Gpu
 from supple.render.camera import Camera
+from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke
 from supple.viewer.tools.planes import RENDERED
 from tests.viewer.windows import Hand, opened

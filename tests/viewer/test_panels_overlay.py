@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import supple
-from supple.engines.wgpu.device import Gpu
 from supple.errors import SuppleError
+from supple.gpu.device import Gpu
 from supple.media import volume as volumes
 from supple.strokes import Recipe, Stroke
 from tests.viewer.windows import SIZE, opened

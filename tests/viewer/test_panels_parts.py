@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from supple.engines.wgpu import plate
-from supple.engines.wgpu.device import Gpu
-from supple.geometry import Geometry
+from supple.gpu import plate
+from supple.gpu.device import Gpu
 from supple.media import volume as volumes
+from supple.space.geometry import Geometry
 from supple.strokes import Recipe, Stroke
 from supple.viewer.panels.view import WIDE
 from supple.viewer.tools.keys import BRUSHES, KEYS

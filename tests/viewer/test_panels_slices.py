@@ -11,8 +11,8 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 import supple
-from supple.engines.wgpu.device import Gpu
 from supple.files.volumes import VolumeOptions
+from supple.gpu.device import Gpu
 from supple.media import image
 from supple.media import volume as volumes
 from supple.render.camera import Camera

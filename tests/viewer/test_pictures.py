@@ -12,7 +12,7 @@ import pytest
 import pyvips
 from PIL import Image, ImageCms
 
-from supple.engines.wgpu.device import Gpu
+from supple.gpu.device import Gpu
 from supple.media.image import read
 from supple.viewer.panels.transforms import on_screen
 from tests.viewer.windows import opened, wait_for

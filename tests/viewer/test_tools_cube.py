@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from supple.geometry import Geometry
 from supple.render.camera import Camera
+from supple.space.geometry import Geometry
 from supple.viewer.tools.cube import face_at, faces_of
 from supple.viewer.tools.orbit import Stage
 from supple.viewer.tools.planes import RENDERED

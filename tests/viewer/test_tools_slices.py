@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from supple.geometry import Geometry
+from supple.space.geometry import Geometry
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.editing import Document
 from supple.viewer.tools.planes import RENDERED, planes_of

@@ -8,8 +8,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from supple.geometry import Geometry
 from supple.render.camera import Camera
+from supple.space.geometry import Geometry
 from supple.viewer.tools import orbit
 from supple.viewer.tools.orbit import Stage
 from supple.viewer.tools.playback import Playback

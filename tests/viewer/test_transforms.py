@@ -8,7 +8,7 @@ import av
 import numpy as np
 import pytest
 
-from supple.engines.wgpu.device import Gpu
+from supple.gpu.device import Gpu
 from supple.media.image import read, write
 from supple.viewer.panels.frame_cache import FrameCache
 from supple.viewer.panels.transforms import TRANSFORMS, on_screen, seen

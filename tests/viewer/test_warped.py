@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from supple.deformation import Deformation
-from supple.engines.wgpu.device import Gpu, _know_types
-from supple.engines.wgpu.plate import OVERLAYS, Plate, Sight
-from supple.engines.wgpu.screen import canvas_texture, pixels_of
+from supple.gpu.device import Gpu, _know_types
+from supple.gpu.plate import OVERLAYS, Plate, Sight
+from supple.gpu.screen import canvas_texture, pixels_of
 from supple.strokes import Recipe, Stroke
 from supple.viewer.panels.warped import Levels, Warped, changed
 from tests.viewer.windows import Hand, opened

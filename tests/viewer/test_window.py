@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 
 import supple
-from supple.engines.wgpu.device import Gpu
 from supple.errors import ScaleWarning
 from supple.files.clips import ClipOptions
 from supple.files.volumes import VolumeOptions, deformation_of
+from supple.gpu.device import Gpu
 from supple.media import image, video, volume
 from supple.media.volume import RawLayout
 from supple.strokes import Recipe, Stroke

@@ -12,7 +12,7 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 from supple.cli import command
-from supple.engines.wgpu.device import Gpu
+from supple.gpu.device import Gpu
 from supple.media import image
 from supple.strokes import Stroke
 from supple.viewer.panels.view import BAR, LINE, WIDE

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from supple.cli import command
-from supple.engines.wgpu.device import Gpu
+from supple.gpu.device import Gpu
 from supple.media import image
 from supple.viewer.panels.overlay import status
 from tests.viewer.sessions import near, recipe_in, warped

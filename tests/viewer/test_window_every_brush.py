@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import SimpleITK as sitk  # noqa: N813
 
-from supple.engines.wgpu.device import Gpu
+from supple.gpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe
 from tests import effort

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import pyvips
 
-from supple.engines.wgpu.device import Gpu
 from supple.errors import SuppleError
+from supple.gpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
 from tests.clips import make
@@ -43,7 +43,7 @@ def settled(view: Any, hand: Hand) -> np.ndarray:
 
 
 def bent_half(view: Any) -> np.ndarray:
-    from supple.engines.wgpu.screen import pixels_of
+    from supple.gpu.screen import pixels_of
 
     return pixels_of(view.gpu, view._textures[0])[..., :3].astype(int)
 
@@ -233,7 +233,7 @@ def test_the_value_of_a_clip_is_that_of_the_frame_it_comes_from(gpu: Gpu, long: 
 @pytest.mark.parametrize("coarse", [4, 7, 8])
 def test_coarse_pixels_lie_where_fine_ones_do(gpu: Gpu, coarse: int, monkeypatch: pytest.MonkeyPatch) -> None:
     from supple.deformation import Deformation
-    from supple.engines.wgpu.screen import Screen, pixels_of
+    from supple.gpu.screen import Screen, pixels_of
     from supple.viewer.panels.painter import Painter, Shot
     from supple.viewer.panels.stages import ImageStage
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from supple.engines.wgpu.device import Gpu
+from supple.gpu.device import Gpu
 from supple.media import volume as volumes
 from supple.viewer.panels.slices import first_window, turned
 from supple.viewer.panels.view import LINE, WIDE

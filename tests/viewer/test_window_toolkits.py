@@ -16,7 +16,7 @@ import pytest
 import pyvips
 
 import supple
-from supple.engines.wgpu.device import Gpu
+from supple.gpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe
 

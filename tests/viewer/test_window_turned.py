@@ -11,7 +11,7 @@ import av
 import numpy as np
 import pytest
 
-from supple.engines.wgpu.device import Gpu
+from supple.gpu.device import Gpu
 from supple.strokes import Recipe
 from supple.viewer.panels.frame_cache import FrameCache
 from tests import effort

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from supple.geometry import Geometry
 from supple.render.picture import Pick
+from supple.space.geometry import Geometry
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.editing import Document
 from supple.viewer.tools.brushes import ImageTools, VideoTools

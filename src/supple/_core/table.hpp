@@ -1,4 +1,4 @@
-// The tables of strokes and axes, as Python packs them (`supple.strokes.STROKE_DTYPE`, `supple.domain.Domain.packed`).
+// The tables of strokes and axes, as Python packs them (`supple.strokes.STROKE_DTYPE`, `supple.space.domain.Domain.packed`).
 #pragma once
 #include <algorithm>
 #include <array>

@@ -14,9 +14,9 @@ import numpy.typing as npt
 from supple.augment.elastic import RandomElastic as Drawing
 from supple.augment.peers import SEEDS, bent_stack, deformation_of, edged, filter_of, need_library, spacing_of
 from supple.deformation import Deformation
-from supple.domain import choice, refuse
 from supple.engines.base import OUTSIDE
 from supple.errors import SuppleError
+from supple.space.domain import choice, refuse
 
 need_library("albumentations", "Albumentations")
 import cv2

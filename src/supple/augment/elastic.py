@@ -2,7 +2,7 @@
 
 A draw is a `Deformation` of grabs at random points, in random directions, one after the other. Each is weakened, where
 it must, until a bound proves that the symmetric part of I + J has no eigenvalue below 0.3 at any point
-(`supple.strain`): each grab is one-to-one then, and so is the draw, whatever the random numbers.
+(`supple.folding.strain`): each grab is one-to-one then, and so is the draw, whatever the random numbers.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.deformation import Deformation
-from supple.domain import Border, checked_border, integer, items, length, number, refuse
-from supple.geometry import Grid
-from supple.resolved import FLOW_GAP, FLOW_MARGIN, Table, beta_at
-from supple.strain import weakest
+from supple.folding.resolved import FLOW_GAP, FLOW_MARGIN, Table, beta_at
+from supple.folding.strain import weakest
+from supple.space.domain import Border, checked_border, integer, items, length, number, refuse
+from supple.space.geometry import Grid
 from supple.strokes import Stroke, numbers, pack
 
 Floats = npt.NDArray[np.float64]

@@ -20,7 +20,7 @@ from supple.errors import LayerWarning, ScaleWarning, SuppleError
 
 if TYPE_CHECKING:
     from supple.deformation import Arrival, Deformation
-    from supple.geometry import Geometry, Grid
+    from supple.space.geometry import Geometry, Grid
 
 DONE, FAULT, REFUSED = 0, 1, 2
 INTERRUPTED = 128 + signal.SIGINT
@@ -228,7 +228,7 @@ def warn_of_software(console: Console, device: str) -> None:
     """
     if device != "gpu":
         return
-    from supple.engines.wgpu.device import open_gpu
+    from supple.gpu.device import open_gpu
 
     gpu = open_gpu()
     if gpu.software:

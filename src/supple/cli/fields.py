@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from supple.fields import Map
     from supple.files.fields import CheckedFile, Input, InvertedFile, Written
     from supple.files.maps import MapFile
-    from supple.geometry import Grid
+    from supple.space.geometry import Grid
 
 MAPS = Group("Maps", sort_key=1)
 WRITING = Group("Writing", sort_key=3)

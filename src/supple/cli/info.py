@@ -38,7 +38,7 @@ def info(
     if not gpu and not files:
         raise SuppleError("give a file to tell about: supple info FILE, or supple info --gpu")
     if gpu:
-        from supple.engines.wgpu.device import describe as describe_gpus
+        from supple.gpu.device import describe as describe_gpus
 
         for found in describe_gpus():
             if json:

@@ -17,11 +17,11 @@ from supple.cli.options_volume import COORDINATES
 from supple.errors import OutsideWarning, SuppleError, shown
 
 if TYPE_CHECKING:
-    from supple.affine import Affine
     from supple.cli.console import Console
     from supple.fields import Placed
     from supple.files.grids import GridOptions
-    from supple.geometry import Grid
+    from supple.space.affine import Affine
+    from supple.space.geometry import Grid
 
 PathLike = str | os.PathLike[str]
 
@@ -234,7 +234,7 @@ class _Entry:
         return placed if self.inverse else placed[::-1], file.convention
 
     def _affine(self) -> Affine:
-        from supple.affine import Affine
+        from supple.space.affine import Affine
 
         try:
             numbers = [float(part) for part in self.text.split(",")]

@@ -16,8 +16,8 @@ from supple.cli.options_volume import COORDINATES
 from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
-    from supple.domain import Border
-    from supple.freezing import Freeze
+    from supple.space.domain import Border
+    from supple.space.freezing import Freeze
     from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke
 
 Place = Callable[[], str | None]

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from supple.files.plans import Planned
     from supple.files.stores import WarpedStore
     from supple.files.tasks import Running
-    from supple.geometry import Grid
+    from supple.space.geometry import Grid
     from supple.strokes import Recipe
 
 Outside = Literal["edge", "constant", "reflect"]

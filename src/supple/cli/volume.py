@@ -22,7 +22,7 @@ from supple.errors import SuppleError, shown
 if TYPE_CHECKING:
     from supple.deformation import Deformation
     from supple.files.volumes import VolumeOptions as Reading
-    from supple.geometry import Geometry
+    from supple.space.geometry import Geometry
     from supple.strokes import Fit, Recipe
 
 _STROKES, _RUN, _VOLUME, _VIDEO = StrokeOptions(), RunOptions(), VolumeArguments(), VideoOptions()

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from supple.files.clips import WarpedClip
     from supple.files.stores import WarpedStore
     from supple.files.volumes import WarpedVolume
-    from supple.geometry import Grid
+    from supple.space.geometry import Grid
     from supple.strokes import Recipe
 
 Outside = Literal["edge", "constant", "reflect"]

@@ -1,1 +1,1 @@
-"""Engines: one protocol (`base`), the native one and CUDA, and the choice between them; and wgpu, which draws."""
+"""Engines: one protocol (`base`), the native one and CUDA, and the choice between them."""

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.domain import choice, colours_hint, flag, number, refuse
 from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
-from supple.geometry import Grid
-from supple.strain import Mask
+from supple.folding.strain import Mask
+from supple.space.domain import choice, colours_hint, flag, number, refuse
+from supple.space.geometry import Grid
 
 Array = npt.NDArray[Any]
 

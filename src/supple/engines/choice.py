@@ -1,23 +1,17 @@
-"""The choice of an engine, native or CUDA, by the user's request and the location of the array; of a GPU that draws."""
+"""The choice of an engine, native or CUDA, by the user's request and the location of the array."""
 
 from __future__ import annotations
 
-import contextlib
-
 import numpy as np
 
-from supple.domain import choice, refuse
 from supple.engines.base import Engine
 from supple.engines.native import NATIVE
-from supple.engines.wgpu.device import Gpu, open_gpu
-from supple.errors import SuppleError
+from supple.space.domain import refuse
 
 # The CUDA engine is imported only if there is a device, to keep `import supple` fast.
 
 DEVICES = ("auto", "cpu", "cuda")
 """The devices that warp."""
-DRAWING = ("auto", "cpu", "gpu")
-"""The devices that draw volumes."""
 
 
 def check_device(device: object, what: str = "") -> None:
@@ -36,25 +30,6 @@ def check_device(device: object, what: str = "") -> None:
         if what:
             refuse("device", f'"cpu" or "auto" for {what}', device)
         _cuda()
-
-
-def gpu_of(device: str) -> Gpu | None:
-    """Return the GPU that draws, or None for the CPU.
-
-    ``"auto"`` takes a hardware GPU if there is one, never a software one; ``"gpu"`` takes either.
-
-    Raises
-    ------
-    SuppleError
-        If there is no such device.
-    """
-    choice("device", device, DRAWING)
-    if device == "gpu":
-        return open_gpu()
-    if device == "auto":
-        with contextlib.suppress(SuppleError):
-            return open_gpu(software=False)
-    return None
 
 
 def engine_for(device: str) -> Engine:

@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.domain import refuse
 from supple.engines.base import (
     BETWEEN,
     FILTERS,
@@ -28,7 +27,8 @@ from supple.engines.base import (
 )
 from supple.engines.workers import CPU
 from supple.errors import SuppleError
-from supple.geometry import Grid
+from supple.space.domain import refuse
+from supple.space.geometry import Grid
 from supple.strokes import numbers
 
 Floats = npt.NDArray[np.float64]

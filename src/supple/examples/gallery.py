@@ -14,12 +14,12 @@ from string import Template
 import numpy as np
 import numpy.typing as npt
 
-from supple.engines.choice import gpu_of
 from supple.errors import MissWarning, SuppleError, shown
 from supple.examples.scenes import BACKGROUND, DISTANCE, HEAD, INSIDE, SCENES, Look, Scene, Shot, Take
 from supple.files import Warped, warp_file
 from supple.files.clips import ClipOptions, WarpedClip, open_clip
 from supple.files.renders import RenderOptions, render_file
+from supple.gpu.device import gpu_of
 from supple.media.files import replacing
 from supple.media.image import info, read, write
 from supple.media.volume import read as read_volume

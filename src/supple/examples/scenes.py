@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from supple.domain import Border
+from supple.space.domain import Border
 from supple.strokes import FoldPolicy, Recipe, Stroke
 
 DISTANCE = 480

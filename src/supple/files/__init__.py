@@ -13,7 +13,6 @@ from typing import Any, Literal
 
 from supple.arrays import warp_picture
 from supple.deformation import Deformation, Report
-from supple.domain import refuse
 from supple.engines.base import Sampling, warn_of
 from supple.engines.choice import check_device
 from supple.errors import SuppleError, shown
@@ -30,7 +29,7 @@ from supple.files.clips import (
 )
 from supple.files.grids import GridOptions, arrivals_on, grid_on, picture_grid
 from supple.files.volumes import VolumeOptions, WarpedVolume, check_volume_target, is_volume_job, warp_volume
-from supple.geometry import Grid
+from supple.folding.resolved import warn_of_still
 from supple.media.codecs import SUFFIXES as CLIPS
 from supple.media.files import check_output, replacing, same_file
 from supple.media.image import SUFFIXES as SUFFIXES_IN
@@ -40,7 +39,8 @@ from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import grid_of as volume_grid
 from supple.media.volume import suffix_of
 from supple.progress import counted, staged
-from supple.resolved import warn_of_still
+from supple.space.domain import refuse
+from supple.space.geometry import Grid
 from supple.strokes import Fit, Recipe, fit_recipe
 
 PathLike = str | os.PathLike[str]

@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from supple.deformation import Deformation
-from supple.domain import length, refuse
 from supple.engines.base import Array, Layout, Sampling, Work
 from supple.errors import SuppleError
 from supple.files.motion import motion_of
-from supple.geometry import Grid
 from supple.media.base import Clip, ClipWarning
 from supple.pipeline import Tell, make_plan, stream
+from supple.space.domain import length, refuse
+from supple.space.geometry import Grid
 from supple.strokes import Fit, Recipe, fit_recipe, scaling_of
 
 

@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from supple.deformation import Deformation, Report
-from supple.domain import integer, number
 from supple.engines.base import Certificate, warn_of
 from supple.engines.choice import check_device
 from supple.errors import OutsideWarning, SuppleError, caller, shown
 from supple.files.clip_work import deformations_of, sampling_of, warn_of_frames, work_on
-from supple.geometry import Grid
+from supple.folding.resolved import warn_of_still
 from supple.media import codecs
 from supple.media.base import Clip, CountError
 from supple.media.codecs import SUFFIXES
@@ -27,7 +26,8 @@ from supple.media.image.formats import SUFFIXES as SUFFIXES_IN
 from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.numbering import has_number, is_sequence
 from supple.pipeline import Done, Tell, run
-from supple.resolved import warn_of_still
+from supple.space.domain import integer, number
+from supple.space.geometry import Grid
 from supple.strokes import Fit, Recipe
 
 if TYPE_CHECKING:

@@ -14,10 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from supple.affine import Affine
-from supple.checks import FieldReport
 from supple.errors import FoldWarning, OutsideWarning, SuppleError, shown
 from supple.fields import OK, Field, Map, Placed, check_path, compose, own_grid, told, write_maps
+from supple.fields.checks import FieldReport
 from supple.files.maps import (
     MapFile,
     check_images,
@@ -29,10 +28,11 @@ from supple.files.maps import (
     read_file,
     write_image,
 )
-from supple.geometry import Grid
 from supple.media import transforms
 from supple.media.files import check_output, replacing_together, same_file
 from supple.media.volume import suffix_of
+from supple.space.affine import Affine
+from supple.space.geometry import Grid
 
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]

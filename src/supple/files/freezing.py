@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import FreezeWarning, SuppleError, shown
-from supple.freezing import Freeze
-from supple.geometry import check_upright
 from supple.media import image, volume
+from supple.space.freezing import Freeze
+from supple.space.geometry import check_upright
 
 PathLike = str | os.PathLike[str]
 

@@ -9,14 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from supple.deformation import Arrival
-from supple.domain import checked_spacing, integer, items, refuse
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Placed, check_path
-from supple.geometry import Geometry, Grid
 from supple.media import volume as volumes
 from supple.media.codecs import SUFFIXES as CLIPS
 from supple.media.files import is_store
 from supple.media.image import SUFFIXES, info
+from supple.space.domain import checked_spacing, integer, items, refuse
+from supple.space.geometry import Geometry, Grid
 
 PathLike = str | os.PathLike[str]
 

@@ -12,14 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.deformation import Deformation
-from supple.domain import choice
 from supple.errors import OutsideWarning, SuppleError, ToleranceWarning, VolumeWarning, shown
-from supple.geometry import Geometry
 from supple.media.files import check_output
 from supple.media.points import FLIP, PointFile, check_target, read_points, write_points
 from supple.media.volume import Volume
 from supple.media.volume import read as read_volume
 from supple.media.volume.dicom import frame_of_reference
+from supple.space.domain import choice
+from supple.space.geometry import Geometry
 from supple.strokes import REACH, CoordinateSpace, Stroke
 
 Floats = npt.NDArray[np.float64]

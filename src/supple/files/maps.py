@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from supple.affine import Affine
 from supple.errors import SuppleError, shown
 from supple.fields import Field, Map, Placed, own_grid, read_maps, told
-from supple.geometry import Grid, check_upright
 from supple.media import transforms, volume
 from supple.media.files import unwritable
 from supple.media.volume import is_volume, suffix_of
+from supple.space.affine import Affine
+from supple.space.geometry import Grid, check_upright
 
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]

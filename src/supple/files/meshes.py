@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from supple.domain import choice
 from supple.errors import OutsideWarning, SuppleError
 from supple.files.landmarks import convention_of, warn_of_frame
 from supple.media.files import check_suffix
@@ -17,6 +16,7 @@ from supple.media.meshes import KINDS
 from supple.media.points import read_points
 from supple.media.volume import Volume
 from supple.render.meshes import Surface
+from supple.space.domain import choice
 
 PathLike = str | os.PathLike[str]
 Colour = tuple[float, float, float]

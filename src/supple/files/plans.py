@@ -23,11 +23,11 @@ from supple.files.clips import is_clip
 from supple.files.grids import GridOptions, grid_on
 from supple.files.tasks import Runner, Running, runner_of
 from supple.files.volumes import VolumeOptions, deformation_of, is_volume_job, sampling_of
-from supple.geometry import Geometry, Grid
 from supple.media.files import is_store, unreadable
 from supple.media.stores import Samples, StoredImage, like_file, open_image
 from supple.media.volume import Volume
 from supple.pipeline import Tell
+from supple.space.geometry import Geometry, Grid
 from supple.strokes import Fit, Recipe, fit_recipe
 
 PathLike = str | os.PathLike[str]

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.deformation import Deformation
-from supple.domain import choice, integer
 from supple.engines.base import Array, Sampling
 from supple.errors import SuppleError, shown
 from supple.fields import Placed
@@ -31,6 +30,7 @@ from supple.media.volume import is_volume
 from supple.pipeline import Tell, make_plan
 from supple.plot import WHATS, check_plot, draw_sheet, draw_slice, evenly, plot
 from supple.progress import counted
+from supple.space.domain import choice, integer
 from supple.strokes import Fit, Recipe, fit_recipe
 
 Colours = npt.NDArray[np.uint8]

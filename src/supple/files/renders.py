@@ -14,13 +14,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import choice, integer, number, point
-from supple.engines.choice import DRAWING
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Placed
 from supple.files.meshes import MeshFile, read_surfaces
 from supple.files.volumes import VolumeOptions, background_of, deformation_of, is_of_labels, open_volume
-from supple.geometry import check_upright
+from supple.gpu.device import DRAWING
 from supple.media import image, turntable
 from supple.media.files import check_output, check_outputs, check_suffix, replacing, replacing_all
 from supple.media.numbering import has_number, spelling
@@ -35,6 +33,8 @@ from supple.render.meshes import Surface
 from supple.render.picture import Rendering
 from supple.render.scene import MODES, Scene
 from supple.render.transfer import HOUNSFIELD, LABELS, SUFFIXES, Transfer, transfer_of
+from supple.space.domain import choice, integer, number, point
+from supple.space.geometry import check_upright
 from supple.strokes import Fit, Recipe
 
 Array = npt.NDArray[Any]

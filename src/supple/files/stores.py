@@ -27,7 +27,6 @@ from supple.files.plans import Medium, Source, chunks_of, open_source, plan_boxe
 from supple.files.tasks import Runner, Running, check_seen, check_shared, runner_of
 from supple.files.transforms import write_transform
 from supple.files.volumes import VolumeOptions, least_of, warn_of_labels
-from supple.geometry import Geometry, Grid
 from supple.media.files import ROOTS, check_store, is_store, replacing, unwritable
 from supple.media.stores import (
     LABELS,
@@ -40,6 +39,7 @@ from supple.media.stores import (
 )
 from supple.media.transforms.ngff import Placement
 from supple.pipeline import Tell
+from supple.space.geometry import Geometry, Grid
 from supple.strokes import Fit, Recipe
 
 PathLike = str | os.PathLike[str]

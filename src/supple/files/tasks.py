@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from supple.domain import refuse
 from supple.engines.workers import threads
 from supple.errors import SuppleError, need, said, shown
+from supple.space.domain import refuse
 
 Job = TypeVar("Job")
 Item = TypeVar("Item")

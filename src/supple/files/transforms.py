@@ -9,13 +9,13 @@ import numpy.typing as npt
 
 from supple.buffers import beside
 from supple.deformation import Deformation
-from supple.domain import number
 from supple.engines.base import Certificate, Space, warn_of
 from supple.engines.native import certificate_of, plan_of
 from supple.errors import SuppleError
-from supple.geometry import Geometry, Grid
 from supple.media.files import check_output
 from supple.media.transforms import check_target, write_field
+from supple.space.domain import number
+from supple.space.geometry import Geometry, Grid
 
 Floats = npt.NDArray[np.float64]
 PathLike = str | os.PathLike[str]

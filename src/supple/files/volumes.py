@@ -24,7 +24,7 @@ from supple.errors import GapWarning, SuppleError, VolumeWarning, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.grids import GridOptions, arrivals_on, grid_on, warn_of_place
 from supple.files.transforms import write_transform
-from supple.geometry import Floats, Geometry, Grid
+from supple.folding.resolved import warn_of_still
 from supple.media import transforms
 from supple.media.files import check_output, is_store, replacing
 from supple.media.volume import (
@@ -43,7 +43,7 @@ from supple.media.volume import (
 from supple.media.volume import place_of as volume_place
 from supple.media.volume.dicom import padding_of
 from supple.pipeline import Tell
-from supple.resolved import warn_of_still
+from supple.space.geometry import Floats, Geometry, Grid
 from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke, fit_recipe
 
 Array = npt.NDArray[Any]

@@ -12,7 +12,6 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import LARGEST, value_shown
 from supple.errors import SuppleError, shown
 from supple.media import meshes
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable
@@ -20,6 +19,7 @@ from supple.media.meshes.base import Mesh
 from supple.media.meshes.cells import Ints, Part
 from supple.media.tables import Table, parsed
 from supple.media.volume import Volume
+from supple.space.domain import LARGEST, value_shown
 
 Floats = npt.NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from typing import NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import LARGEST, value_shown
 from supple.errors import SuppleError
+from supple.space.domain import LARGEST, value_shown
 
 Floats = npt.NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from supple.domain import LARGEST, LONGEST_AXIS, choice, value_shown
 from supple.errors import SuppleError, shown
 from supple.media.files import PathLike, head_of, unreadable
+from supple.space.domain import LARGEST, LONGEST_AXIS, choice, value_shown
 
 Convention = Literal["pixels", "nuke", "ae"]
 CONVENTIONS: tuple[str, ...] = get_args(Convention)

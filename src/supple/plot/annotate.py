@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import refuse
 from supple.errors import SuppleError
-from supple.geometry import Geometry
 from supple.render.camera import Projection
 from supple.render.marks import bar_of, sides_of
+from supple.space.domain import refuse
+from supple.space.geometry import Geometry
 
 LEAST = 96
 """Pixels along a side: a smaller picture has no room for marks."""

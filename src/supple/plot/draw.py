@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.deformation import Deformation
-from supple.domain import choice
 from supple.plot import measure
 from supple.plot.background import background
 from supple.plot.frame import (
@@ -30,6 +29,7 @@ from supple.plot.frame import (
     title,
     under,
 )
+from supple.space.domain import choice
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

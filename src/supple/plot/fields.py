@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from supple.checks import FieldReport
 from supple.fields import Field, sampled
-from supple.geometry import Grid
+from supple.fields.checks import FieldReport
 from supple.plot.frame import Extend, bar, check_plot, save, sheet, title
+from supple.space.geometry import Grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

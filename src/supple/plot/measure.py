@@ -13,11 +13,11 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.deformation import Deformation
-from supple.domain import integer, number
 from supple.engines import paper
 from supple.engines.base import Certificate
 from supple.engines.native import measured, plan_of
 from supple.errors import SuppleError
+from supple.space.domain import integer, number
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]

@@ -9,14 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.domain import choice, point, refuse
-from supple.engines.wgpu import raymarch as shading
 from supple.errors import SuppleError
+from supple.gpu import raymarch as shading
 from supple.render.box import Clip, box_of
 from supple.render.camera import Projection
 from supple.render.colour import linear_light, luminance_and_colours
 from supple.render.labels import LabelColours, labels_in, numbered
 from supple.render.transfer import ENTRIES, LABELS, PRESETS, Transfer, TransferFunction, transfer_of
+from supple.space.domain import choice, point, refuse
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]

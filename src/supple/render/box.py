@@ -9,9 +9,9 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import items, number, point, refuse
 from supple.errors import SuppleError
-from supple.geometry import Geometry
+from supple.space.domain import items, number, point, refuse
+from supple.space.geometry import Geometry
 
 Floats = npt.NDArray[np.float64]
 

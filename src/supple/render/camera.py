@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import integer, number, point, refuse
-from supple.geometry import Geometry
+from supple.space.domain import integer, number, point, refuse
+from supple.space.geometry import Geometry
 
 Floats = npt.NDArray[np.float64]
 

@@ -14,15 +14,15 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.engines.base import Space
-from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.field import fits
-from supple.engines.wgpu.fill import BLOCK, Filling
-from supple.engines.wgpu.kernel import Pace, failures, trouble
-from supple.engines.wgpu.raymarch import EXACT, HYBRID, LATTICE, PLAIN, RAYS, Held, prepare
-from supple.engines.wgpu.solid import Lattice, hold_strokes, solve
-from supple.engines.wgpu.volume import Volume, beside, hold
 from supple.engines.workers import CPU, note
 from supple.errors import DeviceWarning
+from supple.gpu.device import Gpu
+from supple.gpu.field import fits
+from supple.gpu.fill import BLOCK, Filling
+from supple.gpu.kernel import Pace, failures, trouble
+from supple.gpu.raymarch import EXACT, HYBRID, LATTICE, PLAIN, RAYS, Held, prepare
+from supple.gpu.solid import Lattice, hold_strokes, solve
+from supple.gpu.volume import Volume, beside, hold
 from supple.render.camera import Projection
 from supple.render.solid import FINEST, RESOLVED, Solid, cells_along_rays, solve_solid
 from supple.strokes import STROKE_DTYPE
@@ -88,7 +88,7 @@ def held_scene(
     Raises
     ------
     Exception
-        One of `supple.engines.wgpu.kernel.failures`.
+        One of `supple.gpu.kernel.failures`.
     """
     if space is not None and not fits(space.table):
         raise ArithmeticError("strokes of such sizes are beyond its numbers")

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import items, number, refuse
 from supple.errors import SuppleError
 from supple.render.colour import linear_light
+from supple.space.domain import items, number, refuse
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from supple.geometry import Geometry
 from supple.render.camera import Projection
+from supple.space.geometry import Geometry
 
 _PART = 0.25  # of the picture's width: no bar is longer
 _SLANT = math.sin(math.radians(15))  # a direction that is turned by less towards a side does not name it

@@ -10,12 +10,12 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.deformation import Deformation
-from supple.domain import number, point, refuse
-from supple.engines.wgpu import raymarch as shading
-from supple.geometry import Geometry
+from supple.gpu import raymarch as shading
 from supple.render.appearance import core_look
 from supple.render.camera import Projection
 from supple.render.picture import light_of
+from supple.space.domain import number, point, refuse
+from supple.space.geometry import Geometry
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]

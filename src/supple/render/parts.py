@@ -6,9 +6,9 @@ from typing import Any
 
 from supple import _core
 from supple.deformation import Deformation
-from supple.engines.choice import gpu_of
-from supple.engines.wgpu import raymarch as shading
-from supple.engines.wgpu.volume import Volume
+from supple.gpu import raymarch as shading
+from supple.gpu.device import gpu_of
+from supple.gpu.volume import Volume
 from supple.render.appearance import FINE, prepared, ranged, skipped, widened
 from supple.render.device import held_scene, tried, unseen_blocks
 from supple.render.labels import LabelColours

@@ -12,13 +12,10 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.deformation import Deformation
-from supple.domain import choice, integer, number, point, refuse
-from supple.engines.choice import DRAWING
-from supple.engines.wgpu import raymarch as shading
-from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.kernel import failures, let_through, passing, trouble
 from supple.errors import SuppleError
-from supple.geometry import Geometry
+from supple.gpu import raymarch as shading
+from supple.gpu.device import DRAWING, Gpu
+from supple.gpu.kernel import failures, let_through, passing, trouble
 from supple.render.appearance import (
     PROJECTIONS,
     core_look,
@@ -41,6 +38,8 @@ from supple.render.picture import Array, Pick, Rendering, light_of
 from supple.render.shadows import Shade, arriving, shade_of
 from supple.render.solid import Solid, cells_along_rays, strokes_of
 from supple.render.transfer import Transfer
+from supple.space.domain import choice, integer, number, point, refuse
+from supple.space.geometry import Geometry
 
 MODES = ("lattice", "exact", "buffered", "hybrid")
 _STORAGE = 0x08  # wgpu.TextureUsage.STORAGE_BINDING

@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.deformation import Deformation
-from supple.domain import refuse
 from supple.engines.base import Space
 from supple.errors import SuppleError, ToleranceWarning
+from supple.space.domain import refuse
 from supple.strokes import numbers
 
 Floats = npt.NDArray[np.float64]

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import items, number, refuse
 from supple.errors import SuppleError
 from supple.render.colour import linear_light
 from supple.render.labels import SUFFIXES as TABLES
 from supple.render.labels import LabelColours
+from supple.space.domain import items, number, refuse
 
 ENTRIES = 4096
 

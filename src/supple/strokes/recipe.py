@@ -7,7 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Literal, Self, get_args
 
-from supple.domain import (
+from supple.errors import ScaleWarning, SuppleError
+from supple.space.domain import (
     LONGEST_AXIS,
     Border,
     BorderProfile,
@@ -20,8 +21,7 @@ from supple.domain import (
     number,
     refuse,
 )
-from supple.errors import ScaleWarning, SuppleError
-from supple.freezing import Freeze
+from supple.space.freezing import Freeze
 from supple.strokes.scaling import Fit, Scaling, scaling_of, spoken
 from supple.strokes.stroke import PART, Stroke
 from supple.strokes.text import read, written

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from supple.domain import choice
 from supple.errors import SuppleError
+from supple.space.domain import choice
 
 Fit = Literal["pixels", "stretch", "inside"]
 FITS: tuple[str, ...] = get_args(Fit)

@@ -10,10 +10,10 @@ from typing import Any, Literal, Self, get_args
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import LARGEST, choice, integer, length, number, point, refuse
 from supple.errors import SuppleError
-from supple.keys import Key, checked_keys, position
-from supple.keys import strength as strength_of
+from supple.space.domain import LARGEST, choice, integer, length, number, point, refuse
+from supple.strokes.keys import Key, checked_keys, position
+from supple.strokes.keys import strength as strength_of
 
 Brush = Literal["grab", "twist", "scale", "pinch"]
 Point = Sequence[float] | npt.NDArray[Any]

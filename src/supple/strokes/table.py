@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import refuse
+from supple.space.domain import refuse
 from supple.strokes.stroke import Brush, Stroke
 
 POISSON = 0.4

@@ -9,10 +9,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any, NoReturn, get_args
 
-from supple.domain import choice, integer, point, refuse, value_shown
 from supple.errors import SuppleError
-from supple.freezing import Freeze
-from supple.keys import Key
+from supple.space.domain import choice, integer, point, refuse, value_shown
+from supple.space.freezing import Freeze
+from supple.strokes.keys import Key
 from supple.strokes.stroke import Brush, Stroke
 from supple.strokes.table import POISSON
 

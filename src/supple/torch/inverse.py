@@ -9,12 +9,12 @@ from typing import Any, get_args
 
 import torch
 
-from supple.domain import checked_spacing, choice, number, refuse
-from supple.engines.torch.engine import grid
-from supple.engines.torch.field import solved
-from supple.engines.torch.taps import around, coefficients, count
 from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
 from supple.fields import FOLDED, OK, OUTSIDE, STATUS, UNCONVERGED, Beyond, Field, Interpolation
+from supple.space.domain import checked_spacing, choice, number, refuse
+from supple.torch.engine import grid
+from supple.torch.field import solved
+from supple.torch.taps import around, coefficients, count
 
 _ROOM = 1 << 18  # the samples around points that are processed at once
 

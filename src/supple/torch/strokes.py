@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import torch
 
 from supple.deformation import Deformation
-from supple.domain import refuse
-from supple.engines.torch.field import Freedom, Kind, Strokes, axes_of
 from supple.errors import FoldWarning, MissWarning, SuppleError
+from supple.space.domain import refuse
 from supple.strokes import pack
+from supple.torch.field import Freedom, Kind, Strokes, axes_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,13 +14,13 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from supple.deformation import Deformation
-from supple.domain import refuse
 from supple.engines.base import Group, Layout, Sampling, Space, Work, warn_of
-from supple.engines.torch.engine import TORCH, adjoint_of, grid, offsets_of, seen_at, working
-from supple.engines.torch.field import Strokes, strokes_gradients
-from supple.engines.torch.taps import Columns, Taps, around, count
 from supple.pipeline import sampled
+from supple.space.domain import refuse
+from supple.torch.engine import TORCH, adjoint_of, grid, offsets_of, seen_at, working
+from supple.torch.field import Strokes, strokes_gradients
 from supple.torch.strokes import Item, items
+from supple.torch.taps import Columns, Taps, around, count
 
 SMOOTH = ("nearest", "linear", "cubic")
 

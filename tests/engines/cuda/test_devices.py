@@ -21,10 +21,10 @@ from supple.examples.gallery import write_gallery
 from supple.files.clips import warp_clip
 from supple.files.renders import RenderOptions
 from supple.files.volumes import warp_volume
-from supple.geometry import Geometry
 from supple.media import image
 from supple.media import volume as media
 from supple.render.scene import Scene
+from supple.space.geometry import Geometry
 from supple.strokes import Recipe, Stroke
 from tests.engines.cuda.driver import Status
 

@@ -21,8 +21,8 @@ from supple.engines.cuda.large import warp_host
 from supple.engines.native import NATIVE
 from supple.engines.workers import workers
 from supple.errors import DeviceWarning, SuppleError
-from supple.geometry import Geometry
 from supple.media import volume as media
+from supple.space.geometry import Geometry
 from tests.engines.cuda.driver import Driver
 
 STACK = (24, 12, 14)

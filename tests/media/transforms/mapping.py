@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from supple.geometry import Grid
 from supple.media.transforms import Content, Displacements
+from supple.space.geometry import Grid
 
 DATA = Path(__file__).parent / "data"
 Floats = npt.NDArray[np.float64]

@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from supple import SuppleError
-from supple.geometry import Grid
 from supple.media.transforms import CONVENTIONS, Content, Displacements, read, write
+from supple.space.geometry import Grid
 from tests.media.transforms.mapping import DATA, GRIDS, field_on, mapped, points_in, rotation
 
 PLUMB = ("plain", "turned")

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import SimpleITK as sitk  # noqa: N813
 
-from supple.geometry import Grid
 from supple.media.transforms import Displacements, read, write
+from supple.space.geometry import Grid
 from tests.media.transforms.mapping import GRIDS, Floats, field_on, mapped, points_in
 
 GRID = GRIDS["oblique"]

@@ -13,8 +13,8 @@ import pytest
 import zarr
 
 from supple import SuppleError, errors
-from supple.geometry import Grid
 from supple.media.transforms import Displacements, read, write
+from supple.space.geometry import Grid
 from tests.media.transforms.moved import moved
 
 Array = npt.NDArray[Any]

@@ -11,8 +11,8 @@ import numpy.typing as npt
 import pytest
 
 from supple import SuppleError
-from supple.geometry import Grid
 from supple.media.transforms import Displacements, read, write
+from supple.space.geometry import Grid
 from tests.media.transforms.moved import moved, sampled
 
 Array = npt.NDArray[Any]

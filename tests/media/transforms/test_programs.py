@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from supple.geometry import Grid
 from supple.media.transforms import Displacements, read, write
+from supple.space.geometry import Grid
 from tests.media.transforms.mapping import DATA, Floats, centres, grid_of, mapped, warped
 
 CLOSE = 1e-3  # millimetres

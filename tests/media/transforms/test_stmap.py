@@ -11,9 +11,9 @@ import OpenEXR
 import pytest
 
 from supple import SuppleError, errors
-from supple.geometry import Grid
 from supple.media import image
 from supple.media.transforms import Displacements, read, write
+from supple.space.geometry import Grid
 from tests.media.transforms.moved import moved, sampled
 
 Array = npt.NDArray[Any]

@@ -9,13 +9,13 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 import supple
-from supple.affine import Affine
 from supple.cli.describe import describe
 from supple.errors import SuppleError, VolumeWarning
 from supple.fields import Placed
 from supple.files.grids import GridOptions
 from supple.files.volumes import VolumeOptions
 from supple.media.volume import read, write
+from supple.space.affine import Affine
 from supple.strokes import Recipe, Stroke
 from tests.media.volume.test_dicom import slices
 from tests.media.volume.volumes import SHAPE, SPACING, noise, refused

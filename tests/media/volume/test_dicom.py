@@ -9,13 +9,13 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 from supple.errors import VolumeWarning
-from supple.geometry import Geometry
 from supple.media.volume import (
     info,
     is_volume,
     read,
     write,
 )
+from supple.space.geometry import Geometry
 from tests.media.volume.volumes import (
     ORIGIN,
     PLACED,

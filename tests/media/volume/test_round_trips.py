@@ -235,7 +235,7 @@ class TestRefusals:
         code = """
             import os, resource, signal, sys
             import numpy as np
-            from supple.geometry import Geometry
+            from supple.space.geometry import Geometry
             from supple.media.volume import Volume, write
             from supple.errors import SuppleError
             samples = np.random.default_rng(0).integers(0, 60000, (20, 40, 50)).astype("u2")

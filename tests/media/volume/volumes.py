@@ -9,11 +9,11 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 from supple.errors import SuppleError
-from supple.geometry import Geometry
 from supple.media.volume import (
     Volume,
     read,
 )
+from supple.space.geometry import Geometry
 
 SPACING, ORIGIN = (0.7, 1.1, 2.3), (-12.5, 33.25, 7.125)
 DTYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")

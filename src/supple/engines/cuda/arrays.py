@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import refuse
 from supple.engines.base import check_gradients
 from supple.engines.cuda.device import CudaDevice, Memory, Stream, open_device
 from supple.errors import SuppleError
+from supple.space.domain import refuse
 
 _CUDA = (2, 13)  # DLPack's device types: GPU memory, and memory shared with the host
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from supple.domain import refuse
 from supple.engines.base import Certificate, Work, warn_of
 from supple.engines.cuda.arrays import DeviceArray, as_stream, stream_of
 from supple.engines.cuda.device import Event, Stream, keep, let_go
 from supple.engines.cuda.warp import Told, warp
 from supple.engines.workers import note
+from supple.space.domain import refuse
 
 
 class Warping:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from supple.domain import refuse
 from supple.engines.base import Certificate, Space, warn_of
 from supple.engines.cuda.arrays import DeviceArray, contiguous, made_like, plain, taken
 from supple.engines.cuda.device import keep
@@ -14,6 +13,7 @@ from supple.engines.cuda.layout import SOME, record
 from supple.engines.cuda.programs import Program, launch, prepare
 from supple.engines.cuda.warp import Told, lattice_of, paint
 from supple.engines.native import CONVERGED
+from supple.space.domain import refuse
 
 
 def _columns(points: Any, ndim: int) -> DeviceArray:

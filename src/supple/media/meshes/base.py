@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import LARGEST
 from supple.media.files import PathLike, unreadable
 from supple.media.meshes.cells import Ints, Part
+from supple.space.domain import LARGEST
 
 Floats = npt.NDArray[np.float64]
 Spans = Sequence[tuple[int, int]]

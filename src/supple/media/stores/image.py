@@ -11,11 +11,11 @@ from typing import Any, Literal
 import numpy as np
 
 from supple.errors import SuppleError, VolumeWarning, said
-from supple.geometry import Grid
 from supple.media.files import PathLike, unreadable
 from supple.media.stores import ome
 from supple.media.stores.places import Place, quiet
 from supple.media.transforms.omezarr import ome_of, space_matrix
+from supple.space.geometry import Grid
 
 LABELS = "labels"
 """The group of an image's label images."""

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from supple.errors import VolumeWarning, shown
-from supple.geometry import Geometry
 from supple.media.files import PathLike
 from supple.media.stores.image import StoredImage, described
 from supple.media.stores.places import Place, quiet
 from supple.media.stores.samples import Samples
 from supple.media.transforms.omezarr import ORIENTATIONS
+from supple.space.geometry import Geometry
 
 _CHUNK = {2: 512, 3: 64}
 """The side of a chunk, of so many axes of space."""

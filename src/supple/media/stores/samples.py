@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError, need
-from supple.geometry import Geometry, check_upright
 from supple.media import image, volume
 from supple.media.files import PathLike, head_of, unreadable
 from supple.media.stores.places import quiet
 from supple.media.volume import RawLayout, pages
 from supple.media.volume.data import rescaled, rescaled_dtype
+from supple.space.geometry import Geometry, check_upright
 
 Array = npt.NDArray[Any]
 

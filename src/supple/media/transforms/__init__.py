@@ -11,12 +11,12 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from supple.errors import SuppleError, shown
-from supple.geometry import Grid
 from supple.media.files import PathLike, unreadable
 from supple.media.transforms import afni, freesurfer, fsl, itk_files, ngff, opencv, ras, stmap
 from supple.media.transforms.base import Content, Displacements, Grids, MissingGridError
 from supple.media.transforms.guess import convention_in, convention_of
 from supple.media.transforms.itk import SUFFIXES_OUT, check_target, write_field
+from supple.space.geometry import Grid
 
 __all__ = [
     "CONVENTIONS",

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from supple.errors import SuppleError, shown
-from supple.geometry import Geometry, Grid
 from supple.media.files import PathLike, head_of, unreadable, unwritable
 from supple.media.transforms.base import (
     VECTOR,
@@ -37,6 +36,7 @@ from supple.media.transforms.base import (
 )
 from supple.media.volume import nifti
 from supple.media.volume.data import native, reading
+from supple.space.geometry import Geometry, Grid
 
 MATRICES = (".aff12.1d", ".1d")
 DATASETS = (".head", ".brik", ".brik.gz")

@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError, VolumeWarning, shown
-from supple.geometry import Grid
 from supple.media.files import PathLike, head_of, replacing, unreadable, unwritable
 from supple.media.volume import nifti
 from supple.media.volume.data import Volume, placed
+from supple.space.geometry import Grid
 
 Array = npt.NDArray[Any]
 Matrix = npt.NDArray[np.float64]

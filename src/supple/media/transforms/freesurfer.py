@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from supple.geometry import Grid
 from supple.media.files import PathLike, unreadable, unwritable
 from supple.media.transforms import mgz
 from supple.media.transforms.base import (
@@ -25,6 +24,7 @@ from supple.media.transforms.base import (
     write_text,
 )
 from supple.media.transforms.mgz import centred, described
+from supple.space.geometry import Grid
 
 _VOXELS, _RAS = 0, 1
 _KINDS = {_VOXELS: "of voxels", _RAS: "of RAS"}

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from supple.geometry import Grid
 from supple.media.files import PathLike, unreadable
 from supple.media.transforms.base import (
     Content,
@@ -32,6 +31,7 @@ from supple.media.transforms.base import (
     write_nifti,
     write_text,
 )
+from supple.space.geometry import Grid
 
 _FIELD = 2006
 _INTENTS = (_FIELD, 0)

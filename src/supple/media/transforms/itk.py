@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError, shown
-from supple.geometry import Geometry
 from supple.media.files import PathLike, check_suffix, replacing, unwritable
 from supple.media.volume import itk, nifti
 from supple.media.volume.nifti import LONGEST
+from supple.space.geometry import Geometry
 
 Field = npt.NDArray[np.floating[Any]]
 

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from supple.errors import SuppleError, shown
-from supple.geometry import Grid
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable, unwritable
 from supple.media.transforms.base import (
     TEXT,
@@ -34,6 +33,7 @@ from supple.media.transforms.base import (
 from supple.media.transforms.itk import SUFFIXES_OUT, write_field, write_transform
 from supple.media.volume import itk, nifti
 from supple.media.volume.data import reading
+from supple.space.geometry import Grid
 
 IMAGES = {".nii": "", ".nii.gz": "", ".nrrd": "NRRD", ".nhdr": "NRRD", ".mha": "MetaImage", ".mhd": "MetaImage"}
 TRANSFORMS = (".h5", ".hdf5", ".tfm", ".txt", ".mat")

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from supple.geometry import Grid
 from supple.media.files import PathLike, head_of, unreadable
 from supple.media.transforms.base import (
     LPS,
@@ -27,6 +26,7 @@ from supple.media.transforms.base import (
     to_ras,
 )
 from supple.media.volume.data import native, reading, too_large
+from supple.space.geometry import Grid
 
 SUFFIXES = (".mgz", ".mgh")
 _HEADER = 284

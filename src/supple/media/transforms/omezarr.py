@@ -10,10 +10,10 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from supple.errors import SuppleError, need, said
-from supple.geometry import Grid
 from supple.media.files import PathLike, unreadable
 from supple.media.transforms.base import Array, Content, Displacements, Matrix
 from supple.media.transforms.sequences import shortened
+from supple.space.geometry import Grid
 
 _PREFIXES = {
     "": 0, "yocto": -24, "zepto": -21, "atto": -18, "femto": -15, "pico": -12, "nano": -9, "micro": -6, "milli": -3,

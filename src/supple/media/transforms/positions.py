@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from supple.geometry import Grid
 from supple.media.files import PathLike, unreadable, unwritable
 from supple.media.transforms.base import Array, Content, Displacements, Matrix
+from supple.space.geometry import Grid
 
 
 def of_positions(path: PathLike, x: Array, y: Array, first: tuple[int, int] = (0, 0)) -> Displacements:

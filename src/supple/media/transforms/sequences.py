@@ -13,8 +13,8 @@ from itertools import product
 import numpy as np
 
 from supple.errors import SuppleError
-from supple.geometry import Grid
 from supple.media.transforms.base import Content, Displacements, Matrix
+from supple.space.geometry import Grid
 
 _EXACT = 1e-6  # of a voxel
 

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
-from supple.geometry import Geometry, Grid
 from supple.media.files import PathLike, check_output, check_suffix, head_of, unreadable, unwritable
 from supple.media.volume import derived, raw
 from supple.media.volume import pages as stack
@@ -23,6 +22,7 @@ from supple.media.volume.data import (
     rescaled_dtype,
 )
 from supple.media.volume.pages import has_pages
+from supple.space.geometry import Geometry, Grid
 
 __all__ = [
     "SUFFIXES",

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import LONGEST_AXIS, integer, items, length, refuse
 from supple.errors import SuppleError, shown
-from supple.geometry import Geometry, Grid
 from supple.media.files import PathLike, unreadable
+from supple.space.domain import LONGEST_AXIS, integer, items, length, refuse
+from supple.space.geometry import Geometry, Grid
 
 Array = npt.NDArray[Any]
 

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from supple.errors import need, shown
-from supple.geometry import Geometry
 from supple.media.files import PathLike, check_output, head_of, replacing, unreadable, unwritable
 from supple.media.volume.data import (
     DTYPES,
@@ -30,6 +29,7 @@ from supple.media.volume.data import (
     too_large,
 )
 from supple.media.volume.raw import count_bytes
+from supple.space.geometry import Geometry
 
 _LOADERS = {"NRRD": "NrrdImageIO", "MetaImage": "MetaImageIO"}
 _MILLIMETRES = {"", "???", "mm", "millimeter", "millimeters", "millimetre", "millimetres"}

@@ -15,7 +15,6 @@ from typing import IO, Any, Literal, cast
 import numpy as np
 
 from supple.errors import VolumeWarning, need, shown
-from supple.geometry import Geometry
 from supple.media.files import PathLike, head_of, replacing, unreadable
 from supple.media.volume.data import (
     DTYPES,
@@ -28,6 +27,7 @@ from supple.media.volume.data import (
     reading,
     too_large,
 )
+from supple.space.geometry import Geometry
 
 _GZIP = b"\x1f\x8b"
 _MILLIMETRES = {1: 1000.0, 3: 0.001}  # units of a metre, of a micrometre

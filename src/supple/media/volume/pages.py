@@ -16,9 +16,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from supple.errors import SuppleError, VolumeWarning, need, said, shown
-from supple.geometry import Geometry
 from supple.media.files import PathLike, replacing, unreadable, unwritable
 from supple.media.volume.data import Array, Volume, native
+from supple.space.geometry import Geometry
 
 SUFFIXES = (".tif", ".tiff")
 _LETTERS = {"T": "t", "C": "c", "S": "c", "Z": "z", "Q": "z", "I": "z", "Y": "y", "X": "x"}  # of tifffile

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from supple.errors import shown
-from supple.geometry import Geometry
 from supple.media.files import PathLike, head_of, unreadable
 from supple.media.volume.data import RawLayout, Volume, native, reading
+from supple.space.geometry import Geometry
 
 _HEAD = 6  # three sizes of 16 bits
 _CHUNK = 1 << 22

@@ -7,11 +7,11 @@ from dataclasses import replace
 from operator import attrgetter
 
 from supple.deformation import Arrival, Deformation, last_outside, reduced
-from supple.domain import Border, Domain, integer, refuse
 from supple.errors import SuppleError
 from supple.files.volumes import indexed, placed
-from supple.freezing import Freeze
-from supple.geometry import Geometry
+from supple.space.domain import Border, Domain, integer, refuse
+from supple.space.freezing import Freeze
+from supple.space.geometry import Geometry
 from supple.strokes import PAINTINGS, FoldPolicy, Recipe, Stroke, spoken
 from supple.viewer.document.state import Handle, Item, Kind, Solved, State, Track, handles_of
 

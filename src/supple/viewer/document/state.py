@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 from supple.deformation import Deformation, after
-from supple.domain import refuse
-from supple.folding import NEAR
+from supple.folding.limits import NEAR
+from supple.space.domain import refuse
 from supple.strokes import CoordinateSpace, FoldPolicy, Recipe, Stroke
 
 Kind = Literal["image", "video", "volume"]

@@ -7,8 +7,8 @@ from dataclasses import fields
 from functools import lru_cache
 
 from supple.deformation import Arrival
-from supple.folding import NEAR
-from supple.freezing import Freeze
+from supple.folding.limits import NEAR
+from supple.space.freezing import Freeze
 from supple.strokes import PAINTINGS, FoldPolicy, Recipe, Stroke
 from supple.viewer.document.state import Item, State
 

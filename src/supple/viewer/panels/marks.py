@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from imgui_bundle import imgui
 
-from supple.geometry import SIDES
 from supple.render.box import whole_box
 from supple.render.marks import rounded
+from supple.space.geometry import SIDES
 from supple.strokes import PAINTINGS
 from supple.viewer.panels import cube, theme
 from supple.viewer.panels.stages import VolumeStage

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from supple.deformation import Deformation
-from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.kernel import wait
-from supple.engines.wgpu.plate import Sight
-from supple.engines.wgpu.screen import ALL, Part, canvas_texture
+from supple.gpu.device import Gpu
+from supple.gpu.kernel import wait
+from supple.gpu.plate import Sight
+from supple.gpu.screen import ALL, Part, canvas_texture
 from supple.render.camera import Camera
 from supple.viewer.panels.stages import ImageStage, VolumeStage
 
@@ -40,7 +40,7 @@ class Shot:
     scale: float = 1.0  # the step to the next, in pixels of the image
     time: float = 0.0  # the frame
     camera: Camera = _HOME
-    overlay: str = ""  # one of `supple.engines.wgpu.plate.OVERLAYS`
+    overlay: str = ""  # one of `supple.gpu.plate.OVERLAYS`
     original: bool = False  # show the base
     split: bool = False  # show both
     ratio: float = 1.0  # physical pixels for each logical pixel

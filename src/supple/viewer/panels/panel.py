@@ -8,9 +8,9 @@ from typing import Any
 
 from imgui_bundle import imgui
 
-from supple.engines.wgpu.plate import OVERLAYS
 from supple.errors import shown
 from supple.files.clips import ClipOptions
+from supple.gpu.plate import OVERLAYS
 from supple.viewer.document.background import Export
 from supple.viewer.panels import history, legend, menu, question, strokes, theme, volume
 from supple.viewer.panels.actions import ACTIONS

@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from supple.arrays import warp_array
 from supple.deformation import Deformation
-from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.screen import Screen, pixels_of
 from supple.files.volumes import sampling_of
+from supple.gpu.device import Gpu
+from supple.gpu.screen import Screen, pixels_of
 from supple.media.volume import Volume
 from supple.media.volume.data import rescaled
 from supple.render.labels import LabelColours

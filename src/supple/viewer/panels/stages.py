@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.deformation import Deformation
-from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.plate import BACK, Plate, Sight
 from supple.errors import SuppleError
+from supple.gpu.device import Gpu
+from supple.gpu.plate import BACK, Plate, Sight
 from supple.media.image import Picture
 from supple.media.volume import Volume
 from supple.render.box import Box

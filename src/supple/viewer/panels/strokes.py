@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 from imgui_bundle import imgui
 
-from supple.folding import NEAR
+from supple.folding.limits import NEAR
 from supple.strokes import PAINTINGS, POISSON, REACH, FoldPolicy
 from supple.viewer.document.state import Item
 from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, listed, others

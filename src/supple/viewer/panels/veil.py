@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from imgui_bundle import imgui
 
-from supple.engines.wgpu.device import Gpu
-from supple.freezing import Freeze
+from supple.gpu.device import Gpu
+from supple.space.freezing import Freeze
 from supple.viewer.panels import theme
 from supple.viewer.panels.stages import filled
 from supple.viewer.tools.drags import Pair

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.screen import composed
 from supple.errors import SuppleError
+from supple.gpu.device import Gpu
+from supple.gpu.screen import composed
 from supple.media import image
 from supple.render.labels import LabelColours
 from supple.strokes import Recipe
@@ -57,7 +57,7 @@ class View:
     landmarks: Landmarks | None = None  # of a volume
 
     def __post_init__(self) -> None:
-        self.overlay = ""  # one of `supple.engines.wgpu.plate.OVERLAYS`, or `FROZEN`
+        self.overlay = ""  # one of `supple.gpu.plate.OVERLAYS`, or `FROZEN`
         self.listed: int | None = None  # the stroke that the list has scrolled to
         self.reached: int | None = None  # and the step of the history
         self.sections = settings.read()  # those that were folded or opened

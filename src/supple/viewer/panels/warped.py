@@ -12,10 +12,10 @@ import numpy.typing as npt
 from supple.arrays import warp_array
 from supple.deformation import Deformation
 from supple.engines.base import Sampling, Space
-from supple.engines.wgpu.device import Gpu
-from supple.engines.wgpu.plate import Laid, Sight, halved
-from supple.geometry import Grid
-from supple.strain import mask_of
+from supple.folding.strain import mask_of
+from supple.gpu.device import Gpu
+from supple.gpu.plate import Laid, Sight, halved
+from supple.space.geometry import Grid
 from supple.strokes import STROKE_DTYPE, numbers
 
 Pixels = npt.NDArray[np.uint8]

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from supple.freezing import Freeze
+from supple.space.freezing import Freeze
 from supple.strokes import LARGEST_ANGLE, LARGEST_FACTOR, PAINTINGS, Stroke
 from supple.viewer.tools.keys import Tool
 

@@ -7,8 +7,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection
 from dataclasses import replace
 
-from supple.domain import Domain
 from supple.errors import SuppleError
+from supple.space.domain import Domain
 from supple.strokes import PAINTINGS, REACH, Stroke
 from supple.viewer.document.editing import Document
 from supple.viewer.tools.drags import IMMATERIAL, LIGHTEST, MASKS, SHAPES, Handle, Held, Pair, Part, nearest

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from supple.errors import SuppleError
-from supple.freezing import Freeze
+from supple.space.freezing import Freeze
 from supple.viewer.document.editing import Document
 from supple.viewer.tools.drags import CLICK, Held, Pair, nearest
 from supple.viewer.tools.drawing import Drawing

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import SMALLEST
-from supple.geometry import Geometry
 from supple.render.camera import Camera, Projection, view_of
+from supple.space.domain import SMALLEST
+from supple.space.geometry import Geometry
 
 TURN = 180.0  # degrees for a drag across the shorter side of the canvas
 FARTHEST = 10.0  # the largest distance of the camera, in multiples of that at which the volume fits

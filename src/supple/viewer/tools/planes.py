@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import Self
 
-from supple.geometry import SIDES, Geometry
+from supple.space.geometry import SIDES, Geometry
 from supple.viewer.tools.drags import Pair
 
 Point = tuple[float, float, float]

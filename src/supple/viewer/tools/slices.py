@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from supple.geometry import Geometry
 from supple.render.camera import Camera
 from supple.render.picture import Pick
+from supple.space.geometry import Geometry
 from supple.viewer.document.editing import Document
 from supple.viewer.tools.brushes import GRIP, ZOOM, VolumeTools, pans
 from supple.viewer.tools.drags import Held, Pair

@@ -17,7 +17,7 @@ Turn = tuple[float, float, float, float]
 """A map of displacements in an image to those that are shown: x from x and from y, and y from x and from y."""
 UPRIGHT: Turn = (1.0, 0.0, 0.0, 1.0)
 Part = tuple[float, float, float, float, float, float]
-"""A part of what is drawn, as `supple.engines.wgpu.screen.Part`."""
+"""A part of what is drawn, as `supple.gpu.screen.Part`."""
 
 
 def turn_of(rotation: float, aspect: Fraction | None = None, *, mirrored: bool = False) -> Turn:

@@ -9,7 +9,7 @@ from typing import Any
 from imgui_bundle import imgui
 from wgpu.utils.imgui import ImguiRenderer, ImguiWgpuBackend
 
-from supple.engines.wgpu.device import Gpu
+from supple.gpu.device import Gpu
 from supple.viewer.panels import theme
 
 

@@ -15,18 +15,18 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.deformation import Deformation
-from supple.domain import choice, length, point
-from supple.engines.wgpu.device import Gpu, open_gpu
 from supple.errors import SuppleError, shown
 from supple.fields import Placed
 from supple.files.clips import is_clip, open_clip, refuse_maps
 from supple.files.landmarks import read_landmarks
 from supple.files.renders import default_transfer
 from supple.files.volumes import VolumeOptions, background_of, in_space, is_of_labels, is_volume_job, open_volume
-from supple.geometry import Geometry, Grid, check_upright
+from supple.gpu.device import Gpu, open_gpu
 from supple.media.image import Picture, read
 from supple.media.volume import Volume
 from supple.render.camera import Camera
+from supple.space.domain import choice, length, point
+from supple.space.geometry import Geometry, Grid, check_upright
 from supple.strokes import Fit, Recipe, fit_recipe
 from supple.viewer.document.editing import Document
 from supple.viewer.document.landmarks import Landmarks

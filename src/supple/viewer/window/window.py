@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
-from supple.engines.wgpu.screen import Screen
 from supple.errors import SuppleError
+from supple.gpu.screen import Screen
 from supple.viewer.panels import keys, overlay, panel, toolbar
 from supple.viewer.panels.painter import Shot
 from supple.viewer.panels.stages import VideoStage, VolumeStage

@@ -1,0 +1,585 @@
+"""Displacement fields: values, files and inverses; and compositions of fields and affine maps."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, Self, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from supple import _core
+from supple.engines.base import Certificate, certificate_of_status, warn_of
+from supple.errors import SuppleError, shown
+from supple.fields import checks
+from supple.fields.checks import FieldReport
+from supple.space.affine import Affine, matrix_rows
+from supple.space.domain import FREE, choice, number, refuse
+from supple.space.geometry import Box, Grid, check_boxes
+from supple.space.splines import coefficients
+
+Floats = npt.NDArray[np.float64]
+Array = npt.NDArray[Any]
+PathLike = str | os.PathLike[str]
+Interpolation = Literal["linear", "cubic", "bspline"]
+Beyond = Literal["zero", "edge"]
+
+_ROUNDING = 1e-6  # samples: the outermost samples of a field may be just outside of it by rounding
+
+OK, FOLDED, OUTSIDE, UNCONVERGED = range(4)
+STATUS = ("ok", "folded", "outside", "unconverged")
+"""The names of the codes in `Inverted.status`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, init=False)
+class Field:
+    """A displacement field: the map x → x + u(x), with u given on a grid and interpolated between.
+
+    As resampling tools use one, it maps each point of the output to the point of the input that is seen there (pull).
+
+    Parameters
+    ----------
+    values : float32 or float64 array, shape (H, W, 2) or (Z, H, W, 3)
+        The displacement at each sample of the grid, x first, in the units of the grid, along the axes of space (LPS
+        for volumes), not of the grid. With ``"bspline"``, the coefficients of a cubic B-spline.
+    grid : Grid
+        The grid of the samples.
+    interpolation : str
+        ``"linear"``; ``"cubic"``, a cubic B-spline through the values; ``"bspline"``, values are its coefficients.
+    beyond : str
+        Of a point outside the grid, farther than half a sample: no displacement (``"zero"``, as in ITK), or that of
+        the nearest point of the ``"edge"``.
+
+    Raises
+    ------
+    SuppleError
+        If an argument is invalid, or the values hold NaN or infinity.
+    """
+
+    values: Array
+    grid: Grid
+    interpolation: Interpolation = field(default="linear")
+    beyond: Beyond = field(default="zero")
+
+    def __init__(
+        self, values: npt.ArrayLike, grid: Grid, interpolation: Interpolation = "linear", beyond: Beyond = "zero"
+    ) -> None:
+        check_grid(grid)
+        n = grid.ndim
+        shape = "(H, W, 2)" if n == 2 else "(Z, H, W, 3)"
+        given = _array(values)
+        if given.dtype.kind not in "iuf" or given.dtype.itemsize > 8:
+            refuse(
+                "values", f"real numbers, as an array of shape {shape}", told=f"{given.dtype} of shape {given.shape}"
+            )
+        if given.shape != (*grid.shape, n):
+            refuse("values", f"an array of shape {(*grid.shape, n)}, as the grid is", told=f"shape {given.shape}")
+        choice("interpolation", interpolation, get_args(Interpolation))
+        choice("beyond", beyond, get_args(Beyond))
+        held = np.ascontiguousarray(given, np.float64 if given.dtype.itemsize == 8 else np.float32)
+        if not all(np.isfinite(part).all() for part in held):
+            raise SuppleError("the field holds NaN or infinity")
+        if interpolation == "bspline" and min(grid.shape) < 4:
+            raise SuppleError(f"a cubic B-spline needs 4 coefficients along each axis, found {grid.shape}")
+        for name, value in (
+            ("values", held),
+            ("grid", grid),
+            ("interpolation", interpolation),
+            ("beyond", beyond),
+        ):
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_array(
+        cls,
+        values: npt.ArrayLike,
+        *,
+        spacing: float | Sequence[float] = 1.0,
+        origin: Sequence[float] | None = None,
+        direction: npt.ArrayLike | None = None,
+        interpolation: Interpolation = "linear",
+        beyond: Beyond = "zero",
+    ) -> Self:
+        """Return a field of an array; see `Field` and `Grid` for the parameters."""
+        given = _array(values)
+        if given.ndim not in (3, 4) or given.shape[-1] != given.ndim - 1 or 0 in given.shape:
+            refuse("values", "an array of shape (H, W, 2) or (Z, H, W, 3)", told=f"shape {given.shape}")
+        return cls(given, Grid(given.shape[:-1], spacing, origin, direction), interpolation, beyond)
+
+    @property
+    def ndim(self) -> int:
+        """The number of coordinates: 2 or 3."""
+        return self.grid.ndim
+
+    def packed(self, frame: Floats) -> _core.Sampled:
+        """Return the field as the core takes it.
+
+        Parameters
+        ----------
+        frame : float64 array, shape (D + 1, D + 1)
+            The homogeneous matrix from the coordinates of the points that it shall map to positions.
+        """
+        n = self.ndim
+        to_index = np.linalg.inv(self.grid.matrix)
+        sizes = self.grid.sizes
+        own = self.interpolation == "bspline"  # the coefficients at the ends are beyond the field
+        values = coefficients(self.values) if self.interpolation == "cubic" else self.values
+        matrix = to_index @ frame
+        return _core.Sampled(
+            values,
+            1 if self.interpolation == "linear" else 3,
+            [1.0 if own else 0.0] * n,
+            [size - (2.0 if own else 1.0) for size in sizes],
+            margin_of(self.interpolation),
+            self.beyond == "zero",
+            np.ascontiguousarray(matrix[:n]),
+            np.ascontiguousarray(np.linalg.inv(matrix[:n, :n])),
+            np.ascontiguousarray(to_index[:n, :n]),
+        )
+
+    def invert(self, grid: Grid | None = None, *, tolerance: float = 0.01) -> Inverted:
+        """Return the inverse displacement field, with its error and status at each sample.
+
+        Each sample y is solved for x with x + u(x) = y by Newton's method on the interpolant, whose Jacobian is exact;
+        nothing is smoothed, clamped or set to zero.
+
+        Parameters
+        ----------
+        grid : Grid, optional
+            The grid of the result; by default, the field's own.
+        tolerance : float
+            The largest distance from the true inverse of the interpolant, in voxels of the field.
+
+        Returns
+        -------
+        Inverted
+
+        Raises
+        ------
+        SuppleError
+            If the grid has another number of axes, or lies apart from the field and all that it leads to.
+        """
+        n = self.ndim
+        tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
+        held = own_grid(self) if grid is None else check_grid(grid)
+        if held.ndim != n:
+            raise SuppleError(f"a field of {n} axes needs a grid of as many, found {held.ndim}")
+        check_path([Placed(self, inverse=True)], held, "the grid of the inverse")
+        to_index = np.linalg.inv(self.grid.matrix) @ held.matrix
+        dtype = self.values.dtype
+        values, error = np.empty((*held.shape, n), dtype), np.empty(held.shape, np.float32)
+        status = np.zeros(held.shape, np.uint8)
+        back = np.ascontiguousarray(np.linalg.inv(to_index)[:n])
+        self.packed(np.eye(n + 1)).invert(np.ascontiguousarray(to_index[:n]), back, tolerance, values, error, status)
+        return Inverted(type(self)(values, held, beyond=self.beyond), error, status)
+
+    def folded_cells(self) -> npt.NDArray[np.bool_]:
+        """Return the cells between neighbouring samples in which the interpolant is not proved to be one-to-one.
+
+        Returns
+        -------
+        bool array
+            Of the shape of the samples less one along each axis of several: whether the determinant of I + ∂u/∂x may
+            not be above 0 somewhere in the cell. It is found by bounds that hold in the whole cell.
+        """
+        cells = np.zeros([max(size - 1, 1) for size in own_grid(self).shape], np.uint8)
+        self.packed(np.eye(self.ndim + 1)).folded_cells(cells)
+        return cells.astype(np.bool_)
+
+    def log_jacobian(self) -> npt.NDArray[np.float32]:
+        """Return the logarithm of the determinant of I + ∂u/∂x at each sample: above 0, the input is larger.
+
+        By central differences between the samples, one-sided at the edges; NaN where the determinant is not above 0,
+        that is, where the field folds.
+        """
+        return checks.log_jacobian(sampled(self), own_grid(self))
+
+    def check(self, inverse: Field | None = None) -> FieldReport:
+        """Return how far the field moves, whether it folds, and how well another one undoes it.
+
+        Parameters
+        ----------
+        inverse : Field, optional
+            A field that shall undo this one: a point goes through this one first.
+
+        Returns
+        -------
+        FieldReport
+
+        Raises
+        ------
+        SuppleError
+            If the other field has another number of axes.
+        """
+        distances = None if inverse is None else self.distances(inverse)
+        return self.reported(self.folded_cells(), self.log_jacobian(), distances)
+
+    def distances(self, inverse: Field) -> npt.NDArray[np.float32]:
+        """Return |inverse(self(x)) − x| at each sample x, in the grid's units.
+
+        NaN where this field maps a sample to a point beyond the other one's grid, farther than half a sample.
+        """
+        if not isinstance(inverse, Field):
+            refuse("inverse", "a Field", inverse)
+        if inverse.ndim != self.ndim:
+            raise SuppleError(f"a field of {self.ndim} axes has no inverse of {inverse.ndim}")
+        one, other = (field.packed(np.eye(self.ndim + 1)) for field in (self, inverse))
+        return checks.distances(one, other, own_grid(self), own_grid(inverse), margin_of(inverse.interpolation))
+
+    def reported(
+        self, folded: Array, logarithms: npt.NDArray[np.float32], distances: npt.NDArray[np.float32] | None = None
+    ) -> FieldReport:
+        """Return the report of what `folded_cells`, `log_jacobian` and `distances` have returned."""
+        grid, values = own_grid(self), sampled(self)
+        if self.interpolation == "linear":
+            least, index = checks.least_at_corners(values, grid)
+        else:
+            least, index = checks.least_at_samples(self.packed(np.eye(self.ndim + 1)), grid)
+        largest, mean = checks.displacements(values)
+        return FieldReport(
+            grid=grid,
+            largest=largest,
+            mean=mean,
+            cells=folded.size,
+            folded=int(np.count_nonzero(folded)),
+            determinant=least,
+            at=tuple(grid.positions(index).tolist()),
+            negative=int(np.count_nonzero(np.isnan(logarithms))),
+            consistency=None if distances is None else checks.consistency_of(distances),
+        )
+
+    def compose(self, *maps: Map | Placed, grid: Grid | None = None) -> Self:
+        """Return the field of this map and others, one after the other: x goes through this one first.
+
+        Parameters
+        ----------
+        *maps : Field, Affine or Placed
+            As in `compose`.
+        grid : Grid, optional
+            The grid of the result; by default, the field's own.
+
+        Notes
+        -----
+        Errors and warnings are those of `compose`.
+        """
+        made = compose((self, *maps), own_grid(self) if grid is None else grid)
+        return type(self)(made.values, made.grid)
+
+    @classmethod
+    def read(
+        cls,
+        path: PathLike,
+        convention: str | None = None,
+        *,
+        source: Grid | None = None,
+        reference: Grid | None = None,
+    ) -> Self:
+        """Read a displacement field.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            The file; see `supple.media.transforms` for the formats.
+        convention : str, optional
+            The program whose convention the file follows: ``"itk"`` (ITK, ANTs, 3D Slicer), ``"fsl-relative"``,
+            ``"fsl-absolute"``, ``"afni"``, ``"mrtrix"``, ``"ngff"``, ``"opencv"``, ``"stmap"``, ... By default, that
+            which the file itself shows without doubt.
+        source, reference : Grid, optional
+            The grids of the input (moving) and of the output (fixed) image, where the convention refers to them: fields
+            of FSL to the first, matrices of FLIRT to both.
+
+        Raises
+        ------
+        SuppleError
+            If the file cannot be read, is of another convention, or holds anything but one field.
+        """
+        found = read_maps(path, convention, source=source, reference=reference)
+        only = found[0] if len(found) == 1 else None
+        if not isinstance(only, Field):
+            raise SuppleError(
+                f"{shown(path)} holds {told(found)}, and not one field: read_maps(path) reads them (supple compose "
+                "makes one field of them)"
+            )
+        return cls(only.values, only.grid, only.interpolation, only.beyond)
+
+    def write(
+        self, path: PathLike, convention: str | None = None, *, source: Grid | None = None, force: bool = False
+    ) -> None:
+        """Write the field in a convention; the file appears whole or not at all.
+
+        Parameters
+        ----------
+        path, convention, source
+            As in `read`; by default, the convention that goes with the suffix.
+        force : bool
+            Whether to replace an existing file.
+
+        Raises
+        ------
+        SuppleError
+            If the file cannot be written, or the convention cannot hold the field.
+        """
+        write_maps(path, [self], convention, source=source, force=force)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inverted:
+    """The inverse of a displacement field, with its accuracy.
+
+    Parameters
+    ----------
+    field : Field
+        The inverse, interpolated linearly between its samples. At a sample that is not ``OK``, it is the nearest that
+        was found.
+    error : float32 array, of the grid's shape
+        A bound on the distance of x from the true inverse of the interpolant, in the grid's units (millimetres); inf
+        where it is not known.
+    status : uint8 array, of the grid's shape
+        For each sample: `OK`, if x is on the field's grid, and no other point is mapped there, not even of the field as
+        its edge continues it; `FOLDED`, if several points may be mapped there, since something that folds is, perhaps
+        beyond the grid; `OUTSIDE`, if x is beyond the grid, on the field as its edge continues it; or `UNCONVERGED`, if
+        no x was found within the tolerance.
+    """
+
+    field: Field
+    error: npt.NDArray[np.float32]
+    status: npt.NDArray[np.uint8]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The number of samples of each status."""
+        found = np.bincount(self.status.ravel(), minlength=len(STATUS))
+        return dict(zip(STATUS, found.tolist(), strict=True))
+
+
+Map = Affine | Field
+"""A map of positions that is no stroke."""
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """A field or an affine map, forward or inverted, perhaps among the strokes of a deformation.
+
+    Parameters
+    ----------
+    map : Field or Affine
+        From a point of the output to the point of the input that is seen there (pull).
+    inverse : bool
+        Whether to apply the inverse (push).
+    after : int
+        The number of strokes before it.
+    name : str
+        The name of its file, for messages.
+    """
+
+    map: Field | Affine
+    inverse: bool = False
+    after: int = 0
+    row: int = field(default=0, repr=False)
+    name: str = field(default="", repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.map, Affine | Field):
+            refuse("a map", "a Field, an Affine, or a Placed with one", self.map)
+
+    @property
+    def told(self) -> str:
+        """The name, or what it is."""
+        return self.name or ("the field" if isinstance(self.map, Field) else "the affine map")
+
+    def packed(self, frame: Floats) -> _core.Part:
+        """Return the map as the core takes it, from the coordinates of `Field.packed`, as a part of the pull map."""
+        if isinstance(self.map, Field):
+            return "field", self.map.packed(frame), self.inverse
+        return "affine", matrix_rows(np.linalg.inv(frame) @ self.map.matrix @ frame), self.inverse
+
+
+def only_name(maps: Iterable[Placed]) -> str:
+    """Return the name of the only field among maps; "a field" if it has none, or there are more."""
+    fields = [placed for placed in maps if isinstance(placed.map, Field)]
+    return fields[0].name if len(fields) == 1 and fields[0].name else "a field"
+
+
+def folds_of(maps: Iterable[Placed]) -> str:
+    """Return in words which of the fields that are inverted fold, and in how many cells; "" if none does."""
+    told = []
+    for placed in maps:
+        if placed.inverse and isinstance(placed.map, Field):
+            cells = placed.map.folded_cells()
+            if count := int(np.count_nonzero(cells)):
+                doubt = " (is its convention another?)" if placed.name and 4 * count > cells.size else ""
+                told.append(f"{placed.told} folds in {count:,} of its {cells.size:,} cells{doubt}")
+    return ", and ".join(told)
+
+
+def read_maps(
+    path: PathLike, convention: str | None = None, *, source: Grid | None = None, reference: Grid | None = None
+) -> tuple[Map, ...]:
+    """Read the affine maps and fields of a file, in the order in which a point of the output goes through them.
+
+    Parameters and errors are those of `Field.read`.
+    """
+    from supple.media import transforms
+
+    found = transforms.read(path, convention, source=source, reference=reference)
+    return tuple(Field(*each) if isinstance(each, transforms.Displacements) else Affine(each) for each in found)
+
+
+def write_maps(
+    path: PathLike,
+    maps: Sequence[Map],
+    convention: str | None = None,
+    *,
+    source: Grid | None = None,
+    reference: Grid | None = None,
+    force: bool = False,
+) -> None:
+    """Write affine maps and fields to a file, in the order of `read_maps`; it appears whole or not at all.
+
+    Parameters and errors are those of `Field.write`, and ``reference`` is that of `Field.read`.
+    """
+    from supple.media import transforms
+
+    contents: list[transforms.Content] = [
+        transforms.Displacements(each.values, each.grid, each.interpolation, each.beyond)
+        if isinstance(each, Field)
+        else each.matrix
+        for each in maps
+    ]
+    transforms.write(path, contents, convention, source=source, reference=reference, force=force)
+
+
+def told(maps: Sequence[Map]) -> str:
+    """Return what maps are, in words."""
+    return " and ".join("a field" if isinstance(each, Field) else "an affine map" for each in maps) or "nothing"
+
+
+def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
+    """Return the displacement field of several maps, one after the other, at the samples of a grid.
+
+    Parameters
+    ----------
+    maps : sequence of Field, Affine or Placed
+        A point goes through the first one first; through the inverse of a `Placed` with ``inverse``.
+    grid : Grid
+        The grid of the result. At its samples, the result is exact, to float32; between them, it is interpolated.
+
+    Returns
+    -------
+    Field
+        In float32, interpolated linearly.
+
+    Raises
+    ------
+    SuppleError
+        If a map has another number of axes than the grid, or a field lies apart from the grid, or from what the maps
+        before it lead to.
+
+    Warns
+    -----
+    FoldWarning
+        If a field that is inverted folds.
+    OutsideWarning
+        If to some samples no point of an inverted field's grid is mapped.
+    """
+    n = check_grid(grid).ndim
+    given = [each if isinstance(each, Placed) else Placed(each) for each in maps]
+    for placed in given:
+        if placed.map.ndim != n:
+            raise SuppleError(f"{placed.told} has {placed.map.ndim} axes, and the grid has {n}")
+    check_path(given, grid, "the grid of the result")
+    parts = [placed.packed(np.eye(n + 1)) for placed in given]
+    composite = _core.Composite(n, np.array([FREE] * 3), parts)
+    values = np.empty((*grid.shape, n), np.float32)
+    certificate = Certificate(0.0, 0.0)
+    for plane, (_, here) in zip(values.reshape(-1, *grid.shape[-2:], n), checks.planes(grid), strict=True):
+        points, status = np.zeros((len(here), 3)), np.empty(len(here), np.uint8)
+        points[:, :n] = here
+        found, _, _ = composite.through(points, False, False, status)
+        plane[...] = (found[:, :n] - here).reshape(plane.shape)
+        certificate |= certificate_of_status(status)
+    warn_of(certificate, 1.0, 3, folds_of(given), only_name(given))
+    return Field(values, grid)
+
+
+def check_grid(grid: Grid) -> Grid:
+    """Return a grid as it is; SuppleError if it is none, or sheared."""
+    if not isinstance(grid, Grid):
+        refuse("grid", "a Grid", grid)
+    if grid.shear:
+        refuse("grid", "a grid whose axes are at right angles (Grid.upright makes one)", grid)
+    return grid
+
+
+def margin_of(interpolation: Interpolation) -> float:
+    """Return how far beyond its outermost samples a field is defined, in samples; of a B-spline, `own_grid`'s."""
+    return _ROUNDING if interpolation == "bspline" else 0.5
+
+
+def _array(values: npt.ArrayLike) -> Array:
+    try:
+        return np.asarray(values)
+    except ValueError:
+        refuse("values", "an array of numbers, of shape (H, W, 2) or (Z, H, W, 3)", values)
+
+
+def own_grid(field: Field) -> Grid:
+    """Return the grid of the samples of a field; of B-spline coefficients, without those beyond the field."""
+    if field.interpolation != "bspline":
+        return field.grid
+    return field.grid.crop([1] * field.ndim, [n - 2 for n in field.grid.sizes])
+
+
+def sampled(field: Field) -> Array:
+    """Return the displacements of a field at the samples of `own_grid`."""
+    if field.interpolation != "bspline":
+        return field.values
+    return checks.values_at(field.packed(np.eye(field.ndim + 1)), own_grid(field))
+
+
+def check_path(
+    maps: Iterable[Placed],
+    output: Grid,
+    where: str = "the grid of the output",
+    *,
+    source: Grid | None = None,
+    name: str = "the input",
+) -> None:
+    """Raise SuppleError for fields, up to the first affine map, that no point of the output comes near.
+
+    Parameters
+    ----------
+    maps : iterable of Placed
+        A point of the output goes through the first one first.
+    output : Grid
+        The grid of the output; of a part, the whole counts.
+    where, name : str
+        What has the grids of the output and of the source, for the message.
+    source : Grid, optional
+        The grid that the last field shall lead to; by default, it may lead anywhere.
+    """
+    box = output.uncropped().box
+    given = list(maps)
+    for k, placed in enumerate(given):
+        held, what = placed.map, placed.told
+        if isinstance(held, Affine):
+            return  # it may lead to another part, as one wishes
+        own = held.grid.box
+        check_boxes(_led(held, own) if placed.inverse else own, what, box, where)
+        if k < len(given) - 1 or source is not None:
+            box, where = _led(held, box, placed.inverse), f"what {what} leads to"
+    if source is not None:
+        check_boxes(box, where, source.box, name)
+
+
+def _led(field: Field, box: Box, inverse: bool = False) -> Box:
+    """Return a box around another one and where a field, or its inverse, may lead it."""
+    planes = field.values.reshape(-1, *field.values.shape[-2:])
+    low = np.min([plane.min(axis=(0, 1)) for plane in planes], axis=0)
+    high = np.max([plane.max(axis=(0, 1)) for plane in planes], axis=0)
+    if field.interpolation == "cubic":  # which leaves the range of the values, by less than 1.5 of it in space
+        low, high = low - 1.5 * (high - low), high + 1.5 * (high - low)
+    least, most = (-high, -low) if inverse else (low, high)
+    return box[0] + np.minimum(least, 0.0), box[1] + np.maximum(most, 0.0)

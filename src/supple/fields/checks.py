@@ -1,0 +1,257 @@
+"""What a displacement field does to volume: determinants, where they are not above 0, and how well two fields undo.
+
+All walks along the first axis of the arrays, a plane or two at a time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple import _core
+from supple.space.domain import FREE
+from supple.space.geometry import Grid
+
+Array = npt.NDArray[Any]
+Floats = npt.NDArray[np.float64]
+
+_WITHIN = 1e-9  # samples, of rounding
+_INWARDS = 1e-6  # samples: beyond the outermost ones, to which rounding may lead, there is no slope
+
+
+@dataclass(frozen=True, slots=True)
+class Consistency:
+    """How far a second field is from undoing a first one: |second(first(x)) − x| at the samples x of the first.
+
+    Parameters
+    ----------
+    count : int
+        The number of samples that the first field maps to points within the second one's grid. Only they are measured.
+    outside : int
+        The number of the other samples.
+    largest, percentile, mean : float
+        The largest distance, that which 99 % of the samples do not exceed, and the mean, in the grid's units
+        (millimetres); NaN where `count` is 0.
+    """
+
+    count: int
+    outside: int
+    largest: float
+    percentile: float
+    mean: float
+
+
+@dataclass(frozen=True, slots=True)
+class FieldReport:
+    """What a displacement field does: how far it moves, and whether it folds.
+
+    Parameters
+    ----------
+    grid : Grid
+        The grid of the samples.
+    largest, mean : float
+        The largest and the mean displacement of a sample, in the grid's units (millimetres).
+    cells : int
+        The number of cells of the interpolant: the boxes between neighbouring samples.
+    folded : int
+        The number of cells that are not proved to be upright: somewhere in them, the determinant of I + ∂u/∂x may not
+        be above 0. It is found by bounds that hold in the whole cell, not only at samples.
+    determinant : float
+        The least determinant of I + ∂u/∂x that was found. Of a linear interpolant, over the corners of all cells, from
+        inside each cell: in the plane, this is its least value anywhere; in space, that within a cell may be lower. Of
+        a spline, over the samples.
+    at : tuple of float
+        The position where it is, x first.
+    negative : int
+        The number of samples at which the determinant by central differences (`Field.log_jacobian`) is not above 0.
+    consistency : Consistency, optional
+        How well a second field undoes this one.
+    """
+
+    grid: Grid
+    largest: float
+    mean: float
+    cells: int
+    folded: int
+    determinant: float
+    at: tuple[float, ...]
+    negative: int
+    consistency: Consistency | None = None
+
+    @property
+    def folds(self) -> bool:
+        """Whether the field may fold anywhere."""
+        return self.folded > 0
+
+    @property
+    def samples(self) -> int:
+        """The number of samples."""
+        return math.prod(self.grid.shape)
+
+
+def log_jacobian(values: Array, grid: Grid) -> npt.NDArray[np.float32]:
+    """Return ln det(I + ∂u/∂x) at each sample, by central differences; NaN where the determinant is not above 0.
+
+    At the first and the last sample along an axis, differences are one-sided.
+    """
+    made = np.empty(grid.shape, np.float32)
+    for k in range(len(values)):
+        steps = [(_slope(values, k) if axis == 0 else _slopes(values[k], axis - 1)) for axis in range(grid.ndim)]
+        found = _determinant(steps[::-1], grid)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            made[k] = np.where(found > 0, np.log(found), np.nan)
+    return made
+
+
+def least_at_corners(values: Array, grid: Grid) -> tuple[float, Floats]:
+    """Return the least determinant at the corners of all cells, from inside each, and the index of that sample."""
+    least, index = math.inf, np.zeros(grid.ndim)
+    rest = grid.ndim - 1
+    for k in range(max(len(values) - 1, 1)):
+        slab = values[k : k + 2].astype(np.float64)
+        edges = [np.diff(slab, axis=axis) for axis in range(grid.ndim)]
+        for corner in product(range(2), repeat=grid.ndim):
+            if any(c and n == 1 for c, n in zip(corner, slab.shape, strict=False)):
+                continue  # an axis of one sample has no second corner
+            steps = []
+            for axis, edge in enumerate(edges):
+                if slab.shape[axis] == 1:
+                    steps.append(np.zeros(1))
+                    continue
+                ends = [slice(c, c + max(n - 1, 1)) for c, n in zip(corner, slab.shape, strict=False)]
+                ends[axis] = slice(None)
+                steps.append(edge[tuple(ends)])
+            found = _determinant(steps[::-1], grid)
+            if not found.shape:
+                found = found.reshape((1,) * grid.ndim)
+            flat = int(found.argmin())
+            if found.flat[flat] < least:
+                least = float(found.flat[flat])
+                place = np.unravel_index(flat, found.shape)
+                first = np.array([k, *([0] * rest)]) + corner
+                index = np.add(place, first)[::-1].astype(np.float64)
+    return least, index
+
+
+def least_at_samples(packed: _core.Sampled, grid: Grid) -> tuple[float, Floats]:
+    """Return the least determinant of an interpolant at the samples of a grid, and the index of that sample."""
+    least, index = math.inf, np.zeros(grid.ndim)
+    for indices, points in planes(grid, _INWARDS):
+        _, matrices = _through([packed], points, grid.ndim, jacobian=True)
+        found = np.linalg.det(matrices)
+        flat = int(found.argmin())
+        if found[flat] < least:
+            least, index = float(found[flat]), np.rint(indices[flat])
+    return least, index
+
+
+def values_at(packed: _core.Sampled, grid: Grid) -> npt.NDArray[np.float32]:
+    """Return the displacements of an interpolant at the samples of a grid."""
+    made = np.empty((*grid.shape, grid.ndim), np.float32)
+    for plane, (_, points) in zip(made.reshape(-1, *grid.shape[-2:], grid.ndim), planes(grid), strict=True):
+        plane[...] = (_through([packed], points, grid.ndim)[0] - points).reshape(plane.shape)
+    return made
+
+
+def displacements(values: Array) -> tuple[float, float]:
+    """Return the largest and the mean length of displacements."""
+    most, total = 0.0, 0.0
+    for plane in values:
+        lengths = np.sqrt(np.square(plane, dtype=np.float64).sum(axis=-1))
+        most, total = max(most, float(lengths.max())), total + float(lengths.sum())
+    return most, total / math.prod(values.shape[:-1])
+
+
+def distances(
+    first: _core.Sampled, second: _core.Sampled, grid: Grid, within: Grid, margin: float
+) -> npt.NDArray[np.float32]:
+    """Return |second(first(x)) − x| at each sample x of a grid; NaN where first(x) is not within another grid.
+
+    Parameters
+    ----------
+    first, second : Sampled
+        Packed in positions.
+    grid, within : Grid
+        The samples x, and the grid of the second field.
+    margin : float
+        How far the second field goes beyond its outermost samples, in samples.
+    """
+    made = np.empty(grid.shape, np.float32)
+    last = np.array(within.sizes) - 1 + margin + _WITHIN
+    for plane, (_, points) in zip(made.reshape(-1, *grid.shape[-2:]), planes(grid), strict=True):
+        there, _ = _through([first], points, grid.ndim)
+        places = within.indices(there)
+        inside = ((places >= -margin - _WITHIN) & (places <= last)).all(axis=-1)
+        back, _ = _through([second], there, grid.ndim)
+        off = np.linalg.norm(back - points, axis=-1)
+        plane[...] = np.where(inside, off, np.nan).reshape(plane.shape)
+    return made
+
+
+def consistency_of(found: npt.NDArray[np.float32]) -> Consistency:
+    """Return the figures of `distances`."""
+    known = found[~np.isnan(found)]
+    outside = found.size - known.size
+    if not known.size:
+        return Consistency(0, outside, math.nan, math.nan, math.nan)
+    percentile = float(np.percentile(known, 99))
+    return Consistency(known.size, outside, float(known.max()), percentile, float(known.mean(dtype=np.float64)))
+
+
+def planes(grid: Grid, inwards: float = 0.0) -> Iterator[tuple[Floats, Floats]]:
+    """Yield the indices and the positions (N, D) of the samples of each plane of a grid, the outermost within it."""
+    height, width = grid.shape[-2:]
+    index = np.zeros((height * width, grid.ndim))
+    index[:, 1], index[:, 0] = np.indices((height, width)).reshape(2, -1)
+    for z in range(grid.shape[0] if grid.ndim == 3 else 1):
+        if grid.ndim == 3:
+            index[:, 2] = z
+        least = np.where(np.array(grid.sizes) > 1, inwards, 0.0)
+        within = np.clip(index, least, np.array(grid.sizes) - 1 - least)
+        yield within, grid.positions(within)
+
+
+def _slopes(values: Array, axis: int) -> Floats:
+    """Return central differences along an axis, one-sided at its ends."""
+    given = np.moveaxis(values, axis, 0).astype(np.float64)
+    made = np.zeros_like(given)
+    if len(given) > 1:
+        made[1:-1] = (given[2:] - given[:-2]) / 2
+        made[0], made[-1] = given[1] - given[0], given[-1] - given[-2]
+    return np.moveaxis(made, 0, axis)
+
+
+def _slope(values: Array, k: int) -> Floats:
+    """Return the central difference along the first axis at one index."""
+    low, high = max(k - 1, 0), min(k + 1, len(values) - 1)
+    return np.asarray((values[high].astype(np.float64) - values[low]) / max(high - low, 1))
+
+
+def _determinant(steps: list[Floats], grid: Grid) -> Floats:
+    """Return det(I + ∂u/∂x) from the differences of u from sample to sample along each axis, x first."""
+    matrix = grid.matrix[:-1, :-1]
+    columns = [step + matrix[:, axis] for axis, step in enumerate(steps)]
+    whole = float(np.linalg.det(matrix))
+    if grid.ndim == 2:
+        a, b = columns
+        return np.asarray((a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]) / whole)
+    a, b, c = columns
+    found = a[..., 0] * (b[..., 1] * c[..., 2] - b[..., 2] * c[..., 1])
+    found = found + a[..., 1] * (b[..., 2] * c[..., 0] - b[..., 0] * c[..., 2])
+    found = found + a[..., 2] * (b[..., 0] * c[..., 1] - b[..., 1] * c[..., 0])
+    return np.asarray(found / whole)
+
+
+def _through(parts: list[_core.Sampled], points: Floats, n: int, *, jacobian: bool = False) -> tuple[Floats, Floats]:
+    """Return points mapped by fields, and the derivatives or an empty array."""
+    composite = _core.Composite(n, np.array([FREE] * 3), [("field", part, False) for part in parts])
+    whole, status = np.zeros((len(points), 3)), np.empty(len(points), np.uint8)
+    whole[:, :n] = points
+    moved, matrices, _ = composite.through(whole, False, jacobian, status)
+    return moved[:, :n], np.empty(0) if matrices is None else matrices[:, :n, :n]

@@ -1,0 +1,123 @@
+"""Textures for drawing, and their presentation on a screen."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from supple.gpu.buffers import Bound, Kept
+from supple.gpu.device import Gpu
+from supple.gpu.kernel import UNIFORM, source
+
+Part = tuple[float, float, float, float, float, float]
+"""A part of a texture, in fractions of it: x and y of its first corner on screen, of its side across, and down."""
+ALL: Part = (0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
+
+_PLAIN = "rgba8unorm"
+_SETTINGS = np.dtype([("sides", "f4", 4), ("corner", "f4", 2), ("split", "f4"), ("linear", "u4")])
+
+
+def canvas_texture(gpu: Gpu, size: tuple[int, int]) -> Any:
+    """Return a texture of columns and rows for scenes and plates, which the screen can read."""
+    usage = "STORAGE_BINDING|TEXTURE_BINDING|COPY_SRC|COPY_DST"
+    return gpu.device.create_texture(size=(*size, 1), format=_PLAIN, usage=usage)
+
+
+def pixels_of(gpu: Gpu, texture: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """Return the values of a texture, (rows, columns, 4)."""
+    width, height = texture.size[:2]
+    data = gpu.device.queue.read_texture(
+        {"texture": texture}, {"bytes_per_row": 4 * width, "rows_per_image": height}, (width, height, 1)
+    )
+    return np.frombuffer(data, np.uint8).reshape(height, width, 4)
+
+
+def composed(
+    gpu: Gpu, size: tuple[int, int], first: Any, second: Any, split: float, part: Part
+) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """Return what `Screen` draws of a texture, or of two side by side, in columns and rows: (rows, columns, 4)."""
+    onto = gpu.device.create_texture(size=(*size, 1), format=_PLAIN, usage="RENDER_ATTACHMENT|COPY_SRC")
+    colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store"}
+    encoder = gpu.device.create_command_encoder()
+    drawing = encoder.begin_render_pass(color_attachments=[colours])
+    Screen(gpu, _PLAIN).draw(drawing, first, second, split, part=part)
+    drawing.end()
+    gpu.device.queue.submit([encoder.finish()])
+    return pixels_of(gpu, onto)
+
+
+class Screen:
+    """A painter of textures onto the surface of a window.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    format : str
+        The format of the window's surface.
+    filter : str
+        What is between the samples of a texture: ``"linear"``, or the ``"nearest"``.
+    """
+
+    def __init__(self, gpu: Gpu, format: str, filter: str = "linear") -> None:
+        self._gpu, self._linear = gpu, format.endswith("srgb")
+        self._smooth = gpu.device.create_sampler(mag_filter=filter, min_filter=filter)
+        module = gpu.device.create_shader_module(code=source("screen"))
+        kinds: list[dict[str, Any]] = [{"buffer": {"type": UNIFORM}}, {"texture": {}}, {"texture": {}}, {"sampler": {}}]
+        self._layout = gpu.device.create_bind_group_layout(
+            entries=[{"binding": k, "visibility": "FRAGMENT"} | kind for k, kind in enumerate(kinds)]
+        )
+        self._pipelines = [  # for one texture, and for two
+            gpu.device.create_render_pipeline(
+                layout=gpu.device.create_pipeline_layout(bind_group_layouts=[self._layout]),
+                vertex={"module": module, "entry_point": "corner"},
+                fragment={
+                    "module": module,
+                    "entry_point": "shown",
+                    "targets": [{"format": format}],
+                    "constants": {"SPLIT": split},
+                },
+                primitive={"topology": "triangle-list"},
+            )
+            for split in (False, True)
+        ]
+        self._told, self._bound = Kept(gpu, UNIFORM), Bound()
+
+    def draw(
+        self,
+        drawing: Any,
+        first: Any,
+        second: Any = None,
+        split: float = 0.0,
+        place: tuple[int, int, int, int] | None = None,
+        part: Part = ALL,
+    ) -> None:
+        """Draw a texture, and optionally another one left of the split, from 0 to 1.
+
+        Parameters
+        ----------
+        drawing : wgpu.GPURenderPassEncoder
+            The render pass of the window's surface.
+        first, second : wgpu.GPUTexture
+        split : float
+        place : (int, int, int, int), optional
+            The rectangle on the screen: left, top, columns and rows; by default, all of it.
+        part : tuple of float, optional
+            The visible part of the textures.
+        """
+        settings = np.array([(part[2:], part[:2], split if second is not None else -1.0, self._linear)], _SETTINGS)
+        things = self._told.hold(settings), first, second or first
+        drawing.set_pipeline(self._pipelines[second is not None])
+        if place is not None:
+            drawing.set_viewport(*place, 0.0, 1.0)
+        drawing.set_bind_group(0, self._bound.group(things, lambda: self._group(*things)))
+        drawing.draw(3)
+
+    def _group(self, told: Any, first: Any, second: Any) -> Any:
+        entries: list[dict[str, Any]] = [
+            {"binding": 0, "resource": {"buffer": told}},
+            {"binding": 1, "resource": first.create_view()},
+            {"binding": 2, "resource": second.create_view()},
+            {"binding": 3, "resource": self._smooth},
+        ]
+        return self._gpu.device.create_bind_group(layout=self._layout, entries=entries)

@@ -1,0 +1,1 @@
+"""Where samples lie: domains, grids, affine maps, freeze masks and splines."""

@@ -1,0 +1,375 @@
+"""Freeze masks: the part of a picture or a volume in which strokes move nothing."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import math
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.errors import SuppleError, shown
+from supple.space.domain import LARGEST, LONGEST_AXIS, checked_shape, integer, items, length, number, refuse
+
+Floats = npt.NDArray[np.float64]
+
+_FREE = 255  # a coefficient of 1
+_EDGE = 3  # coefficients beyond those that differ: from there on, the spline is constant
+_LEAST = 8  # coefficients along an axis
+_MOST = 2**28
+_MOST_ACROSS = 2  # times as many coefficients as are needed
+_PART = 1 / 32  # of the shorter side: the width of the fade, unless it is given
+_SHORTEST = 4.0  # samples, likewise
+
+
+@dataclass(frozen=True, slots=True)
+class Freeze:
+    """A freeze mask: the factor m(p) of the displacement, from 0 where it is frozen to 1 where it is free.
+
+    m is a cubic B-spline. Each coefficient is the least freedom of the samples that its spline covers, so that m and
+    its derivatives are exactly 0 at every frozen sample, and rise to 1 over the width of the fade beside it. `of` makes
+    one from an image or a label.
+
+    Parameters
+    ----------
+    samples : tuple of int
+        The samples along each axis, x first, of the medium that it is for.
+    size : tuple of int
+        Coefficients along each axis, x first: 1 along an axis on which m does not depend.
+    first : tuple of float
+        The position of the first coefficient, in samples, x first.
+    step : tuple of float
+        Samples from one coefficient to the next, along each axis.
+    values : bytes
+        The coefficients, from 0 to 255 for 1, in C order: x varies fastest. The outermost four along an axis are equal.
+    place : tuple of float
+        The first three rows of the matrix from indices of samples to positions in LPS, if the mask was a volume in
+        space; otherwise empty.
+    name : str
+        The name of the file that it was read from, for messages.
+
+    Raises
+    ------
+    SuppleError
+        If they do not fit together.
+    """
+
+    samples: tuple[int, ...]
+    size: tuple[int, ...]
+    first: tuple[float, ...]
+    step: tuple[float, ...]
+    values: bytes = field(repr=False)
+    place: tuple[float, ...] = ()
+    name: str = field(default="", compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        wanted = f"1 or an integer from {_LEAST} on"
+        sizes = items("freeze size", self.size, "two or three numbers, x first", (2, 3))
+        sizes = [integer("freeze size", n, wanted, 1, 2**20) for n in sizes]
+        if any(1 < n < _LEAST for n in sizes):
+            refuse("freeze size", wanted, self.size)
+        n = len(sizes)
+        object.__setattr__(self, "size", tuple(sizes))
+        samples = items("freeze samples", self.samples, f"{n} numbers, x first", (n,))
+        within = f"an integer from 1 to {LONGEST_AXIS}"
+        object.__setattr__(
+            self, "samples", tuple(integer("freeze samples", k, within, 1, LONGEST_AXIS) for k in samples)
+        )
+        within = f"a number from {-LARGEST:g} to {LARGEST:g}"
+        place = items("freeze place", self.place, "12 numbers, or none", (0, 12))
+        object.__setattr__(self, "place", tuple(number("freeze place", x, within, -LARGEST, LARGEST) for x in place))
+        first = items("freeze first", self.first, f"{n} numbers, x first", (n,))
+        object.__setattr__(self, "first", tuple(number("freeze first", x, within, -LARGEST, LARGEST) for x in first))
+        step = items("freeze step", self.step, f"{n} numbers, x first", (n,))
+        object.__setattr__(self, "step", tuple(length("freeze step", x) for x in step))
+        for size, count, apart in zip(self.size, self.samples, self.step, strict=True):
+            if size > _MOST_ACROSS * (count / apart + _LEAST + 2 * _EDGE):
+                raise SuppleError(f"freeze size must fit {count} samples that are {apart:g} apart, found {size}")
+        if len(self.values) != math.prod(sizes):
+            raise SuppleError(f"freeze values must be {math.prod(sizes)} bytes, found {len(self.values)}")
+        level = self.coefficients.copy()
+        _level(level)
+        if level.tobytes() != self.values:
+            raise SuppleError("freeze values must have four equal ones at each end of an axis")
+
+    @classmethod
+    def of(
+        cls,
+        mask: npt.ArrayLike,
+        *,
+        width: float | None = None,
+        spacing: float | Sequence[float] = 1.0,
+        place: Sequence[float] = (),
+        name: str = "",
+    ) -> Self:
+        """Return the freeze mask of an image or a volume.
+
+        Parameters
+        ----------
+        mask : array, shape (H, W) or (Z, H, W)
+            Of bool: True is frozen. Of floats from 0 to 1: 1 is frozen. Of whole numbers from 0: the largest value of
+            the type is frozen (255 of uint8), or the larger one if there are but two values. In between, a part of the
+            displacement is let through.
+        width : float, optional
+            The width of the fade beside what is frozen, in physical units: at least 4 samples. By default a 32nd of
+            the shortest side.
+        spacing : float or sequence of float
+            Physical units per sample, x first.
+        place, name
+            As in `Freeze`.
+
+        Raises
+        ------
+        SuppleError
+            If the mask is not of such a shape, type or range, or the width is less than 4 samples.
+        """
+        array = np.asarray(mask)
+        if array.ndim not in (2, 3) or 0 in array.shape:
+            refuse("freeze", "an array of shape (H, W) or (Z, H, W)", told=f"shape {array.shape}")
+        if array.dtype.kind not in "buif":
+            refuse("freeze", "an array of bool, integers or floats", told=f"dtype {array.dtype}")
+        checked_shape(array.shape)
+        steps = (spacing,) * array.ndim if isinstance(spacing, float | int) else tuple(spacing)
+        apart = _apart(array.shape, steps, width)
+        least = _freedom_of(array)
+        first = []
+        for axis in range(array.ndim):
+            least, start = _covered(least, axis, apart[array.ndim - 1 - axis])
+            first.append(start)
+        sizes, samples = tuple(reversed(least.shape)), tuple(reversed(array.shape))
+        return cls(samples, sizes, tuple(reversed(first)), apart, least.tobytes(), tuple(place), name)
+
+    @classmethod
+    def free(cls, shape: Sequence[int], spacing: Sequence[float]) -> Self:
+        """Return the freeze mask of an image or a volume in which nothing is frozen, as `of` would make it."""
+        samples, apart = tuple(reversed(shape)), _apart(shape, spacing, None)
+        size, first = [], []
+        for n, step in zip(samples, apart, strict=True):
+            begin, end = _ends(n, step)
+            size.append(1 if n == 1 else end - begin + 1 + 2 * _EDGE)
+            first.append(0.0 if n == 1 else (begin - _EDGE) * step)
+        return cls(samples, tuple(size), tuple(first), apart, bytes([_FREE]) * math.prod(size))
+
+    @property
+    def ndim(self) -> int:
+        """The number of axes."""
+        return len(self.size)
+
+    @property
+    def told(self) -> str:
+        """What it is called in messages."""
+        return f"the freeze mask {shown(self.name)}" if self.name else "the freeze mask"
+
+    @property
+    def is_free(self) -> bool:
+        """True if nothing is frozen."""
+        return bool(self.coefficients.min() == _FREE)
+
+    @property
+    def inverted(self) -> Self:
+        """The mask 1 - m: what is frozen is free, and what is free is frozen."""
+        return replace(self, values=(_FREE - self.coefficients).tobytes())
+
+    @property
+    def share(self) -> float:
+        """The part of the medium that is frozen, by samples at up to 256 places along each axis."""
+        return float((self.at([np.linspace(0, n - 1, min(n, 256)).round() for n in self.samples]) == 0).mean())
+
+    @property
+    def coefficients(self) -> npt.NDArray[np.uint8]:
+        """The coefficients, in C order, read-only: (..., y, x)."""
+        return np.frombuffer(self.values, np.uint8).reshape(self.size[::-1])
+
+    def packed(self, spacing: Sequence[float]) -> tuple[Floats, Floats, Floats]:
+        """Return the mask in the layout of the core.
+
+        Parameters
+        ----------
+        spacing : sequence of float
+            Physical units per sample, x first: three for a clip, along which a mask of two axes is the same.
+
+        Returns
+        -------
+        values : float64 array, shape (nz, ny, nx)
+            The coefficients, from 0 to 1.
+        first, step : float64 array, shape (3,)
+            The position of the first one, and the distance from one to the next, in physical units.
+        """
+        n = self.ndim
+        values = self.coefficients.reshape((1,) * (3 - n) + self.size[::-1]) / _FREE
+        first, step = np.zeros(3), np.ones(3)
+        first[:n] = np.multiply(self.first, spacing[:n])
+        step[:n] = np.multiply(self.step, spacing[:n])
+        return values, first, step
+
+    def shown(self, shape: Sequence[int]) -> npt.NDArray[np.float32]:
+        """Return m at the samples of an array of a shape (H, W) or (Z, H, W)."""
+        return self.at([np.arange(n) for n in reversed(shape)])
+
+    def at(self, places: Sequence[npt.ArrayLike]) -> npt.NDArray[np.float32]:
+        """Return m on a grid of positions along each axis, in samples, x first: an array (..., y, x)."""
+        lattice = zip(places, self.size, self.first, self.step, strict=True)
+        each = [_weights(np.asarray(p, np.float64), size, first, step) for p, size, first, step in lattice]
+        # Of a plane, only the coefficients beside it are read.
+        used = [np.flatnonzero(weights.any(axis=0)) for weights in each]
+        parts = [slice(rows[0], rows[-1] + 1) for rows in used]
+        made = self.coefficients[tuple(reversed(parts))] / np.float32(_FREE)
+        for axis, (weights, part) in enumerate(zip(reversed(each), reversed(parts), strict=True)):
+            made = np.moveaxis(np.tensordot(weights[:, part], made, (1, axis)), 0, axis)
+        return np.asarray(made, np.float32)
+
+    def painted(
+        self,
+        at: Sequence[float],
+        radius: float,
+        spacing: Sequence[float],
+        *,
+        frozen: bool = True,
+        plane: int | None = None,
+    ) -> Self:
+        """Return the mask with a ball more of it frozen, or free.
+
+        Parameters
+        ----------
+        at : sequence of float
+            The centre, in samples, x first.
+        radius : float
+            In physical units. Within it, all samples are frozen, exactly; or all coefficients are free.
+        spacing : sequence of float
+            Physical units per sample, x first.
+        frozen : bool
+        plane : int, optional
+            An axis, x first, along which only the coefficients next to the centre are painted.
+        """
+        made = self.coefficients.copy()
+        near: list[slice] = []  # of the coefficients along each axis, x first
+        away, beyond = np.zeros(()), np.zeros((), bool)
+        for k in range(self.ndim):
+            off = np.abs(self.first[k] + self.step[k] * np.arange(self.size[k]) - at[k]) * spacing[k]
+            covered = 2 * self.step[k] * spacing[k]
+            reached = np.maximum(off - covered, 0.0) if frozen else off
+            found = np.flatnonzero(reached <= radius)
+            if not found.size:
+                return self
+            near.append(slice(found[0], found[-1] + 1))
+            shape = (-1,) + (1,) * k
+            away = away + (reached[near[-1]] ** 2).reshape(shape)
+            if plane == k:
+                beyond = beyond | (off[near[-1]] > covered).reshape(shape)
+        made[tuple(reversed(near))][(away <= radius**2) & ~beyond] = 0 if frozen else _FREE
+        _level(made)
+        return replace(self, values=made.tobytes())
+
+    def fitted(self, samples: Sequence[int], moved: Callable[[Sequence[float]], Sequence[float]] | None) -> Self:
+        """Return the mask of a medium of other samples.
+
+        Parameters
+        ----------
+        samples : sequence of int
+            Its samples along each axis, x first.
+        moved : function or None
+            The place there of a point of this medium, axis by axis; None if it is the same.
+        """
+        n, some = self.ndim, tuple(samples)[: self.ndim]
+        if moved is None:
+            return replace(self, samples=some)
+        rest = (0.0,) * (len(samples) - n)
+        first = moved((*self.first, *rest))[:n]
+        next_ = moved((*np.add(self.first, self.step).tolist(), *rest))[:n]
+        step = tuple(b - a for a, b in zip(first, next_, strict=True))
+        return replace(self, samples=some, first=tuple(first), step=step)
+
+    def entry(self) -> dict[str, Any]:
+        """Return the mask as JSON has it; the coefficients are compressed (zlib) and in base 64."""
+        packed = base64.b64encode(zlib.compress(self.values, 9)).decode()
+        made: dict[str, Any] = {name: list(getattr(self, name)) for name in ("samples", "size", "first", "step")}
+        return {**made, "values": packed, **({"place": list(self.place)} if self.place else {})}
+
+    @classmethod
+    def from_entry(cls, entry: object) -> Self:
+        """Return the mask of an `entry`; SuppleError for anything else."""
+        keys = {"samples", "size", "first", "step", "values"}
+        if not isinstance(entry, dict) or set(entry) - {"place"} != keys or not isinstance(entry["values"], str):
+            refuse("freeze", f"an object with {', '.join(sorted(keys))}", entry)
+        count = math.prod(n for n in entry["size"] if isinstance(n, int)) if isinstance(entry["size"], list) else 0
+        try:
+            values = zlib.decompressobj().decompress(
+                base64.b64decode(entry["values"], validate=True), min(count, _MOST) + 1
+            )
+        except (binascii.Error, ValueError, zlib.error):
+            raise SuppleError("freeze: the values are damaged: they must be zlib's, in base 64") from None
+        return cls(**{**entry, "values": values})
+
+
+def _apart(shape: Sequence[int], spacing: Sequence[float], width: float | None) -> tuple[float, ...]:
+    """Return the samples from one coefficient to the next for a width of the fade, or for the usual one."""
+    least = _SHORTEST * min(spacing)
+    if width is None:
+        sides = [n * step for n, step in zip(reversed(shape), spacing, strict=True) if n > 1]
+        width = max(_PART * min(sides, default=1.0), least)
+    elif length("the freeze mask's width", width) < least:
+        here = "" if least == _SHORTEST else f", which is {least:g} here"
+        refuse("the freeze mask's width", f"at least 4 samples{here}", told=f"{width:g}")
+    return tuple(max(width / 4 / step, 1.0) for step in spacing)
+
+
+def _ends(n: int, step: float) -> tuple[int, int]:
+    """Return the first and the last coefficient for samples along an axis, beside those that repeat them."""
+    return -1, math.ceil((n - 1) / step) + 1
+
+
+def _freedom_of(mask: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    """Return the freedom of samples, 255 for all of it."""
+    if mask.dtype.kind == "b":
+        return np.where(mask, 0, _FREE).astype(np.uint8)
+    if mask.dtype.kind == "f":
+        if not (mask.min() >= 0 and mask.max() <= 1):  # also for NaN
+            refuse("freeze", "an array of values from 0 to 1 (frozen)", told=f"from {mask.min():g} to {mask.max():g}")
+        return np.floor((1 - mask.astype(np.float64)) * _FREE).astype(np.uint8)
+    white, low, high = np.iinfo(mask.dtype).max, mask.min(), mask.max()
+    if low < 0:
+        refuse("freeze", f"an array of values from 0 to {white} (frozen)", told=f"down to {low}")
+    if low < high and np.all((mask == low) | (mask == high)):
+        return np.where(mask == high, 0, _FREE).astype(np.uint8)
+    if white > np.iinfo(np.uint32).max:  # the product would not fit
+        return np.floor((1 - mask / white) * _FREE).astype(np.uint8)
+    return np.asarray((white - mask.astype(np.int64)) * _FREE // white, np.uint8)
+
+
+def _covered(least: npt.NDArray[np.uint8], axis: int, step: float) -> tuple[npt.NDArray[np.uint8], float]:
+    """Return the least of the samples that each coefficient's spline covers along an axis, and the first's position."""
+    n = least.shape[axis]
+    if n == 1:
+        return least, 0.0
+    first, last = _ends(n, step)
+    rows = []
+    for k in range(first, last + 1):
+        # And half a sample more, where the chroma of frozen pixels may lie.
+        start, end = math.ceil((k - 2) * step - 0.5), math.floor((k + 2) * step + 0.5)
+        covered = np.take(least, range(max(start, 0), min(end, n - 1) + 1), axis)
+        rows.append(covered.min(axis, keepdims=True))
+    rows = [rows[0]] * _EDGE + rows + [rows[-1]] * _EDGE
+    return np.concatenate(rows, axis), (first - _EDGE) * step
+
+
+def _level(made: npt.NDArray[np.uint8]) -> None:
+    """Make the outermost four coefficients along each axis equal: to the innermost of them."""
+    for axis, n in enumerate(made.shape):
+        if n > 1:
+            rows = np.moveaxis(made, axis, 0)
+            rows[:_EDGE], rows[-_EDGE:] = rows[_EDGE], rows[-1 - _EDGE]
+
+
+def _weights(places: npt.NDArray[Any], size: int, first: float, step: float) -> npt.NDArray[np.float32]:
+    """Return the weights of ``size`` coefficients at positions."""
+    if size == 1:
+        return np.ones((len(places), 1), np.float32)
+    u = np.clip((places[:, None] - first) / step, 1.0, size - 2.0)
+    t = np.abs(u - np.arange(size))
+    inner, outer = 2 / 3 - t * t * (1 - t / 2), np.maximum(2 - t, 0) ** 3 / 6
+    return np.asarray(np.where(t < 1, inner, outer), np.float32)

@@ -1,0 +1,86 @@
+"""The choice of a GPU that draws, what is said where there is none, and the numbers that shaders share with Python."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+import supple
+from supple import _core
+from supple.cli import command
+from supple.gpu.device import gpu_of
+from supple.errors import SuppleError
+from supple.gpu import device as devices
+from supple.gpu import kernel, texels
+from supple.gpu import raymarch as shading
+from supple.gpu.device import Gpu
+from supple.gpu.fill import BLOCK
+from supple.gpu.plate import CELL
+
+
+def test_drivers_that_fail_are_said_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Adapter:
+        info: ClassVar = {"device": "Card", "adapter_type": "DiscreteGPU", "backend_type": "Vulkan"}
+        limits: ClassVar[dict[str, int]] = {}
+        features: ClassVar[set[str]] = set()
+
+        def request_device_sync(self, **rest: object) -> None:
+            raise RuntimeError("no\nqueue")
+
+    monkeypatch.setattr(devices, "adapters", lambda: (Adapter(),))
+    monkeypatch.setattr(devices, "_opened", {})
+    with pytest.raises(SuppleError, match=r"Card cannot be opened \(no queue\)"):
+        gpu_of("gpu")
+    assert gpu_of("auto") is None
+
+
+def test_without_an_adapter_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(devices, "adapters", lambda: ())
+    with pytest.raises(SuppleError, match=r"no GPU was found: .* is needed.*; device='cpu' needs none"):
+        gpu_of("gpu")
+    assert gpu_of("auto") is None
+    assert gpu_of("cpu") is None
+
+
+def test_auto_never_takes_a_program(gpu: Gpu) -> None:
+    found = gpu_of("auto")
+    assert found is None if gpu.software else found is gpu
+
+
+def test_it_draws_and_does_not_warp() -> None:
+    d = supple.Deformation((9, 12)).grab((5, 4), by=(1, 0), radius=3)
+    picture = np.random.default_rng(0).integers(0, 255, (9, 12), np.uint8)
+    for device in ("gpu", "tpu", None):
+        with pytest.raises(SuppleError, match=r'^device must be "cpu", "cuda" \(on an NVIDIA GPU\) or "auto", found'):
+            d.warp(picture, device=device)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(d.warp(picture, device="auto"), d.warp(picture))
+
+
+def test_the_command_line_lists_it(gpu: Gpu, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command(["info", "--gpu"]) == 0
+    assert gpu.name in capsys.readouterr().out
+    assert command(["info"]) == 2
+
+
+def test_shaders_have_the_numbers_of_the_host() -> None:
+    marching = kernel.source("raymarch")
+
+    def said(text: str, name: str) -> float:
+        found = re.search(rf"const {name} = ([-\w.]+?)u?;", text)
+        assert found, name
+        return float(found[1])
+
+    assert said(kernel.source("plate"), "CELL") == CELL
+    for name in ("PLAIN", "LATTICE", "EXACT", "HYBRID"):
+        assert said(marching, name) == getattr(shading, name)
+    assert said(marching, "BLOCK") == said(kernel.source("fill"), "BLOCK") == BLOCK
+    assert said(marching, "ROW") == texels.ROW
+    shaders = [path.read_text(encoding="utf-8") for path in Path(kernel.__file__).with_name("shaders").glob("*.wgsl")]
+    assert len(shaders) > 10
+    for name, value in _core.constants.items():  # written into every shader, and not by hand
+        assert said(marching, name) == pytest.approx(value, rel=1e-6)
+        assert not any(re.search(rf"^const {name}\b", text, re.M) for text in shaders)
