@@ -12,12 +12,11 @@ import pytest
 import supple
 from supple import _core
 from supple.cli import command
-from supple.gpu.device import gpu_of
 from supple.errors import SuppleError
 from supple.gpu import device as devices
 from supple.gpu import kernel, texels
 from supple.gpu import raymarch as shading
-from supple.gpu.device import Gpu
+from supple.gpu.device import Gpu, gpu_of
 from supple.gpu.fill import BLOCK
 from supple.gpu.plate import CELL
 
