@@ -200,7 +200,7 @@ NB_MODULE(SUPPLE_MODULE, m) {
     m.def("threads", &supple::threads, "Return how many threads work at once.");
     supple::bind_points(m);
     supple::bind_plans(m);
-    supple::bind_folds(m);
+    supple::bind_margin(m);
     supple::bind_fields(m);
     supple::bind_flat(m);
     supple::bind_render(m);

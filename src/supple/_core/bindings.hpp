@@ -79,7 +79,7 @@ auto unlocked(F&& work) {
 
 void bind_points(nb::module_& m);
 void bind_plans(nb::module_& m);
-void bind_folds(nb::module_& m);
+void bind_margin(nb::module_& m);
 void bind_fields(nb::module_& m);
 void bind_flat(nb::module_& m);
 void bind_render(nb::module_& m);

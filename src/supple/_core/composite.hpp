@@ -6,8 +6,8 @@
 //
 // It uses no std::, allocation or exceptions, so that compilers for GPUs accept this file.
 #pragma once
+#include "field.hpp"
 #include "newton.hpp"
-#include "sampled.hpp"
 
 namespace supple {
 

@@ -1,398 +1,472 @@
-// The field: one stroke's displacement, its derivatives, and the chain of strokes.
+// Displacement fields that are sampled on a grid: values, derivatives and the inverse.
 //
-// With r = p - pivot and s = |r|², a stroke displaces by (docs/method.md)
-//
-//     K(p) = A(s) v + B(s) (r·v) r,     A = Σ p_i ρ_i⁻ⁿ + q_i ρ_i⁻ⁿ⁻²,  B = Σ r_i ρ_i⁻ⁿ⁻²,  ρ_i² = s + e_i
-//     J(p) u = 2A' (r·u) v + A M u + 2B' (r·u) (r·v) r + B [(u·v + r·M u) r + (r·v) u]              (' = d/ds)
-//
-// where v = f, M = 0 and n = 1 for a grab; and v = M r and n = 3 for the affine brushes: scale and pinch. A twist turns
-// by the angle φ = A(s), which is 0 from the reach on: with M x = axis × x, R the rotation by φ, and S, C the sine and
-// the cosine of φ/2,
-//
-//     K(p) = R r - r = 2S (C M r + S M² r)
-//     J(p) u = R u - u + 2A' (r·u) R M r
-//
-// Strokes of one group act at once: their displacements at the same point are added.
-//
-// With a reach R, A and B are multiplied by m(t) = (1-t)³ (1 + 3t + 6t²), t = √s / R: 0 beyond, and C². With a fixed
-// border, K_β = diag(β) K, J_β = diag(β) J + diag(β' ∘ K), and beyond a face the map is that at the nearest point of
-// the face: there, the derivatives across the face are 0.
-//
-// With a freeze mask (`freeze.hpp`), K and J are those of m K: m J u + (∇m·u) K, before β.
-//
-// All is a template over the number V (`double`, or a vector of doubles) and the dimension D. It uses no std::,
-// allocation or exceptions, so that compilers for GPUs accept this file.
+// With i the index of a position x, i = A x + b, a field maps x to x' by i' = i + w(i), where w is interpolated between
+// the samples: linearly, or by a cubic B-spline. All of this file is in indices, in which cells are unit cubes.
 #pragma once
-#include "freeze.hpp"
-#include "simd.hpp"
+#include "stroke.hpp"
 
 namespace supple {
 
-// One row of the stroke table, in physical units, in the layout of `supple.strokes.STROKE_DTYPE`; and derived values.
-struct Stroke {
-    double pivot[3], force[3], matrix[3][3], radius2[3], p[3], q[3], r[3];
-    int64_t terms;
-    int64_t power;         // n: 1, with a force, or 3, with a matrix
-    int64_t group;         // neighbours of one number act at once
-    double reach;          // R, or infinity
-    double most;           // a bound of the displacement of the strokes that act at once, or infinity
-    double turn[3];        // of a twist: the factor of each component of its displacement; of others 0
-    double per_reach;      // 1/R, or 0
-    bool shared;           // others act at once with it
-    bool inner;            // the ball of its reach touches no fixed border: β is 1 in all of it
-    const Freeze* freeze;  // or null: m is 1 in all of its ball
-    bool turns() const { return turn[0] != 0; }
+struct Sampled {
+    const void* values;  // (…, y, x, D), contiguous
+    bool wide;           // float64, and not float32
+    int order;           // 1: linear; 3: the values are coefficients of a cubic B-spline
+    int size[3];         // samples along x, y, z
+    // The indices between which w is interpolated; beyond, it is that at the nearest.
+    double first[3], last[3];
+    bool zero;              // beyond the grid, there is no displacement
+    double margin;          // of the grid, beyond `first` and `last`
+    double to_index[3][4];  // A and b
+    double to_place[3][3];  // A⁻¹
+    double vectors[3][3];   // from a value to a displacement of the index
+    bool diagonal;          // of `vectors`: there is nothing else
 };
 
-enum Profile : int64_t { QUARTIC = 0, SINE = 1 };
-
-// An axis of the domain, in physical units, between its two faces. `sigma` is the width of the fixed border: -1 for a
-// free axis, 0 for one without displacement.
-struct Axis {
-    double first, last, sigma, spacing;
-    int64_t profile;
-    bool fixed() const { return sigma >= 0; }
-    double extent() const { return last - first; }
-};
-
-// The nearest coordinate in the domain, along an axis with a fixed border.
-template <class V>
-INLINE V nearest(V x, const Axis& a) {
-    return least(most(x, splat<V>(a.first)), splat<V>(a.last));
-}
-
-// The depth of a coordinate within the faces.
-template <class V>
-INLINE V depth(V x, const Axis& a) {
-    return least(V(x - a.first), V(a.last - x));
-}
-
-// sin(x) on [0, π/2] by its Taylor series, to the last bit; unlike the library's, it vectorizes.
-template <class V>
-INLINE V sine(V x) {
-    V t = x * x, y = splat<V>(-1.9572941063391263e-20);
-    y = y * t + 8.2206352466243295e-18;
-    y = y * t - 2.8114572543455206e-15;
-    y = y * t + 7.6471637318198164e-13;
-    y = y * t - 1.6059043836821613e-10;
-    y = y * t + 2.5052108385441720e-08;
-    y = y * t - 2.7557319223985893e-06;
-    y = y * t + 1.9841269841269841e-04;
-    y = y * t - 8.3333333333333332e-03;
-    y = y * t + 1.6666666666666666e-01;
-    return x - x * t * y;
-}
-
-// The sine and the cosine of half an angle of up to some turns; in every other turn, both with the other sign.
-template <class V>
-INLINE void half_turn(V angle, V& s, V& c) {
-    // π as the sum of two numbers, of which the first times a small whole number is exact.
-    const double first = 0x1.921fb544p1, rest = 0x1.0b4611a626331p-33, shift = 0x1.8p52;
-    V turns = V(angle * 0.15915494309189535 + shift) - shift;
-    V t = (0.5 * angle - turns * first) - turns * rest;
-    s = sine(t);
-    c = sine(V((1.5707963267948966 - magnitude(t)) + 6.123233995736766e-17));
-}
-
-// β of a coordinate within the domain, and its first and second derivative, up to ORDER.
-template <int ORDER, class V>
-INLINE void fade(V x, const Axis& a, V* b) {
-    const V one = splat<V>(1.0);
-    if (!(a.sigma > 0)) {
-        for (int i = 0; i <= ORDER; i++) b[i] = i == 0 && a.sigma < 0 ? one : V{};
-        return;
-    }
-    V t = least(V(most(depth(x, a), V{}) / a.sigma), one);
-    V side = choose(x + x < a.first + a.last, one, V(-one)) / a.sigma;  // dt/dx
-    if (a.profile == SINE) {
-        const double quarter = 1.57079632679489661923;
-        b[0] = sine(V(quarter * t));
-        if (ORDER > 0) b[1] = quarter * side * sine(V(quarter * (1.0 - t)));
-        if (ORDER > 1) b[2] = choose(t < 1.0, V(-(quarter / a.sigma) * (quarter / a.sigma) * b[0]), V{});
-    } else {  // 2t - 2t³ + t⁴
-        b[0] = t * (2.0 + t * t * (t - 2.0));
-        if (ORDER > 0) b[1] = side * (2.0 + t * t * (4.0 * t - 6.0));
-        if (ORDER > 1) b[2] = (-12.0 / (a.sigma * a.sigma)) * t * (1.0 - t);
-    }
-}
-
+// w at an index, its derivatives dw[b][a] = ∂w_a/∂i_b, and its second derivative along two directions.
 template <int D, class V>
-INLINE V dot(const V* a, const V* b) {
-    V s = a[0] * b[0];
-    for (int i = 1; i < D; i++) s += a[i] * b[i];
-    return s;
-}
-
-// M x, for one component.
-template <int D, class V>
-INLINE V turned(const Stroke& k, const V* x, int i) {
-    V y = k.matrix[i][0] * x[0];
-    for (int j = 1; j < D; j++) y += k.matrix[i][j] * x[j];
-    return y;
-}
-
-// A, B and their derivatives: A[1] = 2A', A[2] = 4A''.
-template <class V>
-struct Radial {
-    V A[3], B[3];
+struct Local {
+    V w[D], dw[D][D], second[D];
 };
 
-// The radial profiles of a stroke at s = |r|².
-template <int ORDER, class V>
-INLINE Radial<V> radial(const Stroke& k, V s) {
-    Radial<V> f{};
-    const double n = (double)k.power, n2 = n + 2, n4 = n2 * (n + 4);
-    for (int i = 0; i < k.terms; i++) {
-        V v = inverse_root(V(s + k.radius2[i])), v2 = v * v;
-        if (k.power == 3) v *= v2;
-        V next = v * v2;
-        f.A[0] += k.p[i] * v + k.q[i] * next;
-        f.B[0] += k.r[i] * next;
-        if (ORDER > 0) {
-            f.A[1] -= next * (n * k.p[i] + n2 * k.q[i] * v2);
-            f.B[1] -= n2 * k.r[i] * next * v2;
-        }
-        if (ORDER > 1) {
-            V last = next * v2;
-            f.A[2] += last * (n * n2 * k.p[i] + n4 * k.q[i] * v2);
-            f.B[2] += n4 * k.r[i] * last * v2;
-        }
-    }
-    if (k.per_reach > 0) {  // the product rule with m, m1 = 2m' and m2 = 4m''
-        const double i2 = k.per_reach * k.per_reach;
-        V t = least(V(root(s) * k.per_reach), splat<V>(1.0)), w = 1.0 - t, w2 = w * w;
-        V m = w2 * w * (1.0 + t * (3.0 + 6.0 * t));
-        if (ORDER > 0) {
-            V m1 = -30.0 * i2 * t * w2;
-            if (ORDER > 1) {
-                V m2 = -30.0 * i2 * i2 * w * (1.0 - 3.0 * t) / most(t, splat<V>(1e-12));
-                f.A[2] = m * f.A[2] + 2.0 * m1 * f.A[1] + m2 * f.A[0];
-                f.B[2] = m * f.B[2] + 2.0 * m1 * f.B[1] + m2 * f.B[0];
-            }
-            f.A[1] = m * f.A[1] + m1 * f.A[0];
-            f.B[1] = m * f.B[1] + m1 * f.B[0];
-        }
-        f.A[0] *= m;
-        f.B[0] *= m;
-    }
-    return f;
+// A sample beyond the ends of an axis is that mirrored about the last one.
+inline int mirrored(int k, int n) {
+    if (n == 1) return 0;
+    while (k < 0 || k >= n) k = k < 0 ? -k : 2 * (n - 1) - k;
+    return k;
 }
 
-// The jet beside the point x: tangents t[j] = ∂x/∂u_j and, if MIXED, ∂²x/∂u₀∂u₁; and the squared length scales of the
-// map along u₀ and u₁: ρ² / |t|², 4 max(D_i, σ_i)² / t_i² at the distance D_i from a fixed face of axis i, and that of
-// the freeze mask.
-template <int D, int TANGENTS, bool MIXED, class V>
-struct Jet {
-    V x[D];
-    V t[TANGENTS > 0 ? TANGENTS : 1][D];
-    V mixed[MIXED ? D : 1];
-    V smooth2[MIXED ? 2 : 1];
-};
-
-// A stroke's part of a jet without mask and border: K, J u of the tangents u, and J n + K''(u₀, u₁).
-template <int D, int TANGENTS, bool MIXED, class V>
-struct Moving {
-    V K[D], J[TANGENTS > 0 ? TANGENTS : 1][D], second[MIXED ? D : 1];
-};
-
-template <int D, int TANGENTS, bool MIXED, class V>
-INLINE void displace(const Stroke& k, const V* r, V s, const V (*u)[D], const V* n,
-                     Moving<D, TANGENTS, MIXED, V>& part) {
-    constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
-    constexpr int N = TANGENTS > 0 ? TANGENTS : 1;
-    const bool affine = k.power == 3;
-    V f[D];
-    for (int i = 0; i < D; i++) f[i] = affine ? turned<D>(k, r, i) : splat<V>(k.force[i]);
-    Radial<V> g = radial<ORDER>(k, s);
-    V rf = dot<D>(r, f);
-    for (int i = 0; i < D; i++) part.K[i] = g.A[0] * f[i] + g.B[0] * rf * r[i];
-    if constexpr (TANGENTS > 0) {
-        // w = M u, and uf = u·v + r·w, the derivative of r·v.
-        V w[N][D], ru[N], uf[N], h[N];
-        for (int j = 0; j < TANGENTS; j++) {
-            ru[j] = dot<D>(r, u[j]);
-            uf[j] = dot<D>(u[j], f);
-            for (int i = 0; i < D; i++) w[j][i] = affine ? turned<D>(k, u[j], i) : V{};
-            if (affine) uf[j] += dot<D>(r, w[j]);
-            h[j] = g.B[1] * ru[j] * rf + g.B[0] * uf[j];
-            for (int i = 0; i < D; i++) part.J[j][i] = g.A[1] * ru[j] * f[i] + h[j] * r[i] + g.B[0] * rf * u[j][i];
-            if (affine)
-                for (int i = 0; i < D; i++) part.J[j][i] += g.A[0] * w[j][i];
-        }
-        if constexpr (MIXED) {
-            V uv = dot<D>(u[0], u[1]), a = g.A[2] * ru[0] * ru[1] + g.A[1] * uv;
-            V b = g.B[2] * ru[0] * ru[1] * rf + g.B[1] * (uv * rf + ru[0] * uf[1] + ru[1] * uf[0]);
-            V rn = dot<D>(r, n), nf = dot<D>(n, f), wn[D];
-            for (int i = 0; i < D; i++) wn[i] = V{};
-            if (affine) {
-                for (int i = 0; i < D; i++) wn[i] = turned<D>(k, n, i);
-                nf += dot<D>(r, wn);
-                b += g.B[0] * (dot<D>(u[0], w[1]) + dot<D>(u[1], w[0]));
-            }
-            V hn = g.B[1] * rn * rf + g.B[0] * nf;
-            for (int i = 0; i < D; i++) {
-                V Jn = g.A[1] * rn * f[i] + hn * r[i] + g.B[0] * rf * n[i];
-                part.second[i] = a * f[i] + b * r[i] + h[0] * u[1][i] + h[1] * u[0][i] + Jn;
-                if (affine) part.second[i] += g.A[0] * wn[i] + g.A[1] * (ru[0] * w[1][i] + ru[1] * w[0][i]);
-            }
-        }
+// The weights of the samples from `whole` - (TAPS / 2 - 1) on, at a fraction f: [order of derivative][tap].
+template <int TAPS, class V>
+INLINE void spline_weights(V f, V (*w)[TAPS]) {
+    if constexpr (TAPS == 2) {
+        w[0][0] = 1.0 - f;
+        w[0][1] = f;
+        w[1][0] = splat<V>(-1.0);
+        w[1][1] = splat<V>(1.0);
+        w[2][0] = w[2][1] = V{};
+    } else {
+        V g = 1.0 - f, f2 = f * f, g2 = g * g;
+        w[0][0] = g2 * g / 6.0;
+        w[0][1] = (4.0 - f2 * (6.0 - 3.0 * f)) / 6.0;
+        w[0][2] = (4.0 - g2 * (6.0 - 3.0 * g)) / 6.0;
+        w[0][3] = f2 * f / 6.0;
+        w[1][0] = -0.5 * g2;
+        w[1][1] = f * (1.5 * f - 2.0);
+        w[1][2] = g * (2.0 - 1.5 * g);
+        w[1][3] = 0.5 * f2;
+        w[2][0] = g;
+        w[2][1] = 3.0 * f - 2.0;
+        w[2][2] = 3.0 * g - 2.0;
+        w[2][3] = f;
     }
 }
 
-// The same of a twist; with φ' = ∂φ/∂u, K''(u₀, u₁) = ∂R/∂φ (φ'₀ u₁ + φ'₁ u₀) + ∂²R/∂φ² r φ'₀ φ'₁ + ∂R/∂φ r φ''.
-// `steep2` gets the squares of φ'.
-template <int D, int TANGENTS, bool MIXED, class V>
-INLINE void swing(const Stroke& k, const V* r, V s, const V (*u)[D], const V* n, Moving<D, TANGENTS, MIXED, V>& part,
-                  V* steep2) {
-    constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
-    Radial<V> g = radial<ORDER>(k, s);
-    V half[2];
-    half_turn(g.A[0], half[0], half[1]);
-    const V sin_phi = 2.0 * half[0] * half[1], less = 2.0 * half[0] * half[0], cos_phi = 1.0 - less;
-    // a M x + b M² x: with (sin φ, 1 - cos φ), R x - x; with (cos φ, sin φ), ∂R/∂φ x; with (-sin φ, cos φ), ∂²R/∂φ² x.
-    auto put = [&](const V* x, V a, V b, V* to) INLINE_LAMBDA {
-        V once[D];
-        for (int i = 0; i < D; i++) once[i] = turned<D>(k, x, i);
-        for (int i = 0; i < D; i++) to[i] += k.turn[i] * (a * once[i] + b * turned<D>(k, once, i));
-    };
-    part = {};
-    put(r, sin_phi, less, part.K);
-    if constexpr (TANGENTS > 0) {
-        V rise[TANGENTS];
-        for (int j = 0; j < TANGENTS; j++) {
-            rise[j] = g.A[1] * dot<D>(r, u[j]);
-            put(u[j], sin_phi, less, part.J[j]);
-            put(r, cos_phi * rise[j], sin_phi * rise[j], part.J[j]);
+template <int D, int TAPS, int ORDER, class T, class V>
+INLINE void sum_samples(const Sampled& k, const V* i, const V* a, const V* b, Local<D, V>& found) {
+    constexpr int N = Masked<V>::lanes, LEFT = TAPS / 2 - 1;
+    V weight[3][3][TAPS], inside[D];
+    ptrdiff_t at[D][TAPS][N], stride = D;  // offsets of samples
+    for (int d = 0; d < D; d++) {
+        V c = least(most(i[d], splat<V>(k.first[d])), splat<V>(k.last[d])), f{};
+        inside[d] = choose(c == i[d], splat<V>(1.0), V{});
+        for (int l = 0; l < N; l++) {
+            int whole = (int)lane(c, l);  // not below 0
+            if (TAPS == 2 && whole > k.size[d] - 2) whole = k.size[d] - 2 > 0 ? k.size[d] - 2 : 0;
+            set_lane(f, l, lane(c, l) - whole);
+            if (whole >= LEFT && whole + TAPS - LEFT <= k.size[d])
+                for (int n = 0; n < TAPS; n++) at[d][n][l] = (whole - LEFT + n) * stride;
+            else
+                for (int n = 0; n < TAPS; n++) at[d][n][l] = mirrored(whole - LEFT + n, k.size[d]) * stride;
         }
-        if constexpr (MIXED) {
-            V both = rise[0] * rise[1], bend = g.A[2] * dot<D>(r, u[0]) * dot<D>(r, u[1]) + g.A[1] * dot<D>(u[0], u[1]);
-            bend += g.A[1] * dot<D>(r, n);
-            put(n, sin_phi, less, part.second);
-            put(u[1], cos_phi * rise[0], sin_phi * rise[0], part.second);
-            put(u[0], cos_phi * rise[1], sin_phi * rise[1], part.second);
-            put(r, bend * cos_phi - both * sin_phi, bend * sin_phi + both * cos_phi, part.second);
-            for (int j = 0; j < 2; j++) steep2[j] = rise[j] * rise[j];
-        }
+        spline_weights<TAPS>(f, weight[d]);
+        stride *= k.size[d];
     }
-}
-
-// Add one stroke's part to a jet, at the point and the tangents `at`: x += K, t += J t, mixed += J mixed + K''(t₀, t₁).
-// `jet` may be `at` itself: then it goes through the stroke.
-template <int D, int TANGENTS, bool MIXED, class V>
-ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V>& at,
-              Jet<D, TANGENTS, MIXED, V>& jet) {
-    constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
-    constexpr int N = TANGENTS > 0 ? TANGENTS : 1;
-    V place[D], r[D], inside[D], beta[D][3], s = V{};
-    for (int i = 0; i < D; i++) {
-        V near = at.x[i];
-        inside[i] = splat<V>(1.0);
-        // Off the only plane of an axis without extent, the map is that on the plane, for inner strokes, too.
-        bool fading = axes[i].fixed() && (!k.inner || axes[i].extent() == 0);
-        if (fading) {
-            near = nearest(near, axes[i]);
-            inside[i] = choose(near == at.x[i], inside[i], V{});
-            fade<ORDER>(near, axes[i], beta[i]);
-        } else {
-            beta[i][0] = splat<V>(1.0);
-            beta[i][1] = beta[i][2] = V{};
-        }
-        place[i] = near;
-        r[i] = near - k.pivot[i];
-        s += r[i] * r[i];
-    }
-    // The tangents as they are at the nearest point.
-    V u[N][D], n[MIXED ? D : 1], steep2[2];
-    for (int j = 0; j < TANGENTS; j++)
-        for (int i = 0; i < D; i++) u[j][i] = inside[i] * at.t[j][i];
-    if constexpr (MIXED)
-        for (int i = 0; i < D; i++) n[i] = inside[i] * at.mixed[i];
-    Moving<D, TANGENTS, MIXED, V> part;
-    if (k.turns())
-        swing<D>(k, r, s, u, n, part, steep2);
-    else
-        displace<D>(k, r, s, u, n, part);
-    V(&K)[D] = part.K;
-    Freed<D, ORDER, V> free{};
-    if (k.freeze) free = freed<D, ORDER, V>(*k.freeze, place);
-
-    if constexpr (TANGENTS > 0) {
-        V(&Ju)[N][D] = part.J;
-        if constexpr (MIXED) {
-            V turn[2], way{};  // of m: ∇m·u, and ∇m·n + u₀ᵀ ∇∇m u₁
-            if (k.freeze) {
-                for (int j = 0; j < 2; j++) turn[j] = dot<D>(free.slope, u[j]);
-                way = dot<D>(free.slope, n);
-                for (int i = 0; i < D; i++) way += u[0][i] * dot<D>(free.bend[i], u[1]);
+    const T* values = (const T*)k.values;
+    V raw[D] = {}, slope[D][D] = {}, second[6][D] = {};  // xx, xy, yy, xz, yz, zz
+    for (int n = 0; n < (D == 3 ? TAPS : 1); n++) {
+        V plane[D] = {}, plane_x[D] = {}, plane_y[D] = {}, plane_xx[D] = {}, plane_xy[D] = {}, plane_yy[D] = {};
+        for (int m = 0; m < TAPS; m++) {
+            V row[D] = {}, row_x[D] = {}, row_xx[D] = {};
+            const T* start[N];
+            for (int l = 0; l < N; l++) {
+                start[l] = values + at[1][m][l];
+                if constexpr (D == 3) start[l] += at[2][n][l];
             }
-            for (int i = 0; i < D; i++) {
-                V second = part.second[i], J0 = Ju[0][i], J1 = Ju[1][i], moved = K[i];
-                if (k.freeze) {
-                    second = free.m * second + turn[0] * J1 + turn[1] * J0 + way * moved;
-                    J0 = free.m * J0 + turn[0] * moved;
-                    J1 = free.m * J1 + turn[1] * moved;
-                    moved *= free.m;
+            for (int j = 0; j < TAPS; j++)
+                for (int d = 0; d < D; d++) {
+                    V v{};
+                    for (int l = 0; l < N; l++) set_lane(v, l, start[l][at[0][j][l] + d]);
+                    row[d] += weight[0][0][j] * v;
+                    if (ORDER > 0) row_x[d] += weight[0][1][j] * v;
+                    if (ORDER > 1) row_xx[d] += weight[0][2][j] * v;
                 }
-                jet.mixed[i] += beta[i][0] * second + beta[i][1] * (u[0][i] * J1 + u[1][i] * J0 + n[i] * moved) +
-                                beta[i][2] * u[0][i] * u[1][i] * moved;
+            for (int d = 0; d < D; d++) {
+                plane[d] += weight[1][0][m] * row[d];
+                if (ORDER > 0) {
+                    plane_x[d] += weight[1][0][m] * row_x[d];
+                    plane_y[d] += weight[1][1][m] * row[d];
+                }
+                if (ORDER > 1) {
+                    plane_xx[d] += weight[1][0][m] * row_xx[d];
+                    plane_xy[d] += weight[1][1][m] * row_x[d];
+                    plane_yy[d] += weight[1][2][m] * row[d];
+                }
             }
-            V round2 = s + k.radius2[0];
-            if (k.freeze) round2 = least(round2, V(free.smooth * free.smooth));
-            for (int j = 0; j < 2; j++) {
-                V scale2 = round2 / dot<D>(at.t[j], at.t[j]);
-                for (int i = 0; i < D; i++)
-                    if (axes[i].sigma > 0 && !k.inner) {
-                        // β varies along its own axis alone: over σ at a face, and it is constant farther in.
-                        V scale = 2.0 * most(depth(at.x[i], axes[i]), splat<V>(axes[i].sigma)), along = at.t[j][i];
-                        scale2 = least(scale2, V(scale * scale / most(V(along * along), splat<V>(1e-300))));
-                    }
-                jet.smooth2[j] = least(jet.smooth2[j], scale2);
-            }
-            for (int j = 0; j < 2 && k.turns(); j++)  // and a radian of a twist
-                jet.smooth2[j] = least(jet.smooth2[j], V(1.0 / most(steep2[j], splat<V>(1e-300))));
         }
-        if (k.freeze)
-            for (int j = 0; j < TANGENTS; j++) {
-                V turn = dot<D>(free.slope, u[j]);
-                for (int i = 0; i < D; i++) Ju[j][i] = free.m * Ju[j][i] + turn * K[i];
+        V own = splat<V>(1.0), rise{}, bend{};
+        if constexpr (D == 3) {
+            own = weight[2][0][n];
+            rise = weight[2][1][n];
+            bend = weight[2][2][n];
+        }
+        for (int d = 0; d < D; d++) {
+            raw[d] += own * plane[d];
+            if (ORDER > 0) {
+                slope[0][d] += own * plane_x[d];
+                slope[1][d] += own * plane_y[d];
+                if constexpr (D == 3) slope[2][d] += rise * plane[d];
             }
-        if (k.freeze)
-            for (int i = 0; i < D; i++) K[i] *= free.m;
-        for (int j = 0; j < TANGENTS; j++)
-            for (int i = 0; i < D; i++) jet.t[j][i] += beta[i][0] * Ju[j][i] + beta[i][1] * u[j][i] * K[i];
+            if (ORDER > 1) {
+                second[0][d] += own * plane_xx[d];
+                second[1][d] += own * plane_xy[d];
+                second[2][d] += own * plane_yy[d];
+                second[3][d] += rise * plane_x[d];
+                second[4][d] += rise * plane_y[d];
+                second[5][d] += bend * plane[d];
+            }
+        }
     }
-    if (k.freeze && TANGENTS == 0)
-        for (int i = 0; i < D; i++) K[i] *= free.m;
-    for (int i = 0; i < D; i++) jet.x[i] += beta[i][0] * K[i];
+    V bent[D] = {};
+    if (ORDER > 1) {
+        V p[3] = {}, q[3] = {};
+        for (int d = 0; d < D; d++) {
+            p[d] = inside[d] * a[d];
+            q[d] = inside[d] * b[d];
+        }
+        for (int d = 0; d < D; d++)
+            bent[d] = second[0][d] * p[0] * q[0] + second[1][d] * (p[0] * q[1] + p[1] * q[0]) +
+                      second[2][d] * p[1] * q[1] + second[3][d] * (p[0] * q[2] + p[2] * q[0]) +
+                      second[4][d] * (p[1] * q[2] + p[2] * q[1]) + second[5][d] * p[2] * q[2];
+    }
+    for (int r = 0; r < D; r++) {
+        found.w[r] = found.second[r] = V{};
+        for (int e = 0; e < D; e++) found.dw[e][r] = V{};
+        for (int d = 0; d < D; d++) {
+            found.w[r] += k.vectors[r][d] * raw[d];
+            for (int e = 0; ORDER > 0 && e < D; e++) found.dw[e][r] += k.vectors[r][d] * slope[e][d] * inside[e];
+            if (ORDER > 1) found.second[r] += k.vectors[r][d] * bent[d];
+        }
+    }
 }
 
-// The inverse of the matrix whose columns are t, as columns again.
-template <class V>
-INLINE void invert(const V (*t)[2], V (*m)[2]) {
-    V d = 1.0 / (t[0][0] * t[1][1] - t[1][0] * t[0][1]);
-    m[0][0] = t[1][1] * d;
-    m[0][1] = -t[0][1] * d;
-    m[1][0] = -t[1][0] * d;
-    m[1][1] = t[0][0] * d;
+// w at an index; of ORDER 2, the second derivative along a and b.
+template <int D, int ORDER, class V>
+ONCE void sample_field(const Sampled& k, const V* i, const V* a, const V* b, Local<D, V>& found) {
+    if (k.order == 1)
+        k.wide ? sum_samples<D, 2, ORDER, double>(k, i, a, b, found)
+               : sum_samples<D, 2, ORDER, float>(k, i, a, b, found);
+    else
+        k.wide ? sum_samples<D, 4, ORDER, double>(k, i, a, b, found)
+               : sum_samples<D, 4, ORDER, float>(k, i, a, b, found);
 }
-template <class V>
-INLINE void invert(const V (*t)[3], V (*m)[3]) {
-    V c[3][3];  // the adjugate
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++) {
-            int a = (i + 1) % 3, b = (i + 2) % 3, p = (j + 1) % 3, q = (j + 2) % 3;
-            c[j][i] = t[a][p] * t[b][q] - t[a][q] * t[b][p];
-        }
-    V d = 1.0 / (t[0][0] * c[0][0] + t[0][1] * c[1][0] + t[0][2] * c[2][0]);
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++) m[i][j] = c[i][j] * d;
+template <int D, int ORDER, class V>
+NOINLINE void field_at(const Sampled& k, const V* i, const V* a, const V* b, Local<D, V>& found) {
+    sample_field<D, ORDER>(k, i, a, b, found);
 }
-// Component i of the matrix with the columns t, times x.
+
+// The mask of indices on the grid; of its outer faces, the far ones are beyond it, as in ITK.
 template <int D, class V>
-INLINE V times(const V (*t)[D], const V* x, int i) {
-    V s = t[0][i] * x[0];
-    for (int j = 1; j < D; j++) s += t[j][i] * x[j];
-    return s;
+INLINE typename Masked<V>::type on_grid(const Sampled& k, const V* i) {
+    typename Masked<V>::type in = i[0] == i[0];
+    for (int d = 0; d < D; d++) in = both(in, both(i[d] >= k.first[d] - k.margin, i[d] < k.last[d] + k.margin));
+    return in;
+}
+
+// An index i with i + w(i) = target.
+template <int D, class V>
+struct Undone {
+    V i[D];
+    V m[D][D];      // the columns of (I + ∂w/∂i)⁻¹
+    V determinant;  // of I + ∂w/∂i
+    V step2;        // |m (i + w(i) - target)|²: the squared distance to the solution, to first order
+    V steps;        // evaluations
+    typename Masked<V>::type done;
+};
+
+template <class V>
+INLINE V determinant_of(const V (*t)[2]) {
+    return t[0][0] * t[1][1] - t[1][0] * t[0][1];
+}
+template <class V>
+INLINE V determinant_of(const V (*t)[3]) {
+    return t[0][0] * (t[1][1] * t[2][2] - t[1][2] * t[2][1]) - t[1][0] * (t[0][1] * t[2][2] - t[0][2] * t[2][1]) +
+           t[2][0] * (t[0][1] * t[1][2] - t[0][2] * t[1][1]);
+}
+
+// Newton's method on the polynomial of the cell of a linear field in which the guess `found.i` lies, and of those that
+// it leads to: samples are read once for a cell. A solution in its cell is one of the field, whatever lies beside it;
+// it is proved by Kantorovich's theorem. For other guesses, nothing is changed.
+//
+// If FINISH, the last step is taken, and the polynomial's residual after it is known without another evaluation;
+// `found` then has no derivatives, but the determinant before the step.
+template <int D, bool FINISH, class T, class V>
+NOINLINE void undo_in_cells(const Sampled& k, const V* target, double tolerance, Undone<D, V>& found) {
+    typedef typename Masked<V>::type M;
+    constexpr int N = Masked<V>::lanes, CORNERS = 1 << D;
+    V f[D], whole[D], c[CORNERS][D];  // c: of xyz, the powers whose bits are set in the index
+    M going = found.i[0] == found.i[0];
+    for (int d = 0; d < D; d++) {
+        V p = least(most(found.i[d], splat<V>(k.first[d])), splat<V>(k.last[d]));
+        going = without(both(going, p == found.i[d]), splat<V>(k.size[d]) < 2.0);
+        for (int l = 0; l < N; l++) set_lane(whole[d], l, most(0.0, least((double)(int)lane(p, l), k.size[d] - 2.0)));
+        f[d] = p - whole[d];
+    }
+    V bend{};  // a bound of the second derivatives
+    bool moved = true;
+    for (int round = 0; round < 12 && any(without(going, found.done)); round++) {
+        if (moved) {
+            const T* start[N];
+            ptrdiff_t stride[D];
+            for (int l = 0; l < N; l++) start[l] = (const T*)k.values;
+            ptrdiff_t next = D;
+            for (int d = 0; d < D; d++) {
+                for (int l = 0; l < N; l++) start[l] += (ptrdiff_t)lane(whole[d], l) * next;
+                stride[d] = k.size[d] > 1 ? next : 0;
+                next *= k.size[d];
+            }
+            for (int q = 0; q < CORNERS; q++) {
+                ptrdiff_t offset = 0;
+                for (int d = 0; d < D; d++) offset += q >> d & 1 ? stride[d] : 0;
+                V raw[D];
+                for (int d = 0; d < D; d++)
+                    for (int l = 0; l < N; l++) set_lane(raw[d], l, start[l][offset + d]);
+                for (int r = 0; r < D; r++) {
+                    c[q][r] = k.vectors[r][r] * raw[r];
+                    for (int d = 0; d < D && !k.diagonal; d++)
+                        if (d != r) c[q][r] += k.vectors[r][d] * raw[d];
+                }
+            }
+            for (int d = 0; d < D; d++)
+                for (int q = 0; q < CORNERS; q++)
+                    for (int r = 0; q >> d & 1 && r < D; r++) c[q][r] -= c[q - (1 << d)][r];
+            bend = V{};
+            for (int q = 3; q < CORNERS; q++)
+                for (int r = 0; q != 4 && r < D; r++) bend += (q == 7 ? 6.0 : 2.0) * magnitude(c[q][r]);
+            moved = false;
+        }
+        V e[D], t[D][D], m[D][D], step[D], d2{}, m2{};
+        for (int r = 0; r < D; r++) {
+            V a = c[0][r] + f[0] * c[1][r], b = c[2][r] + f[0] * c[3][r];
+            V w = a + f[1] * b;
+            t[0][r] = c[1][r] + f[1] * c[3][r];
+            t[1][r] = b;
+            if constexpr (D == 3) {
+                V g = c[4][r] + f[0] * c[5][r], h = c[6][r] + f[0] * c[7][r];
+                t[0][r] += f[2] * (c[5][r] + f[1] * c[7][r]);
+                t[1][r] += f[2] * h;
+                t[2][r] = g + f[1] * h;
+                w += f[2] * t[2][r];
+            }
+            t[r][r] += 1.0;
+            e[r] = f[r] + (whole[r] - target[r]) + w;
+        }
+        V determinant = determinant_of(t);
+        invert(t, m);
+        for (int d = 0; d < D; d++) {
+            step[d] = -times<D>(m, e, d);
+            d2 += step[d] * step[d];
+            for (int j = 0; j < D; j++) m2 += m[j][d] * m[j][d];
+        }
+        V left2 = d2;  // the squared distance to the solution, to first order
+        if constexpr (FINISH) {
+            left2 = V{};
+            V rest[D];
+            for (int r = 0; r < D; r++) {
+                if constexpr (D == 2) {
+                    rest[r] = c[3][r] * (step[0] * step[1]);
+                } else {
+                    rest[r] = (c[3][r] + f[2] * c[7][r]) * (step[0] * step[1]) +
+                              (c[5][r] + f[1] * c[7][r]) * (step[0] * step[2]) +
+                              (c[6][r] + f[0] * c[7][r]) * (step[1] * step[2]) +
+                              c[7][r] * (step[0] * step[1] * step[2]);
+                }
+            }
+            for (int d = 0; d < D; d++) {
+                V v = times<D>(m, rest, d);
+                left2 += v * v;
+            }
+        }
+        M active = without(going, found.done), out = d2 < 0.0;
+        // Then there is a solution within 2 |step|, and no other is near.
+        M hit = both(active, both(left2 <= tolerance * tolerance, 16.0 * bend * bend * m2 * d2 <= 1.0));
+        found.steps += choose(active, splat<V>(1.0), V{});
+        for (int d = 0; d < D; d++) {  // it must not be on the other side of a face
+            V near = least(f[d], V(1.0 - f[d]));
+            hit = both(hit, both(near >= 0.0, near * near >= 16.0 * d2));
+        }
+        for (int d = 0; d < D; d++) {
+            found.i[d] = choose(hit, V(whole[d] + (FINISH ? f[d] + step[d] : f[d])), found.i[d]);
+            for (int j = 0; j < D && !FINISH; j++) found.m[j][d] = choose(hit, m[j][d], found.m[j][d]);
+        }
+        found.determinant = choose(hit, determinant, found.determinant);
+        found.step2 = choose(hit, left2, found.step2);
+        found.done = either(found.done, hit);
+        going = both(going, both(determinant > 1e-3, d2 <= 1.0));
+        active = without(going, found.done);
+        for (int d = 0; d < D; d++) {
+            f[d] = choose(active, V(f[d] + step[d]), f[d]);
+            out = either(out, both(active, either(f[d] < 0.0, f[d] > 1.0)));
+        }
+        if (!any(out)) continue;
+        moved = true;
+        for (int d = 0; d < D; d++) {
+            V p = whole[d] + f[d], to = whole[d];
+            going = without(going, both(out, either(p<k.first[d], p> k.last[d])));
+            for (int l = 0; l < N; l++)
+                if (lane(out, l) && lane(going, l)) set_lane(to, l, least(floored(lane(p, l)), k.size[d] - 2.0));
+            f[d] = f[d] - (to - whole[d]);
+            whole[d] = to;
+        }
+    }
+}
+
+// Newton's method with backtracking from the guess `found.i`, until the distance to the solution is below `tolerance`.
+// Beyond the grid, w is continued by that at its edge.
+template <int D, class V>
+NOINLINE void undo_field(const Sampled& k, const V* target, double tolerance, int limit, Undone<D, V>& found) {
+    typedef typename Masked<V>::type M;
+    V base[D], step[D], error = splat<V>(1e300), part = splat<V>(1.0);
+    M done = found.done;
+    for (int d = 0; d < D; d++) {
+        base[d] = found.i[d];
+        step[d] = V{};
+    }
+    found.step2 = choose(done, found.step2, splat<V>(1e300));
+    for (int round = 0; round < limit; round++) {
+        V tried[D], e[D], e2{};
+        for (int d = 0; d < D; d++) tried[d] = base[d] + part * step[d];
+        Local<D, V> at;
+        sample_field<D, 1, V>(k, tried, nullptr, nullptr, at);
+        found.steps += choose(done, V{}, splat<V>(1.0));
+        for (int d = 0; d < D; d++) {
+            e[d] = tried[d] + at.w[d] - target[d];
+            e2 += e[d] * e[d];
+            at.dw[d][d] += 1.0;
+        }
+        // Lanes that have given up do not change, whatever the others need.
+        M taken = without(both(e2 <= error * (1.0 - 1e-4 * part), part > 0x1p-12), done);
+        V determinant = determinant_of(at.dw), m[D][D], d2{};
+        invert(at.dw, m);
+        V next[D];
+        for (int d = 0; d < D; d++) {
+            next[d] = -times<D>(m, e, d);
+            d2 += next[d] * next[d];
+        }
+        // Where the field folds, or nearly does, by the residual, and never far.
+        M upright = determinant > 1e-3;
+        V far2 = most(V(16.0 * e2), splat<V>(1.0)), shrink = choose(d2 > far2, V(root(V(far2 / d2))), splat<V>(1.0));
+        for (int d = 0; d < D; d++) next[d] = choose(upright, V(shrink * next[d]), V(-e[d]));
+        for (int d = 0; d < D; d++) {
+            base[d] = choose(taken, tried[d], base[d]);
+            step[d] = choose(taken, next[d], step[d]);
+            for (int j = 0; j < D; j++) found.m[j][d] = choose(taken, m[j][d], found.m[j][d]);
+        }
+        found.step2 = choose(taken, d2, found.step2);
+        found.determinant = choose(taken, determinant, found.determinant);
+        error = choose(taken, e2, error);
+        part = choose(taken, splat<V>(1.0), V(0.5 * part));
+        done = either(done, both(taken, both(d2 <= tolerance * tolerance, e2 <= 1e2 * tolerance * tolerance)));
+        if (!any(without(part > 0x1p-12, done))) break;
+    }
+    for (int d = 0; d < D; d++) found.i[d] = base[d];
+    found.done = done;
+}
+
+// Solve for one index by following the solution along the straight line from start + w(start) to the target.
+template <int D>
+NOINLINE bool follow_field(const Sampled& k, const double* target, const double* start, double tolerance,
+                           Undone<D, double>& found) {
+    Local<D, double> at;
+    field_at<D, 0, double>(k, start, nullptr, nullptr, at);
+    double from[D], here[D], way = 0, stride = 0.5;
+    for (int d = 0; d < D; d++) {
+        from[d] = start[d] + at.w[d];
+        here[d] = start[d];
+    }
+    for (int tries = 0; way < 1 && stride > 1e-4 && tries < 200; tries++) {
+        double next = least(1.0, way + stride), goal[D];
+        Undone<D, double> got{};
+        got.steps = found.steps;
+        for (int d = 0; d < D; d++) {
+            goal[d] = from[d] + next * (target[d] - from[d]);
+            got.i[d] = here[d];
+        }
+        undo_field<D, double>(k, goal, tolerance, 12, got);
+        found.steps = got.steps;
+        stride *= got.done ? 2 : 0.5;
+        if (!got.done) continue;
+        for (int d = 0; d < D; d++) here[d] = got.i[d];
+        way = next;
+        if (way >= 1) found = got;
+    }
+    return way >= 1;
+}
+
+constexpr int RELAXED = 16, RETRIES = 8;
+
+// Solve for a batch, with other starts where Newton's method fails from the guess in `found.i`. Within a cell of a
+// linear field, the distance to the solution is proved, and may be `in_cells`; FINISH as in `undo_in_cells`.
+template <int D, bool FINISH, class V>
+INLINE void undo_field_surely(const Sampled& k, const V* target, double tolerance, double in_cells,
+                              Undone<D, V>& found) {
+    const auto all = splat<V>(0.0) <= 0.0;
+    if (k.order == 1)
+        k.wide ? undo_in_cells<D, FINISH, double, V>(k, target, in_cells, found)
+               : undo_in_cells<D, FINISH, float, V>(k, target, in_cells, found);
+    if (!any(without(all, found.done))) return;
+    undo_field<D, V>(k, target, tolerance, 24, found);
+    // Steps of half the residual pass folds, which stop Newton's method: by some of them, and then by Newton's again.
+    for (int retry = 0; retry < RETRIES && any(without(all, found.done)); retry++) {
+        V x[D];
+        for (int d = 0; d < D; d++) x[d] = retry == 0 ? target[d] : found.i[d];
+        for (int n = 0; n < RELAXED; n++) {
+            Local<D, V> at;
+            sample_field<D, 0, V>(k, x, nullptr, nullptr, at);
+            for (int d = 0; d < D; d++) x[d] -= 0.5 * (x[d] + at.w[d] - target[d]);
+        }
+        for (int d = 0; d < D; d++) found.i[d] = choose(found.done, found.i[d], x[d]);
+        found.steps += choose(found.done, V{}, splat<V>(RELAXED));
+        undo_field<D, V>(k, target, tolerance, 12, found);
+    }
+    if (!any(without(all, found.done))) return;
+    for (int l = 0; l < Masked<V>::lanes; l++) {
+        if (lane(found.done, l)) continue;
+        double goal[D], start[D];
+        Undone<D, double> one{};
+        Local<D, double> at;
+        for (int d = 0; d < D; d++) start[d] = goal[d] = lane(target[d], l);
+        bool known = follow_field<D>(k, goal, start, tolerance, one);
+        if (!known) {
+            field_at<D, 0, double>(k, goal, nullptr, nullptr, at);
+            for (int d = 0; d < D; d++) start[d] = goal[d] - at.w[d];
+            known = follow_field<D>(k, goal, start, tolerance, one);
+        }
+        if constexpr (Masked<V>::lanes == 1) {
+            double steps = found.steps + one.steps;
+            if (known) found = one;
+            found.steps = steps;
+        } else {
+            found.steps[l] += one.steps;
+            if (!known) continue;
+            for (int d = 0; d < D; d++) {
+                found.i[d][l] = one.i[d];
+                for (int j = 0; j < D; j++) found.m[j][d][l] = one.m[j][d];
+            }
+            found.determinant[l] = one.determinant;
+            found.step2[l] = one.step2;
+            found.done[l] = -1;
+        }
+    }
 }
 
 }  // namespace supple

@@ -3,7 +3,7 @@
 #include <nanobind/stl/vector.h>
 
 #include "composites.hpp"
-#include "tears.hpp"
+#include "folds.hpp"
 
 namespace supple {
 namespace {

@@ -1,11 +1,11 @@
 // T⁻¹: Newton's method with backtracking on a chain of strokes, and a continuation if it fails.
 //
-// Every stroke is one-to-one with a Jacobian that is nowhere singular (`supple.folding.limits` sees to it), so T(p) = q has
-// one solution, and the step δ = -(I+J)⁻¹ ξ, ξ = T(p) - q, always leads downhill in |ξ|². From a good guess, the whole
-// chain is solved at once; without one, stroke after stroke is undone, the last one first, which cannot fail where
-// each is one-to-one.
+// Every stroke is one-to-one with a Jacobian that is nowhere singular (`supple.folding.limits` sees to it), so T(p) = q
+// has one solution, and the step δ = -(I+J)⁻¹ ξ, ξ = T(p) - q, always leads downhill in |ξ|². From a good guess, the
+// whole chain is solved at once; without one, stroke after stroke is undone, the last one first, which cannot fail
+// where each is one-to-one.
 #pragma once
-#include "field.hpp"
+#include "stroke.hpp"
 
 namespace supple {
 

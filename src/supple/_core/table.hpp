@@ -1,12 +1,13 @@
-// The tables of strokes and axes, as Python packs them (`supple.strokes.STROKE_DTYPE`, `supple.space.domain.Domain.packed`).
+// The tables of strokes and axes, as Python packs them (`supple.strokes.STROKE_DTYPE`,
+// `supple.space.domain.Domain.packed`).
 #pragma once
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <vector>
 
-#include "field.hpp"
 #include "frozen.hpp"
+#include "stroke.hpp"
 
 namespace supple {
 

@@ -15,7 +15,7 @@ force. At the distance t from the pivot, with s_i = t² + ε_i², K = k f is the
     dk/dt = -t Σ w_i [ s_i^(-3/2) + 3g ε_i² s_i^(-5/2) ],
 
 and μ = |f| dk/dt where d²k/dt² = 0; for a single scale, where 2s² + (12g - 3) ε² s - 15g ε⁴ = 0. Where the
-border is fixed, or the reach limited, branch and bound finds μ (`_core/folds.hpp`).
+border is fixed, or the reach limited, branch and bound finds μ (`_core/margin.hpp`).
 """
 
 from __future__ import annotations

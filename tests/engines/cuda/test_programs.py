@@ -62,7 +62,7 @@ def test_headers_are_those_that_are_included() -> None:
     headers = dict(sources())
     assert list(headers)[-1] == "kernels.cu"
     assert '#include "' not in headers.pop("kernels.cu")
-    core = {"field.hpp", "newton.hpp", "patch.hpp", "footprint.hpp", "sampled.hpp", "freeze.hpp"}
+    core = {"stroke.hpp", "newton.hpp", "patch.hpp", "footprint.hpp", "field.hpp", "freeze.hpp"}
     assert core | {"paint.hpp", "points.hpp"} <= set(headers)
     assert not {"plan.hpp", "vectors.hpp", "threads.hpp"} & set(headers)
     for header in headers.values():

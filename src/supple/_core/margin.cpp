@@ -1,5 +1,5 @@
-// Python bindings of folding.
-#include "folds.hpp"
+// Python bindings of the margin of strokes to folding.
+#include "margin.hpp"
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -50,7 +50,7 @@ bool turns_whole(const Table& table, const Rows& domain, Masking freeze) {
 
 }  // namespace
 
-void bind_folds(nb::module_& m) {
+void bind_margin(nb::module_& m) {
     m.def("smallest_strain", &smallest_strain, "strokes"_a, "axes"_a, "free"_a, "distance"_a, "target"_a, "gap"_a,
           "freeze"_a = nb::none(), "Bound μ of strokes that act at once from below and above.");
     m.def("smallest_free_strain", &smallest_free_strain, "stroke"_a, "gap"_a,

@@ -1,0 +1,398 @@
+// The field: one stroke's displacement, its derivatives, and the chain of strokes.
+//
+// With r = p - pivot and s = |r|², a stroke displaces by (docs/method.md)
+//
+//     K(p) = A(s) v + B(s) (r·v) r,     A = Σ p_i ρ_i⁻ⁿ + q_i ρ_i⁻ⁿ⁻²,  B = Σ r_i ρ_i⁻ⁿ⁻²,  ρ_i² = s + e_i
+//     J(p) u = 2A' (r·u) v + A M u + 2B' (r·u) (r·v) r + B [(u·v + r·M u) r + (r·v) u]              (' = d/ds)
+//
+// where v = f, M = 0 and n = 1 for a grab; and v = M r and n = 3 for the affine brushes: scale and pinch. A twist turns
+// by the angle φ = A(s), which is 0 from the reach on: with M x = axis × x, R the rotation by φ, and S, C the sine and
+// the cosine of φ/2,
+//
+//     K(p) = R r - r = 2S (C M r + S M² r)
+//     J(p) u = R u - u + 2A' (r·u) R M r
+//
+// Strokes of one group act at once: their displacements at the same point are added.
+//
+// With a reach R, A and B are multiplied by m(t) = (1-t)³ (1 + 3t + 6t²), t = √s / R: 0 beyond, and C². With a fixed
+// border, K_β = diag(β) K, J_β = diag(β) J + diag(β' ∘ K), and beyond a face the map is that at the nearest point of
+// the face: there, the derivatives across the face are 0.
+//
+// With a freeze mask (`freeze.hpp`), K and J are those of m K: m J u + (∇m·u) K, before β.
+//
+// All is a template over the number V (`double`, or a vector of doubles) and the dimension D. It uses no std::,
+// allocation or exceptions, so that compilers for GPUs accept this file.
+#pragma once
+#include "freeze.hpp"
+#include "simd.hpp"
+
+namespace supple {
+
+// One row of the stroke table, in physical units, in the layout of `supple.strokes.STROKE_DTYPE`; and derived values.
+struct Stroke {
+    double pivot[3], force[3], matrix[3][3], radius2[3], p[3], q[3], r[3];
+    int64_t terms;
+    int64_t power;         // n: 1, with a force, or 3, with a matrix
+    int64_t group;         // neighbours of one number act at once
+    double reach;          // R, or infinity
+    double most;           // a bound of the displacement of the strokes that act at once, or infinity
+    double turn[3];        // of a twist: the factor of each component of its displacement; of others 0
+    double per_reach;      // 1/R, or 0
+    bool shared;           // others act at once with it
+    bool inner;            // the ball of its reach touches no fixed border: β is 1 in all of it
+    const Freeze* freeze;  // or null: m is 1 in all of its ball
+    bool turns() const { return turn[0] != 0; }
+};
+
+enum Profile : int64_t { QUARTIC = 0, SINE = 1 };
+
+// An axis of the domain, in physical units, between its two faces. `sigma` is the width of the fixed border: -1 for a
+// free axis, 0 for one without displacement.
+struct Axis {
+    double first, last, sigma, spacing;
+    int64_t profile;
+    bool fixed() const { return sigma >= 0; }
+    double extent() const { return last - first; }
+};
+
+// The nearest coordinate in the domain, along an axis with a fixed border.
+template <class V>
+INLINE V nearest(V x, const Axis& a) {
+    return least(most(x, splat<V>(a.first)), splat<V>(a.last));
+}
+
+// The depth of a coordinate within the faces.
+template <class V>
+INLINE V depth(V x, const Axis& a) {
+    return least(V(x - a.first), V(a.last - x));
+}
+
+// sin(x) on [0, π/2] by its Taylor series, to the last bit; unlike the library's, it vectorizes.
+template <class V>
+INLINE V sine(V x) {
+    V t = x * x, y = splat<V>(-1.9572941063391263e-20);
+    y = y * t + 8.2206352466243295e-18;
+    y = y * t - 2.8114572543455206e-15;
+    y = y * t + 7.6471637318198164e-13;
+    y = y * t - 1.6059043836821613e-10;
+    y = y * t + 2.5052108385441720e-08;
+    y = y * t - 2.7557319223985893e-06;
+    y = y * t + 1.9841269841269841e-04;
+    y = y * t - 8.3333333333333332e-03;
+    y = y * t + 1.6666666666666666e-01;
+    return x - x * t * y;
+}
+
+// The sine and the cosine of half an angle of up to some turns; in every other turn, both with the other sign.
+template <class V>
+INLINE void half_turn(V angle, V& s, V& c) {
+    // π as the sum of two numbers, of which the first times a small whole number is exact.
+    const double first = 0x1.921fb544p1, rest = 0x1.0b4611a626331p-33, shift = 0x1.8p52;
+    V turns = V(angle * 0.15915494309189535 + shift) - shift;
+    V t = (0.5 * angle - turns * first) - turns * rest;
+    s = sine(t);
+    c = sine(V((1.5707963267948966 - magnitude(t)) + 6.123233995736766e-17));
+}
+
+// β of a coordinate within the domain, and its first and second derivative, up to ORDER.
+template <int ORDER, class V>
+INLINE void fade(V x, const Axis& a, V* b) {
+    const V one = splat<V>(1.0);
+    if (!(a.sigma > 0)) {
+        for (int i = 0; i <= ORDER; i++) b[i] = i == 0 && a.sigma < 0 ? one : V{};
+        return;
+    }
+    V t = least(V(most(depth(x, a), V{}) / a.sigma), one);
+    V side = choose(x + x < a.first + a.last, one, V(-one)) / a.sigma;  // dt/dx
+    if (a.profile == SINE) {
+        const double quarter = 1.57079632679489661923;
+        b[0] = sine(V(quarter * t));
+        if (ORDER > 0) b[1] = quarter * side * sine(V(quarter * (1.0 - t)));
+        if (ORDER > 1) b[2] = choose(t < 1.0, V(-(quarter / a.sigma) * (quarter / a.sigma) * b[0]), V{});
+    } else {  // 2t - 2t³ + t⁴
+        b[0] = t * (2.0 + t * t * (t - 2.0));
+        if (ORDER > 0) b[1] = side * (2.0 + t * t * (4.0 * t - 6.0));
+        if (ORDER > 1) b[2] = (-12.0 / (a.sigma * a.sigma)) * t * (1.0 - t);
+    }
+}
+
+template <int D, class V>
+INLINE V dot(const V* a, const V* b) {
+    V s = a[0] * b[0];
+    for (int i = 1; i < D; i++) s += a[i] * b[i];
+    return s;
+}
+
+// M x, for one component.
+template <int D, class V>
+INLINE V turned(const Stroke& k, const V* x, int i) {
+    V y = k.matrix[i][0] * x[0];
+    for (int j = 1; j < D; j++) y += k.matrix[i][j] * x[j];
+    return y;
+}
+
+// A, B and their derivatives: A[1] = 2A', A[2] = 4A''.
+template <class V>
+struct Radial {
+    V A[3], B[3];
+};
+
+// The radial profiles of a stroke at s = |r|².
+template <int ORDER, class V>
+INLINE Radial<V> radial(const Stroke& k, V s) {
+    Radial<V> f{};
+    const double n = (double)k.power, n2 = n + 2, n4 = n2 * (n + 4);
+    for (int i = 0; i < k.terms; i++) {
+        V v = inverse_root(V(s + k.radius2[i])), v2 = v * v;
+        if (k.power == 3) v *= v2;
+        V next = v * v2;
+        f.A[0] += k.p[i] * v + k.q[i] * next;
+        f.B[0] += k.r[i] * next;
+        if (ORDER > 0) {
+            f.A[1] -= next * (n * k.p[i] + n2 * k.q[i] * v2);
+            f.B[1] -= n2 * k.r[i] * next * v2;
+        }
+        if (ORDER > 1) {
+            V last = next * v2;
+            f.A[2] += last * (n * n2 * k.p[i] + n4 * k.q[i] * v2);
+            f.B[2] += n4 * k.r[i] * last * v2;
+        }
+    }
+    if (k.per_reach > 0) {  // the product rule with m, m1 = 2m' and m2 = 4m''
+        const double i2 = k.per_reach * k.per_reach;
+        V t = least(V(root(s) * k.per_reach), splat<V>(1.0)), w = 1.0 - t, w2 = w * w;
+        V m = w2 * w * (1.0 + t * (3.0 + 6.0 * t));
+        if (ORDER > 0) {
+            V m1 = -30.0 * i2 * t * w2;
+            if (ORDER > 1) {
+                V m2 = -30.0 * i2 * i2 * w * (1.0 - 3.0 * t) / most(t, splat<V>(1e-12));
+                f.A[2] = m * f.A[2] + 2.0 * m1 * f.A[1] + m2 * f.A[0];
+                f.B[2] = m * f.B[2] + 2.0 * m1 * f.B[1] + m2 * f.B[0];
+            }
+            f.A[1] = m * f.A[1] + m1 * f.A[0];
+            f.B[1] = m * f.B[1] + m1 * f.B[0];
+        }
+        f.A[0] *= m;
+        f.B[0] *= m;
+    }
+    return f;
+}
+
+// The jet beside the point x: tangents t[j] = ∂x/∂u_j and, if MIXED, ∂²x/∂u₀∂u₁; and the squared length scales of the
+// map along u₀ and u₁: ρ² / |t|², 4 max(D_i, σ_i)² / t_i² at the distance D_i from a fixed face of axis i, and that of
+// the freeze mask.
+template <int D, int TANGENTS, bool MIXED, class V>
+struct Jet {
+    V x[D];
+    V t[TANGENTS > 0 ? TANGENTS : 1][D];
+    V mixed[MIXED ? D : 1];
+    V smooth2[MIXED ? 2 : 1];
+};
+
+// A stroke's part of a jet without mask and border: K, J u of the tangents u, and J n + K''(u₀, u₁).
+template <int D, int TANGENTS, bool MIXED, class V>
+struct Moving {
+    V K[D], J[TANGENTS > 0 ? TANGENTS : 1][D], second[MIXED ? D : 1];
+};
+
+template <int D, int TANGENTS, bool MIXED, class V>
+INLINE void displace(const Stroke& k, const V* r, V s, const V (*u)[D], const V* n,
+                     Moving<D, TANGENTS, MIXED, V>& part) {
+    constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
+    constexpr int N = TANGENTS > 0 ? TANGENTS : 1;
+    const bool affine = k.power == 3;
+    V f[D];
+    for (int i = 0; i < D; i++) f[i] = affine ? turned<D>(k, r, i) : splat<V>(k.force[i]);
+    Radial<V> g = radial<ORDER>(k, s);
+    V rf = dot<D>(r, f);
+    for (int i = 0; i < D; i++) part.K[i] = g.A[0] * f[i] + g.B[0] * rf * r[i];
+    if constexpr (TANGENTS > 0) {
+        // w = M u, and uf = u·v + r·w, the derivative of r·v.
+        V w[N][D], ru[N], uf[N], h[N];
+        for (int j = 0; j < TANGENTS; j++) {
+            ru[j] = dot<D>(r, u[j]);
+            uf[j] = dot<D>(u[j], f);
+            for (int i = 0; i < D; i++) w[j][i] = affine ? turned<D>(k, u[j], i) : V{};
+            if (affine) uf[j] += dot<D>(r, w[j]);
+            h[j] = g.B[1] * ru[j] * rf + g.B[0] * uf[j];
+            for (int i = 0; i < D; i++) part.J[j][i] = g.A[1] * ru[j] * f[i] + h[j] * r[i] + g.B[0] * rf * u[j][i];
+            if (affine)
+                for (int i = 0; i < D; i++) part.J[j][i] += g.A[0] * w[j][i];
+        }
+        if constexpr (MIXED) {
+            V uv = dot<D>(u[0], u[1]), a = g.A[2] * ru[0] * ru[1] + g.A[1] * uv;
+            V b = g.B[2] * ru[0] * ru[1] * rf + g.B[1] * (uv * rf + ru[0] * uf[1] + ru[1] * uf[0]);
+            V rn = dot<D>(r, n), nf = dot<D>(n, f), wn[D];
+            for (int i = 0; i < D; i++) wn[i] = V{};
+            if (affine) {
+                for (int i = 0; i < D; i++) wn[i] = turned<D>(k, n, i);
+                nf += dot<D>(r, wn);
+                b += g.B[0] * (dot<D>(u[0], w[1]) + dot<D>(u[1], w[0]));
+            }
+            V hn = g.B[1] * rn * rf + g.B[0] * nf;
+            for (int i = 0; i < D; i++) {
+                V Jn = g.A[1] * rn * f[i] + hn * r[i] + g.B[0] * rf * n[i];
+                part.second[i] = a * f[i] + b * r[i] + h[0] * u[1][i] + h[1] * u[0][i] + Jn;
+                if (affine) part.second[i] += g.A[0] * wn[i] + g.A[1] * (ru[0] * w[1][i] + ru[1] * w[0][i]);
+            }
+        }
+    }
+}
+
+// The same of a twist; with φ' = ∂φ/∂u, K''(u₀, u₁) = ∂R/∂φ (φ'₀ u₁ + φ'₁ u₀) + ∂²R/∂φ² r φ'₀ φ'₁ + ∂R/∂φ r φ''.
+// `steep2` gets the squares of φ'.
+template <int D, int TANGENTS, bool MIXED, class V>
+INLINE void swing(const Stroke& k, const V* r, V s, const V (*u)[D], const V* n, Moving<D, TANGENTS, MIXED, V>& part,
+                  V* steep2) {
+    constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
+    Radial<V> g = radial<ORDER>(k, s);
+    V half[2];
+    half_turn(g.A[0], half[0], half[1]);
+    const V sin_phi = 2.0 * half[0] * half[1], less = 2.0 * half[0] * half[0], cos_phi = 1.0 - less;
+    // a M x + b M² x: with (sin φ, 1 - cos φ), R x - x; with (cos φ, sin φ), ∂R/∂φ x; with (-sin φ, cos φ), ∂²R/∂φ² x.
+    auto put = [&](const V* x, V a, V b, V* to) INLINE_LAMBDA {
+        V once[D];
+        for (int i = 0; i < D; i++) once[i] = turned<D>(k, x, i);
+        for (int i = 0; i < D; i++) to[i] += k.turn[i] * (a * once[i] + b * turned<D>(k, once, i));
+    };
+    part = {};
+    put(r, sin_phi, less, part.K);
+    if constexpr (TANGENTS > 0) {
+        V rise[TANGENTS];
+        for (int j = 0; j < TANGENTS; j++) {
+            rise[j] = g.A[1] * dot<D>(r, u[j]);
+            put(u[j], sin_phi, less, part.J[j]);
+            put(r, cos_phi * rise[j], sin_phi * rise[j], part.J[j]);
+        }
+        if constexpr (MIXED) {
+            V both = rise[0] * rise[1], bend = g.A[2] * dot<D>(r, u[0]) * dot<D>(r, u[1]) + g.A[1] * dot<D>(u[0], u[1]);
+            bend += g.A[1] * dot<D>(r, n);
+            put(n, sin_phi, less, part.second);
+            put(u[1], cos_phi * rise[0], sin_phi * rise[0], part.second);
+            put(u[0], cos_phi * rise[1], sin_phi * rise[1], part.second);
+            put(r, bend * cos_phi - both * sin_phi, bend * sin_phi + both * cos_phi, part.second);
+            for (int j = 0; j < 2; j++) steep2[j] = rise[j] * rise[j];
+        }
+    }
+}
+
+// Add one stroke's part to a jet, at the point and the tangents `at`: x += K, t += J t, mixed += J mixed + K''(t₀, t₁).
+// `jet` may be `at` itself: then it goes through the stroke.
+template <int D, int TANGENTS, bool MIXED, class V>
+ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V>& at,
+              Jet<D, TANGENTS, MIXED, V>& jet) {
+    constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
+    constexpr int N = TANGENTS > 0 ? TANGENTS : 1;
+    V place[D], r[D], inside[D], beta[D][3], s = V{};
+    for (int i = 0; i < D; i++) {
+        V near = at.x[i];
+        inside[i] = splat<V>(1.0);
+        // Off the only plane of an axis without extent, the map is that on the plane, for inner strokes, too.
+        bool fading = axes[i].fixed() && (!k.inner || axes[i].extent() == 0);
+        if (fading) {
+            near = nearest(near, axes[i]);
+            inside[i] = choose(near == at.x[i], inside[i], V{});
+            fade<ORDER>(near, axes[i], beta[i]);
+        } else {
+            beta[i][0] = splat<V>(1.0);
+            beta[i][1] = beta[i][2] = V{};
+        }
+        place[i] = near;
+        r[i] = near - k.pivot[i];
+        s += r[i] * r[i];
+    }
+    // The tangents as they are at the nearest point.
+    V u[N][D], n[MIXED ? D : 1], steep2[2];
+    for (int j = 0; j < TANGENTS; j++)
+        for (int i = 0; i < D; i++) u[j][i] = inside[i] * at.t[j][i];
+    if constexpr (MIXED)
+        for (int i = 0; i < D; i++) n[i] = inside[i] * at.mixed[i];
+    Moving<D, TANGENTS, MIXED, V> part;
+    if (k.turns())
+        swing<D>(k, r, s, u, n, part, steep2);
+    else
+        displace<D>(k, r, s, u, n, part);
+    V(&K)[D] = part.K;
+    Freed<D, ORDER, V> free{};
+    if (k.freeze) free = freed<D, ORDER, V>(*k.freeze, place);
+
+    if constexpr (TANGENTS > 0) {
+        V(&Ju)[N][D] = part.J;
+        if constexpr (MIXED) {
+            V turn[2], way{};  // of m: ∇m·u, and ∇m·n + u₀ᵀ ∇∇m u₁
+            if (k.freeze) {
+                for (int j = 0; j < 2; j++) turn[j] = dot<D>(free.slope, u[j]);
+                way = dot<D>(free.slope, n);
+                for (int i = 0; i < D; i++) way += u[0][i] * dot<D>(free.bend[i], u[1]);
+            }
+            for (int i = 0; i < D; i++) {
+                V second = part.second[i], J0 = Ju[0][i], J1 = Ju[1][i], moved = K[i];
+                if (k.freeze) {
+                    second = free.m * second + turn[0] * J1 + turn[1] * J0 + way * moved;
+                    J0 = free.m * J0 + turn[0] * moved;
+                    J1 = free.m * J1 + turn[1] * moved;
+                    moved *= free.m;
+                }
+                jet.mixed[i] += beta[i][0] * second + beta[i][1] * (u[0][i] * J1 + u[1][i] * J0 + n[i] * moved) +
+                                beta[i][2] * u[0][i] * u[1][i] * moved;
+            }
+            V round2 = s + k.radius2[0];
+            if (k.freeze) round2 = least(round2, V(free.smooth * free.smooth));
+            for (int j = 0; j < 2; j++) {
+                V scale2 = round2 / dot<D>(at.t[j], at.t[j]);
+                for (int i = 0; i < D; i++)
+                    if (axes[i].sigma > 0 && !k.inner) {
+                        // β varies along its own axis alone: over σ at a face, and it is constant farther in.
+                        V scale = 2.0 * most(depth(at.x[i], axes[i]), splat<V>(axes[i].sigma)), along = at.t[j][i];
+                        scale2 = least(scale2, V(scale * scale / most(V(along * along), splat<V>(1e-300))));
+                    }
+                jet.smooth2[j] = least(jet.smooth2[j], scale2);
+            }
+            for (int j = 0; j < 2 && k.turns(); j++)  // and a radian of a twist
+                jet.smooth2[j] = least(jet.smooth2[j], V(1.0 / most(steep2[j], splat<V>(1e-300))));
+        }
+        if (k.freeze)
+            for (int j = 0; j < TANGENTS; j++) {
+                V turn = dot<D>(free.slope, u[j]);
+                for (int i = 0; i < D; i++) Ju[j][i] = free.m * Ju[j][i] + turn * K[i];
+            }
+        if (k.freeze)
+            for (int i = 0; i < D; i++) K[i] *= free.m;
+        for (int j = 0; j < TANGENTS; j++)
+            for (int i = 0; i < D; i++) jet.t[j][i] += beta[i][0] * Ju[j][i] + beta[i][1] * u[j][i] * K[i];
+    }
+    if (k.freeze && TANGENTS == 0)
+        for (int i = 0; i < D; i++) K[i] *= free.m;
+    for (int i = 0; i < D; i++) jet.x[i] += beta[i][0] * K[i];
+}
+
+// The inverse of the matrix whose columns are t, as columns again.
+template <class V>
+INLINE void invert(const V (*t)[2], V (*m)[2]) {
+    V d = 1.0 / (t[0][0] * t[1][1] - t[1][0] * t[0][1]);
+    m[0][0] = t[1][1] * d;
+    m[0][1] = -t[0][1] * d;
+    m[1][0] = -t[1][0] * d;
+    m[1][1] = t[0][0] * d;
+}
+template <class V>
+INLINE void invert(const V (*t)[3], V (*m)[3]) {
+    V c[3][3];  // the adjugate
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) {
+            int a = (i + 1) % 3, b = (i + 2) % 3, p = (j + 1) % 3, q = (j + 2) % 3;
+            c[j][i] = t[a][p] * t[b][q] - t[a][q] * t[b][p];
+        }
+    V d = 1.0 / (t[0][0] * c[0][0] + t[0][1] * c[1][0] + t[0][2] * c[2][0]);
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) m[i][j] = c[i][j] * d;
+}
+// Component i of the matrix with the columns t, times x.
+template <int D, class V>
+INLINE V times(const V (*t)[D], const V* x, int i) {
+    V s = t[0][i] * x[0];
+    for (int j = 1; j < D; j++) s += t[j][i] * x[j];
+    return s;
+}
+
+}  // namespace supple
