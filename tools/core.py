@@ -28,7 +28,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 CORE = Path("src", "supple", "_core")
 ZIGLANG = "ziglang>=0.13"
-WHAT = "the core in C++"
+WHAT = "core in C++"
 COMPILERS = ["clang-cl"] if sys.platform == "win32" else ["c++", "g++", "clang++"]
 SANITIZED = [
     *(f"tests/engines/cuda/test_{name}.py" for name in ("brushes", "driver", "large", "maps", "parity")),
@@ -63,6 +63,14 @@ class Progress:
         self._states: dict[str, str] = {}
         self._lock = threading.Lock()
         self._anew = sys.stdout.isatty()
+        threading.Thread(target=self._tick, daemon=True).start()
+
+    def _tick(self) -> None:
+        """Show that time goes on, where nothing else is new."""
+        while True:
+            time.sleep(1 if self._anew else self.SECONDS / 4)
+            with self._lock:
+                self._show()
 
     def tell(self, what: str, state: str) -> None:
         """Say how far something is."""
@@ -193,7 +201,7 @@ def _compile(ninja: str, where: Path, target: str, environment: Mapping[str, str
         for line in child.stdout:
             if done := re.match(r"\[(\d+) of (\d+)\]", line):
                 if done[1] != "0":
-                    tell(f"{done[1]} of {done[2]} files to compile")
+                    tell(f"{done[1]} of {done[2]} files compiled")
             elif not line.startswith("ninja: "):
                 print("\r\033[K" if sys.stdout.isatty() else "", line, sep="", end="", file=sys.stderr, flush=True)
     if child.returncode:

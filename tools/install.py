@@ -33,7 +33,7 @@ def install(requirements: Sequence[str], progress: core.Progress, what: str) -> 
         commands.insert(0, [uv, "pip", "install", "--python", sys.executable])
     last: collections.deque[str] = collections.deque(maxlen=30)
     for command in commands:
-        progress.tell(what, "being installed")
+        progress.tell(what, "begun")
         with subprocess.Popen(
             [*command, *requirements],
             cwd=core.ROOT,
@@ -46,9 +46,9 @@ def install(requirements: Sequence[str], progress: core.Progress, what: str) -> 
             for line in child.stdout:
                 last.append(line)
                 if found := re.match(r"\s*Collecting ([\w.-]+)", line):
-                    progress.tell(what, f"{found[1]} is fetched")
+                    progress.tell(what, f"fetching {found[1]}")
                 elif line.startswith("Installing collected packages"):
-                    progress.tell(what, "all are fetched, and unpacked")
+                    progress.tell(what, "unpacking")
         if not child.returncode:
             progress.end(what, "installed")
             return

@@ -381,7 +381,8 @@ def _stroke(option: str, text: str, *, scales: float, **brush: float | None) -> 
     }
     if option == "--twist" and n == 2 and len(parts) == 3:
         raise SuppleError(f"--twist {text}: a twist in a picture has no axis: leave it out (X,Y:ANGLE)")
-    if n not in (2, 3) or parts not in shapes[option]:
+    points = (at, *rest) if option == "--grab" else (at,)
+    if n not in (2, 3) or parts not in shapes[option] or not all(math.isfinite(x) for point in points for x in point):
         raise wrong
     known = {**brush, "scales": int(scales) if float(scales).is_integer() else scales}
     try:

@@ -200,7 +200,9 @@ def _look(place: Path, look: Look, device: str) -> str:
         return f'<div class="shot">\n{compared}</div>\n'
     counted = replace(view, mode="exact", what="inversions", supersampling=1, background=None)
     render_file(source, place / work, look.recipe, options=counted, force=True)
-    plot = _figure(place, work, "How often T is evaluated for each ray, if every sample along it is inverted exactly.")
+    plot = _figure(
+        place, work, "How often the map is evaluated for each ray of an exact rendering (it inverts all samples)."
+    )
     return f'<div class="shot">\n{compared}</div>\n<div class="plots small">\n{plot}</div>\n'
 
 

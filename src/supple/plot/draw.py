@@ -190,7 +190,7 @@ def _stretch(deformation: Deformation, frame: int | None, below: Background) -> 
     for axes, values, name in zip(parts, found, ("Vertical", "Horizontal", "In time"), strict=False):
         under(axes, deformation, below)
         drawn = show(axes, values, every, norm, "RdBu_r", 0.72 if below is not None else None)
-        map_axes(axes, deformation, f"{name}: {values.min():.2f} to {values.max():.2f}")
+        map_axes(axes, deformation, f"{name}: {values.min():z.2f} to {values.max():z.2f}")
         arrows(axes, deformation)
     bar(made, drawn, parts, "contracted  ←  1  →  expanded")
     title(made, f"Stretch of the {'picture' if frame is None else 'video'}{_of(frame)}")

@@ -215,7 +215,7 @@ def _draw_jacobian(made: Figure, axes: Axes, seen: _Slice, box: Box) -> None:
         halo = [withStroke(linewidth=2.6, foreground="black")]
         axes.add_collection(LineCollection(_outline(seen), colors=_FOLDED, linewidths=1.4, path_effects=halo))
     low, high = (float(known.min()), float(known.max())) if known.size else (math.nan, math.nan)
-    _set(axes, seen, box, f"ln det(I + ∂u/∂x): {low:.2f} to {high:.2f}")
+    _set(axes, seen, box, f"ln det(I + ∂u/∂x): {low:z.2f} to {high:z.2f}")
     what = "volume" if seen.where else "area"
     cuts: dict[tuple[bool, bool], Extend] = {(True, True): "both", (True, False): "min", (False, True): "max"}
     cut = cuts.get((low < -1.001 * reach, high > 1.001 * reach), "neither")
