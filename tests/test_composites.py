@@ -338,6 +338,14 @@ def test_a_part_of_a_part_knows_the_whole() -> None:
     np.testing.assert_allclose(part.origin, grid.positions((487, 5)))
 
 
+def test_far_from_the_origin_rounding_is_no_miss() -> None:
+    d = Deformation((50, 60), border=None).grab((20, 20), by=(5, 2), radius=9, reach=None)
+    d = d.affine([[0.9, 0.2, 3], [-0.2, 0.9, 9], [0, 0, 1]])
+    found = d.inverse(np.random.default_rng(0).normal(size=(50, 2)) * 1e12)
+    assert found.converged.all()
+    assert found.residual.max() > 1e-7
+
+
 def test_folds_take_no_memory() -> None:
     """Slopes at folds, and points that are not solved, lead anywhere: mirrored frames must not be held up to there."""
     rng = np.random.default_rng(12)

@@ -130,7 +130,7 @@ def _has_gaps(array: Array) -> bool:
     """Return whether any sample is NaN or infinite."""
     if array.dtype.kind != "f":
         return False
-    if array.dtype in ("f4", "f8") and array.flags.c_contiguous:
+    if array.dtype in ("f4", "f8") and array.flags.c_contiguous and array.flags.aligned:
         return not _core.finite(array)
     return any(not np.isfinite(part.min()) or not np.isfinite(part.max()) for part in _slabs(array))
 

@@ -73,7 +73,7 @@ class Hand:
         self.canvas, self._view, self.modifiers, self.stamp = canvas, view, (), 0.0
 
     def pass_frame(self) -> None:
-        """Draw a frame at which nobody looks: a program takes longest to put it together on the canvas."""
+        """Draw a frame that nobody looks at, without composing it on the canvas, where software takes longest."""
         queue = self._view.gpu.device.queue
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(self._view, "_present", lambda shot, encoder: queue.submit([encoder.finish()]))

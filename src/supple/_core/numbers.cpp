@@ -21,7 +21,7 @@ template <class N>
 template <class T>
 void Numbers<N>::convert(const T* p, int n, int group, N* out) const {
     int some = count(group), first = group * colours, i = 0;
-    // Four numbers at once, where there are as many: of the last pixels, there may not be.
+    // Four numbers at once, but for the last pixels, after which there may be no four to read.
     if constexpr (sizeof(N) == sizeof(float) && (sizeof(T) < 4 || std::is_same_v<T, N>))
         for (; lanes == 4 && !job.light && i + 4 < n; i++, p += job.channels, out += lanes) {
             Pixel<N> v = load<N, 4>(p + first);
@@ -74,7 +74,7 @@ void Numbers<N>::store(const N* from, int n, int group, T* p) const {
     const T most = limit_of<T>(high);
     for (int i = 0; i < n; i++, p += job.channels, from += 4) {
         double v[4];
-        for (int c = 0; c < 4; c++) v[c] = from[c];
+        for (int c = 0; c < 4; c++) v[c] = c < lanes ? from[c] : 0;
         if (job.alpha >= 0) {
             // A cubic overshoots: clamp opacity to its range. The colours overshoot with it, and are divided by the
             // unclamped value.

@@ -713,7 +713,7 @@ void Plan<D>::visit_rows(const Grid& grid, int root_row, const int (&box)[4], bo
     Row<D> row{};  // vectors of eight read past a row's end
     int top, bottom;
     rows_of(grid, root_row, top, bottom);
-    // The roots that the box meets.
+    // The roots that the box meets: from one to the next, columns never decrease.
     int begin = 0, end = across;
     for (int left, right; begin < end; begin++)
         if (columns_of(grid, begin, left, right), right > box[0]) break;

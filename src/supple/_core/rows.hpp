@@ -274,10 +274,10 @@ NOINLINE void sample_footprints(const Frames<T>& given, const Pyramid<N>& pyrami
                 return spot_at<N, C, 1>(taps, r, across, left, right);
             }
         };
-        if (prints.kind[k] == PLAIN)
-            put(k, around<N, C, 1, 2, SEVERAL>(
-                       f, mix, x[k], y[k], places.inside || places.inner<1, 2, C>(f, x[k], y[k], place), place, cubic));
-        else if (prints.kind[k] == SPOT)
+        if (prints.kind[k] == PLAIN) {
+            const bool inside = places.inside || places.inner<1, 2, C>(f, x[k], y[k], place);  // which sets the place
+            put(k, around<N, C, 1, 2, SEVERAL>(f, mix, x[k], y[k], inside, place, cubic));
+        } else if (prints.kind[k] == SPOT)
             put(k, around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[k], prints.y[k],
                                                places.inside || inner<C, 1, 3>(f, prints.x[k], prints.y[k]),
                                                prints.y[k] * f.row + prints.x[k] * C, spot));
