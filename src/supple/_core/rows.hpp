@@ -189,12 +189,6 @@ struct Places {
     alignas(64) int at[STRIDE];
     bool inside;
 
-    // Whether one is, in a row of which some are not; and its place.
-    template <int LEFT, int RIGHT, int C, class T>
-    INLINE bool inner(const Frames<T>& f, int x, int y, ptrdiff_t& place) const {
-        place = (ptrdiff_t)y * f.row + (ptrdiff_t)x * C;
-        return supple::inner<C, LEFT, RIGHT>(f, x, y);
-    }
     template <int LEFT, int RIGHT, int C, class T>
     INLINE void find(const Frames<T>& f, const int* x, const int* y, int from, int end) {
         // A window that begins before a frame's first sample lies far beyond it, as an unsigned number.
@@ -246,8 +240,8 @@ NOINLINE void sample_each(const Frames<T>& given, const Row<D>& row, Run run, in
             else
                 return cubic_at<N, C>(taps, r, fx, fy);
         };
-        ptrdiff_t place = places.at[k];
-        const bool inside = places.inside || places.inner<left, right, C>(f, x[k], y[k], place);
+        const ptrdiff_t place = places.inside ? places.at[k] : place_of<C>(f, x[k], y[k]);
+        const bool inside = places.inside || inner<C, left, right>(f, x[k], y[k]);
         put(k, around<N, C, left, right, SEVERAL>(f, mix, x[k], y[k], inside, place, kernel));
     }
 }
@@ -262,7 +256,6 @@ NOINLINE void sample_footprints(const Frames<T>& given, const Pyramid<N>& pyrami
     for (int k = from; k < end; k++) {
         const N fx = (N)row.part[0][k], fy = (N)row.part[1][k];
         const Mix<N> mix = mix_of(k);
-        ptrdiff_t place = places.at[k];
         auto cubic = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA { return cubic_at<N, C>(taps, r, fx, fy); };
         auto spot = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
             Across<N> across{(N)prints.first[k], (N)prints.second[k], prints.shift[k]};
@@ -275,12 +268,13 @@ NOINLINE void sample_footprints(const Frames<T>& given, const Pyramid<N>& pyrami
             }
         };
         if (prints.kind[k] == PLAIN) {
-            const bool inside = places.inside || places.inner<1, 2, C>(f, x[k], y[k], place);  // which sets the place
+            const ptrdiff_t place = places.inside ? places.at[k] : place_of<C>(f, x[k], y[k]);
+            const bool inside = places.inside || inner<C, 1, 2>(f, x[k], y[k]);
             put(k, around<N, C, 1, 2, SEVERAL>(f, mix, x[k], y[k], inside, place, cubic));
         } else if (prints.kind[k] == SPOT)
             put(k, around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[k], prints.y[k],
                                                places.inside || inner<C, 1, 3>(f, prints.x[k], prints.y[k]),
-                                               prints.y[k] * f.row + prints.x[k] * C, spot));
+                                               place_of<C>(f, prints.x[k], prints.y[k]), spot));
         else
             put(k, wide<Pixel<N>>(levels_in<C, SEVERAL>(f, pyramid, mix), (N)x[k] + fx, (N)y[k] + fy, (N)prints.xx[k],
                                   (N)prints.xy[k], (N)prints.yy[k]));

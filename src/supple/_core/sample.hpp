@@ -183,6 +183,11 @@ NOINLINE void gather(const Frames<T>& f, Mix<N> mix, int x, int y, int left, int
             for (int c = 0; c < C; c++) own[j * PATCH + i * C + c] = sum[c];
         }
 }
+// The place of the sample at (x, y).
+template <int C, class T>
+INLINE ptrdiff_t place_of(const Frames<T>& f, int x, int y) {
+    return (ptrdiff_t)y * f.row + (ptrdiff_t)x * C;
+}
 // Whether the samples around (x, y) all lie within the frames: LEFT before it and RIGHT after it on each axis.
 template <int C, int LEFT, int RIGHT, class T>
 INLINE bool inner(const Frames<T>& f, int x, int y) {
@@ -276,7 +281,7 @@ struct Level {
     INLINE Pixel<N> spot(int x, int y, Across<N> across, const N* left, const N* right) const {
         const bool inside = inner<C, 1, 3>(frames, x, y);
         return around<N, C, 1, 3, SEVERAL>(
-            frames, mix, x, y, inside, (ptrdiff_t)y * frames.row + (ptrdiff_t)x * C,
+            frames, mix, x, y, inside, place_of<C>(frames, x, y),
             [&](auto taps, ptrdiff_t row) INLINE_LAMBDA { return spot_at<N, C, 1>(taps, row, across, left, right); });
     }
 };
