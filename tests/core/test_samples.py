@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from supple import Deformation, SuppleError, _core
-from supple.engines.native import plan_of
+from supple.engines.base import Group, Layout, Sampling, Work
+from supple.engines.native import plan_of, samplings_of
 from supple.strokes import numbers
 from tests import reference
 from tests.core.drawn import deformations, plan, sampling
@@ -344,3 +345,24 @@ def test_reach_keeps_bits_of_chroma() -> None:
     away = np.linalg.norm(q - (40, 30), axis=-1) >= 15
     assert out[away].tobytes() == source[0][away].tobytes()
     assert out[~away].tobytes() != source[0][~away].tobytes()
+
+
+@pytest.mark.parametrize(("channels", "side", "name"), [(1, 46400, "auto"), (2, 32900, "auto"), (3, 26800, "cubic")])
+def test_frames_of_more_samples_than_32_bits_count(channels: int, side: int, name: str) -> None:
+    """A corner is as that of a small frame; memory is taken for the corner alone."""
+    small, seen = 200, 120
+    corner = np.random.default_rng(1).integers(0, 256, (small, small, channels), np.uint8)
+
+    def warped(side: int) -> npt.NDArray[np.int_]:
+        free = Deformation((side, side), border=None)
+        space = free.grab((side - 40,) * 2, by=(5.3, 4.2), radius=8, reach=3).space
+        frames, out = np.zeros((1, side, side, channels), np.uint8), np.zeros((side, side, channels), np.uint8)
+        frames[0, -small:, -small:] = corner
+        layout = Layout((Group((side, side), channels),), np.dtype("u1"), 255.0)
+        (job,) = samplings_of(Work(space, layout, Sampling.checked(2, filter=name)), [frames], [out], 1)
+        plan_of(space, 0, 1e-3).sample(job, (side - seen, side, side - seen, side))
+        return out[-seen:, -seen:].astype(int)
+
+    great, found = warped(small), warped(side)
+    assert (great != corner[-seen:, -seen:]).mean() > 0.05
+    assert abs(found - great).max() <= 1
