@@ -218,7 +218,7 @@ def decoded(path: Path) -> list[Array]:
     if name.endswith((".mkv", ".gif")):
         with av.open(str(path)) as container:
             return [frame.to_ndarray() for frame in container.decode(video=0)]
-    return [pyvips.Image.new_from_file(str(path)).numpy()]
+    return [pyvips.Image.new_from_file(str(path), revalidate=True).numpy()]  # files of one name follow one another
 
 
 def stores(name: str) -> list[Array]:

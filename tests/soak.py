@@ -19,7 +19,6 @@ if __name__ == "__main__":
 from supple import Deformation, FoldWarning, SuppleError, ToleranceWarning, _core
 from supple.engines.base import Array, Group, Layout, Sampling, Work
 from supple.pipeline import make_plan, stream
-from supple.render.solid import solve_solid
 from supple.strokes import Stroke, numbers
 
 Floats = npt.NDArray[np.float64]
@@ -71,9 +70,6 @@ class Tally:
     worst_error: float = 0.0
     frames: int = 0
     worst_frame: float = 0.0
-    solids: int = 0
-    solids_beyond: int = 0
-    worst_solid: float = 0.0
     violations: list[str] = field(default_factory=list)
 
     def lines(self) -> list[str]:
@@ -341,29 +337,6 @@ def look_at_clip(d: Deformation, rng: np.random.Generator, tally: Tally) -> list
     return wrong
 
 
-def look_at_solid(d: Deformation, rng: np.random.Generator, tally: Tally) -> list[str]:
-    """Whether the lattice of a volume, by which it is seen, is as exact as is said."""
-    tolerance = float(rng.choice([0.5, 0.1, 0.02]))
-    solid = solve_solid(d.space, d.shape, tolerance)
-    q = rng.uniform(0, 1, (2_000, 3)) * (np.array(d.shape[::-1]) - 1.0)
-    # Half of them where something happens: about the ends of strokes.
-    for k, stroke in enumerate(d.strokes[:8]):
-        part = q[100 * k : 100 * k + 100]
-        near = np.add(stroke.at, stroke.by) + rng.normal(size=part.shape) * stroke.radius / d.domain.spacing
-        part[...] = np.clip(near, 0, np.array(d.shape[::-1]) - 1.0)
-    true = d.inverse(q)
-    found, _ = solid.at(q)
-    off = np.linalg.norm(q + found - true.points, axis=-1)[true.converged]
-    worst = float(off.max(initial=0.0))
-    tally.solids += 1
-    tally.solids_beyond += solid.error > tolerance
-    if solid.error <= tolerance:
-        tally.worst_solid = max(tally.worst_solid, worst / tolerance)
-        if not worst <= tolerance + 1e-3:
-            return [f"the lattice, {solid.step} voxels wide, is off by {worst:.3g}, but {solid.error:.3g} was said"]
-    return []
-
-
 def look_at_recipe(rng: np.random.Generator, tally: Tally, work: float) -> list[str]:
     """What is wrong with the next recipe, which gets about ``work`` points times strokes."""
     tally.recipes += 1
@@ -376,8 +349,6 @@ def look_at_recipe(rng: np.random.Generator, tally: Tally, work: float) -> list[
         wrong += look_at_map(d, rng, tally)
     if d.ndim == 3 and math.prod(d.shape[1:]) * len(d.space.table) <= 10 * MOST_PIXELS:
         wrong += look_at_clip(d, rng, tally)
-    if d.ndim == 3 and math.prod(d.shape) * len(d.space.table) <= 100 * MOST_PIXELS:
-        wrong += look_at_solid(d, rng, tally)
     wrong += look_at_many(d, rng, tally, int(work / max(len(d.space.table), 1)))
     return [f"{line} ({d.on_fold}, {len(d.strokes)} strokes)" for line in wrong]
 

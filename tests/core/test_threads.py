@@ -176,12 +176,12 @@ def test_an_interrupt_of_a_picture_of_a_volume() -> None:
     result = in_a_process(
         WORK
         + """
-from supple import _core
-from supple.render.solid import strokes_of
+import numpy as np
+from supple.render.scene import Scene
 shape = (90, 90, 90)
 d = Deformation(shape, border=None)
 for k in range(20): d = d.grab((45, 45 + k, 45), by=(2, 1, 1), radius=20)
-solid = _core.Lattice(np.empty((91, 91, 91, _core.NODE), np.float32), 1)
+scene = Scene(np.random.default_rng(0).random(shape), deformation=d, mode="exact")
 sent = []
 def send():
     sent.append(time.monotonic())
@@ -189,7 +189,7 @@ def send():
 timer = threading.Timer(0.3, send)
 timer.start()
 try:
-    for _ in range(200): solid.solve(strokes_of(d.space))
+    for _ in range(200): scene.render()
 except KeyboardInterrupt:
     print("interrupted", time.monotonic() - sent[0])
 """,

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 import supple
 from supple.render.picture import Rendering
+from supple.render.scene import Scene
 from supple.render.transfer import TransferFunction
 from supple.space.geometry import Geometry
 from tests.turns import AFFINE
@@ -22,6 +23,12 @@ SOFT = TransferFunction(((0.3, 1, 0.2, 0.1, 0), (0.5, 0.9, 0.5, 0.3, 0.3), (1, 1
 def size_of(mode: str) -> tuple[int, int]:
     """Return the rows and columns of a picture: few where software solves for every sample along a ray."""
     return (20, 26) if mode == "exact" else SIZE
+
+
+def pair(samples: npt.NDArray[Any], geometry: Geometry, **options: Any) -> tuple[Scene, Scene]:
+    """Return scenes on the CPU and the GPU. Until its buffer is filled, a hybrid one samples once, as an exact one."""
+    exact = {"mode": "exact"} if options.get("mode") == "hybrid" else {}
+    return Scene(samples, geometry, **options | exact), Scene(samples, geometry, **options, device="gpu")
 
 
 def apart(one: Rendering, other: Rendering) -> float:

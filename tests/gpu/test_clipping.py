@@ -12,7 +12,7 @@ from supple.gpu.device import Gpu
 from supple.render.camera import Camera
 from supple.render.scene import MODES, Scene
 from supple.render.transfer import TransferFunction
-from tests.gpu.scenes import GEOMETRY, SIZE, SOFT, apart
+from tests.gpu.scenes import GEOMETRY, SIZE, SOFT, apart, pair
 
 SOLID = TransferFunction(((0.0, 1.0, 0.9, 0.8, 0.6),))
 CLIPS = (((None, None), (13.5, None), (None, None)), ((5, 21), (None, 22.25), (4, 15)))
@@ -27,7 +27,7 @@ def test_a_picture_is_the_cpu_s(
     options: dict[str, Any] = {"transfer": transfer, "tolerance": 0.05}
     if mode != "plain":
         options |= {"deformation": bent, "mode": mode}
-    ours, theirs = (Scene(cloud, GEOMETRY, device=device, **options) for device in ("cpu", "gpu"))
+    ours, theirs = pair(cloud, GEOMETRY, **options)
     for clip, camera in zip(CLIPS, CAMERAS, strict=True):
         one, other = (scene.clipped(clip).render(camera, SIZE) for scene in (ours, theirs))
         assert np.ptp(one.pixels((0.1, 0.2, 0.3))) > 100

@@ -17,7 +17,7 @@ from supple.gpu.plate import Plate, Sight
 from supple.gpu.screen import canvas_texture, pixels_of
 from supple.render.camera import Camera
 from supple.render.scene import MODES, Scene
-from tests.gpu.scenes import GEOMETRY, SHAPE, SOFT, apart, ball, frozen, size_of
+from tests.gpu.scenes import GEOMETRY, SHAPE, SOFT, apart, ball, frozen, pair, size_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.MissWarning", "ignore::supple.FoldWarning")
 
@@ -42,10 +42,8 @@ def test_a_mask_that_does_not_fit_is_the_cpu_s(gpu: Gpu, cloud: np.ndarray, monk
 def test_a_rendering_is_the_cpu_s(gpu: Gpu, cloud: np.ndarray, mode: str) -> None:
     options: dict[str, Any] = {"transfer": SOFT, "mode": mode, "tolerance": 0.1}
     d, free, camera = bent_cloud(5), bent_cloud(0), Camera(azimuth=25, elevation=20)
-    one, other, third = (
-        Scene(cloud, GEOMETRY, deformation=bent, device=device, **options).render(camera, size_of(mode))
-        for bent, device in ((d, "cpu"), (d, "gpu"), (free, "gpu"))
-    )
+    ours, theirs = pair(cloud, GEOMETRY, deformation=d, **options)
+    one, other, third = (scene.render(camera, size_of(mode)) for scene in (ours, theirs, theirs.deformed(free)))
     assert apart(one, other) > 50
     assert apart(other, third) < 45
 

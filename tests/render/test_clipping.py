@@ -79,11 +79,11 @@ def test_a_box_is_what_the_volume_cut_to_it_shows() -> None:
 
 
 def test_a_clipped_scene_is_the_scene_that_is_made_so(bent: supple.Deformation) -> None:
-    options: dict[str, Any] = {"deformation": bent, "transfer": SOFT, "mode": "lattice"}
+    options: dict[str, Any] = {"deformation": bent, "transfer": SOFT, "mode": "buffered"}
     scene = Scene(cloud(), GEOMETRY, **options)
     made = Scene(cloud(), GEOMETRY, clip=CLIP, **options)
     cut = scene.clipped(CLIP)
-    assert (cut._solid is scene._solid, cut.clip, scene.clip[0]) == (True, made.clip, (0, 27))
+    assert (cut.samples is scene.samples, cut.clip, scene.clip[0]) == (True, made.clip, (0, 27))
     whole, other = scene.render(CAMERAS[0], SIZE), made.render(CAMERAS[0], SIZE)
     for again in (cut, scene.clipped(((1, 2),) * 3).clipped(CLIP), cut.seen_through(SOFT), cut.deformed(bent)):
         np.testing.assert_array_equal(again.render(CAMERAS[0], SIZE).light, other.light)
@@ -92,7 +92,7 @@ def test_a_clipped_scene_is_the_scene_that_is_made_so(bent: supple.Deformation) 
 
 
 def test_what_is_picked_is_the_cut_face(bent: supple.Deformation) -> None:
-    for mode in ("lattice", "exact"):
+    for mode in ("buffered", "exact"):
         scene = Scene(np.ones(SHAPE, np.uint8), GEOMETRY, deformation=bent, transfer=SOLID, mode=mode)
         camera, size = Camera(0, 0, distance=90), (40, 50)
         whole = scene.pick(camera, size, (25, 20))
@@ -107,7 +107,7 @@ def test_what_is_picked_is_the_cut_face(bent: supple.Deformation) -> None:
         assert beside.pick(camera, size, (25, 14)) is None
 
 
-@pytest.mark.parametrize("mode", ["lattice", "exact"])
+@pytest.mark.parametrize("mode", ["buffered", "exact"])
 def test_a_cut_face_is_lit_as_a_plane(bent: supple.Deformation, mode: str) -> None:
     """Its light does not depend on the gradients within, which point anywhere."""
     noise = np.random.default_rng(3).random(SHAPE).astype(np.float32) + 1

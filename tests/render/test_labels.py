@@ -29,7 +29,7 @@ SHAPE, SIZE = (20, 24, 22), (60, 60)
 GEOMETRY = Geometry(spacing=(1.0, 1.2, 1.5))
 CAMERA = Camera(35, 20, roll=10)
 OPAQUE = TransferFunction(((59, 0, 0, 0, 0), (60, 0, 0, 0, 1), (255.0, 0, 0, 0, 1)))
-MODES = ("plain", "lattice", "exact", "buffered")
+MODES = ("plain", "exact", "buffered")
 
 
 def regions(seed: int = 0, count: int = 4) -> npt.NDArray[np.uint8]:
@@ -189,9 +189,8 @@ def test_a_deformed_scene_is_that_of_the_warped_volume(kind: str) -> None:
     samples: npt.NDArray[Any] = two() if kind == "labels" else cube(np.uint8, 4)[0]
     options: dict[str, Any] = {"transfer": "labels" if kind == "labels" else OPAQUE, "shaded": False, "step": 1.5}
     pictures = {m: scene_of(samples, m, **options).render(CAMERA, SIZE) for m in MODES}
-    assert near(pictures["lattice"], pictures["exact"]) > 0.99
-    assert near(pictures["lattice"], pictures["buffered"]) > 0.85
-    assert near(pictures["lattice"], pictures["plain"]) < 0.82
+    assert near(pictures["exact"], pictures["buffered"]) > 0.85
+    assert near(pictures["exact"], pictures["plain"]) < 0.82
     warped = bent().warp(samples, filter="nearest" if kind == "labels" else "linear")
     assert near(pictures["buffered"], scene_of(warped, **options).render(CAMERA, SIZE)) > 0.999
 
@@ -221,10 +220,10 @@ def test_the_surface_of_a_ball_is_smooth_and_lit_as_one() -> None:
 
 def test_another_look_at_labels_is_that_of_a_new_scene() -> None:
     labels, colours = regions(), LabelColours({1: (1, 0, 0, 1), 2: (0, 1, 0, 0.2)})
-    scene = scene_of(labels, "lattice", transfer="grey", step=0.5)
+    scene = scene_of(labels, "buffered", transfer="grey", step=0.5)
     for transfer in ("labels", colours, "grey"):
         scene = scene.seen_through(transfer)
-        wanted = scene_of(labels, "lattice", transfer=transfer, step=0.5)
+        wanted = scene_of(labels, "buffered", transfer=transfer, step=0.5)
         np.testing.assert_array_equal(scene.render(CAMERA, SIZE).light, wanted.render(CAMERA, SIZE).light)
 
 
@@ -317,7 +316,8 @@ def test_faces_of_a_block_have_their_colours(dtype: Any, channels: int) -> None:
     for camera, name in ((Camera(0, 0), "front"), (Camera(90, 0), "left"), (Camera(0, 90), "top")):
         pixels = scene.render(camera, SIZE).pixels()
         assert np.abs(pixels[30, 30].astype(int) - (*faces[name], 255)).max() <= 1, name
-    moved = scene.deformed(bent()).render(Camera(0, 0), SIZE).pixels()
+    options: dict[str, Any] = {"transfer": scene.transfer, "shaded": False, "step": 1.5}
+    moved = scene_of(samples, "exact", **options).render(Camera(0, 0), SIZE).pixels()  # once: colours end in black
     assert np.abs(moved[30, 30].astype(int) - (*faces["front"], 255)).max() <= 1
 
 

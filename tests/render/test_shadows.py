@@ -181,7 +181,7 @@ def test_a_ball_is_in_no_shadow_of_its_own(voxels: int, monkeypatch: pytest.Monk
         assert np.nanquantile(lit, 0.02) > 0.9
 
 
-@pytest.mark.parametrize("mode", ["lattice", "exact", "buffered"])
+@pytest.mark.parametrize("mode", ["exact", "buffered"])
 def test_shadows_move_with_the_deformation(mode: str) -> None:
     x, y, z = place((32, 40, 40), SPACING)
     slab = (abs(z - 8) < 3) & (abs(x) < 6) & (abs(y) < 8)

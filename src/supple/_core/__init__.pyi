@@ -186,16 +186,9 @@ def is_whole(stroke: Floats, axes: Floats, freeze: Freeze | None = None) -> bool
 # ---- volumes
 
 BRICK: int
-NODE: int
 
 class Strokes:
     def __init__(self, rows: Floats, axes: Floats, freeze: Freeze | None = None) -> None: ...
-
-class Lattice:
-    def __init__(self, nodes: Singles, step: int) -> None: ...
-    def solve(self, strokes: Strokes) -> tuple[float, float]: ...
-    def error(self, strokes: Strokes) -> float: ...
-    def between(self, points: Singles, out: Singles) -> None: ...
 
 class Look:
     def __init__(
@@ -224,8 +217,6 @@ def draw(
     samples: Array,
     colours: Array | None,
     look: Look,
-    lattice: Lattice | None,
-    cells: int,
     strokes: Strokes | None,
     columns: Floats,
     rows: Floats,
@@ -253,6 +244,6 @@ def block_means(
 def brick_distances(seen: npt.NDArray[np.bool_], out: npt.NDArray[np.uint8]) -> None: ...
 def largest_part(seen: npt.NDArray[np.bool_], out: npt.NDArray[np.bool_]) -> None: ...
 def brick_moved(
-    lattice: Lattice, seen: npt.NDArray[np.bool_], fine: int, slack: float, out: npt.NDArray[np.bool_]
+    nodes: Singles, step: int, seen: npt.NDArray[np.bool_], fine: int, slack: float, out: npt.NDArray[np.bool_]
 ) -> None: ...
 def look_up(samples: Array, points: Singles, out: Singles, labelled: bool = False) -> None: ...

@@ -13,7 +13,9 @@
 #include <cmath>
 #include <limits>
 
-#include "solid.hpp"
+#include "solvers.hpp"
+#include "table.hpp"
+#include "voxels.hpp"
 
 namespace supple {
 
@@ -26,6 +28,7 @@ constexpr double LAYER = 4;       // voxels behind a cut face over which the lig
 constexpr float AMBIENT = 0.15f, DIFFUSE = 0.8f, SPECULAR = 0.2f;  // and the highlight's power is 16
 constexpr int TILE = 8;                                            // pixels along a tile's side
 constexpr double NEVER = std::numeric_limits<double>::infinity();
+constexpr int NODE = 16;  // numbers of a lattice's node: u and the columns of ∂p/∂q, each padded with a 0
 
 // The appearance of a volume: a camera, the light, and a transfer function. In millimetres along the volume's axes,
 // except for the eye, in voxels.
@@ -494,65 +497,57 @@ private:
     }
 };
 
+// The strokes of a table, all of them, and the domain.
+struct Strokes {
+    Axes axes;
+    std::vector<Stroke> strokes;
+    std::vector<int> list;
+
+    Strokes(const Axes& axes, std::vector<Stroke> table) : axes(axes), strokes(std::move(table)) {
+        for (size_t i = 0; i < strokes.size(); i++) list.push_back((int)i);
+    }
+    Chain chain() const { return {strokes.data(), list.data(), (int)list.size()}; }
+    double finest() const { return least(axes[0].spacing, least(axes[1].spacing, axes[2].spacing)); }
+
+    // True if x lies in any stroke's ball; elsewhere T(x) = x. With a fixed border, x is the nearest point of the
+    // domain.
+    template <class V>
+    INLINE bool reaches(const V* x) const {
+        for (const Stroke& k : strokes) {
+            V s = V{};
+            for (int i = 0; i < 3; i++) {
+                V near = x[i];
+                if (axes[i].fixed()) near = nearest(near, axes[i]);
+                s += (near - k.pivot[i]) * (near - k.pivot[i]);
+            }
+            if (k.per_reach == 0 || any(s < k.reach * k.reach)) return true;
+        }
+        return false;
+    }
+
+    // T⁻¹ of q from the guess in `found.p`; without it, if it was not good enough for all lanes.
+    template <class V>
+    INLINE void settle(const V* q, double tolerance, Solution<3, V>& found) const {
+        if (!reaches(q)) {
+            for (int i = 0; i < 3; i++) {
+                found.p[i] = q[i];
+                for (int j = 0; j < 3; j++) found.m[j][i] = splat<V>(i == j);
+            }
+            return;
+        }
+        newton<3>(chain(), axes.data(), q, tolerance, 10, found);
+        if (!any(without(splat<V>(0.0) <= 0.0, found.done))) return;
+        V before = found.steps;
+        undo<3>(chain(), axes.data(), q, tolerance, found);
+        found.steps += before;
+    }
+};
+
 // The sources of points: the points themselves ...
 struct Still {
     Triple place(const Beam& beam, const Number& t, Chosen) { return beam.points(t.all); }
     void turn(const Look& look, const Number&, Triple& slope) const {
         for (int i = 0; i < 3; i++) slope[i] *= look.per_voxel[i];
-    }
-};
-
-// ... or the lattice. Along a stretch of a ray, as long as one or two of its cells, u is the cubic with its values and
-// slopes at both ends, and M the line. The positions of stretches do not depend on skipped bricks.
-class Cubics {
-public:
-    Cubics(const Lattice& lattice, int cells, const Beam& beam) : lattice(lattice) {
-        length.all = float(cells * lattice.step) / root(dot3(beam.way, beam.way));
-    }
-
-    INLINE Triple place(const Beam& beam, const Number& t, Chosen lanes) {
-        each(lanes & ~((t.all >= start.all) & (t.all <= end.all)), [&](int l) { begin(beam, l, t.one[l]); });
-        const Floats s = (t.all - start.all) * over.all, s1 = 1 - s;
-        Triple p = beam.points(t.all);
-        for (int i = 0; i < 3; i++) p[i] += shift[i] + s * (rise[i] + s1 * (s1 * a[i] + s * b[i]));
-        return p;
-    }
-    // Mᵀ times the slopes.
-    INLINE void turn(const Look& look, const Number& t, Triple& slope) const {
-        const Floats s = (t.all - start.all) * over.all;
-        Triple f = slope;
-        for (int j = 0; j < 3; j++) {
-            slope[j] = Floats{};
-            for (int c = 0; c < 3; c++) slope[j] += (m[j][c] + s * bend[j][c]) * f[c];
-            slope[j] *= look.per_voxel[j];
-        }
-    }
-
-private:
-    const Lattice& lattice;
-    Number length, start{Floats{} + ENDLESS}, end{Floats{} - ENDLESS}, over;
-    Triple shift, rise, a, b, m[3], bend[3];  // M at the start, and its change to the end
-    Place last[RAYS];
-
-    NOINLINE void begin(const Beam& beam, int l, float t) {
-        const float whole = length.one[l], k = floored(t / whole), before = end.one[l], leaves = beam.end.one[l];
-        const float from = start.one[l] = k * whole, to = end.one[l] = (k + 1) * whole;
-        const Float4 way = beam.way.of(l), q = beam.first.of(l);
-        const Place first = from == before ? last[l] : lattice.at(q + from * way);
-        const Place next = last[l] = lattice.at(q + least(to, leaves) * way);
-        over.one[l] = to <= leaves ? 1 / whole : 1 / most(leaves - from, 1e-6f * whole);
-        const Float4 across = least(to - from, leaves - from) * way, change = next.u - first.u;
-        Float4 near = -across - change, far = across + change;  // (M - I) across - change, and the same at the end
-        for (int j = 0; j < 3; j++) {
-            m[j].set(l, first.m[j]);
-            bend[j].set(l, next.m[j] - first.m[j]);
-            near += first.m[j] * across[j];
-            far -= next.m[j] * across[j];
-        }
-        shift.set(l, first.u);
-        rise.set(l, change);
-        a.set(l, near);
-        b.set(l, far);
     }
 };
 
@@ -724,8 +719,8 @@ inline void largest(const bool* seen, const int64_t* n, bool* out) {
 // The bricks of the deformed volume that show any visible one of the original, by bounds of their displacement. Bricks
 // of the original are `fine` voxels wide: narrower ones give closer bounds, as a displaced brick covers several.
 // `slack` is the distance of points from the lattice's bounds, in voxels.
-inline void moved(const Lattice& lattice, const bool* seen, const int64_t* n, int fine, float slack,
-                  const int64_t* bricks, bool* out) {
+inline void moved(const float* lattice, const int64_t* nodes, int step, const bool* seen, const int64_t* n, int fine,
+                  float slack, const int64_t* bricks, bool* out) {
     // Sums over all bricks before, so that any box of them is eight numbers.
     const int64_t row = n[0] + 1, layer = row * (n[1] + 1);
     std::vector<int64_t> sums(layer * (n[2] + 1));
@@ -737,14 +732,13 @@ inline void moved(const Lattice& lattice, const bool* seen, const int64_t* n, in
                 *s = line + s[-row] + s[-layer] - s[-layer - row];
             }
         }
-    const int64_t nodes[3] = {lattice.nx, lattice.ny, lattice.nz};
     const Float4 last_brick = {float(n[0] - 1), float(n[1] - 1), float(n[2] - 1), 0};
     for (int64_t e = 0; e < bricks[0] * bricks[1] * bricks[2]; e++) {
         const int64_t brick[3] = {e % bricks[0], e / bricks[0] % bricks[1], e / (bricks[0] * bricks[1])};
         int64_t first[3], last[3];  // of the nodes around it
         for (int i = 0; i < 3; i++) {
-            first[i] = least(brick[i] * BRICK / lattice.step, nodes[i] - 1);
-            last[i] = least((brick[i] * BRICK + BRICK + lattice.step - 1) / lattice.step, nodes[i] - 1);
+            first[i] = least(brick[i] * BRICK / step, nodes[i] - 1);
+            last[i] = least((brick[i] * BRICK + BRICK + step - 1) / step, nodes[i] - 1);
         }
         Float4 low[4], high[4];  // of u and the columns of M
         for (int v = 0; v < 4; v++) low[v] = Float4{} + 1e30f, high[v] = Float4{} - 1e30f;
@@ -752,13 +746,13 @@ inline void moved(const Lattice& lattice, const bool* seen, const int64_t* n, in
             for (int64_t j = first[1]; j <= last[1]; j++)
                 for (int64_t i = first[0]; i <= last[0]; i++)
                     for (int v = 0; v < 4; v++) {
-                        Float4 value = load<float, 4>(lattice.node(k, j, i) + 4 * v);
+                        Float4 value = load<float, 4>(lattice + ((k * nodes[1] + j) * nodes[0] + i) * NODE + 4 * v);
                         low[v] = least(low[v], value);
                         high[v] = most(high[v], value);
                     }
         // Add the slopes to the lines between nodes.
         Float4 bent = Float4{} + slack, corner = {float(brick[0]), float(brick[1]), float(brick[2]), 0};
-        for (int v = 1; v < 4; v++) bent += 0.125f * lattice.step * (high[v] - low[v]);
+        for (int v = 1; v < 4; v++) bent += 0.125f * step * (high[v] - low[v]);
         auto brick_at = [&](Float4 p) { return whole(least(most(p / float(fine), Float4{}), last_brick)); };
         Int4 from = brick_at(corner * BRICK + low[0] - bent),
              to = brick_at(corner * BRICK + BRICK + high[0] + bent) + 1;

@@ -1,6 +1,5 @@
 // Python bindings of rendering.
 #include <nanobind/stl/array.h>
-#include <nanobind/stl/pair.h>
 
 #include "bindings.hpp"
 #include "raster.hpp"
@@ -57,46 +56,7 @@ void make_strokes(Strokes* self, const Doubles& rows, const Doubles& axes, Maski
     new (self) Strokes(domain, strokes_of(rows, domain.data(), freeze));
 }
 
-// A lattice in an array of Python's, (nz, ny, nx, NODE).
-struct SolidLattice : Lattice {
-    Array<float, 4> kept;
-    SolidLattice(Array<float, 4> nodes, int step)
-        : Lattice{nodes.data(), (int64_t)nodes.shape(2), (int64_t)nodes.shape(1), (int64_t)nodes.shape(0), step},
-          kept(nodes) {
-        if (nodes.shape(3) != NODE || least(nx, least(ny, nz)) < 2 || step < 1)
-            throw nb::value_error("a lattice must be two nodes of 16 numbers along each axis at least");
-    }
-};
-
-std::pair<double, double> solve(SolidLattice& lattice, const Strokes& strokes) {
-    std::vector<std::array<double, 2>> layers(lattice.nz);
-    unlocked([&] { parallel((int)lattice.nz, [&](int k, int) { layers[k] = lattice.solve(strokes, k); }); });
-    std::pair<double, double> all{0, 1e300};
-    for (auto [steps, smooth] : layers) all = {all.first + steps, least(all.second, smooth)};
-    return all;
-}
-
-double error(SolidLattice& lattice, const Strokes& strokes) {
-    std::vector<double> layers(lattice.nz - 1);
-    unlocked([&] { parallel((int)layers.size(), [&](int k, int) { layers[k] = lattice.error(strokes, k); }); });
-    double worst = 0;
-    for (double e : layers) worst = most(worst, e);
-    return worst;
-}
-
 Float4 point_of(const float* at) { return Float4{at[0], at[1], at[2], 0}; }
-
-void between(SolidLattice& lattice, Array<const float, 2> points, Array<float, 3> out) {
-    if (points.shape(1) != 3 || out.shape(0) != points.shape(0) || out.shape(1) != 4 || out.shape(2) != 3)
-        throw nb::value_error("points must be (N, 3), and out (N, 4, 3)");
-    for (size_t i = 0; i < points.shape(0); i++) {
-        Place place = lattice.at(point_of(points.data() + 3 * i));
-        for (int c = 0; c < 3; c++) {
-            out(i, 0, c) = place.u[c];
-            for (int d = 0; d < 3; d++) out(i, 1 + d, c) = place.m[d][c];
-        }
-    }
-}
 
 void look_up(Samples samples, Array<const float, 2> points, Array<float, 2> out, bool labelled) {
     if (points.shape(1) != 3 || out.shape(0) != points.shape(0) || out.shape(1) != 4)
@@ -166,9 +126,9 @@ Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Ar
 // columns, 2) of the first surface and where opacity passes 0.9, or infinity; and work (rows, columns, 2), samples and
 // evaluations. `ends` (rows, columns, 4) is what `raster` makes: opaque, behind what is seen of the volume before it,
 // and before projections, which are nowhere along their rays.
-void draw(Samples samples, Colours colours, const Look& look, const SolidLattice* lattice, int cells,
-          const Strokes* strokes, Array<const double, 1> columns, Array<const double, 1> rows, Array<float, 3> light,
-          Array<double, 3> depth, Array<int64_t, 3> work, std::optional<Array<const float, 3>> ends) {
+void draw(Samples samples, Colours colours, const Look& look, const Strokes* strokes, Array<const double, 1> columns,
+          Array<const double, 1> rows, Array<float, 3> light, Array<double, 3> depth, Array<int64_t, 3> work,
+          std::optional<Array<const float, 3>> ends) {
     const int height = (int)rows.size(), width = (int)columns.size();
     auto fits = [&](auto& a, size_t n) {
         return (int)a.shape(0) == height && (int)a.shape(1) == width && a.shape(2) == n;
@@ -193,8 +153,6 @@ void draw(Samples samples, Colours colours, const Look& look, const SolidLattice
                     });
                     if (strokes)
                         beam.march(look, voxels, Inverted(*strokes, look, beam));
-                    else if (lattice)
-                        beam.march(look, voxels, Cubics(*lattice, cells, beam));
                     else
                         beam.march(look, voxels, Still());
                     all([&](int l, int i, int j) {
@@ -265,30 +223,28 @@ void largest_part(Array<const bool, 3> seen, Array<bool, 3> out) {
     unlocked([&] { largest(seen.data(), sizes(seen).data(), out.data()); });
 }
 
-void brick_moved(SolidLattice& lattice, Array<const bool, 3> seen, int fine, float slack, Array<bool, 3> out) {
-    moved(lattice, seen.data(), sizes(seen).data(), fine, slack, sizes(out).data(), out.data());
+void brick_moved(Array<const float, 4> nodes, int step, Array<const bool, 3> seen, int fine, float slack,
+                 Array<bool, 3> out) {
+    const std::array<int64_t, 3> n = {(int64_t)nodes.shape(2), (int64_t)nodes.shape(1), (int64_t)nodes.shape(0)};
+    if (nodes.shape(3) != NODE || least(n[0], least(n[1], n[2])) < 2 || step < 1)
+        throw nb::value_error("a lattice must be two nodes of 16 numbers along each axis at least");
+    moved(nodes.data(), n.data(), step, seen.data(), sizes(seen).data(), fine, slack, sizes(out).data(), out.data());
 }
 
 }  // namespace
 
 void bind_render(nb::module_& m) {
     m.attr("BRICK") = BRICK;
-    m.attr("NODE") = NODE;
     nb::class_<Strokes>(m, "Strokes", "The strokes of a deformation and its domain, for volumes.")
         .def("__init__", &make_strokes, "rows"_a, "axes"_a, "freeze"_a = nb::none(), nb::keep_alive<1, 4>());
-    nb::class_<SolidLattice>(m, "Lattice", "The inverse displacements of a volume at the nodes of a lattice.")
-        .def(nb::init<Array<float, 4>, int>(), "nodes"_a, "step"_a)
-        .def("solve", &solve, "strokes"_a, "Solve the nodes; return the evaluations and the shortest length.")
-        .def("error", &error, "strokes"_a, "Return the largest error, in voxels, that is seen between nodes.")
-        .def("between", &between, "points"_a, "out"_a, "Interpolate the displacement and the columns of ∂p/∂q.");
     nb::class_<Look>(m, "Look",
                      "How a volume is seen: a camera, what its rays may skip, a transfer function, a lamp, a box.")
         .def(nb::new_(&make_look), "camera"_a, "skips"_a, "table"_a, "sums"_a, "low"_a, "scale"_a, "threshold"_a,
              "top"_a, "step"_a, "light"_a, "shaded"_a, "box"_a, "plane"_a, "silhouettes"_a, "projection"_a, "arrives"_a,
              "placed"_a, "labelled"_a);
-    m.def("draw", &draw, "samples"_a, "colours"_a.none(), "look"_a, "lattice"_a.none(), "cells"_a, "strokes"_a.none(),
-          "columns"_a, "rows"_a, "light"_a, "depth"_a, "work"_a, "ends"_a = nb::none(),
-          "See a volume along the rays of pixels: as it is, through a lattice, or through strokes.");
+    m.def("draw", &draw, "samples"_a, "colours"_a.none(), "look"_a, "strokes"_a.none(), "columns"_a, "rows"_a,
+          "light"_a, "depth"_a, "work"_a, "ends"_a = nb::none(),
+          "See a volume along the rays of pixels: as it is, or through strokes.");
     m.def("raster", &raster, "look"_a, "points"_a, "normals"_a, "triangles"_a, "lines"_a, "colour"_a, "radius"_a,
           "columns"_a, "rows"_a, "out"_a, "Draw a mesh into what the rays of pixels end at.");
     m.def("brick_ranges", &brick_ranges, "samples"_a, "brick"_a, "lows"_a, "highs"_a,
@@ -297,7 +253,7 @@ void bind_render(nb::module_& m) {
           "Find the mean of a table's entries in blocks of samples.");
     m.def("brick_distances", &brick_distances, "seen"_a, "out"_a, "Find how many bricks away the next seen one is.");
     m.def("largest_part", &largest_part, "seen"_a, "out"_a, "Find the largest part of what is seen that is connected.");
-    m.def("brick_moved", &brick_moved, "lattice"_a, "seen"_a, "fine"_a, "slack"_a, "out"_a,
+    m.def("brick_moved", &brick_moved, "nodes"_a, "step"_a, "seen"_a, "fine"_a, "slack"_a, "out"_a,
           "Find the bricks of a deformed volume that show what is seen of the volume.");
     m.def("look_up", &look_up, "samples"_a, "points"_a, "out"_a, "labelled"_a = false,
           "Sample a volume and its gradient at points.");

@@ -135,9 +135,8 @@ class LookOptions:
         Distance between samples along a ray, in millimetres (default: 0.75 of the smallest spacing; half of
         that spacing in projections, and of labels).
     mode
-        How the deformed volume is sampled. lattice (default): inverse map interpolated from a lattice, with an
-        error bound. exact: inverse solved at each sample. buffered: the volume is warped first. hybrid: lattice
-        until the GPU has warped the volume.
+        How the deformed volume is sampled. buffered: the volume is warped first. exact: inverse solved at each sample.
+        hybrid: as buffered; only windows do not wait for it.
     flat
         Render without shading.
     annotate
@@ -172,7 +171,7 @@ class LookOptions:
     shadows: Annotated[float, number("a number from 0 to 1", "S")] = 0
     size: Annotated[Any, read(_size, "WxH", show_default="512x512")] = (512, 512)
     step: Annotated[float | None, number("a number of millimetres", "MM")] = None
-    mode: Literal["lattice", "exact", "buffered", "hybrid"] = "lattice"
+    mode: Annotated[str, Parameter(metavar="buffered|exact|hybrid")] = "buffered"
     flat: bool = False
     annotate: bool = False
     background: Annotated[Any, read(_colour, "#RRGGBB")] = None

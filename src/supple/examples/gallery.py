@@ -210,7 +210,7 @@ def _facts(made: Solid) -> str:
     assert made.deformation is not None
     resolution = made.deformation.resolution()
     steps = f" The stroke takes {resolution['applied']} steps." if resolution["applied"] > 1 else ""
-    return f"<b>Source points within {made.error:.4f} voxels</b>, by the checks of the lattice.{steps}"
+    return f"<b>Source points within {made.error:g} voxels</b>, by the checks of the warp.{steps}"
 
 
 def _write_inside(target: Path) -> None:

@@ -282,9 +282,9 @@ SCENES = (
     ),
     Scene(
         "A head, outside and inside",
-        "A volume bends like anything else, in millimetres: what is inside follows. The head is seen by rays that look "
-        "up where each of their points came from, on a certified lattice, so that nothing is warped beforehand. Of the "
-        "brain, a density window shows what is brighter than the fluid around it.",
+        "A volume bends like anything else, in millimetres: what is inside follows. The whole head is warped once, "
+        "and seen by rays from any side. Of the brain, a density window shows what is brighter than the fluid around "
+        "it.",
         (
             Look("head", "One stroke of 52 mm.", HEAD, _DENT, border=30),
             Look("brain", "The same, inside.", INSIDE, _DENT, border=30, cut=10, density=(45, 254)),

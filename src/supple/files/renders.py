@@ -31,7 +31,7 @@ from supple.render.colour import are_colours
 from supple.render.labels import LabelColours, labels_in
 from supple.render.meshes import Surface
 from supple.render.picture import Rendering
-from supple.render.scene import MODES, Scene
+from supple.render.scene import Scene, check_mode
 from supple.render.transfer import HOUNSFIELD, LABELS, SUFFIXES, Transfer, transfer_of
 from supple.space.domain import choice, integer, number, point
 from supple.space.geometry import check_upright
@@ -78,7 +78,7 @@ class RenderOptions:
     step : float, optional
         The step along a ray, in millimetres; by default, as in `supple.render.scene.Scene`.
     mode : str
-        ``"lattice"``, ``"exact"``, ``"buffered"`` or ``"hybrid"``: see `supple.render.scene`.
+        ``"buffered"`` or ``"exact"``: see `supple.render.scene.Scene`. ``"hybrid"`` is ``"buffered"`` here.
     shaded : bool
     annotate : bool
         Whether a scale bar and the letters of the patient's sides are drawn: `supple.plot.annotate.annotated`.
@@ -114,7 +114,7 @@ class RenderOptions:
     camera: Camera = field(default_factory=Camera)
     size: tuple[int, int] = (512, 512)
     step: float | None = None
-    mode: str = "lattice"
+    mode: str = "buffered"
     shaded: bool = True
     annotate: bool = False
     background: tuple[float, float, float] | None = None
@@ -128,7 +128,7 @@ class RenderOptions:
 
     def __post_init__(self) -> None:
         choice("device", self.device, DRAWING)
-        choice("mode", self.mode, MODES)
+        check_mode(self.mode)
         choice("what", self.what, WHATS)
         choice("projection", self.projection, PROJECTIONS)
         number("silhouettes", self.silhouettes, "a number from 0 to 1", 0.0, 1.0)
@@ -250,7 +250,7 @@ def scene_of(
     deformation = None
     if recipe is not None or maps:
         deformation = deformation_of(recipe or Recipe(), volume, world=world, fit=fit, maps=maps)
-    if maps and known.mode not in ("lattice", "buffered"):
+    if maps and known.mode != "buffered":
         raise SuppleError(f"with fields and affine maps, the volume is warped first: leave mode {known.mode} out")
     given = known.transfer if known.transfer is not None else default_transfer(volume)
     if known.projection != "none":
@@ -284,7 +284,7 @@ def scene_of(
         silhouettes=known.silhouettes,
         shadows=known.shadows,
         meshes=meshes,
-        mode=known.mode,
+        mode="buffered" if known.mode == "hybrid" else known.mode,
         step=known.step,
         shaded=known.shaded,
         device=known.device,
@@ -400,7 +400,6 @@ def render_file(
     def pictures(opaque: bool) -> Iterator[Array]:
         behind = known.background or ((0.0, 0.0, 0.0) if opaque else None)
         for k in range(count):
-            # No buffer is filled here, since its progress, which is visible, depends on the machine.
             turned = scene.turned(camera, k, count)
             picture = scene.render(turned, known.size, supersampling=known.supersampling)
             if k == 0:

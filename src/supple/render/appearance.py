@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple.deformation import Deformation
 from supple.errors import SuppleError
 from supple.gpu import raymarch as shading
 from supple.render.box import Clip, box_of
@@ -36,7 +37,7 @@ def skipped(known: dict[str, Any]) -> npt.NDArray[np.uint8]:
         moved = np.empty(brick_counts(known["samples"].shape, _core.BRICK), np.bool_)
         # Along rays, points are off the lattice by less than its error, which includes a reserve.
         slack = 0.01 + 0.5 * min(known["error"], 1.0)
-        _core.brick_moved(known["_solid"].lattice, seen, FINE, slack, moved)
+        _core.brick_moved(known["_solid"].nodes, known["_solid"].step, seen, FINE, slack, moved)
         seen = moved
     skips = np.empty(seen.shape, np.uint8)
     _core.brick_distances(seen, skips)
@@ -329,6 +330,12 @@ def prepared(given: Array) -> Array:
         bottom, top = (finite.min(), finite.max()) if finite.size else (0.0, 0.0)
         ready = np.nan_to_num(ready, nan=bottom, neginf=bottom, posinf=top)
     return widened(ready)
+
+
+def warped(samples: Array, deformation: Deformation, labelled: bool, tolerance: float) -> Array:
+    """Return prepared samples or colours, moved by a deformation: linear between voxels, and the nearest label."""
+    part = samples[tuple(map(slice, deformation.shape))]
+    return widened(deformation.warp(part, filter="nearest" if labelled else "linear", tolerance=tolerance))
 
 
 def widened(samples: Array) -> Array:

@@ -120,7 +120,7 @@ def held_scene(
 
 
 def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> tuple[Solid, Lattice]:
-    """Return the lattice, refined as on the CPU, and solved on the GPU."""
+    """Return the lattice, as fine as the tolerance needs or the memory allows."""
     made: list[Lattice] = []
     tries: list[tuple[Solid, float]] = []
     shape = (space.count, *space.shape)
@@ -128,11 +128,11 @@ def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> tuple[Solid, Lattice
     def attempt(step: int) -> tuple[Solid, float]:
         lattice, nodes, error, smooth = solve(gpu, space.table, space.axes, shape, step, space.freeze)
         made[:] = [lattice]
-        tries[:] = [(Solid(nodes, step, error, 0.0), smooth)]
+        tries[:] = [(Solid(nodes, step, error), smooth)]
         return tries[0]
 
     try:
-        solid = solve_solid(space, shape, tolerance, attempt)
+        solid = solve_solid(attempt, tolerance)
     except MemoryError:
         if not tries:
             raise

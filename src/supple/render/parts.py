@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from supple import _core
 from supple.deformation import Deformation
+from supple.errors import SuppleError
 from supple.gpu import raymarch as shading
 from supple.gpu.device import gpu_of
 from supple.gpu.volume import Volume
-from supple.render.appearance import FINE, prepared, ranged, skipped, widened
+from supple.render.appearance import FINE, ranged, skipped, warped
 from supple.render.device import held_scene, tried, unseen_blocks
 from supple.render.labels import LabelColours
 from supple.render.meshes import place
 from supple.render.picture import Array
 from supple.render.shadows import shade_of
-from supple.render.solid import Solid, along_rays, cells_along_rays, checked, solve_solid, warn_of_coarse
+from supple.render.solid import Solid, along_rays, cells_along_rays, warn_of_coarse
+from supple.space.domain import refuse
 
 
 def deformed_parts(known: dict[str, Any], deformation: Deformation | None, volume: Volume | None) -> dict[str, Any]:
@@ -35,18 +39,15 @@ def deformed_parts(known: dict[str, Any], deformation: Deformation | None, volum
         looks = labelled, colours, volume
         done = tried(gpu, lambda: held_scene(gpu, ready, spacing, space, mode, tolerance, *looks), 4)
         held, solid = done or (None, None)
-    if deformation is not None and mode == "buffered" and held is None:
-        part, mixed = tuple(map(slice, shape)), "nearest" if labelled else "linear"
-        ready = prepared(deformation.warp(ready[part], filter=mixed, tolerance=tolerance))
-        if colours is not None:
-            colours = widened(deformation.warp(colours[part], filter=mixed, tolerance=tolerance))
-    elif space is not None and mode != "exact":
-        solid = solid or solve_solid(space, shape, tolerance)
-        error = along_rays(solid, cells_along_rays(solid, tolerance), tolerance)
-        if mode != "buffered" and error > tolerance:
-            warn_of_coarse(error, tolerance, 4)
-    if deformation is not None and mode == "buffered":
+    if deformation is not None and mode != "exact":
         error = tolerance
+        if held is None:
+            ready = warped(ready, deformation, labelled, tolerance)
+            colours = colours if colours is None else warped(colours, deformation, labelled, tolerance)
+    if solid is not None and mode == "hybrid":
+        error = along_rays(solid, cells_along_rays(solid, tolerance), tolerance)
+        if error > tolerance:
+            warn_of_coarse(error, tolerance, 4)
     brick = _core.BRICK if solid is None else FINE
     ranges: dict[int, tuple[Array, Array]] = known["_ranges"] if ready is known["_original"] else {}
     lows, highs = ranged(ready, brick, ranges)
@@ -57,13 +58,31 @@ def deformed_parts(known: dict[str, Any], deformation: Deformation | None, volum
         "error": error,
         "_placed": tuple(place(mesh, deformation, known["geometry"]) for mesh in known["meshes"]),
         "_solid": solid,
-        "_coarse": mode == "buffered" and solid is not None and solid.error > tolerance,
         "_lows": lows,
         "_highs": highs,
         "gpu": held.volume.gpu if held is not None else None,
         "_held": held,
     }
     return values | skipping(known | values)
+
+
+def checked(given: Deformation | None, shape: tuple[int, ...], spacing: tuple[float, ...]) -> Deformation | None:
+    """Return the deformation of a scene's volume; None for one that moves nothing.
+
+    SuppleError if it is of another shape or spacing, or not of strokes alone.
+    """
+    deformation: object = given
+    if deformation is None:
+        return None
+    if not isinstance(deformation, Deformation):
+        refuse("deformation", "a Deformation", deformation)
+    if deformation.shape != shape:
+        refuse("the deformation", f"one of shape {shape}, as the volume", told=f"shape {deformation.shape}")
+    if deformation.maps:
+        raise SuppleError("a scene is bent by strokes alone, found fields or affine maps: warp the volume first")
+    if not np.allclose(deformation.domain.spacing, spacing):
+        refuse("the deformation", f"one of spacing {spacing}", deformation.domain.spacing)
+    return None if deformation.is_identity else deformation
 
 
 def skipping(known: dict[str, Any]) -> dict[str, Any]:

@@ -36,14 +36,22 @@ from supple.render.meshes import Placed, Surface, nearest
 from supple.render.parts import deformed_parts, skipping
 from supple.render.picture import Array, Pick, Rendering, light_of
 from supple.render.shadows import Shade, arriving, shade_of
-from supple.render.solid import Solid, cells_along_rays, strokes_of
+from supple.render.solid import Solid
 from supple.render.transfer import Transfer
 from supple.space.domain import choice, integer, number, point, refuse
 from supple.space.geometry import Geometry
+from supple.strokes import numbers
 
-MODES = ("lattice", "exact", "buffered", "hybrid")
+MODES = ("buffered", "exact", "hybrid")
 _STORAGE = 0x08  # wgpu.TextureUsage.STORAGE_BINDING
 _ROWS = 256  # of an image, between two reports of progress
+
+
+def check_mode(mode: object) -> None:
+    """Raise SuppleError for an unknown mode."""
+    if mode == "lattice":
+        raise SuppleError('mode="lattice" is gone: "buffered", the default, is faster, and "exact" inverts each sample')
+    choice("mode", mode, MODES)
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
@@ -76,9 +84,9 @@ class Scene:
         By how much surfaces darken, from 0 to 1: towards where they are seen from the side; and where the lamp's light
         or, in hollows, that of the sky does not arrive.
     mode : str
-        The evaluation of the deformation: by a certified ``"lattice"`` of inverse displacements, ``"exact"`` inversion
-        of every sample along every ray, ``"buffered"``, which warps the volume first, or ``"hybrid"``: the lattice,
-        until `fill` has filled the buffer on the GPU, in parts. On the CPU, that is the lattice.
+        The evaluation of the deformation: ``"buffered"``, which warps the volume first, ``"exact"`` inversion of every
+        sample along every ray, or ``"hybrid"``: buffered, in parts, by `fill` on the GPU, where a certified lattice of
+        inverse displacements is seen until then. On the CPU, that is ``"buffered"``.
     meshes : sequence of Surface
         Meshes and contours, which move with the volume, exactly by T. They are opaque, and not cut away by ``clip`` and
         ``plane``; projections, which are nowhere along a ray, are behind them.
@@ -132,8 +140,6 @@ class Scene:
     """The visible labels, of a label map; ``samples`` are their places, from 1 on, and 0 elsewhere."""
     _placed: tuple[Placed, ...]
     _solid: Solid | None
-    _coarse: bool
-    """True if the lattice is too coarse for the CPU, while the GPU has a buffer."""
     _lows: npt.NDArray[np.float32]
     _highs: npt.NDArray[np.float32]
     _skips: npt.NDArray[np.uint8]
@@ -169,13 +175,13 @@ class Scene:
         silhouettes: float = 0.0,
         shadows: float = 0.0,
         meshes: Sequence[Surface] = (),
-        mode: str = "lattice",
+        mode: str = "buffered",
         step: float | None = None,
         shaded: bool = True,
         tolerance: float = 0.2,
         device: str = "cpu",
     ) -> None:
-        choice("mode", mode, MODES)
+        check_mode(mode)
         choice("projection", projection, PROJECTIONS)
         choice("device", device, DRAWING)
         places: object = Geometry() if geometry is None else geometry
@@ -445,7 +451,7 @@ class Scene:
             "the CPU does what {} cannot" if held.whole else "{} does not go on with the buffer",
         )
         if done is None:
-            # The lattice of a buffered scene may be too coarse to be shown.
+            # The lattice of a buffered scene may be too coarse to be seen.
             left = {"_held": replace(held, filling=None, mode=shading.LATTICE)}
             self._set({"_held": None, "gpu": None} if held.whole else left)
             return 1.0
@@ -475,18 +481,17 @@ class Scene:
 
     def _marcher(self, look: shading.Look, view: Projection) -> Callable[..., None]:
         """Return the function that marches the rays of columns and rows of pixels, into colours, depths and work."""
-        strokes, lattice, cells = None, None, 1
-        if self.deformation is not None and (self.mode == "exact" or self._coarse):
-            strokes = strokes_of(self.deformation.space)
-        elif self._solid is not None:
-            lattice, cells = self._solid.lattice, cells_along_rays(self._solid, self.tolerance)
+        strokes = None
+        if self.deformation is not None and self.samples is self._original:
+            space = self.deformation.space
+            strokes = _core.Strokes(numbers(space.table), np.ascontiguousarray(space.axes), space.freeze)
         seen = core_look(look, view)
 
         def march(
             columns: Array, rows: Array, light: Array, depth: Array, work: Array, ends: Array | None = None
         ) -> None:
             xs, ys = columns - (view.size[1] - 1) / 2, rows - (view.size[0] - 1) / 2  # from the centre
-            _core.draw(self.samples, self._colours, seen, lattice, cells, strokes, xs, ys, light, depth, work, ends)
+            _core.draw(self.samples, self._colours, seen, strokes, xs, ys, light, depth, work, ends)
 
         return march
 

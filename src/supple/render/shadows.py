@@ -17,9 +17,11 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple.render.appearance import warped
 from supple.render.box import Box
-from supple.render.solid import solve_solid
+from supple.render.labels import LabelColours
 
+Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.floating[Any]]
 Singles = npt.NDArray[np.float32]
 
@@ -28,7 +30,7 @@ PAD = 2  # empty nodes around the volume, for what lies on its faces
 REACH = 2  # nodes from which the most light is taken, so that no surface is in its own shadow
 SHADE = 0.3  # of the light of the sky, which is left where that of the lamp does not arrive
 DEEP = 2.0  # the exponent by which hollows darken
-NEAR = 1.0  # voxels: the tolerance of a lattice for shadows alone
+NEAR = 1.0  # voxels: the tolerance of a warp for shadows alone
 SKY = [np.array(way) / np.linalg.norm(way) for way in itertools.product((-1, 0, 1), repeat=3) if sum(map(abs, way)) % 2]
 
 
@@ -60,13 +62,13 @@ def shade_of(known: dict[str, Any]) -> Shade | None:
     """Return the shade of a scene, of whose attributes ``known`` has enough; None if it has no shadows."""
     if not known["shadows"] or not known["shaded"] or known["projection"] != "none":
         return None
-    samples, spacing = known["_original"], known["geometry"].spacing
+    samples, spacing, deformation = known["samples"], known["geometry"].spacing, known["deformation"]
+    if deformation is not None and samples is known["_original"]:  # rays look up their sources
+        samples = warped(samples, deformation, isinstance(known["transfer"], LabelColours), NEAR)
     sides = [n * s for n, s in zip(samples.shape[::-1], spacing, strict=True)]
     length = max(max(sides) / LONGEST, min(spacing))
     wide = tuple(max(1, round(length / s)) for s in spacing)
-    nodes = _opacities(known, length, wide)
-    if known["deformation"] is not None:
-        nodes = _moved(nodes, known, wide)
+    nodes = _opacities(samples, known, length, wide)
     nodes = np.pad(nodes * _kept(nodes.shape, wide, known["clip"], known["plane"], spacing), PAD)
     apart = tuple(w * s for w, s in zip(wide, spacing, strict=True))
     sky = sum((light_from(way, nodes, length, apart) for way in SKY), np.zeros_like(nodes))
@@ -149,9 +151,9 @@ def _reached(nodes: Singles) -> Singles:
     return np.ascontiguousarray(nodes)
 
 
-def _opacities(known: dict[str, Any], length: float, wide: tuple[int, ...]) -> Singles:
-    """Return the mean opacity of ``length`` millimetres in blocks of the original's voxels."""
-    samples, table, (low, scale), (bottom, top) = (known[k] for k in ("_original", "_table", "_entries", "_window"))
+def _opacities(samples: Array, known: dict[str, Any], length: float, wide: tuple[int, ...]) -> Singles:
+    """Return the mean opacity of ``length`` millimetres in blocks of voxels."""
+    table, (low, scale), (bottom, top) = (known[k] for k in ("_table", "_entries", "_window"))
     values = low + np.arange(len(table)) / (scale or 1.0)
     opacities = 1 - (1 - table[:, 3].astype(np.float64)) ** (length / known["step"])
     opacities[(values < bottom) | (values > top)] = 0
@@ -163,24 +165,6 @@ def _opacities(known: dict[str, Any], length: float, wide: tuple[int, ...]) -> S
 def _centres(shape: tuple[int, ...], wide: tuple[int, ...]) -> list[Floats]:
     """Return the voxels at the centres of blocks along each axis, x first."""
     return [np.arange(n) * w + (w - 1) / 2 for n, w in zip(shape[::-1], wide, strict=True)]
-
-
-def _moved(nodes: Singles, known: dict[str, Any], wide: tuple[int, ...]) -> Singles:
-    """Return the opacities of the deformed volume: those at T⁻¹ of its nodes."""
-    solid = known["_solid"] or solve_solid(known["deformation"].space, known["shape"], NEAR)
-    around = np.pad(nodes, [(0, 1)] * 3, mode="edge")  # two along each axis at least
-    made, (xs, ys, zs) = np.empty_like(nodes), _centres(nodes.shape, wide)
-    points, found = np.empty((len(ys), len(xs), 3), np.float32), np.empty((len(ys) * len(xs), 4), np.float32)
-    points[..., 0], points[..., 1] = xs, ys[:, None]
-    for layer, z in zip(made, zs, strict=True):
-        points[..., 2] = z
-        p = points.reshape(-1, 3)
-        places = (p + solid.at(p)[0] - np.subtract(wide, 1) / 2) / wide
-        _core.look_up(
-            around, np.ascontiguousarray(np.minimum(places, np.array(nodes.shape[::-1]) - 1), np.float32), found
-        )
-        layer[...] = found[:, 0].reshape(layer.shape)
-    return made
 
 
 def _kept(

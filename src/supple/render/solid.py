@@ -1,7 +1,7 @@
-"""T⁻¹ in a volume: solved at the nodes of a cubic lattice, interpolated in between, and certified.
+"""T⁻¹ in a volume: solved at the nodes of a cubic lattice by a GPU, interpolated in between, and certified.
 
-For rendering, which needs source points anywhere and not only on planes. The step of the lattice is halved until the
-largest observed error between its nodes is within the tolerance; the arithmetic is in ``_core/solid.hpp``.
+A GPU fills its buffer from it, and sees it while the buffer is not full. The step is halved until the largest observed
+error between nodes is within the tolerance; the arithmetic is in ``solid.wgsl`` and ``nodes.wgsl``.
 """
 
 from __future__ import annotations
@@ -14,14 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from supple import _core
-from supple.deformation import Deformation
-from supple.engines.base import Space
-from supple.errors import SuppleError, ToleranceWarning
-from supple.space.domain import refuse
-from supple.strokes import numbers
-
-Floats = npt.NDArray[np.float64]
+from supple.errors import ToleranceWarning
 
 COARSEST, FINEST = 8, 2  # voxels from node to node: a finer lattice would be larger than the volume
 # The largest size of a cell, as a fraction of the length scale of the map: in larger cells, the checked points do not
@@ -43,45 +36,11 @@ class Solid:
     error : float
         A bound on the distance of a source point from T⁻¹(q), in voxels, from the checks, with their reserve; infinity
         if even the finest lattice is too coarse for the checks.
-    evaluations : float
-        The number of evaluations of T with its Jacobian.
     """
 
     nodes: npt.NDArray[np.float32]
     step: int
     error: float
-    evaluations: float
-
-    @property
-    def lattice(self) -> _core.Lattice:
-        """Return the nodes in the layout of the core."""
-        return _core.Lattice(np.require(self.nodes, np.float32, ["C", "W"]), self.step)
-
-    def at(self, points: npt.ArrayLike) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Return the displacement at points (N, 3), and ∂p/∂q, of shape (N, 3, 3), a row for each component of p."""
-        given = np.ascontiguousarray(points, np.float32)
-        out = np.empty((len(given), 4, 3), np.float32)
-        self.lattice.between(given, out)
-        return out[:, 0], out[:, 1:].transpose(0, 2, 1)
-
-
-def checked(given: Deformation | None, shape: tuple[int, ...], spacing: tuple[float, ...]) -> Deformation | None:
-    """Return the deformation of a scene's volume; None for one that moves nothing.
-
-    SuppleError if it is of another shape or spacing, or not of strokes alone.
-    """
-    deformation: object = given
-    if deformation is None:
-        return None
-    if not isinstance(deformation, Deformation):
-        refuse("deformation", "a Deformation", deformation)
-    if deformation.shape != shape:
-        refuse("the deformation", f"one of shape {shape}, as the volume", told=f"shape {deformation.shape}")
-    if deformation.maps:
-        raise SuppleError("a scene is bent by strokes alone, found fields or affine maps: warp the volume first")
-    if not np.allclose(deformation.domain.spacing, spacing):
-        refuse("the deformation", f"one of spacing {spacing}", deformation.domain.spacing)
-    return None if deformation.is_identity else deformation
 
 
 def warn_of_coarse(error: float, tolerance: float, stacklevel: int) -> None:
@@ -95,43 +54,22 @@ def warn_of_coarse(error: float, tolerance: float, stacklevel: int) -> None:
     )
 
 
-def strokes_of(space: Space) -> _core.Strokes:
-    """Return a map of strokes in the layout of the core."""
-    return _core.Strokes(numbers(space.table), np.ascontiguousarray(space.axes), space.freeze)
-
-
-def solve_solid(
-    space: Space,
-    shape: tuple[int, ...],
-    tolerance: float,
-    attempt: Callable[[int], tuple[Solid, float]] | None = None,
-) -> Solid:
-    """Solve for T⁻¹ on a lattice in a volume of ``shape`` (Z, H, W), as fine as the tolerance needs, in voxels.
+def solve_solid(attempt: Callable[[int], tuple[Solid, float]], tolerance: float) -> Solid:
+    """Solve for T⁻¹ on a lattice as fine as the tolerance needs, in voxels.
 
     The error tells if the finest lattice is accurate enough. ``attempt`` solves with a step in voxels, and also returns
-    the length scale of the map; by default, it is the core's.
+    the length scale of the map.
     """
-    strokes = strokes_of(space)
-    step, evaluations = COARSEST, 0.0
+    step = COARSEST
     while True:
-        solid, smooth = attempt(step) if attempt else _solve(strokes, shape, step)
-        evaluations += solid.evaluations
+        solid, smooth = attempt(step)
         # Checked points do not represent the map if it varies between them.
         resolved = step <= RESOLVED * smooth
         if (solid.error <= tolerance and resolved) or step == FINEST:
-            return Solid(solid.nodes, step, solid.error if resolved else math.inf, evaluations)
+            return Solid(solid.nodes, step, solid.error if resolved else math.inf)
         # The error falls with the cube of the step.
         finer = min(step * (tolerance / max(solid.error, tolerance)) ** (1 / 3), max(RESOLVED * smooth, FINEST))
         step = max(FINEST, min(step // 2, 2 ** math.floor(math.log2(max(finer, 1.0)))))
-
-
-def _solve(strokes: _core.Strokes, shape: tuple[int, ...], step: int) -> tuple[Solid, float]:
-    """Return a lattice, and the length scale of the map, in voxels: the least at its nodes."""
-    counts = tuple(-(-max(n - 1, 1) // step) + 1 for n in shape)
-    nodes = np.empty((*counts, _core.NODE), np.float32)
-    lattice = _core.Lattice(nodes, step)
-    evaluations, smooth = lattice.solve(strokes)
-    return Solid(nodes, step, lattice.error(strokes), evaluations), smooth
 
 
 def cells_along_rays(solid: Solid, tolerance: float) -> int:

@@ -1,4 +1,4 @@
-// Interpolation between nodes at distance h, from values and slopes; see _core/solid.hpp.
+// Interpolation between nodes at distance h, from values and slopes.
 
 // Along an axis, the line between two values is off by half of s (1 - s) h times the difference of the slopes.
 fn bent(a: vec3f, b: vec3f, slope_a: vec3f, slope_b: vec3f, s: f32, h: f32) -> vec3f {

@@ -1,4 +1,4 @@
-// The lattice of a volume: T⁻¹ solved at its nodes, and its cells checked; see _core/solid.hpp.
+// The lattice of a volume: T⁻¹ solved at its nodes, and its cells checked.
 
 struct Settings {
     nodes: vec3u,

@@ -1,6 +1,7 @@
-// T⁻¹ in a volume: solved at the nodes of a cubic lattice, and interpolated in between; see _core/solid.hpp.
+// T⁻¹ in a volume: solved at the nodes of a cubic lattice, and interpolated in between.
 //
-// A node is four vectors: the displacement u in voxels, and the columns of ∂p/∂q. They lie two by two: no side of a
+// A node is four vectors: the displacement u in voxels, and the columns of ∂p/∂q. So only the nodes of a cell are read,
+// and the error falls with the cube of its size at least. They lie two by two: no side of a
 // texture is much longer than there are nodes along it.
 
 @group(0) @binding(3) var lattice: texture_3d<f32>;

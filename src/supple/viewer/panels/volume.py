@@ -19,8 +19,7 @@ from supple.viewer.tools.planes import ends_of
 from supple.viewer.tools.slices import SliceTools
 
 _MODES = {
-    "hybrid": "Exact near what moves, and from a bent copy elsewhere: fast once the copy is complete",
-    "lattice": "From a lattice of source points: fast, and within the error that is certified",
+    "hybrid": "From a lattice of source points, and from a bent copy where it is complete: fast",
     "exact": "Each sample of each ray is inverted: exact, and slow",
     "buffered": "From a bent copy of the whole volume: the fastest, and interpolated twice",
 }
