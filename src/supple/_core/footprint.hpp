@@ -83,7 +83,7 @@ INLINE Print print_of(float xx, float xy, float yy, int whole_x, int whole_y, fl
     Print p;
     float h = 0.5f * (xx + yy), e = 0.5f * (xx - yy), d = root(e * e + xy * xy);
     float alpha = h + d - 1, beta = h - d - 1;
-    p.kind = alpha <= LOW ? PLAIN : (alpha < NARROW) & (h - d < SQUARE) ? SPOT : WIDE;
+    p.kind = alpha <= LOW ? PLAIN : ((alpha < NARROW) & (h - d < SQUARE)) ? SPOT : WIDE;
     // 12 Σ with its soft start
     float g = (RISE / (RISE - LOW)) * (alpha - LOW) / (alpha > LOW ? alpha : LOW);
     g = g > 1 ? 1 : g > 0 ? g : 0;

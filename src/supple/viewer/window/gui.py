@@ -12,6 +12,8 @@ from wgpu.utils.imgui import ImguiRenderer, ImguiWgpuBackend
 from supple.gpu.device import Gpu
 from supple.viewer.panels import theme
 
+_BOUND = "__imgui_bind_group"
+
 
 class _Layer:
     """A context of Dear ImGui, what was laid out in it last, and what draws that."""
@@ -89,11 +91,19 @@ class Gui:
 
     def draw(self, drawing: Any) -> None:
         """Draw what is laid out into a render pass."""
+        backend = self._renderer.backend
+        views = backend._texture_views
         for which in self._shown.keys() - self._pictures.keys():
-            del self._shown[which], self._renderer.backend._texture_views[which]
+            del self._shown[which], views[which]
         for which, texture in self._pictures.items():
             if self._shown.get(which) is not texture:
                 self._shown[which] = texture
-                self._renderer.backend._texture_views[which] = texture.create_view()
+                views[which] = texture.create_view()
+        for view in views.values():
+            # wgpu would make one for each draw: it keeps them by a name that Python changes, and never finds them.
+            if not hasattr(view, _BOUND):
+                entry = {"binding": 0, "resource": view}
+                layout = backend._texture_bind_group_layout
+                setattr(view, _BOUND, backend._device.create_bind_group(layout=layout, entries=[entry]))
         for layer in (self._marks, self._controls):
             layer.backend.render(layer.data, drawing)
