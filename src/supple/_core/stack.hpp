@@ -605,6 +605,24 @@ Portion needed(const Plan<D>& plan, const Job& job) {
     return all.empty() ? Portion() : all;
 }
 
+// Sample frames of a type in place.
+template <class T, int D>
+void sample_as(const Plan<D>& plan, const Job& job, Span span, const Pyramid<float>& pyramid) {
+    auto of = [&]<int C>() { sample_direct(plan, job, Direct<T, C, D>(job, span, pyramid)); };
+    if constexpr (std::is_same_v<T, int16_t>)
+        of.template operator()<1>();
+    else
+        job.channels == 1   ? of.template operator()<1>()
+        : job.channels == 2 ? of.template operator()<2>()
+        : job.channels == 3 ? of.template operator()<3>()
+                            : of.template operator()<4>();
+}
+#define SAMPLES_AS(OF, T) OF template void sample_as<T, 3>(const Plan<3>&, const Job&, Span, const Pyramid<float>&);
+#if !defined(SAMPLING)  // in files of their own, to be compiled in parallel
+SAMPLES_AS(extern, uint8_t)
+SAMPLES_AS(extern, uint16_t)
+#endif
+
 // Fill job.out by sampling at the source points of a plan's grid.
 template <int D>
 void sample(const Plan<D>& plan, const Job& job) {
@@ -613,17 +631,11 @@ void sample(const Plan<D>& plan, const Job& job) {
         const Span span = frames_of(plan, job);
         // A pyramid's groups have one channel or four; two or three channels are padded with a fourth.
         const Averages<float> averages(job, Numbers<float>(job), 0, span, plan.widest);
-        auto as = [&]<class T, int C>() { sample_direct(plan, job, Direct<T, C, D>(job, span, averages.pyramid)); };
-        auto of = [&]<class T>() {
-            job.channels == 1   ? as.template operator()<T, 1>()
-            : job.channels == 2 ? as.template operator()<T, 2>()
-            : job.channels == 3 ? as.template operator()<T, 3>()
-                                : as.template operator()<T, 4>();
-        };
+        auto of = [&]<class T>() { sample_as<T>(plan, job, span, averages.pyramid); };
         return job.type == U8    ? of.template operator()<uint8_t>()
                : job.type == U16 ? of.template operator()<uint16_t>()
                : job.type == F32 ? of.template operator()<float>()
-                                 : as.template operator()<int16_t, 1>();
+                                 : of.template operator()<int16_t>();
     }
     bool exact = job.type == F64 || bytes_of(job.type) > 4 || job.type == I32 || job.type == U32;
     exact ? sample_converted<double>(plan, job) : sample_converted<float>(plan, job);
