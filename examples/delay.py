@@ -12,7 +12,7 @@ from smile import CLIP, frames_of
 
 import supple
 from supple.files import warp_file
-from supple.files.clips import ClipOptions
+from supple.files.options import ClipOptions
 from supple.plot import draw_sheet
 
 GRABS = {  # a clip, the point, the frames of the drag, the radius, and the length of a frame in pixels

@@ -12,7 +12,8 @@ from head import BACKGROUND, HEAD
 
 import supple
 from supple.files.landmarks import move_points
-from supple.files.volumes import VolumeOptions, open_volume, warp_volume
+from supple.files.options import VolumeOptions
+from supple.files.volumes import open_volume, warp_volume
 from supple.media import image, points
 from supple.render.camera import Camera
 from supple.render.scene import Scene

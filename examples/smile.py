@@ -12,7 +12,8 @@ import numpy as np
 
 import supple
 from supple.files import warp_file
-from supple.files.clips import ClipOptions, open_clip
+from supple.files.clips import open_clip
+from supple.files.options import ClipOptions
 from supple.media import image
 from supple.plot import draw_sheet
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from supple.fields import Field, Inverted, Placed, compose, read_maps
     from supple.fields.checks import FieldReport
     from supple.files import warp_file
-    from supple.files.grids import GridOptions
     from supple.files.maps import grid_of
+    from supple.files.options import GridOptions
     from supple.space.affine import Affine
     from supple.space.domain import Domain
     from supple.space.freezing import Freeze
@@ -75,7 +75,7 @@ _HOMES = {
     "FoldWarning": "errors",
     "Freeze": "space.freezing",
     "Grid": "space.geometry",
-    "GridOptions": "files.grids",
+    "GridOptions": "files.options",
     "Inverse": "deformation",
     "Inverted": "fields",
     "Key": "strokes.keys",

@@ -154,7 +154,7 @@ def test_what_cannot_be_written_is_one_line_before_any_work(
     Path("link.png").symlink_to("in.png")
     kept = Path("in.png").read_bytes()
     if target != "/proc/out.png":  # whether that can be written is only found out by writing
-        monkeypatch.setattr("supple.files.read", lambda path: pytest.fail("it was read"))
+        monkeypatch.setattr("supple.files.pictures.read", lambda path: pytest.fail("it was read"))
     status, out, err = run("warp", "in.png", target, *GRAB)
     assert (status, out) == (2, "")
     assert wanted in one_line(err)

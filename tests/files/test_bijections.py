@@ -21,10 +21,9 @@ from supple.engines.base import Certificate  # noqa: E402
 from supple.fields import Placed  # noqa: E402
 from supple.files import plans, transforms  # noqa: E402
 from supple.files.bijections import SavedField  # noqa: E402
-from supple.files.grids import GridOptions  # noqa: E402
+from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
 from supple.files.stores import WarpedStore, warp_store  # noqa: E402
 from supple.files.tasks import Running  # noqa: E402
-from supple.files.volumes import VolumeOptions  # noqa: E402
 from supple.media.stores import Target, open_image  # noqa: E402
 from supple.media.transforms import ngff  # noqa: E402
 from tests.effort import soak  # noqa: E402

@@ -18,8 +18,8 @@ fsspec = pytest.importorskip("fsspec")
 
 from supple import Recipe, Stroke, SuppleError  # noqa: E402
 from supple.files import plans, stores  # noqa: E402
+from supple.files.options import VolumeOptions  # noqa: E402
 from supple.files.stores import warp_store  # noqa: E402
-from supple.files.volumes import VolumeOptions  # noqa: E402
 from tests.children import SOURCE  # noqa: E402
 
 FLAT = Recipe(strokes=[Stroke.grab((14, 12), to=(17, 14), radius=3)])

@@ -15,7 +15,8 @@ import pytest
 import supple
 import supple.media.video
 from supple.files import warp_file
-from supple.files.clips import ClipOptions, WarpedClip
+from supple.files.clips import WarpedClip
+from supple.files.options import ClipOptions
 from supple.media import image
 from supple.media.base import ClipWarning, CountError
 from supple.media.video import info

@@ -16,7 +16,8 @@ import supple.media.video
 from supple.errors import ScaleWarning
 from supple.files import warp_file
 from supple.files.clip_work import deformation_of
-from supple.files.clips import ClipOptions, WarpedClip
+from supple.files.clips import WarpedClip
+from supple.files.options import ClipOptions
 from supple.files.plots import plot_file
 from supple.media import image
 from supple.media.base import ClipWarning

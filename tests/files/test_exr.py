@@ -15,7 +15,7 @@ import pytest
 import supple
 from supple.errors import LayerWarning, OutsideWarning, SuppleError
 from supple.files import warp_file
-from supple.files.clips import ClipOptions
+from supple.files.options import ClipOptions
 from supple.media import image
 from supple.media.image import MetadataWarning
 from tests.cli.commands import Run

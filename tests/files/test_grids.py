@@ -30,7 +30,8 @@ from supple import (
     SuppleError,
 )
 from supple.files import check_job, warp_file
-from supple.files.volumes import VolumeOptions
+from supple.files.grids import output_grid
+from supple.files.options import VolumeOptions
 from supple.media import image
 from supple.media import volume as media
 from supple.space.geometry import Geometry
@@ -293,7 +294,7 @@ class TestGrids:
             GridOptions(resample=(0.8, 2.0, 1.5), crop=(1, 2, 3, 4, 5, 6)),
         ):
             done = warp_file(f"in{source}", f"out{suffix}", SOLID, grid=options, force=True, filter="linear")
-            grid = options.of(media.grid_of(f"in{source}"))
+            grid = output_grid(options, media.grid_of(f"in{source}"))
             assert done.grid == grid
             read = SimpleITK.ReadImage(f"out{suffix}")
             assert read.GetSize() == grid.sizes

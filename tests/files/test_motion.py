@@ -14,7 +14,8 @@ import supple
 from supple import Key, Recipe, Stroke
 from supple.errors import FoldWarning, OutsideWarning, SuppleError
 from supple.files import warp_file
-from supple.files.clips import ClipOptions, WarpedClip
+from supple.files.clips import WarpedClip
+from supple.files.options import ClipOptions
 from supple.files.tracks import follow_tracks
 from supple.media import image
 from tests import clips

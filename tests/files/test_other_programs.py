@@ -11,7 +11,8 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 import supple
-from supple.files.volumes import VolumeOptions, open_volume, warp_volume
+from supple.files.options import VolumeOptions
+from supple.files.volumes import open_volume, warp_volume
 
 HEAD = Path(supple.__file__).parent / "examples" / "data" / "head.nii.gz"
 

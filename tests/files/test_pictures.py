@@ -16,7 +16,8 @@ import pyvips
 
 import supple
 from supple.errors import ScaleWarning
-from supple.files import check_job, read_recipe, warp_file, write_recipe
+from supple.files import check_job, warp_file
+from supple.files.recipes import read_recipe, write_recipe
 from supple.media import image
 from tests.children import SOURCE
 from tests.effort import soak
@@ -87,7 +88,7 @@ def test_the_header_comes_along(tmp_path: Path) -> None:
 def test_nothing_is_done_for_a_target_that_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     image.write(tmp_path / "in.png", noise(20, 20, 3))
     (tmp_path / "there.png").write_bytes(b"precious")
-    monkeypatch.setattr("supple.files.read", lambda path: pytest.fail("it was read"))
+    monkeypatch.setattr("supple.files.pictures.read", lambda path: pytest.fail("it was read"))
     for target, options, wanted in [
         ("out.xyz", {}, "xyz"),
         ("none/out.png", {}, "none"),
@@ -152,7 +153,7 @@ def test_what_nothing_can_write_is_refused_before_it_is_read(
     def never(*given: object, **options: object) -> None:
         raise AssertionError("it is read")
 
-    for name in ("supple.files.read", "supple.files.clips.open_clip", "supple.files.volumes.open_volume"):
+    for name in ("supple.files.pictures.read", "supple.files.clips.open_clip", "supple.files.volumes.open_volume"):
         monkeypatch.setattr(name, never)
     for attempt in (warp_file, check_job):
         with pytest.raises(supple.SuppleError, match=text):

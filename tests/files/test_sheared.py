@@ -16,7 +16,8 @@ import SimpleITK as sitk  # noqa: N813
 import supple
 from supple import Grid, Recipe, Stroke, SuppleError
 from supple.errors import VolumeWarning
-from supple.files.volumes import VolumeOptions, WarpedVolume, open_volume
+from supple.files.options import VolumeOptions
+from supple.files.volumes import WarpedVolume, open_volume
 from supple.media import volume as media
 from supple.space.domain import Domain
 from tests import reference

@@ -23,10 +23,9 @@ from PIL import Image  # noqa: E402
 from supple import Deformation, Recipe, Stroke, SuppleError  # noqa: E402
 from supple.errors import VolumeWarning  # noqa: E402
 from supple.files import plans  # noqa: E402
-from supple.files.grids import GridOptions  # noqa: E402
+from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
 from supple.files.plans import plan_file  # noqa: E402
 from supple.files.stores import warp_store  # noqa: E402
-from supple.files.volumes import VolumeOptions  # noqa: E402
 from supple.media import volume  # noqa: E402
 from supple.media.stores import Samples, inputs, open_image, target  # noqa: E402
 from supple.media.volume import RawLayout  # noqa: E402

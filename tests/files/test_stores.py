@@ -33,11 +33,10 @@ from supple.engines.base import Sampling  # noqa: E402
 from supple.errors import VolumeWarning  # noqa: E402
 from supple.fields import Placed  # noqa: E402
 from supple.files import plans, tasks  # noqa: E402
-from supple.files.grids import GridOptions  # noqa: E402
+from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
 from supple.files.plans import chunks_of, plan_boxes, plan_file, task_shape  # noqa: E402
 from supple.files.stores import WarpedStore, warp_store  # noqa: E402
 from supple.files.tasks import Running, runner_of  # noqa: E402
-from supple.files.volumes import VolumeOptions  # noqa: E402
 from supple.media.stores import Target, open_image  # noqa: E402
 from supple.media.stores.pyramid import reduced  # noqa: E402
 from tests.children import ROOT, SOURCE  # noqa: E402

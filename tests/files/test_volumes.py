@@ -21,8 +21,10 @@ from supple.errors import SuppleError, VolumeWarning
 from supple.fields import Placed
 from supple.files import volumes
 from supple.files.freezing import read_freeze
+from supple.files.kinds import kind_of
+from supple.files.options import VolumeOptions
 from supple.files.stores import warp_store
-from supple.files.volumes import VolumeOptions, deformation_of, is_volume_job, sampling_of, warp_volume
+from supple.files.volumes import deformation_of, sampling_of, warp_volume
 from supple.media import volume as media
 from supple.space.affine import Affine
 from supple.space.geometry import Geometry
@@ -538,13 +540,13 @@ def test_what_is_a_volume(here: Path) -> None:
 
     image.write("one.tif", np.zeros((8, 8), np.uint8))
     flat = supple.Recipe(strokes=[supple.Stroke.grab((5, 5), by=(1, 0), radius=5)])
-    assert is_volume_job("in.nii", "out.nii", flat)
-    assert is_volume_job("stack.tif", "out.tif", RECIPE)
-    assert is_volume_job("stack.tif", "out.nii", flat)
-    assert not is_volume_job("stack.tif", "out.tif", flat)
-    assert not is_volume_job("one.tif", "out.tif", RECIPE)
-    assert not is_volume_job("photo.jpg", "out.jpg", flat)
-    assert is_volume_job("x.bin", "out.nii", flat, VolumeOptions(layout=media.RawLayout((2, 2, 2), "uint8")))
+    assert kind_of("in.nii", "out.nii", flat) == "volume"
+    assert kind_of("stack.tif", "out.tif", RECIPE) == "volume"
+    assert kind_of("stack.tif", "out.nii", flat) == "volume"
+    assert kind_of("stack.tif", "out.tif", flat) == "picture"
+    assert kind_of("one.tif", "out.tif", RECIPE) == "picture"
+    assert kind_of("photo.jpg", "out.jpg", flat) == "picture"
+    assert kind_of("x.bin", "out.nii", flat, VolumeOptions(layout=media.RawLayout((2, 2, 2), "uint8"))) == "volume"
 
 
 def test_raw_files(here: Path) -> None:

@@ -18,8 +18,9 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 from supple import Deformation, Recipe, Stroke, SuppleError
+from supple.files.options import VolumeOptions
 from supple.files.transforms import displacement_of, write_transform
-from supple.files.volumes import VolumeOptions, warp_volume
+from supple.files.volumes import warp_volume
 from supple.media.transforms import SUFFIXES_OUT, check_target, write_field
 from supple.space.geometry import Geometry
 

@@ -16,8 +16,8 @@ import pytest
 import supple
 from supple import cli
 from supple.cli import command
+from supple.files.options import VolumeOptions
 from supple.files.renders import RenderOptions, default_transfer, render_file
-from supple.files.volumes import VolumeOptions
 from supple.gpu.device import Gpu
 from supple.media import image
 from supple.media import volume as media

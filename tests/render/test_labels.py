@@ -13,8 +13,8 @@ import SimpleITK as sitk  # noqa: N813
 import supple
 from supple import _core
 from supple.errors import SuppleError, VolumeWarning
+from supple.files.options import VolumeOptions
 from supple.files.renders import RenderOptions, render_file
-from supple.files.volumes import VolumeOptions
 from supple.render.appearance import largest
 from supple.render.camera import Camera
 from supple.render.labels import LabelColours, labels_in, numbered, palette

@@ -11,7 +11,7 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 import supple
-from supple.files.volumes import VolumeOptions
+from supple.files.options import VolumeOptions
 from supple.gpu.device import Gpu
 from supple.media import image
 from supple.media import volume as volumes

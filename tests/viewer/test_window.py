@@ -19,8 +19,8 @@ import pytest
 
 import supple
 from supple.errors import ScaleWarning
-from supple.files.clips import ClipOptions
-from supple.files.volumes import VolumeOptions, deformation_of
+from supple.files.options import ClipOptions, VolumeOptions
+from supple.files.volumes import deformation_of
 from supple.gpu.device import Gpu
 from supple.media import image, video, volume
 from supple.media.volume import RawLayout

@@ -37,16 +37,17 @@ _NAMES = (
 )
 _UNDERSCORED = "|".join(name for name in _NAMES.split("|") if "_" in name)
 _VALUE = r"""(?:'([^']*)'|"([^"]*)"|(None|True|False|[\w.]+(?:\(\.\.\.\))?))"""
-_ASIDE = re.compile(rf" \((?:{_NAMES})={_VALUE}\)")  # --force (force=True)
-_GIVEN = re.compile(rf"(?<![\w-])({_NAMES})={_VALUE}")  # on_fold='flow'
+# compiled when a message is written: a command that says nothing has no use for them
+_ASIDE = rf" \((?:{_NAMES})={_VALUE}\)"  # --force (force=True)
+_GIVEN = rf"(?<![\w-])({_NAMES})={_VALUE}"  # on_fold='flow'
 # Also common words, which are options only at the beginning of a message.
 _WORDS = (
     "annotate|clamp|clip|crop|density|distance|elevation|error|map|resample|roll|shape|size|status|step|supersampling|"
     "target|to|transfer|turntable|up"
 )
-_FIRST = re.compile(rf"^((?:--(?:grab|twist|scale|pinch) \S+: )?)({_NAMES}|{_WORDS})(?= is for | must be | needs )")
-_WORD = re.compile(rf"(?<![\w/.-])({_UNDERSCORED})(?![\w/.-])")
-_GRID = re.compile(r"(?<![\w-])(source|reference)=(?![\w'\"])")  # give its grid as source=
+_FIRST = rf"^((?:--(?:grab|twist|scale|pinch) \S+: )?)({_NAMES}|{_WORDS})(?= is for | must be | needs )"
+_WORD = rf"(?<![\w/.-])({_UNDERSCORED})(?![\w/.-])"
+_GRID = r"(?<![\w-])(source|reference)=(?![\w'\"])"  # give its grid as source=
 _SPELT = {"supersampling": "smooth"}
 
 
@@ -79,9 +80,10 @@ def as_options(text: str) -> str:
         value = next(value for value in values if value is not None)
         return option(name) if value == "True" else f"{option(name)} {'none' if value == 'None' else value}"
 
-    text = _GRID.sub(lambda found: option(found[1]), _GIVEN.sub(given, _ASIDE.sub("", text)))
-    text = _FIRST.sub(lambda found: found[1] + option(found[2]), text)
-    return _WORD.sub(lambda found: option(found[1]), text).replace(", or None ", ", or none ")
+    text = re.sub(_GIVEN, given, re.sub(_ASIDE, "", text))
+    text = re.sub(_GRID, lambda found: option(found[1]), text)
+    text = re.sub(_FIRST, lambda found: found[1] + option(found[2]), text)
+    return re.sub(_WORD, lambda found: option(found[1]), text).replace(", or None ", ", or none ")
 
 
 @dataclass(slots=True, eq=False)

@@ -8,14 +8,16 @@ import os
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from supple.errors import SuppleError, shown
 from supple.files.clip_work import displayed
-from supple.media.codecs import SUFFIXES
 from supple.media.numbering import is_sequence
-from supple.media.volume import RawLayout
+from supple.media.suffixes import CLIPS
 from supple.strokes import Recipe, Stroke, spoken
+
+if TYPE_CHECKING:
+    from supple.media.volume import RawLayout
 
 # The names of colour codes in ITU-T H.273.
 _PRIMARIES = {1: "BT.709", 4: "BT.470 M", 5: "BT.601 (625)", 6: "BT.601 (525)", 7: "SMPTE 240M", 8: "film"}
@@ -52,7 +54,7 @@ def describe(name: str, *, layout: RawLayout | None = None, series: str | None =
     """
     suffix = Path(name).suffix.lower()
     if suffix == ".json":
-        from supple.files import read_recipe
+        from supple.files.recipes import read_recipe
 
         recipe = read_recipe(name)
         return {"file": name, "kind": "recipe", **json.loads(recipe.to_json())}, _recipe(name, recipe)
@@ -72,7 +74,7 @@ def describe(name: str, *, layout: RawLayout | None = None, series: str | None =
         facts = sequence.info(name)
         del facts["rate"]  # images have no rate
         return {"file": name, "kind": "sequence", **facts}, _sequence(name, facts)
-    if suffix in SUFFIXES:
+    if suffix in CLIPS:
         return _described_video(name)
     from supple.media.image import info
 

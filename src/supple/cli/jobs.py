@@ -16,12 +16,11 @@ from pathlib import Path
 from supple.buffers import machine_memory
 from supple.cli.console import FAULT, REFUSED, STREAM, Console, deaf, fault
 from supple.errors import SuppleError, shown
-from supple.files import check_recipe_name, is_media_name
-from supple.files.volumes import ONE_FILE
-from supple.media.codecs import SUFFIXES
+from supple.files.kinds import ONE_FILE
+from supple.files.recipes import check_recipe_name, is_media_name
 from supple.media.files import check_output
-from supple.media.image import SUFFIXES as SUFFIXES_IN
-from supple.media.volume import suffix_of
+from supple.media.image.formats import SUFFIXES as PICTURES
+from supple.media.suffixes import CLIPS, suffix_of
 
 Job = tuple[Path, Path]
 PathLike = str | os.PathLike[str]
@@ -103,7 +102,7 @@ def _pictures_in(folder: Path) -> tuple[list[Path], list[Path]]:
     except OSError as error:
         raise SuppleError(f"cannot read the folder {shown(folder)}: {error.strerror}: check its rights") from error
     seen = [folder / name for name in names if not name.startswith(".")]
-    known = SUFFIXES_IN | SUFFIXES | ONE_FILE
+    known = PICTURES | CLIPS | ONE_FILE
     files = [path for path in seen if suffix_of(path) in known and os.path.isfile(path)]
     return files, [path for path in seen if os.path.isdir(path)]
 

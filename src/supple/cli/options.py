@@ -1,7 +1,5 @@
 """Options that several commands have, and how numbers are read."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,7 +13,7 @@ from supple.errors import SuppleError
 if TYPE_CHECKING:
     from fractions import Fraction
 
-    from supple.files.clips import ClipOptions
+    from supple.files.options import ClipOptions
 
 VIDEO = Group("Videos and image sequences", sort_key=4)
 RUNNING = Group("Running", sort_key=5)
@@ -59,7 +57,7 @@ def _scale(option: str, text: str) -> float:
     return scale
 
 
-def _rate(option: str, text: str) -> float | Fraction:
+def _rate(option: str, text: str) -> "float | Fraction":
     """Read frames a second: a number, or a ratio of two."""
     from fractions import Fraction
 
@@ -77,7 +75,7 @@ def _rate(option: str, text: str) -> float | Fraction:
 
 def _memory(option: str, text: str) -> float:
     """Read gigabytes, as bytes."""
-    from supple.files.clips import GB
+    from supple.files.options import GB
 
     memory = parse_number(option, text, "a number of gigabytes")
     if not memory >= 0:
@@ -86,7 +84,7 @@ def _memory(option: str, text: str) -> float:
 
 
 @Parameter(name="*", group=RUNNING)
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True, eq=False, repr=False)
 class RunOptions:
     """How the command goes about it.
 
@@ -116,7 +114,7 @@ class RunOptions:
 
 
 @Parameter(name="*", group=VIDEO)
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True, eq=False, repr=False)
 class TimeOptions:
     """How strokes feel time.
 
@@ -130,7 +128,7 @@ class TimeOptions:
 
 
 @Parameter(name="*", group=VIDEO)
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True, eq=False, repr=False)
 class VideoOptions(TimeOptions):
     """Options for videos and image sequences.
 
@@ -163,9 +161,9 @@ class VideoOptions(TimeOptions):
     rate: Annotated[Any, read(_rate, "N", name="--fps")] = None
     memory: Annotated[float | None, read(_memory, "GB")] = None
 
-    def to_clip(self) -> ClipOptions:
+    def to_clip(self) -> "ClipOptions":
         """Return the options as the library takes them."""
-        from supple.files.clips import ClipOptions
+        from supple.files.options import ClipOptions
 
         return ClipOptions(**{name: value for name, value in vars(self).items() if value is not None})
 

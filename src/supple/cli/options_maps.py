@@ -1,7 +1,5 @@
 """Options of fields, affine maps and output grids, in the order in which they are given."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import re
@@ -19,7 +17,7 @@ from supple.errors import OutsideWarning, SuppleError, shown
 if TYPE_CHECKING:
     from supple.cli.console import Console
     from supple.fields import Placed
-    from supple.files.grids import GridOptions
+    from supple.files.options import GridOptions
     from supple.space.affine import Affine
     from supple.space.geometry import Grid
 
@@ -37,7 +35,7 @@ _NUMBERS = re.compile(r"[-+\d.eE,\s]*\d[-+\d.eE,\s]*")
 
 
 @Parameter(name="*")
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True, eq=False, repr=False)
 class MapOptions:
     """Options of maps that are no strokes.
 
@@ -93,10 +91,10 @@ class MapOptions:
         arguments: Sequence[str],
         recipe: int,
         strokes: Mapping[str, Sequence[str]],
-        output: OutputOptions | None = None,
+        output: "OutputOptions | None" = None,
         *,
         points: bool = False,
-    ) -> Maps:
+    ) -> "Maps":
         """Return the maps among the strokes.
 
         Parameters
@@ -149,7 +147,7 @@ class MapOptions:
 
 
 @Parameter(name="*")
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True, eq=False, repr=False)
 class OutputOptions:
     """Options of the grid of the output.
 
@@ -170,10 +168,10 @@ class OutputOptions:
     )
     resample: Annotated[str | None, Parameter(group=OUTPUT, metavar="S|SX,SY[,SZ]", allow_leading_hyphen=True)] = None
 
-    def to_grid(self) -> GridOptions | None:
+    def to_grid(self) -> "GridOptions | None":
         """Return the grid of the output as the library takes it."""
         from supple.cli.options import parse_integer, parse_number
-        from supple.files.grids import GridOptions
+        from supple.files.options import GridOptions
 
         if self.reference is None and self.crop is None and self.resample is None:
             return None
@@ -205,7 +203,7 @@ class _Entry:
     def told(self) -> str:
         return f"{self.option} {self.text}" if self.is_numbers else f"{self.option} {shown(self.text)}"
 
-    def read(self, here: Grid | None, there: Grid | None, *, last: bool) -> tuple[list[Placed], str | None]:
+    def read(self, here: "Grid | None", there: "Grid | None", *, last: bool) -> "tuple[list[Placed], str | None]":
         """Return the maps in the order of the elements of a deformation, and the convention of the file.
 
         Of these elements, the last is the first of the output's. ``here`` is the grid of the image that a point of the
@@ -233,7 +231,7 @@ class _Entry:
         placed = [fields.Placed(each, self.inverse, self.after, name=shown(self.text)) for each in found]
         return placed if self.inverse else placed[::-1], file.convention
 
-    def _affine(self) -> Affine:
+    def _affine(self) -> "Affine":
         from supple.space.affine import Affine
 
         try:
@@ -272,11 +270,13 @@ class Maps:
         counts = [3 if entry.text.count(",") == 11 else 2 for entry in self._entries if entry.is_numbers]
         return counts[0] if counts else None
 
-    def read(self, source: Grid | None) -> tuple[Placed, ...]:
+    def read(self, source: "Grid | None") -> "tuple[Placed, ...]":
         """Return the maps for an input on this grid, in the order in which they apply."""
+        if not self._entries:
+            return ()
         return tuple(placed for some, _ in self._read(source) for placed in some)
 
-    def _read(self, source: Grid | None) -> list[tuple[list[Placed], str | None]]:
+    def _read(self, source: "Grid | None") -> "list[tuple[list[Placed], str | None]]":
         from supple.files import maps
         from supple.files.grids import reference_grid
 
@@ -302,7 +302,9 @@ class Maps:
                 self._known = source, [(maps.lifted(some, form, source), form) for some, form in read]
             return self._known[1]
 
-    def on(self, console: Console, source: Grid, name: str, grid: GridOptions | None = None) -> tuple[Placed, ...]:
+    def on(
+        self, console: "Console", source: "Grid", name: str, grid: "GridOptions | None" = None
+    ) -> "tuple[Placed, ...]":
         """Return the maps for an input on this grid, and tell of each; refuse what does not fit it."""
         from supple.files.grids import grid_on
 
@@ -313,7 +315,7 @@ class Maps:
             console.note(describe_map(facts))
         return maps
 
-    def check_sizes(self, source: Grid, name: str) -> None:
+    def check_sizes(self, source: "Grid", name: str) -> None:
         """Refuse maps that have a value for each pixel of a picture, and are not of its size.
 
         Each map leads from one picture to the next, from the input to the output, and has the size of the one after
@@ -367,7 +369,7 @@ class Maps:
                     stacklevel=2,
                 )
 
-    def facts(self, source: Grid | None) -> list[dict[str, Any]]:
+    def facts(self, source: "Grid | None") -> list[dict[str, Any]]:
         """Return what is told of each map, as JSON holds it."""
         return [
             _facts(entry, placed, convention)
@@ -376,11 +378,11 @@ class Maps:
         ]
 
 
-def _size(grid: Grid) -> str:
+def _size(grid: "Grid") -> str:
     return " x ".join(map(str, grid.sizes))
 
 
-def _facts(entry: _Entry, placed: Placed, convention: str | None) -> dict[str, Any]:
+def _facts(entry: _Entry, placed: "Placed", convention: str | None) -> dict[str, Any]:
     from supple.fields import Field
 
     held = placed.map
@@ -397,7 +399,7 @@ def _facts(entry: _Entry, placed: Placed, convention: str | None) -> dict[str, A
     return {**facts, "matrix": held.matrix.tolist()}
 
 
-def grid_facts(grid: Grid) -> dict[str, Any]:
+def grid_facts(grid: "Grid") -> dict[str, Any]:
     """Return a grid as JSON holds it."""
     return {
         "size": list(grid.sizes),
@@ -437,7 +439,7 @@ def check_fill(fill: str | None, outside: str | None, maps: Maps, output: Output
 
 
 def say_background(
-    console: Console, target: str | os.PathLike[str], source: str | os.PathLike[str], value: float | None
+    console: "Console", target: str | os.PathLike[str], source: str | os.PathLike[str], value: float | None
 ) -> None:
     """Say what is written where a map leads out of the input, if that was not asked for."""
     if value is not None:

@@ -1,7 +1,5 @@
 """Options of the command that renders: where the camera stands, and what it sees."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -26,7 +24,7 @@ def _range(option: str, text: str) -> tuple[float, ...]:
     return parse_numbers(option, text, 2, "two values LO,HI")
 
 
-def _box(option: str, text: str) -> Clip:
+def _box(option: str, text: str) -> "Clip":
     """A box; None where an end is left out."""
     wanted = "X0:X1,Y0:Y1,Z0:Z1 in voxels, with ends left out where nothing is cut away"
     ranges = [part.split(":") for part in text.split(",")]
@@ -36,7 +34,7 @@ def _box(option: str, text: str) -> Clip:
     return [(low, high) for low, high in ends]
 
 
-def _plane(option: str, text: str) -> Plane:
+def _plane(option: str, text: str) -> "Plane":
     voxel, colon, way = text.partition(":")
     if not colon:
         raise SuppleError(f"{option} must be a voxel and a direction, X,Y,Z:DX,DY,DZ, found {text!r}")
@@ -63,7 +61,7 @@ def _colour(option: str, text: str, verb: str = "must be") -> tuple[float, float
 
 
 @Parameter(name="*", group=CAMERA)
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True, eq=False, repr=False)
 class CameraOptions:
     """Where the camera stands.
 
@@ -95,7 +93,7 @@ class CameraOptions:
 
 
 @Parameter(name="*", group=LOOK)
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True, eq=False, repr=False)
 class LookOptions:
     """Options for the look of the volume.
 
@@ -182,7 +180,7 @@ class LookOptions:
     time: Annotated[int, Parameter(metavar="K", allow_leading_hyphen=True)] = 0
     device: Literal["auto", "cpu", "gpu"] = "cpu"
 
-    def to_render(self, camera: Camera, convention: str | None = None) -> RenderOptions:
+    def to_render(self, camera: "Camera", convention: str | None = None) -> "RenderOptions":
         """Return the options as the library takes them."""
         from supple.files.renders import RenderOptions
 
@@ -193,7 +191,7 @@ class LookOptions:
         )
 
 
-def _mesh(text: str) -> MeshFile:
+def _mesh(text: str) -> "MeshFile":
     from supple.files.meshes import MeshFile
 
     path, _, digits = text.rpartition(":#")

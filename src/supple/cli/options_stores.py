@@ -1,7 +1,5 @@
 """Options of Zarr stores: where their blocks are worked on."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +12,7 @@ STORES = Group("Zarr stores", sort_key=4.5)
 
 
 @Parameter(name="*", group=STORES)
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True, eq=False, repr=False)
 class WorkerOptions:
     """Options of outputs that are written block by block.
 
@@ -35,7 +33,7 @@ class WorkerOptions:
         names = {"--workers": self.workers, "--scheduler": self.scheduler}
         return next((name for name, value in names.items() if value is not None), None)
 
-    def to_running(self) -> Running:
+    def to_running(self) -> "Running":
         """Return the options as the library takes them."""
         from supple.files.tasks import Running
 

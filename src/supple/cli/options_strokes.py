@@ -1,7 +1,5 @@
 """Options of strokes, in the order in which they are given, and the recipe that they make."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -70,7 +68,7 @@ def in_order(arguments: Sequence[str], given: Mapping[str, Sequence[str]]) -> li
 
 
 @Parameter(name="*", group=STROKES)
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True, eq=False, repr=False)
 class StrokeOptions:
     """Options for strokes: points, drags and materials.
 
@@ -181,7 +179,7 @@ class StrokeOptions:
             option = f"--{loose.replace('_', '-')}"
             raise SuppleError(f"{option} is for strokes, and there are none: {_ONE_OF}, a --recipe, or leave it out")
 
-    def to_fit(self) -> Fit | None:
+    def to_fit(self) -> "Fit | None":
         """How a recipe fits another size; refuse what is said of a recipe where there is none."""
         if self.fit is not None and self.recipe is None:
             raise SuppleError("--fit is for a recipe that was made for another size: give a --recipe, or leave it out")
@@ -198,7 +196,7 @@ class StrokeOptions:
         place: Place = lambda: None,
         convention: str | None = None,
         ordered: Mapping[str, Sequence[str]] | None = None,
-    ) -> Recipe:
+    ) -> "Recipe":
         """Read the recipe file, if one is given, and add the strokes.
 
         Parameters
@@ -227,7 +225,7 @@ class StrokeOptions:
         if self.recipe is None:
             made = Recipe()
         else:
-            from supple.files import read_recipe
+            from supple.files.recipes import read_recipe
 
             made = read_recipe(self.recipe)
             if strokes and made.is_world and not world and space is None:
@@ -259,7 +257,7 @@ class StrokeOptions:
 
     def _strokes(
         self, world: bool, place: Place, convention: str | None, others: Mapping[str, Sequence[str]] | None
-    ) -> list[_Given]:
+    ) -> "list[_Given]":
         """Return the strokes, in order."""
         from supple.strokes import REACH
 
@@ -312,10 +310,10 @@ class _Given:
     """A stroke of the command line, and its space if it says by itself that it is in millimetres."""
 
     told: str
-    stroke: Stroke
-    space: CoordinateSpace | None
+    stroke: "Stroke"
+    space: "CoordinateSpace | None"
 
-    def in_space(self, space: CoordinateSpace | None) -> Stroke:
+    def in_space(self, space: "CoordinateSpace | None") -> "Stroke":
         """Return the stroke in LPS or RAS."""
         if self.space in (None, space):
             return self.stroke
@@ -347,7 +345,7 @@ def _conventions(found: Sequence[tuple[str, str]]) -> list[str | None]:
 
 def _pull(
     text: str, convention: str | None, place: Place, world: bool, **brush: float | None
-) -> tuple[Stroke, CoordinateSpace | None]:
+) -> "tuple[Stroke, CoordinateSpace | None]":
     """Read a pull from two files, named with a colon between them."""
     from supple.files.landmarks import read_pull
 
@@ -362,7 +360,7 @@ def _pull(
         raise SuppleError(f"--pull {text}: {error}") from None
 
 
-def _stroke(option: str, text: str, *, scales: float, **brush: float | None) -> Stroke:
+def _stroke(option: str, text: str, *, scales: float, **brush: float | None) -> "Stroke":
     """Read a stroke from the command line."""
     from supple.strokes import Stroke
 
@@ -395,7 +393,7 @@ def _stroke(option: str, text: str, *, scales: float, **brush: float | None) -> 
         raise SuppleError(f"{option} {text}: {error}") from None
 
 
-def _border(text: str) -> Border:
+def _border(text: str) -> "Border":
     """Read the border's width from the command line."""
     word = text.strip().lower()
     if word in ("auto", "none"):
@@ -407,7 +405,7 @@ def _border(text: str) -> Border:
     return widths[0] if len(widths) == 1 else widths
 
 
-def _freeze(text: str, width: str | None) -> Freeze:
+def _freeze(text: str, width: str | None) -> "Freeze":
     """Read the freeze mask that the command line names."""
     from supple.files.freezing import read_freeze
 

@@ -1,7 +1,5 @@
 """Options for strokes that follow tracked points."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -19,7 +17,7 @@ _whole = partial(parse_integer, wanted="a whole number")
 
 
 @Parameter(name="*", group=VIDEO)
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True, eq=False, repr=False)
 class TrackOptions:
     """Options for strokes that follow tracked points.
 
@@ -46,7 +44,7 @@ class TrackOptions:
     ] = None
     track_first: Annotated[int | None, read(_whole, "N")] = None
 
-    def followed(self, recipe: Recipe, count: int, clip: str) -> Recipe:
+    def followed(self, recipe: "Recipe", count: int, clip: str) -> "Recipe":
         """Return a recipe whose last ``count`` strokes, those of the command line, follow the tracks."""
         if self.track is None:
             for name in ("track_name", "track_frame", "track_from", "track_first"):

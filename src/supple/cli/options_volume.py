@@ -1,7 +1,5 @@
 """Options of commands on volumes: what is in a file."""
 
-from __future__ import annotations
-
 import glob
 import os
 from dataclasses import dataclass
@@ -14,7 +12,7 @@ from supple.cli.options import parse_number
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
-    from supple.files.volumes import VolumeOptions as Reading
+    from supple.files.options import VolumeOptions as Reading
 
 VOLUME = Group("Volumes", sort_key=5)
 COORDINATES = {"lps": "LPS", "ras": "RAS", "index": "index"}
@@ -22,7 +20,7 @@ COORDINATES = {"lps": "LPS", "ras": "RAS", "index": "index"}
 
 
 @Parameter(name="*", group=VOLUME)
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True, eq=False, repr=False)
 class VolumeArguments:
     """Options for volumes.
 
@@ -47,13 +45,14 @@ class VolumeArguments:
     dtype: Annotated[str | None, Parameter(metavar="TYPE")] = None
     spacing: Annotated[str | None, Parameter(metavar="X,Y,Z", allow_leading_hyphen=True)] = None
 
-    def to_reading(self, *, labels: bool = False, save_field: str | None = None) -> Reading:
+    def to_reading(self, *, labels: bool = False, save_field: str | None = None) -> "Reading":
         """Return the options as the library takes them."""
-        from supple.files.volumes import VolumeOptions as Reading
-        from supple.media.volume import RawLayout
+        from supple.files.options import VolumeOptions as Reading
 
         layout = None
         if self.shape is not None or self.dtype is not None or self.spacing is not None:
+            from supple.media.volume import RawLayout
+
             if self.shape is None or self.dtype is None:
                 raise SuppleError(
                     "a file without a header needs both --shape X,Y,Z and --dtype: give the other one too"
@@ -68,8 +67,9 @@ class VolumeArguments:
 
         Of several files, it is that of the first one; of standard input, which cannot be read twice, that of DICOM.
         """
-        from supple.files.volumes import ONE_FILE, holds_volumes, place_of
-        from supple.media.volume import suffix_of
+        from supple.files.kinds import ONE_FILE, holds_volumes
+        from supple.files.volumes import place_of
+        from supple.media.suffixes import suffix_of
 
         if path == STREAM:
             return "LPS"

@@ -115,7 +115,7 @@ def refer(console: Console, source: str, recipe: Recipe, maps: Maps, known: Mapp
 
 def _pair(paths: Sequence[str]) -> tuple[str, str]:
     """Return the input and the output; SuppleError for more of them, or an output that is no store."""
-    from supple.files import is_media_name
+    from supple.files.recipes import is_media_name
     from supple.media.files import is_store
 
     *sources, target = paths
@@ -136,7 +136,7 @@ def check_known(paths: Sequence[str], known: Mapping[str, Any]) -> None:
     """Raise SuppleError for an option that does not apply to stores; the message names it."""
     from dataclasses import fields
 
-    from supple.files.clips import ClipOptions
+    from supple.files.options import ClipOptions
     from supple.media.files import is_store
 
     wrong = [f"--{name.replace('_', '-')}" for name in ("linear_light", "quality", "lossless") if known.get(name)]

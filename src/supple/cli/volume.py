@@ -21,7 +21,7 @@ from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
     from supple.deformation import Deformation
-    from supple.files.volumes import VolumeOptions as Reading
+    from supple.files.options import VolumeOptions as Reading
     from supple.space.geometry import Geometry
     from supple.strokes import Fit, Recipe
 
@@ -172,10 +172,11 @@ def _deformation(
     from supple.deformation import Deformation
     from supple.files import grid_of
     from supple.files.clip_work import deformation_of as on_clip
-    from supple.files.clips import is_clip, open_clip, refuse_maps, refuse_places
+    from supple.files.clips import open_clip, refuse_maps
+    from supple.files.kinds import kind_of, refuse_places
     from supple.files.landmarks import warn_of_frame
     from supple.files.volumes import deformation_of as on_volume
-    from supple.files.volumes import is_volume_job, open_volume
+    from supple.files.volumes import open_volume
     from supple.media.files import is_store
     from supple.strokes import fit_recipe
 
@@ -194,14 +195,15 @@ def _deformation(
         own = grid_of(on, moving, recipe, volume=reading, maps=elements.read(own))
         assert own is not None
         maps = elements.on(current(), own, shown(on))
-    if is_volume_job(on, "", recipe, reading, maps=maps):
+    kind = kind_of(on, moving, recipe, reading, maps=maps)
+    if kind == "volume":
         volume = open_volume(on, reading)
         warn_of_frame(points, volume)
         return on_volume(recipe, volume, world=reading.world, fit=fit, maps=maps), volume.geometry
     if reading.world:
         raise SuppleError(f"--world is for volumes, and {on} is none: leave it out")
     refuse_places(recipe, on)
-    if is_clip(on, moving, recipe):
+    if kind == "clip":
         if elements:
             refuse_maps(on)
         known = video.to_clip()

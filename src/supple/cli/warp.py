@@ -1,7 +1,5 @@
 """The command that bends files."""
 
-from __future__ import annotations
-
 import glob
 import math
 import os
@@ -45,8 +43,8 @@ from supple.errors import SuppleError, shown
 if TYPE_CHECKING:
     from supple.cli.jobs import Job
     from supple.deformation import Deformation, Report
-    from supple.files import Warped
     from supple.files.clips import WarpedClip
+    from supple.files.pictures import Warped
     from supple.files.stores import WarpedStore
     from supple.files.volumes import WarpedVolume
     from supple.space.geometry import Grid
@@ -138,9 +136,9 @@ def warp(
     from supple.cli.jobs import Crew, check_recipe_file, make_folders, pair, piped, summary
     from supple.engines.base import FINEST, check_filter
     from supple.engines.choice import check_device
-    from supple.files import check_job, grid_of, warp_file, write_recipe
-    from supple.files.clips import is_clip
-    from supple.files.volumes import holds_volumes, is_from_dicom, is_volume_job
+    from supple.files import check_job, grid_of, warp_file
+    from supple.files.kinds import holds_volumes, is_derived, kind_of
+    from supple.files.recipes import write_recipe
     from supple.media.files import is_store
 
     if len(paths) < 2:
@@ -200,10 +198,10 @@ def warp(
     left: list[Path] = []
     single = len(paths) == 2 and not _stands_for_several(paths[0]) and not holds_volumes(paths[0])
     into = os.path.isdir(paths[-1]) or paths[-1].endswith(("/", os.sep))
-    if single and is_volume_job(paths[0], paths[1], recipe, reading, grid=grid):
-        single = not into or is_from_dicom(paths[0], reading)  # others go into a folder as pictures do
+    if single and (kind := kind_of(paths[0], paths[1], recipe, reading, grid=grid)) == "volume":
+        single = not into or is_derived(paths[0], reading)  # others go into a folder as pictures do
     elif single:
-        single = is_clip(paths[0], paths[1], recipe)
+        single = kind == "clip"
     if single:
         jobs, many = [(Path(paths[0]), Path(paths[1]))], False
     else:
@@ -214,7 +212,7 @@ def warp(
     kept: set[Recipe] = set()
     files = {job: File(shown(job[0]), shown(job[1]), many) for job in jobs}
 
-    def refer(source: PathLike, target: PathLike) -> Grid | None:
+    def refer(source: PathLike, target: PathLike) -> "Grid | None":
         """Return the grid of an input, where maps refer to it; refuse what can be refused before they are read."""
         if not elements:
             return None
@@ -228,7 +226,7 @@ def warp(
             elements.on(console, own, shown(source), grid)
         return own
 
-    def do(job: Job, tell: bool | Tell) -> None:
+    def do(job: "Job", tell: bool | Tell) -> None:
         with about(files[job]):
             with workers() as who, piped(job, console) as (source, target):
                 own = refer(source, target)
@@ -246,14 +244,15 @@ def warp(
 
     lost: set[Job] = set()
 
-    def failed(job: Job, message: str) -> None:
+    def failed(job: "Job", message: str) -> None:
         lost.add(job)
         if options.json:
             with about(files[job]):
                 error = as_options(one_line(message))
                 console.tell({"input": str(job[0]), "output": str(job[1]), "error": error})
 
-    if not all(is_clip(*job, recipe) for job in jobs):  # clips raise an error of their own
+    kinds = {kind_of(*job, recipe, reading, grid=grid) for job in jobs}
+    if kinds != {"clip"}:  # clips raise an error of their own
         check_device(device)
     if many:
         from supple.engines.workers import threads
@@ -267,8 +266,7 @@ def warp(
                 elements.read(first)  # a file of maps that cannot be read ends all jobs
         make_folders(jobs)
         # Clips and volumes one at a time: each has work for all cores.
-        large = any(is_clip(*job, recipe) or is_volume_job(*job, recipe, reading) for job in jobs)
-        crew = 1 if large else min(len(jobs), threads())
+        crew = min(len(jobs), threads()) if kinds == {"picture"} else 1
         failures = Crew(crew).work(jobs, do, console, failed)
         if len(jobs) > 1 or left:
             console.note(summary(jobs, len(lost), paths[-1], left))
@@ -281,7 +279,9 @@ def warp(
         raise SomeFailedError(failures)
 
 
-def _alone(console: Console, job: Job, do: Callable[[Job, bool], None], failed: Callable[[Job, str], None]) -> None:
+def _alone(
+    console: Console, job: "Job", do: "Callable[[Job, bool], None]", failed: "Callable[[Job, str], None]"
+) -> None:
     try:
         do(job, console.terminal)
     except SuppleError as error:
@@ -289,7 +289,7 @@ def _alone(console: Console, job: Job, do: Callable[[Job, bool], None], failed: 
         raise
 
 
-def _kept(recipe: Recipe, made: Warped | WarpedClip | WarpedVolume | WarpedStore, world: bool) -> Recipe:
+def _kept(recipe: "Recipe", made: "Warped | WarpedClip | WarpedVolume | WarpedStore", world: bool) -> "Recipe":
     """Return a recipe as it is saved: with the size that it is for, and what its points are."""
     own = getattr(made, "own", None) or made.deformation.grid
     size, space = recipe.size or own.sizes, recipe.space or "pixels"
@@ -301,7 +301,7 @@ def _kept(recipe: Recipe, made: Warped | WarpedClip | WarpedVolume | WarpedStore
     return replace(recipe, size=size if recipe.strokes else None, space=space, time_scale=scale)
 
 
-def _shared(recipe: Recipe, kept: Collection[Recipe]) -> Recipe:
+def _shared(recipe: "Recipe", kept: "Collection[Recipe]") -> "Recipe":
     """Return what is saved of one recipe on several files: what holds for all of them."""
     for known in (kept, {replace(one, size=recipe.size) for one in kept}):
         if len(known) == 1:
@@ -309,11 +309,11 @@ def _shared(recipe: Recipe, kept: Collection[Recipe]) -> Recipe:
     return recipe
 
 
-def _as_clip(paths: tuple[str, ...], recipe: Recipe) -> tuple[str, ...]:
+def _as_clip(paths: tuple[str, ...], recipe: "Recipe") -> tuple[str, ...]:
     """Return ``f.*.exr`` as the pattern of a clip, if it is to become one; refuse pictures for strokes with a time."""
-    from supple.media.codecs import SUFFIXES_OUT as CLIPS
     from supple.media.image import SUFFIXES
     from supple.media.numbering import has_number, of_star
+    from supple.media.suffixes import CLIPS_OUT
 
     source, target = paths[0], paths[-1]
     timed = recipe.moves or (bool(recipe.strokes) and recipe.strokes[0].ndim == 3)
@@ -322,7 +322,7 @@ def _as_clip(paths: tuple[str, ...], recipe: Recipe) -> tuple[str, ...]:
     folder, name = os.path.split(source)
     star = not glob.has_magic(name.replace("*", "", 1)) and "*" in name and not glob.has_magic(folder)
     if len(paths) == 2 and star and not os.path.exists(source):
-        many = has_number(target) or "*" in os.path.basename(target) or target.lower().endswith(CLIPS)
+        many = has_number(target) or "*" in os.path.basename(target) or target.lower().endswith(CLIPS_OUT)
         if (timed or many) and (pattern := of_star(source)) is not None:
             number = re.sub("d.*", "d", os.path.basename(pattern)[name.index("*") :])
             return pattern, target.replace("*", number)
@@ -341,7 +341,7 @@ def _stands_for_several(source: str) -> bool:
     return glob.has_magic(source) and not has_number(source) and not os.path.exists(source)
 
 
-def _facts_of(job: Job, made: Warped | WarpedClip | WarpedVolume) -> dict[str, Any]:
+def _facts_of(job: "Job", made: "Warped | WarpedClip | WarpedVolume") -> dict[str, Any]:
     from supple.files.clips import WarpedClip
     from supple.files.volumes import WarpedVolume
 
@@ -358,7 +358,7 @@ def _facts_of(job: Job, made: Warped | WarpedClip | WarpedVolume) -> dict[str, A
     return facts
 
 
-def _map_facts(made: Warped | WarpedVolume) -> dict[str, Any]:
+def _map_facts(made: "Warped | WarpedVolume") -> dict[str, Any]:
     """Return what is told of other grids, and of maps that may fold."""
     facts: dict[str, Any] = {} if made.grid is None else {"grid": grid_facts(made.grid)}
     if made.deformation.maps:
@@ -366,7 +366,7 @@ def _map_facts(made: Warped | WarpedVolume) -> dict[str, Any]:
     return facts
 
 
-def _volume_facts(made: WarpedVolume) -> dict[str, Any]:
+def _volume_facts(made: "WarpedVolume") -> dict[str, Any]:
     from dataclasses import asdict
 
     grid = made.grid or made.own or made.deformation.grid
@@ -389,7 +389,7 @@ def _volume_facts(made: WarpedVolume) -> dict[str, Any]:
     }
 
 
-def _clip_facts(made: WarpedClip) -> dict[str, Any]:
+def _clip_facts(made: "WarpedClip") -> dict[str, Any]:
     width, height = (made.own or made.deformation.grid).sizes[:2]
     return {
         "input": str(made.source),
@@ -407,7 +407,7 @@ def _clip_facts(made: WarpedClip) -> dict[str, Any]:
     }
 
 
-def picture_facts(job: Job, deformation: Deformation, report: Report) -> dict[str, Any]:
+def picture_facts(job: "Job", deformation: "Deformation", report: "Report") -> dict[str, Any]:
     """Return what is told of a picture that was warped or drawn."""
     from dataclasses import asdict
 

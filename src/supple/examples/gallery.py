@@ -16,8 +16,10 @@ import numpy.typing as npt
 
 from supple.errors import MissWarning, SuppleError, shown
 from supple.examples.scenes import BACKGROUND, DISTANCE, HEAD, INSIDE, SCENES, Look, Scene, Shot, Take
-from supple.files import Warped, warp_file
-from supple.files.clips import ClipOptions, WarpedClip, open_clip
+from supple.files import warp_file
+from supple.files.clips import WarpedClip, open_clip
+from supple.files.options import ClipOptions
+from supple.files.pictures import Warped
 from supple.files.renders import RenderOptions, render_file
 from supple.gpu.device import gpu_of
 from supple.media.files import replacing

@@ -2,87 +2,28 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import os
-import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from supple.arrays import warp_picture
-from supple.deformation import Deformation, Report
-from supple.engines.base import Sampling, warn_of
 from supple.engines.choice import check_device
 from supple.errors import SuppleError, shown
-from supple.fields import Placed, folds_of, only_name
-from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
-from supple.files.clips import (
-    ClipOptions,
-    WarpedClip,
-    check_clip_target,
-    is_clip,
-    refuse_maps,
-    refuse_places,
-    warp_clip,
-)
-from supple.files.grids import GridOptions, arrivals_on, grid_on, picture_grid
-from supple.files.volumes import VolumeOptions, WarpedVolume, check_volume_target, is_volume_job, warp_volume
-from supple.folding.resolved import warn_of_still
-from supple.media.codecs import SUFFIXES as CLIPS
-from supple.media.files import check_output, replacing, same_file
-from supple.media.image import SUFFIXES as SUFFIXES_IN
-from supple.media.image import Picture, check_quality, check_target, read, warn_of_exact, write
-from supple.media.volume import SUFFIXES as VOLUMES
-from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
-from supple.media.volume import grid_of as volume_grid
-from supple.media.volume import suffix_of
-from supple.progress import counted, staged
+from supple.fields import Placed
+from supple.files.kinds import Kind, kind_of, refuse_places
+from supple.files.options import ClipOptions, GridOptions, PathLike, VolumeOptions
+from supple.media.files import check_output, same_file
+from supple.progress import counted
 from supple.space.domain import refuse
 from supple.space.geometry import Grid
-from supple.strokes import Fit, Recipe, fit_recipe
+from supple.strokes import Fit, Recipe
 
-PathLike = str | os.PathLike[str]
-_MEDIA = frozenset({*SUFFIXES_IN, *CLIPS, *CLIPS_OUT, *VOLUMES, *VOLUMES_OUT})
-_PARTS = ("read", "warp", "write")
+if TYPE_CHECKING:
+    from supple.files.clips import WarpedClip
+    from supple.files.pictures import Warped
+    from supple.files.volumes import WarpedVolume
 
-
-@dataclass(frozen=True, slots=True)
-class Warped:
-    """A file that was written.
-
-    Parameters
-    ----------
-    source, target : pathlib.Path
-        The input and the output file.
-    deformation : Deformation
-        The strokes, on the source's shape.
-    tolerance : float
-        The largest distance of a source point from T⁻¹(q), in pixels.
-    grid : Grid, optional
-        The grid of the output, if it is not that of the input.
-    own : Grid, optional
-        The grid of the input as it is shown, if it is not that of the deformation: an OpenEXR may have pixels beyond.
-    folded, outside, unsolved : int
-        The numbers of the points solved at which a field folds, to which no point of a field's grid is mapped, and for
-        which no solution was found.
-    """
-
-    source: Path
-    target: Path
-    deformation: Deformation
-    tolerance: float
-    grid: Grid | None = None
-    folded: int = 0
-    outside: int = 0
-    unsolved: int = 0
-    own: Grid | None = None
-
-    def report(self) -> Report:
-        """Return the report on the strokes and the certified error of the map, which is solved again."""
-        made = self.deformation.report(tolerance=self.tolerance, grid=self.grid)
-        return replace(made, arrivals=arrivals_on(self.own, self.deformation.grid, made.arrivals))
+# The module of a kind of file is loaded when such a file is warped: readers and their libraries take time.
 
 
 def warp_file(
@@ -196,66 +137,24 @@ def warp_file(
     shared: dict[str, Any] = {"filter": filter, "tolerance": tolerance, "fill": fill, "fit": fit, "force": force}
     shared["device"] = device
     if kind == "volume":
+        from supple.files.volumes import warp_volume
+
         with counted(progress, "slices", tell) as counts:
             return warp_volume(
                 source, target, recipe, outside=outside, clamp=clamp is not False, options=volume, tell=counts,
                 maps=maps, grid=grid, **shared,
             )  # fmt: skip
+    shared |= {"outside": outside or "edge", "linear_light": linear_light, "quality": quality, "lossless": lossless}
     if kind == "clip":
+        from supple.files.clips import warp_clip
+
         with counted(progress, also=tell) as counts:
-            return warp_clip(
-                source, target, recipe, outside=outside or "edge", linear_light=linear_light, quality=quality,
-                lossless=lossless, options=clip, tell=counts, **shared,
-            )  # fmt: skip
-    with contextlib.nullcontext(progress) if callable(progress) else staged(source, progress) as show:
+            return warp_clip(source, target, recipe, options=clip, tell=counts, **shared)
+    from supple.files.pictures import warp_picture_file
 
-        def begin(part: str) -> None:
-            show(part)
-            if tell is not None:
-                tell(part, _PARTS.index(part), len(_PARTS))
-
-        begin("read")
-        picture = read(source, pages=_suffix(target) == ".tiff", whole=_suffix(target) == ".exr")
-        begin("warp")
-        layers = picture.layers
-        height, width = len(picture.pixels) // picture.pages, picture.pixels.shape[1]
-        own = Grid((height, width) if layers is None else layers.shown)
-        fitted = fit_recipe(recipe, own.sizes, fit, shown(source))
-        regrid = grid_on(grid, own, shown(source), maps)
-        held = own
-        if layers is not None and layers.box != layers.display:  # points count from the display window's first pixel
-            held = Grid((height, width), origin=layers.corner)
-            fitted = fitted.placed([-x for x in layers.corner], held.sizes)
-        deformation = Deformation.from_recipe(fitted, held, maps=maps, warn=False)
-        warn_of_still(recipe.strokes)
-        space = replace(deformation.space_on(regrid), count=picture.pages)
-        if space.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
-            # Encoding a lossy image again would change it.
-            begin("write")
-            with replacing(target, force=force) as place:
-                shutil.copyfile(source, place)
-            return Warped(Path(source), Path(target), deformation, tolerance)
-        sampling = Sampling.checked(
-            2, filter=filter, tolerance=tolerance, outside=outside or "edge", fill=fill, linear_light=linear_light
-        )
-        bounded = picture.pixels.dtype.kind == "f" if clamp is None else clamp
-        nearest, groups = replace(sampling, filter="nearest"), () if layers is None else layers.groups
-        options: dict[str, Any] = {"clamp": bounded, "device": device, "name": shown(source)}
-        exact = nearest if groups and groups[0][0] else sampling
-        picture, found = warp_picture(picture, space, exact, regridded=regrid is not None, **options)
-        if layers is not None:  # of the others, what is outside is 0
-            others = [replace(nearest if exact else sampling, fill=0.0) for exact, _ in groups[1:]]
-            pairs = zip(layers.arrays[1:], others, strict=True)
-            arrays = [warp_picture(Picture(a), space, how, regridded=False, **options)[0].pixels for a, how in pairs]
-            layers = layers if regrid is None else layers.sized(picture.pixels.shape[:2])
-            layers = replace(layers, arrays=(picture.pixels, *arrays))
-            picture = replace(picture, _header={**picture._header, "exr": layers})
-            warn_of_exact(layers)
-        warn_of(found, tolerance, 3, folds_of(maps), only_name(maps))
-        begin("write")
-        write(target, picture.pixels, like=picture, quality=quality, lossless=lossless, force=force)
-    points = found.folded, found.outside, found.unknown
-    return Warped(Path(source), Path(target), deformation, tolerance, regrid, *points, None if held == own else own)
+    return warp_picture_file(
+        source, target, recipe, clamp=clamp, progress=progress, tell=tell, maps=maps, grid=grid, **shared
+    )
 
 
 def check_job(
@@ -272,7 +171,7 @@ def check_job(
     volume: VolumeOptions | None = None,
     maps: Sequence[Placed] = (),
     grid: GridOptions | None = None,
-) -> Literal["picture", "clip", "volume"]:
+) -> Kind:
     """Return the kind of a file to warp; raise all errors that can be found before it is read.
 
     Parameters
@@ -295,7 +194,10 @@ def check_job(
         refuse("maps", "a sequence of Placed", maps)
     if grid is not None and not isinstance(grid, GridOptions):
         refuse("grid", "GridOptions, or left out", grid)
-    if is_volume_job(source, target, recipe, volume, maps=maps, grid=grid):
+    kind = kind_of(source, target, recipe, volume, maps=maps, grid=grid)
+    if kind == "volume":
+        from supple.files.volumes import check_volume_target
+
         if quality is not None or lossless or linear_light or clip not in (None, ClipOptions()):
             flags = {"quality": quality is not None, "lossless": lossless, "linear_light": linear_light}
             given = [name for name, asked in flags.items() if asked]
@@ -309,7 +211,9 @@ def check_job(
     if volume is not None and volume != VolumeOptions():
         asked = _asked(volume, VolumeOptions())
         raise SuppleError(f"{shown(source)} is no volume, and {asked} for volumes: leave that out")
-    if is_clip(source, target, recipe):
+    if kind == "clip":
+        from supple.files.clips import check_clip_target, refuse_maps
+
         if clamp is not None:
             raise SuppleError(f"clamp is for pictures and volumes, and {shown(source)} is a clip: leave it out")
         if maps or grid not in (None, GridOptions()):
@@ -326,8 +230,9 @@ def check_job(
         raise SuppleError(
             f"{shown(source)} is taken for a picture, and {_asked(clip, ClipOptions())} for clips: leave that out"
         )
-    check_target(target)
-    _check_options(target, quality, lossless)
+    from supple.files.pictures import check_picture_target
+
+    check_picture_target(target, quality, lossless)
     _spare(source, target, "picture", force)
     check_output(target, force=force)
     return "picture"
@@ -349,10 +254,17 @@ def grid_of(
     SuppleError
         If the file cannot be read.
     """
-    if is_volume_job(source, target, recipe, volume, maps=maps, grid=grid):
+    kind = kind_of(source, target, recipe, volume, maps=maps, grid=grid)
+    if kind == "volume":
+        from supple.media.volume import grid_of as volume_grid
+
         known = volume or VolumeOptions()
         return volume_grid(source, raw=known.layout, series=known.series)
-    return None if is_clip(source, target, recipe) else picture_grid(source)
+    if kind == "clip":
+        return None
+    from supple.files.grids import picture_grid
+
+    return picture_grid(source)
 
 
 def _spare(source: PathLike, target: PathLike, kind: str, force: bool) -> None:
@@ -371,71 +283,3 @@ def _asked(options: ClipOptions | VolumeOptions | None, usual: ClipOptions | Vol
 def _named(names: Sequence[str]) -> str:
     options = ["--" + {"rate": "fps", "layout": "shape"}.get(name, name).replace("_", "-") for name in names]
     return f"{' and '.join(options)} {'are' if len(options) > 1 else 'is'}"
-
-
-def _suffix(path: PathLike) -> str:
-    suffix = Path(path).suffix.lower()
-    return {".jpeg": ".jpg", ".tif": ".tiff"}.get(suffix, suffix)
-
-
-def is_media_name(path: PathLike) -> bool:
-    """Return whether a name has the suffix of an image, a video or a volume; with a trailing slash, it is a folder."""
-    return not os.fspath(path).endswith(("/", os.sep)) and suffix_of(path) in _MEDIA
-
-
-def read_recipe(path: PathLike) -> Recipe:
-    """Read a recipe from a JSON file.
-
-    Raises
-    ------
-    SuppleError
-        If the file cannot be read, or is not a recipe; the message names the file and the fault.
-    """
-    name = shown(path)
-    try:
-        text = Path(path).read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise SuppleError(f"cannot read {name}: {error.strerror}: give a recipe in JSON") from error
-    except UnicodeDecodeError as error:
-        raise SuppleError(f"cannot read {name}: it is no text: give a recipe in JSON") from error
-    except ValueError as error:
-        raise SuppleError(f"cannot read {name}: no file can have that name: check it") from error
-    try:
-        return Recipe.from_json(text)
-    except SuppleError as error:
-        raise SuppleError(f"{name}: {str(error).replace('None', 'null')}") from None
-
-
-def check_recipe_name(path: PathLike, *, force: bool = False) -> None:
-    """Raise SuppleError for a file name that is not fit for a recipe.
-
-    Raises
-    ------
-    SuppleError
-        If it has the suffix of an image, a video or a volume, exists and `force` is false, or cannot be written.
-    """
-    if is_media_name(path):
-        name, suffix = shown(path), suffix_of(path)
-        stem = name[: len(name) - len(suffix)]
-        raise SuppleError(f"cannot write {name}: a recipe is JSON, and none is written as {suffix}: use {stem}.json")
-    check_output(path, force=force)
-
-
-def write_recipe(path: PathLike, recipe: Recipe, *, force: bool = False) -> None:
-    """Write a recipe as JSON; the file appears whole or not at all.
-
-    Raises
-    ------
-    SuppleError
-        As in `check_recipe_name`.
-    """
-    check_recipe_name(path, force=force)
-    with replacing(path, force=force) as temporary:
-        temporary.write_text(recipe.to_json(), encoding="utf-8")
-
-
-def _check_options(target: PathLike, quality: int | None, lossless: bool) -> None:
-    name = shown(target)
-    check_quality(target, quality)
-    if lossless and Path(target).suffix.lower() in (".jpg", ".jpeg"):
-        raise SuppleError(f"cannot write {name} without loss: JPEG always loses: write PNG, TIFF, WebP or AVIF")

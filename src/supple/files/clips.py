@@ -16,15 +16,16 @@ from supple.engines.base import Certificate, warn_of
 from supple.engines.choice import check_device
 from supple.errors import OutsideWarning, SuppleError, caller, shown
 from supple.files.clip_work import deformations_of, sampling_of, warn_of_frames, work_on
+from supple.files.kinds import VIDEOS_OUT, is_animated
+from supple.files.options import ClipOptions, PathLike
 from supple.folding.resolved import warn_of_still
-from supple.media import codecs
 from supple.media.base import Clip, CountError
-from supple.media.codecs import SUFFIXES
 from supple.media.files import check_output, replacing
 from supple.media.image import check_quality, check_target
 from supple.media.image.formats import SUFFIXES as SUFFIXES_IN
 from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.numbering import has_number, is_sequence
+from supple.media.suffixes import suffix_of
 from supple.pipeline import Done, Tell, run
 from supple.space.domain import integer, number
 from supple.space.geometry import Grid
@@ -32,44 +33,6 @@ from supple.strokes import Fit, Recipe
 
 if TYPE_CHECKING:
     from fractions import Fraction
-
-PathLike = str | os.PathLike[str]
-
-SUFFIXES_OUT = frozenset(codecs.SUFFIXES_OUT) - {".gif"}
-GB = 1e9
-
-
-@dataclass(frozen=True, slots=True)
-class ClipOptions:
-    """Options for clips.
-
-    Parameters
-    ----------
-    between : str, optional
-        The interpolation between frames, as in `Deformation.warp`.
-    time_filter : bool
-        Whether pixels are averaged over time.
-    time_scale : float, optional
-        The length of a frame in pixels, for the brush: by default that of the recipe, or 1.
-    rate : float or Fraction, optional
-        Frames a second of an image sequence, which has no rate of its own; 24 by default.
-    codec, preset, pixel_format : str, optional
-        As in `supple.media.video.writer`.
-    crf : float, optional
-        As in `supple.media.video.writer`.
-    memory : float
-        The bytes of memory for frames; frames beyond that go to a temporary file.
-    """
-
-    between: str | None = None
-    time_filter: bool = False
-    time_scale: float | None = None
-    rate: float | Fraction | None = None
-    codec: str | None = None
-    crf: float | None = None
-    preset: str | None = None
-    pixel_format: str | None = None
-    memory: float = 2 * GB
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,37 +88,6 @@ class WarpedClip:
         return self.deformations[k].report(tolerance=self.tolerance)
 
 
-def is_clip(source: PathLike, target: PathLike, recipe: Recipe) -> bool:
-    """Return whether a file, a pattern or a folder is warped as a clip."""
-    suffix, goal = (Path(path).suffix.lower() for path in (source, target))
-    timed = recipe.moves or (bool(recipe.strokes) and recipe.strokes[0].ndim == 3)
-    if suffix in SUFFIXES or goal in SUFFIXES_OUT or (has_number(source) and not os.path.isfile(source)):
-        return True
-    if os.path.isdir(source):
-        return timed and not _holds_videos_alone(source)
-    if timed and suffix in (".png", ".apng") and os.path.isfile(source):
-        return _is_animated(source)
-    still = suffix not in (".gif", ".webp", ".png", ".apng", "")
-    many = goal == ".gif" or has_number(target)
-    return (timed and not still) or (many and (suffix == ".gif" or (not still and _is_animated(source))))
-
-
-def _is_animated(path: PathLike) -> bool:
-    """Return whether an image has several frames."""
-    from supple.media.sequence import is_animated
-
-    return os.path.isfile(path) and is_animated(path)
-
-
-def _holds_videos_alone(folder: PathLike) -> bool:
-    """Return whether a folder holds videos, not frames."""
-    try:
-        suffixes = {_suffix(name) for name in os.listdir(folder) if not name.startswith(".")}
-    except OSError:
-        return False
-    return bool(suffixes & SUFFIXES) and not suffixes & SUFFIXES_IN
-
-
 @contextlib.contextmanager
 def open_clip(
     source: PathLike,
@@ -171,7 +103,7 @@ def open_clip(
         with sequence.open_clip(source, rate=24 if rate is None else rate, target=target) as pictures:
             yield pictures
         return
-    if rate is None and _suffix(source) == ".webp" and _is_animated(source):
+    if rate is None and suffix_of(source) == ".webp" and is_animated(source):
         from supple.media import sequence
 
         with sequence.open_clip(source) as animation:
@@ -187,7 +119,7 @@ def open_clip(
 
 def refuse_picture(path: PathLike) -> None:
     """Raise SuppleError for a single image, which FFmpeg would read as a short video."""
-    if _suffix(path) not in SUFFIXES_IN or not os.path.isfile(path) or _is_animated(path):
+    if suffix_of(path) not in SUFFIXES_IN or not os.path.isfile(path) or is_animated(path):
         return
     from supple.media.video.demux import opened
 
@@ -197,14 +129,6 @@ def refuse_picture(path: PathLike) -> None:
         raise SuppleError(
             f"{shown(path)} is a picture, and has no time: its strokes have 2 numbers, x and y, and no keys, and it is "
             "written as a picture (videos are made of numbered ones, frames/%05d.png, or of a folder)"
-        )
-
-
-def refuse_places(recipe: Recipe, source: PathLike) -> None:
-    """Raise SuppleError for a recipe in millimetres, unless it is for a volume."""
-    if recipe.is_world:
-        raise SuppleError(
-            f"the recipe is in {recipe.space} millimetres, and {shown(source)} is no volume: give a recipe in pixels"
         )
 
 
@@ -262,7 +186,7 @@ def warp_clip(
                 )
                 work = work_on(clip, deformations, sampling)
                 untouched = work.is_identity and known == replace(ClipOptions(), memory=known.memory)
-                if untouched and not lossless and os.path.isfile(source) and _suffix(source) == _suffix(target):
+                if untouched and not lossless and os.path.isfile(source) and suffix_of(source) == suffix_of(target):
                     # Encoding a clip again would change it.
                     check_output(target, force=force)
                     _warn_of_none(recipe, clip)
@@ -324,7 +248,7 @@ def check_clip_target(
     if not os.fspath(target):
         raise SuppleError("cannot write '': no file can have that name: choose another")
     if not is_picture_target(target):
-        if _suffix(target) in PICTURES_OUT:
+        if suffix_of(target) in PICTURES_OUT:
             stem, suffix = os.path.splitext(name)
             raise SuppleError(
                 f"{name} is one picture, and a clip is many: name a pattern, such as {stem}-%05d{suffix}, or a folder"
@@ -368,9 +292,5 @@ def _writer(
 
 def is_picture_target(target: PathLike) -> bool:
     """Return whether a name is a sequence: a pattern, a folder, or a name without a suffix."""
-    suffix = _suffix(target)
-    return not suffix or (is_sequence(target) and not (has_number(target) and suffix in SUFFIXES_OUT))
-
-
-def _suffix(path: PathLike) -> str:
-    return Path(path).suffix.lower()
+    suffix = suffix_of(target)
+    return not suffix or (is_sequence(target) and not (has_number(target) and suffix in VIDEOS_OUT))

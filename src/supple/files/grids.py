@@ -6,112 +6,57 @@ import math
 import os
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from supple.deformation import Arrival
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Placed, check_path
-from supple.media import volume as volumes
-from supple.media.codecs import SUFFIXES as CLIPS
+from supple.files.options import GridOptions, PathLike
 from supple.media.files import is_store
 from supple.media.image import SUFFIXES, info
-from supple.space.domain import checked_spacing, integer, items, refuse
+from supple.media.suffixes import CLIPS, is_volume, suffix_of
+from supple.space.domain import refuse
 from supple.space.geometry import Geometry, Grid
-
-PathLike = str | os.PathLike[str]
 
 _MOST = 1 << 40
 """Samples of a result: beyond them, a spacing is a slip, and no disk the remedy."""
 
 
-@dataclass(frozen=True, slots=True)
-class GridOptions:
-    """The grid that a picture or a volume is written on; by default, its own.
+def output_grid(options: GridOptions, grid: Grid) -> Grid:
+    """Return the grid of the output.
 
     Parameters
     ----------
-    reference : str or os.PathLike, optional
-        Another image, whose grid it is: of a volume, its place in space; of a picture, its size.
-    crop : sequence of int, optional
-        A part of the grid: the indices of its first sample, and its sizes, x first: ``(X, Y, W, H)``, or
-        ``(X, Y, Z, W, H, D)`` for volumes. The result equals that part of the whole, bit for bit.
-    resample : float or sequence of float, optional
-        Another spacing over the same extent: in millimetres for volumes, in pixels of the input for pictures; one for
-        all axes, or one for each, x first. It comes after ``reference``, and before ``crop``. The grid of a sheared
-        volume becomes upright.
+    options : GridOptions
+    grid : Grid
+        The grid of the input.
 
     Raises
     ------
     SuppleError
-        If an argument is invalid.
+        If the reference cannot be read, or is of another kind; or if the crop is not within the grid.
     """
-
-    reference: PathLike | None = None
-    crop: Sequence[int] | None = None
-    resample: float | Sequence[float] | None = None
-
-    def __post_init__(self) -> None:
-        if self.crop is not None:
-            wanted = "X,Y,W,H for a picture, or X,Y,Z,W,H,D for a volume: first indices, then sizes"
-            given = items("crop", self.crop, wanted, (4, 6))
-            n = len(given) // 2
-            box = [
-                integer("crop", x, f"{wanted}, indices from 0 and sizes from 1", k >= n, 2**31)
-                for k, x in enumerate(given)
-            ]
-            object.__setattr__(self, "crop", tuple(box))
-        if self.resample is not None:
-            steps = self.resample if isinstance(self.resample, Sequence) else (self.resample,)
-            try:
-                made = checked_spacing(steps, len(steps))
-            except SuppleError:
-                made = ()
-            if not 1 <= len(made) <= 3:
-                refuse("resample", "a spacing above 0, or one for each axis, x first", self.resample)
-            object.__setattr__(self, "resample", made if len(made) > 1 else made[0])
-
-    @property
-    def ndim(self) -> int | None:
-        """The number of axes that the options tell; None if they tell none."""
-        if self.crop is not None:
-            return len(self.crop) // 2
-        return len(self.resample) if isinstance(self.resample, tuple) else None
-
-    def of(self, grid: Grid) -> Grid:
-        """Return the grid of the output.
-
-        Parameters
-        ----------
-        grid : Grid
-            The grid of the input.
-
-        Raises
-        ------
-        SuppleError
-            If the reference cannot be read, or is of another kind; or if the crop is not within the grid.
-        """
-        n = grid.ndim
-        kind = "picture" if n == 2 else "volume"
-        made = grid if self.reference is None else reference_grid(self.reference, n)
-        if self.resample is not None:
-            steps = self.resample
-            if isinstance(steps, Sequence) and len(steps) != n:
-                refuse("resample", f"one number or {n} of them, as the input is a {kind}", steps)
-            try:
-                made = made.upright().resampled(steps)
-            except SuppleError as error:
-                raise SuppleError(f"resample to {listed(steps)} makes no {kind}: {error}") from None
-        if self.crop is not None:
-            if len(self.crop) != 2 * n:
-                refuse("crop", f"{2 * n} numbers, as the input is a {kind}", listed(self.crop))
-            first, sizes = self.crop[:n], self.crop[n:]
-            if any(a + b > size for a, b, size in zip(first, sizes, made.sizes, strict=True)):
-                refuse("crop", f"within the grid of {' x '.join(map(str, made.sizes))} samples", listed(self.crop))
-            made = made.crop(first, sizes)
-        if self.resample is not None and math.prod(made.shape) > _MOST:
-            what = f"a {kind} of {' x '.join(f'{size:,}' for size in made.sizes)} {'pixels' if n == 2 else 'voxels'}"
-            raise SuppleError(f"resample to {listed(self.resample)} makes {what}, too many: give a larger spacing")
-        return made
+    n = grid.ndim
+    kind = "picture" if n == 2 else "volume"
+    made = grid if options.reference is None else reference_grid(options.reference, n)
+    if options.resample is not None:
+        steps = options.resample
+        if isinstance(steps, Sequence) and len(steps) != n:
+            refuse("resample", f"one number or {n} of them, as the input is a {kind}", steps)
+        try:
+            made = made.upright().resampled(steps)
+        except SuppleError as error:
+            raise SuppleError(f"resample to {listed(steps)} makes no {kind}: {error}") from None
+    if options.crop is not None:
+        if len(options.crop) != 2 * n:
+            refuse("crop", f"{2 * n} numbers, as the input is a {kind}", listed(options.crop))
+        first, sizes = options.crop[:n], options.crop[n:]
+        if any(a + b > size for a, b, size in zip(first, sizes, made.sizes, strict=True)):
+            refuse("crop", f"within the grid of {' x '.join(map(str, made.sizes))} samples", listed(options.crop))
+        made = made.crop(first, sizes)
+    if options.resample is not None and math.prod(made.shape) > _MOST:
+        what = f"a {kind} of {' x '.join(f'{size:,}' for size in made.sizes)} {'pixels' if n == 2 else 'voxels'}"
+        raise SuppleError(f"resample to {listed(options.resample)} makes {what}, too many: give a larger spacing")
+    return made
 
 
 def reference_grid(path: PathLike, ndim: int) -> Grid:
@@ -124,17 +69,19 @@ def reference_grid(path: PathLike, ndim: int) -> Grid:
     """
     if is_store(path):
         return _stored_grid(path, ndim)
-    is_volume = volumes.is_volume(path) or (ndim == 3 and volumes.has_pages(path))
-    suffix = volumes.suffix_of(path)
-    if (is_volume != (ndim == 3) or suffix in CLIPS) and os.path.exists(path):
+    from supple.media import volume
+
+    solid = is_volume(path) or (ndim == 3 and volume.has_pages(path))
+    suffix = suffix_of(path)
+    if (solid != (ndim == 3) or suffix in CLIPS) and os.path.exists(path):
         wanted = "volume" if ndim == 3 else "picture"
-        found = "a volume" if is_volume else "a clip" if suffix in CLIPS else "a picture"
+        found = "a volume" if solid else "a clip" if suffix in CLIPS else "a picture"
         if found == "a picture" and (os.path.isdir(path) or suffix not in SUFFIXES):
             found = "no volume"
         raise SuppleError(f"{shown(path)} is {found}, and the grid of a {wanted} is needed: name a {wanted}")
     if ndim == 2:
         return picture_grid(path)
-    geometry, shape = volumes.place_of(path)
+    geometry, shape = volume.place_of(path)
     warn_of_place(geometry, shown(path))
     return geometry.grid(shape)
 
@@ -187,7 +134,7 @@ def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[P
                 f"{each.told} is for {kinds[0]}s, with {n} axes, and {name} is a {kinds[1]}: give one of {grid.ndim} "
                 "axes"
             )
-    made = grid if options is None else options.of(grid)
+    made = grid if options is None else output_grid(options, grid)
     if options is not None and options.reference is not None:
         check_path(reversed(maps), made, shown(options.reference), source=grid, name=name)
     else:  # what is seen of the input itself may lead out of it, as one wishes

@@ -19,10 +19,11 @@ from supple.engines.base import Certificate, Sampling, warn_of
 from supple.engines.workers import threads
 from supple.errors import SuppleError, shown
 from supple.fields import Placed, folds_of, only_name
-from supple.files.clips import is_clip
-from supple.files.grids import GridOptions, grid_on
+from supple.files.grids import grid_on
+from supple.files.kinds import kind_of
+from supple.files.options import GridOptions, VolumeOptions
 from supple.files.tasks import Runner, Running, runner_of
-from supple.files.volumes import VolumeOptions, deformation_of, is_volume_job, sampling_of
+from supple.files.volumes import deformation_of, sampling_of
 from supple.media.files import is_store, unreadable
 from supple.media.stores import Samples, StoredImage, like_file, open_image
 from supple.media.volume import Volume
@@ -265,9 +266,7 @@ def _axes_of_space(
 def _refuse_clip(
     source: PathLike, recipe: Recipe, options: VolumeOptions, maps: Sequence[Placed], grid: GridOptions | None
 ) -> None:
-    if is_volume_job(source, source, recipe, options, maps=maps, grid=grid):
-        return
-    if is_clip(source, source, recipe):
+    if kind_of(source, source, recipe, options, maps=maps, grid=grid) == "clip":
         kind = "folder without a volume" if os.path.isdir(source) else "clip"
         raise SuppleError(
             f"{shown(source)} is a {kind}, and blocks are of pictures, volumes and Zarr stores: give one of these"

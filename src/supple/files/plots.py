@@ -14,19 +14,11 @@ from supple.engines.base import Array, Sampling
 from supple.errors import SuppleError, shown
 from supple.fields import Placed
 from supple.files.clip_work import deformations_of, frames_of, sampling_of, warn_of_frames, work_on
-from supple.files.clips import (
-    ClipOptions,
-    PathLike,
-    fickle,
-    is_clip,
-    open_clip,
-    refuse_maps,
-    refuse_picture,
-    refuse_places,
-)
+from supple.files.clips import fickle, open_clip, refuse_maps, refuse_picture
+from supple.files.kinds import kind_of, refuse_places
+from supple.files.options import ClipOptions, PathLike
 from supple.media.base import CountError
 from supple.media.files import check_output
-from supple.media.volume import is_volume
 from supple.pipeline import Tell, make_plan
 from supple.plot import WHATS, check_plot, draw_sheet, draw_slice, evenly, plot
 from supple.progress import counted
@@ -99,10 +91,11 @@ def plot_file(
         raise SuppleError(f"--x and --y are for slices, and {what} shows whole frames: leave them out")
     check_output(target, force=force)
     check_plot(target, force=force)
-    if is_volume(source):
+    kind = kind_of(source, "", recipe)
+    if kind == "volume":
         raise SuppleError(f"plots are of pictures and videos, and {shown(source)} is a volume: supple render shows it")
     refuse_places(recipe, source)
-    if is_clip(source, "", recipe):
+    if kind == "clip":
         if maps:
             refuse_maps(source)
         refuse_picture(source)

@@ -17,7 +17,8 @@ import numpy.typing as npt
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Placed
 from supple.files.meshes import MeshFile, read_surfaces
-from supple.files.volumes import VolumeOptions, background_of, deformation_of, is_of_labels, open_volume
+from supple.files.options import VolumeOptions
+from supple.files.volumes import background_of, deformation_of, is_of_labels, open_volume
 from supple.gpu.device import DRAWING
 from supple.media import image, turntable
 from supple.media.files import check_output, check_outputs, check_suffix, replacing, replacing_all

@@ -22,11 +22,11 @@ from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Field, Placed, folds_of, only_name
 from supple.files import plans
 from supple.files.bijections import Begun, SavedField, begin_field, check_field, is_scene, write_field
-from supple.files.grids import GridOptions
+from supple.files.options import GridOptions, VolumeOptions
 from supple.files.plans import Medium, Source, chunks_of, open_source, plan_boxes, task_shape, warp_on, whole_chunks
 from supple.files.tasks import Runner, Running, check_seen, check_shared, runner_of
 from supple.files.transforms import write_transform
-from supple.files.volumes import VolumeOptions, least_of, warn_of_labels
+from supple.files.volumes import least_of, warn_of_labels
 from supple.media.files import ROOTS, check_store, is_store, replacing, unwritable
 from supple.media.stores import (
     LABELS,

@@ -22,20 +22,17 @@ from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import check_device
 from supple.errors import GapWarning, SuppleError, VolumeWarning, shown
 from supple.fields import Placed, folds_of, only_name
-from supple.files.grids import GridOptions, arrivals_on, grid_on, warn_of_place
+from supple.files.grids import arrivals_on, grid_on, warn_of_place
+from supple.files.kinds import is_derived, kind_of
+from supple.files.options import GridOptions, PathLike, VolumeOptions
 from supple.files.transforms import write_transform
 from supple.folding.resolved import warn_of_still
 from supple.media import transforms
 from supple.media.files import check_output, is_store, replacing
 from supple.media.volume import (
-    SUFFIXES_OUT,
-    RawLayout,
     Volume,
     check_target,
     derived,
-    has_pages,
-    is_dicom,
-    is_volume,
     read,
     suffix_of,
     write,
@@ -47,43 +44,11 @@ from supple.space.geometry import Floats, Geometry, Grid
 from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke, fit_recipe
 
 Array = npt.NDArray[Any]
-PathLike = str | os.PathLike[str]
 
-ONE_FILE = frozenset({".nii", ".nii.gz", ".nrrd", ".mha"})
-"""The suffixes of files that are always volumes."""
-_TIFF = (".tif", ".tiff")
 # The test for label maps: the number of slices, and the fraction of equal neighbours beside the background.
 _LOOKED_AT, _AREAS, _MOST_LABELS, _FEW = 16, 0.7, 1024, 8
 _BETWEEN = 0.2  # of the changes from voxel to voxel: so many values between two others are none of labels
 _HUGE, _TINY = 2, 1  # radii, in the size of a volume and in the distance of its samples, that are in another unit
-
-
-@dataclass(frozen=True, slots=True)
-class VolumeOptions:
-    """Options for volumes.
-
-    Parameters
-    ----------
-    world : bool
-        Whether the strokes' points are positions in space, in millimetres, in the file's own convention, rather than
-        indices.
-    labels : bool
-        Whether values are labels, which are not interpolated: every voxel takes that of the nearest. Integers only,
-        which may be stored as floats.
-    save_field : str or os.PathLike, optional
-        The file for the inverse displacement field, for SimpleITK, ANTs and 3D Slicer; beside a Zarr store, also
-        one of OME-Zarr (``.zarr``), for both directions.
-    layout : RawLayout, optional
-        The layout of a file without a header.
-    series : str, optional
-        The DICOM series of a folder: its number in the list, or its UID.
-    """
-
-    world: bool = False
-    labels: bool = False
-    save_field: PathLike | None = None
-    layout: RawLayout | None = None
-    series: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,42 +103,6 @@ class WarpedVolume:
         return arrivals_on(self.own, self.deformation.grid, self.deformation.arrivals)
 
 
-def is_volume_job(
-    source: PathLike,
-    target: PathLike,
-    recipe: Recipe,
-    options: VolumeOptions | None = None,
-    *,
-    maps: Sequence[Placed] = (),
-    grid: GridOptions | None = None,
-) -> bool:
-    """Return whether a file or a folder is warped as a volume."""
-    known = options or VolumeOptions()
-    if known.layout is not None or known.series is not None:
-        return True
-    told = [stroke.ndim for stroke in recipe.strokes[:1]] + [each.map.ndim for each in maps[:1]]
-    solid = 3 in told or (grid is not None and grid.ndim == 3)
-    volumes = suffix_of(target) in set(SUFFIXES_OUT) - set(_TIFF)
-    if os.path.isdir(source):
-        return is_volume(source) or (volumes and not any(inner or files for _, inner, files in os.walk(source)))
-    if suffix_of(source) in _TIFF:
-        return (solid or volumes) and has_pages(source)
-    return is_volume(source)
-
-
-def is_from_dicom(source: PathLike, options: VolumeOptions) -> bool:
-    """Return whether a volume is DICOM, from which DICOM is derived: slices into a folder."""
-    return options.layout is None and is_dicom(source)
-
-
-def holds_volumes(path: PathLike) -> bool:
-    """Return whether a folder holds volumes as separate files."""
-    try:
-        return os.path.isdir(path) and any(suffix_of(name) in ONE_FILE for name in os.listdir(path))
-    except OSError:
-        return False
-
-
 def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volume:
     """Return a volume with the samples as they are stored: `Volume.rescaled` has the true values."""
     known = options or VolumeOptions()
@@ -198,7 +127,7 @@ def place_of(path: PathLike, options: VolumeOptions | None = None) -> str | None
         return None if len(image.spatial) < 3 else "LPS" if image.placed else "array"
     known = options or VolumeOptions()
     solid = Recipe(strokes=(Stroke(at=(0, 0, 0), by=(0, 0, 0), radius=1),))
-    if not is_volume_job(path, "", solid, known):
+    if kind_of(path, "", solid, known) != "volume":
         return None
     return volume_place(path, raw=known.layout, series=known.series)[0].convention
 
@@ -467,7 +396,7 @@ def check_volume_target(source: PathLike, target: PathLike, options: VolumeOptio
     """
     if os.path.isdir(source) and Path(os.path.realpath(source)) in Path(os.path.realpath(target)).parents:
         raise SuppleError(f"{shown(target)} is within {shown(source)}, and would be read with it: write elsewhere")
-    if suffix_of(target) in derived.SUFFIXES and is_from_dicom(source, options):
+    if suffix_of(target) in derived.SUFFIXES and is_derived(source, options):
         derived.check(target, force=force)
     else:
         check_output(target, force=force)

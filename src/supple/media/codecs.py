@@ -48,12 +48,6 @@ CONTAINERS = (
 )
 # fmt: on
 _ALL = frozenset(container.name for container in CONTAINERS)
-SUFFIXES_OUT = tuple(container.suffixes[0] for container in CONTAINERS)
-# Suffixes that are always taken for videos; other files are if the user says so.
-SUFFIXES = frozenset(
-    {".3gp", ".asf", ".avi", ".flv", ".h264", ".h265", ".hevc", ".ivf", ".m2ts", ".m2v", ".m4v", ".mj2", ".mkv"}
-    | {".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".mxf", ".ogv", ".ts", ".vob", ".webm", ".wmv", ".y4m"}
-)
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from supple.media.base import Clip, ClipWarning
 from supple.media.files import PathLike, check_outputs, replacing_all
 from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture, exr
 from supple.media.image.exr import Exr
-from supple.media.image.formats import DTYPES, divided
+from supple.media.image.formats import DTYPES, divided, is_exr
 from supple.media.image.headers import collected, extra_of, facts
 from supple.media.image.vips import apart, decoded, opened, reading, sequential, widen
 from supple.media.numbering import (
@@ -95,7 +95,7 @@ class Pictures:
     @property
     def aspect(self) -> Fraction | None:
         """The width of a pixel, relative to its height; None but for OpenEXR."""
-        return exr.head_only(self.paths[0])[0].aspect if self.paths and exr.is_exr(self.paths[0]) else None
+        return exr.head_only(self.paths[0])[0].aspect if self.paths and is_exr(self.paths[0]) else None
 
     def frames(self) -> Iterator[Frame]:
         """Yield the frames in order; each is read when it is copied."""
@@ -289,7 +289,7 @@ def open_clip(path: PathLike, *, rate: float | Fraction = 24, target: PathLike |
     else:
         paths = pictures_in(Path(text))
         first = first_number(paths)
-    if target is not None and exr.is_exr(paths[0]):
+    if target is not None and is_exr(paths[0]):
         if (Path(target).suffix.lower() or paths[0].suffix.lower()) == ".exr":
             yield Layered(shown(text), paths, known, first)
             return

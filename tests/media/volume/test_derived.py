@@ -12,8 +12,7 @@ import supple
 from supple.cli.describe import describe
 from supple.errors import SuppleError, VolumeWarning
 from supple.fields import Placed
-from supple.files.grids import GridOptions
-from supple.files.volumes import VolumeOptions
+from supple.files.options import GridOptions, VolumeOptions
 from supple.media.volume import read, write
 from supple.space.affine import Affine
 from supple.strokes import Recipe, Stroke

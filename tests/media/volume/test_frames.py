@@ -10,7 +10,7 @@ from pydicom.uid import ExplicitVRLittleEndian, generate_uid
 
 import supple
 from supple.errors import SuppleError
-from supple.files.grids import GridOptions
+from supple.files.options import GridOptions
 from supple.media.volume import read, write
 from supple.media.volume.frames import quiet
 from supple.strokes import Recipe, Stroke

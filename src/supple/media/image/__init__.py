@@ -9,14 +9,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyvips
 
 from supple.errors import GapWarning, LayerWarning, SuppleError, caller, shown
 from supple.media.files import PathLike, check_suffix, replacing
-from supple.media.image import dpx, exif, exr
+from supple.media.image import dpx, exif
 from supple.media.image.formats import (
     AVIF,
     DPX,
@@ -30,6 +30,7 @@ from supple.media.image.formats import (
     Array,
     check,
     divided,
+    is_exr,
     meant,
     settings,
     wrapped,
@@ -37,6 +38,9 @@ from supple.media.image.formats import (
 from supple.media.image.headers import collected, dressed, extra_of, facts, finish, kept, profile_name
 from supple.media.image.tiff import MASK, Page, Tiff, swapped, tagged
 from supple.media.image.vips import apart, decoded, of_exr, of_tiff, opened, reading, sequential, widen, writing
+
+if TYPE_CHECKING:
+    from supple.media.image import exr
 
 __all__ = [
     "SUFFIXES",
@@ -232,7 +236,9 @@ def read(path: PathLike, *, pages: bool = False, whole: bool = False) -> Picture
     MetadataWarning
         The file has damaged EXIF or any IPTC in a TIFF, or a gain map for HDR in a JPEG.
     """
-    if exr.is_exr(path):
+    if is_exr(path):
+        from supple.media.image import exr
+
         layers = exr.read(path)
         return of_layers(layers if whole else layers.alone())
     image, form = opened(path)
@@ -459,6 +465,8 @@ def write(
         if form is EXR:
             if alpha:  # EXR is premultiplied
                 array = np.concatenate([array[..., :3] * array[..., 3:], array[..., 3:]], axis=2)
+            from supple.media.image import exr
+
             made = exr.with_pixels(layers if same else None, array.reshape(*array.shape[:2], -1), half=have == 16)
             with replacing(path, force=force) as temporary:
                 exr.write(temporary, path, made)

@@ -21,9 +21,8 @@ import numpy as np
 
 from supple.errors import need
 from supple.media.files import PathLike, head_of, unreadable, unwritable
-from supple.media.image.formats import Array
+from supple.media.image.formats import EXR_MAGIC, Array
 
-MAGIC = b"v/1\x01"
 Box = tuple[int, int, int, int]  # x and y of the first pixel, and of that after the last
 
 _COLOURS = {"r": "r", "red": "r", "g": "g", "green": "g", "b": "b", "blue": "b", "a": "a", "alpha": "a", "y": "y"}
@@ -170,20 +169,11 @@ def imported() -> Any:
     return OpenEXR
 
 
-def is_exr(path: PathLike) -> bool:
-    """Return whether a file begins as an OpenEXR does; False for what cannot be read."""
-    try:
-        with open(path, "rb") as file:
-            return file.read(4) == MAGIC
-    except (OSError, ValueError):
-        return False
-
-
 @contextlib.contextmanager
 def opened(path: PathLike, *, header_only: bool = False) -> Iterator[Any]:
     """Open an OpenEXR that is not deep: its parts, with separate channels; errors are one sentence."""
     module = imported()
-    if not head_of(path, 4).startswith(MAGIC):
+    if not head_of(path, 4).startswith(EXR_MAGIC):
         raise unreadable(path, "it does not begin as an EXR does", "give the name of an EXR")
     with _file(module, path, True) as file:
         for part in file.parts:

@@ -57,6 +57,7 @@ WEBP = Format("WebP", (".webp",), ("webp",), saver="webpsave", limit=16_383, gre
 AVIF = Format("AVIF", (".avif",), saver="heifsave", limit=16_384, bits=12, grey=False,
               quality=90, lossless=("lossless",),  # effort 4 takes six times as long for 7 %
               options={"compression": "av1", "subsample_mode": "off", "effort": 3})
+EXR_MAGIC = b"v/1\x01"
 EXR = Format("OpenEXR", (".exr",), saver="exr", bits=32, pixel_formats={"f4": {**_REAL, 4: "gbrapf32le"}})
 DPX = Format("DPX", (".dpx",), (), {rb"SDPX|XPDS": "dpx"}, "dpx", bits=16, pixel_formats=_FULL)
 FORMATS = (
@@ -169,3 +170,12 @@ def divided(pixels: Array) -> Array:
     np.divide(colours, opacity, out=colours, where=opacity > 0)
     colours = np.rint(np.minimum(colours, white)) if pixels.dtype.kind in "iu" else colours
     return np.concatenate([colours.astype(pixels.dtype), pixels[..., -1:]], axis=-1)
+
+
+def is_exr(path: PathLike) -> bool:
+    """Return whether a file begins as an OpenEXR does; False for what cannot be read."""
+    try:
+        with open(path, "rb") as file:
+            return file.read(4) == EXR_MAGIC
+    except (OSError, ValueError):
+        return False

@@ -8,17 +8,20 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import pyvips
 
 from supple.errors import SuppleError
 from supple.media.files import PathLike, head_of, unreadable, unwritable
-from supple.media.image import dpx, exr
-from supple.media.image.formats import DTYPES, LOADERS, Array, meant, wrapped
+from supple.media.image import dpx
+from supple.media.image.formats import DTYPES, EXR_MAGIC, LOADERS, Array, meant, wrapped
 from supple.media.image.headers import EXTRA, png_frames
 from supple.media.image.tiff import Page
+
+if TYPE_CHECKING:
+    from supple.media.image import exr
 
 T = TypeVar("T")
 
@@ -36,7 +39,9 @@ def opened(path: PathLike) -> tuple[Any, str]:
     kinds = "give a PNG, JPEG, TIFF, WebP, AVIF or GIF file"
     head = head_of(path, 12, kinds, kinds)
     known = head.startswith(_MAGIC) or head[4:8] == b"ftyp"
-    if head.startswith(exr.MAGIC):
+    if head.startswith(EXR_MAGIC):
+        from supple.media.image import exr
+
         return of_exr(exr.read(path).alone()), "OpenEXR"
     try:
         image = of_tiff(path) if head.startswith(_TIFF) else apart(lambda: sequential(path))

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from supple.errors import SuppleError, shown
 from supple.media import image
-from supple.media.codecs import SUFFIXES as CLIPS
 from supple.media.files import PathLike, head_of, unreadable, unwritable
+from supple.media.suffixes import CLIPS
 from supple.media.transforms.base import TEXT, VECTOR, announced, check_code, check_count, check_text, suffix_of
 from supple.media.volume import nifti
 

@@ -17,8 +17,10 @@ import av
 
 from supple.engines.base import Array
 from supple.media.base import ClipWarning, CountError
-from supple.media.codecs import SUFFIXES, SUFFIXES_OUT, codec_of
+from supple.media.codecs import codec_of
 from supple.media.files import PathLike, unreadable
+from supple.media.suffixes import CLIPS as SUFFIXES
+from supple.media.suffixes import CLIPS_OUT as SUFFIXES_OUT
 from supple.media.video.colour import sited, to_rgb
 from supple.media.video.demux import (
     Index,

@@ -25,13 +25,13 @@ from supple.media.codecs import (
     ENCODERS,
     FINE_CRF,
     HASTY,
-    SUFFIXES_OUT,
     USUAL_BITS,
     Container,
     Encoder,
     codec_of,
 )
 from supple.media.files import PathLike, check_suffix, unwritable
+from supple.media.suffixes import CLIPS_OUT
 from supple.media.video.colour import BT601, BT709, LIMITED, UNKNOWN, Colour, Grading, sited
 from supple.media.video.pixel_format import Match, Wish, finer, match
 from supple.media.video.planes import Form, Kind, form
@@ -49,7 +49,7 @@ os.environ.setdefault("SVT_LOG", "0")  # otherwise it prints to the terminal
 def container_of(target: PathLike) -> Container:
     """Return the container of a name, by its suffix; SuppleError if it is not one of video."""
     suffix, known = Path(target).suffix, {suffix: each for each in CONTAINERS for suffix in each.suffixes}
-    check_suffix(target, suffix, known, "is no video format", f"use {', '.join(SUFFIXES_OUT)}")
+    check_suffix(target, suffix, known, "is no video format", f"use {', '.join(CLIPS_OUT)}")
     return known[suffix.lower()]
 
 

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError
 from supple.media.files import PathLike, check_output, check_suffix, head_of, unreadable, unwritable
+from supple.media.suffixes import FORMATS, is_volume, is_zarr, suffix_of
+from supple.media.suffixes import VOLUMES as SUFFIXES
+from supple.media.suffixes import VOLUMES_OUT as SUFFIXES_OUT
 from supple.media.volume import derived, raw
 from supple.media.volume import pages as stack
 from supple.media.volume.data import (
@@ -42,48 +44,10 @@ __all__ = [
     "write",
 ]
 
-_FORMATS = {
-    **dict.fromkeys((".nii", ".nii.gz", ".hdr", ".img"), "NIfTI"),
-    **dict.fromkeys((".nrrd", ".nhdr"), "NRRD"),
-    **dict.fromkeys((".mha", ".mhd"), "MetaImage"),
-    **dict.fromkeys((".dcm", ".dicom", ".ima"), "DICOM"),
-    **dict.fromkeys((".dat", ".raw"), "raw"),
-}
-SUFFIXES = frozenset(_FORMATS)
-SUFFIXES_OUT: tuple[str, ...] = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".tif", ".tiff")
 _QUICK = 1 << 31  # bytes up to which `info` computes the range
 _KINDS = (
     "give NIfTI, NRRD, MetaImage, DICOM, a TIFF or a .dat file, or tell what is in it (--shape, --dtype, --spacing)"
 )
-
-
-def suffix_of(path: PathLike) -> str:
-    """Return the suffix that identifies the format, in lower case: ``.nii.gz``, ``.mha``, ... or nothing."""
-    name = Path(path).name.lower()
-    return ".nii.gz" if name.endswith(".nii.gz") else Path(name).suffix
-
-
-def is_volume(path: PathLike) -> bool:
-    """Return whether a file or folder is a volume: by its suffix, or, without one, by its first bytes.
-
-    A folder is one if it holds DICOM files, or a Zarr store, which `read` refuses. For TIFFs, see `has_pages`. A
-    Radiance image, which also has the suffix ``.hdr``, is not one.
-    """
-    suffix = suffix_of(path)
-    if os.path.isdir(path):
-        from supple.media.volume import dicom
-
-        return _is_zarr(path) or dicom.in_folder(path)
-    if suffix == ".hdr":
-        try:
-            return not head_of(path, 2).startswith(b"#?")
-        except SuppleError:
-            return True
-    if suffix in SUFFIXES or (suffix and not suffix[1:].isdigit()):
-        return suffix in SUFFIXES
-    from supple.media.volume import dicom
-
-    return dicom.is_slice(path)
 
 
 def is_dicom(path: PathLike) -> bool:
@@ -175,20 +139,16 @@ def _raw(path: PathLike, layout: RawLayout | None) -> Volume:
     return raw.read_dat(path) if layout is None and suffix_of(path) == ".dat" else raw.read(path, layout)
 
 
-def _is_zarr(path: PathLike) -> bool:
-    return any(os.path.isfile(os.path.join(path, name)) for name in ("zarr.json", ".zgroup", ".zarray"))
-
-
 def _format(path: PathLike) -> str:
     suffix = suffix_of(path)
     if os.path.isdir(path):
-        if _is_zarr(path):
+        if is_zarr(path):
             raise unreadable(path, "it is a Zarr store", "use info, plan, points, or warp to another store")
         return "DICOM"
     if suffix in stack.SUFFIXES:
         return "TIFF"
-    if suffix in _FORMATS:
-        return _FORMATS[suffix]
+    if suffix in FORMATS:
+        return FORMATS[suffix]
     head = head_of(path, 132)
     if head[128:] == b"DICM":
         return "DICOM"
@@ -224,7 +184,7 @@ def check_target(
     what, advice = "is no format that volumes are written in", f"use {', '.join(SUFFIXES_OUT)}"
     if suffix == ".dcm":  # of DICOM, it was checked before
         what = "is for what is derived from DICOM, and the source is of another format"
-    elif _FORMATS.get(suffix) == "DICOM":
+    elif FORMATS.get(suffix) == "DICOM":
         advice = f"from DICOM, give a folder for slices, which is a name without suffix, or .dcm; else {advice}"
     check_suffix(path, suffix, SUFFIXES_OUT, what, advice)
     if suffix == ".mhd":

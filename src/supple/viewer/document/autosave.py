@@ -17,7 +17,7 @@ from typing import IO, Any
 import numpy as np
 
 from supple.errors import SuppleError
-from supple.files import PathLike
+from supple.files.options import PathLike
 from supple.media.files import locked, replacing
 from supple.strokes import Recipe
 from supple.viewer.document.editing import Document

@@ -12,7 +12,8 @@ from typing import Any
 
 from supple.deformation import Deformation, Report
 from supple.errors import SuppleError
-from supple.files import PathLike, warp_file
+from supple.files import warp_file
+from supple.files.options import PathLike
 from supple.strokes import Recipe
 
 Ear = Callable[[str, type[Warning]], None]

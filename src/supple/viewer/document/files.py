@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from supple.errors import SuppleError, shown
-from supple.files import PathLike, check_job, read_recipe, write_recipe
-from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
+from supple.files import check_job
 from supple.files.clips import is_picture_target
+from supple.files.kinds import VIDEOS_OUT
+from supple.files.options import PathLike
+from supple.files.recipes import read_recipe, write_recipe
 from supple.media.files import check_output, same_file
 from supple.media.image import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.image import check_target
@@ -319,7 +321,7 @@ def _in_a_window(error: SuppleError) -> str:
 # The suffixes of each kind, and those proposed for formats that are only read.
 _WRITTEN: dict[Kind | None, tuple[Collection[str], str]] = {
     "image": (PICTURES_OUT, ".png"),
-    "video": ({*CLIPS_OUT, ".gif", ".m4v"}, ".mp4"),
+    "video": ({*VIDEOS_OUT, ".gif", ".m4v"}, ".mp4"),
     "volume": (VOLUMES_OUT, ".nii.gz"),
 }
 _OVER = "There are strokes that were not saved. Undo brings them back, but only as long as the window is open."

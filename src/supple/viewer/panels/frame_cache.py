@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
-from supple.files import PathLike
 from supple.files.clips import open_clip
+from supple.files.options import PathLike
 from supple.media.sequence import Pictures
 from supple.viewer.panels.transforms import on_screen, seen, shown, usual_of
 from supple.viewer.tools.viewport import turn_of

@@ -9,7 +9,7 @@ from typing import Any
 from imgui_bundle import imgui
 
 from supple.errors import shown
-from supple.files.clips import ClipOptions
+from supple.files.options import ClipOptions
 from supple.gpu.plate import OVERLAYS
 from supple.viewer.document.background import Export
 from supple.viewer.panels import history, legend, menu, question, strokes, theme, volume

@@ -17,10 +17,12 @@ import numpy.typing as npt
 from supple.deformation import Deformation
 from supple.errors import SuppleError, shown
 from supple.fields import Placed
-from supple.files.clips import is_clip, open_clip, refuse_maps
+from supple.files.clips import open_clip, refuse_maps
+from supple.files.kinds import kind_of
 from supple.files.landmarks import read_landmarks
+from supple.files.options import VolumeOptions
 from supple.files.renders import default_transfer
-from supple.files.volumes import VolumeOptions, background_of, in_space, is_of_labels, is_volume_job, open_volume
+from supple.files.volumes import background_of, in_space, is_of_labels, open_volume
 from supple.gpu.device import Gpu, open_gpu
 from supple.media.image import Picture, read
 from supple.media.volume import Volume
@@ -99,7 +101,7 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
     """
     if isinstance(source, str | os.PathLike):
         name = shown(source)
-        if is_volume_job(source, "", Recipe(), options.volume, maps=options.maps):
+        if kind_of(source, "", Recipe(), options.volume, maps=options.maps) == "volume":
             _suits(name, options, volume=True)
             volume = open_volume(source, options.volume)
             check_upright(volume.geometry, volume.name, "the window")
@@ -157,7 +159,7 @@ def _moves(source: str | os.PathLike[str]) -> bool:
     if Path(source).suffix.lower() == ".gif" and os.path.isfile(source):
         with contextlib.suppress(SuppleError), open_clip(source) as clip:
             return bool(clip.count > 1)
-    return is_clip(source, "x.mp4" if os.path.isdir(source) else "", Recipe())
+    return kind_of(source, "x.mp4" if os.path.isdir(source) else "", Recipe()) == "clip"
 
 
 def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool = False) -> None:

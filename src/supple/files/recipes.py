@@ -1,0 +1,71 @@
+"""Recipes as files of JSON."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from supple.errors import SuppleError, shown
+from supple.files.options import PathLike
+from supple.media.files import check_output, replacing
+from supple.media.image.formats import SUFFIXES as PICTURES
+from supple.media.suffixes import CLIPS, CLIPS_OUT, VOLUMES, VOLUMES_OUT, suffix_of
+from supple.strokes import Recipe
+
+_MEDIA = frozenset({*PICTURES, *CLIPS, *CLIPS_OUT, *VOLUMES, *VOLUMES_OUT})
+
+
+def is_media_name(path: PathLike) -> bool:
+    """Return whether a name has the suffix of an image, a video or a volume; with a trailing slash, it is a folder."""
+    return not os.fspath(path).endswith(("/", os.sep)) and suffix_of(path) in _MEDIA
+
+
+def read_recipe(path: PathLike) -> Recipe:
+    """Read a recipe from a JSON file.
+
+    Raises
+    ------
+    SuppleError
+        If the file cannot be read, or is not a recipe; the message names the file and the fault.
+    """
+    name = shown(path)
+    try:
+        text = Path(path).read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise SuppleError(f"cannot read {name}: {error.strerror}: give a recipe in JSON") from error
+    except UnicodeDecodeError as error:
+        raise SuppleError(f"cannot read {name}: it is no text: give a recipe in JSON") from error
+    except ValueError as error:
+        raise SuppleError(f"cannot read {name}: no file can have that name: check it") from error
+    try:
+        return Recipe.from_json(text)
+    except SuppleError as error:
+        raise SuppleError(f"{name}: {str(error).replace('None', 'null')}") from None
+
+
+def check_recipe_name(path: PathLike, *, force: bool = False) -> None:
+    """Raise SuppleError for a file name that is not fit for a recipe.
+
+    Raises
+    ------
+    SuppleError
+        If it has the suffix of an image, a video or a volume, exists and `force` is false, or cannot be written.
+    """
+    if is_media_name(path):
+        name, suffix = shown(path), suffix_of(path)
+        stem = name[: len(name) - len(suffix)]
+        raise SuppleError(f"cannot write {name}: a recipe is JSON, and none is written as {suffix}: use {stem}.json")
+    check_output(path, force=force)
+
+
+def write_recipe(path: PathLike, recipe: Recipe, *, force: bool = False) -> None:
+    """Write a recipe as JSON; the file appears whole or not at all.
+
+    Raises
+    ------
+    SuppleError
+        As in `check_recipe_name`.
+    """
+    check_recipe_name(path, force=force)
+    with replacing(path, force=force) as temporary:
+        temporary.write_text(recipe.to_json(), encoding="utf-8")

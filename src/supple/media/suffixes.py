@@ -1,0 +1,60 @@
+"""The suffixes of videos and volumes, and which files are volumes."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from supple.errors import SuppleError
+from supple.media.files import ROOTS, PathLike, head_of
+
+CLIPS = frozenset(
+    {".3gp", ".asf", ".avi", ".flv", ".h264", ".h265", ".hevc", ".ivf", ".m2ts", ".m2v", ".m4v", ".mj2", ".mkv"}
+    | {".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".mxf", ".ogv", ".ts", ".vob", ".webm", ".wmv", ".y4m"}
+)
+"""The suffixes that are always taken for videos; other files are if the user says so."""
+CLIPS_OUT = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".gif")
+FORMATS = {
+    **dict.fromkeys((".nii", ".nii.gz", ".hdr", ".img"), "NIfTI"),
+    **dict.fromkeys((".nrrd", ".nhdr"), "NRRD"),
+    **dict.fromkeys((".mha", ".mhd"), "MetaImage"),
+    **dict.fromkeys((".dcm", ".dicom", ".ima"), "DICOM"),
+    **dict.fromkeys((".dat", ".raw"), "raw"),
+}
+"""The formats of volumes, by their suffixes."""
+VOLUMES = frozenset(FORMATS)
+VOLUMES_OUT: tuple[str, ...] = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".tif", ".tiff")
+
+
+def suffix_of(path: PathLike) -> str:
+    """Return the suffix that identifies the format, in lower case: ``.nii.gz``, ``.mha``, ... or nothing."""
+    name = Path(path).name.lower()
+    return ".nii.gz" if name.endswith(".nii.gz") else Path(name).suffix
+
+
+def is_zarr(path: PathLike) -> bool:
+    """Return whether a folder is a Zarr store."""
+    return any(os.path.isfile(os.path.join(path, name)) for name in ROOTS)
+
+
+def is_volume(path: PathLike) -> bool:
+    """Return whether a file or folder is a volume: by its suffix, or, without one, by its first bytes.
+
+    A folder is one if it holds DICOM files, or a Zarr store, which `supple.media.volume.read` refuses. For TIFFs, see
+    `supple.media.volume.has_pages`. A Radiance image, which also has the suffix ``.hdr``, is not one.
+    """
+    suffix = suffix_of(path)
+    if os.path.isdir(path):
+        from supple.media.volume import dicom
+
+        return is_zarr(path) or dicom.in_folder(path)
+    if suffix == ".hdr":
+        try:
+            return not head_of(path, 2).startswith(b"#?")
+        except SuppleError:
+            return True
+    if suffix in VOLUMES or (suffix and not suffix[1:].isdigit()):
+        return suffix in VOLUMES
+    from supple.media.volume import dicom
+
+    return dicom.is_slice(path)
