@@ -110,15 +110,24 @@ class Compiler:
         if not self.zig:
             return {"CXX": shlex.join(self.command)}
         scripts.mkdir(parents=True, exist_ok=True)
-        target = ["-target", f"{platform.machine()}-linux-gnu.{GLIBC}"] if sys.platform == "linux" else []
-        tools = {"c++": ["c++", *target], "ar": ["ar"], "ranlib": ["ranlib"]}
-        for name, arguments in tools.items():
+        for name in ("c++", "ar", "ranlib"):
             script = scripts / name
-            text = f'#!/bin/sh\nexec {shlex.join([*self.command, *arguments])} "$@"\n'
+            text = f'#!/bin/sh\nexec nice -n 5 {shlex.join([*self.command, name])} "$@"\n'
             if not script.exists() or script.read_text() != text:
                 script.write_text(text)
                 script.chmod(0o755)
         defined = f"-DCMAKE_AR={scripts / 'ar'} -DCMAKE_RANLIB={scripts / 'ranlib'}"
+        if sys.platform == "linux":
+            target = f"{platform.machine()}-linux-gnu.{GLIBC}"
+            # At its first link, Zig builds a C++ library: a minute of one processor. A link of nothing, with the flags
+            # of a release, begins that at once. What is compiled meanwhile is nice to it; CMake, with the target as a
+            # variable, tests the compiler without links; those of the core wait, as Zig locks its cache.
+            defined += f" -DCMAKE_CXX_COMPILER_TARGET={target} -DCMAKE_TRY_COMPILE_TARGET_TYPE=STATIC_LIBRARY"
+            defined += " -DCMAKE_CXX_FLAGS_RELEASE_INIT=-s"  # without what debuggers read, Zig's default
+            (scripts / "nothing.cpp").touch()
+            flags = f"--target={target} -O3 -s -shared nothing.cpp -o nothing"
+            command = [*self.command, "c++", *flags.split()]
+            subprocess.Popen(command, cwd=scripts, stderr=subprocess.DEVNULL)
         return {"CXX": str(scripts / "c++"), "CMAKE_ARGS": f"{os.environ.get('CMAKE_ARGS', '')} {defined}".strip()}
 
 
