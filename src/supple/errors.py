@@ -1,10 +1,64 @@
-"""Exceptions and warnings."""
+"""Exceptions and warnings, and how their messages name arguments."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from importlib.util import find_spec
+from typing import Any
+
+_ANY: Any = object()  # an argument without a value
+
+
+@dataclass(frozen=True)
+class Spelling:
+    """How those who read messages name arguments: in Python, on the command line, in a file or in a window.
+
+    Parameters
+    ----------
+    argument : function of (str, object)
+        Returns an argument by its name, with a value unless that is `Spelling.ANY`.
+    none : str
+        The name of None.
+    """
+
+    ANY = _ANY
+    argument: Callable[[str, object], str]
+    none: str = "None"
+
+
+PYTHON = Spelling(lambda name, value: name if value is _ANY else f"{name}={value!r}")
+JSON = Spelling(lambda name, value: name if value is _ANY else f'"{name}": {value!r}', "null")
+_spelling = PYTHON
+
+
+def current_spelling() -> Spelling:
+    """Return how messages name arguments now."""
+    return _spelling
+
+
+@contextlib.contextmanager
+def spelling(how: Spelling) -> Iterator[None]:
+    """Name arguments in another way in all messages of this process, as a face does while it runs."""
+    global _spelling
+    before, _spelling = _spelling, how
+    try:
+        yield
+    finally:
+        _spelling = before
+
+
+def argument(name: str, value: object = _ANY) -> str:
+    """Return an argument, and a value of it, as the reader of a message gives it: ``on_fold='flow'``."""
+    return _spelling.argument(name, value)
+
+
+def none() -> str:
+    """Return None as the reader of a message gives it."""
+    return _spelling.none
 
 
 class SuppleError(ValueError):

@@ -21,8 +21,8 @@ import pytest
 import supple.files.clips
 import supple.files.volumes
 from supple.cli import command
-from supple.cli.console import as_options
-from supple.errors import ToleranceWarning
+from supple.cli.console import COMMAND
+from supple.errors import Spelling, SuppleError, ToleranceWarning, argument, none, spelling
 from supple.media import image
 from tests import clips
 from tests.children import SOURCE
@@ -256,8 +256,8 @@ FOR_PYTHON = (
     "alpha=True needs",
     "False for a shape of two axes",
     "on_change: ",
-    "clamp must be False for",
-    "field must be a Field (Field.from_array",
+    "X must be False for",
+    "X must be a Field (Field.from_array",
     "read_maps(path) reads them (supple compose",
     "give its pixel_array",
     "supple.warp_file warps files",
@@ -288,7 +288,7 @@ def messages(path: Path) -> list[str]:
             name = node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
             given = [text(argument) for argument in node.args]
             if name in NUMBERED and given and given[0]:
-                found.append(f"{given[0]} must be {' '.join(filter(None, given[1:]))}, found X")
+                found.append(f"X must be {' '.join(filter(None, given[1:]))}, found X")
             elif name.endswith("Error") or name in ("warn", "_warn", "say", "unreadable", "unwritable"):
                 found += filter(None, given)
         elif isinstance(node, ast.Assign):
@@ -299,38 +299,52 @@ def messages(path: Path) -> list[str]:
 def test_the_messages_of_the_library_are_found() -> None:
     found = [text for path in (Path(SOURCE) / "supple").rglob("*.py") for text in messages(path)]
     assert len(found) > 400
-    assert any("(on_fold='flow' goes all the way)" in text for text in found)
-    assert any("pass --force (force=True) to replace it" in text for text in found)
-    assert "tolerance must be a number of pixels above 0, found X" in found
+    assert any("X folds: damped to X of it X" in text for text in found)
+    assert any("exists already: choose another name, or X" in text for text in found)
+    assert "X must be a number of pixels above 0, found X" in found
 
 
-def test_the_command_speaks_of_options() -> None:
+def test_no_message_names_an_argument_by_itself() -> None:
     left = {}
     for path in (Path(SOURCE) / "supple").rglob("*.py"):
-        if path.parent.name in ("augment", "cuda", "torch") or path.name in ("console.py", "gallery.py"):
-            continue  # called from Python alone; regular expressions; HTML
+        if path.parent.name in ("augment", "cuda", "torch") or path.name in ("console.py", "gallery.py", "errors.py"):
+            continue  # called from Python alone; how arguments are named; HTML
         for text in messages(path):
-            if PYTHON.search(as_options(text)) and not any(known in text for known in FOR_PYTHON):
-                left[as_options(text)] = path.name
+            if PYTHON.search(text) and not any(known in text for known in FOR_PYTHON):
+                left[text] = path.name
     assert left == {}
 
 
 @pytest.mark.parametrize(
-    ("python", "options"),
+    ("name", "value", "python", "option"),
     [
-        ("x exists: pass --force (force=True) to replace it", "x exists: pass --force to replace it"),
-        ("(on_fold='flow' goes there, border=None too)", "(--on-fold flow goes there, --border none too)"),
-        ("give --shape, --dtype and --spacing (raw=RawLayout(...))", "give --shape, --dtype and --spacing"),
-        ('say which one by --series (series="1")', "say which one by --series"),
-        ("reach must be 1, or None for no limit, found 0", "--reach must be 1, or none for no limit, found 0"),
-        ("--grab 1,2:3,4: radius must be above 0", "--grab 1,2:3,4: --radius must be above 0"),
-        ("r.json: strokes[0]: reach must be 1", "r.json: strokes[0]: reach must be 1"),
-        ("linear_light needs frames of RGB", "--linear-light needs frames of RGB"),
-        ("cannot read time_scale.png: it is damaged", "cannot read time_scale.png: it is damaged"),
+        ("force", True, "force=True", "--force"),
+        ("on_fold", "flow", "on_fold='flow'", "--on-fold flow"),
+        ("border", None, "border=None", "--border none"),
+        ("series", "1", "series='1'", "--series 1"),
+        ("reach", Spelling.ANY, "reach", "--reach"),
+        ("layout", Spelling.ANY, "layout", "--shape, --dtype and --spacing"),
+        ("strokes[0]", Spelling.ANY, "strokes[0]", "strokes[0]"),
     ],
-)  # fmt: skip
-def test_messages_of_the_library_as_options(python: str, options: str) -> None:
-    assert as_options(python) == options
+)
+def test_each_face_names_arguments_in_its_own_words(name: str, value: object, python: str, option: str) -> None:
+    assert argument(name, value) == python
+    with spelling(COMMAND):
+        assert argument(name, value) == option
+        assert none() == "none"
+    assert argument(name, value) == python
+
+
+def test_a_warning_is_spelt_for_who_reads_it(run: Run) -> None:
+    grab = ("--grab", "20,16:60,16", "--radius", "3")
+    strong = supple.Stroke.grab((20, 16), to=(60, 16), radius=3)
+    with pytest.raises(SuppleError, match=r"\(on_fold='flow' goes all the way"):
+        supple.Deformation((32, 40), on_fold="error").add(strong)
+    status, _, err = run("warp", "in.png", "b.png", *grab, "--on-fold", "error")
+    assert status == 2
+    assert "(--on-fold flow goes all the way" in err
+    with pytest.raises(SuppleError, match=r"\(on_fold='flow' goes all the way"):
+        supple.Deformation((32, 40), on_fold="error").add(strong)
 
 
 def test_no_python_in_what_is_said(run: Run) -> None:

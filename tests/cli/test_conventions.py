@@ -117,7 +117,7 @@ def test_maps_are_read_with_the_grids_that_they_count_in(here: Path) -> None:
     assert field.grid.is_same_space(known.reference)
     with pytest.raises(SuppleError, match=r"a\.mat holds an affine map, and not one field"):
         Field.read("a.mat", **grids)
-    with pytest.raises(SuppleError, match=r"the output \(fixed\) image, which is not given: give .* as reference=$"):
+    with pytest.raises(SuppleError, match=r"the output \(fixed\) image, which is not given: give .* as reference$"):
         read_maps("a.mat", source=known.source)
 
 

@@ -186,7 +186,7 @@ def test_convert_tells_both_ends(run: Run) -> None:
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        (("invert", "u.nii.gz", "folded.mha"), "folded.mha exists already: pass --force to replace it"),
+        (("invert", "u.nii.gz", "folded.mha"), "folded.mha exists already: choose another name, or --force"),
         (("invert", "none.mha", "v.mha"), "cannot read none.mha: No such file or directory"),
         (("invert", "u.nii.gz", "v.mha", "--tolerance", "small"), "--tolerance must be a number of voxels above 0"),
         (("invert", "u.nii.gz", "v.mha", "--tolerance", "0"), "--tolerance must be a number of voxels above 0"),

@@ -404,7 +404,7 @@ def test_what_is_there_is_solved_again_and_not_written(monkeypatch: pytest.Monke
 def test_force_replaces_and_others_are_refused() -> None:
     image("in.zarr", "zyx")
     zarr.create_group("map.zarr")
-    with pytest.raises(SuppleError, match=r"map\.zarr exists already: pass --force"):
+    with pytest.raises(SuppleError, match=r"map\.zarr exists already: choose another name"):
         warp_store("in.zarr", "out.zarr", DEEP, options=MAP)
     assert sorted(os.listdir()) == ["in.zarr", "map.zarr"]
     warp_store("in.zarr", "out.zarr", DEEP, options=MAP, force=True)

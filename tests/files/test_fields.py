@@ -188,7 +188,7 @@ def test_all_outputs_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     source = put(tmp_path / "u.mha", smooth())
     names = {"error": tmp_path / "e.nii", "status": tmp_path / "deep" / "s.nii", "report": tmp_path / "r.json"}
     names["status"].write_text("before")
-    with pytest.raises(SuppleError, match=r"s.nii exists already: pass --force"):
+    with pytest.raises(SuppleError, match=r"s.nii exists already: choose another name"):
         invert_file(source, tmp_path / "v.mha", **names)
     assert sorted(os.listdir(tmp_path)) == ["deep", "u.mha"]
     whole = verbs.write_image

@@ -228,7 +228,7 @@ class TestWhatCannotBeDone:
         path = tmp_path / "in.csv"
         path.write_text("x,y,z\n1,2,3\n")
         message = refused(move_points, path, path, bent())
-        assert message.endswith("in.csv exists already: pass --force (force=True) to replace it")
+        assert message.endswith("in.csv exists already: choose another name, or force=True")
         assert path.read_text() == "x,y,z\n1,2,3\n"
         move_points(path, path, bent(), force=True)
         assert path.read_text().startswith("x,y,z,residual\n")

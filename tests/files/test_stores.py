@@ -295,7 +295,7 @@ def test_a_damaged_chunk_is_one_sentence_and_the_rest_is_kept() -> None:
 def test_what_is_there_is_not_replaced() -> None:
     plain("in.zarr", RNG.random((20, 20)).astype(np.float32), (16, 16))
     plain("out.zarr", np.ones((4, 4)), (4, 4))
-    with pytest.raises(SuppleError, match=r"out\.zarr exists already: pass --force"):
+    with pytest.raises(SuppleError, match=r"out\.zarr exists already: choose another name"):
         warp_store("in.zarr", "out.zarr", FLAT)
     assert zarr.open("out.zarr").shape == (4, 4)
     warp_store("in.zarr", "out.zarr", FLAT, force=True)

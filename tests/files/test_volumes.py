@@ -624,7 +624,7 @@ def test_a_field_is_left_only_with_its_volume(here: Path, monkeypatch: pytest.Mo
 
 BAD: list[tuple[list[str], str]] = [
     (["warp", "in.nii", "out.jpg", *GRAB], "no format that volumes are written in"),
-    (["warp", "in.nii", "in.nii", *GRAB], "is the volume itself: pass --force to replace it"),
+    (["warp", "in.nii", "in.nii", *GRAB], "is the volume itself: choose another name, or --force"),
     (["warp", "in.nii", "there.nii", *GRAB], "exists already"),
     (["warp", "in.nii", "out.nii", *GRAB, "--quality", "9"], "is for pictures or videos"),
     (["warp", "in.nii", "out.nii", *GRAB, "--codec", "h264"], "is for pictures or videos"),

@@ -74,7 +74,7 @@ def test_the_temporary_file_is_hidden_beside_the_target_and_keeps_its_suffixes(t
 def test_an_existing_file_is_kept_unless_forced(tmp_path):
     target = tmp_path / "out.png"
     target.write_bytes(b"old")
-    with pytest.raises(SuppleError, match=r"out\.png exists already: pass --force \(force=True\) to replace it$"):
+    with pytest.raises(SuppleError, match=r"out\.png exists already: choose another name, or force=True$"):
         put(target)
     assert target.read_bytes() == b"old"
     put(target, force=True)

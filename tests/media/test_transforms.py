@@ -253,7 +253,7 @@ def test_names_are_checked_before_the_work(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == []
     (tmp_path / "a.mha").write_bytes(b"old")
     message = refused(write_transform, tmp_path / "a.mha", bent(), Geometry())
-    assert message.endswith("a.mha exists already: pass --force (force=True) to replace it")
+    assert message.endswith("a.mha exists already: choose another name, or force=True")
     assert (tmp_path / "a.mha").read_bytes() == b"old"
     write_transform(tmp_path / "a.mha", bent(), Geometry(SPACING), force=True)
     assert transform_from(tmp_path / "a.mha").GetDisplacementField().GetSize() == SHAPE[::-1]

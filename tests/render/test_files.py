@@ -164,7 +164,7 @@ def test_a_label_map_has_its_labels_colours_unless_another_transfer_is_asked_for
             "t.json: the colours of labels.nii.gz are",
         ),
         (["many.nii", "b.png", "--save-transfer", "u.ctbl"], "u.ctbl: many.nii is no label map"),
-        (["half.nii", "b.png", "--transfer", "labels"], "half.nii: labels must be whole numbers"),
+        (["half.nii", "b.png", "--transfer", "labels"], "half.nii: the labels must be whole numbers"),
         (["rgb.nii", "b.png", "--transfer", "labels"], "rgb.nii holds colours, and a label map has one number"),
         (["labels.nii.gz", "b.png", "--transfer", "none.ctbl"], "cannot read 'none.ctbl'"),
     ):
@@ -360,7 +360,7 @@ BAD: list[tuple[list[str], str]] = [
     (["in.nii", "out.png", "--what", "inversions", "--turntable", "4"], "leave the turntable out"),
     (["in.nii", "out.png", "--what", "inversions", "--background", "#ffffff"], "leave the background out"),
     (["in.nii", "out.txt", "--what", "inversions"], "out.txt"),
-    (["in.nii", "there.png"], "there.png exists already: pass --force to replace it"),
+    (["in.nii", "there.png"], "there.png exists already: choose another name, or --force"),
     (["vectors.nrrd", "out.png"], "3 components of float32, and pictures are of one value or of colours"),
     (["t.nii", "out.png", "--time", "2"], "from 0 to 1"),
     (["photo.png", "out.png"], "photo.png"),

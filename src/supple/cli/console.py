@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import re
 import signal
 import sys
 import threading
@@ -16,7 +15,7 @@ from dataclasses import asdict, dataclass, field
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from supple.errors import LayerWarning, ScaleWarning, SuppleError
+from supple.errors import LayerWarning, ScaleWarning, Spelling, SuppleError, spelling
 
 if TYPE_CHECKING:
     from supple.deformation import Arrival, Deformation
@@ -29,26 +28,30 @@ STREAM = "(standard)"  # a dash in place of a file: standard input or output
 PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 
 
-# Arguments of the library that are options of the command; those with an underscore are options only.
+# Arguments of the library that are options of the command.
 _NAMES = (
-    "between|border|border_profile|codec|convention|crf|device|field_of_view|fill|filter|fit|force|frame|freeze|freeze_width|from|labels|linear_light|"
-    "lossless|memory|mode|on_fold|outside|pixel_format|poisson|preset|quality|radius|rate|raw|reach|refer_to|save_field|scales|scheduler|series|"
-    "spacing|time_filter|time_scale|tolerance|workers|world"
+    "annotate between border border_profile clamp clip codec convention crf crop density device distance elevation "
+    "error field_of_view fill filter fit force frame freeze freeze_width from labels linear_light lossless map memory "
+    "mode on_fold outside pixel_format poisson preset quality radius rate reach refer_to reference resample roll "
+    "save_field scales scheduler series shape size source spacing status step target time_filter time_scale to "
+    "tolerance transfer turntable up workers world"
 )
-_UNDERSCORED = "|".join(name for name in _NAMES.split("|") if "_" in name)
-_VALUE = r"""(?:'([^']*)'|"([^"]*)"|(None|True|False|[\w.]+(?:\(\.\.\.\))?))"""
-# compiled when a message is written: a command that says nothing has no use for them
-_ASIDE = rf" \((?:{_NAMES})={_VALUE}\)"  # --force (force=True)
-_GIVEN = rf"(?<![\w-])({_NAMES})={_VALUE}"  # on_fold='flow'
-# Also common words, which are options only at the beginning of a message.
-_WORDS = (
-    "annotate|clamp|clip|crop|density|distance|elevation|error|map|resample|roll|shape|size|status|step|supersampling|"
-    "target|to|transfer|turntable|up"
-)
-_FIRST = rf"^((?:--(?:grab|twist|scale|pinch) \S+: )?)({_NAMES}|{_WORDS})(?= is for | must be | needs )"
-_WORD = rf"(?<![\w/.-])({_UNDERSCORED})(?![\w/.-])"
-_GRID = r"(?<![\w-])(source|reference)=(?![\w'\"])"  # give its grid as source=
-_SPELT = {"supersampling": "smooth"}
+_OPTIONS = frozenset(_NAMES.split())
+_OTHER = {"supersampling": "--smooth", "layout": "--shape, --dtype and --spacing"}
+
+
+def _option(name: str, value: object) -> str:
+    """Return an argument of the library as an option: ``--on-fold flow`` for ``on_fold='flow'``."""
+    if name not in _OPTIONS:
+        return _OTHER.get(name, name)
+    option = f"--{name.replace('_', '-')}"
+    if value is Spelling.ANY or value is True:
+        return option
+    return f"{option} {'none' if value is None else value}"
+
+
+COMMAND = Spelling(_option, "none")
+"""How messages name arguments while a command runs."""
 
 
 class Terminated(BaseException):
@@ -67,23 +70,6 @@ def one_line(text: object) -> str:
     """Make any message a line that a terminal shows as it is."""
     joined = " ".join(str(text).splitlines())
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in joined)
-
-
-def as_options(text: str) -> str:
-    """Say in options what a message of the library says in Python: ``--on-fold flow`` for ``on_fold='flow'``."""
-
-    def option(name: str) -> str:
-        return "--" + _SPELT.get(name, name).replace("_", "-")
-
-    def given(found: re.Match[str]) -> str:
-        name, *values = found.groups()
-        value = next(value for value in values if value is not None)
-        return option(name) if value == "True" else f"{option(name)} {'none' if value == 'None' else value}"
-
-    text = re.sub(_GIVEN, given, re.sub(_ASIDE, "", text))
-    text = re.sub(_GRID, lambda found: option(found[1]), text)
-    text = re.sub(_FIRST, lambda found: found[1] + option(found[2]), text)
-    return re.sub(_WORD, lambda found: option(found[1]), text).replace(", or None ", ", or none ")
 
 
 @dataclass(slots=True, eq=False)
@@ -144,7 +130,7 @@ class Console:
 
     def say(self, text: object) -> None:
         """Write a line to standard error."""
-        line = f"supple: {as_options(one_line(text))}"
+        line = f"supple: {one_line(text)}"
         for path, name in self.names.items():
             line = line.replace(path, name)
         with self._lock, contextlib.suppress(OSError, ValueError):
@@ -183,7 +169,7 @@ class Console:
         SuppleError
             If warnings are errors. Files that are being written are removed, as after every error.
         """
-        file, line = self.file, as_options(one_line(text))
+        file, line = self.file, one_line(text)
         names = tuple(one_line(name) for name in (file.source, file.target) if name)
         if names and not meant and (file.named or self.strict) and not line.startswith(names):
             line = f"{names[0]}: {line}"
@@ -271,7 +257,7 @@ def run(command: Callable[[Console], object]) -> int:
     console = Console()
     token = _current.set(console)
     try:
-        with _signals(), _warnings(console):
+        with _signals(), _warnings(console), spelling(COMMAND):
             command(console)
             if sys.stdout is not None:
                 sys.stdout.flush()

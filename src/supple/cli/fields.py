@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
-from supple.cli.console import Console, current
+from supple.cli.console import COMMAND, Console, current
 from supple.cli.options import RunOptions, number
-from supple.errors import SuppleError, shown
+from supple.errors import Spelling, SuppleError, shown, spelling
 
 if TYPE_CHECKING:
     from supple.fields import Map
@@ -191,7 +189,7 @@ def convert(
     console = _started(options, source_file)
     from supple.files.fields import convert_file
 
-    with _from():
+    with spelling(_FROM):
         made = convert_file(
             source_file, target, convention=convention, to=to, image=source, reference=reference, force=options.force
         )
@@ -229,13 +227,12 @@ def parse_maps(words: Sequence[str]) -> list[Input]:
     return made
 
 
-@contextlib.contextmanager
-def _from() -> Iterator[None]:
-    """Call the convention of IN by its option, --from, in errors."""
-    try:
-        yield
-    except SuppleError as error:
-        raise SuppleError(re.sub(r'^convention(?= must be )|\bconvention(?==")', "from", str(error))) from None
+def _from_option(name: str, value: object) -> str:
+    """Return the convention of IN as its option, --from, and other arguments as any command does."""
+    return COMMAND.argument("from" if name == "convention" else name, value)
+
+
+_FROM = Spelling(_from_option, COMMAND.none)
 
 
 def _started(options: RunOptions, file: str) -> Console:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from supple.cli.console import REFUSED, STREAM, File, SomeFailedError, about, as_options, current, one_line
+from supple.cli.console import REFUSED, STREAM, File, SomeFailedError, about, current, one_line
 from supple.cli.options_volume import VolumeArguments
 from supple.errors import SuppleError
 
@@ -56,7 +56,7 @@ def info(
             except SuppleError as error:
                 failures = REFUSED
                 console.say(error)
-                facts, text = {"file": "-" if name == STREAM else name, "error": as_options(one_line(error))}, ""
+                facts, text = {"file": "-" if name == STREAM else name, "error": one_line(error)}, ""
             if json:
                 console.tell(facts)
         if text and not json:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from supple.cli.console import STREAM, Console, File, Terminated, about, as_options, current, one_line, say_convention
+from supple.cli.console import STREAM, Console, File, Terminated, about, current, one_line, say_convention
 from supple.cli.console import told as told_of
 from supple.cli.options import RUNNING, number, parse_fill
 from supple.cli.options_maps import (
@@ -82,7 +82,7 @@ def warp_stored(
         raise
     except SuppleError as error:
         if json:
-            console.tell({"input": source, "output": target, "error": as_options(one_line(error))})
+            console.tell({"input": source, "output": target, "error": one_line(error)})
         raise
     if json:
         used = {"maps": maps.facts(own)} if maps else {}

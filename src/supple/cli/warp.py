@@ -17,7 +17,6 @@ from supple.cli.console import (
     File,
     SomeFailedError,
     about,
-    as_options,
     current,
     one_line,
     say_convention,
@@ -248,7 +247,7 @@ def warp(
         lost.add(job)
         if options.json:
             with about(files[job]):
-                error = as_options(one_line(message))
+                error = one_line(message)
                 console.tell({"input": str(job[0]), "output": str(job[1]), "error": error})
 
     kinds = {kind_of(*job, recipe, reading, grid=grid) for job in jobs}

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
+from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning, argument, none
 from supple.folding.strain import Mask
 from supple.space.domain import choice, colours_hint, flag, number, refuse
 from supple.space.geometry import Grid
@@ -269,12 +269,12 @@ class Layout:
             refuse("source", wanted, told=f"shape {shape}")
         channels = shape[axes] if len(shape) > axes else 1
         if alpha is not None and not isinstance(alpha, bool | np.bool_):
-            refuse("alpha", "True or False, or None to have it guessed", alpha)
+            refuse("alpha", f"True or False, or {none()} to have it guessed", alpha)
         straight = bool(alpha) if alpha is not None else channels == 4 and dtype.str[1:] in ("u1", "u2")
         if straight and channels < 2:
             raise SuppleError(f"alpha=True needs a last channel beside the colours, found shape {shape}")
         if light and (dtype.kind == "b" or (dtype.kind in "iu" and dtype.str[1:] not in ("u1", "u2"))):
-            raise SuppleError(f"linear_light needs 8 or 16 bit colours or floats, found {dtype}")
+            raise SuppleError(f"{argument('linear_light')} needs 8 or 16 bit colours or floats, found {dtype}")
         white = float(np.iinfo(dtype).max) if dtype.kind in "iu" else 1.0
         return cls((Group(whole[-2:], channels, alpha=straight),), dtype.newbyteorder("="), white)  # type: ignore[arg-type]
 
@@ -326,7 +326,9 @@ class Sampling:
             between = "nearest" if filter == "nearest" else "linear"
         choice("between", between, tuple(BETWEEN))
         if filter == "nearest" and between != "nearest":
-            refuse("between", '"nearest" under filter="nearest", which keeps values as they are', between)
+            refuse(
+                "between", f'"nearest" under {argument("filter", "nearest")}, which keeps values as they are', between
+            )
         return cls(filter, between, averaged, outside, fill, light, tolerance)
 
     def filled(self, channels: int, dtype: np.dtype[Any], *, finite: bool = True) -> Sampling:
@@ -357,7 +359,8 @@ def check_filter(filter: object) -> None:
     """Raise SuppleError for an unknown filter."""
     if filter in _GONE:
         raise SuppleError(
-            f'filter="{filter}" is gone: "auto", the default, averages just what the map shrinks (docs/sampling.md)'
+            f'{argument("filter", filter)} is gone: "auto", the default, averages just what the map shrinks '
+            "(docs/sampling.md)"
         )
     choice("filter", filter, tuple(FILTERS))
 

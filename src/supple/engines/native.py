@@ -26,7 +26,7 @@ from supple.engines.base import (
     warn_of,
 )
 from supple.engines.workers import CPU
-from supple.errors import SuppleError
+from supple.errors import SuppleError, argument
 from supple.space.domain import refuse
 from supple.space.geometry import Grid
 from supple.strokes import numbers
@@ -408,7 +408,7 @@ def _check_held(value: Any, name: str) -> None:
     elif library == "PIL" and mode in ("P", "PA", "HSV", "CMYK"):
         told = f'a picture of the mode {mode}, whose numbers do not mix: give image.convert("RGB")'
     if told:
-        raise SuppleError(f"{name} must be an array, found {told}")
+        raise SuppleError(f"{argument(name)} must be an array, found {told}")
 
 
 def _stacked(

@@ -14,7 +14,7 @@ from string import Template
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import MissWarning, SuppleError, shown
+from supple.errors import MissWarning, SuppleError, argument, shown
 from supple.examples.scenes import BACKGROUND, DISTANCE, HEAD, INSIDE, SCENES, Look, Scene, Shot, Take
 from supple.files import warp_file
 from supple.files.clips import WarpedClip, open_clip
@@ -108,7 +108,7 @@ def _prepared(folder: Path, force: bool) -> Path:
         raise SuppleError(f"no folder can be called {shown(folder)}: choose another name") from error
     if not (empty or force):
         raise SuppleError(
-            f"{shown(folder)} is not empty: choose another folder, or pass --force (force=True) to write there"
+            f"{shown(folder)} is not empty: choose another folder, or {argument('force', True)} to write there"
         )
     return folder
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from supple.engines.choice import check_device
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
 from supple.files.kinds import Kind, kind_of, refuse_places
 from supple.files.options import ClipOptions, GridOptions, PathLike, VolumeOptions
@@ -215,7 +215,9 @@ def check_job(
         from supple.files.clips import check_clip_target, refuse_maps
 
         if clamp is not None:
-            raise SuppleError(f"clamp is for pictures and volumes, and {shown(source)} is a clip: leave it out")
+            raise SuppleError(
+                f"{argument('clamp')} is for pictures and volumes, and {shown(source)} is a clip: leave it out"
+            )
         if maps or grid not in (None, GridOptions()):
             refuse_maps(source)
         _spare(source, target, "clip", force)
@@ -270,7 +272,7 @@ def grid_of(
 def _spare(source: PathLike, target: PathLike, kind: str, force: bool) -> None:
     """Raise SuppleError for a target that is the source, unless it may be replaced."""
     if not force and same_file(source, target):
-        raise SuppleError(f"{shown(target)} is the {kind} itself: pass --force (force=True) to replace it")
+        raise SuppleError(f"{shown(target)} is the {kind} itself: choose another name, or {argument('force', True)}")
 
 
 def _asked(options: ClipOptions | VolumeOptions | None, usual: ClipOptions | VolumeOptions) -> str:

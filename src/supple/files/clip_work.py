@@ -10,7 +10,7 @@ import numpy as np
 
 from supple.deformation import Deformation
 from supple.engines.base import Array, Layout, Sampling, Work
-from supple.errors import SuppleError
+from supple.errors import SuppleError, argument
 from supple.files.motion import motion_of
 from supple.media.base import Clip, ClipWarning
 from supple.pipeline import Tell, make_plan, stream
@@ -81,7 +81,8 @@ def sampling_of(
     )  # fmt: skip
     if light and (len(layout.groups) > 1 or layout.dtype.kind == "f" or not _is_rgb(layout)):
         raise SuppleError(
-            f"linear_light needs frames of RGB or grey of 8 or 16 bits, and {name} has others: leave it out"
+            f"{argument('linear_light')} needs frames of RGB or grey of 8 or 16 bits, and {name} has others: leave it "
+            "out"
         )
     return replace(sampling, fill=_filled(clip, fill))
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from supple.deformation import Deformation, Report
 from supple.engines.base import Certificate, warn_of
 from supple.engines.choice import check_device
-from supple.errors import OutsideWarning, SuppleError, caller, shown
+from supple.errors import OutsideWarning, SuppleError, argument, caller, shown
 from supple.files.clip_work import deformations_of, sampling_of, warn_of_frames, work_on
 from supple.files.kinds import VIDEOS_OUT, is_animated
 from supple.files.options import ClipOptions, PathLike
@@ -254,7 +254,7 @@ def check_clip_target(
                 f"{name} is one picture, and a clip is many: name a pattern, such as {stem}-%05d{suffix}, or a folder"
             )
         if quality is not None:
-            raise SuppleError(f"quality is for pictures, and {name} is a video: give a crf")
+            raise SuppleError(f"{argument('quality')} is for pictures, and {name} is a video: give a crf")
         from supple.media import video
 
         video.check_target(target)
@@ -264,7 +264,7 @@ def check_clip_target(
         check_target(target)
     for option in ("codec", "crf", "preset", "pixel_format"):
         if getattr(options, option) is not None:
-            raise SuppleError(f"{option} is for videos, and {name} is pictures: leave it out")
+            raise SuppleError(f"{argument(option)} is for videos, and {name} is pictures: leave it out")
     check_quality(target, quality)
 
 

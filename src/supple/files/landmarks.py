@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.deformation import Deformation
-from supple.errors import OutsideWarning, SuppleError, ToleranceWarning, VolumeWarning, shown
+from supple.errors import OutsideWarning, SuppleError, ToleranceWarning, VolumeWarning, argument, shown
 from supple.media.files import check_output
 from supple.media.points import FLIP, PointFile, check_target, read_points, write_points
 from supple.media.volume import Volume
@@ -173,10 +173,14 @@ def _same(points: Floats) -> Floats:
 def _series(path: PathLike, source: PathLike) -> Volume:
     """Return the DICOM series that contours are to refer to."""
     if Path(source).suffix.lower() != ".dcm":
-        raise SuppleError(f"refer_to is for structure sets of DICOM, and {shown(source)} is none: leave it out")
+        raise SuppleError(
+            f"{argument('refer_to')} is for structure sets of DICOM, and {shown(source)} is none: leave it out"
+        )
     found = read_volume(path)
     if found.format != "DICOM":
-        raise SuppleError(f"refer_to must be a series of DICOM, and {found.name} is {found.format}: give its folder")
+        raise SuppleError(
+            f"{argument('refer_to')} must be a series of DICOM, and {found.name} is {found.format}: give its folder"
+        )
     warn_of_frame(source, found)
     return found
 

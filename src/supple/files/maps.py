@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, argument, shown
 from supple.fields import Field, Map, Placed, own_grid, read_maps, told
 from supple.media import transforms, volume
 from supple.media.files import unwritable
@@ -223,7 +223,7 @@ def check_images(ndim: int | None = None, **paths: PathLike | None) -> None:
             else:
                 volume.check_target(path)
         except SuppleError as error:
-            raise SuppleError(f"{name} must be the name of an image: {error}") from None
+            raise SuppleError(f"{argument(name)} must be the name of an image: {error}") from None
 
 
 def check_written(

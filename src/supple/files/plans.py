@@ -17,7 +17,7 @@ from supple.blocks import Block, Box, Read, Warp, batches, boxes_of
 from supple.deformation import Deformation
 from supple.engines.base import Certificate, Sampling, warn_of
 from supple.engines.workers import threads
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.grids import grid_on
 from supple.files.kinds import kind_of
@@ -321,16 +321,20 @@ def warp_on(
         outside = "constant" if medium.geometry is not None and elsewhere else "edge"
         fill = 0.0 if known.labels else medium.background
     if known.labels and filter not in ("auto", "nearest"):
-        raise SuppleError(f'labels needs filter "nearest", which keeps values as they are, found "{filter}"')
+        raise SuppleError(
+            f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{filter}"'
+        )
     if known.labels and medium.dtype.kind == "f":
-        raise SuppleError(f"labels is for whole numbers, and {medium.name} holds {medium.dtype}: leave it out")
+        raise SuppleError(
+            f"{argument('labels')} is for whole numbers, and {medium.name} holds {medium.dtype}: leave it out"
+        )
     name = "nearest" if known.labels else filter
     whole = np.broadcast_to(np.zeros((), medium.dtype), medium.space)  # which takes no memory
     if outside == "constant":
         fill = Volume(whole, Geometry(), medium.name, scaling=medium.scaling).stored(fill)
     if medium.geometry is None:
         if known.world:
-            raise SuppleError(f"world is for volumes, and {medium.name} is a picture: leave it out")
+            raise SuppleError(f"{argument('world')} is for volumes, and {medium.name} is a picture: leave it out")
         sampling = Sampling.checked(2, filter=name, tolerance=tolerance, outside=outside, fill=fill)
         height, width = medium.space
         regrid = grid_on(grid, medium.grid, medium.name, maps)

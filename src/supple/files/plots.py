@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from supple.deformation import Deformation
 from supple.engines.base import Array, Sampling
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
 from supple.files.clip_work import deformations_of, frames_of, sampling_of, warn_of_frames, work_on
 from supple.files.clips import fickle, open_clip, refuse_maps, refuse_picture
@@ -86,7 +86,7 @@ def plot_file(
     options = clip or ClipOptions()
     for option in ("codec", "crf", "preset", "pixel_format"):
         if getattr(options, option) is not None:
-            raise SuppleError(f"{option} is for videos, and {shown(target)} is a plot: leave it out")
+            raise SuppleError(f"{argument(option)} is for videos, and {shown(target)} is a plot: leave it out")
     if what != "slice" and (x is not None or y is not None):
         raise SuppleError(f"--x and --y are for slices, and {what} shows whole frames: leave them out")
     check_output(target, force=force)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from supple.errors import SuppleError, shown
+from supple.errors import JSON, SuppleError, shown, spelling
 from supple.files.options import PathLike
 from supple.media.files import check_output, replacing
 from supple.media.image.formats import SUFFIXES as PICTURES
@@ -38,9 +38,10 @@ def read_recipe(path: PathLike) -> Recipe:
     except ValueError as error:
         raise SuppleError(f"cannot read {name}: no file can have that name: check it") from error
     try:
-        return Recipe.from_json(text)
+        with spelling(JSON):
+            return Recipe.from_json(text)
     except SuppleError as error:
-        raise SuppleError(f"{name}: {str(error).replace('None', 'null')}") from None
+        raise SuppleError(f"{name}: {error}") from None
 
 
 def check_recipe_name(path: PathLike, *, force: bool = False) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, VolumeWarning, shown
+from supple.errors import SuppleError, VolumeWarning, argument, shown
 from supple.fields import Placed
 from supple.files.meshes import MeshFile, read_surfaces
 from supple.files.options import VolumeOptions
@@ -247,7 +247,9 @@ def scene_of(
     aim = known.camera.target
     if aim is not None and not all(-0.5 <= x <= n - 0.5 for x, n in zip(aim, volume.sizes, strict=True)):
         spoken, end = (", ".join(f"{x:g}" for x in given) for given in (aim, (n - 1 for n in volume.sizes)))
-        raise SuppleError(f"target must be a voxel of {volume.name}, from (0, 0, 0) to ({end}), found ({spoken})")
+        raise SuppleError(
+            f"{argument('target')} must be a voxel of {volume.name}, from (0, 0, 0) to ({end}), found ({spoken})"
+        )
     deformation = None
     if recipe is not None or maps:
         deformation = deformation_of(recipe or Recipe(), volume, world=world, fit=fit, maps=maps)

@@ -20,7 +20,7 @@ from supple.buffers import beside, machine_memory
 from supple.deformation import Arrival, Deformation, Report
 from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import check_device
-from supple.errors import GapWarning, SuppleError, VolumeWarning, shown
+from supple.errors import GapWarning, SuppleError, VolumeWarning, argument, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.grids import arrivals_on, grid_on, warn_of_place
 from supple.files.kinds import is_derived, kind_of
@@ -309,14 +309,18 @@ def warp_volume(
         tolerance=tolerance,
     )
     if known.labels and sampling.filter != "nearest":
-        raise SuppleError(f'labels needs filter "nearest", which keeps values as they are, found "{filter}"')
+        raise SuppleError(
+            f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{filter}"'
+        )
     check_volume_target(source, target, known, force=force)
     tell("read", 0, 1)
     volume = open_volume(source, known)
     if grid is None:
         check_target(target, volume, force=force)
     if known.labels and (broken := _first_fraction(volume.samples)) is not None:
-        raise SuppleError(f"labels is for whole numbers, and {volume.name} holds {broken:g}: leave it out")
+        raise SuppleError(
+            f"{argument('labels')} is for whole numbers, and {volume.name} holds {broken:g}: leave it out"
+        )
     as_read = volume
     if not (suffix_of(target).startswith(".nii") or suffix_of(target) in derived.SUFFIXES):  # others hold no scaling
         volume = replace(volume, samples=volume.rescaled(), scaling=(1.0, 0.0))

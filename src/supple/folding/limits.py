@@ -28,16 +28,16 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.errors import FoldError, SuppleError
+from supple.errors import FoldError, Spelling, SuppleError, argument, current_spelling
 from supple.folding.pulls import pulled
 from supple.folding.resolved import (
     FLOW_GAP,
     FLOW_MARGIN,
     MOST_SUBSTROKES,
     SQUEEZED,
-    TOO_NARROW,
     Resolved,
     Table,
+    all_the_way,
     apart,
     beta_at,
     cut,
@@ -47,6 +47,7 @@ from supple.folding.resolved import (
     narrowest,
     padded,
     spelled,
+    too_narrow,
 )
 from supple.folding.strain import CLEARLY_SAFE, GAP, MARGIN, limit, mask_of, weakest
 from supple.space.domain import Domain
@@ -79,12 +80,12 @@ def resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         If the stroke does not fit the domain; or, with ``"flow"``, if the fixed border keeps the held point from its
         target, or it would take more than `MOST_SUBSTROKES` strokes.
     """
-    return _resolved(stroke, domain, on_fold)
+    return _resolved(stroke, domain, on_fold, current_spelling())  # which its warning follows
 
 
 # A stroke does not depend on those before it: after an edit, the rows of the others are reused.
 @lru_cache(maxsize=4096)
-def _resolved(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
+def _resolved(stroke: Stroke, domain: Domain, on_fold: FoldPolicy, spelling: Spelling) -> Resolved:
     made = _resolve(stroke, domain, on_fold)
     if mask_of(domain) is not None and not stroke.also and not stroke.is_still and made.warning is None:
         made = _held_back(stroke, domain, on_fold, made)
@@ -125,7 +126,7 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         return pulled(stroke, domain, on_fold)
     if stroke.path:
         if on_fold != "flow":
-            raise SuppleError(f"{described(stroke)} follows a path, which takes on_fold='flow'")
+            raise SuppleError(f"{described(stroke)} follows a path, which takes {argument('on_fold', 'flow')}")
         made = [_resolve(leg, domain, on_fold) for leg in legs(stroke, domain.spacing)]
         rows = np.concatenate([leg.rows for leg in made])
         return Resolved(rows, made[-1].arrived, margin=min(leg.margin for leg in made), cause=made[0].cause)
@@ -136,7 +137,7 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     folds = alpha < 1
     if folds and on_fold == "error":
         most = spelled(cut(0.999 * alpha * x, 5) for x in stroke.by)
-        raise FoldError(f"{described(stroke)} folds: at most {most} does not (on_fold='flow' goes all the way)")
+        raise FoldError(f"{described(stroke)} folds: at most {most} does not {all_the_way()}")
     table["force"] *= alpha
     arrived, held = _arrived(stroke, table, domain), is_held(table[0]["pivot"], axes)
     short = math.dist(arrived, target)
@@ -153,8 +154,8 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
             why = f"folds: damped to {cut(alpha, 2):g} of it{', and ' * held_back}{border}, it ends {distance} short"
         else:
             why = f"ends {distance} short: {border}"
-        freed = ", border=None frees the border" if held_back else ""
-        helps = "" if frozen else f" (on_fold='flow' goes all the way{freed})"
+        freed = f", {argument('border', None)} frees the border" if held_back else ""
+        helps = "" if frozen else f" {all_the_way(freed)}"
         warning = f"{described(stroke)} {why}{helps}"
         # The paper's border held strokes back without a warning, as did recipes of version 1: results stay the same.
         if on_fold == "error" and domain.border_profile != "sine":
@@ -175,7 +176,7 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         if np.any(needed & (weights < 1e-100)):
             raise SuppleError(
                 f"{described(stroke)} cannot be carried out: its pivot is on the edge, and the border is fixed, so "
-                "that what is on it only slides along it; use border=None, or a point further in"
+                f"that what is on it only slides along it; use {argument('border', None)}, or a point further in"
             )
         weights = np.where(needed, weights, 1.0)
 
@@ -200,13 +201,13 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
             if pieces > MOST_SUBSTROKES:
                 raise SuppleError(
                     f"{described(stroke)} would take more than {MOST_SUBSTROKES} strokes to arrive without a fold; use "
-                    "a point further from the border, or on_fold='damp'"
+                    f"a point further from the border, or {argument('on_fold', 'damp')}"
                 )
             lower = lowest(1 / pieces, FLOW_MARGIN - 1, FLOW_GAP)
         table, start = np.repeat(rows(1 / pieces), pieces), padded(stroke.at, domain)
         ways = np.tile(start, (3, 1)), stroke.radius * np.eye(3)
         if (1 + lower) ** pieces < SQUEEZED and narrowest(table, domain, *ways) < SQUEEZED:
-            raise SuppleError(f"{described(stroke)} {TOO_NARROW}")
+            raise SuppleError(f"{described(stroke)} {too_narrow()}")
         return Resolved(table, stroke.at, margin=1 + lower, cause=None if held else "outside")
     alpha, lower = 1.0, lowest(1.0, CLEARLY_SAFE, GAP) if quarters < 1 else -1.0
     if lower < MARGIN - 1:
@@ -223,8 +224,8 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     if alpha < 1:
         most = described(stroke.weakened(0.999 * alpha)).split(" at ")[0]
         if on_fold == "error":
-            raise FoldError(f"{described(stroke)} folds: at most {most} does not (on_fold='flow' goes all the way)")
-        warning = f"{described(stroke)} folds: damped to {cut(alpha, 2):g} of it (on_fold='flow' goes all the way)"
+            raise FoldError(f"{described(stroke)} folds: at most {most} does not {all_the_way()}")
+        warning = f"{described(stroke)} folds: damped to {cut(alpha, 2):g} of it {all_the_way()}"
     cause = "outside" if not held else "fold" if alpha < 1 else None
     return Resolved(rows(alpha), stroke.at, alpha, 1 + lower, cause, warning)
 
@@ -265,7 +266,7 @@ def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
                 where = f"its target is on the edge or outside of {tuple(ends[0])} to {tuple(ends[1])}, and"
             raise SuppleError(
                 f"{described(stroke)} cannot arrive: {where} the border is fixed, so that what is on it only slides "
-                "along it, and nothing else gets there; use border=None, or points further in"
+                f"along it, and nothing else gets there; use {argument('border', None)}, or points further in"
             )
     drag = target - position
     if not drag.any():
@@ -294,7 +295,7 @@ def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
     if refused:
         raise SuppleError(
             f"{described(stroke)} would take more than {MOST_SUBSTROKES} strokes to arrive without a fold; "
-            "use a larger radius, or on_fold='damp'"
+            f"use a larger radius, or {argument('on_fold', 'damp')}"
         )
     table = np.concatenate(rows).view(table.dtype)[:, 0]  # as numbers: NumPy is slow to join records
     # No row's singular values are below its margin, nor those of all rows below the margins' product.
@@ -302,11 +303,12 @@ def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
         if not held:
             raise SuppleError(
                 f"{described(stroke)} starts outside, where nothing is held, and squeezes what lies on its way against "
-                "the fixed border; use a point inside, border=None, or on_fold='damp'"
+                f"the fixed border; use a point inside, {argument('border', None)}, or {argument('on_fold', 'damp')}"
             )
         raise SuppleError(
             f"{described(stroke)} squeezes what lies before it more than {1 / SQUEEZED:g} times, which could not be "
-            "undone; use a target farther from the fixed border, a wider border or border=None, or on_fold='damp'"
+            f"undone; use a target farther from the fixed border, a wider border or {argument('border', None)}, or "
+            f"{argument('on_fold', 'damp')}"
         )
     arrived = _arrived(stroke, table, domain)
     return Resolved(table, arrived, margin=margin, cause=None if held else "outside")

@@ -9,17 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.errors import FoldError, SuppleError
+from supple.errors import FoldError, SuppleError, argument
 from supple.folding.resolved import (
     FLOW_GAP,
     FLOW_MARGIN,
     FREE_ENOUGH,
     MOST_SUBSTROKES,
     SQUEEZED,
-    TOO_NARROW,
     Floats,
     Resolved,
     Table,
+    all_the_way,
     beta_at,
     cut,
     described,
@@ -28,6 +28,7 @@ from supple.folding.resolved import (
     narrowest,
     padded,
     spelled,
+    too_narrow,
 )
 from supple.folding.strain import CLEARLY_SAFE, GAP, MARGIN, largest, mask_of, sampled, weakest
 from supple.space.domain import Domain
@@ -62,10 +63,10 @@ def pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     if alpha < 1:
         if on_fold == "error":
             raise FoldError(
-                f"{described(stroke)} folds: at most {cut(0.999 * alpha, 3):g} of it does not (on_fold='flow' goes "
-                f"all the way); {_conflict(stroke, start, goal, domain)}"
+                f"{described(stroke)} folds: at most {cut(0.999 * alpha, 3):g} of it does not {all_the_way()}; "
+                f"{_conflict(stroke, start, goal, domain)}"
             )
-        warning = f"{described(stroke)} folds: damped to {cut(alpha, 2):g} of it (on_fold='flow' goes all the way)"
+        warning = f"{described(stroke)} folds: damped to {cut(alpha, 2):g} of it {all_the_way()}"
     table["force"] *= alpha
     table["most"] = largest(table, axes, mask_of(domain))
     arrived = tuple(a + alpha * b for a, b in zip(stroke.at, stroke.by, strict=True))
@@ -134,7 +135,7 @@ def _flow(stroke: Stroke, domain: Domain, table: Table, goal: Floats) -> Resolve
         group["most"] = largest(group, axes, mask_of(domain))
     rows = np.concatenate(groups)
     if narrowest(rows, domain, start, goal - start) < SQUEEZED:
-        raise SuppleError(f"{described(stroke)} {TOO_NARROW}")
+        raise SuppleError(f"{described(stroke)} {too_narrow()}")
     return Resolved(rows, tuple((position[0, : domain.ndim] / domain.spacing).tolist()), margin=margin)
 
 
@@ -165,7 +166,7 @@ def _check_handles(stroke: Stroke, start: Floats, goal: Floats, domain: Domain) 
         if out.any() or not is_held(a, axes):
             raise SuppleError(
                 f"{described(stroke)} cannot arrive: {_handle(stroke, i, domain)}, starts or ends on the edge or "
-                "outside, where the border is fixed; use border=None, or points further in"
+                f"outside, where the border is fixed; use {argument('border', None)}, or points further in"
             )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.errors import OutsideWarning, caller, shown
+from supple.errors import OutsideWarning, argument, caller, shown
 from supple.folding.strain import mask_of
 from supple.space.domain import Domain, border_factor
 from supple.strokes import Stroke, numbers
@@ -24,10 +24,19 @@ FLOW_GAP = 0.05
 FLOW_MARGIN = 0.3  # substrokes are well-conditioned: Newton takes few steps, and errors grow little
 FREE_ENOUGH = 0.1  # of the freeze mask: where less is let through, handles of pulls, restores and smooths are let go
 SQUEEZED = 1e-5  # a sequence that leaves less of a length has lost too many digits to be undone
-TOO_NARROW = (
-    f"squeezes what lies around it more than {1 / SQUEEZED:g} times, which could not be undone; use a larger radius, "
-    "a point farther from the fixed border or what is frozen, or on_fold='damp'"
-)
+
+
+def too_narrow() -> str:
+    """Return what is wrong with a stroke that squeezes too much."""
+    return (
+        f"squeezes what lies around it more than {1 / SQUEEZED:g} times, which could not be undone; use a larger "
+        f"radius, a point farther from the fixed border or what is frozen, or {argument('on_fold', 'damp')}"
+    )
+
+
+def all_the_way(also: str = "") -> str:
+    """Return the advice for a drag that folds."""
+    return f"({argument('on_fold', 'flow')} goes all the way{also})"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

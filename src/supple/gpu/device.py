@@ -11,7 +11,7 @@ import threading
 from dataclasses import dataclass, field
 from typing import Any
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, argument
 from supple.space.domain import choice
 
 # The limits requested of every adapter are those of ordinary GPUs. Larger work is split.
@@ -200,7 +200,7 @@ def open_gpu(software: bool = True) -> Gpu:
                 name, kind == "CPU", backend, device, {}, threading.RLock(), binding, max(binding, TEXTURE)
             )
             return _opened[k]
-    raise SuppleError(f"no GPU was found: {reason}{missing()}; device='cpu' needs none")
+    raise SuppleError(f"no GPU was found: {reason}{missing()}; {argument('device', 'cpu')} needs none")
 
 
 def forget(gpu: Gpu) -> None:

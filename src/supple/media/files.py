@@ -13,7 +13,7 @@ from collections.abc import Container, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, argument, shown
 
 PathLike = str | os.PathLike[str]
 ROOTS = ("zarr.json", ".zgroup", ".zarray")
@@ -275,7 +275,7 @@ def _publish(temporary: Path, target: Path, force: bool) -> bool:
 
 
 def _exists(path: PathLike) -> SuppleError:
-    return SuppleError(f"{shown(path)} exists already: pass --force (force=True) to replace it")
+    return SuppleError(f"{shown(path)} exists already: choose another name, or {argument('force', True)}")
 
 
 def _refused(path: PathLike, error: OSError, temporary: Path | None = None) -> SuppleError:

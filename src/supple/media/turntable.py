@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.engines.base import Group, Layout
-from supple.errors import SuppleError, need, shown
+from supple.errors import SuppleError, argument, need, shown
 from supple.media.codecs import CODECS, CONTAINERS, ENCODERS, Encoder
 from supple.media.files import PathLike, check_output
 from supple.media.image import Picture
@@ -39,11 +39,11 @@ def check_turntable(path: PathLike, size: tuple[int, int], rate: float) -> None:
     if _USED[suffix] == "libx264" and (height % 2 or width % 2):
         even = f"{width + width % 2}x{height + height % 2}"
         raise SuppleError(
-            f"size must be even along both sides for H.264 ({suffix}), found {width}x{height}: give {even}, or write "
-            ".webm or .gif"
+            f"{argument('size')} must be even along both sides for H.264 ({suffix}), found {width}x{height}: give "
+            f"{even}, or write .webm or .gif"
         )
     if suffix == ".gif" and rate > _FASTEST:
-        raise SuppleError(f"rate must be at most {_FASTEST} pictures a second for a GIF, found {rate:g}")
+        raise SuppleError(f"{argument('rate')} must be at most {_FASTEST} pictures a second for a GIF, found {rate:g}")
 
 
 def write_turntable(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, argument
 from supple.render.camera import Projection
 from supple.render.marks import bar_of, sides_of
 from supple.space.domain import refuse
@@ -24,8 +24,8 @@ def check_annotated(size: tuple[int, int]) -> None:
     """Raise SuppleError for a size, rows and columns, without room for marks."""
     if min(size) < LEAST:
         raise SuppleError(
-            f"annotate needs a picture of {LEAST} pixels or more along both sides, found {size[1]}x{size[0]}: give a "
-            "larger size, or leave it out"
+            f"{argument('annotate')} needs a picture of {LEAST} pixels or more along both sides, found "
+            f"{size[1]}x{size[0]}: give a larger size, or leave it out"
         )
 
 

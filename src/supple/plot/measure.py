@@ -16,7 +16,7 @@ from supple.deformation import Deformation
 from supple.engines import paper
 from supple.engines.base import Certificate
 from supple.engines.native import measured, plan_of
-from supple.errors import SuppleError
+from supple.errors import SuppleError, argument
 from supple.space.domain import integer, number
 
 Floats = npt.NDArray[np.float64]
@@ -108,11 +108,13 @@ def require_plane(deformation: Deformation, frame: int | None) -> int:
     """Return the index of the plane to measure; SuppleError if it does not exist."""
     if deformation.ndim == 2:
         if frame is not None:
-            raise SuppleError(f"frame is for videos, and shape {deformation.shape} is that of an image: leave it out")
+            raise SuppleError(
+                f"{argument('frame')} is for videos, and shape {deformation.shape} is that of an image: leave it out"
+            )
         return 0
     if frame is None:
         raise SuppleError(
-            f"a plot shows one plane, and shape {deformation.shape} has three axes: say which by --frame K (frame=K)"
+            f"a plot shows one plane, and shape {deformation.shape} has three axes: say which by {argument('frame', 0)}"
         )
     last = deformation.shape[0] - 1
     return integer("frame", frame, f"a frame from 0 to {last}", 0, last)

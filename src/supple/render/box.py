@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, argument
 from supple.space.domain import items, number, point, refuse
 from supple.space.geometry import Geometry
 
@@ -108,7 +108,7 @@ def box_of(clip: object, shape: tuple[int, ...], name: str = "clip", *, single: 
 
     def refused(wanted: str, k: int) -> NoReturn:
         low, high = made[k]
-        raise SuppleError(f"{name} must be {wanted}, found {low:g}:{high:g} along {'xyz'[k]}")
+        raise SuppleError(f"{argument(name)} must be {wanted}, found {low:g}:{high:g} along {'xyz'[k]}")
 
     for k, ((low, high), (first, last)) in enumerate(zip(made, whole, strict=True)):
         if not first <= low <= last or not first <= high <= last:

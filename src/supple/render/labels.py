@@ -220,7 +220,7 @@ def numbered(samples: Array, visible: Array) -> Array:
     uint8 or uint16 array, of the shape of the samples
     """
     if len(visible) > _MOST:
-        refuse("labels", f"at most {_MOST} that are visible", told=f"{len(visible)} of them")
+        refuse("the labels", f"at most {_MOST} that are visible", told=f"{len(visible)} of them")
     made = np.zeros(samples.shape, np.uint8 if len(visible) < 256 else np.uint16)
     if len(visible):
         low, span = int(visible[0]), int(visible[-1]) - int(visible[0]) + 1
@@ -243,8 +243,8 @@ def _whole(slab: Array) -> npt.NDArray[np.int64]:
         known = np.where(np.isfinite(slab), slab, 0)
         broken = known[(known != np.rint(known)) | (np.abs(known) > _LARGEST)]
         if broken.size:
-            refuse("labels", "whole numbers (leave the colour table out for other values)", float(broken[0]))
+            refuse("the labels", "whole numbers (leave the colour table out for other values)", float(broken[0]))
         slab = known
     elif slab.dtype.itemsize == 8 and slab.size and int(slab.max()) > _LARGEST:
-        refuse("labels", f"whole numbers up to {_LARGEST}", int(slab.max()))
+        refuse("the labels", f"whole numbers up to {_LARGEST}", int(slab.max()))
     return np.asarray(slab, np.int64)

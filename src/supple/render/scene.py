@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.deformation import Deformation
-from supple.errors import SuppleError
+from supple.errors import SuppleError, argument
 from supple.gpu import raymarch as shading
 from supple.gpu.device import DRAWING, Gpu
 from supple.gpu.kernel import failures, let_through, passing, trouble
@@ -50,7 +50,10 @@ _ROWS = 256  # of an image, between two reports of progress
 def check_mode(mode: object) -> None:
     """Raise SuppleError for an unknown mode."""
     if mode == "lattice":
-        raise SuppleError('mode="lattice" is gone: "buffered", the default, is faster, and "exact" inverts each sample')
+        raise SuppleError(
+            f'{argument("mode", "lattice")} is gone: "buffered", the default, is faster, and "exact" inverts each '
+            "sample"
+        )
     choice("mode", mode, MODES)
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import ToleranceWarning
+from supple.errors import ToleranceWarning, argument
 
 COARSEST, FINEST = 8, 2  # voxels from node to node: a finer lattice would be larger than the volume
 # The largest size of a cell, as a fraction of the length scale of the map: in larger cells, the checked points do not
@@ -48,7 +48,7 @@ def warn_of_coarse(error: float, tolerance: float, stacklevel: int) -> None:
     off = f"by {error:.2g} voxels" if math.isfinite(error) else "by more than a voxel"
     warnings.warn(
         f"the lattice may be off {off} somewhere, beyond the tolerance {tolerance:g}: "
-        "mode='exact' stays within it, and so does mode='buffered'",
+        f"{argument('mode', 'exact')} stays within it, and so does {argument('mode', 'buffered')}",
         ToleranceWarning,
         stacklevel=stacklevel + 1,
     )

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn, SupportsIndex, get_arg
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, argument, none
 
 if TYPE_CHECKING:
     from supple.space.freezing import Freeze
@@ -52,7 +52,7 @@ def value_shown(value: object) -> str:
 
 def refuse(name: str, wanted: str, found: object = None, *, told: str = "") -> NoReturn:
     """Raise SuppleError with the values that ``name`` may have and the value found, or what is ``told`` of it."""
-    raise SuppleError(f"{name} must be {wanted}, found {told or value_shown(found)}")
+    raise SuppleError(f"{argument(name)} must be {wanted}, found {told or value_shown(found)}")
 
 
 def number(name: str, value: object, wanted: str, low: float, high: float) -> float:
@@ -141,7 +141,7 @@ def checked_border(border: object) -> Border:
     if isinstance(border, Sequence | np.ndarray) and not isinstance(border, str | bytes):
         widths = items("border", border, "one width, or one for each axis, x first", (2, 3))
         return tuple(length(f"border[{i}]", width) for i, width in enumerate(widths))
-    wanted = f'"auto", {LENGTH}, one for each axis, or None for a free border'
+    wanted = f'"auto", {LENGTH}, one for each axis, or {none()} for a free border'
     return number("border", border, wanted, SMALLEST, LARGEST)
 
 

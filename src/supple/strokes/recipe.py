@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Literal, Self, get_args
 
-from supple.errors import ScaleWarning, SuppleError
+from supple.errors import ScaleWarning, SuppleError, argument
 from supple.space.domain import (
     LONGEST_AXIS,
     Border,
@@ -144,10 +144,12 @@ class Recipe:
         size = _checked_size(size, None)
         if how is not None and self.is_world:
             raise SuppleError(
-                f"fit is for recipes in pixels, and this one is in {self.space} millimetres: leave it out"
+                f"{argument('fit')} is for recipes in pixels, and this one is in {self.space} millimetres: leave it out"
             )
         if how is not None and self.size is None:
-            raise SuppleError("fit needs the size that the recipe was made for, and it has none: leave it out")
+            raise SuppleError(
+                f"{argument('fit')} needs the size that the recipe was made for, and it has none: leave it out"
+            )
         if self.strokes and self.strokes[0].ndim != len(size):
             return self  # invalid recipes are reported when they are applied
         if not self.strokes and self.size is not None and len(self.size) != len(size):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, argument
 from supple.space.domain import choice
 
 Fit = Literal["pixels", "stretch", "inside"]
@@ -80,11 +80,13 @@ def scaling_of(
     found = f"the recipe was made for {spoken(made)}, and {name} is {spoken(size)}"
     if len(size) == 3 and not time:
         raise SuppleError(
-            f"{found}: voxels are not scaled, as lengths are millimetres: fit='pixels' takes the indices as they are"
+            f"{found}: voxels are not scaled, as lengths are millimetres: {argument('fit', 'pixels')} takes the "
+            "indices as they are"
         )
     if len(size) == 3 and made[2] != size[2] and how != "stretch":
         raise SuppleError(
-            f"{found}: fit='stretch' scales time too, and fit='pixels' takes frames and pixels as they are"
+            f"{found}: {argument('fit', 'stretch')} scales time too, and {argument('fit', 'pixels')} takes frames and "
+            "pixels as they are"
         )
     factors = tuple(b / a for a, b in zip(made, size, strict=True))
     x, y = factors[:2]
@@ -97,8 +99,9 @@ def scaling_of(
         high = min((b + 0.5) / a for a, b in zip(made[:2], size[:2], strict=True))
         if low > high:
             raise SuppleError(
-                f"{found}, of other proportions: say how it fits, with fit='stretch' (each axis by a factor of its "
-                "own), fit='inside' (at one scale, centred) or fit='pixels' (coordinates as they are)"
+                f"{found}, of other proportions: say how it fits, with {argument('fit', 'stretch')} (each axis by a "
+                f"factor of its own), {argument('fit', 'inside')} (at one scale, centred) or "
+                f"{argument('fit', 'pixels')} (coordinates as they are)"
             )
     return Scaling(factors, (0.0,) * len(size), x if x == y else math.sqrt(x * y))
 

@@ -10,7 +10,7 @@ from typing import Any, Literal, Self, get_args
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, none
 from supple.space.domain import LARGEST, choice, integer, length, number, point, refuse
 from supple.strokes.keys import Key, checked_keys, position
 from supple.strokes.keys import strength as strength_of
@@ -468,4 +468,4 @@ def _points(name: str, values: object) -> list[list[float]]:
 def _checked_reach(reach: object) -> float | None:
     if reach is None:
         return None
-    return number("reach", reach, f"a number of radii from 1 to {LARGEST:g}, or None for no limit", 1.0, LARGEST)
+    return number("reach", reach, f"a number of radii from 1 to {LARGEST:g}, or {none()} for no limit", 1.0, LARGEST)

@@ -232,7 +232,7 @@ class TestWhatCannotBeWritten:
     def test_an_existing_file_unless_forced(self, tmp_path):
         (tmp_path / "out.png").write_bytes(b"old")
         message = refused(write, tmp_path / "out.png", smooth(8, 8))
-        assert message.endswith("out.png exists already: pass --force (force=True) to replace it")
+        assert message.endswith("out.png exists already: choose another name, or force=True")
         assert (tmp_path / "out.png").read_bytes() == b"old"
         write(tmp_path / "out.png", smooth(8, 8), force=True)
         np.testing.assert_array_equal(read(tmp_path / "out.png").pixels, smooth(8, 8))

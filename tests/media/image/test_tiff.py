@@ -261,7 +261,7 @@ def test_no_data_is_not_averaged_in_silence(tmp_path: Path) -> None:
     assert (made == -9999).sum() >= 16
     assert made[made != -9999].min() >= heights[heights != -9999].min()
     saved(tmp_path / "whole.tif", heights.astype("i2"), "minisblack", extratags=tag)
-    with pytest.warns(GapWarning, match=r'mixed with others: filter="nearest" keeps them apart$'):
+    with pytest.warns(GapWarning, match=r"mixed with others: filter='nearest' keeps them apart$"):
         warp_file(tmp_path / "whole.tif", tmp_path / "out.tif", GRAB, force=True)
     warp_file(tmp_path / "whole.tif", tmp_path / "out.tif", GRAB, force=True, filter="nearest")
 

@@ -40,7 +40,7 @@ def test_existing_outputs_and_other_jobs(remote: bool, tmp_path: Path, memory: s
     assert not anew.is_done(0, box)
     fill(anew, values)
     anew.finish()
-    with pytest.raises(SuppleError, match=r"exists already: pass --force \(force=True\) to replace it"):
+    with pytest.raises(SuppleError, match=r"exists already: choose another name, or force=True"):
         create(out, like, job="two")
     other = create(out, like, job="three", force=True)
     assert not other.is_done(0, box)

@@ -55,7 +55,7 @@ class TestRaw:
 
     def test_what_is_not_said(self, tmp_path):
         (tmp_path / "in.raw").write_bytes(bytes(240))
-        assert "--shape, --dtype and --spacing" in refused(read, tmp_path / "in.raw")
+        assert "give layout" in refused(read, tmp_path / "in.raw")
         (tmp_path / "in.mhd").write_text("NDims = 3")
         assert "in.mhd" in refused(read, tmp_path / "in.raw")
         layout = RawLayout((6, 5, 5), "<i2", offset=3)

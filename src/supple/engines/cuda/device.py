@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, argument
 
 INSTALL = 'pip install "supple[cuda]" for drivers from 580 on, or "supple[cuda12]" from 525 on'
 POOL = 1 << 29  # bytes of freed memory that a device keeps for the next warp, at least
@@ -249,12 +249,16 @@ def _ready(number: int) -> CudaDevice:
         known, count = int(call("cuDriverGetVersion")), int(call("cuDeviceGetCount"))
     except CudaError as error:
         if "NO_DEVICE" not in str(error):
-            raise SuppleError(f"NVIDIA's driver does not work ({_short(error)}); device='cpu' needs none") from None
+            raise SuppleError(
+                f"NVIDIA's driver does not work ({_short(error)}); {argument('device', 'cpu')} needs none"
+            ) from None
         count = 0
     except Exception:  # the bindings raise errors of their own where there is no library
-        raise SuppleError("CUDA needs NVIDIA's driver, which is not installed; device='cpu' needs none") from None
+        raise SuppleError(
+            f"CUDA needs NVIDIA's driver, which is not installed; {argument('device', 'cpu')} needs none"
+        ) from None
     if not count:
-        raise SuppleError("no NVIDIA GPU was found: the driver sees none; device='cpu' needs none")
+        raise SuppleError(f"no NVIDIA GPU was found: the driver sees none; {argument('device', 'cpu')} needs none")
     needed = toolkit()
     if known < 1000 * needed:
         older = ', or pip install "supple[cuda12]"' if known >= 12000 else ""
@@ -275,7 +279,7 @@ def _ready(number: int) -> CudaDevice:
         if 10 * major + minor < OLDEST:
             raise SuppleError(
                 f"{name} is too old: its compute capability is {major}.{minor}, and {OLDEST / 10:.1f} is needed; "
-                "device='cpu' needs no GPU"
+                f"{argument('device', 'cpu')} needs no GPU"
             )
         context = call("cuDevicePrimaryCtxRetain", device)
         made = CudaDevice(number, name, 10 * major + minor, context)
@@ -286,7 +290,9 @@ def _ready(number: int) -> CudaDevice:
             call("cuMemPoolSetAttribute", pool, kept, driver().cuuint64_t(POOL))
         made.free  # noqa: B018 - it fails here, and not during a warp
     except RuntimeError as error:  # of the bindings, where the driver lacks a function
-        raise SuppleError(f"GPU {number} cannot be opened ({_short(error)}); device='cpu' needs no GPU") from None
+        raise SuppleError(
+            f"GPU {number} cannot be opened ({_short(error)}); {argument('device', 'cpu')} needs no GPU"
+        ) from None
     return made
 
 

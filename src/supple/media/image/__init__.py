@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyvips
 
-from supple.errors import GapWarning, LayerWarning, SuppleError, caller, shown
+from supple.errors import GapWarning, LayerWarning, SuppleError, argument, caller, shown
 from supple.media.files import PathLike, check_suffix, replacing
 from supple.media.image import dpx, exif
 from supple.media.image.formats import (
@@ -149,7 +149,7 @@ class Picture:
         gaps = pixels == pixels.dtype.type(nodata) if nodata is not None and _fits(nodata, pixels.dtype) else None
         if gaps is not None and gaps.any():
             what = "their neighbours too, as far as the filter reaches" if real else "they are mixed with others"
-            advice = "" if real else ': filter="nearest" keeps them apart'
+            advice = "" if real else f": {argument('filter', 'nearest')} keeps them apart"
             text = f"{name}: {np.count_nonzero(gaps)} samples are marked as no data ({nodata:g}), and "
             warnings.warn(f"{text}{what}{advice}", GapWarning, stacklevel=caller())
             pixels = np.where(gaps, pixels.dtype.type(np.nan), pixels) if real else pixels

@@ -13,7 +13,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, Literal
 
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, argument, shown
 from supple.media.files import ROOTS, PathLike, check_store, is_store, locked, replaced
 from supple.media.stores.places import MARKER, Place, mend, put, read, run
 
@@ -151,7 +151,7 @@ def _unmarked(place: Place, site: Place, force: bool) -> Literal["nothing", "ano
     if not zarr and run(store.is_empty("")):  # which may list all that is there
         return "nothing"
     if not force:
-        raise SuppleError(f"{shown(place.address)} exists already: pass --force (force=True) to replace it")
+        raise SuppleError(f"{shown(place.address)} exists already: choose another name, or {argument('force', True)}")
     if not zarr:
         raise place.unwritable("what is there is no Zarr store", "give another name")
     return "another"

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, argument
 from supple.media.stores import ome
 from supple.media.stores.image import Level, StoredImage
 from supple.media.stores.places import Place
@@ -88,7 +88,7 @@ def _numbers(
     good = all(math.isfinite(x) and (x > least) and (not integer or x == int(x)) for x in found)
     if len(found) != n or not good:
         what = "integers above 0" if integer else "finite numbers" if least < 0 else "numbers above 0"
-        raise SuppleError(f"{name} must be {n} {what}, in array order, not {values!r}")
+        raise SuppleError(f"{argument(name)} must be {n} {what}, in array order, not {values!r}")
     return tuple(found)
 
 

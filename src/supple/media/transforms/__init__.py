@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, argument, shown
 from supple.media.files import PathLike, unreadable
 from supple.media.transforms import afni, freesurfer, fsl, itk_files, ngff, opencv, ras, stmap
 from supple.media.transforms.base import Content, Displacements, Grids, MissingGridError
@@ -133,7 +133,7 @@ def write(
 def check_convention(convention: str, name: str = "convention") -> None:
     """Raise SuppleError for an unknown convention; ``name`` is that of the argument."""
     if convention not in CONVENTIONS:
-        raise SuppleError(f"{name} must be one of {', '.join(CONVENTIONS)}, found {shown(str(convention))}")
+        raise SuppleError(f"{argument(name)} must be one of {', '.join(CONVENTIONS)}, found {shown(str(convention))}")
 
 
 def _found(convention: str) -> Convention:

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, VolumeWarning, shown
+from supple.errors import SuppleError, VolumeWarning, argument, shown
 from supple.media.files import PathLike, head_of, replacing, unreadable, unwritable
 from supple.media.volume import nifti
 from supple.media.volume.data import Volume, placed
@@ -76,10 +76,10 @@ class Grids(NamedTuple):
         if grid is None:
             raise MissingGridError(
                 f"cannot {verb} {shown(path)}: {convention} counts in the voxels of {whose}, which is not given: "
-                f"give its grid as {name}="
+                f"give its grid as {argument(name)}"
             )
         if grid.ndim != 3:
-            raise SuppleError(f"{name} must be the grid of a volume, found one of {grid.ndim} axes")
+            raise SuppleError(f"{argument(name)} must be the grid of a volume, found one of {grid.ndim} axes")
         return grid
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, argument, shown
 from supple.media import image
 from supple.media.files import PathLike, head_of, unreadable, unwritable
 from supple.media.suffixes import CLIPS
@@ -64,7 +64,7 @@ def _candidates(path: PathLike, verb: str) -> tuple[str, ...]:
     if suffix in _NAMED and not (verb == "write" and suffix in _WRITTEN):
         name, what, fits = _NAMED[suffix]
         if verb == "read":
-            raise refused(path, what, f'give convention="{name}" {fits}')
+            raise refused(path, what, f"give {argument('convention', name)} {fits}")
         raise refused(path, "a picture is not always an STMap", f"give the convention: {name}")
     known = _SUFFIXES.get(suffix)
     if known is None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import VolumeWarning, need, shown
+from supple.errors import VolumeWarning, argument, need, shown
 from supple.media.files import PathLike, head_of, unreadable
 from supple.media.volume.data import Array, Volume, check_spacing, located
 from supple.media.volume.frames import frames_of
@@ -227,7 +227,7 @@ def _chosen(found: list[Series], path: PathLike, series: str | None) -> Series:
             return one
     what = f"it holds {len(found)} series" if series is None else f"it holds no series {shown(series)}"
     raise unreadable(
-        path, f"{what} ({described(found)})", 'say which one by --series (series="1"), or name one of its slices'
+        path, f"{what} ({described(found)})", f"say which one by {argument('series', '1')}, or name one of its slices"
     )
 
 

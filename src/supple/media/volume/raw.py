@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from supple.errors import shown
+from supple.errors import argument, shown
 from supple.media.files import PathLike, head_of, unreadable
 from supple.media.volume.data import RawLayout, Volume, native, reading
 from supple.space.geometry import Geometry
@@ -16,7 +16,6 @@ from supple.space.geometry import Geometry
 _HEAD = 6  # three sizes of 16 bits
 _CHUNK = 1 << 22
 _GZIP = b"\x1f\x8b"
-_TELL = "give --shape, --dtype and --spacing (raw=RawLayout(...))"
 
 
 def read_dat(path: PathLike) -> Volume:
@@ -32,7 +31,9 @@ def read_dat(path: PathLike) -> Volume:
     if count != found or count == _HEAD:
         sizes = f"{width} x {height} x {depth}"
         told = f"its header says {sizes} samples of 16 bits, {count} bytes in all, and it has {found}"
-        raise unreadable(path, told, f"give a whole copy of it, or, if it has no such header, {_TELL}")
+        raise unreadable(
+            path, told, f"give a whole copy of it, or, if it has no such header, give {argument('layout')}"
+        )
     return _mapped(path, RawLayout((width, height, depth), "<u2", offset=_HEAD))
 
 
@@ -43,7 +44,7 @@ def read(path: PathLike, layout: RawLayout | None) -> Volume:
         for suffix in (".mhd", ".nhdr"):
             if (beside := Path(path).with_suffix(suffix)).exists():
                 raise unreadable(path, f"it has no header, and {shown(beside)} is one", "give that file")
-        raise unreadable(path, "it has no header that tells what is in it", _TELL)
+        raise unreadable(path, "it has no header that tells what is in it", f"give {argument('layout')}")
     width, height, depth = layout.shape
     dtype, found = np.dtype(layout.dtype), os.stat(path).st_size
     wanted = layout.offset + dtype.itemsize * width * height * depth

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, argument, shown
 from supple.files import check_job
 from supple.files.clips import is_picture_target
 from supple.files.kinds import VIDEOS_OUT
@@ -315,7 +315,7 @@ class FileCommands:
 
 def _in_a_window(error: SuppleError) -> str:
     """Return an error's text without the command line's advice."""
-    return str(error).replace("pass --force (force=True) to replace it", "choose another name, or Replace")
+    return str(error).replace(f"or {argument('force', True)}", "or Replace")
 
 
 # The suffixes of each kind, and those proposed for formats that are only read.

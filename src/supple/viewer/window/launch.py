@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.deformation import Deformation
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
 from supple.files.clips import open_clip, refuse_maps
 from supple.files.kinds import kind_of
@@ -167,7 +167,7 @@ def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool
     if options.volume != _PLAIN and not volume:
         raise SuppleError(f"{name} is no file of a volume, and what was asked of it is for those: leave that out")
     if options.time_scale != 1.0 and not moves:
-        raise SuppleError(f"time_scale is for clips, and {name} is none: leave it out")
+        raise SuppleError(f"{argument('time_scale')} is for clips, and {name} is none: leave it out")
 
 
 def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) -> ImageTools | SliceTools:
@@ -239,7 +239,7 @@ def _gpu() -> Gpu:
     try:
         return open_gpu()
     except SuppleError as error:
-        raise SuppleError(str(error).removesuffix("; device='cpu' needs none")) from None
+        raise SuppleError(str(error).removesuffix(f"; {argument('device', 'cpu')} needs none")) from None
 
 
 @contextlib.contextmanager
