@@ -72,13 +72,10 @@ def warp_stored(
                 tell=tell,
             )  # fmt: skip
     except (KeyboardInterrupt, Terminated):
-        if "warp" in blocks:
-            done, total = blocks["warp"]
-            console.goes_on = f"{done} of {total} blocks of {shown(target)} are written, the same command goes on"
-        elif "field" in blocks:
-            done, total = blocks["field"]
-            name = shown(known["volume"].save_field)
-            console.goes_on = f"{done} of {total} parts of {name} are written, the same command goes on"
+        parts, name = ("blocks", target) if "warp" in blocks else ("parts", known["volume"].save_field)
+        if blocks:
+            done, total = blocks.get("warp") or blocks["field"]
+            console.goes_on = f"{done} of {total} {parts} of {shown(name)} are written, the same command goes on"
         raise
     except SuppleError as error:
         if json:
@@ -106,9 +103,9 @@ def refer(console: Console, source: str, recipe: Recipe, maps: Maps, known: Mapp
 
     if not maps:
         return None
-    own = open_source(source, recipe, known["volume"], grid=known["grid"]).medium.grid
+    own = open_source(source, recipe, known["volume"], grid=known["grid"]).grid
     read = maps.read(own)
-    own = open_source(source, recipe, known["volume"], maps=read, grid=known["grid"]).medium.grid
+    own = open_source(source, recipe, known["volume"], maps=read, grid=known["grid"]).grid
     maps.on(console, own, shown(source), known["grid"])
     return own
 
@@ -158,19 +155,13 @@ def check_known(paths: Sequence[str], known: Mapping[str, Any]) -> None:
 
 def _facts(made: WarpedStore) -> dict[str, Any]:
     grid = made.grid or made.deformation.grid
+    names = ("shape", "levels", "labels", "blocks", "done", "copied", "read", "copied_bytes")
     facts: dict[str, Any] = {
         "input": made.source,
         "output": made.target,
         **dict(zip(("width", "height", "depth"), grid.sizes, strict=False)),
-        "shape": list(made.shape),
-        "levels": made.levels,
-        "labels": list(made.labels),
-        "blocks": made.blocks,
-        "done": made.done,
-        "copied": made.copied,
-        "read": made.read,
-        "copied_bytes": made.copied_bytes,
-        "spacing": list(grid.spacing),
+        **{name: getattr(made, name) for name in names},
+        "spacing": grid.spacing,
         "tolerance": made.tolerance,
         "error": _finite(made.error),
         **told_of(made.deformation),
