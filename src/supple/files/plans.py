@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from supple.arrays import work_of
-from supple.blocks import Block, Box, Read, Warp, batches, boxes_of
+from supple.blocks import Block, Box, Warp, boxes_of
 from supple.deformation import Deformation
 from supple.engines.base import Certificate, Sampling, warn_of
 from supple.engines.workers import threads
@@ -240,8 +240,8 @@ def _axes_of_space(
     source: PathLike, found: int, recipe: Recipe, maps: Sequence[Placed], grid: GridOptions | None
 ) -> int:
     """Return the number of axes that are bent."""
-    told = [stroke.ndim for stroke in recipe.strokes[:1]] + [each.map.ndim for each in maps[:1]]
-    n = told[0] if told else grid.ndim if grid is not None else None
+    stated = [stroke.ndim for stroke in recipe.strokes[:1]] + [each.map.ndim for each in maps[:1]]
+    n = stated[0] if stated else grid.ndim if grid is not None else None
     if n is not None and n > found:
         raise SuppleError(
             f"{shown(source)} is a picture, with {found} axes of space, and strokes, maps or the crop have {n}: give "
@@ -310,15 +310,15 @@ def task_shape(
     """
     whole = math.prod(shape) * itemsize
     most = min(limit or TASK, whole / (_TURNS * slots))
-    made = [min(a, b) for a, b in zip(block, shape, strict=True)]
+    sizes = [min(a, b) for a, b in zip(block, shape, strict=True)]
     for axes in (range(carried, len(shape)), range(carried)):
-        while growing := [k for k in axes if made[k] < shape[k]]:
-            k = min(growing, key=lambda axis: made[axis])
-            wider = min(-(-made[k] // block[k]) * 2 * block[k], shape[k])
-            if math.prod(made) // made[k] * wider * itemsize > most:
+        while growing := [k for k in axes if sizes[k] < shape[k]]:
+            k = min(growing, key=lambda axis: sizes[axis])
+            wider = min(-(-sizes[k] // block[k]) * 2 * block[k], shape[k])
+            if math.prod(sizes) // sizes[k] * wider * itemsize > most:
                 break
-            made[k] = wider
-    return tuple(made)
+            sizes[k] = wider
+    return tuple(sizes)
 
 
 def chunks_of(task: Sequence[int], shape: Sequence[int]) -> list[tuple[int, ...]]:
@@ -343,12 +343,7 @@ def portions(chunks: Sequence[Sequence[int]]) -> Iterator[list[Box]]:
 
 def plan_boxes(warp: Warp, boxes: Sequence[Box], runner: Runner) -> tuple[list[Block], Certificate]:
     """Find what blocks read, which together are whole layers."""
-
-    def each(warp: Warp, boxes: Sequence[Box]) -> list[Read]:
-        found = runner.each(Warp.all_reads, warp, batches(boxes), lambda: None)
-        return [one for part in found for one in part]
-
-    return warp.plan(boxes, each)
+    return warp.plan(boxes, lambda warp, parts: runner.each(Warp.all_reads, warp, parts, lambda: None))
 
 
 def whole_chunks(part: Box, shape: Sequence[int], chunks: Sequence[int] | None) -> int:

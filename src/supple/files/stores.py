@@ -356,13 +356,13 @@ def _job(source: Source, warp: Warp, recipe: Recipe, options: VolumeOptions) -> 
     }
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True, default=float).encode())
     for each in deformation.maps:
-        held = each.map
+        element = each.map
         digest.update(repr((each.inverse, each.after)).encode())
-        if isinstance(held, Field):
-            digest.update(repr((held.grid, held.interpolation, held.beyond)).encode())
-            digest.update(held.values.data)
+        if isinstance(element, Field):
+            digest.update(repr((element.grid, element.interpolation, element.beyond)).encode())
+            digest.update(element.values.data)
         else:
-            digest.update(np.ascontiguousarray(held.matrix).data)
+            digest.update(np.ascontiguousarray(element.matrix).data)
     return f"warp {'/'.join(place.parts)}, {digest.hexdigest()}"
 
 
@@ -433,7 +433,7 @@ def _write_block(work: Work, item: tuple[Box, Block]) -> tuple[Literal["done", "
             return "copied", count
     with work.place.reading(f"samples of it cannot be decoded, at {', '.join(f'{a}:{b}' for a, b in part)}"):
         samples = np.asarray(work.samples[tuple(slice(*each) for each in part)])
-    target.write(0, box, work.warp.along(samples, block, work.carried)[0])
+    target.write(0, box, work.warp.block(samples, block, work.carried))
     return "read", whole_chunks(part, work.samples.shape, work.samples.chunks) * samples.itemsize
 
 

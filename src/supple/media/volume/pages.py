@@ -82,17 +82,17 @@ def read(path: PathLike) -> Volume:
         names = [(name, series.shape[k]) for k, name in axes_of(path, series).items() if series.axes[k] not in "SYX"]
         kind: str = series.kind
         own = [int(getattr(page, "index", -1)) for page in series.pages if page is None or page.parent is file]
-    told, sizes = _description(image), dict(names)
+    description, sizes = _description(image), dict(names)
     letters, outer = "".join(sizes), list(sizes.values())
     promised = math.prod(outer)
     if kind == "imagej" and promised == count:
-        promised = int(told.get("images", count))
+        promised = int(description.get("images", count))
     if (kind == "imagej" and promised != count) or len(own) != promised or -1 in own:
         what = f"its description tells of {promised} pages, and it has {count}"
         raise unreadable(path, what, "give all of them, or correct the description")
     if "t" in letters and "c" in letters:
-        held = " and ".join(f"{size} {_SPOKEN[name]}" for name, size in names if name in "tc")
-        raise unreadable(path, f"it holds {held}", "bend it to a Zarr store, or give one of them")
+        content = " and ".join(f"{size} {_SPOKEN[name]}" for name, size in names if name in "tc")
+        raise unreadable(path, f"it holds {content}", "bend it to a Zarr store, or give one of them")
     first, last = min(own), max(own)
     with decoding(path):
         source = pyvips.Source.new_from_file(os.fsencode(path))
@@ -111,13 +111,13 @@ def read(path: PathLike) -> Volume:
     samples = samples.transpose(sorted(range(len(letters)), key=lambda k: "tzyxc".find(letters[k])))
     if "z" not in letters:
         samples = np.expand_dims(samples, "t" in letters)
-    if "x" in told and "z" not in told and sizes.get("z", 1) > 1:
+    if "x" in description and "z" not in description and sizes.get("z", 1) > 1:
         what = f"{shown(path)} does not tell how far its slices are apart (PhysicalSizeZ): as far as its columns"
         warnings.warn(what, VolumeWarning, stacklevel=4)
-    interval = told.get("finterval", 0.0)
+    interval = description.get("finterval", 0.0)
     return Volume(
         native(samples),
-        Geometry(_spacing(image, told)),
+        Geometry(_spacing(image, description)),
         shown(path),
         "TIFF",
         "t" in letters,
@@ -156,8 +156,8 @@ def axes_of(path: PathLike, series: Any) -> dict[int, str]:
     letters = enumerate(zip(series.axes, series.shape, strict=True))
     names = {k: _LETTERS.get(letter, letter) for k, (letter, size) in letters if size > 1 or letter in "YX"}
     if any(name not in "tczyx" for name in names.values()) or len(set(names.values())) < len(names):
-        told = " x ".join(f"{size} {letter}" for size, letter in zip(series.shape, series.axes, strict=True))
-        raise unreadable(path, f"its axes are {told}", "give times, channels, planes, rows and columns, once each")
+        listed = " x ".join(f"{size} {letter}" for size, letter in zip(series.shape, series.axes, strict=True))
+        raise unreadable(path, f"its axes are {listed}", "give times, channels, planes, rows and columns, once each")
     return names
 
 
@@ -224,16 +224,16 @@ def _description(image: Any) -> dict[str, float]:
     if not text.startswith("ImageJ="):
         return {}
     pairs = dict(line.strip().partition("=")[::2] for line in text.splitlines())
-    told = {"unit": MILLIMETRES.get(pairs.pop("unit", "").lower(), 1.0)}
+    numbers = {"unit": MILLIMETRES.get(pairs.pop("unit", "").lower(), 1.0)}
     for key, value in pairs.items():
         with contextlib.suppress(ValueError):
             if np.isfinite(number := float(value)):
-                told[key] = number
-    return told
+                numbers[key] = number
+    return numbers
 
 
 def _of_ome(text: str) -> dict[str, float]:
-    told: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     with contextlib.suppress(ElementTree.ParseError, StopIteration):
         found = next(one.attrib for one in ElementTree.fromstring(text).iter() if one.tag.endswith("Pixels"))
         lengths = [(axis.lower(), f"PhysicalSize{axis}", "um", MILLIMETRES) for axis in "XYZ"]
@@ -241,21 +241,21 @@ def _of_ome(text: str) -> dict[str, float]:
             with contextlib.suppress(KeyError, ValueError):
                 known = float(found[name]) * units[found.get(f"{name}Unit", usual).lower()]
                 if 0 < known < np.inf:
-                    told[key] = known
-    return told
+                    numbers[key] = known
+    return numbers
 
 
-def _spacing(image: Any, told: dict[str, float]) -> tuple[float, float, float]:
+def _spacing(image: Any, numbers: dict[str, float]) -> tuple[float, float, float]:
     """Return the spacing in millimetres; 1 if the file has none: dots per inch are not a spacing."""
-    if "x" in told and "y" in told:
-        return told["x"], told["y"], told.get("z", told["x"])
-    if "unit" not in told:
+    if "x" in numbers and "y" in numbers:
+        return numbers["x"], numbers["y"], numbers.get("z", numbers["x"])
+    if "unit" not in numbers:
         return 1.0, 1.0, 1.0
-    unit = told["unit"]
+    unit = numbers["unit"]
     # pixels per millimetre in libvips, if the file has a unit
     across = 1.0 if image.get_typeof("resolution-unit") else unit
     x, y = (across / res if res > 0 else 1.0 for res in (image.xres, image.yres))
-    return x, y, abs(told.get("spacing", 0.0) or 1.0) * unit
+    return x, y, abs(numbers.get("spacing", 0.0) or 1.0) * unit
 
 
 def check(path: PathLike, like: Volume, dtype: np.dtype[Any]) -> None:
@@ -307,8 +307,8 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
         made.addimage(array.dtype, array.shape, pixels, axes="TZCYXS"[: array.ndim], **sizes, **units, **pace)
         text = made.tostring()
     else:
-        told = {"images": len(tall) // height, "channels": channels, "slices": depth, "frames": times}
-        lines = [f"{name}={count}" for name, count in told.items() if count > 1 or name in ("images", "slices")]
+        counts = {"images": len(tall) // height, "channels": channels, "slices": depth, "frames": times}
+        lines = [f"{name}={number}" for name, number in counts.items() if number > 1 or name in ("images", "slices")]
         lines += ["hyperstack=true"] if channels > 1 or times > 1 else []
         lines += ["mode=grayscale"] if channels > 1 else []
         lines += [f"finterval={like.interval!r}"] if like.series else []
