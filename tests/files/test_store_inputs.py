@@ -368,7 +368,7 @@ WRONG: dict[str, tuple[Callable[[], object], str, Recipe, str]] = {
         lambda: tifffile.imwrite("in.tif", noise((2, 3, 8, 9), "uint8"), ome=True, metadata={"axes": "AZYX"}),
         "in.tif", FLAT, "its axes are 2 ",
     ),
-    "cut short": (cut_tiff, "in.tif", FLAT, "it is cut short"),
+    "cut short": (cut_tiff, "in.tif", FLAT, "cut short"),
     "no TIFF": (lambda: Path("in.tif").write_bytes(b"P6 2 2 255 "), "in.tif", FLAT, "it is no TIFF: check its name"),
     "pages of OME-TIFF": (lacking_ome, "in.ome.tif", DEEP, "some of its pages are missing"),
     "pages of ImageJ": (lacking_imagej, "in.tif", DEEP, "said to hold 8 images, and has 6 pages"),

@@ -149,9 +149,6 @@ class Samples:
         if head_of(path, 2) not in (b"II", b"MM"):
             raise unreadable(path, "it is no TIFF", "check its name")
         with contextlib.ExitStack() as stack:
-            with pages.reading(path):
-                if pages.linked(path) is None:
-                    raise unreadable(path, "it is cut short")
             file, first = stack.enter_context(pages.series_of(path))
             with pages.reading(path):
                 page = first.keyframe

@@ -10,7 +10,7 @@ import re
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -75,9 +75,6 @@ def read(path: PathLike) -> Volume:
     if form != "TIFF":
         raise unreadable(path, f"it is no TIFF, but {form}", "check its name")
     count = facts(image)[0]
-    with decoding(path):
-        if linked(path) != count:
-            raise unreadable(path, f"it is cut short: {count} of its pages are whole")
     with series_of(path, alike=True) as (file, series), reading(path):
         names = [(name, series.shape[k]) for k, name in axes_of(path, series).items() if series.axes[k] not in "SYX"]
         kind: str = series.kind
@@ -139,6 +136,7 @@ def series_of(path: PathLike, *, alike: bool = False) -> Iterator[tuple[Any, Any
     with contextlib.ExitStack() as stack:
         with reading(path), _heard(path):
             file = stack.enter_context(tifffile.TiffFile(path))
+            len(file.pages)  # follow the links of all pages
             listed = list(file.series)
         if alike and len(listed) > 1 and listed[0].kind == "generic":
             raise unreadable(path, "its pages are of different sizes or kinds", "give pages of one")
@@ -174,43 +172,26 @@ def reading(path: PathLike) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _heard(path: PathLike) -> Iterator[None]:
-    """Warn of what tifffile logs; raise SuppleError where it would put zeros in place of what is missing."""
+    """Warn of what tifffile logs; raise SuppleError where pages are lost, or zeros would take their place."""
     import tifffile
 
-    said: list[str] = []
+    texts: list[str] = []
     handler, logger = logging.Handler(logging.WARNING), tifffile.logger()
-    handler.emit = lambda record: said.append(record.getMessage())  # type: ignore[method-assign]
+    handler.emit = lambda record: texts.append(f"{record.levelname} {record.getMessage()}")  # type: ignore[method-assign]
     before = logger.propagate, logger.handlers
     logger.propagate, logger.handlers = False, [handler]
     try:
         yield
     finally:
         logger.propagate, logger.handlers = before
-    if any("zeroed" in text for text in said):
+    # libvips takes a file that ends between two pages for whole
+    if any("ERROR <tifffile.TiffPages" in text for text in texts):
+        raise unreadable(path, "its list of pages is damaged or cut short")
+    if any("zeroed" in text for text in texts):
         raise unreadable(path, "some of its pages are missing, or in files that are", "give all of them")
-    if said:
-        text = " ".join(re.sub(r"^<.*?> ?", "", said[0]).split())
+    if texts:
+        text = " ".join(re.sub(r"^\w+ (<.*?> ?)?", "", texts[0]).split())
         warnings.warn(f"{shown(path)} is read, but tifffile says: {text}", VolumeWarning, stacklevel=7)
-
-
-# Kept: libvips takes a file that ends between two pages for whole (test_a_stack_that_ends_between_two_pages).
-def linked(path: PathLike) -> int | None:
-    """Return the number of linked pages, or None if the last link leads out of the file."""
-    with open(path, "rb") as file:
-        head = file.read(16)
-        order: Literal["little", "big"] = "big" if head.startswith(b"MM") else "little"
-        large = 43 in head[2:4]
-        word, count, entry = (8, 8, 20) if large else (4, 2, 12)
-        at, known = int.from_bytes(head[word : 2 * word], order), set[int]()
-        while at and at not in known:
-            known.add(at)
-            file.seek(at)
-            file.seek(at + count + entry * int.from_bytes(file.read(count), order))
-            following = file.read(word)
-            if len(following) < word:
-                return None
-            at = int.from_bytes(following, order)
-        return len(known)
 
 
 def _description(image: Any) -> dict[str, float]:
