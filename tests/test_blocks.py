@@ -59,7 +59,7 @@ def in_blocks(warp: Warp, source: Array, steps: list[int]) -> tuple[Array, list[
     boxes = list(boxes_of([divided(size, step) for size, step in zip(warp.shape, steps, strict=True)]))
     blocks, certificate = warp.plan(boxes)
     for block in blocks:
-        made[slices(block.box)] = warp.block(source[slices(block.part)][None], block)[0][0]
+        made[slices(block.box)] = warp.block(source[slices(block.part)][None], block)[0]
     return made, blocks, certificate
 
 
@@ -174,7 +174,7 @@ def test_axes_before_are_carried_along() -> None:
     blocks, _ = warp.plan(list(boxes_of([(13, 17), (40,), (25, 25)])))
     expected = np.stack([[d.warp(each) for each in row] for row in source])
     for block in blocks:
-        made, _ = warp.along(source[(..., *slices(block.part))], block, 2)
+        made = warp.block(source[(..., *slices(block.part))], block, 2)
         assert_equal(made, expected[(..., *slices(block.box))])
 
 
@@ -188,7 +188,7 @@ def test_blocks_beyond_the_reach_are_copies_of_themselves() -> None:
         if block.identity:
             assert block.part == block.box
             part = np.random.default_rng(0).integers(0, 9, (1, *block.shape))
-            assert_equal(warp.block(part, block)[0], part)
+            assert_equal(warp.block(part, block), part)
     # Of a part of the grid, they are copies of the same part of the source.
     (far,), _ = Warp(d, Sampling.checked(), d.grid.crop((100, 70, 10), (20, 30, 40))).plan(
         [((0, 40), (5, 30), (3, 20))]
@@ -248,7 +248,7 @@ def test_the_core_refuses_a_part_that_is_too_small(axis: int, side: str) -> None
     warp = Warp(d, Sampling.checked())
     (block,), _ = warp.plan([((20, 44), (20, 44), (20, 44))])
     source = np.random.default_rng(5).random((64, 64, 64), np.float32)
-    expected = warp.block(source[slices(block.part)][None], block)[0]
+    expected = warp.block(source[slices(block.part)][None], block)
     part = list(block.part)
     # In the plane, patches are read in steps; a slice less is a slice too few.
     start, stop = part[axis]
@@ -259,7 +259,7 @@ def test_the_core_refuses_a_part_that_is_too_small(axis: int, side: str) -> None
     # More than is read changes nothing.
     part[axis] = (max(0, start - 3), min(64, stop + 3))
     more = Block(block.box, tuple(part), block.copied, block.identity)
-    assert_equal(warp.block(source[slices(more.part)][None], more)[0], expected)
+    assert_equal(warp.block(source[slices(more.part)][None], more), expected)
 
 
 def test_where_nothing_is_seen_but_the_fill_value() -> None:
@@ -289,7 +289,7 @@ def test_a_warp_and_its_blocks_can_be_sent() -> None:
     assert taken == block
     source = np.random.default_rng(7).random((30, 40))
     part = source[slices(block.part)][None]
-    assert_equal(sent.block(part, taken)[0], warp.block(part, block)[0])
+    assert_equal(sent.block(part, taken), warp.block(part, block))
     assert len(pickle.dumps(warp)) < 5000
     assert len(pickle.dumps(block)) < 1000
 

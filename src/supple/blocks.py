@@ -23,6 +23,8 @@ Chunks = Sequence[Sequence[int]]
 """The sizes of the blocks along each axis, in the order of an array's axes, as in Dask."""
 Read = tuple[Box, tuple[float, ...], Certificate]
 """The part of the source that a block reads, how far each of its planes moves, and the certificate of the map."""
+Each = Callable[["Warp", Sequence[Sequence[Box]]], Sequence[Sequence[Read]]]
+"""It returns `Warp.all_reads` of a warp and each of some lists of boxes."""
 
 _TOGETHER = 16  # blocks of which one task finds the parts
 _PACKING = threading.Lock()
@@ -53,6 +55,10 @@ class Block:
     def shape(self) -> tuple[int, ...]:
         """The shape of the block."""
         return tuple(stop - start for start, stop in self.box)
+
+
+def _here(warp: Warp, parts: Sequence[Sequence[Box]]) -> list[list[Read]]:
+    return [warp.all_reads(boxes) for boxes in parts]
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,18 +121,16 @@ class Warp:
                 )
             return self._packed[0]
 
-    def plan(
-        self, boxes: Sequence[Box], each: Callable[[Warp, Sequence[Box]], list[Read]] = all_reads
-    ) -> tuple[list[Block], Certificate]:
+    def plan(self, boxes: Sequence[Box], each: Each = _here) -> tuple[list[Block], Certificate]:
         """Find the part of the source that each block reads, and the blocks that are copies.
 
         Parameters
         ----------
         boxes : sequence of Box
-            The places of all blocks, which together are the whole output.
+            The places of all blocks, which together are the whole output, or whole layers of it.
         each : function, optional
-            `all_reads` of a warp and boxes, perhaps on other machines (`batches`). By default, one block after the
-            other: each uses all threads.
+            `all_reads` of a warp and of each of some lists of boxes, perhaps on other machines. By default, one block
+            after the other: each uses all threads.
 
         Returns
         -------
@@ -135,7 +139,7 @@ class Warp:
         Certificate
             The accuracy of the map.
         """
-        found = each(self, boxes)
+        found = self._all(boxes, each)
         certificate = Certificate(0.0, 0.0)
         deep = self.deformation.ndim == 3
         plain = self._space().composite is None
@@ -149,21 +153,21 @@ class Warp:
             certificate |= known
         if deep and plain and self.grid is not None and self.grid.shape[1:] != self.grid.whole[1:]:
             self._widen(still, [(box, moved) for box, (_, moved, _) in zip(boxes, found, strict=True)], each)
-        made = []
+        blocks = []
         corner = (0,) * self.deformation.ndim if self.grid is None else self.grid.first[::-1]
         for box, (part, moved, _) in zip(boxes, found, strict=True):
             copied = tuple(still[slice(*box[0]) if deep else slice(1)].tolist())
             identity = plain and (max(moved) < 0 or all(copied))
             if identity:  # of a part of the grid, the same part of the source
                 part = tuple((start + at, stop + at) for (start, stop), at in zip(box, corner, strict=True))
-            made.append(Block(box, part, copied, identity))
-        return made, certificate
+            blocks.append(Block(box, part, copied, identity))
+        return blocks, certificate
 
     def _widen(
         self,
         still: npt.NDArray[np.bool_],
         found: Sequence[tuple[Box, tuple[float, ...]]],
-        each: Callable[[Warp, Sequence[Box]], list[Read]],
+        each: Each,
     ) -> None:
         """Keep of the planes of which a part moves hardly those of which the whole does not."""
         assert self.grid is not None
@@ -173,30 +177,36 @@ class Warp:
         doubtful = np.flatnonzero(still & reached)
         first, whole = self.grid.first[2], [(0, size) for size in self.grid.whole[1:]]
         planes: list[Box] = [((first + int(z), first + int(z) + 1), *whole) for z in doubtful]
-        for z, (_, moved, _) in zip(doubtful, each(replace(self, grid=None), planes), strict=True):
+        for z, (_, moved, _) in zip(doubtful, replace(self, grid=None)._all(planes, each), strict=True):
             still[z] = moved[0] * math.sqrt(3) <= self.sampling.tolerance
 
-    def block(self, part: Array, block: Block) -> tuple[Array, Certificate]:
+    def _all(self, boxes: Sequence[Box], each: Each) -> list[Read]:
+        parts = [boxes[k : k + _TOGETHER] for k in range(0, len(boxes), _TOGETHER)]
+        return list(itertools.chain.from_iterable(each(self, parts)))
+
+    def block(self, part: Array, block: Block, carried: int = 1) -> Array:
         """Sample a block from the part of the source that it reads.
 
         Parameters
         ----------
-        part : array, shape (N, ...) or (N, ..., C)
-            Items that are warped alike; of each, `Block.part`.
+        part : array
+            An array whose first ``carried`` axes are carried along; the next are those of `Block.part`; the last may be
+            channels.
         block : Block
+        carried : int
 
         Returns
         -------
         array
-            Of the shape of the block, and of the type of the source.
-        Certificate
+            Of the shape of the block along the axes that are bent, and of the type of the source.
         """
+        lead, part = part.shape[:carried], part.reshape(-1, *part.shape[carried:])
         n = self.deformation.ndim
         tail = part.shape[1 + n :]
         result = np.empty((len(part), *block.shape, *tail), part.dtype)
         if block.identity:
             result[...] = part
-            return result, Certificate(0.0, 0.0)
+            return result.reshape(*lead, *result.shape[1:])
         space = self.space(block.box)
         layout = Layout.of_array(
             (*space.whole, *tail), part.dtype, space.whole, alpha=self.alpha, light=self.sampling.light
@@ -205,24 +215,14 @@ class Warp:
         kind = NATIVE.working_dtype(part.dtype)
         frames = [planes.astype(kind, copy=False) for planes in _planes(part, n)]
         outs = [planes.view(kind) if part.dtype == np.bool_ else planes for planes in _planes(result, n)]
-        made = [out if out.dtype == kind and out.dtype.isnative else np.empty(out.shape, kind) for out in outs]
+        buffers = [out if out.dtype == kind and out.dtype.isnative else np.empty(out.shape, kind) for out in outs]
         corner = (block.part[-1][0], block.part[-2][0], block.part[0][0] if n == 3 else 0)
-        certificate = NATIVE.warp_part(work, frames, made, corner, block.copied)
-        for out, one in zip(outs, made, strict=True):
+        NATIVE.warp_part(work, frames, buffers, corner, block.copied)
+        for out, one in zip(outs, buffers, strict=True):
             if out is not one:
                 with np.errstate(over="ignore"):
                     out[...] = one
-        return result, certificate
-
-    def along(self, part: Array, block: Block, first: int) -> tuple[Array, Certificate]:
-        """Sample a block of an array whose axes before ``first`` are carried along, as `block` does."""
-        made, certificate = self.block(part.reshape(-1, *part.shape[first:]), block)
-        return made.reshape(*part.shape[:first], *made.shape[1:]), certificate
-
-
-def batches(boxes: Sequence[Box]) -> list[Sequence[Box]]:
-    """Return the blocks whose parts one task finds."""
-    return [boxes[k : k + _TOGETHER] for k in range(0, len(boxes), _TOGETHER)]
+        return result.reshape(*lead, *result.shape[1:])
 
 
 def boxes_of(chunks: Chunks) -> Iterator[Box]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.blocks import Block, Box, Read, Warp, batches, boxes_of
+from supple.blocks import Block, Box, Read, Warp, boxes_of
 from supple.deformation import Deformation
 from supple.engines.base import Layout, Sampling, warn_of
 from supple.errors import SuppleError, need
@@ -175,15 +175,14 @@ def _warped(array: Any, job: Warp, chunks: Any, first: int, stacklevel: int = 4)
     return da.Array(layers, name, blocks, meta=meta)  # type: ignore[no-untyped-call]
 
 
-def _everywhere(job: Warp, boxes: Sequence[Box]) -> list[Read]:
+def _everywhere(job: Warp, parts: Sequence[Sequence[Box]]) -> list[list[Read]]:
     """Find the parts that blocks read, by Dask: on the threads here, or the cluster that is connected."""
-    some = batches(boxes)
-    if len(some) == 1:
-        return job.all_reads(boxes)
+    if len(parts) == 1:
+        return [job.all_reads(parts[0])]
     # The map, which may hold a large field, is sent once, and not with each task.
     held = dask.delayed(job, traverse=False)  # type: ignore[attr-defined]
-    found = dask.compute(*[dask.delayed(Warp.all_reads)(held, part) for part in some])  # type: ignore[attr-defined, no-untyped-call]
-    return [read for part in found for read in part]
+    found = dask.compute(*[dask.delayed(Warp.all_reads)(held, part) for part in parts])  # type: ignore[attr-defined, no-untyped-call]
+    return list(found)
 
 
 def _chunks(
@@ -247,11 +246,11 @@ def _warp_pieces(
     part = np.empty(shape, pieces[0].dtype)
     for place, piece in zip(places, pieces, strict=True):
         part[tuple(slice(*each) for each in place)] = piece
-    return job.along(part, block, first)[0]
+    return job.block(part, block, first)
 
 
 def _warp_read(job: Warp, block: Block, first: int, source: Any, box: Box) -> npt.NDArray[Any]:
-    return job.along(np.asarray(source[tuple(slice(*each) for each in box)]), block, first)[0]
+    return job.block(np.asarray(source[tuple(slice(*each) for each in box)]), block, first)
 
 
 def _of_xarray(array: Any, job: Warp, chunks: Any, axes: Sequence[int] | None) -> Any:

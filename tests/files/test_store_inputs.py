@@ -77,14 +77,6 @@ def of_scaled_nifti() -> tuple[str, Array]:
     return "in.nii", (0.5 * values.T - 3).astype("float32")
 
 
-def of_big_endian_nifti() -> tuple[str, Array]:
-    values = noise((40, 32, 11), "uint16")
-    made = nibabel.Nifti1Image(values, np.eye(4), nibabel.Nifti1Header(endianness=">"))
-    made.header.set_data_dtype(np.uint16)
-    nibabel.save(made, "in.nii")
-    return "in.nii", values.T
-
-
 def of_series() -> tuple[str, Array]:
     values = noise((40, 32, 11, 3), "uint8")
     nifti("in.nii", values)
@@ -96,19 +88,6 @@ def of_colours() -> tuple[str, Array]:
     rgb = np.dtype([(name, np.uint8) for name in "RGB"])
     nifti("in.nii", np.ascontiguousarray(values).view(rgb)[..., 0].T.copy())
     return "in.nii", np.moveaxis(values, -1, 0)
-
-
-def of_nrrd() -> tuple[str, Array]:
-    values = noise((11, 32, 40), "int16")
-    known = volume.Volume(values, Geometry((1.0, 1.0, 1.0), convention="LPS"))
-    volume.write("in.nrrd", values, known)
-    return "in.nrrd", values
-
-
-def of_dat() -> tuple[str, Array]:
-    values = noise((11, 32, 40), "<u2")
-    Path("in.dat").write_bytes(np.array([40, 32, 11], "<u2").tobytes() + values.tobytes())
-    return "in.dat", values
 
 
 def tiff(shape: tuple[int, ...], dtype: str = "uint16", **options: Any) -> Callable[[], tuple[str, Array]]:
@@ -141,11 +120,8 @@ INPUTS: dict[str, tuple[Callable[[], tuple[str, Array]], str]] = {
     "nifti": (of_nifti, "zyx"),
     "nifti-gz": (of_packed_nifti, "zyx"),
     "nifti-scaled": (of_scaled_nifti, "zyx"),
-    "nifti-big-endian": (of_big_endian_nifti, "zyx"),
     "nifti-series": (of_series, "tzyx"),
     "nifti-rgb": (of_colours, "czyx"),
-    "nrrd": (of_nrrd, "zyx"),
-    "dat": (of_dat, "zyx"),
     "tiff-strips": (tiff((50, 60), rowsperstrip=7), "yx"),
     "tiff-big-endian": (tiff((50, 60), byteorder=">", tile=(16, 32)), "yx"),
     "tiff-tiles": (tiff((64, 80), "float32", tile=(16, 32), compression="zlib", predictor=True), "yx"),
@@ -391,7 +367,7 @@ WRONG: dict[str, tuple[Callable[[], object], str, Recipe, str]] = {
         lambda: tifffile.imwrite("in.tif", noise((2, 3, 8, 9), "uint8"), ome=True, metadata={"axes": "AZYX"}),
         "in.tif", FLAT, "its axes are 2 ",
     ),
-    "cut short": (cut_tiff, "in.tif", FLAT, "it is cut short"),
+    "cut short": (cut_tiff, "in.tif", FLAT, "cut short"),
     "no TIFF": (lambda: Path("in.tif").write_bytes(b"P6 2 2 255 "), "in.tif", FLAT, "it is no TIFF: check its name"),
     "pages of OME-TIFF": (lacking_ome, "in.ome.tif", DEEP, "some of its pages are missing"),
     "pages of ImageJ": (lacking_imagej, "in.tif", DEEP, "said to hold 8 images, and has 6 pages"),

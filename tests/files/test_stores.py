@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import contextlib
-import errno
 import itertools
 import os
 import re
@@ -33,18 +32,21 @@ from supple.engines.base import Sampling  # noqa: E402
 from supple.errors import VolumeWarning  # noqa: E402
 from supple.fields import Placed  # noqa: E402
 from supple.files import plans, tasks  # noqa: E402
-from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
+from supple.files.options import (
+    GridOptions,
+    VolumeOptions,
+)
 from supple.files.plans import chunks_of, plan_boxes, plan_file, task_shape  # noqa: E402
 from supple.files.stores import WarpedStore, warp_store  # noqa: E402
 from supple.files.tasks import Running, runner_of  # noqa: E402
 from supple.media.stores import Target, open_image  # noqa: E402
 from supple.media.stores.pyramid import reduced  # noqa: E402
 from tests.children import ROOT, SOURCE  # noqa: E402
+from tests.media.stores.images import image  # noqa: E402
 
 Array = npt.NDArray[Any]
 
 RNG = np.random.default_rng(5)
-KINDS = {"t": "time", "c": "channel", "z": "space", "y": "space", "x": "space"}
 FLAT = Recipe(strokes=[Stroke.grab((14, 12), to=(17, 14), radius=3)])
 DEEP = Recipe(strokes=[Stroke.grab((14, 12, 4), to=(16, 13, 5), radius=2)])
 
@@ -62,36 +64,11 @@ def plain(name: str, values: Array, chunks: tuple[int, ...], **more: Any) -> Arr
     return values
 
 
-def ome(
-    name: str, version: str, axes: str, shape: tuple[int, ...], chunks: tuple[int, ...], *, levels: int = 2,
-    shards: tuple[int, ...] | None = None, unit: str | None = "millimeter", dtype: str = "uint16",
-) -> Array:  # fmt: skip
+def ome(name: str, version: str, axes: str, shape: tuple[int, ...], chunks: tuple[int, ...], **more: Any) -> Array:
     """Write an image whose levels are half as large in the plane; return the finest."""
-    values = RNG.integers(0, 250, shape).astype(dtype)
-    told = [{"name": n, "type": KINDS[n], **({"unit": unit} if unit and KINDS[n] == "space" else {})} for n in axes]
-    datasets = [
-        {
-            "path": str(k),
-            "coordinateTransformations": [
-                {"type": "scale", "scale": [2.0**k if n in "yx" else 1.0 for n in axes]},
-                {"type": "translation", "translation": [(2.0**k - 1) / 2 if n in "yx" else 0.0 for n in axes]},
-            ],
-        }
-        for k in range(levels)
-    ]
-    image = {"name": "cells", "axes": told, "datasets": datasets}
-    old = version == "0.4"
-    attributes: dict[str, Any] = {"multiscales": [{"version": "0.4", **image}]}
-    if not old:
-        attributes = {"ome": {"version": version, "multiscales": [image]}}
-    group = zarr.create_group(name, zarr_format=2 if old else 3, attributes=attributes)
-    level = values
-    for k in range(levels):
-        more: dict[str, Any] = {"chunk_key_encoding": {"name": "v2", "separator": "/"}} if old else {"shards": shards}
-        made = group.create_array(str(k), shape=level.shape, dtype=level.dtype, chunks=chunks, **more)
-        made[...] = level
-        level = reduced(level, [2 if n in "yx" else 1 for n in axes], "mean")
-    return values
+    options = {"count": 2, "scale": 1.0, "unit": "millimeter"} | more
+    form = 2 if version == "0.4" else 3
+    return image(name, form, version, names=axes, shape=shape, chunks=chunks, **options)[0]
 
 
 def whole(made: WarpedStore, values: Array, **options: Any) -> Array:
@@ -248,13 +225,13 @@ import os, signal, sys
 from supple import Recipe, Stroke
 from supple.files import plans, stores
 plans.TASK = 1 << 12
-real, calls = stores._warp_block, []
+real, calls = stores._write_block, []
 def killing(work, item):
     calls.append(item)
     if len(calls) > 5:
         os.kill(os.getpid(), signal.SIGKILL)
     return real(work, item)
-stores._warp_block = killing
+stores._write_block = killing
 stores.warp_store("in.zarr", "out.zarr", Recipe.from_json(sys.argv[1]))
 """
 
@@ -290,43 +267,6 @@ def test_a_damaged_chunk_is_one_sentence_and_the_rest_is_kept() -> None:
     chunk.write_bytes(whole_chunk)
     made = warp_store("in.zarr", "out.zarr", FLAT)
     assert np.array_equal(arrays("out.zarr")[0], whole(made, values))
-
-
-def test_what_is_there_is_not_replaced() -> None:
-    plain("in.zarr", RNG.random((20, 20)).astype(np.float32), (16, 16))
-    plain("out.zarr", np.ones((4, 4)), (4, 4))
-    with pytest.raises(SuppleError, match=r"out\.zarr exists already: choose another name"):
-        warp_store("in.zarr", "out.zarr", FLAT)
-    assert zarr.open("out.zarr").shape == (4, 4)
-    warp_store("in.zarr", "out.zarr", FLAT, force=True)
-    assert zarr.open("out.zarr").shape == (20, 20)
-    Path("folder").mkdir()
-    with pytest.raises(SuppleError, match="no Zarr store"):
-        warp_store("in.zarr", "folder", FLAT, force=True)
-
-
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        ({"recipe": DEEP}, "is a picture, with 2 axes of space"),
-        ({"options": VolumeOptions(world=True)}, "world is for volumes"),
-        ({"options": VolumeOptions(save_field="field.nii")}, "the field of a picture is written as OME-Zarr"),
-        ({"options": VolumeOptions(series="1")}, "series is not for Zarr stores"),
-        ({"grid": GridOptions(crop=(0, 0, 99, 3))}, "crop must be within the grid"),
-        ({"filter": "sharp"}, "filter must be"),
-    ],
-)
-def test_refusals(options: dict[str, Any], told: str) -> None:
-    ome("in.zarr", "0.5", "yx", (20, 24), (16, 16))
-    with pytest.raises(SuppleError, match=told):
-        warp_store("in.zarr", "out.zarr", **{"recipe": FLAT, **options})
-    assert os.listdir() == ["in.zarr"]
-
-
-def test_axes_whose_units_are_no_lengths_are_refused() -> None:
-    ome("in.zarr", "0.5", "zyx", (4, 20, 24), (4, 16, 16), unit="second")
-    with pytest.raises(SuppleError, match=r"in\.zarr"):
-        warp_store("in.zarr", "out.zarr", DEEP)
 
 
 def test_a_turned_reference_is_refused() -> None:
@@ -368,24 +308,6 @@ def test_workers_that_end_are_one_sentence(monkeypatch: pytest.MonkeyPatch) -> N
         runner.each(ends, "job", range(6), lambda: None)
 
 
-def test_a_scheduler_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("distributed")
-    plain("in.zarr", RNG.random((20, 20)).astype(np.float32), (16, 16))
-    monkeypatch.setattr(tasks, "_PATIENCE", 0.5)
-    for address in ("tcp://127.0.0.1:9", "nowhere"):
-        with pytest.raises(SuppleError, match=f"the scheduler {address} does not answer"):
-            warp_store("in.zarr", "out.zarr", FLAT, running=Running(scheduler=address))
-    assert os.listdir() == ["in.zarr"]
-
-
-def test_where_tasks_run_is_checked() -> None:
-    for count in (0, -1, 1.5, True):
-        with pytest.raises(SuppleError, match="workers must be"):
-            Running(workers=count)  # type: ignore[arg-type]
-    with pytest.raises(SuppleError, match="give one of them"):
-        Running(workers=1, scheduler="tcp://127.0.0.1:9")
-
-
 def test_a_worker_that_does_not_see_the_folders(tmp_path: Path) -> None:
     plain("in.zarr", RNG.random((40, 40)).astype(np.float32), (16, 16))
 
@@ -419,38 +341,14 @@ def test_a_plan_says_what_the_job_does() -> None:
 
 def test_plans_of_files_read_the_header_alone() -> None:
     nibabel = pytest.importorskip("nibabel")
-    from supple.media import image
+    from supple.media import image as picture
 
     nibabel.save(nibabel.Nifti1Image(np.zeros((30, 28, 9, 2), np.int16), np.eye(4)), "series.nii.gz")
     told = plan_file("series.nii.gz", DEEP)
     assert (told.shape, told.dtype) == ((2, 9, 28, 30), "int16")
-    image.write("in.png", RNG.integers(0, 255, (40, 50, 3), np.uint8))
+    picture.write("in.png", RNG.integers(0, 255, (40, 50, 3), np.uint8))
     told = plan_file("in.png", FLAT)
     assert (told.shape, told.dtype, told.size) == ((3, 40, 50), "uint8", 6000)
-
-
-@pytest.mark.parametrize("where", ["folder", "memory"])
-def test_a_store_that_fails_in_the_middle(where: str, memory: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    values = ome("in.zarr", "0.5", "zyx", (8, 40, 44), (4, 16, 16))
-    target = "out.zarr" if where == "folder" else f"{memory}/out.zarr"
-    real, calls = Target.write, []
-
-    def failing(self: Target, level: int, box: Any, values: Any) -> None:
-        calls.append(box)
-        if len(calls) > 5:
-            with self.writing():
-                raise OSError(errno.ENOSPC, "No space left on device")
-        real(self, level, box, values)
-
-    monkeypatch.setattr(Target, "write", failing)
-    with pytest.raises(SuppleError, match=r"^cannot write .*out\.zarr: No space left on device"):
-        warp_store("in.zarr", target, DEEP)
-    monkeypatch.setattr(Target, "write", real)
-    with pytest.raises(SuppleError, match="unfinished"):
-        open_image("out.zarr.partial" if where == "folder" else target)
-    made = warp_store("in.zarr", target, DEEP)
-    assert 0 < made.done < made.blocks
-    assert np.array_equal(arrays(target)[0], whole(made, values))
 
 
 @pytest.mark.parametrize(
@@ -497,7 +395,7 @@ def test_lengths_in_another_unit_are_told() -> None:
 @pytest.mark.parametrize("unit", ["um", "\u00b5m", "micron"])
 def test_units_that_many_files_have(unit: str) -> None:
     ome("in.zarr", "0.5", "zyx", (14, 40, 44), (4, 16, 16), unit=unit)
-    assert np.allclose(open_image("in.zarr").spacing, 1e-3)
+    assert np.allclose(open_image("in.zarr").grid.spacing, 1e-3)
 
 
 def test_labels_are_not_mixed_in_silence() -> None:

@@ -99,7 +99,7 @@ def _stored(name: str) -> tuple[dict[str, Any], str]:
     from supple.media.stores import open_image
 
     image = open_image(name)
-    unit, n = "mm" if image.placed else "pixels", len(image.spatial)
+    grid, unit, n = image.grid, "mm" if image.placed else "pixels", len(image.spatial)
     levels: list[dict[str, Any]] = [
         {
             "path": level.path,
@@ -122,8 +122,8 @@ def _stored(name: str) -> tuple[dict[str, Any], str]:
         "shape": list(image.shape),
         "dtype": str(image.dtype),
         "bytes": image.dtype.itemsize * math.prod(image.shape),
-        "spacing": [float(f"{step:.12g}") for step in image.spacing],
-        "origin": [float(f"{start:.12g}") for start in image.origin],
+        "spacing": [float(f"{step:.12g}") for step in grid.spacing],
+        "origin": [float(f"{start:.12g}") for start in grid.origin],
         "units": unit,
         "levels": levels,
     }
@@ -134,8 +134,8 @@ def _stored(name: str) -> tuple[dict[str, Any], str]:
         "size": f"{' x '.join(map(str, image.shape))}, in this order",
         "values": str(image.dtype),
         "bytes": f"{facts['bytes']:,}, decoded",
-        "spacing": f"{' x '.join(f'{step:.6g}' for step in image.spacing)} {unit} along x, y{', z' * (n == 3)}",
-        "origin": f"{', '.join(f'{start:.6g}' for start in image.origin)} {unit}",
+        "spacing": f"{' x '.join(f'{step:.6g}' for step in grid.spacing)} {unit} along x, y{', z' * (n == 3)}",
+        "origin": f"{', '.join(f'{start:.6g}' for start in grid.origin)} {unit}",
     }
     if not image.placed and any(image.levels[0].scale[axis] != 1 for axis in image.spatial):
         lines["spacing"] += ": its axes have no units, and their scale is not used"

@@ -1,4 +1,4 @@
-"""Commands on Zarr stores: how one is bent, and what a warp in blocks would read and write."""
+"""Commands on Zarr stores: how one is bent, where, and what a warp in blocks would read and write."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import glob
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
@@ -24,7 +24,6 @@ from supple.cli.options_maps import (
     grid_facts,
     say_background,
 )
-from supple.cli.options_stores import WorkerOptions
 from supple.cli.options_strokes import StrokeOptions
 from supple.cli.options_volume import VOLUME, VolumeArguments
 from supple.errors import SuppleError, shown
@@ -38,6 +37,37 @@ if TYPE_CHECKING:
 
 Outside = Literal["edge", "constant", "reflect"]
 SAMPLING = Group("Sampling", sort_key=2)
+STORES = Group("Zarr stores", sort_key=4.5)
+
+
+@Parameter(name="*", group=STORES)
+@dataclass(kw_only=True, eq=False, repr=False)
+class WorkerOptions:
+    """Options of outputs that are written block by block.
+
+    Parameters
+    ----------
+    workers
+        Work in so many processes on this machine, which share its cores (default: threads of one process).
+    scheduler
+        Work on a cluster of Dask, which has started already: the address of its scheduler.
+    """
+
+    workers: Annotated[int | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
+    scheduler: Annotated[str | None, Parameter(metavar="tcp://HOST:PORT")] = None
+
+    @property
+    def given(self) -> str | None:
+        """The name of an option that is given; None if none is."""
+        names = {"--workers": self.workers, "--scheduler": self.scheduler}
+        return next((name for name, value in names.items() if value is not None), None)
+
+    def to_running(self) -> Running:
+        """Return the options as the library takes them."""
+        from supple.files.tasks import Running
+
+        return Running(workers=self.workers, scheduler=self.scheduler)
+
 
 _STROKES = StrokeOptions()
 _MAPS = MapOptions()
@@ -67,18 +97,15 @@ def warp_stored(
     try:
         with about(File(source, target)), counted(console.terminal, "blocks") as counts:
             own = refer(console, source, recipe, maps, known)
-            made = warp_store(
+            stored = warp_store(
                 source, target, recipe, **given, options=known["volume"], maps=maps.read(own), running=running,
                 tell=tell,
             )  # fmt: skip
     except (KeyboardInterrupt, Terminated):
-        if "warp" in blocks:
-            done, total = blocks["warp"]
-            console.goes_on = f"{done} of {total} blocks of {shown(target)} are written, the same command goes on"
-        elif "field" in blocks:
-            done, total = blocks["field"]
-            name = shown(known["volume"].save_field)
-            console.goes_on = f"{done} of {total} parts of {name} are written, the same command goes on"
+        parts, name = ("blocks", target) if "warp" in blocks else ("parts", known["volume"].save_field)
+        if blocks:
+            done, total = blocks.get("warp") or blocks["field"]
+            console.goes_on = f"{done} of {total} {parts} of {shown(name)} are written, the same command goes on"
         raise
     except SuppleError as error:
         if json:
@@ -86,18 +113,18 @@ def warp_stored(
         raise
     if json:
         used = {"maps": maps.facts(own)} if maps else {}
-        console.tell({**_facts(made), **used})
-    if made.done:
-        what = f"{made.done} of {made.blocks} blocks were there already"
+        console.tell({**_facts(stored), **used})
+    if stored.done:
+        what = f"{stored.done} of {stored.blocks} blocks were there already"
         console.note(f"{shown(target)}: {what}, of a job that was interrupted")
-    if made.labels:
-        console.note(f"{shown(target)}: the label images {', '.join(made.labels)} are bent with it")
-    if made.grid is not None:
-        units = "mm" if made.geometry is not None and made.geometry.convention != "array" else "pixels"
-        console.note(f"{shown(target)} is written on {describe_grid(grid_facts(made.grid), units)}")
-    say_background(console, target, source, made.background)
-    say_convention(console, known["volume"].world, made.geometry, source)
-    return made
+    if stored.labels:
+        console.note(f"{shown(target)}: the label images {', '.join(stored.labels)} are bent with it")
+    if stored.grid is not None:
+        units = "mm" if stored.geometry is not None and stored.geometry.convention != "array" else "pixels"
+        console.note(f"{shown(target)} is written on {describe_grid(grid_facts(stored.grid), units)}")
+    say_background(console, target, source, stored.background)
+    say_convention(console, known["volume"].world, stored.geometry, source)
+    return stored
 
 
 def refer(console: Console, source: str, recipe: Recipe, maps: Maps, known: Mapping[str, Any]) -> Grid | None:
@@ -106,9 +133,9 @@ def refer(console: Console, source: str, recipe: Recipe, maps: Maps, known: Mapp
 
     if not maps:
         return None
-    own = open_source(source, recipe, known["volume"], grid=known["grid"]).medium.grid
+    own = open_source(source, recipe, known["volume"], grid=known["grid"]).grid
     read = maps.read(own)
-    own = open_source(source, recipe, known["volume"], maps=read, grid=known["grid"]).medium.grid
+    own = open_source(source, recipe, known["volume"], maps=read, grid=known["grid"]).grid
     maps.on(console, own, shown(source), known["grid"])
     return own
 
@@ -156,33 +183,27 @@ def check_known(paths: Sequence[str], known: Mapping[str, Any]) -> None:
         raise SuppleError(f"{wrong[0]} is not for Zarr stores, and {shown(stored)} is one: leave it out")
 
 
-def _facts(made: WarpedStore) -> dict[str, Any]:
-    grid = made.grid or made.deformation.grid
+def _facts(stored: WarpedStore) -> dict[str, Any]:
+    grid = stored.grid or stored.deformation.grid
+    names = ("shape", "levels", "labels", "blocks", "done", "copied", "read", "copied_bytes")
     facts: dict[str, Any] = {
-        "input": made.source,
-        "output": made.target,
+        "input": stored.source,
+        "output": stored.target,
         **dict(zip(("width", "height", "depth"), grid.sizes, strict=False)),
-        "shape": list(made.shape),
-        "levels": made.levels,
-        "labels": list(made.labels),
-        "blocks": made.blocks,
-        "done": made.done,
-        "copied": made.copied,
-        "read": made.read,
-        "copied_bytes": made.copied_bytes,
-        "spacing": list(grid.spacing),
-        "tolerance": made.tolerance,
-        "error": _finite(made.error),
-        **told_of(made.deformation),
+        **{name: getattr(stored, name) for name in names},
+        "spacing": grid.spacing,
+        "tolerance": stored.tolerance,
+        "error": _finite(stored.error),
+        **told_of(stored.deformation),
     }
-    if made.grid is not None:
-        facts["grid"] = grid_facts(made.grid)
-    if made.field is not None:
-        facts["field"] = {key: _finite(value) for key, value in asdict(made.field).items()}
-    if made.background is not None:
-        facts["background"] = made.background
-    if made.deformation.maps:
-        facts |= {"folded": made.folded, "outside": made.outside, "unsolved": made.unsolved}
+    if stored.grid is not None:
+        facts["grid"] = grid_facts(stored.grid)
+    if stored.field is not None:
+        facts["field"] = {key: _finite(value) for key, value in asdict(stored.field).items()}
+    if stored.background is not None:
+        facts["background"] = stored.background
+    if stored.deformation.maps:
+        facts |= {"folded": stored.folded, "outside": stored.outside, "unsolved": stored.unsolved}
     return facts
 
 

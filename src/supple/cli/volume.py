@@ -186,8 +186,8 @@ def _deformation(
 
         own = refer(current(), on, recipe, elements, {"volume": reading, "grid": None})
         maps = elements.read(own) if elements else ()
-        medium = open_source(on, recipe, reading, maps=maps).medium
-        return warp_on(medium, recipe, options=reading, fit=fit, maps=maps).deformation, medium.geometry
+        source = open_source(on, recipe, reading, maps=maps)
+        return warp_on(source, recipe, options=reading, fit=fit, maps=maps).deformation, source.geometry
     moving = Path(on).with_suffix(".mp4") if recipe.strokes and recipe.strokes[0].ndim == 3 else on
     maps = ()
     if elements and (own := grid_of(on, moving, recipe, volume=reading)) is not None:

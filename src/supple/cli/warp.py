@@ -32,10 +32,10 @@ from supple.cli.options_maps import (
     grid_facts,
     say_background,
 )
-from supple.cli.options_stores import WorkerOptions
 from supple.cli.options_strokes import StrokeOptions
 from supple.cli.options_tracks import TrackOptions
 from supple.cli.options_volume import VOLUME, VolumeArguments
+from supple.cli.stores import WorkerOptions
 from supple.engines.workers import workers
 from supple.errors import SuppleError, shown
 

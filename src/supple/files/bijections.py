@@ -22,7 +22,7 @@ from supple.files.plans import chunks_of
 from supple.files.tasks import Runner, check_seen
 from supple.files.transforms import between, pull_of
 from supple.media.files import check_output, is_store
-from supple.media.stores import NOTES, StoredImage, Target, check_free, create_arrays, overlap
+from supple.media.stores import StoredImage, Target, check_free, create_arrays, overlap
 from supple.media.transforms import check_target, ngff
 from supple.pipeline import Tell
 
@@ -159,12 +159,12 @@ def begin_field(
     force : bool
         Whether an existing store may be replaced.
     """
-    job = f"field of {job}"
-    check_free(address, job, force)
     first, axes = image.levels[0], list(image.spatial)
     scale, translation = ([values[axis] for axis in axes] for values in (first.scale, first.translation))
     own = ngff.Placement(warp.deformation.shape, scale, translation)
     files, paths = ngff.bijection(_axes(image), samples, own, "warp")
+    job = f"field of {job}"
+    check_free(address, files, job, force)
     return Begun(address, warp, tuple(scale), files, paths, job)
 
 
@@ -182,10 +182,6 @@ def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) 
     sizes = [chunks_of(block, array.shape) for block, array in zip(target.blocks, target.arrays, strict=True)]
     counts = [math.prod(map(len, each)) for each in sizes]
     blocks, ready = sum(counts), 0
-    if target.complete:
-        told = target.image.attributes[NOTES]
-        forward, inverse = (math.inf if told[way]["error"] is None else told[way]["error"] for way in _WAYS)
-        return SavedField(target.address, tolerance, forward, inverse, blocks, told["chunks"], told["chunks"])
     total = sum(-(-count // _TOGETHER) for count in counts)
 
     def advance() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
 import os
 from collections.abc import Iterator, Sequence
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from supple.arrays import work_of
-from supple.blocks import Block, Box, Read, Warp, batches, boxes_of
+from supple.blocks import Block, Box, Warp, boxes_of
 from supple.deformation import Deformation
 from supple.engines.base import Certificate, Sampling, warn_of
 from supple.engines.workers import threads
@@ -39,18 +38,18 @@ _TURNS = 4  # tasks of each thread, at least, so that none waits long for the la
 _PORTION = 1024  # blocks that are planned before they are written: neither waits for all the others
 
 
-@dataclass(frozen=True, slots=True)
-class Medium:
-    """What is known of an input before a sample is read.
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """An input that is warped block by block; no sample is read yet.
 
     Parameters
     ----------
     name : str
         For messages.
-    shape : tuple of int
-        Of all axes; those of space are the last ones.
-    dtype : dtype
-        The type of the samples.
+    image : StoredImage
+        What a store is, or what a file becomes.
+    samples : array or Samples
+        It is sliced.
     geometry : Geometry, optional
         The place of a volume in space; None of a picture.
     scaling : (float, float)
@@ -60,44 +59,31 @@ class Medium:
     """
 
     name: str
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
+    image: StoredImage
+    samples: Any
     geometry: Geometry | None
     scaling: tuple[float, float] = (1.0, 0.0)
     background: float = 0.0
 
     @property
+    def is_file(self) -> bool:
+        """Whether it is no store."""
+        return isinstance(self.samples, Samples)
+
+    @property
+    def carried(self) -> int:
+        """The number of axes before those of space."""
+        return len(self.image.axes) - len(self.image.spatial)
+
+    @property
     def space(self) -> tuple[int, ...]:
         """The shape along the axes of space."""
-        return self.shape[-2:] if self.geometry is None else self.shape[-3:]
+        return self.image.shape[self.carried :]
 
     @property
     def grid(self) -> Grid:
         """The grid of the samples: in pixels, or in millimetres."""
         return Grid(self.space) if self.geometry is None else self.geometry.grid(self.space)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Source:
-    """An input that is warped block by block.
-
-    Parameters
-    ----------
-    image : StoredImage
-        What a store is, or what a file becomes.
-    medium : Medium
-    samples : array or Samples
-        It is sliced.
-    """
-
-    image: StoredImage
-    medium: Medium
-    samples: Any
-
-    @property
-    def is_file(self) -> bool:
-        """Whether it is no store."""
-        return isinstance(self.samples, Samples)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,48 +146,42 @@ def plan_file(
 
     Parameters and errors are those of `warp_store`.
     """
-    known = options or VolumeOptions()
-    opened = open_source(source, recipe, known, maps=maps, grid=grid)
-    image, medium, chunks = opened.image, opened.medium, opened.samples.chunks
-    block = tuple(image.levels[0].array.metadata.chunk_grid.chunk_shape)
-    smaller = [math.prod(level.array.shape) / math.prod(medium.shape) for level in image.levels]
+    opened = open_source(source, recipe, options, maps=maps, grid=grid)
+    image, carried, item, chunks = opened.image, opened.carried, opened.image.dtype.itemsize, opened.samples.chunks
     warp = warp_on(
-        medium, recipe, filter=filter, tolerance=tolerance, outside=outside, fill=fill, options=known, fit=fit,
+        opened, recipe, filter=filter, tolerance=tolerance, outside=outside, fill=fill, options=options, fit=fit,
         maps=maps, grid=grid,
     )  # fmt: skip
-    carried, item = len(medium.shape) - len(medium.space), medium.dtype.itemsize
-    shape = (*medium.shape[:carried], *warp.shape)
-    where = running or Running()
-    slots = threads() if where.workers is None else max(1, round(threads() / where.workers))
-    task = task_shape(block, shape, item, carried, threads())
+    shape = (*image.shape[:carried], *warp.shape)
+    workers = (running or Running()).workers
+    slots = threads() if workers is None else max(1, round(threads() / workers))
+    task = task_shape(image.levels[0].array.metadata.chunk_grid.chunk_shape, shape, item, carried, threads())
     sizes = chunks_of(task, shape)
-    leads = math.prod(map(len, sizes[:carried]))
-    each, positions = math.prod(task[:carried]), math.prod(shape[:carried])
-    blocks, copied, read, held, most, done = 0, 0, 0, 0, 0, 0
-    certificate = Certificate(0.0, 0.0)
+    leads, positions = math.prod(map(len, sizes[:carried])), math.prod(shape[:carried])
     total = math.prod(map(len, sizes[carried:]))
+    done, copied, read, copied_bytes, most = 0, 0, 0, 0, 0
+    certificate = Certificate(0.0, 0.0)
     with runner_of(Running()) as runner:
-        for portion in portions(layers(sizes[carried:])):
-            boxes = list(itertools.chain.from_iterable(portion))
+        for boxes in portions(sizes[carried:]):
             planned, found = plan_boxes(warp, boxes, runner)
             certificate |= found
             done += len(boxes)
             tell("plan", done, total)
             for one in planned:
-                blocks += leads
                 count = math.prod(one.shape) * item
                 if one.identity and one.part == one.box:
                     copied += leads
-                    held += count * positions
+                    copied_bytes += count * positions
                     continue
-                part = whole_chunks(one.part, medium.space, chunks and chunks[carried:]) * item
+                part = whole_chunks(one.part, opened.space, chunks and chunks[carried:]) * item
                 read += part * positions
-                most = max(most, (part + math.prod(b - a for a, b in one.part) * item + 2 * count) * each)
+                own = math.prod(b - a for a, b in one.part) * item
+                most = max(most, (part + own + 2 * count) * math.prod(task[:carried]))
     warn_of(certificate, warp.sampling.tolerance, 3, folds_of(maps), only_name(maps))
-    levels = sum(smaller) * math.prod(shape) * item
+    levels = sum(math.prod(level.array.shape) / math.prod(image.shape) for level in image.levels)
     return Planned(
-        shape, str(medium.dtype), task, blocks, copied, read, held, slots, most * slots, round(levels),
-        certificate.error,
+        shape, str(image.dtype), task, total * leads, copied, read, copied_bytes, slots, most * slots,
+        round(levels * math.prod(shape) * item), certificate.error,
     )  # fmt: skip
 
 
@@ -222,39 +202,46 @@ def open_source(
         or the grid.
     """
     known = options or VolumeOptions()
-    if is_store(source):
-        check_options(known)
-        image = open_image(source)
-        n = _axes_of_space(source, len(image.spatial), recipe, maps, grid)
-        image = image if n == len(image.spatial) else open_image(source, ndim=n)
-        _check_order(image)
-        return Source(image, medium_of(image), image.levels[0].array)
-    _refuse_clip(source, recipe, known, maps, grid)
-    samples = Samples(source, raw=known.layout, series=known.series)
-    n = _axes_of_space(source, 3 if "z" in samples.axes else 2, recipe, maps, grid)
-    geometry = samples.geometry if n == 3 else None
-    medium = Medium(shown(source), samples.shape, samples.dtype, geometry)
-    return Source(like_file(source, samples, ndim=n), medium, samples)
-
-
-def _check_order(image: StoredImage) -> None:
-    """Raise SuppleError for axes that are named otherwise than points are meant: x along the last one."""
-    names = [image.axes[axis].name.lower() for axis in image.spatial]
-    usual = list("zyx"[-len(names) :])
-    if sorted(names) == sorted(usual) and names != usual:
-        raise unreadable(
-            image.address,
-            f"its axes of space are {', '.join(names)}, in this order",
-            f"store them in the order {', '.join(usual)}, as OME-Zarr has them",
-        )
+    if not is_store(source):
+        if kind_of(source, source, recipe, known, maps=maps, grid=grid) == "clip":
+            kind = "folder without a volume" if os.path.isdir(source) else "clip"
+            raise SuppleError(
+                f"{shown(source)} is a {kind}, and blocks are of pictures, volumes and Zarr stores: give one of these"
+            )
+        samples = Samples(source, raw=known.layout, series=known.series)
+        n = _axes_of_space(source, 3 if "z" in samples.axes else 2, recipe, maps, grid)
+        geometry = samples.geometry if n == 3 else None
+        return Source(shown(source), like_file(source, samples, ndim=n), samples, geometry)
+    for name, given in (("series", known.series), ("shape", known.layout)):
+        if given is not None:
+            raise SuppleError(f"{name} is not for Zarr stores: leave it out")
+    image = open_image(source)
+    n = _axes_of_space(source, len(image.spatial), recipe, maps, grid)
+    image = image if n == len(image.spatial) else open_image(source, ndim=n)
+    names, usual = [image.axes[axis].name.lower() for axis in image.spatial], list("zyx"[-n:])
+    if sorted(names) == sorted(usual) and names != usual:  # points are meant with x along the last axis
+        what = f"its axes of space are {', '.join(names)}, in this order"
+        raise unreadable(image.address, what, f"store them in the order {', '.join(usual)}, as OME-Zarr has them")
+    geometry = None
+    if n == 3:
+        geometry = image.grid.geometry("LPS") if image.placed else Geometry()
+    array = image.levels[0].array
+    scaling = 1.0, 0.0
+    with contextlib.suppress(TypeError, ValueError):  # of what is no number
+        scaling = float(array.attrs.get("scale_factor", 1)), float(array.attrs.get("add_offset", 0))
+    scaling = scaling if scaling[0] else (1.0, 0.0)
+    fill = array.metadata.fill_value
+    number = isinstance(fill, int | float | np.number) and np.isfinite(fill)
+    background = float(fill) * scaling[0] + scaling[1] if number else 0.0
+    return Source(shown(image.address), image, array, geometry, scaling, background)
 
 
 def _axes_of_space(
     source: PathLike, found: int, recipe: Recipe, maps: Sequence[Placed], grid: GridOptions | None
 ) -> int:
     """Return the number of axes that are bent."""
-    told = [stroke.ndim for stroke in recipe.strokes[:1]] + [each.map.ndim for each in maps[:1]]
-    n = told[0] if told else grid.ndim if grid is not None else None
+    stated = [stroke.ndim for stroke in recipe.strokes[:1]] + [each.map.ndim for each in maps[:1]]
+    n = stated[0] if stated else grid.ndim if grid is not None else None
     if n is not None and n > found:
         raise SuppleError(
             f"{shown(source)} is a picture, with {found} axes of space, and strokes, maps or the crop have {n}: give "
@@ -263,40 +250,8 @@ def _axes_of_space(
     return n or found
 
 
-def _refuse_clip(
-    source: PathLike, recipe: Recipe, options: VolumeOptions, maps: Sequence[Placed], grid: GridOptions | None
-) -> None:
-    if kind_of(source, source, recipe, options, maps=maps, grid=grid) == "clip":
-        kind = "folder without a volume" if os.path.isdir(source) else "clip"
-        raise SuppleError(
-            f"{shown(source)} is a {kind}, and blocks are of pictures, volumes and Zarr stores: give one of these"
-        )
-
-
-def medium_of(image: StoredImage) -> Medium:
-    """Return what is known of a stored image: a picture in pixels, or a volume in millimetres."""
-    name, geometry = shown(image.address), None
-    if len(image.spatial) == 3:
-        geometry = image.grid.geometry("LPS") if image.placed else Geometry()
-    told, scaling = image.levels[0].array.attrs, (1.0, 0.0)
-    with contextlib.suppress(TypeError, ValueError):  # of what is no number
-        scaling = float(told.get("scale_factor", 1)), float(told.get("add_offset", 0))
-    scaling = scaling if scaling[0] else (1.0, 0.0)
-    filled = image.levels[0].array.metadata.fill_value
-    known = isinstance(filled, int | float | np.number) and np.isfinite(filled)
-    background = float(filled) * scaling[0] + scaling[1] if known else 0.0
-    return Medium(name, image.shape, image.dtype, geometry, scaling, background)
-
-
-def check_options(options: VolumeOptions) -> None:
-    """Raise SuppleError for options of volumes that stores do not have."""
-    for name, given in (("series", options.series), ("shape", options.layout)):
-        if given is not None:
-            raise SuppleError(f"{name} is not for Zarr stores: leave it out")
-
-
 def warp_on(
-    medium: Medium,
+    source: Source,
     recipe: Recipe,
     *,
     filter: str = "auto",
@@ -315,35 +270,33 @@ def warp_on(
     SuppleError
         If an option does not fit the input.
     """
-    known = options or VolumeOptions()
+    known, dtype = options or VolumeOptions(), source.image.dtype
     if outside is None:
         elsewhere = grid is not None and grid.reference is not None
-        outside = "constant" if medium.geometry is not None and elsewhere else "edge"
-        fill = 0.0 if known.labels else medium.background
+        outside = "constant" if source.geometry is not None and elsewhere else "edge"
+        fill = 0.0 if known.labels else source.background
     if known.labels and filter not in ("auto", "nearest"):
         raise SuppleError(
             f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{filter}"'
         )
-    if known.labels and medium.dtype.kind == "f":
-        raise SuppleError(
-            f"{argument('labels')} is for whole numbers, and {medium.name} holds {medium.dtype}: leave it out"
-        )
+    if known.labels and dtype.kind == "f":
+        raise SuppleError(f"{argument('labels')} is for whole numbers, and {source.name} holds {dtype}: leave it out")
     name = "nearest" if known.labels else filter
-    whole = np.broadcast_to(np.zeros((), medium.dtype), medium.space)  # which takes no memory
+    whole = np.broadcast_to(np.zeros((), dtype), source.space)  # which takes no memory
     if outside == "constant":
-        fill = Volume(whole, Geometry(), medium.name, scaling=medium.scaling).stored(fill)
-    if medium.geometry is None:
+        fill = Volume(whole, Geometry(), source.name, scaling=source.scaling).stored(fill)
+    if source.geometry is None:
         if known.world:
-            raise SuppleError(f"{argument('world')} is for volumes, and {medium.name} is a picture: leave it out")
+            raise SuppleError(f"{argument('world')} is for volumes, and {source.name} is a picture: leave it out")
         sampling = Sampling.checked(2, filter=name, tolerance=tolerance, outside=outside, fill=fill)
-        height, width = medium.space
-        regrid = grid_on(grid, medium.grid, medium.name, maps)
-        fitted = fit_recipe(recipe, (width, height), fit, medium.name)
-        deformation = Deformation.from_recipe(fitted, medium.grid, maps=maps, warn=False)
+        height, width = source.space
+        regrid = grid_on(grid, source.grid, source.name, maps)
+        fitted = fit_recipe(recipe, (width, height), fit, source.name)
+        deformation = Deformation.from_recipe(fitted, source.grid, maps=maps, warn=False)
     else:
         sampling = sampling_of(name, outside=outside, fill=fill, tolerance=tolerance)
-        regrid = grid_on(grid, medium.grid, medium.name, maps)
-        volume = Volume(whole, medium.geometry, medium.name)
+        regrid = grid_on(grid, source.grid, source.name, maps)
+        volume = Volume(whole, source.geometry, source.name)
         deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
     work_of(whole, deformation.space_on(regrid), sampling, alpha=False)  # raise its errors now
     return Warp(deformation, sampling, regrid)
@@ -359,15 +312,15 @@ def task_shape(
     """
     whole = math.prod(shape) * itemsize
     most = min(limit or TASK, whole / (_TURNS * slots))
-    made = [min(a, b) for a, b in zip(block, shape, strict=True)]
+    sizes = [min(a, b) for a, b in zip(block, shape, strict=True)]
     for axes in (range(carried, len(shape)), range(carried)):
-        while growing := [k for k in axes if made[k] < shape[k]]:
-            k = min(growing, key=lambda axis: made[axis])
-            wider = min(-(-made[k] // block[k]) * 2 * block[k], shape[k])
-            if math.prod(made) // made[k] * wider * itemsize > most:
+        while growing := [k for k in axes if sizes[k] < shape[k]]:
+            k = min(growing, key=lambda axis: sizes[axis])
+            wider = min(-(-sizes[k] // block[k]) * 2 * block[k], shape[k])
+            if math.prod(sizes) // sizes[k] * wider * itemsize > most:
                 break
-            made[k] = wider
-    return tuple(made)
+            sizes[k] = wider
+    return tuple(sizes)
 
 
 def chunks_of(task: Sequence[int], shape: Sequence[int]) -> list[tuple[int, ...]]:
@@ -375,32 +328,24 @@ def chunks_of(task: Sequence[int], shape: Sequence[int]) -> list[tuple[int, ...]
     return [(n,) * (size // n) + ((size % n,) if size % n else ()) for n, size in zip(task, shape, strict=True)]
 
 
-def layers(chunks: Sequence[Sequence[int]]) -> Iterator[list[Box]]:
-    """Yield the places of blocks that have the same planes."""
+def portions(chunks: Sequence[Sequence[int]]) -> Iterator[list[Box]]:
+    """Yield the places of blocks, some at a time, in whole layers: blocks that have the same planes.
+
+    Whether a plane is a copy is known from all blocks of its layer, and from no others.
+    """
+    portion: list[Box] = []
     for first in boxes_of(chunks[:1]):
-        yield [(*first, *rest) for rest in boxes_of(chunks[1:])]
-
-
-def portions(stacked: Iterator[list[Box]]) -> Iterator[list[list[Box]]]:
-    """Yield layers together. Whether a plane is a copy is known from all blocks of its layer, and from no others."""
-    made: list[list[Box]] = []
-    for layer in stacked:
-        made.append(layer)
-        if sum(map(len, made)) >= _PORTION:
-            yield made
-            made = []
-    if made:
-        yield made
+        portion += [(*first, *rest) for rest in boxes_of(chunks[1:])]
+        if len(portion) >= _PORTION:
+            yield portion
+            portion = []
+    if portion:
+        yield portion
 
 
 def plan_boxes(warp: Warp, boxes: Sequence[Box], runner: Runner) -> tuple[list[Block], Certificate]:
     """Find what blocks read, which together are whole layers."""
-
-    def each(warp: Warp, boxes: Sequence[Box]) -> list[Read]:
-        found = runner.each(Warp.all_reads, warp, batches(boxes), lambda: None)
-        return [one for part in found for one in part]
-
-    return warp.plan(boxes, each)
+    return warp.plan(boxes, lambda warp, parts: runner.each(Warp.all_reads, warp, parts, lambda: None))
 
 
 def whole_chunks(part: Box, shape: Sequence[int], chunks: Sequence[int] | None) -> int:

@@ -9,9 +9,10 @@ import json
 import math
 import os
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,9 +22,9 @@ from supple.engines.base import Certificate, warn_of
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Field, Placed, folds_of, only_name
 from supple.files import plans
-from supple.files.bijections import Begun, SavedField, begin_field, check_field, is_scene, write_field
+from supple.files.bijections import SavedField, begin_field, check_field, is_scene, write_field
 from supple.files.options import GridOptions, VolumeOptions
-from supple.files.plans import Medium, Source, chunks_of, open_source, plan_boxes, task_shape, warp_on, whole_chunks
+from supple.files.plans import Source, chunks_of, open_source, plan_boxes, task_shape, warp_on, whole_chunks
 from supple.files.tasks import Runner, Running, check_seen, check_shared, runner_of
 from supple.files.transforms import write_transform
 from supple.files.volumes import least_of, warn_of_labels
@@ -37,12 +38,14 @@ from supple.media.stores import (
     create,
     holding,
 )
+from supple.media.stores.pyramid import Mode
 from supple.media.transforms.ngff import Placement
 from supple.pipeline import Tell
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import Fit, Recipe
 
 PathLike = str | os.PathLike[str]
+Numbers = tuple[float, ...]
 
 _SIDE = 64  # voxels of the part that is looked at for labels
 _AT_ONCE = 4096  # tasks that wait at a time, each of which takes a few kilobytes
@@ -63,7 +66,7 @@ class WarpedStore:
     tolerance : float
         The largest distance of a source point from T⁻¹(q), in samples.
     error : float
-        The error estimate from the checks of the map, of the blocks that were planned.
+        The error estimate from the checks of the map.
     shape : tuple of int
         The shape of the output, of all axes.
     levels : int
@@ -130,11 +133,13 @@ class Work:
 
 @dataclass(slots=True)
 class _Counts:
+    """What was done: numbers of blocks, and bytes."""
+
+    blocks: int = 0
     done: int = 0
     copied: int = 0
     read: int = 0
     copied_bytes: int = 0
-    certificate: Certificate = field(default_factory=lambda: Certificate(0.0, 0.0))
 
 
 @holding()
@@ -200,52 +205,58 @@ def warp_store(
     if folder is not None:
         check_store(folder if "://" in os.fspath(target) else target, force=force)  # before workers are started
     opened = open_source(source, recipe, known, maps=maps, grid=grid)
-    image, medium = opened.image, opened.medium
-    if outside is None and opened.is_file and medium.geometry is not None and grid is not None and grid.reference:
+    image = opened.image
+    if outside is None and opened.is_file and opened.geometry is not None and grid is not None and grid.reference:
         least = 0.0 if "c" in opened.samples.axes else least_of(opened.samples)  # as of volumes from file to file
-        medium = replace(medium, background=least)
+        opened = replace(opened, background=least)
     warp = warp_on(
-        medium, recipe, filter=filter, tolerance=tolerance, outside=outside, fill=fill, options=known, fit=fit,
+        opened, recipe, filter=filter, tolerance=tolerance, outside=outside, fill=fill, options=known, fit=fit,
         maps=maps, grid=grid,
     )  # fmt: skip
     _warn_of_labels(opened, warp)
     labels = _labels(opened, recipe, maps, grid)
-    placement = _placement(image, medium, warp.grid, target)
     job = _job(opened, warp, recipe, replace(known, save_field=None))
-    saving = _begin_field(image, medium, warp, job, (source, target), known.save_field, force)
+    field = None
+    if known.save_field is not None:
+        check_field(known.save_field, (source, target), flat=opened.geometry is None, force=force)
+        if is_scene(known.save_field):
+            scale, translation = _located(opened, warp.grid, known.save_field)
+            axes = list(image.spatial)
+            samples = Placement(warp.shape, [scale[axis] for axis in axes], [translation[axis] for axis in axes])
+            field = begin_field(known.save_field, image, warp, samples, job, force=force)
+    other: dict[str, Any] = {} if warp.grid is None else {"shape": warp.grid.shape}
+    if warp.grid is not None and image.version:
+        other["scale"], other["translation"] = _located(opened, warp.grid, target)
     with runner_of(where) as runner:
-        made = create(target, image, force=force, job=job, **placement)
-        mapping = None if saving is None else saving.claimed(force)
+        output = create(target, image, force=force, job=job, **other)
+        mapping = None if field is None else field.claimed(force)
         level = None if opened.is_file else image.levels[0]
-        carried = len(image.axes) - len(image.spatial)
-        work = Work(Place(image.address), opened.samples, level, carried, made, warp)
+        work = Work(Place(image.address), opened.samples, level, opened.carried, output, warp)
         saved = None if mapping is None else write_field(mapping, runner, tell, maps)
-        counts, blocks = _write_blocks(work, runner, tell, maps, made.begun, warn=saved is None)
+        counts, certificate = _write_blocks(work, runner, tell, maps, warn=saved is None)
         _write_levels(work, runner, tell, "nearest" if known.labels else "mean")
     if labels:
-        made.put_labels(labels, image.version)
+        output.put_labels(labels, image.version)
     for name in labels:
-        here, there = (f"{address.rstrip('/')}/{LABELS}/{name}" for address in (image.address, made.site.address))
-        with warnings.catch_warnings():  # what is wrong with the map is told already
+        here, there = (f"{address.rstrip('/')}/{LABELS}/{name}" for address in (image.address, output.site.address))
+        with warnings.catch_warnings():  # those of the map were given for the image
             warnings.simplefilter("ignore")
             warp_store(
                 here, there, recipe, tolerance=tolerance, outside=outside, fit=fit, maps=maps, grid=grid, force=True,
                 options=replace(known, labels=True, save_field=None), running=where, tell=tell,
             )  # fmt: skip
-    found = counts.certificate
     if mapping is not None:
-        mapping.target.finish(keep=True)  # the same job knows it, if it ends before the next line
-        made.finish()
-        mapping.target.forget()
+        output.finish(mapping.target)
     elif known.save_field is not None:
-        saved = _save_file(known.save_field, warp, medium, found.error, made, force)
+        saved = _save_file(known.save_field, warp, opened, certificate.error, output, force)
     else:
-        made.finish()
+        output.finish()
     return WarpedStore(
-        os.fspath(source), os.fspath(target), warp.deformation, medium.geometry, tolerance, found.error,
-        tuple(made.arrays[0].shape), len(made.arrays), labels, blocks, counts.done, counts.copied, counts.read,
-        counts.copied_bytes, warp.grid, found.folded, found.outside, found.unknown, saved,
-        None if outside is not None or warp.sampling.outside == "edge" else 0.0 if known.labels else medium.background,
+        os.fspath(source), os.fspath(target), warp.deformation, opened.geometry, tolerance, certificate.error,
+        tuple(output.arrays[0].shape), len(output.arrays), labels, **asdict(counts), grid=warp.grid,
+        folded=certificate.folded, outside=certificate.outside, unsolved=certificate.unknown, field=saved,
+        background=None if outside is not None or warp.sampling.outside == "edge" else
+        0.0 if known.labels else opened.background,
     )  # fmt: skip
 
 
@@ -259,18 +270,18 @@ def _labels(source: Source, recipe: Recipe, maps: Sequence[Placed], grid: GridOp
                 why = "it has no plain name"
             else:
                 address = f"{source.image.address.rstrip('/')}/{LABELS}/{name}"
-                own = open_source(address, recipe, maps=maps, grid=grid).medium
-                if own.space != source.medium.space or not own.grid.is_same_space(source.medium.grid):
+                own = open_source(address, recipe, maps=maps, grid=grid)
+                if own.space != source.space or not own.grid.is_same_space(source.grid):
                     why = "it is on another grid"
-                elif own.dtype.kind not in "iub":
-                    why = f"it holds {own.dtype}"
+                elif own.image.dtype.kind not in "iub":
+                    why = f"it holds {own.image.dtype}"
         except SuppleError as error:
             why = str(error)
         if not why:
             names.append(name)
             continue
         warnings.warn(
-            f"the label image {shown(name)} of {source.medium.name} is not carried over ({why}): bend it by itself, "
+            f"the label image {shown(name)} of {source.name} is not carried over ({why}): bend it by itself, "
             "with --labels",
             VolumeWarning,
             stacklevel=3,
@@ -280,61 +291,34 @@ def _labels(source: Source, recipe: Recipe, maps: Sequence[Placed], grid: GridOp
 
 def _warn_of_labels(source: Source, warp: Warp) -> None:
     """Warn of labels that are mixed."""
-    image, medium, n = source.image, source.medium, len(source.medium.space)
+    image, n = source.image, len(source.space)
     if warp.sampling.filter == "nearest" or warp.deformation.is_identity or (n == 2 and not image.is_labels):
         return
-    middle = [(max(0, (size - _SIDE) // 2), min(size, (size + _SIDE) // 2)) for size in medium.space]
-    part = [(0, 1)] * (len(medium.shape) - n) + middle
+    middle = [(max(0, (size - _SIDE) // 2), min(size, (size + _SIDE) // 2)) for size in source.space]
+    part = [(0, 1)] * source.carried + middle
     with Place(image.address).reading("its samples cannot be decoded"):
         some = np.asarray(source.samples[tuple(slice(*span) for span in part)])
-    warn_of_labels(some.reshape(some.shape[-n:]), medium.name, known=image.is_labels)
+    warn_of_labels(some.reshape(some.shape[-n:]), source.name, known=image.is_labels)
 
 
-def _begin_field(
-    image: StoredImage, medium: Medium, warp: Warp, job: str, others: Sequence[PathLike], address: PathLike | None,
-    force: bool,
-) -> Begun | None:  # fmt: skip
-    """Return what is to be written as the map of an image; None if it is no scene, or nothing."""
-    if address is None:
-        return None
-    check_field(address, others, flat=medium.geometry is None, force=force)
-    if not is_scene(address):
-        return None
-    placed = [image.levels[0].scale, image.levels[0].translation]
-    if warp.grid is not None:
-        placed = list(_located(image, medium, warp.grid, address))
-    scale, translation = ([values[axis] for axis in image.spatial] for values in placed)
-    return begin_field(address, image, warp, Placement(warp.shape, scale, translation), job, force=force)
-
-
-def _save_file(address: PathLike, warp: Warp, medium: Medium, error: float, made: Target, force: bool) -> SavedField:
+def _save_file(address: PathLike, warp: Warp, source: Source, error: float, output: Target, force: bool) -> SavedField:
     """Write the field of a volume as a file, which appears together with the output."""
-    geometry, grid = medium.geometry, warp.grid
+    geometry, grid = source.geometry, warp.grid
     assert geometry is not None
     if grid is not None:
         geometry = grid.geometry(geometry.convention)
     tolerance = warp.sampling.tolerance
     with replacing(address, force=force) as place:
         write_transform(place, warp.deformation, geometry, tolerance=tolerance, force=True, grid=grid, warn=False)
-        made.finish()
+        output.finish()
     return SavedField(os.fspath(address), tolerance, error)
 
 
-def _placement(image: StoredImage, medium: Medium, grid: Grid | None, target: PathLike) -> dict[str, Any]:
-    """Return the shape of an output on another grid, and its scale and translation, in array order."""
+def _located(source: Source, grid: Grid | None, target: PathLike) -> tuple[Numbers, Numbers]:
+    """Return the scale and the translation of the output, of all axes; SuppleError for a grid that is turned."""
+    level, axes, own = source.image.levels[0], list(source.image.spatial), source.grid
     if grid is None:
-        return {}
-    if not image.version:
-        return {"shape": grid.shape}
-    scale, translation = _located(image, medium, grid, target)
-    return {"shape": grid.shape, "scale": scale, "translation": translation}
-
-
-def _located(
-    image: StoredImage, medium: Medium, grid: Grid, target: PathLike
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the scale and the translation of another grid, of all axes; SuppleError if it is turned."""
-    own, n = medium.grid, grid.ndim
+        return level.scale, level.translation
     if not np.allclose(grid.direction, own.direction, atol=1e-6):
         raise unwritable(
             target,
@@ -342,23 +326,23 @@ def _located(
             "give a reference whose axes are parallel to them, or resample it first",
         )
     if grid.uncropped().is_same_space(own):
-        first, steps = np.array(grid.first, float), np.ones(n)
+        first, steps = np.array(grid.first, float), np.ones(grid.ndim)
     else:
         first, steps = own.indices(grid.origin), np.divide(grid.spacing, own.spacing)
-    level, axes = image.levels[0], list(image.spatial)
     scale, translation = np.array(level.scale), np.array(level.translation)
     translation[axes] += scale[axes] * first[::-1]
     scale[axes] *= steps[::-1]
     translation[np.abs(translation) < 1e-9 * scale] = 0.0
-    told = [tuple(float(f"{number:.12g}") for number in numbers) for numbers in (scale, translation)]
-    return told[0], told[1]  # without noise
+    rounded = [tuple(float(f"{number:.12g}") for number in numbers) for numbers in (scale, translation)]
+    return rounded[0], rounded[1]  # without noise
 
 
 def _job(source: Source, warp: Warp, recipe: Recipe, options: VolumeOptions) -> str:
     """Return what identifies the work: the input, the recipe and all options that change a sample."""
     image = source.image
-    deformation, grid = warp.deformation, warp.deformation.grid if warp.grid is None else warp.grid
-    told = {
+    place, deformation = Place(image.address), warp.deformation
+    grid = deformation.grid if warp.grid is None else warp.grid
+    facts = {
         "shape": image.shape,
         "type": str(image.dtype),
         "space": len(image.spatial),
@@ -367,26 +351,26 @@ def _job(source: Source, warp: Warp, recipe: Recipe, options: VolumeOptions) -> 
         "sampling": repr(warp.sampling),
         "options": repr(options),
         "grid": [grid.shape, grid.spacing, grid.origin, grid.direction, grid.first],
-        "changed": _changed(image),
+        "place": [place.parts, place.address.rpartition("::")[0] if place.folder is None else ""],
+        "changed": _changed(image, place.folder),
     }
-    digest = hashlib.sha256(json.dumps(told, sort_keys=True, default=float).encode())
+    digest = hashlib.sha256(json.dumps(facts, sort_keys=True, default=float).encode())
     for each in deformation.maps:
-        held = each.map
+        element = each.map
         digest.update(repr((each.inverse, each.after)).encode())
-        if isinstance(held, Field):
-            digest.update(repr((held.grid, held.interpolation, held.beyond)).encode())
-            digest.update(held.values.data)
+        if isinstance(element, Field):
+            digest.update(repr((element.grid, element.interpolation, element.beyond)).encode())
+            digest.update(element.values.data)
         else:
-            digest.update(np.ascontiguousarray(held.matrix).data)
-    return f"warp {Place(image.address).identity}, {digest.hexdigest()}"
+            digest.update(np.ascontiguousarray(element.matrix).data)
+    return f"warp {'/'.join(place.parts)}, {digest.hexdigest()}"
 
 
-def _changed(image: StoredImage) -> list[int]:
+def _changed(image: StoredImage, folder: Path | None) -> list[int]:
     """Return when the metadata of a store in a folder were written, or a file and those that belong to it.
 
     Samples of a store are not looked at.
     """
-    folder = Place(image.address).folder
     if folder is None:
         return []
     if is_store(image.address):
@@ -397,82 +381,60 @@ def _changed(image: StoredImage) -> list[int]:
 
 
 def _write_blocks(
-    work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed], begun: bool, *, warn: bool
-) -> tuple[_Counts, int]:
-    """Write the finest level; return what was done, and the number of blocks."""
+    work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed], *, warn: bool
+) -> tuple[_Counts, Certificate]:
+    """Write the finest level; return what was done, and the certificate of the map.
+
+    Blocks that are there already are planned again, so that the certificate is of all of it, but not written.
+    """
     carried, target = work.carried, work.target
     shape = tuple(target.arrays[0].shape)
-    task = task_shape(target.block, shape, work.samples.dtype.itemsize, carried, runner.slots)
+    task = task_shape(target.blocks[0], shape, work.samples.dtype.itemsize, carried, runner.slots)
     chunks = chunks_of(task, shape)
     leads = list(boxes_of(chunks[:carried]))
-    total = math.prod(map(len, chunks))
-    counts, ready = _Counts(), 0
-    planned, certificate = 0, Certificate(0.0, 0.0)
-    boxes_total = total // len(leads)
-
-    def advance() -> None:
-        nonlocal ready
-        ready += 1
-        tell("warp", ready, total)
-
-    tell("warp", 0, total)
-    for portion in plans.portions(plans.layers(chunks[carried:])):
-        wanted = portion
-        if begun:
-            there = runner.each(_is_there, work, [(layer, leads) for layer in portion], lambda: None)
-            wanted = [layer for layer, done in zip(portion, there, strict=True) if not done]
-            there_already = (sum(map(len, portion)) - sum(map(len, wanted))) * len(leads)
-            counts.done += there_already
-            ready += there_already
-            tell("warp", ready, total)
-        boxes = list(itertools.chain.from_iterable(wanted))
-        planned += sum(map(len, portion))
-        blocks: list[Block] = []
-        if boxes:
-            blocks, found = plan_boxes(work.warp, boxes, runner)
-            certificate |= found
+    boxes_total = math.prod(map(len, chunks[carried:]))
+    counts, certificate = _Counts(len(leads) * boxes_total), Certificate(0.0, 0.0)
+    planned, advance = 0, _advancing(tell, "warp", counts.blocks)
+    for boxes in plans.portions(chunks[carried:]):
+        blocks, found = plan_boxes(work.warp, boxes, runner)
+        certificate |= found
+        planned += len(boxes)
         tell("plan", planned, boxes_total)
         if warn and planned == boxes_total:  # before the rest is written, if warnings are errors
             warn_of(certificate, work.warp.sampling.tolerance, 4, folds_of(maps), only_name(maps))
         items = itertools.product(leads, blocks)
         while some := list(itertools.islice(items, _AT_ONCE)):
-            for done, copied, count in runner.each(_warp_block, work, some, advance):
-                counts.done += done
-                counts.copied += copied
-                counts.copied_bytes += count if copied else 0
-                counts.read += 0 if copied else count
-    counts.certificate = certificate
-    return counts, total
+            for way, count in runner.each(_write_block, work, some, advance):
+                counts.done += way == "done"
+                counts.copied += way == "copied"
+                counts.copied_bytes += count if way == "copied" else 0
+                counts.read += count if way == "read" else 0
+    return counts, certificate
 
 
-def _is_there(work: Work, item: tuple[list[Box], list[Box]]) -> bool:
-    """Return whether all blocks of a layer are stored."""
-    layer, leads = item
-    return all(work.target.is_done(0, (*lead, *box)) for box in layer for lead in leads)
+def _advancing(tell: Tell, step: str, total: int) -> Callable[[], None]:
+    """Return what is called whenever one of some tasks is done."""
+    ready = itertools.count(1)
+    tell(step, 0, total)
+    return lambda: tell(step, next(ready), total)
 
 
-def _warp_block(work: Work, item: tuple[Box, Block]) -> tuple[bool, bool, int]:
-    """Write a block; return whether it was there, whether it was copied, and the bytes of what was read or copied."""
+def _write_block(work: Work, item: tuple[Box, Block]) -> tuple[Literal["done", "copied", "read"], int]:
+    """Write a block; return whether it was there, was copied or computed, and the bytes of what was read for it."""
     lead, block = item
     target = work.target
     _check_seen(work.place, target)
-    box = (*lead, *block.box)
+    box, part = (*lead, *block.box), (*lead, *block.part)
     if target.begun and target.is_done(0, box):
-        return True, False, 0
+        return "done", 0
     if block.identity and block.part == block.box and work.level is not None:
         count = target.copy(0, box, work.level, work.place.address)
         if count is not None:
-            return False, True, count
-    with work.place.reading(f"samples of it cannot be decoded, at {_told((*lead, *block.part))}"):
-        part = np.asarray(work.samples[tuple(slice(*each) for each in (*lead, *block.part))])
-    made, _ = work.warp.along(part, block, work.carried)
-    target.write(0, box, made)
-    read = whole_chunks((*lead, *block.part), work.samples.shape, work.samples.chunks)
-    return False, False, read * part.itemsize
-
-
-def _told(box: Box) -> str:
-    return ", ".join(f"{a}:{b}" for a, b in box)
+            return "copied", count
+    with work.place.reading(f"samples of it cannot be decoded, at {', '.join(f'{a}:{b}' for a, b in part)}"):
+        samples = np.asarray(work.samples[tuple(slice(*each) for each in part)])
+    target.write(0, box, work.warp.block(samples, block, work.carried))
+    return "read", whole_chunks(part, work.samples.shape, work.samples.chunks) * samples.itemsize
 
 
 def _check_seen(source: Place, target: Target) -> None:
@@ -481,7 +443,7 @@ def _check_seen(source: Place, target: Target) -> None:
     check_seen(target.address, target.site.folder)
 
 
-def _write_levels(work: Work, runner: Runner, tell: Tell, mode: str) -> None:
+def _write_levels(work: Work, runner: Runner, tell: Tell, mode: Mode) -> None:
     """Write the coarser levels, one after the other."""
     target = work.target
     levels = []
@@ -490,18 +452,13 @@ def _write_levels(work: Work, runner: Runner, tell: Tell, mode: str) -> None:
         limit = max(1, plans.TASK // math.prod(target.factors[level]))
         task = task_shape(target.blocks[level], shape, work.samples.dtype.itemsize, work.carried, runner.slots, limit)
         levels.append([(level, box, mode) for box in boxes_of(chunks_of(task, shape))])
-    total, ready = sum(map(len, levels)), 0
-
-    def advance() -> None:
-        nonlocal ready
-        ready += 1
-        tell("reduce", ready, total)
-
-    for items in levels:
-        runner.each(_reduce_block, work, items, advance)
+    if levels:
+        advance = _advancing(tell, "reduce", sum(map(len, levels)))
+        for items in levels:
+            runner.each(_reduce_block, work, items, advance)
 
 
-def _reduce_block(work: Work, item: tuple[int, Box, Any]) -> None:
+def _reduce_block(work: Work, item: tuple[int, Box, Mode]) -> None:
     level, box, mode = item
     _check_seen(work.place, work.target)
     if not (work.target.begun and work.target.is_done(level, box)):

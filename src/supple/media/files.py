@@ -123,21 +123,7 @@ def is_store(address: PathLike) -> bool:
     text = os.fspath(address)
     if protocol_of(text) or text.rstrip("/").lower().endswith(".zarr"):
         return True
-    return any(os.path.isfile(os.path.join(text, name)) for name in ROOTS) or nameless(text) is not None
-
-
-def replaced(target: Path) -> Path:
-    """Return where an output lies between the two renames by which a new one takes its name."""
-    return target.with_name(f".{target.name}.supple")
-
-
-def nameless(path: PathLike) -> Path | None:
-    """Return where an output lies whose process was killed before it had its name; None if there is none."""
-    with contextlib.suppress(OSError, ValueError):  # no file can have that name
-        target = Path(os.path.realpath(path))
-        if not os.path.lexists(target) and os.path.lexists(replaced(target)):
-            return replaced(target)
-    return None
+    return any(os.path.isfile(os.path.join(text, name)) for name in ROOTS)
 
 
 def protocol_of(address: str) -> str:
@@ -316,7 +302,7 @@ def replacing_all(folder: Path, *, force: bool = False) -> Iterator[Path]:
         else:
             names, backup = sorted(os.listdir(temporary)), temporary / "replaced"
             backup.mkdir()
-            _publish_all([(temporary / n, place / n, folder / n, backup / n) for n in names], force)
+            publish_all([(temporary / n, place / n, folder / n, backup / n) for n in names], force)
     except OSError as error:
         reason = error.strerror or str(error) or type(error).__name__
         raise SuppleError(f"cannot write into {shown(folder)}: {reason}: choose another place") from error
@@ -364,7 +350,7 @@ def replacing_together(paths: Sequence[PathLike], *, force: bool = False) -> Ite
         hidden = [folder / target.name for folder, target in zip(folders, targets, strict=True)]
         yield hidden
         made = [each for each in zip(hidden, targets, paths, strict=True) if os.path.lexists(each[0])]
-        _publish_all([(*each, each[0].with_name(f".{token}-before")) for each in made], force)
+        publish_all([(*each, each[0].with_name(f".{token}-before")) for each in made], force)
     except OSError as error:
         name = next((p for p, folder in zip(paths, folders, strict=False) if str(folder) in str(error)), paths[0])
         raise _refused(name, error) from error
@@ -384,7 +370,7 @@ def _check_place(path: PathLike, force: bool) -> Path:
     return (check_store if Path(path).suffix.lower() == ".zarr" else check_output)(path, force=force)
 
 
-def _publish_all(moves: Iterable[tuple[Path, Path, PathLike, Path]], force: bool) -> None:
+def publish_all(moves: Iterable[tuple[Path, Path, PathLike, Path]], force: bool) -> None:
     """Move all files to their places, or none; each has a name for messages, and a place for what is replaced."""
     moved: list[tuple[Path, Path]] = []
     try:

@@ -79,15 +79,16 @@ def image(
     centred: bool = True,
     dtype: str = "uint16",
     unit: str | None = "micrometer",
+    scale: float | None = None,
 ) -> list[Array]:
     """Write an image whose levels are half as large in the plane, and return them."""
-    scale = [{"t": 0.5, "c": 1.0, "z": 2.0, "y": 0.5, "x": 0.25}[name] for name in names]
+    steps = [scale or {"t": 0.5, "c": 1.0, "z": 2.0, "y": 0.5, "x": 0.25}[name] for name in names]
     levels, arrays = [], []
     values = RNG.integers(0, 2**16, shape).astype(dtype)
     for k in range(count):
         factor = [2**k if name in "yx" else 1 for name in names]
-        offset = [(f - 1) / 2 * s if centred else 0.0 for f, s in zip(factor, scale, strict=True)]
-        levels.append(([f * s for f, s in zip(factor, scale, strict=True)], offset))
+        offset = [(f - 1) / 2 * s if centred else 0.0 for f, s in zip(factor, steps, strict=True)]
+        levels.append(([f * s for f, s in zip(factor, steps, strict=True)], offset))
         arrays.append(values if k == 0 else reduced(arrays[-1], [2 if name in "yx" else 1 for name in names], "mean"))
     attributes = metadata(version, described_axes(names, unit), levels, omero={"channels": [{"color": "FFFFFF"}]})
     group = zarr.create_group(str(address), zarr_format=form, attributes=attributes)

@@ -26,7 +26,6 @@ from tests.media.stores.images import (
     fill,
     image,
     metadata,
-    part,
     small,
     whole,
 )
@@ -44,10 +43,6 @@ def test_chunks_are_stored_even_if_empty_and_arrays_go_to_other_processes(sharde
     array = pickle.loads(pickle.dumps(target.arrays[2]))
     array[...] = 7
     assert target.is_done(2, whole(target, 2))
-    with pytest.raises(SuppleError, match=r"is not aligned to blocks of \(1, 2, "):
-        target.is_done(0, [(0, 1), (0, 2), (0, 4), (0, 8), (0, 15)])
-    with pytest.raises(SuppleError, match="level must be from 1 to 2, not 0"):
-        target.reduce(0, whole(target))
 
 
 @pytest.mark.parametrize("form", [2, 3])
@@ -253,34 +248,3 @@ def test_a_source_that_cannot_be_read_is_named(
     with pytest.raises(SuppleError, match=rf"^cannot read {root}/in\.zarr: {told} \(.*Input/output error\): \w+"):
         target.copy(0, whole(target), like.levels[0], like.address)
     assert not target.is_done(0, [(0, 2), (0, 4), (0, 4)])
-
-
-def test_blocks_are_looked_for_one_by_one(memory: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is listed, and nothing kept: arrays have millions of blocks."""
-    from zarr.storage import FsspecStore
-
-    values, like = small(f"{memory}/in.zarr")
-    assert not create(f"{memory}/out.zarr", like, job="a").begun
-    target = create(f"{memory}/out.zarr", like, job="a")
-    assert target.begun
-    asked: list[str] = []
-    exists = FsspecStore.exists
-
-    def listed(*rest: Any, **more: Any) -> None:
-        raise AssertionError("it is listed")
-
-    async def counted(self: Any, key: str) -> bool:
-        asked.append(key)
-        return bool(await exists(self, key))
-
-    for name in ("list", "list_dir", "list_prefix"):
-        monkeypatch.setattr(FsspecStore, name, listed)
-    monkeypatch.setattr(FsspecStore, "exists", counted)
-    before = dict(vars(target))
-    box = [(0, 4), (4, 9), (0, 4)]
-    assert not target.is_done(0, box)
-    target.write(0, box, part(values, box))
-    asked.clear()
-    assert target.is_done(0, box)
-    assert sorted(asked) == [f"0/c/{z}/{y}/0" for z in range(2) for y in (1, 2)]
-    assert vars(target) == before

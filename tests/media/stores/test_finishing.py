@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import shutil
 import signal
@@ -14,9 +15,8 @@ import pytest
 import zarr
 
 from supple import SuppleError
-from supple.media.files import is_store
-from supple.media.stores import Target, check_free, create, create_arrays, holding, open_image
-from tests.media.stores.images import Array, child, files, fill, small, whole
+from supple.media.stores import check_free, create, create_arrays, holding, open_image
+from tests.media.stores.images import child, files, fill, small, whole
 
 HOLDER = """
     import sys
@@ -76,9 +76,8 @@ def test_it_is_held_for_other_jobs_of_one_process_as_well(tmp_path: Path) -> Non
     assert sorted(files(tmp_path / "in.zarr")) == sorted(files(tmp_path / "out.zarr"))
 
 
-@pytest.mark.parametrize("gone", ["all", "marker", "metadata", "level", "job"])
-@pytest.mark.parametrize("keep", [False, True])
-def test_what_is_there_no_more_is_not_published(gone: str, keep: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize("gone", ["all", "marker", "job"])
+def test_what_is_there_no_more_is_not_published(gone: str, tmp_path: Path) -> None:
     """Two processes that wrote the same: the other one has finished, and the last blocks of this one came later."""
     values, like = small(tmp_path / "in.zarr")
     partial = tmp_path / "out.zarr.partial"
@@ -90,10 +89,10 @@ def test_what_is_there_no_more_is_not_published(gone: str, keep: bool, tmp_path:
     elif gone == "job":
         (partial / "supple.json").write_text('{"program": "supple", "state": "unfinished", "job": "b"}')
     else:
-        (partial / {"marker": "supple.json", "metadata": "zarr.json", "level": "0/zarr.json"}[gone]).unlink()
+        (partial / "supple.json").unlink()
     before = files(tmp_path)
     with pytest.raises(SuppleError, match=f"^cannot write {tmp_path / 'out.zarr'}: {GONE}: look"):
-        target.finish(keep=keep)
+        target.finish()
     assert files(tmp_path) == before
     assert (gone == "all") != partial.exists()
 
@@ -111,7 +110,7 @@ def test_an_output_that_another_job_has_taken_at_an_address_stays_unfinished(mem
 
 def test_an_output_that_appears_while_its_folder_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another process has finished it between the first look and the lock: nothing is left beside it."""
-    from supple.media.stores import claims
+    from supple.media.stores import target as claims
 
     values, like = small(tmp_path / "in.zarr")
     hold = claims._hold
@@ -131,7 +130,7 @@ def test_another_job_that_begins_while_its_folder_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And is killed, with a block written: that is its own, and stays."""
-    from supple.media.stores import claims
+    from supple.media.stores import target as claims
 
     values, like = small(tmp_path / "in.zarr")
     hold, calls = claims._hold, []
@@ -158,7 +157,7 @@ def test_a_folder_that_gets_its_name_while_it_is_locked_is_not_the_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another process has finished it in that moment: what is locked is in an output now."""
-    from supple.media.stores import claims
+    from supple.media.stores import target as claims
 
     values, like = small(tmp_path / "in.zarr")
     small(tmp_path / "out.zarr")
@@ -182,31 +181,13 @@ def test_a_folder_that_gets_its_name_while_it_is_locked_is_not_the_one(
     np.testing.assert_array_equal(open_image(tmp_path / "out.zarr").levels[0].array[...], values + 1)
 
 
-def killed_at(number: int, name: str, act: Callable[[], object], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Do something, in which one call of the system's is where the process ends."""
-    real, calls = getattr(os, name), []
-
-    def counted(*arguments: Any, **more: Any) -> None:
-        if name == "rename" and not str(arguments[1]).endswith((".zarr", ".supple", "image")):
-            return real(*arguments, **more)
-        calls.append(arguments)
-        if len(calls) == number:
-            raise KeyboardInterrupt
-        return real(*arguments, **more)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(os, name, counted)
-        with pytest.raises(KeyboardInterrupt):
-            act()
-
-
 @pytest.mark.parametrize("own", [False, True])
 @pytest.mark.parametrize("name", ["out.zarr", "link.zarr", "image"])
 @pytest.mark.parametrize("step", ["old", "new", "marker"])
-def test_a_process_that_is_killed_while_it_finishes_loses_nothing(
+def test_an_interrupt_of_finishing_loses_nothing(
     step: str, name: str, own: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An interrupt comes instead of one of the renames, or of the last removal."""
+    """It comes instead of one of the renames, or of the last removal."""
     out = tmp_path / name
     real = tmp_path / "out.zarr" if name == "link.zarr" else out
     if name == "link.zarr":
@@ -215,53 +196,50 @@ def test_a_process_that_is_killed_while_it_finishes_loses_nothing(
     values, like = (old, open_image(out)) if own else small(tmp_path / "in.zarr")
     target = create(out, like, job="a", force=True)
     fill(target, values + 1)
-    if step == "marker":
-        killed_at(1, "unlink", target.finish, monkeypatch)
-    else:
-        killed_at({"old": 1, "new": 2}[step], "rename", target.finish, monkeypatch)
-        assert real.exists() == (step == "old")
-        before = files(tmp_path)
-        assert is_store(out)
+    call = {"old": real, "new": tmp_path / f"{real.name}.partial", "marker": real / "supple.lock"}[step]
+    rename, unlink = os.rename, os.unlink
+
+    def interrupted(act: Callable[..., None], path: Any, *rest: Any, **more: Any) -> None:
+        if Path(path) == call:
+            raise KeyboardInterrupt
+        act(path, *rest, **more)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "rename", functools.partial(interrupted, rename))
+        patched.setattr(os, "unlink", functools.partial(interrupted, unlink))
+        with pytest.raises(KeyboardInterrupt):
+            target.finish()
+    if step != "marker":
         with pytest.raises(SuppleError, match="exists already"):
             create(out, like, job="a")
         np.testing.assert_array_equal(open_image(out).levels[0].array[...], old)
-        if step == "new":
-            again = {key.replace(f".{real.name}.supple", real.name): data for key, data in before.items()}
-            assert files(tmp_path) == again
         with holding():
             second = create(out, open_image(out if own else tmp_path / "in.zarr"), job="a", force=True)
             assert second.is_done(0, whole(second))
             second.finish()
-    np.testing.assert_array_equal(open_image(out).levels[0].array[...], values + 1)
-    if step != "marker":
         assert {one.name for one in tmp_path.iterdir()} <= {"in.zarr", name, real.name}
+    np.testing.assert_array_equal(open_image(out).levels[0].array[...], values + 1)
 
 
-def test_opening_alone_gives_an_output_its_name_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    old, like = small(tmp_path / "out.zarr")
-    target = create(tmp_path / "out.zarr", like, job="a", force=True)
-    fill(target, old + 1)
-    killed_at(2, "rename", target.finish, monkeypatch)
-    assert sorted(os.listdir(tmp_path)) == [".out.zarr.supple", "out.zarr.partial"]
-    np.testing.assert_array_equal(open_image(tmp_path / "out.zarr").levels[0].array[...], old)
-    assert sorted(os.listdir(tmp_path)) == ["out.zarr", "out.zarr.partial"]
-    with pytest.raises(SuppleError, match="no such folder"):
-        open_image(tmp_path / "other.zarr")
-
-
-def test_what_was_replaced_is_not_put_back_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A removal that was interrupted leaves a part of a store: its name says nothing to anybody."""
+def test_outputs_appear_together_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     values, like = small(tmp_path / "in.zarr")
-    small(tmp_path / "out.zarr")
-    target = create(tmp_path / "out.zarr", like, job="a", force=True)
-    fill(target, values)
+    targets = [create(tmp_path / name, like, job="a") for name in ("one.zarr", "two.zarr")]
+    for target in targets:
+        fill(target, values)
+    rename = os.rename
+
+    def refused(before: Any, after: Any) -> None:
+        if str(before).endswith("two.zarr.partial"):
+            raise PermissionError(13, "Permission denied")
+        rename(before, after)
+
     with monkeypatch.context() as patched:
-        patched.setattr(shutil, "rmtree", lambda *rest, **more: None)
-        target.finish()
-    shutil.rmtree(tmp_path / "out.zarr")
-    assert not is_store(tmp_path / "out")
-    with pytest.raises(SuppleError, match="no such folder"):
-        open_image(tmp_path / "out.zarr")
+        patched.setattr(os, "rename", refused)
+        with pytest.raises(SuppleError, match="Permission denied"):
+            targets[0].finish(targets[1])
+    assert sorted(os.listdir(tmp_path)) == ["in.zarr", "one.zarr.partial", "two.zarr.partial"]
+    targets[0].finish(targets[1])
+    assert sorted(os.listdir(tmp_path)) == ["in.zarr", "one.zarr", "two.zarr"]
 
 
 def test_a_rename_that_is_refused_puts_the_old_one_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -286,39 +264,32 @@ def test_a_rename_that_is_refused_puts_the_old_one_back(tmp_path: Path, monkeypa
     assert sorted(os.listdir(tmp_path)) == ["in.zarr", "out.zarr"]
 
 
-def prepared(address: str | Path, values: Array, job: str, *, force: bool = False) -> Target:
-    """Return an output of prepared metadata: those of an array in a group, as fields are."""
-    group = b'{"zarr_format": 3, "node_type": "group", "attributes": {}}'
-    memory: dict[str, Any] = {}
-    zarr.create_array(memory, name="f", data=values[None], chunks=(1, 2, 4, 4))
-    told = {"zarr.json": group, "f/zarr.json": bytes(memory["f/zarr.json"].to_bytes())}
-    return create_arrays(address, told, ["f"], force=force, job=job)
-
-
 @pytest.mark.parametrize("remote", [False, True])
-def test_prepared_outputs_are_held_and_asked_for_at_once(remote: bool, tmp_path: Path, memory: str) -> None:
+def test_prepared_outputs_are_asked_for_before_any_work(remote: bool, tmp_path: Path, memory: str) -> None:
+    """Outputs of prepared metadata: those of an array in a group, as fields are."""
     values, _ = small(tmp_path / "in.zarr")
     out = f"{memory}/field.zarr" if remote else tmp_path / "field.zarr"
-    check_free(out, "a", False)
+    group = b'{"zarr_format": 3, "node_type": "group", "attributes": {}}'
+    written: dict[str, Any] = {}
+    zarr.create_array(written, name="f", data=values[None], chunks=(1, 2, 4, 4))
+    metadata = {"zarr.json": group, "f/zarr.json": bytes(written["f/zarr.json"].to_bytes())}
+    check_free(out, metadata, "a", False)
     with holding():
-        target = prepared(out, values, "a")
+        target = create_arrays(out, metadata, ["f"], job="a")
         assert not target.begun
         target.write(0, whole(target), values[None])
-    check_free(out, "a", False)
-    check_free(out, "b", True)
+    check_free(out, metadata, "a", False)
+    check_free(out, metadata, "b", True)
     before = files(tmp_path)
     with pytest.raises(SuppleError, match="is the unfinished output of another job: choose another name, or --force"):
-        check_free(out, "b", False)
+        check_free(out, metadata, "b", False)
     assert files(tmp_path) == before
     with holding():
-        again = prepared(out, values, "a")
+        again = create_arrays(out, metadata, ["f"], job="a")
         assert again.begun
         assert again.is_done(0, whole(again))
-        again.finish(keep=True)
-    check_free(out, "a", False)
-    assert prepared(out, values, "a").complete
-    again.forget()
+        again.finish()
     with pytest.raises(SuppleError, match="exists already"):
-        check_free(out, "a", False)
+        check_free(out, metadata, "a", False)
     if not remote:
         assert sorted(os.listdir(tmp_path / "field.zarr")) == ["f", "zarr.json"]

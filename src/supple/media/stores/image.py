@@ -1,65 +1,60 @@
-"""Images in Zarr stores, opened: their axes, levels and grid; no sample is read."""
+"""Images in Zarr stores, opened: their axes, levels and grid; no sample is read.
+
+The metadata of OME-Zarr are read here and not by a library: `ome-zarr-models` 1.7 has no Python 3.14 and no public
+models of version 0.6, refuses axes without a type, which many files have, and accepts scales of -1 and infinity.
+"""
 
 from __future__ import annotations
 
 import itertools
+import math
+import os
+import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from supple.errors import SuppleError, VolumeWarning, said
-from supple.media.files import PathLike, unreadable
-from supple.media.stores import ome
+from supple.media.files import PathLike
 from supple.media.stores.places import Place, quiet
-from supple.media.transforms.omezarr import ome_of, space_matrix
+from supple.media.transforms.omezarr import Json, ome_of, space_matrix
 from supple.space.geometry import Grid
 
 LABELS = "labels"
 """The group of an image's label images."""
 _PIXELS = ("", "pixel", "pixels", "voxel", "voxels")  # of programs, not of the specification
+_KINDS = ("time", "channel", "space")
+_GUESSED = {"t": "time", "c": "channel", "z": "space", "y": "space", "x": "space"}
+_CARRIED: tuple[list[str], ...] = (
+    [],
+    ["time"],
+    ["channel"],
+    [""],
+    ["time", "channel"],
+    ["time", ""],
+)  # the kinds of axes before space
+_MEND = "mend its metadata"
 _MOST = 8  # names in a message
+Refusal = Callable[[str, str], SuppleError]
+"""It returns an error from what was found and what would do."""
 
 
-@dataclass(frozen=True)
-class StoredAxis:
-    """An axis of a stored image.
-
-    Parameters
-    ----------
-    name : str
-        Empty if it has none.
-    kind : {"time", "channel", "space", ""}
-        Empty if the store does not say.
-    unit : str or None
-        As it is stored.
-    orientation : mapping or str, optional
-        Its anatomical orientation, as it is stored.
-    """
+class StoredAxis(NamedTuple):
+    """An axis of a stored image: a name, a kind (of `_KINDS`; both may be empty), and what the store says of it."""
 
     name: str
-    kind: Literal["time", "channel", "space", ""]
-    unit: str | None
+    kind: str
+    unit: str | None = None
     orientation: Any = None
 
 
-@dataclass(frozen=True)
-class Level:
-    """An array of a stored image.
+class Level(NamedTuple):
+    """An array of a stored image, and the scale and translation from an index to a position, in units of the axes."""
 
-    Parameters
-    ----------
-    path : str
-        Where it lies in the store; empty for a plain array.
-    array : zarr.Array
-        Its samples.
-    scale, translation : tuple of float
-        From an index to its position along each axis, in the units of the axes.
-    """
-
-    path: str
+    path: str  # in the store; empty for a plain array
     array: Any
     scale: tuple[float, ...]
     translation: tuple[float, ...]
@@ -90,7 +85,7 @@ class StoredImage:
     """
 
     address: str
-    version: ome.Version
+    version: str
     axes: tuple[StoredAxis, ...]
     levels: tuple[Level, ...]
     spatial: tuple[int, ...]
@@ -115,6 +110,11 @@ class StoredImage:
         return dtype
 
     @property
+    def placed(self) -> bool:
+        """Whether the axes of space have units, so that the grid is in millimetres."""
+        return any((self.axes[axis].unit or "").lower() not in _PIXELS for axis in self.spatial)
+
+    @property
     def grid(self) -> Grid:
         """The grid of the finest level: in millimetres if the axes have lengths as units, else in pixels.
 
@@ -123,37 +123,20 @@ class StoredImage:
         """
         one, axes = self.levels[0], [self.axes[axis] for axis in self.spatial]
         shape = [one.array.shape[axis] for axis in self.spatial]
-        units = [None if (axis.unit or "").lower() in _PIXELS else axis.unit for axis in axes]
-        if not any(units):
+        if not self.placed:
             return Grid(shape)
+        error = Place(self.address).unreadable
+        units = [None if (axis.unit or "").lower() in _PIXELS else axis.unit for axis in axes]
         if not all(units):
-            told = ", ".join(f"{axis.name} ({axis.unit or 'none'})" for axis in axes)
-            raise self._error(f"its axes have units only in part: {told}", "give all of them one")
+            listed = ", ".join(f"{axis.name} ({axis.unit or 'none'})" for axis in axes)
+            raise error(f"its axes have units only in part: {listed}", "give all of them one")
         whole = len(axes) == sum(axis.kind == "space" for axis in self.axes)
-        told_axes = [{"name": axis.name, "orientation": axis.orientation if whole else None} for axis in axes]
-        matrix = space_matrix(told_axes, units, self._error)
+        described = [{"name": axis.name, "orientation": axis.orientation if whole else None} for axis in axes]
+        matrix = space_matrix(described, units, error)
         columns = (matrix * [one.scale[axis] for axis in self.spatial])[:, ::-1]
         spacing = np.linalg.norm(columns, axis=0)
         origin = matrix @ [one.translation[axis] for axis in self.spatial]
         return Grid(shape, spacing.tolist(), origin.tolist(), columns / spacing)
-
-    @property
-    def placed(self) -> bool:
-        """Whether the axes of space have units, so that the grid is in millimetres."""
-        return any((self.axes[axis].unit or "").lower() not in _PIXELS for axis in self.spatial)
-
-    @property
-    def spacing(self) -> tuple[float, ...]:
-        """The distance between samples of the finest level, x first: millimetres, or 1.0 pixels without units."""
-        return self.grid.spacing
-
-    @property
-    def origin(self) -> tuple[float, ...]:
-        """The position of the first sample of the finest level, x first, in the same unit."""
-        return self.grid.origin
-
-    def _error(self, reason: str, advice: str) -> SuppleError:
-        return unreadable(self.address, reason, advice)
 
 
 def open_image(address: PathLike, *, ndim: int | None = None) -> StoredImage:
@@ -181,85 +164,167 @@ def open_image(address: PathLike, *, ndim: int | None = None) -> StoredImage:
     place = Place(address)
     place.check_finished()
     node = place.open()
-    if hasattr(node, "shape") and (above := place.parent()) is not None:
-        above.check_finished()
+    if hasattr(node, "shape"):
+        Place(os.path.dirname(place.address.rstrip("/")) or ".").check_finished()
     return described(place, node, ndim)
 
 
 def described(place: Place, node: Any, ndim: int | None) -> StoredImage:
     """Return the image of an array or a group that is open."""
-    if ndim not in (None, 2, 3):
-        raise SuppleError(f"ndim must be 2 or 3, not {ndim!r}")
     attributes = dict(node.attrs)
     if hasattr(node, "shape"):
-        made = _plain(place, node, attributes, ndim)
+        image = _plain(place, node, attributes, ndim)
     elif "multiscales" not in ome_of(attributes):
-        raise place.unreadable(*_without_image(place, node))
+        names = []
+        with quiet(), warnings.catch_warnings():
+            try:
+                names = sorted(node.keys())
+            except Exception:  # not every server lists
+                names = []
+        if not names:
+            raise place.unreadable("it is a group without an image", "give an OME-Zarr image or an array")
+        listed = ", ".join(names[:_MOST]) + (" and more" if len(names) > _MOST else "")
+        what = f"it is a group without an image, and holds {listed}"
+        raise place.unreadable(what, f"give one of them, as {place.address.rstrip('/')}/{names[0]}")
     else:
-        made = _multiscale(place, node, attributes, ndim)
-    check_grid = made.grid  # it raises for units that are no lengths
-    assert check_grid.ndim == len(made.spatial)
-    return made
+        try:
+            image = _multiscale(place, node, attributes, ndim)
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+            what = f"its metadata are incomplete or malformed ({type(error).__name__}: {error})"
+            raise place.unreadable(what, "see the specification of OME-Zarr") from error
+    _ = image.grid  # it raises for units that are no lengths
+    return image
 
 
-def _without_image(place: Place, node: Any) -> tuple[str, str]:
-    """Return what a group holds instead of an image, and which of its parts could be given."""
-    try:
-        with quiet():
-            parts = [(name, hasattr(part, "shape")) for name, part in itertools.islice(_members(node), _MOST + 1)]
-    except Exception:  # not every server lists
-        parts = []
-    if not parts:
-        return "it is a group without an image", "give an OME-Zarr image or an array"
-    told = []
-    for what, arrays in (("arrays", True), ("groups", False)):
-        names = [name for name, one in parts[:_MOST] if one == arrays]
-        told += [f"the {what} {', '.join(names)}"] if names else []
-    more = " and more" if len(parts) > _MOST else ""
-    first = next((name for name, array in parts if array), parts[0][0])
-    found = f"it is a group without an image, and holds {' and '.join(told)}{more}"
-    return found, f"give one of them, as {place.address.rstrip('/')}/{first}"
-
-
-def _members(node: Any) -> Iterator[tuple[str, Any]]:
-    """Return the parts of a group in order, each opened only when it is asked for."""
-    for name in sorted(node.keys()):
-        yield name, node[name]
-
-
-def _plain(place: Place, array: Any, attributes: Mapping[str, Any], ndim: int | None) -> StoredImage:
+def _plain(place: Place, array: Any, attributes: Json, ndim: int | None) -> StoredImage:
     _check_samples(place, array, "")
     n = array.ndim
     if n < (ndim or 2):
         raise place.unreadable(f"the array has {n} axes", f"give one of {ndim or 2} axes or more")
     space = ndim or min(n, 3)
-    told = getattr(array.metadata, "dimension_names", None) or attributes.get("_ARRAY_DIMENSIONS") or ()
-    names = [str(name or "") for name in told] if len(told) == n else [""] * n
-    axes = tuple(StoredAxis(name, "" if k < n - space else "space", None) for k, name in enumerate(names))
+    listed = getattr(array.metadata, "dimension_names", None) or attributes.get("_ARRAY_DIMENSIONS") or ()
+    names = [str(name or "") for name in listed] if len(listed) == n else [""] * n
+    axes = tuple(StoredAxis(name, "" if k < n - space else "space") for k, name in enumerate(names))
     level = Level("", array, (1.0,) * n, (0.0,) * n)
     return StoredImage(place.address, "", axes, (level,), tuple(range(n - space, n)), "", attributes)
 
 
-def _multiscale(place: Place, group: Any, attributes: Mapping[str, Any], ndim: int | None) -> StoredImage:
-    told = ome.described(attributes, place.unreadable)
-    axes = tuple(StoredAxis(a["name"], a["type"], a.get("unit") or None, a.get("orientation")) for a in told.axes)
-    space = sum(axis.kind == "space" for axis in axes)
+def _multiscale(place: Place, group: Any, attributes: Json, ndim: int | None) -> StoredImage:
+    """Return the first image of a group; SuppleError, or an error of a missing key or a wrong type."""
+    ome = ome_of(attributes)
+    image = ome["multiscales"][0]
+    stated = str(ome.get("version") or image.get("version") or ("0.5" if "ome" in attributes else "0.4"))
+    match = re.match(r"0\.[456](?!\d)", stated)
+    if match is None:
+        raise place.unreadable(f"it is of OME-Zarr {stated}", "use 0.4, 0.5 or 0.6")
+    version = match[0]
+    axes = _axes(image, place.unreadable)
+    n, space = len(axes), sum(axis.kind == "space" for axis in axes)
     if ndim is not None and ndim > space:
         raise place.unreadable(f"its image has {space} axes of space", f"give at most {space} for ndim")
+    shared = [] if version == "0.6" else image.get("coordinateTransformations") or []
     levels: list[Level] = []
-    for dataset in told.datasets:
-        array = _array(place, group, dataset.path)
-        _check_samples(place, array, f" {dataset.path}")
-        if array.ndim != len(axes):
+    for dataset in image["datasets"]:
+        path = dataset["path"].strip("/")
+        if not path or {"..", "."} & set(path.split("/")):
+            raise place.unreadable(f"its datasets have the path {dataset['path']!r}", _MEND)
+        if not dataset["coordinateTransformations"]:
+            raise place.unreadable(f"its level {path} has no coordinateTransformations", "add a scale")
+        array = _array(place, group, path)
+        if array.ndim != n:
             names = ", ".join(axis.name for axis in axes)
-            what = f"its image has the axes {names}, and its array {dataset.path} has {array.ndim} of them"
-            raise place.unreadable(what, "mend its metadata")
-        levels.append(Level(dataset.path, array, dataset.scale, dataset.translation))
+            what = f"its image has the axes {names}, and its array {path} has {array.ndim} of them"
+            raise place.unreadable(what, _MEND)
+        steps = [*dataset["coordinateTransformations"], *shared]
+        levels.append(Level(path, array, *_moved(steps, n, f"level {path}", place.unreadable)))
     for one, other in itertools.pairwise(levels):
-        _check_fall(place, one, other, len(axes) - space)
-    spatial = tuple(range(len(axes) - (ndim or space), len(axes)))
-    labels = _labels(place, group)
-    return StoredImage(place.address, told.version, axes, tuple(levels), spatial, told.name, attributes, labels)
+        before, after = tuple(one.array.shape), tuple(other.array.shape)
+        fall = all(b <= a for a, b in zip(before, after, strict=True)) and before != after
+        if not fall or before[: n - space] != after[: n - space]:
+            what = f"its levels {one.path} and {other.path} have the shapes {before} and {after}"
+            raise place.unreadable(what, "list the levels from the finest to the coarsest, once each")
+        kinds = [(each.array.dtype, each.array.metadata.zarr_format) for each in (one, other)]
+        if kinds[0] != kinds[1]:
+            types = " and ".join(f"{dtype} in Zarr format {form}" for dtype, form in kinds)
+            raise place.unreadable(f"its levels {one.path} and {other.path} are of {types}", "give levels of one type")
+    spatial = tuple(range(n - (ndim or space), n))
+    name, labels = str(image.get("name") or ""), _labels(place, group)
+    return StoredImage(place.address, version, axes, tuple(levels), spatial, name, attributes, labels)
+
+
+def _axes(image: Json, error: Refusal) -> tuple[StoredAxis, ...]:
+    """Return the axes: times and channels, if any, before two or three axes of space."""
+    if systems := image.get("coordinateSystems"):
+        end = image["datasets"][0]["coordinateTransformations"][0].get("output")
+        name = end.get("name") if isinstance(end, Mapping) else end
+        fitting = [system["axes"] for system in systems if name in (None, system["name"])]
+        if not fitting:
+            raise error(f"it does not describe the coordinate system {name!r} of its levels", _MEND)
+        listed = fitting[0]
+    else:
+        listed = image["axes"]
+    axes = []
+    for one in listed:
+        name, kind, unit = str(one["name"]), one.get("type"), one.get("unit")
+        kind = _GUESSED.get(name.lower(), "") if kind is None else kind
+        if kind not in ("", *_KINDS):
+            raise error(f"its axis {name} is of the type {kind!r}", "use time, channel or space")
+        axes.append(StoredAxis(name, kind, str(unit) if unit else None, one.get("orientation")))
+    names, kinds = [axis.name for axis in axes], [axis.kind for axis in axes]
+    if len(set(names)) < len(names):
+        raise error(f"its axes are named {', '.join(names)}", "give each a name of its own")
+    space = kinds.count("space")
+    if space not in (2, 3) or kinds[len(kinds) - space :] != ["space"] * space or kinds[:-space] not in _CARRIED:
+        described = ", ".join(f"{axis.name} ({axis.kind or 'no type'})" for axis in axes)
+        what = f"its axes are {described}"
+        raise error(what, "store them in the order time, channels, and two or three axes of space")
+    return tuple(axes)
+
+
+def _moved(steps: Sequence[Json], n: int, where: str, error: Refusal) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the scale and the translation of all axes after some steps."""
+    scale, translation = np.ones(n), np.zeros(n)
+    for step in steps:
+        kind = step["type"]
+        if kind == "sequence":
+            inner = _moved(step["transformations"], n, where, error)
+            scale, translation = scale * inner[0], translation * inner[0] + inner[1]
+        elif kind in ("scale", "translation"):
+            values: Any = step.get(kind)
+            good = isinstance(values, list) and all(isinstance(x, int | float) and math.isfinite(x) for x in values)
+            if not good or len(values) != n or (kind == "scale" and min(values) <= 0):
+                what = "numbers above 0" if kind == "scale" else "finite numbers"
+                raise error(f"the {kind} of its {where} is {values!r:.80}", f"give {n} {what}, one for each axis")
+            if kind == "scale":
+                scale, translation = scale * values, translation * values
+            else:
+                translation = translation + values
+        elif kind != "identity":
+            raise error(f"its {where} has a transformation of the type {kind!r}", "use scale and translation")
+    return tuple(scale.tolist()), tuple(translation.tolist())
+
+
+def _array(place: Place, group: Any, path: str) -> Any:
+    """Return the array of a level."""
+    try:
+        with place.reading(f"its array {path} is damaged"), quiet():
+            array = group[path]
+    except SuppleError as error:
+        if isinstance(error.__cause__, KeyError):
+            raise place.unreadable(f"it lacks its array {path}") from error.__cause__
+        raise
+    if not hasattr(array, "shape"):
+        raise place.unreadable(f"its level {path} is a group, not an array", _MEND)
+    _check_samples(place, array, f" {path}")
+    return array
+
+
+def _check_samples(place: Place, array: Any, name: str) -> None:
+    """Raise SuppleError for an array whose samples are no real numbers, or which has none."""
+    if np.dtype(array.dtype).kind not in "biuf":
+        raise place.unreadable(f"its array{name} is of {array.dtype}", "give one of integers or real numbers")
+    if 0 in array.shape:
+        raise place.unreadable(f"its array{name} has the shape {tuple(array.shape)}", "give one with samples")
 
 
 def _labels(place: Place, group: Any) -> tuple[str, ...]:
@@ -270,56 +335,8 @@ def _labels(place: Place, group: Any) -> tuple[str, ...]:
         listed = attributes.get("ome", attributes).get(LABELS)
     except KeyError:
         return ()
-    except Exception as error:  # damaged, or not to be reached: what is in the image itself is
-        told = f"the label images of {place.address} cannot be listed ({said(error)})"
-        warnings.warn(told, VolumeWarning, stacklevel=6)
+    except Exception as error:  # damaged, or not to be reached: the image itself can be read
+        what = f"the label images of {place.address} cannot be listed ({said(error)})"
+        warnings.warn(what, VolumeWarning, stacklevel=6)
         return ()
     return tuple(map(str, listed)) if isinstance(listed, list) else ()
-
-
-def _array(place: Place, group: Any, path: str) -> Any:
-    try:
-        with place.reading(f"its array {path} is damaged"), quiet():
-            array = group[path]
-    except SuppleError as error:
-        if isinstance(error.__cause__, KeyError):
-            raise place.unreadable(f"it lacks its array {path}") from error.__cause__
-        raise
-    if not hasattr(array, "shape"):
-        raise place.unreadable(f"its level {path} is a group, not an array", "mend its metadata")
-    return array
-
-
-def _check_samples(place: Place, array: Any, name: str) -> None:
-    """Raise SuppleError for an array whose samples are no real numbers, which has none, or which cannot be decoded."""
-    if np.dtype(array.dtype).kind not in "biuf":
-        raise place.unreadable(f"its array{name} is of {array.dtype}", "give one of integers or real numbers")
-    if 0 in array.shape:
-        raise place.unreadable(f"its array{name} has the shape {tuple(array.shape)}", "give one with samples")
-    for codec in _codecs(array.metadata):
-        settings = getattr(codec, "codec_config", None)  # those of numcodecs are looked for at the first chunk only
-        if settings is not None:
-            import numcodecs
-
-            with place.reading(f"its array{name} cannot be decoded"):
-                numcodecs.get_codec(dict(settings))
-
-
-def _codecs(metadata: Any) -> Iterator[Any]:
-    for codec in getattr(metadata, "codecs", ()):
-        yield codec
-        yield from _codecs(codec)
-
-
-def _check_fall(place: Place, one: Level, other: Level, carried: int) -> None:
-    """Raise SuppleError for two levels of which the second is not the first, coarser."""
-    before, after = tuple(one.array.shape), tuple(other.array.shape)
-    fall = all(b <= a for a, b in zip(before, after, strict=True))
-    if not fall or before == after or before[:carried] != after[:carried]:
-        what = f"its levels {one.path} and {other.path} have the shapes {before} and {after}"
-        raise place.unreadable(what, "list the levels from the finest to the coarsest, once each")
-    if one.array.dtype != other.array.dtype:
-        what = f"its levels {one.path} and {other.path} are of {one.array.dtype} and {other.array.dtype}"
-        raise place.unreadable(what, "give levels of one type")
-    if one.array.metadata.zarr_format != other.array.metadata.zarr_format:
-        raise place.unreadable("its levels are of two Zarr formats", "write them in one")

@@ -27,57 +27,36 @@ _KINDS = {"t": "time", "c": "channel"}
 
 
 def like_file(path: PathLike, samples: Samples, *, ndim: int | None = None) -> StoredImage:
-    """Return the image of OME-Zarr 0.5 that a file becomes; its arrays hold nothing.
+    """Return the image of OME-Zarr 0.5 that a file becomes; its arrays are empty. ``ndim`` is as in `open_image`.
 
     Axes of space are in millimetres, or in micrometres if these are small; without a unit if the file has no spacing.
-    Axes along those of a patient say so. Each level is half of the one before, along the axes whose samples are
-    dense. Shards cover what the file decodes as a whole.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-    samples : Samples
-        Those of the file.
-    ndim : {2, 3}, optional
-        As in `open_image`.
-
-    Raises
-    ------
-    SuppleError
-        If the file has fewer axes of space.
-
-    Warns
-    -----
-    VolumeWarning
-        If the axes of a volume are oblique: levels have a scale and a translation alone.
+    Axes along those of a patient say so; oblique ones are a VolumeWarning, as levels have a scale and a translation
+    alone. Each level is half of the one before, along the axes whose samples are dense. Shards cover what the file
+    decodes as a whole.
     """
     import zarr
     from zarr.storage import MemoryStore
 
     axes, scale, translation = _placed(path, samples)
-    n = sum(axis["type"] == "space" for axis in axes)
-    carried = len(axes) - n
-    shapes, factors = _levels(samples.shape, scale, carried)
+    carried = len(axes) - sum(axis["type"] == "space" for axis in axes)
+    levels = _levels(samples.shape, scale, carried)
     datasets = []
-    for k, factor in enumerate(factors):
+    for k, (_, factor) in enumerate(levels):
         steps = [{"type": "scale", "scale": [a * b for a, b in zip(scale, factor, strict=True)]}]
-        moved = [a + b * (f - 1) / 2 for a, b, f in zip(translation, scale, factor, strict=True)]
-        if any(moved):
-            steps.append({"type": "translation", "translation": moved})
+        offset = [a + b * (f - 1) / 2 for a, b, f in zip(translation, scale, factor, strict=True)]
+        if any(offset):
+            steps.append({"type": "translation", "translation": offset})
         datasets.append({"path": str(k), "coordinateTransformations": steps})
-    multiscale: dict[str, Any] = {"axes": axes, "datasets": datasets}
-    place = Place(path)
+    attributes = {"ome": {"version": "0.5", "multiscales": [{"axes": axes, "datasets": datasets}]}}
     with quiet():
-        group = zarr.create_group(
-            MemoryStore(), attributes={"ome": {"version": "0.5", "multiscales": [multiscale]}}, zarr_format=3
-        )
-        for k, shape in enumerate(shapes):
+        group = zarr.create_group(MemoryStore(), attributes=attributes, zarr_format=3)
+        for k, (shape, _) in enumerate(levels):
             chunks, shards = _blocks(shape, carried, samples.dtype.itemsize, samples.chunks)
             group.create_array(
                 str(k), shape=shape, dtype=samples.dtype, chunks=chunks, shards=None if shards == chunks else shards,
                 dimension_names=[axis["name"] for axis in axes],
             )  # fmt: skip
-        return described(place, group, ndim)
+        return described(Place(path), group, ndim)
 
 
 def _placed(path: PathLike, samples: Samples) -> tuple[list[dict[str, Any]], list[float], list[float]]:
@@ -89,32 +68,31 @@ def _placed(path: PathLike, samples: Samples) -> tuple[list[dict[str, Any]], lis
         unit, size = ("micrometer", 1e-3) if max(geometry.spacing) < _MICROSCOPIC else ("millimeter", 1.0)
     straight = placed and not geometry.oblique
     if placed and not straight:
-        warnings.warn(
+        what = (
             f"the axes of {shown(path)} are turned by {geometry.oblique:.3g} degrees against those of the patient, "
-            "which an OME-Zarr image cannot say: it is written along its own axes, from 0",
-            VolumeWarning,
-            stacklevel=5,
+            "which an OME-Zarr image cannot say: it is written along its own axes, from 0"
         )
+        warnings.warn(what, VolumeWarning, stacklevel=5)
     axes: list[dict[str, Any]] = []
     scale, translation = [], []
     for name in samples.axes:
-        one: dict[str, Any] = {"name": name, "type": _KINDS.get(name, "space")}
+        axis: dict[str, Any] = {"name": name, "type": _KINDS.get(name, "space")}
         step, start = 1.0, 0.0
         if name == "t" and samples.interval is not None:
-            one["unit"], step = "second", samples.interval
+            axis["unit"], step = "second", samples.interval
         elif name in "xyz" and samples.geometry is not None:
             k = "xyz".index(name)
             step = geometry.spacing[k] / size
             if unit is not None:
-                one["unit"] = unit
+                axis["unit"] = unit
             if straight:
                 column = geometry.direction[:, k]
-                axis = int(np.argmax(np.abs(column)))
-                back = bool(column[axis] < 0)
-                value = next(name for name, turn in ORIENTATIONS.items() if turn == (axis, -1.0 if back else 1.0))
-                one["orientation"] = {"type": "anatomical", "value": value}
-                start = geometry.origin[axis] / size * (-1 if back else 1)
-        axes.append(one)
+                along = int(np.argmax(np.abs(column)))
+                sign = -1.0 if column[along] < 0 else 1.0
+                value = next(name for name, turn in ORIENTATIONS.items() if turn == (along, sign))
+                axis["orientation"] = {"type": "anatomical", "value": value}
+                start = geometry.origin[along] / size * sign
+        axes.append(axis)
         scale.append(step)
         translation.append(start)
     return axes, scale, translation
@@ -122,16 +100,18 @@ def _placed(path: PathLike, samples: Samples) -> tuple[list[dict[str, Any]], lis
 
 def _levels(
     shape: tuple[int, ...], scale: Sequence[float], carried: int
-) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
-    """Return the shapes of all levels, and by how much each is smaller than the finest along each axis."""
-    shapes, factors = [shape], [(1,) * len(shape)]
-    while max(shapes[-1][carried:]) > _COARSEST:
-        steps = [a * b for a, b in zip(scale, factors[-1], strict=True)]
-        dense = 2 * min(step for step, size in zip(steps[carried:], shapes[-1][carried:], strict=True) if size > 1)
-        halved = [k >= carried and size > 1 and steps[k] < dense for k, size in enumerate(shapes[-1])]
-        shapes.append(tuple(-(-size // 2) if half else size for size, half in zip(shapes[-1], halved, strict=True)))
-        factors.append(tuple(f * 2 if half else f for f, half in zip(factors[-1], halved, strict=True)))
-    return shapes, factors
+) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+    """Return the shape of each level, and by how much it is smaller than the finest along each axis."""
+    factor = (1,) * len(shape)
+    levels = [(shape, factor)]
+    while max(shape[carried:]) > _COARSEST:
+        steps = [a * b for a, b in zip(scale, factor, strict=True)]
+        dense = 2 * min(step for step, size in zip(steps[carried:], shape[carried:], strict=True) if size > 1)
+        halves = [2 if k >= carried and size > 1 and steps[k] < dense else 1 for k, size in enumerate(shape)]
+        shape = tuple(-(-size // half) for size, half in zip(shape, halves, strict=True))
+        factor = tuple(f * half for f, half in zip(factor, halves, strict=True))
+        levels.append((shape, factor))
+    return levels
 
 
 def _blocks(

@@ -9,16 +9,18 @@ import os
 import warnings
 from collections.abc import Coroutine, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from supple.errors import SuppleError, need, said
-from supple.media.files import PathLike, _refused, nameless, protocol_of, unreadable, unwritable
+from supple.media.files import PathLike, _refused, is_store, protocol_of, unreadable, unwritable
 from supple.media.transforms.omezarr import imported
 
 MARKER = "supple.json"
 """The file in the root of an output that is being written."""
 _WHAT = "Zarr stores"
-_ATOMIC = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oci", "memory"}
+_SPELLINGS = {"s3a": "s3", "gcs": "gs", "abfss": "abfs", "az": "abfs"}
+"""Protocols that have several names."""
+_ATOMIC = {"s3", "gs", "abfs", "oci", "memory"}
 """Protocols of stores in which an object appears whole or not at all."""
 _CLIENTS = {"adlfs", "aiobotocore", "aiohttp", "azure", "botocore", "fsspec", "gcsfs", "google", "ocifs", "paramiko"}
 """Packages whose errors are no OSErrors, and say that a store was not reached."""
@@ -35,24 +37,34 @@ class Place:
         As it was given.
     folder : pathlib.Path or None
         Where it lies in the local file system; None elsewhere.
+    parts : tuple of str
+        Where it lies, from the root on, without links: the same for all spellings of an address.
+    atomic : bool
+        Whether what is written there appears whole or not at all.
     """
 
     def __init__(self, address: PathLike) -> None:
         self.address = os.fspath(address)
         self.folder: Path | None = None
-        self.atomic = True
         imported(_WHAT)
         protocol = protocol_of(self.address)
         if not protocol:
             self.folder = Path(os.path.abspath(self.address))
-            return
-        need("zarr", f"{_WHAT} at addresses", "fsspec")
-        self.atomic = protocol in _ATOMIC
+        else:
+            need("zarr", f"{_WHAT} at addresses", "fsspec")
         if protocol in ("file", "local"):
             from fsspec.core import url_to_fs
 
             # fsspec's own writes to folders are not atomic, those of Zarr's local store are
             self.folder = Path(url_to_fs(self.address)[1])
+        if self.folder is not None:
+            self.parts = Path(os.path.realpath(self.folder)).parts
+            self.atomic = True
+        else:
+            protocol, _, path = self.address.rpartition("::")[2].partition("://")
+            root = _SPELLINGS.get(protocol.lower(), protocol.lower())
+            self.parts = (root, *(part for part in path.split("/") if part))
+            self.atomic = "::" not in self.address and root in _ATOMIC
 
     def store(self, *, read_only: bool) -> Any:
         """Return the store, of a class of zarr's."""
@@ -64,32 +76,9 @@ class Place:
             return FsspecStore.from_url(self.address.rstrip("/"), read_only=read_only)
         except ImportError as error:
             what = f"{protocol_of(self.address)}:// addresses need a package of their own ({error})"
-            raise unreadable(self.address, what, "install it") from error
+            raise self.unreadable(what, "install it") from error
         except (ValueError, OSError) as error:
-            raise unreadable(self.address, said(error), "check the address") from error
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """Where it lies, from the root on, without links: the same for all spellings of an address."""
-        if self.folder is not None:
-            return Path(os.path.realpath(self.folder)).parts
-        *chain, last = self.address.split("::")
-        return Place(last).parts if chain else _parts(last)
-
-    @property
-    def identity(self) -> str:
-        """The address in the one spelling that stands for all."""
-        if self.folder is not None:
-            return os.path.realpath(self.folder)
-        root, *path = self.parts
-        return "::".join([*self.address.split("::")[:-1], f"{root}://{'/'.join(path)}"])
-
-    def parent(self) -> Place | None:
-        """Return the place above; None if there is none."""
-        if self.folder is not None:
-            return Place(self.folder.parent)
-        above = self.address.rstrip("/").rpartition("/")[0]
-        return None if not above or above.endswith(("/", ":")) else Place(above)
+            raise self.unreadable(said(error), "check the address") from error
 
     def unreadable(self, reason: str, advice: str = "give a whole copy of it") -> SuppleError:
         """Return an error that names the store."""
@@ -104,20 +93,16 @@ class Place:
         import zarr
         from zarr.errors import NodeNotFoundError
 
-        if self.folder is not None:
-            mend(self.folder)
-            if not os.path.lexists(self.folder):
-                raise self.unreadable("there is no such folder", "check the name")
-            if not self.folder.is_dir():
-                raise self.unreadable("it is no folder", "give the folder of a Zarr store")
+        if self.folder is not None and not os.path.lexists(self.folder):
+            raise self.unreadable("there is no such folder", "check the name")
+        if self.folder is not None and not self.folder.is_dir():
+            raise self.unreadable("it is no folder", "give the folder of a Zarr store")
         store = self.store(read_only=True)
-        try:
-            with self.reading("it is damaged"), quiet():
+        with self.reading("it is damaged"), quiet():
+            try:
                 return zarr.open(store, mode="r")
-        except SuppleError as error:
-            if isinstance(error.__cause__, NodeNotFoundError):
-                raise self.unreadable("there is no Zarr array or group", "check the name") from error.__cause__
-            raise
+            except NodeNotFoundError as error:
+                raise self.unreadable("there is no Zarr array or group", "check the name") from error
 
     @contextlib.contextmanager
     def reading(self, what: str) -> Iterator[None]:
@@ -130,19 +115,17 @@ class Place:
         except SuppleError:
             raise
         except (UnknownCodecError, OldUnknown) as error:
-            raise self.no_codec(error) from error
+            name = said(error).rpartition(":")[2].strip(" '\"")
+            what = f"it is compressed by {name!r}, which is not available"
+            raise self.unreadable(what, "install that codec for zarr") from error
         except Exception as error:
             _settle()
             client = type(error).__module__.split(".")[0] in _CLIENTS
-            if self.folder is None and (client or (isinstance(error, OSError) and not _is_missing(error))):
+            missing = isinstance(error, FileNotFoundError | KeyError)
+            if self.folder is None and (client or (isinstance(error, OSError) and not missing)):
                 advice = "check the address, your rights and the network"
                 raise self.unreadable(f"it cannot be reached ({said(error)})", advice) from error
             raise self.unreadable(f"{what} ({said(error)})") from error
-
-    def no_codec(self, error: Exception) -> SuppleError:
-        """Return an error that names a codec that is not there."""
-        name = said(error).rpartition(":")[2].strip(" '\"")
-        return self.unreadable(f"it is compressed by {name!r}, which is not available", "install that codec for zarr")
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[None]:
@@ -160,45 +143,37 @@ class Place:
                 raise self.unwritable(said(error), "choose another place") from error
             raise
 
-    def job(self) -> str | None:
-        """Return the job of an unfinished output; None if there is none, or it is finished."""
-        found = self.marker()
-        return str(found["job"]) if found and found.get("state") != "complete" else None
-
-    def marker(self) -> dict[str, Any] | None:
-        """Return what the marker in the root holds; None if there is none of Supple's."""
-        if self.folder is not None:
-            try:
+    def marker(self) -> dict[str, Any]:
+        """Return the content of the marker in the root; empty if there is none of Supple's."""
+        with contextlib.suppress(Exception):  # a store that cannot be reached is reported when it is opened itself
+            if self.folder is not None:
                 data = (self.folder / MARKER).read_bytes()
-            except OSError:
-                return None
-        else:
-            try:
+            else:
                 store = self.store(read_only=True)
                 refresh(store)
-                found = read(store, MARKER)
-            except Exception:  # what cannot be reached is told when the store itself is opened
-                return None
-            if found is None:
-                return None
-            data = found
-        try:
-            told = json.loads(data)
-        except ValueError:
-            return None
-        return told if isinstance(told, dict) and told.get("program") == "supple" and "job" in told else None
+                data = read(store, MARKER) or b"{}"
+            content = json.loads(data)
+            if content["program"] == "supple":
+                return {"job": content["job"], "state": content["state"]}
+        return {}
 
     def check_finished(self) -> None:
         """Raise SuppleError for an output that is not finished."""
-        if self.job() is not None:
+        if self.marker().get("state", "complete") != "complete":
             raise self.unreadable("it is an unfinished output of Supple", "run the command that writes it again")
 
 
-def mend(path: PathLike) -> None:
-    """Give an output its name back, if the process was killed between those."""
-    if (old := nameless(path)) is not None:
-        with contextlib.suppress(OSError):
-            os.rename(old, os.path.realpath(path))
+def overlap(address: PathLike, other: PathLike) -> Literal["", "same", "inside", "around"]:
+    """Return how an output lies to something else, a store or a file; empty if they have nothing in common.
+
+    A folder that is no store, such as that of a series of slices, may hold outputs.
+    """
+    here, there = Place(address).parts, Place(other).parts
+    if here == there:
+        return "same"
+    if there[: len(here)] == here:
+        return "around"
+    return "inside" if here[: len(there)] == there and is_store(other) else ""
 
 
 def run(work: Coroutine[Any, Any, Any]) -> Any:
@@ -253,22 +228,3 @@ def quiet() -> Iterator[None]:
         warnings.simplefilter("ignore", ZarrUserWarning)
         warnings.simplefilter("ignore", UnstableSpecificationWarning)
         yield
-
-
-def _parts(address: str) -> tuple[str, ...]:
-    """Return the protocol, the host if that is no part of the path, and the path; nothing is reached."""
-    from fsspec.registry import get_filesystem_class
-
-    protocol, path = protocol_of(address), address.partition("://")[2]
-    root: tuple[str, ...] = (protocol,)
-    with contextlib.suppress(ImportError, ValueError):  # it is not installed, or there is none: no store can be there
-        kind = get_filesystem_class(protocol)
-        names, given = kind.protocol, kind._get_kwargs_from_urls(f"{protocol}://{path}")
-        root = (names if isinstance(names, str) else names[0],)
-        root += tuple(str(given[name]) for name in ("host", "account_name") if given.get(name))
-        path = kind._strip_protocol(f"{protocol}://{path}")
-    return (*root, *(part for part in path.split("/") if part))
-
-
-def _is_missing(error: Exception) -> bool:
-    return isinstance(error, FileNotFoundError | KeyError)

@@ -57,7 +57,7 @@ def reduced(values: Array, factors: Sequence[int], mode: Mode) -> Array:
     """
     if mode == "nearest":
         return np.ascontiguousarray(values[tuple(slice(None, None, factor) for factor in factors)])
-    made = np.empty([-(-size // factor) for size, factor in zip(values.shape, factors, strict=True)], values.dtype)
+    result = np.empty([-(-size // factor) for size, factor in zip(values.shape, factors, strict=True)], values.dtype)
     # parts in which all groups have the same number of samples: the whole groups, and the incomplete ones of each axis
     parts: list[list[tuple[slice, slice, int]]] = []
     for size, factor in zip(values.shape, factors, strict=True):
@@ -67,8 +67,8 @@ def reduced(values: Array, factors: Sequence[int], mode: Mode) -> Array:
         parts.append(axis)
     for chosen in product(*parts):
         read, written, counts = zip(*chosen, strict=True)
-        made[written] = _mean(values[read], counts)
-    return made
+        result[written] = _mean(values[read], counts)
+    return result
 
 
 def _mean(values: Array, counts: tuple[int, ...]) -> Array:

@@ -7,8 +7,8 @@ import math
 import os
 import threading
 import warnings
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +31,7 @@ class Opened(NamedTuple):
     """A file that is open."""
 
     array: Any  # it is sliced
-    order: tuple[int, ...]  # for each of the axes, that of the array
+    order: Sequence[int]  # for each of the axes, that of the array
     close: Callable[[], None] = lambda: None
 
 
@@ -78,13 +78,13 @@ class Samples:
         self._path, self._raw, self._series = os.fspath(path), raw, series
         self._scaling = 1.0, 0.0
         self._lock = threading.Lock()
-        self._held: Opened | None = None
+        self._opened: Opened | None = None
         whole = raw is not None or series is not None or os.path.isdir(path)
-        self._is_tiff = not whole and os.path.splitext(path)[1].lower() in _TIFF
-        self._is_volume = whole or (not self._is_tiff and volume.is_volume(path))
-        if self._is_tiff:
-            self._held = self._open_tiff()
-        elif self._is_volume:
+        if not whole and os.path.splitext(path)[1].lower() in _TIFF:
+            self._kind: Literal["tiff", "volume", "picture"] = "tiff"
+            self._opened = self._open_tiff()
+        elif whole or volume.is_volume(path):
+            self._kind = "volume"
             found = volume.outline_of(path, raw=raw, series=series)
             check_upright(found.geometry, found.name, "work in blocks")
             self.axes = "tzyx" if found.series else "zyx" if found.samples.ndim == 3 else "czyx"
@@ -93,6 +93,7 @@ class Samples:
             self.dtype = rescaled_dtype(found.samples.dtype, found.scaling).newbyteorder("=")
             self.interval = found.interval if found.series else None
         else:
+            self._kind = "picture"
             facts = image.info(path)
             if facts["alpha"]:
                 raise _with_opacity(self._path)
@@ -102,47 +103,42 @@ class Samples:
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the file, which is opened again."""
-        state = {name: value for name, value in self.__dict__.items() if name not in ("_held", "_lock")}
+        state = {name: value for name, value in self.__dict__.items() if name not in ("_opened", "_lock")}
         return {**state, "_path": os.path.abspath(self._path)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Be closed; the file is opened when a part is asked for."""
-        self.__dict__.update(state, _held=None, _lock=threading.Lock())
+        self.__dict__.update(state, _opened=None, _lock=threading.Lock())
 
     def __getitem__(self, key: tuple[slice, ...]) -> Array:
         """Return a part, for slices without steps along all axes."""
         with self._lock:
-            if self._held is None:
+            if self._opened is None:
                 with warnings.catch_warnings():  # they were given when its header was read
                     warnings.simplefilter("ignore")
-                    self._held = self._opened()
-            known = self._held
-        stored = [slice(0, 1)] * known.array.ndim
-        for axis, part in zip(known.order, key, strict=True):
+                    self._opened = self._open()
+            array, order, _ = self._opened
+        stored = [slice(0, 1)] * array.ndim
+        for axis, part in zip(order, key, strict=True):
             stored[axis] = part
-        found = np.asarray(known.array[tuple(stored)])
-        rest = [axis for axis in range(found.ndim) if axis not in known.order]  # of one sample
-        found = found.transpose(*known.order, *rest).reshape([found.shape[axis] for axis in known.order])
+        found = np.asarray(array[tuple(stored)])
+        rest = [axis for axis in range(found.ndim) if axis not in order]  # of one sample
+        found = found.transpose(*order, *rest).reshape([found.shape[axis] for axis in order])
         return rescaled(found.astype(found.dtype.newbyteorder("="), copy=False), self._scaling)
 
-    def close(self) -> None:
-        """Close the file; it is opened again if a part is asked for."""
-        with self._lock:
-            if self._held is not None:
-                self._held.close()
-                self._held = None
-
     def __del__(self) -> None:
+        """Close the file."""
         with contextlib.suppress(Exception):
-            self.close()
+            if self._opened is not None:
+                self._opened.close()
 
-    def _opened(self) -> Opened:
-        if self._is_tiff:
+    def _open(self) -> Opened:
+        if self._kind == "tiff":
             return self._open_tiff()
-        order = (3, 0, 1, 2) if self.axes == "czyx" else (2, 0, 1) if self.axes == "cyx" else range(len(self.axes))
-        if self._is_volume:
-            return Opened(volume.read(self._path, raw=self._raw, series=self._series).samples, tuple(order))
-        return Opened(image.read(self._path).pixels, tuple(order))
+        if self._kind == "picture":
+            return Opened(image.read(self._path).pixels, (2, 0, 1) if self.axes == "cyx" else (0, 1))
+        order = (3, 0, 1, 2) if self.axes == "czyx" else range(len(self.axes))
+        return Opened(volume.read(self._path, raw=self._raw, series=self._series).samples, order)
 
     def _open_tiff(self) -> Opened:
         """Open a TIFF by tifffile, which reads single tiles and strips, and knows the axes of OME-TIFF and ImageJ."""
@@ -153,16 +149,13 @@ class Samples:
         if head_of(path, 2) not in (b"II", b"MM"):
             raise unreadable(path, "it is no TIFF", "check its name")
         with contextlib.ExitStack() as stack:
-            with pages.reading(path):
-                if pages.linked(path) is None:
-                    raise unreadable(path, "it is cut short")
             file, first = stack.enter_context(pages.series_of(path))
             with pages.reading(path):
                 page = first.keyframe
             _check_kind(path, first, page)
-            kept = pages.axes_of(path, first)
-            self.axes = "".join(sorted(kept.values(), key="tczyx".find))
-            order = tuple(next(k for k, name in kept.items() if name == axis) for axis in self.axes)
+            names = pages.axes_of(path, first)
+            order = sorted(names, key=lambda k: "tczyx".find(names[k]))
+            self.axes = "".join(names[k] for k in order)
             with pages.reading(path), quiet():
                 array: Any
                 if first.dataoffset is not None:  # uncompressed, and in one piece
@@ -171,17 +164,17 @@ class Samples:
                     if any(page is None or 0 in page.databytecounts for page in first.pages):
                         raise unreadable(path, "some of its tiles or strips are empty")
                     array = zarr.open(stack.enter_context(first.aszarr(level=0)), mode="r")
+                    self.chunks = tuple(int(array.chunks[axis]) for axis in order)
             self.shape = tuple(int(array.shape[axis]) for axis in order)
             self.dtype = np.dtype(array.dtype).newbyteorder("=")
-            if first.dataoffset is None:
-                self.chunks = tuple(int(array.chunks[axis]) for axis in order)
-            held = math.prod(first.shape[k] for k, name in kept.items() if name in "tcz" and first.axes[k] != "S")
-            if held < (promised := int((file.imagej_metadata or {}).get("images", 1))):
-                raise unreadable(path, f"it is said to hold {promised} images, and has {held} pages")
+            count = math.prod(first.shape[k] for k, name in names.items() if name in "tcz" and first.axes[k] != "S")
+            facts = file.imagej_metadata or {}
+            if count < (promised := int(facts.get("images", 1))):
+                raise unreadable(path, f"it is said to hold {promised} images, and has {count} pages")
             if "z" in self.axes:
                 self.geometry = pages.place(path)
-            told_interval = float((file.imagej_metadata or {}).get("finterval") or 0)
-            self.interval = told_interval if 0 < told_interval < math.inf else None
+            interval = float(facts.get("finterval") or 0)
+            self.interval = interval if 0 < interval < math.inf else None
             return Opened(array, order, stack.pop_all().close)
 
 

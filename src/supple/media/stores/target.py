@@ -1,13 +1,21 @@
-"""Outputs in Zarr stores that many processes write block by block, and that go on where they were interrupted."""
+"""Outputs in Zarr stores that many processes write block by block, and that go on where they were interrupted.
+
+A folder ``NAME`` is written as ``NAME.partial`` and gets its name when it is finished. At an address, objects are
+written in place. In both, a file ``supple.json`` names the job until then.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import functools
+import hashlib
 import json
 import os
+import shutil
+import sys
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
+from contextvars import ContextVar
 from itertools import product
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,20 +23,37 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError
-from supple.media.files import PathLike
-from supple.media.stores.claims import check_apart, check_written, claim, is_complete, note, publish, told_of
-from supple.media.stores.image import LABELS, Level, StoredAxis, StoredImage, described
-from supple.media.stores.places import MARKER, Place, put, quiet, read, refresh, run
+from supple.errors import SuppleError, argument, shown
+from supple.media.files import ROOTS, PathLike, check_store, locked, publish_all
+from supple.media.stores.image import LABELS, Level, StoredImage
+from supple.media.stores.places import MARKER, Place, overlap, put, quiet, read, refresh, run
 from supple.media.stores.plans import group_files, planned
 from supple.media.stores.pyramid import Mode, Step, reduced
 
 Box = Sequence[tuple[int, int]]
 """The first sample and the one after the last, along each axis."""
-
 Item = TypeVar("Item")
 
+LOCK = "supple.lock"
+"""The file by which a process holds a folder that it writes."""
 _AT_ONCE = 16  # requests
+_LEFT_OVER = f"*.{'[0-9a-f]' * 32}.partial"  # files of zarr's local store, where a writer was killed
+_HOLDS: ContextVar[contextlib.ExitStack | None] = ContextVar("holds", default=None)
+
+
+@contextlib.contextmanager
+def holding() -> Iterator[None]:
+    """Keep other processes from the folders of outputs that are created within, until it ends.
+
+    Where the process ends before, the folders are free too. There are no locks at addresses, on Windows, and on disks
+    without them.
+    """
+    with contextlib.ExitStack() as stack:
+        token = _HOLDS.set(stack)
+        try:
+            yield
+        finally:
+            _HOLDS.reset(token)
 
 
 def create(
@@ -43,9 +68,7 @@ def create(
 ) -> Target:
     """Create an output like a stored image, or go on with one that was interrupted.
 
-    It has the same Zarr format, axes, units, chunks, shards, codecs, fill value, attributes and levels. A folder
-    ``NAME`` is written as ``NAME.partial`` and appears when it is finished. Elsewhere, objects are written in place,
-    with a file ``supple.json`` while it is unfinished.
+    It has the same Zarr format, axes, units, chunks, shards, codecs, fill value, attributes and levels.
 
     Parameters
     ----------
@@ -57,75 +80,168 @@ def create(
         The shape of the finest level along the axes of space; by default, that of ``like``. Coarser levels have the
         same factors, as long as they become smaller.
     scale, translation : sequence of float, optional
-        Of the finest level, for all axes or the last ones, in array order and in the units of the axes. By default,
-        those of ``like``. Coarser levels follow by the convention of ``like``: their translations are those of the
-        means, or the same as that of the finest.
+        Of the finest level, for all axes. By default, those of ``like``. Coarser levels follow by the convention of
+        ``like``: their translations are those of the means, or the same as that of the finest.
     force : bool
         Whether to replace an existing Zarr store, and an unfinished output of another job. Where an output is a folder,
         the old one stays until the new one is finished.
     job : str
         What identifies the work: an unfinished output of the same job is continued, with `force` too.
 
-    Returns
-    -------
-    Target
-
     Raises
     ------
     SuppleError
-        If there is something else already, an argument does not fit, or nothing can be written there.
+        If there is something else already, it would overwrite ``like``, or nothing can be written there.
     """
     place = Place(address)
-    check_apart(place, like.address)
-    plan = planned(place, like, shape, scale, translation)
-    site, begun = _claimed(place, plan.files, job, force)
-    with place.reading("what was written cannot be read"), quiet():
-        import zarr
-
-        made = described(site, zarr.open(site.store(read_only=False), mode="r+"), len(like.spatial))
-    return Target(place, site, made, plan.steps, job, force, begun=begun)
+    relation = overlap(address, like.address)
+    if relation and (relation != "same" or place.folder is None):  # a folder is replaced when the output is finished
+        what = {"same": "it is the input too", "inside": "it lies in the input", "around": "the input lies in it"}
+        raise place.unwritable(what[relation], "choose another place")
+    files, paths, steps = planned(place, like, shape, scale, translation)
+    return create_arrays(address, files, paths, steps, len(like.axes) - len(like.spatial), force=force, job=job)
 
 
 def create_arrays(
-    address: PathLike, files: dict[str, bytes], paths: Sequence[str], *, force: bool = False, job: str
-) -> Target:
+    address: PathLike, files: dict[str, bytes], paths: Sequence[str], steps: Sequence[Sequence[Step]] = (),
+    carried: int = 1, *, force: bool = False, job: str,
+) -> Target:  # fmt: skip
     """Create an output of prepared metadata, or go on with one that was interrupted, as `create` does.
 
     Parameters
     ----------
     address, force, job
-        As in `create`. If the same job has finished it already (`Target.finish` with ``keep``), it is taken as it is.
+        As in `create`.
     files : dict of bytes
         All metadata, by their keys in the store.
     paths : sequence of str
-        The arrays in it, which become the levels of the target: the first axis holds components, the others are those
-        of space. None is made from another.
+        The arrays in it, which become the levels of the target.
+    steps : sequence
+        For each level but the first, how each axis comes from the level before; empty if none does.
+    carried : int
+        The number of axes before those of space.
     """
-    place = Place(address)
-    complete = is_complete(place, job)
-    site, begun = (place, True) if complete else _claimed(place, files, job, force)
-    with place.reading("what was written cannot be read"), quiet():
-        import zarr
+    import zarr
 
-        root = zarr.open_group(site.store(read_only=False), mode="r+")
-        arrays: list[Any] = [root[path] for path in paths]
-    n = arrays[0].ndim
-    levels = tuple(Level(path, a, (1.0,) * n, (0.0,) * n) for path, a in zip(paths, arrays, strict=True))
-    names = arrays[0].metadata.dimension_names or ("",) * n
-    axes = tuple(StoredAxis(name or "", "space" if k else "", None) for k, name in enumerate(names))
-    image = StoredImage(place.address, "", axes, levels, tuple(range(1, n)), "", dict(root.attrs))
-    return Target(place, site, image, (), job, force, begun=begun, complete=complete)
-
-
-def _claimed(place: Place, files: dict[str, bytes], job: str, force: bool) -> tuple[Place, bool]:
-    """Take the place of an output, write its metadata; return where it is written, and whether it was begun."""
+    place, job = Place(address), _named(job, files)
     with place.writing():
-        site, begun = claim(place, files, job, force)
+        site, begun = _claim(place, job, force)
         store = site.store(read_only=False)
         for key, data in files.items():
             if read(store, key) is None:
                 put(store, key, data)
+    with place.reading("what was written cannot be read"), quiet():
+        root: Any = zarr.open(store, mode="r+")
+        arrays = tuple(_writable(root[path] if path else root) for path in paths)
+    return Target(place, site, arrays, steps, carried, job, force, begun)
+
+
+def check_free(address: PathLike, files: dict[str, bytes], job: str, force: bool) -> None:
+    """Raise SuppleError, before any work, for an output of prepared metadata whose place cannot be taken."""
+    place = Place(address)
+    with place.writing():
+        _look(place, _named(job, files), force)
+
+
+def _named(job: str, files: dict[str, bytes]) -> str:
+    """Return the name of a job that writes these metadata."""
+    digest = hashlib.sha256(repr(sorted(files.items())).encode()).hexdigest()
+    return f"{job}, {digest}"
+
+
+def _mark(store: Any, job: str, state: str = "unfinished") -> None:
+    put(store, MARKER, json.dumps({"program": "supple", "state": state, "job": job}).encode())
+
+
+def _claim(place: Place, job: str, force: bool) -> tuple[Place, bool]:
+    """Take the place of an output; return where it is written, and whether the same job has begun it already."""
+    site, begun = _look(place, job, force)
+    folder = site.folder
+    if folder is not None:
+        _hold(place, folder)
+        try:  # once more, since another process may have had it until now
+            site, begun = _look(place, job, force)
+        except SuppleError:
+            with contextlib.suppress(OSError):  # it is not empty
+                os.unlink(folder / LOCK)
+                os.rmdir(folder)
+            raise
+    if not begun:
+        store = site.store(read_only=False)
+        _mark(store, "")  # if clearing is interrupted, what is left is of no job
+        _clear(site, store)
+        _mark(store, job)
     return site, begun
+
+
+def _look(place: Place, job: str, force: bool) -> tuple[Place, bool]:
+    """Return where an output is written, and whether the same job has begun it.
+
+    SuppleError if something else is there that is not to be replaced.
+    """
+    site = place
+    if place.folder is not None:
+        target = check_store(place.folder if "://" in place.address else place.address, force=force)
+        site = Place(target.with_name(f"{target.name}.partial"))
+    if marker := site.marker():
+        if marker["job"] == job and site.atomic:
+            return site, True
+        if not force:
+            name = "it" if site.folder is None else shown(site.folder.name)
+            what = f"{name} is the unfinished output of another job"
+            if marker["job"] == job:
+                what = "it is unfinished, and objects there may be incomplete"
+            raise place.unwritable(what, "choose another name, or --force starts anew")
+    elif site.folder is not None:
+        # killed before the marker was there, a process left nothing else
+        there = os.path.lexists(site.folder)
+        if there and not (site.folder.is_dir() and all(name.startswith("supple.") for name in os.listdir(site.folder))):
+            what = f"{shown(site.folder.name)} beside it is in the way, and no unfinished output of Supple"
+            raise place.unwritable(what, "rename it, or choose another name")
+    else:
+        store = site.store(read_only=True)
+        zarr = any(read(store, name) is not None for name in ROOTS)
+        if zarr or not run(store.is_empty("")):  # which may list all that is there
+            if not force:
+                raise SuppleError(
+                    f"{shown(place.address)} exists already: choose another name, or {argument('force', True)}"
+                )
+            if not zarr:
+                raise place.unwritable("what is there is no Zarr store", "give another name")
+    return site, False
+
+
+def _hold(place: Place, folder: Path) -> None:
+    """Make a folder, and lock it within `holding`; SuppleError if another process has locked it."""
+    folder.mkdir(exist_ok=True)
+    stack = _HOLDS.get()
+    while stack is not None and sys.platform != "win32":  # where a folder with an open file cannot be renamed
+        with contextlib.suppress(FileNotFoundError):  # another process has just finished: that folder has its name
+            if (file := locked(folder / LOCK)) is None:
+                what = "it is being written by another process"
+                raise place.unwritable(what, "wait until that has ended, or choose another name")
+            stack.enter_context(file)
+            if os.path.samestat(os.fstat(file.fileno()), os.stat(folder / LOCK)):
+                return
+        folder.mkdir(exist_ok=True)
+
+
+def _clear(site: Place, store: Any) -> None:
+    """Remove all but the marker and the lock."""
+
+    async def clear() -> None:  # a client removes many objects of a folder at a time
+        for name in [name.strip("/") async for name in store.list_dir("")]:
+            if name not in ("", MARKER):
+                await store.delete_dir(name)
+
+    if site.folder is None:
+        run(clear())
+        return
+    for entry in list(os.scandir(site.folder)):
+        if entry.is_dir(follow_symlinks=False):
+            shutil.rmtree(entry)
+        elif entry.name not in (MARKER, LOCK):
+            os.unlink(entry)
 
 
 class Target:
@@ -137,62 +253,33 @@ class Target:
     ----------
     address : str
         As it was given.
-    image : StoredImage
-        What is written: its axes, its grid, and its levels, whose arrays are those of `arrays`.
+    site : Place
+        Where it is written until it is finished.
     arrays : tuple of zarr.Array
         The levels, the finest first. Each chunk that is written is stored, also if it holds nothing but the fill value.
     blocks : tuple of tuple of int
         For each level, the shape of the smallest region that processes may write independently: of a shard, or of a
         chunk without shards.
+    factors : tuple of tuple of int
+        For each level, by how much each axis is smaller than that of the level before; 1 for the finest.
     begun : bool
         Whether some of it may have been there: else no block has to be looked for.
-    complete : bool
-        Whether the same job has finished it already.
     """
 
     def __init__(
-        self,
-        place: Place,
-        site: Place,
-        image: StoredImage,
-        steps: tuple[tuple[Step, ...], ...],
-        job: str,
-        force: bool,
-        *,
-        begun: bool,
-        complete: bool = False,
-    ) -> None:
-        self.address = place.address
-        self.begun, self.complete = begun, complete
-        self._place, self._site, self._steps, self._job, self._force = place, site, steps, job, force
-        levels = tuple(Level(a.path, _writable(a.array), a.scale, a.translation) for a in image.levels)
-        self.image = StoredImage(
-            place.address, image.version, image.axes, levels, image.spatial, image.name, image.attributes
-        )
-        self.arrays = tuple(level.array for level in levels)
-        self.blocks = tuple(tuple(array.metadata.chunk_grid.chunk_shape) for array in self.arrays)
-
-    @property
-    def block(self) -> tuple[int, ...]:
-        """The block of the finest level."""
-        return self.blocks[0]
-
-    @property
-    def factors(self) -> tuple[tuple[int, ...], ...]:
-        """For each level, by how much each axis is smaller than that of the level before; 1 for the finest."""
-        ones = (1,) * len(self.image.axes)
-        return (ones, *(tuple(axis.factor for axis in step) for step in self._steps))
-
-    @property
-    def site(self) -> Place:
-        """Where it is written until it is finished."""
-        return self._site
+        self, place: Place, site: Place, arrays: tuple[Any, ...], steps: Sequence[Sequence[Step]], carried: int,
+        job: str, force: bool, begun: bool,
+    ) -> None:  # fmt: skip
+        self.address, self.site, self.arrays, self.begun = place.address, site, arrays, begun
+        self.blocks = tuple(tuple(array.metadata.chunk_grid.chunk_shape) for array in arrays)
+        self.factors = ((1,) * arrays[0].ndim, *(tuple(axis.factor for axis in step) for step in steps))
+        self._place, self._carried, self._job, self._force = place, carried, job, force
 
     def is_done(self, level: int, box: Box) -> bool:
         """Return whether all blocks of an aligned box are stored; none is decoded."""
         array = self.arrays[level]
         keys = self._keys(level, box, array)
-        folder = self._site.folder
+        folder = self.site.folder
         if folder is not None:
             # a file without content is what some file systems leave after a power failure
             return all(_size(folder / key) > 0 for key in keys)
@@ -202,34 +289,15 @@ class Target:
 
     def write(self, level: int, box: Box, values: npt.ArrayLike) -> None:
         """Write the samples of an aligned box; SuppleError if they cannot be stored."""
-        self._check(level, box)
         with self.writing():
             self.arrays[level][tuple(slice(a, b) for a, b in box)] = values
 
     def copy(self, level: int, box: Box, source: Level, address: PathLike) -> int | None:
-        """Copy an aligned box of a level as it is compressed.
+        """Copy an aligned box of a level of another store, at ``address``, as it is compressed.
 
-        Parameters
-        ----------
-        level : int
-            The level that is written.
-        box : sequence of (int, int)
-            Along each axis. It is the same in both.
-        source : Level
-            Where it is read.
-        address : str or os.PathLike
-            That of the store in which it lies.
-
-        Returns
-        -------
-        int or None
-            The number of bytes; blocks that the source does not store are left out, as they hold its fill value. None
-            if chunks, codecs, types, fill values or formats differ: then the samples must be written.
-
-        Raises
-        ------
-        SuppleError
-            If the source cannot be read, or the output not be written.
+        Returns the number of bytes; blocks that the source does not store are left out, as they hold its fill value.
+        None if chunks, codecs, types, fill values or formats differ: then the samples must be written. SuppleError if
+        the source cannot be read, or the output not be written.
         """
         from zarr.core.buffer import default_buffer_prototype
 
@@ -240,7 +308,7 @@ class Target:
             return None
         if any(stop > size for (_, stop), size in zip(box, shape, strict=True)):
             return None
-        # all is read before any is written, so that each error is told of its own side: a box is no more than a task's
+        # all is read before any is written, so that each error is of its own side: a box is no more than a task's
         with Place(address).reading("its chunks cannot be read"):
             get = functools.partial(source.array.store.get, prototype=default_buffer_prototype())
             found = run(_each(get, self._keys(level, box, source.array)))
@@ -250,30 +318,20 @@ class Target:
         return sum(len(data) for _, data in pairs)
 
     def reduce(self, level: int, box: Box, mode: Mode = "mean") -> None:
-        """Compute an aligned box of a level from the level before, and write it.
+        """Compute an aligned box of a level, from 1 on, from the level before, and write it.
 
-        Parameters
-        ----------
-        level : int
-            From 1 on.
-        box : sequence of (int, int)
-            Along each axis.
-        mode : {"mean", "nearest"}
-            Means, rounded half to even for integers, of as many samples as there are at the edges; or the first sample,
-            for labels.
+        Samples are means, rounded half to even for integers, of as many as there are at the edges; or, with "nearest",
+        the first of them, for labels.
         """
-        if not 1 <= level < len(self.arrays):
-            raise SuppleError(f"level must be from 1 to {len(self.arrays) - 1}, not {level}")
-        self._check(level, box)
         source, factors = self.arrays[level - 1], self.factors[level]
         ends = zip(box, factors, source.shape, strict=True)
         region = [(a * factor, min(b * factor, size)) for (a, b), factor, size in ends]
-        made = np.empty([b - a for a, b in box], source.dtype)
+        values = np.empty([b - a for a, b in box], source.dtype)
         # slab by slab, since many shards are read for one; and plane by plane, since sums are wider than samples
-        k = len(box) - len(self.image.spatial)
+        k = self._carried
         step, factor = self.arrays[level].chunks[k], factors[k]
         first, end = region[k]
-        for at in range(0, made.shape[k], step):
+        for at in range(0, values.shape[k], step):
             start, stop = first + at * factor, min(first + (at + step) * factor, end)
             with self._place.reading(f"its level {level - 1} cannot be read"):
                 slab = np.asarray(
@@ -281,8 +339,8 @@ class Target:
                 )
             for plane in range(-(-(stop - start) // factor)):
                 some = (slice(None),) * k + (slice(plane * factor, (plane + 1) * factor),)
-                made[(slice(None),) * k + (slice(at + plane, at + plane + 1),)] = reduced(slab[some], factors, mode)
-        self.write(level, box, made)
+                values[(slice(None),) * k + (slice(at + plane, at + plane + 1),)] = reduced(slab[some], factors, mode)
+        self.write(level, box, values)
 
     def writing(self) -> contextlib.AbstractContextManager[None]:
         """Return a context in which errors of the file system become one sentence that names the output."""
@@ -294,46 +352,48 @@ class Target:
         attributes = listed if version == "0.4" else {"ome": {"version": version, **listed}}
         with self.writing():
             for key, data in group_files(LABELS, self.arrays[0].metadata.zarr_format, attributes).items():
-                put(self._site.store(read_only=False), key, data)
+                put(self.site.store(read_only=False), key, data)
 
-    def note(self, told: dict[str, Any]) -> None:
-        """Add what is known of the output to the attributes of its root, as ``supple``."""
+    def note(self, facts: dict[str, Any]) -> None:
+        """Add facts on the output, of Zarr format 3, to the attributes of its root, as ``supple``."""
         with self.writing():
-            note(self._site.store(read_only=False), told)
+            store = self.site.store(read_only=False)
+            root = json.loads(read(store, "zarr.json") or b"{}")
+            root["attributes"] = {**root.get("attributes", {}), "supple": facts}
+            put(store, "zarr.json", json.dumps(root, indent=2).encode())
 
-    def finish(self, *, keep: bool = False) -> str:
-        """Make the output appear under its name, and return its address. Call it once, when all is written.
+    def finish(self, *others: Target) -> None:
+        """Make the output, and others with it, appear under their names. Call it once, when all is written.
 
-        ``keep`` keeps the marker, by which the same job knows that it is complete, until `forget` removes it.
+        SuppleError if another process has finished or replaced one of them. If a folder cannot be renamed, all are as
+        they were.
         """
-        if self.complete:
-            return self.address
+        moves: list[tuple[Path, Path, PathLike, Path]] = []
+        for each in (self, *others):
+            with each.writing():
+                if each.site.marker().get("job") != each._job:
+                    what = "what was written is there no more, since another process has finished or replaced it"
+                    raise each._place.unwritable(what, "look at what is there, or choose another name")
+                if (folder := each.site.folder) is not None:
+                    for spare in folder.rglob(_LEFT_OVER) if each.begun else ():
+                        spare.unlink()
+                    _mark(each.site.store(read_only=False), each._job, "complete")  # until the marker is removed
+                    target = check_store(folder.with_name(folder.name.removesuffix(".partial")), force=each._force)
+                    moves.append((folder, target, each.address, target.with_name(f".{os.urandom(6).hex()}-old")))
         with self.writing():
-            check_written(self._place, self._site, (level.path for level in self.image.levels), self._job)
-            if self._site.folder is not None:
-                publish(self._place, self._site.folder, self._job, self._force, keep)
-            elif keep:
-                put(self._site.store(read_only=False), MARKER, told_of(self._job, "complete"))
-            else:
-                run(self._site.store(read_only=False).delete(MARKER))
-        return self.address
-
-    def forget(self) -> None:
-        """Remove the marker that `finish` has kept; where it stays, it does no harm."""
-        with contextlib.suppress(Exception):
-            run(self._place.store(read_only=False).delete(MARKER))
-
-    def _check(self, level: int, box: Box) -> None:
-        array, block = self.arrays[level], self.blocks[level]
-        spans = list(zip(box, array.shape, block, strict=False))
-        good = all(0 <= a < b <= size and a % n == 0 and (b % n == 0 or b == size) for (a, b), size, n in spans)
-        if len(box) != array.ndim or not good:
-            told, shape = ", ".join(f"{a} to {b}" for a, b in box), tuple(array.shape)
-            raise SuppleError(f"the box {told} of level {level}, of shape {shape}, is not aligned to blocks of {block}")
+            publish_all(moves, self._force)
+        for _, target, _, aside in moves:
+            for name in (LOCK, MARKER):
+                with contextlib.suppress(OSError):
+                    os.unlink(target / name)
+            shutil.rmtree(aside, ignore_errors=True)
+        for each in (self, *others):
+            if each.site.folder is None:
+                with each.writing():
+                    run(each.site.store(read_only=False).delete(MARKER))
 
     def _keys(self, level: int, box: Box, array: Any) -> Iterator[str]:
-        """Return the keys of the blocks of a box, in the store of an array."""
-        self._check(level, box)
+        """Return the keys of the blocks of an aligned box, in the store of an array."""
         prefix = f"{array.path}/" if array.path else ""
         ranges = [range(a // n, -(-b // n)) for (a, b), n in zip(box, self.blocks[level], strict=True)]
         return (prefix + array.metadata.encode_chunk_key(place) for place in product(*ranges))
@@ -349,10 +409,10 @@ def _writable(array: Any) -> Any:
 
 def _encoding(array: Any) -> str:
     """Return all that determines how a chunk is stored; as text, in which NaN equals NaN."""
-    told = dict(array.metadata.to_dict())
+    metadata = dict(array.metadata.to_dict())
     for name in ("shape", "attributes", "chunk_key_encoding", "dimension_separator", "dimension_names"):
-        told.pop(name, None)
-    return json.dumps(told, sort_keys=True, default=repr)
+        metadata.pop(name, None)
+    return json.dumps(metadata, sort_keys=True, default=repr)
 
 
 def _size(path: Path) -> int:

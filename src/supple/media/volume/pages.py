@@ -10,7 +10,7 @@ import re
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -75,24 +75,21 @@ def read(path: PathLike) -> Volume:
     if form != "TIFF":
         raise unreadable(path, f"it is no TIFF, but {form}", "check its name")
     count = facts(image)[0]
-    with decoding(path):
-        if linked(path) != count:
-            raise unreadable(path, f"it is cut short: {count} of its pages are whole")
     with series_of(path, alike=True) as (file, series), reading(path):
         names = [(name, series.shape[k]) for k, name in axes_of(path, series).items() if series.axes[k] not in "SYX"]
         kind: str = series.kind
         own = [int(getattr(page, "index", -1)) for page in series.pages if page is None or page.parent is file]
-    told, sizes = _description(image), dict(names)
+    description, sizes = _description(image), dict(names)
     letters, outer = "".join(sizes), list(sizes.values())
     promised = math.prod(outer)
     if kind == "imagej" and promised == count:
-        promised = int(told.get("images", count))
+        promised = int(description.get("images", count))
     if (kind == "imagej" and promised != count) or len(own) != promised or -1 in own:
         what = f"its description tells of {promised} pages, and it has {count}"
         raise unreadable(path, what, "give all of them, or correct the description")
     if "t" in letters and "c" in letters:
-        held = " and ".join(f"{size} {_SPOKEN[name]}" for name, size in names if name in "tc")
-        raise unreadable(path, f"it holds {held}", "bend it to a Zarr store, or give one of them")
+        content = " and ".join(f"{size} {_SPOKEN[name]}" for name, size in names if name in "tc")
+        raise unreadable(path, f"it holds {content}", "bend it to a Zarr store, or give one of them")
     first, last = min(own), max(own)
     with decoding(path):
         source = pyvips.Source.new_from_file(os.fsencode(path))
@@ -111,13 +108,13 @@ def read(path: PathLike) -> Volume:
     samples = samples.transpose(sorted(range(len(letters)), key=lambda k: "tzyxc".find(letters[k])))
     if "z" not in letters:
         samples = np.expand_dims(samples, "t" in letters)
-    if "x" in told and "z" not in told and sizes.get("z", 1) > 1:
+    if "x" in description and "z" not in description and sizes.get("z", 1) > 1:
         what = f"{shown(path)} does not tell how far its slices are apart (PhysicalSizeZ): as far as its columns"
         warnings.warn(what, VolumeWarning, stacklevel=4)
-    interval = told.get("finterval", 0.0)
+    interval = description.get("finterval", 0.0)
     return Volume(
         native(samples),
-        Geometry(_spacing(image, told)),
+        Geometry(_spacing(image, description)),
         shown(path),
         "TIFF",
         "t" in letters,
@@ -139,6 +136,7 @@ def series_of(path: PathLike, *, alike: bool = False) -> Iterator[tuple[Any, Any
     with contextlib.ExitStack() as stack:
         with reading(path), _heard(path):
             file = stack.enter_context(tifffile.TiffFile(path))
+            len(file.pages)  # follow the links of all pages
             listed = list(file.series)
         if alike and len(listed) > 1 and listed[0].kind == "generic":
             raise unreadable(path, "its pages are of different sizes or kinds", "give pages of one")
@@ -156,8 +154,8 @@ def axes_of(path: PathLike, series: Any) -> dict[int, str]:
     letters = enumerate(zip(series.axes, series.shape, strict=True))
     names = {k: _LETTERS.get(letter, letter) for k, (letter, size) in letters if size > 1 or letter in "YX"}
     if any(name not in "tczyx" for name in names.values()) or len(set(names.values())) < len(names):
-        told = " x ".join(f"{size} {letter}" for size, letter in zip(series.shape, series.axes, strict=True))
-        raise unreadable(path, f"its axes are {told}", "give times, channels, planes, rows and columns, once each")
+        listed = " x ".join(f"{size} {letter}" for size, letter in zip(series.shape, series.axes, strict=True))
+        raise unreadable(path, f"its axes are {listed}", "give times, channels, planes, rows and columns, once each")
     return names
 
 
@@ -174,43 +172,26 @@ def reading(path: PathLike) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _heard(path: PathLike) -> Iterator[None]:
-    """Warn of what tifffile logs; raise SuppleError where it would put zeros in place of what is missing."""
+    """Warn of what tifffile logs; raise SuppleError where pages are lost, or zeros would take their place."""
     import tifffile
 
-    said: list[str] = []
+    texts: list[str] = []
     handler, logger = logging.Handler(logging.WARNING), tifffile.logger()
-    handler.emit = lambda record: said.append(record.getMessage())  # type: ignore[method-assign]
+    handler.emit = lambda record: texts.append(f"{record.levelname} {record.getMessage()}")  # type: ignore[method-assign]
     before = logger.propagate, logger.handlers
     logger.propagate, logger.handlers = False, [handler]
     try:
         yield
     finally:
         logger.propagate, logger.handlers = before
-    if any("zeroed" in text for text in said):
+    # libvips takes a file that ends between two pages for whole
+    if any("ERROR <tifffile.TiffPages" in text for text in texts):
+        raise unreadable(path, "its list of pages is damaged or cut short")
+    if any("zeroed" in text for text in texts):
         raise unreadable(path, "some of its pages are missing, or in files that are", "give all of them")
-    if said:
-        text = " ".join(re.sub(r"^<.*?> ?", "", said[0]).split())
+    if texts:
+        text = " ".join(re.sub(r"^\w+ (<.*?> ?)?", "", texts[0]).split())
         warnings.warn(f"{shown(path)} is read, but tifffile says: {text}", VolumeWarning, stacklevel=7)
-
-
-# Kept: libvips takes a file that ends between two pages for whole (test_a_stack_that_ends_between_two_pages).
-def linked(path: PathLike) -> int | None:
-    """Return the number of linked pages, or None if the last link leads out of the file."""
-    with open(path, "rb") as file:
-        head = file.read(16)
-        order: Literal["little", "big"] = "big" if head.startswith(b"MM") else "little"
-        large = 43 in head[2:4]
-        word, count, entry = (8, 8, 20) if large else (4, 2, 12)
-        at, known = int.from_bytes(head[word : 2 * word], order), set[int]()
-        while at and at not in known:
-            known.add(at)
-            file.seek(at)
-            file.seek(at + count + entry * int.from_bytes(file.read(count), order))
-            following = file.read(word)
-            if len(following) < word:
-                return None
-            at = int.from_bytes(following, order)
-        return len(known)
 
 
 def _description(image: Any) -> dict[str, float]:
@@ -224,16 +205,16 @@ def _description(image: Any) -> dict[str, float]:
     if not text.startswith("ImageJ="):
         return {}
     pairs = dict(line.strip().partition("=")[::2] for line in text.splitlines())
-    told = {"unit": MILLIMETRES.get(pairs.pop("unit", "").lower(), 1.0)}
+    numbers = {"unit": MILLIMETRES.get(pairs.pop("unit", "").lower(), 1.0)}
     for key, value in pairs.items():
         with contextlib.suppress(ValueError):
             if np.isfinite(number := float(value)):
-                told[key] = number
-    return told
+                numbers[key] = number
+    return numbers
 
 
 def _of_ome(text: str) -> dict[str, float]:
-    told: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     with contextlib.suppress(ElementTree.ParseError, StopIteration):
         found = next(one.attrib for one in ElementTree.fromstring(text).iter() if one.tag.endswith("Pixels"))
         lengths = [(axis.lower(), f"PhysicalSize{axis}", "um", MILLIMETRES) for axis in "XYZ"]
@@ -241,21 +222,21 @@ def _of_ome(text: str) -> dict[str, float]:
             with contextlib.suppress(KeyError, ValueError):
                 known = float(found[name]) * units[found.get(f"{name}Unit", usual).lower()]
                 if 0 < known < np.inf:
-                    told[key] = known
-    return told
+                    numbers[key] = known
+    return numbers
 
 
-def _spacing(image: Any, told: dict[str, float]) -> tuple[float, float, float]:
+def _spacing(image: Any, numbers: dict[str, float]) -> tuple[float, float, float]:
     """Return the spacing in millimetres; 1 if the file has none: dots per inch are not a spacing."""
-    if "x" in told and "y" in told:
-        return told["x"], told["y"], told.get("z", told["x"])
-    if "unit" not in told:
+    if "x" in numbers and "y" in numbers:
+        return numbers["x"], numbers["y"], numbers.get("z", numbers["x"])
+    if "unit" not in numbers:
         return 1.0, 1.0, 1.0
-    unit = told["unit"]
+    unit = numbers["unit"]
     # pixels per millimetre in libvips, if the file has a unit
     across = 1.0 if image.get_typeof("resolution-unit") else unit
     x, y = (across / res if res > 0 else 1.0 for res in (image.xres, image.yres))
-    return x, y, abs(told.get("spacing", 0.0) or 1.0) * unit
+    return x, y, abs(numbers.get("spacing", 0.0) or 1.0) * unit
 
 
 def check(path: PathLike, like: Volume, dtype: np.dtype[Any]) -> None:
@@ -307,8 +288,8 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
         made.addimage(array.dtype, array.shape, pixels, axes="TZCYXS"[: array.ndim], **sizes, **units, **pace)
         text = made.tostring()
     else:
-        told = {"images": len(tall) // height, "channels": channels, "slices": depth, "frames": times}
-        lines = [f"{name}={count}" for name, count in told.items() if count > 1 or name in ("images", "slices")]
+        counts = {"images": len(tall) // height, "channels": channels, "slices": depth, "frames": times}
+        lines = [f"{name}={number}" for name, number in counts.items() if number > 1 or name in ("images", "slices")]
         lines += ["hyperstack=true"] if channels > 1 or times > 1 else []
         lines += ["mode=grayscale"] if channels > 1 else []
         lines += [f"finterval={like.interval!r}"] if like.series else []
