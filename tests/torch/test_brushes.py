@@ -12,8 +12,7 @@ import pytest
 
 import supple
 from supple.errors import SuppleError
-from tests import reference
-from tests.turns import AFFINE, at_once
+from tests.turns import AFFINE
 
 if os.environ.get("SUPPLE_TEST_TORCH") == "1":
     import torch
@@ -21,8 +20,6 @@ else:
     torch = pytest.importorskip("torch")
 
 import supple.torch as bending
-from supple.torch.engine import TORCH
-from supple.torch.field import Strokes, moved
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
@@ -121,18 +118,14 @@ def test_gradients_need_brushes_that_flow_in_one_go() -> None:
 
 @pytest.mark.parametrize("border", [None, 4.0])
 @pytest.mark.parametrize("shape", [(17, 23), (9, 11, 13)])
-def test_strokes_that_act_at_once(shape: tuple[int, ...], border: float | None) -> None:
-    d = supple.Deformation(shape, border=border)
-    table, steps = at_once(d.domain)
-    space, points = replace(d.space, table=table), places(d)
-    expected, slopes = reference.moved(steps, d.domain, points.numpy())
-    strokes = Strokes.of(space, DOUBLE, torch.device("cpu"))
-
-    def seen(p: torch.Tensor) -> torch.Tensor:
-        return torch.stack(moved(list(p.unbind(-1)), strokes), -1)
-
-    np.testing.assert_allclose(seen(points).numpy(), expected, atol=1e-11)
-    np.testing.assert_allclose(torch.func.vmap(torch.func.jacrev(seen))(points).numpy(), slopes, atol=1e-11)
-    found, _, _, converged = TORCH.inverse(space, points)
-    assert converged.all()
-    np.testing.assert_allclose(found.numpy(), reference.inverse(steps, d.domain, points.numpy()), atol=1e-7)
+def test_points_pulled_at_once(shape: tuple[int, ...], border: float | None) -> None:
+    size = np.array(shape[::-1]) - 1.0
+    d = supple.Deformation(shape, border=border).pull(
+        [0.4 * size, 0.6 * size], by=[0.03 * size, -0.02 * size], radius=5
+    )
+    points = places(d)
+    np.testing.assert_allclose(bending.forward(points, d).numpy(), d.forward(points.numpy()), atol=1e-11)
+    slopes = torch.func.vmap(torch.func.jacrev(lambda p: bending.forward(p, d)))(points)
+    np.testing.assert_allclose(slopes.numpy(), d.jacobian(points.numpy()), atol=1e-11)
+    with pytest.raises(SuppleError, match="found one that pulls several points; use grabs"):
+        bending.forward(points, d, radius=torch.tensor([5.0], requires_grad=True))

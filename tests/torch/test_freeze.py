@@ -18,9 +18,6 @@ else:
     torch = pytest.importorskip("torch")
 
 import supple.torch as bending
-from supple.torch.engine import TORCH
-from supple.torch.field import Freedom
-from tests import reference
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.MissWarning", "ignore::supple.FoldWarning")
 
@@ -45,19 +42,6 @@ def numbers(d: supple.Deformation) -> tuple[torch.Tensor, ...]:
 SHAPES = pytest.mark.parametrize("shape", [(15, 18), (7, 10, 9)])
 
 
-@pytest.mark.parametrize("shape", [(15, 18), (7, 10, 9), (1, 30), (5, 1, 20)])
-def test_m_is_the_spline(shape: tuple[int, ...]) -> None:
-    rng = np.random.default_rng(0)
-    spacing = (1.0, 1.4, 0.8)[: len(shape)]
-    freeze = Freeze.of(rng.uniform(size=shape) ** 3, width=7.0, spacing=spacing)
-    d = supple.Deformation(shape, spacing=spacing, freeze=freeze)
-    points = rng.uniform(-0.2, 1.2, (40, 5, len(shape))) * shape[::-1]
-    freedom = Freedom.of(d.space.freeze, DOUBLE, torch.device("cpu"))
-    assert freedom is not None
-    found = freedom.at(list(torch.from_numpy(points * spacing).unbind(-1)))
-    np.testing.assert_allclose(found.numpy(), reference.freedom(freeze, points), atol=1e-12)
-
-
 @SHAPES
 @pytest.mark.parametrize("border", [None, 4.0])
 def test_points_are_those_of_the_native_engine(shape: tuple[int, ...], border: float | None) -> None:
@@ -68,7 +52,6 @@ def test_points_are_those_of_the_native_engine(shape: tuple[int, ...], border: f
     np.testing.assert_allclose(bending.forward(given, d).numpy(), d.forward(points), atol=1e-6)
     slopes = torch.func.vmap(torch.func.jacrev(lambda p: bending.forward(p, d)))(given.flatten(0, 1))
     np.testing.assert_allclose(slopes.unflatten(0, (6, 5)).numpy(), d.jacobian(points), atol=1e-6)
-    np.testing.assert_array_equal(TORCH.inverse(d.space, given)[0].numpy(), d.inverse(points).points)
 
 
 @SHAPES
@@ -139,33 +122,3 @@ def test_what_stays_is_copied_at_any_spacing(shape: tuple[int, ...], filter: str
     made = bending.warp(torch.tensor(picture, requires_grad=wanted), d, filter=filter).detach().numpy()
     assert made[stays].tobytes() == picture[stays].tobytes()
     assert not np.array_equal(made, picture, equal_nan=True)
-
-
-def test_parts_at_a_time_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
-    from supple.torch import warping
-
-    d, _ = held((15, 18))
-    picture = torch.rand(15, 18, generator=torch.Generator().manual_seed(0))
-
-    def found() -> list[torch.Tensor]:
-        given = [x.detach().float().requires_grad_() for x in numbers(d)]
-        bending.warp(picture, d, at=given[0], by=given[1], radius=given[2]).square().sum().backward()
-        return [x.grad for x in given]
-
-    whole = found()
-    monkeypatch.setattr(warping, "_ROOM", 2000)
-    for one, other in zip(whole, found(), strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-4)
-
-
-def test_tensors_elsewhere_are_served_by_the_core(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No engine of a device is asked where there is a mask."""
-    from supple.torch import engine
-
-    monkeypatch.setattr(engine, "engine_at", lambda value: pytest.fail("a device's engine is asked"))
-    d, mask = held((15, 18))
-    picture = torch.rand(15, 18, generator=torch.Generator().manual_seed(0))
-    made = bending.warp(picture, d)
-    assert torch.equal(made[torch.from_numpy(mask)], picture[torch.from_numpy(mask)])
-    TORCH.inverse(d.space, torch.rand(4, 2))
-    TORCH.inverse_map(d.space, 0.01, picture)

@@ -21,9 +21,7 @@ else:
     torch = pytest.importorskip("torch")
 
 import supple.torch as bending
-from supple.space import splines
 from supple.torch import inverse
-from supple.torch.taps import coefficients
 from tests.effort import pairs
 from tests.torch.test_gradients import picture
 
@@ -137,14 +135,6 @@ def test_gradients_in_single_precision_are_as_good(interpolation: Any) -> None:
     assert (found[0] - found[1]).abs().max() < 1e-4 * found[1].abs().max()
 
 
-@pytest.mark.parametrize("shape", [(7, 9), (1, 6), (4, 5, 3)])
-def test_coefficients_are_those_of_fields_and_their_gradients_exact(shape: tuple[int, ...]) -> None:
-    given = picture(2, *shape)
-    wanted = splines.coefficients(given.movedim(0, -1).numpy())
-    assert np.allclose(coefficients(given, len(shape)).movedim(0, -1).numpy(), wanted, rtol=0, atol=1e-14)
-    assert torch.autograd.gradcheck(lambda x: coefficients(x, len(shape)), given.requires_grad_())
-
-
 @pytest.mark.parametrize("interpolation", ["linear", "cubic"])
 def test_the_field_after_its_inverse_is_the_identity(interpolation: Any) -> None:
     """PyTorch's own sampling at the points of the inverse finds the opposite displacements, and so do gradients."""
@@ -248,7 +238,7 @@ FLAT = torch.zeros(2, 6, 7)
             'interpolation must be "linear" or "cubic" or "bspline"',
         ),
         (lambda: bending.invert(FLAT, beyond="reflect"), 'beyond must be "zero" or "edge"'),
-        (lambda: bending.invert(FLAT, tolerance=0), "tolerance must be a number of samples above 0"),
+        (lambda: bending.invert(FLAT, tolerance=0), "tolerance must be a number of voxels above 0"),
         (lambda: bending.invert(FLAT[:, :3], interpolation="bspline"), "a cubic B-spline needs 4 coefficients"),
     ],
 )

@@ -18,8 +18,6 @@ else:
     torch = pytest.importorskip("torch")
 
 import supple.torch as bending
-from supple.engines.native import NATIVE
-from supple.torch.engine import TORCH
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
@@ -52,15 +50,3 @@ def test_a_constant_is_one_of_the_type(dtype: torch.dtype) -> None:
     for beyond, within in ((1e30, most), (-1e30, least)):
         found = [bending.warp(flat, d, outside="constant", fill=fill) for fill in (beyond, within)]
         assert torch.equal(*found)
-
-
-def test_points_are_those_of_the_native_engine() -> None:
-    d = Deformation((20, 31)).grab((10, 9), by=(4, 3), radius=9).grab((20, 12), by=(-3, 2), radius=7)
-    points = np.random.default_rng(4).uniform(2, 17, (6, 5, 2))
-    given = torch.from_numpy(points)
-    for matrices in (False, True):
-        found = TORCH.forward(d.space, given, matrices=matrices)
-        np.testing.assert_allclose(found.numpy(), NATIVE.forward(d.space, points, matrices=matrices), atol=1e-12)
-    for found, wanted in zip(TORCH.inverse(d.space, given), NATIVE.inverse(d.space, points), strict=True):
-        np.testing.assert_array_equal(found.numpy(), wanted)
-    np.testing.assert_array_equal(TORCH.inverse_map(d.space, 0.01, given)[0].numpy(), d.inverse_map())
