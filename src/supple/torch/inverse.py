@@ -93,8 +93,7 @@ def invert(
 
     Notes
     -----
-    With J = ∂u/∂x, the derivative of the solution is dx = -(I+J)⁻¹ du(x), whichever way it was found. Gradients are
-    differentiable, too.
+    With J = ∂u/∂x, the derivative of the solution is dx = -(I+J)⁻¹ du(x). Gradients are differentiable, too.
     """
     many, single = _checked(values)
     steps = checked_spacing(spacing, many.shape[1])

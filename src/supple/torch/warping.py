@@ -27,8 +27,8 @@ from supple.space.domain import refuse
 from supple.torch.strokes import Given, Strokes, items, strokes_of
 from supple.torch.taps import Taps, adjoint, around, count
 
-SMOOTH = ("nearest", "linear", "cubic")
-
+_SMOOTH = ("nearest", "linear", "cubic")
+_FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 _ROOM = 1 << 23  # the numbers in memory for points processed at once, mostly for gradients of T
 _OF_MASKS = 8  # as many terms of a stroke need as much room as the freeze mask's
 
@@ -53,8 +53,7 @@ def warp(
     tensor : tensor of shape (H, W), (C, H, W) or (N, C, H, W); of a volume or frames (Z, H, W) to (N, C, Z, H, W)
         Of bool, integers or floats, on any device. Only floats have gradients.
     deformation : Deformation, or sequence of N of them
-        A deformation of the shape of the last axes; or one for each item of the batch. With fields or affine maps, the
-        tensor must be in host memory.
+        A deformation of the shape of the last axes; or one for each item of the batch.
     at, by : tensor of shape (n, D), or (N, n, D), optional
         Replacements of the positions and the drags of the deformation's n strokes: in pixels, x first. The drags of
         brushes other than grabs are 0, and have no gradients.
@@ -90,10 +89,6 @@ def warp(
         If a stroke with new numbers was damped. Gradients take the damping factor as constant.
     ToleranceWarning
         If the checks of the map's cells do not promise the tolerance everywhere.
-
-    Notes
-    -----
-    With p = T⁻¹(q) and θ any number of a stroke, ∂p/∂θ = -(I+J)⁻¹ ∂K/∂θ.
     """
     given, shape, batch = items(deformation, {"at": at, "by": by, "radius": radius})
     _check(tensor, shape, len(given) if batch else None)
@@ -104,7 +99,7 @@ def warp(
     )  # fmt: skip
     wanted = torch.is_grad_enabled() and tensor.requires_grad
     strokes_wanted = any(own for _, own in given)
-    if (wanted or strokes_wanted) and filter not in SMOOTH:
+    if (wanted or strokes_wanted) and filter not in _SMOOTH:
         refuse("filter", '"linear", "cubic" or "nearest" where gradients are needed', filter)
     if strokes_wanted and not tensor.is_floating_point():
         refuse("tensor", "of floats where strokes need gradients", told=str(tensor.dtype))
@@ -176,7 +171,8 @@ def forward(
 def _check(tensor: object, shape: tuple[int, ...], count: int | None) -> None:
     if not isinstance(tensor, torch.Tensor):
         refuse("tensor", "a PyTorch tensor (Deformation.warp takes arrays)", tensor)
-    if tensor.is_complex() or tensor.is_quantized or tensor.layout != torch.strided or _odd(tensor.dtype):
+    odd = tensor.is_floating_point() and tensor.dtype not in _FLOATS
+    if tensor.is_complex() or tensor.is_quantized or tensor.layout != torch.strided or odd:
         wanted = "dense, of bool, integers or floats of 16 to 64 bits"
         refuse("tensor", wanted, told=f"{tensor.dtype}, {tensor.layout}")
     sizes, axes = ", ".join(map(str, shape)), len(shape)
@@ -186,10 +182,6 @@ def _check(tensor: object, shape: tuple[int, ...], count: int | None) -> None:
     if count is not None and (tensor.ndim != axes + 2 or len(tensor) != count):
         wanted = f"of shape ({count}, C, {sizes}), as there are {count} deformations or sets of strokes"
         refuse("tensor", wanted, told=f"shape {tuple(tensor.shape)}")
-
-
-def _odd(dtype: torch.dtype) -> bool:
-    return dtype.is_floating_point and dtype not in (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 
 
 def _warped(tensor: torch.Tensor, d: Deformation, given: Given, sampling: Sampling) -> torch.Tensor:
@@ -227,9 +219,9 @@ def _pixels(index: torch.Tensor, d: Deformation) -> torch.Tensor:
 
 
 def offsets_of(like: torch.Tensor, d: Deformation, tolerance: float) -> torch.Tensor:
-    """Return T⁻¹(q) - q of all output pixels q, in pixels: (D, M), on the device of ``like``, in its working type.
+    """Return T⁻¹(q) - q of all M pixels q, (D, M), which float32 holds to their accuracy for images of any size.
 
-    Offsets are small: float32 holds them to their accuracy, for images of any size. Where T moves nothing, they are 0.
+    They are on the device of ``like``, in its working type, and 0 where T moves nothing.
     """
     dtype, total = _working(like), math.prod(d.shape)
     if d.space.is_identity:
@@ -250,7 +242,8 @@ def offsets_of(like: torch.Tensor, d: Deformation, tolerance: float) -> torch.Te
         if lost:
             text = f"{lost} of {total} source points did not converge: what is shown there is a guess"
             warnings.warn(text, ToleranceWarning, stacklevel=caller())
-    return (torch.as_tensor(points).reshape(total, d.ndim).T - pixels).to(like.device, dtype)
+    offsets = torch.as_tensor(points).reshape(total, d.ndim).T - pixels
+    return offsets.to(dtype).to(like.device)  # not every device has float64
 
 
 def _parts(
@@ -275,15 +268,8 @@ class _Warp(torch.autograd.Function):
     """The warp of a tensor (K, *shape); ``numbers`` are those of the strokes, or None if they need no gradients."""
 
     @staticmethod
-    def forward(
-        ctx: Any,
-        tensor: torch.Tensor,
-        numbers: torch.Tensor | None,
-        d: Deformation,
-        sampling: Sampling,
-        strokes: Strokes | None,
-    ) -> torch.Tensor:
-        ctx.job = d, sampling, strokes
+    def forward(ctx: Any, tensor: torch.Tensor, numbers: torch.Tensor | None, *job: Any) -> torch.Tensor:
+        d, sampling, strokes = ctx.job = job
         offsets = None
         if tensor.dtype != torch.float64:
             result = _values(tensor, d, sampling)
