@@ -44,8 +44,8 @@ class Inverted:
     @property
     def counts(self) -> dict[str, int]:
         """The number of samples of each status."""
-        found = torch.bincount(self.status.flatten().int(), minlength=len(STATUS)).tolist()
-        return dict(zip(STATUS, found, strict=True))
+        counts = torch.bincount(self.status.flatten().int(), minlength=len(STATUS)).tolist()
+        return dict(zip(STATUS, counts, strict=True))
 
 
 def invert(
@@ -98,9 +98,9 @@ def invert(
     many, single = _checked(values)
     steps = checked_spacing(spacing, many.shape[1])
     options = {"spacing": steps, "interpolation": interpolation, "beyond": beyond}
-    found, error, status = _Inverse.apply(many, options, tolerance)
-    inverted = Inverted(found[0], error[0], status[0]) if single else Inverted(found, error, status)
-    if found.requires_grad:
+    inverse, error, status = _Inverse.apply(many, options, tolerance)
+    inverted = Inverted(inverse[0], error[0], status[0]) if single else Inverted(inverse, error, status)
+    if inverse.requires_grad:
         _warn(inverted, beyond)
     return inverted
 
@@ -137,19 +137,19 @@ class _Inverse(torch.autograd.Function):
         ctx: Any, values: torch.Tensor, options: dict[str, Any], tolerance: float
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         shape = [size - 2 * (options["interpolation"] == "bspline") for size in values.shape[2:]]
-        found = values.new_empty((*values.shape[:2], *shape))
+        inverse = values.new_empty((*values.shape[:2], *shape))
         error = values.new_empty((len(values), *shape), dtype=torch.float32)
         status = torch.empty_like(error, dtype=torch.uint8)
         for k, each in enumerate(values.detach()):
             field = Field.from_array(each.movedim(0, -1).numpy(force=True), **options)
             inverted = field.invert(tolerance=tolerance)
-            found[k] = torch.from_numpy(inverted.field.values).movedim(-1, 0)
+            inverse[k] = torch.from_numpy(inverted.field.values).movedim(-1, 0)
             error[k] = torch.from_numpy(inverted.error)
             status[k] = torch.from_numpy(inverted.status)
         ctx.options = options
         ctx.mark_non_differentiable(error, status)
-        ctx.save_for_backward(values, found, status)
-        return found, error, status
+        ctx.save_for_backward(values, inverse, status)
+        return inverse, error, status
 
     @staticmethod
     def backward(ctx: Any, gradient: torch.Tensor, *_: Any) -> tuple[torch.Tensor | None, ...]:
@@ -165,7 +165,7 @@ class _Inverse(torch.autograd.Function):
         spacing, interpolation, beyond = ctx.options.values()
         # Devices other than NVIDIA's may have no float64.
         where = gradient.device if gradient.is_cuda else "cpu"
-        values, found, status, slopes = (x.to(where) for x in (*ctx.saved_tensors, gradient))
+        values, inverse, status, slopes = (x.to(where) for x in (*ctx.saved_tensors, gradient))
         n, sizes, edge = values.shape[1], values.shape[:1:-1], int(interpolation == "bspline")
         kinds, reach = (["linear"] * n, 2) if interpolation == "linear" else (["bspline"] * n, 1)
         steps, last, eye = (
@@ -173,10 +173,10 @@ class _Inverse(torch.autograd.Function):
             for x in (spacing, [size - 1 - edge for size in sizes], np.eye(n).tolist())
         )
         with torch.enable_grad():
-            held = _Coefficients.apply(values) if interpolation == "cubic" else values
-            samples = (held.double().flatten(2) / steps).movedim(1, 0).reshape(n, -1)
+            coefs = _Coefficients.apply(values) if interpolation == "cubic" else values
+            samples = (coefs.double().flatten(2) / steps).movedim(1, 0).reshape(n, -1)
         into = torch.zeros_like(samples)
-        offsets, slopes = (x.double().movedim(1, 0).reshape(n, -1) for x in (found, slopes))
+        offsets, slopes = (x.double().movedim(1, 0).reshape(n, -1) for x in (inverse, slopes))
         solved = torch.isin(status.flatten(), torch.tensor(_SOLVED[beyond], device=where)).nonzero()[:, 0]
         for part in solved.split(_ROOM // count(kinds)):
             item, *places = torch.unravel_index(part, status.shape)

@@ -1,4 +1,4 @@
-"""Strokes of which some numbers are tensors: checked, made into deformations, and applied to points differentiably.
+"""Strokes of which some numbers are tensors: checked, as deformations, and applied to points differentiably.
 
 In physical units, with r = p - pivot, s = |r|² and p taken into the domain where its border is fixed, a stroke moves by
 
@@ -72,8 +72,8 @@ class Strokes:
         """Return -Σ λᵀ ∂T/∂numbers from points p = T⁻¹(q) and λ there, both (D, P), in pixels."""
         with torch.enable_grad():
             leaf = self.numbers.detach().requires_grad_()
-            seen = replace(self, numbers=leaf).at(points)
-        return torch.autograd.grad(seen, leaf, -adjoint, materialize_grads=True)[0]
+            positions = replace(self, numbers=leaf).at(points)
+        return torch.autograd.grad(positions, leaf, -adjoint, materialize_grads=True)[0]
 
 
 def strokes_of(d: Deformation, given: Given, like: torch.Tensor, dtype: torch.dtype) -> Strokes:
@@ -102,8 +102,8 @@ def strokes_of(d: Deformation, given: Given, like: torch.Tensor, dtype: torch.dt
         force = given["by"] * steps * _tensor(damping, like)[:, None]
     if given and d.on_fold == "flow":  # which makes up for a fixed border, unless the pivot is outside of it
         near, beta = _edges(pivot.T, axes)
-        made_up = (beta > 0) / torch.where(beta > 0, beta, 1)
-        gain = torch.where((near == pivot.T).all(0), made_up, 1).T.expand_as(pivot)
+        correction = (beta > 0) / torch.where(beta > 0, beta, 1)
+        gain = torch.where((near == pivot.T).all(0), correction, 1).T.expand_as(pivot)
     numbers = torch.cat([pivot, force, gain, radius[:, None]], 1)
     freeze = d.space.freeze
     mask = None if freeze is None else (freeze, _tensor(freeze.coefficients / 255, like).flatten())

@@ -161,8 +161,8 @@ def forward(
                 "Deformation.forward takes it, without gradients"
             )
         strokes = strokes_of(d, own, points, _working(points))
-        seen = strokes.at(part.to(_working(points)).reshape(-1, n).T)
-        results.append(seen.T.reshape(part.shape).to(points.dtype))
+        positions = strokes.at(part.to(_working(points)).reshape(-1, n).T)
+        results.append(positions.T.reshape(part.shape).to(points.dtype))
     if not results:
         return points.clone()
     return torch.stack(results) if batch else results[0]
