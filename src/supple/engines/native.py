@@ -365,10 +365,10 @@ class Native:
         return _points(space, found, targets, given), off, steps.astype(np.int64).reshape(shape), near
 
     def inverse_map(
-        self, space: Space, tolerance: float, like: Any = None
-    ) -> tuple[npt.NDArray[np.float32], Certificate]:
-        """See `Engine.inverse_map`."""
-        out = np.empty((*space.out, space.ndim), np.float32)
+        self, space: Space, tolerance: float, like: Any = None, dtype: npt.DTypeLike = np.float32
+    ) -> tuple[npt.NDArray[Any], Certificate]:
+        """See `Engine.inverse_map`; in float64, points of any size of image are as accurate."""
+        out = np.empty((*space.out, space.ndim), dtype)
         certificate = Certificate(0.0, 0.0)
         for z, plane in enumerate(out if space.ndim == 3 else [out]):
             plan = plan_of(space, z, tolerance)

@@ -5,18 +5,20 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from typing import Any
 
+import numpy as np
 import torch
 
-from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
+from supple.errors import FoldWarning, OutsideWarning, ToleranceWarning
 from supple.fields import FOLDED, OK, OUTSIDE, STATUS, UNCONVERGED, Beyond, Field, Interpolation
-from supple.space.domain import checked_spacing, choice, number, refuse
-from supple.torch.engine import grid
-from supple.torch.field import solved
-from supple.torch.taps import around, coefficients, count
+from supple.space.domain import checked_spacing, refuse
+from supple.space.splines import coefficients
+from supple.torch.taps import adjoint, around, count
 
 _ROOM = 1 << 18  # the samples around points that are processed at once
+# The statuses that have gradients: beyond its grid, too, a field goes on by its edge, but not by zero.
+_SOLVED = {"edge": [OK, OUTSIDE], "zero": [OK]}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,26 +44,8 @@ class Inverted:
     @property
     def counts(self) -> dict[str, int]:
         """The number of samples of each status."""
-        found = torch.bincount(self.status.flatten().int(), minlength=len(STATUS)).tolist()
-        return dict(zip(STATUS, found, strict=True))
-
-
-@dataclass(frozen=True, slots=True)
-class _Job:
-    spacing: tuple[float, ...]
-    interpolation: Interpolation
-    beyond: Beyond
-    tolerance: float
-
-    @property
-    def edge(self) -> int:
-        """The number of coefficients at each end of an axis that are beyond the field."""
-        return 1 if self.interpolation == "bspline" else 0
-
-    @property
-    def solved(self) -> tuple[int, ...]:
-        """The statuses that have gradients: beyond its grid, too, a field goes on by its edge, but not by zero."""
-        return (OK, OUTSIDE) if self.beyond == "edge" else (OK,)
+        counts = torch.bincount(self.status.flatten().int(), minlength=len(STATUS)).tolist()
+        return dict(zip(STATUS, counts, strict=True))
 
 
 def invert(
@@ -109,22 +93,16 @@ def invert(
 
     Notes
     -----
-    With J = ∂u/∂x, the derivative of the solution is dx = -(I+J)⁻¹ du(x), whichever way it was found. Gradients are
-    differentiable, too.
+    With J = ∂u/∂x, the derivative of the solution is dx = -(I+J)⁻¹ du(x). Gradients are differentiable, too.
     """
     many, single = _checked(values)
-    choice("interpolation", interpolation, get_args(Interpolation))
-    choice("beyond", beyond, get_args(Beyond))
     steps = checked_spacing(spacing, many.shape[1])
-    tolerance = number("tolerance", tolerance, "a number of samples above 0", 1e-9, 1e9)
-    if interpolation == "bspline" and min(many.shape[2:]) < 4:
-        raise SuppleError(f"a cubic B-spline needs 4 coefficients along each axis, found {tuple(many.shape[2:])}")
-    job = _Job(steps, interpolation, beyond, tolerance)
-    found, error, status = _Inverse.apply(many, job)
-    made = Inverted(found[0], error[0], status[0]) if single else Inverted(found, error, status)
-    if found.requires_grad:
-        _warn(made, job)
-    return made
+    options = {"spacing": steps, "interpolation": interpolation, "beyond": beyond}
+    inverse, error, status = _Inverse.apply(many, options, tolerance)
+    inverted = Inverted(inverse[0], error[0], status[0]) if single else Inverted(inverse, error, status)
+    if inverse.requires_grad:
+        _warn(inverted, beyond)
+    return inverted
 
 
 def _checked(values: object) -> tuple[torch.Tensor, bool]:
@@ -139,85 +117,97 @@ def _checked(values: object) -> tuple[torch.Tensor, bool]:
     axes = len(shape) - 1 - batch
     if axes not in (2, 3) or shape[batch] != axes or 0 in shape[batch:]:
         refuse("values", f"{wanted}, x first", told=f"shape {shape}")
-    if not torch.isfinite(values.detach()).all():
-        raise SuppleError("the field holds NaN or infinity")
     return (values if batch else values[None]), not batch
 
 
-def _warn(made: Inverted, job: _Job) -> None:
-    counts, solved = made.counts, [STATUS[code] for code in job.solved]
-    lost = {name: count for name, count in counts.items() if count and name not in solved}
-    if not lost:
-        return
-    kinds = {STATUS[FOLDED]: FoldWarning, STATUS[OUTSIDE]: OutsideWarning, STATUS[UNCONVERGED]: ToleranceWarning}
-    each = ", ".join(f"{count} {name}" for name, count in lost.items())
-    text = f"gradients are zero at {sum(lost.values())} of {made.status.numel()} samples of the inverse: {each}"
-    warnings.warn(text, kinds[next(iter(lost))], stacklevel=3)
+def _warn(inverted: Inverted, beyond: Beyond) -> None:
+    kinds = {FOLDED: FoldWarning, OUTSIDE: OutsideWarning, UNCONVERGED: ToleranceWarning}
+    lost = {code: inverted.counts[STATUS[code]] for code in kinds if code not in _SOLVED[beyond]}
+    each = ", ".join(f"{count} {STATUS[code]}" for code, count in lost.items() if count)
+    if each:
+        text = f"gradients are zero at {sum(lost.values())} of {inverted.status.numel()} samples of the inverse: {each}"
+        warnings.warn(text, next(kinds[code] for code, count in lost.items() if count), stacklevel=3)
 
 
 class _Inverse(torch.autograd.Function):
     """The inverses of fields (N, D, *shape), their errors and status, by the core."""
 
     @staticmethod
-    def forward(ctx: Any, values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        shape = [size - 2 * job.edge for size in values.shape[2:]]
-        found = values.new_empty((*values.shape[:2], *shape))
+    def forward(
+        ctx: Any, values: torch.Tensor, options: dict[str, Any], tolerance: float
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        shape = [size - 2 * (options["interpolation"] == "bspline") for size in values.shape[2:]]
+        inverse = values.new_empty((*values.shape[:2], *shape))
         error = values.new_empty((len(values), *shape), dtype=torch.float32)
         status = torch.empty_like(error, dtype=torch.uint8)
         for k, each in enumerate(values.detach()):
-            array = each.movedim(0, -1).numpy(force=True)
-            field = Field.from_array(array, spacing=job.spacing, interpolation=job.interpolation, beyond=job.beyond)
-            made = field.invert(tolerance=job.tolerance)
-            found[k] = torch.from_numpy(made.field.values).movedim(-1, 0)
-            error[k] = torch.from_numpy(made.error)
-            status[k] = torch.from_numpy(made.status)
-        ctx.job = job
+            field = Field.from_array(each.movedim(0, -1).numpy(force=True), **options)
+            inverted = field.invert(tolerance=tolerance)
+            inverse[k] = torch.from_numpy(inverted.field.values).movedim(-1, 0)
+            error[k] = torch.from_numpy(inverted.error)
+            status[k] = torch.from_numpy(inverted.status)
+        ctx.options = options
         ctx.mark_non_differentiable(error, status)
-        ctx.save_for_backward(values, found, status)
-        return found, error, status
+        ctx.save_for_backward(values, inverse, status)
+        return inverse, error, status
 
     @staticmethod
-    def backward(ctx: Any, gradient: torch.Tensor, *_: Any) -> tuple[torch.Tensor, None]:
-        values, found, status = ctx.saved_tensors
-        where = values.device if values.is_cuda else "cpu"  # other devices may have no float64
-        values, found, status, slopes = (x.to(where) for x in (values, found, status, gradient))
-        return _gradient(values, found, status, slopes, ctx.job).to(gradient), None
+    def backward(ctx: Any, gradient: torch.Tensor, *_: Any) -> tuple[torch.Tensor | None, ...]:
+        """Return ∂L/∂values, differentiable in all that it is computed from.
+
+        With i the index of a position, i → i + w(i). For a loss L of the points i(w) that are solutions of
+        i + w(i) = q,
+
+            dL/dw = -Sᵀ λ,    (I+J)ᵀ λ = ∂L/∂i,
+
+        where S interpolates at the points i, and J = ∂w/∂i there.
+        """
+        spacing, interpolation, beyond = ctx.options.values()
+        # Devices other than NVIDIA's may have no float64.
+        where = gradient.device if gradient.is_cuda else "cpu"
+        values, inverse, status, slopes = (x.to(where) for x in (*ctx.saved_tensors, gradient))
+        n, sizes, edge = values.shape[1], values.shape[:1:-1], int(interpolation == "bspline")
+        kinds, reach = (["linear"] * n, 2) if interpolation == "linear" else (["bspline"] * n, 1)
+        steps, last, eye = (
+            torch.tensor(x, dtype=torch.float64, device=where)[..., None]
+            for x in (spacing, [size - 1 - edge for size in sizes], np.eye(n).tolist())
+        )
+        with torch.enable_grad():
+            coefs = _Coefficients.apply(values) if interpolation == "cubic" else values
+            samples = (coefs.double().flatten(2) / steps).movedim(1, 0).reshape(n, -1)
+        into = torch.zeros_like(samples)
+        offsets, slopes = (x.double().movedim(1, 0).reshape(n, -1) for x in (inverse, slopes))
+        solved = torch.isin(status.flatten(), torch.tensor(_SOLVED[beyond], device=where)).nonzero()[:, 0]
+        for part in solved.split(_ROOM // count(kinds)):
+            item, *places = torch.unravel_index(part, status.shape)
+            i = torch.stack(places[::-1]) + edge + offsets[:, part] / steps
+            c = torch.minimum(i, last).clamp(min=edge)
+            whole = torch.minimum(c.detach().floor(), (last + 1 + edge - reach).clamp(min=0))
+            taps = around(whole.long(), c - whole, sizes, kinds, "mirror")
+            taps = replace(taps, index=taps.index + item * sizes.numel())
+            jacobian = taps.slopes(taps.samples(samples)).transpose(0, 1) * (c == i)
+            taps.scatter(adjoint(eye + jacobian, -slopes[:, part] * steps), into)
+        (result,) = torch.autograd.grad(samples, values, into, create_graph=torch.is_grad_enabled())
+        return result.to(gradient), None, None
 
 
-def _gradient(
-    values: torch.Tensor, found: torch.Tensor, status: torch.Tensor, gradient: torch.Tensor, job: _Job
-) -> torch.Tensor:
-    """Return ∂L/∂values from ∂L/∂found, differentiable in all of them.
+class _Coefficients(torch.autograd.Function):
+    """The coefficients of the cubic B-splines through values (N, D, *shape), as fields have them.
 
-    With i the index of a position, i → i + w(i). For a loss L of the points i(w) that are solutions of i + w(i) = q,
-
-        dL/dw = -Sᵀ λ,    (I+J)ᵀ λ = ∂L/∂i,
-
-    where S interpolates at the points i, and J = ∂w/∂i there.
+    B takes coefficients to values, and W B is symmetric, W having 1/2 at the ends of each axis and 1 elsewhere. So the
+    adjoint of B⁻¹ is W B⁻¹ W⁻¹.
     """
-    n, sizes, shape = values.shape[1], values.shape[:1:-1], status.shape[:0:-1]
-    kind, reach = ("linear", 2) if job.interpolation == "linear" else ("bspline", 1)
-    with torch.enable_grad():
-        held = values.double()
-        if job.interpolation == "cubic":
-            held = coefficients(held, n).to(values.dtype).double()  # as the core holds them
-        steps = torch.tensor(job.spacing, dtype=held.dtype, device=held.device)
-        samples = (held.flatten(2) / steps[:, None]).movedim(1, 0).reshape(n, -1)
-    into = torch.zeros_like(samples)
-    offsets, slopes = (x.double().movedim(1, 0).reshape(n, -1) for x in (found, gradient))
-    well = torch.isin(status.flatten(), torch.tensor(job.solved, device=status.device)).nonzero()[:, 0]
-    for part in well.split(_ROOM // count([kind] * n)):
-        whole, rest, free = [], [], []
-        for k, i in enumerate(grid(part % shape.numel(), shape)):
-            i = i + job.edge + offsets[k, part] / job.spacing[k]
-            c = i.clamp(job.edge, sizes[k] - 1 - job.edge)
-            whole.append(c.detach().long().clamp(max=max(sizes[k] - reach, 0)))
-            rest.append(c - whole[-1])
-            free.append((c == i).double())
-        taps = around(whole, rest, sizes, [kind] * n, "mirror")
-        taps = replace(taps, index=taps.index + part // shape.numel() * sizes.numel())
-        w, along = taps.values(samples), [taps.weights(b) for b in range(n)]
-        rows = [[free[b] * (along[b] * w[a]).sum(0) + (a == b) for b in range(n)] for a in range(n)]
-        adjoint = torch.stack(solved(rows, [-g * s for g, s in zip(slopes[:, part], job.spacing, strict=True)]))
-        into.index_add_(1, taps.index.flatten(), (taps.weights() * adjoint[:, None]).flatten(1))
-    return torch.autograd.grad(samples, values, into, create_graph=torch.is_grad_enabled())[0]
+
+    @staticmethod
+    def forward(ctx: Any, values: torch.Tensor) -> torch.Tensor:
+        flat = values.detach().flatten(0, 1).movedim(0, -1).numpy(force=True)
+        return torch.from_numpy(coefficients(flat)).movedim(-1, 0).reshape(values.shape).to(values)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: torch.Tensor) -> torch.Tensor:
+        w = torch.ones_like(gradient)
+        for axis in range(2, gradient.ndim):
+            if gradient.shape[axis] > 1:
+                w.movedim(axis, 0)[[0, -1]] *= 0.5
+        result: torch.Tensor = _Coefficients.apply(gradient / w)
+        return result * w

@@ -1,154 +1,226 @@
-"""Tensors that replace numbers of a deformation's strokes: checked, and made into deformations."""
+"""Strokes of which some numbers are tensors: checked, as deformations, and applied to points differentiably.
+
+In physical units, with r = p - pivot, s = |r|² and p taken into the domain where its border is fixed, a stroke moves by
+
+    K(p) = diag(β) m [A(s) v + B(s) (r·v) r]
+
+where A and B are those of its row of the table (`supple.strokes.pack`), scaled with the radius; m is that of the reach
+times that of the freeze mask; and v is the force of a grab, or M r. A twist has R r - r in place of [...], R being the
+rotation by the angle A(s). Strokes that act at once move one point, and their displacements are added.
+"""
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import torch
 
 from supple.deformation import Deformation
-from supple.errors import FoldWarning, MissWarning, SuppleError
-from supple.space.domain import refuse
+from supple.errors import FoldWarning, MissWarning, SuppleError, caller
+from supple.folding.strain import Mask
+from supple.space.domain import PROFILE_CODES, refuse
 from supple.strokes import pack
-from supple.torch.field import Freedom, Kind, Strokes, axes_of
+from supple.torch.taps import around
+
+Given = dict[str, torch.Tensor]  # at, by and radius, which replace numbers of a deformation's strokes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Item:
-    """A deformation, and the tensors that replace numbers of its strokes.
+class Strokes:
+    """Strokes as a table, of whose n rows some numbers are tensors: composed in order, they make T.
 
-    Parameters
-    ----------
-    deformation : Deformation
-        The deformation at the tensors' values.
-    at, by : tensor of shape (n, D), or None
-    radius : tensor of shape (n,), or None
+    The numbers (n, 3 D + 1) are pivots and forces, in physical units; the factors of displacements along each axis;
+    and radii, in physical units. ``axes`` (D, 5) are those of the packed domain; ``mask``, the freeze mask and its
+    coefficients, from 0 to 1.
     """
 
-    deformation: Deformation
-    at: torch.Tensor | None
-    by: torch.Tensor | None
-    radius: torch.Tensor | None
+    numbers: torch.Tensor
+    table: npt.NDArray[np.void]
+    axes: npt.NDArray[np.float64]
+    mask: tuple[Mask, torch.Tensor] | None
 
-    @property
-    def differentiable(self) -> bool:
-        """Return whether a tensor requires gradients."""
-        given = (self.at, self.by, self.radius)
-        return torch.is_grad_enabled() and any(x is not None and x.requires_grad and x.numel() for x in given)
+    def at(self, points: torch.Tensor) -> torch.Tensor:
+        """Return T of points (D, P) in pixels, differentiable any number of times in the points and the numbers."""
+        n, steps = len(points), _tensor(self.axes[:, 3:4], points)
+        points = start = points * steps
+        for row, own in zip(self.table, self.numbers, strict=True):
+            pivot, force, gain = own[:-1].reshape(3, n, 1)
+            start = start if row["joined"] else points
+            near, beta = _edges(start, self.axes)
+            r = near - pivot
+            a, b = _profiles((r * r).sum(0), own[-1], row)
+            v = force
+            if row["power"] == 3:
+                matrix = _tensor(row["matrix"][:n, :n], points)
+                v = matrix @ r
+                if row["turn"].any():
+                    v = torch.sin(a) * v + 2 * torch.sin(a / 2) ** 2 * (matrix @ v)
+                    v, a = v * _tensor(row["turn"][:n, None], points), torch.ones_like(a)  # and b is 0
+            v = v * gain
+            if self.mask is not None:
+                beta = beta * _freedom(near, *self.mask)
+            points = points + beta * (a * v + b * (r * v).sum(0) * r)
+        return points / steps
 
-    def strokes(self, dtype: torch.dtype, device: torch.device) -> Strokes:
-        """Return T of the deformation, differentiable with respect to the tensors that require gradients.
+    def gradient(self, points: torch.Tensor, adjoint: torch.Tensor) -> torch.Tensor:
+        """Return -Σ λᵀ ∂T/∂numbers from points p = T⁻¹(q) and λ there, both (D, P), in pixels."""
+        with torch.enable_grad():
+            leaf = self.numbers.detach().requires_grad_()
+            positions = replace(self, numbers=leaf).at(points)
+        return torch.autograd.grad(positions, leaf, -adjoint, materialize_grads=True)[0]
 
-        Raises
-        ------
-        SuppleError
-            If one does, and a stroke has become several.
-        """
-        d = self.deformation
-        if not self.differentiable:
-            return Strokes.of(d.space, dtype, device)
-        flows = d.on_fold == "flow"
-        if flows and len(d.space.table) > sum(not stroke.is_still for stroke in d.strokes):
-            raise SuppleError(
-                "gradients of strokes need strokes that are carried out in one go, found one that flows in several; "
-                "use on_fold='damp', a larger radius or less of it"
-            )
-        numbers = [[s.at for s in d.strokes], [s.by for s in d.strokes], [s.radius for s in d.strokes]]
-        at, by, radius = (
-            torch.tensor(known, dtype=dtype, device=device) if given is None else given.to(device, dtype)
-            for given, known in zip((self.at, self.by, self.radius), numbers, strict=True)
-        )
-        damping = d.resolution()["damping"]
+
+def strokes_of(d: Deformation, given: Given, like: torch.Tensor, dtype: torch.dtype) -> Strokes:
+    """Return the strokes of a deformation, of a type, on the device of a tensor.
+
+    If any tensor is given, they are differentiable in these; SuppleError for strokes that have no gradients.
+    """
+    n, table, axes = d.ndim, d.space.table, d.space.axes[: d.ndim]
+    damping = d.resolution()["damping"]
+    if given:
+        if len(table) > sum(not stroke.is_still for stroke in d.strokes):
+            pulls = any(stroke.also for stroke in d.strokes)
+            several = "flows in several; use on_fold='damp', a larger radius or less of it"
+            several = "pulls several points; use grabs" if pulls else several
+            raise SuppleError(f"gradients need strokes that are carried out in one go, found one that {several}")
         parts = [stroke.weakened(part) for part, stroke in zip(damping, d.strokes, strict=True)]
-        rows = pack(parts, d.domain.spacing, time=d.domain.time)
-        kinds = [Kind.of(row, d.ndim, part) for row, part in zip(rows, damping, strict=True)]
-        freedom = Freedom.of(d.space.freeze, dtype, device)
-        return Strokes(at, by, radius, kinds, axes_of(d.space), flows, freedom)
+        table = pack(parts, d.domain.spacing, time=d.domain.time)
+    like = torch.empty(0, dtype=dtype, device=like.device)
+    given = {name: x.to(like) for name, x in given.items()}
+    pivot, force = (_tensor(table[name][:, :n], like).reshape(-1, n) for name in ("pivot", "force"))
+    radius = given.get("radius", _tensor(np.sqrt(table["radius2"][:, 0]), like))
+    steps, gain = _tensor(axes[:, 3], like), torch.ones_like(pivot)
+    if "at" in given:
+        pivot = given["at"] * steps
+    if "by" in given:
+        force = given["by"] * steps * _tensor(damping, like)[:, None]
+    if given and d.on_fold == "flow":  # which makes up for a fixed border, unless the pivot is outside of it
+        near, beta = _edges(pivot.T, axes)
+        correction = (beta > 0) / torch.where(beta > 0, beta, 1)
+        gain = torch.where((near == pivot.T).all(0), correction, 1).T.expand_as(pivot)
+    numbers = torch.cat([pivot, force, gain, radius[:, None]], 1)
+    freeze = d.space.freeze
+    mask = None if freeze is None else (freeze, _tensor(freeze.coefficients / 255, like).flatten())
+    return Strokes(numbers, table, axes, mask)
+
+
+def _edges(points: torch.Tensor, axes: npt.NDArray[np.float64]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the nearest points (D, P) in the domain, and β there."""
+    first, last, sigma = _tensor(axes.T[:3, :, None], points)
+    if (axes[:, 2] < 0).all():
+        return points, torch.ones_like(first)
+    near = torch.where(sigma >= 0, points.clamp(first, last), points)
+    t = (torch.minimum(near - first, last - near) / torch.where(sigma > 0, sigma, 1)).clamp(0, 1)
+    sine = axes[0, 4] == PROFILE_CODES["sine"]
+    beta = torch.sin(t * (math.pi / 2)) if sine else t * (2 - t * t * (2 - t))
+    return near, torch.where(sigma > 0, beta, (sigma < 0).to(beta))
+
+
+def _profiles(distance2: torch.Tensor, radius: torch.Tensor, row: np.void) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return A and B of a row, with the m of its reach, as they are for another radius."""
+    n, own = int(row["power"]), math.sqrt(row["radius2"][0])
+    a, b, radius2 = torch.zeros_like(distance2), torch.zeros_like(distance2), radius * radius
+    columns = row["radius2"] / own**2, row["p"] / own**n, row["q"] / own ** (n + 2), row["r"] / own**n
+    for e, p, q, r in np.transpose(columns)[: row["terms"]].tolist():
+        near = 1 / (distance2 + radius2 * e)
+        share = radius2 * near
+        v = torch.sqrt(share) if n == 1 else torch.sqrt(share) * share
+        a, b = a + v * (p + q * share), b + v * near * r
+    if row["reach"] < math.inf:
+        # The root has no derivative at 0, where that of m is 0.
+        t = (distance2 / (radius * (float(row["reach"]) / own)) ** 2).clamp(1e-30, 1).sqrt()
+        m = (1 - t) ** 3 * (1 + (3 + 6 * t) * t)
+        a, b = m * a, m * b
+    return a, b
+
+
+def _freedom(points: torch.Tensor, mask: Mask, coefficients: torch.Tensor) -> torch.Tensor:
+    """Return m of a freeze mask at points (D, P) in physical units: a cubic B-spline."""
+    n = len(points)
+    sizes: npt.NDArray[np.int64] = np.array(mask.coefficients.shape[::-1][:n])
+    columns = mask.first[:n], mask.step[:n], sizes > 1, np.maximum(sizes - 2, 0), np.maximum(sizes - 3, 0)
+    first, step, low, high, last = _tensor(np.array(columns, float)[:, :, None], points)
+    places = ((points - first) / step).clamp(low, high)
+    whole = torch.minimum(places.detach().floor(), last)
+    kinds = ["bspline" if size > 1 else "nearest" for size in sizes]
+    taps = around(whole.long(), places - whole, sizes.tolist(), kinds, "edge")
+    return taps.between(taps.samples(coefficients))
+
+
+def _tensor(values: npt.ArrayLike, like: torch.Tensor) -> torch.Tensor:
+    return torch.tensor(np.asarray(values).tolist(), dtype=like.dtype, device=like.device)
 
 
 def items(
-    deformation: Deformation | Sequence[Deformation],
-    at: torch.Tensor | None,
-    by: torch.Tensor | None,
-    radius: torch.Tensor | None,
-) -> tuple[list[Item], bool]:
-    """Return the items for a tensor: one item for all of it, or, if the flag is True, one for each item of the batch.
+    deformation: Deformation | Sequence[Deformation], tensors: dict[str, torch.Tensor | None]
+) -> tuple[list[tuple[Deformation, Given]], tuple[int, ...], bool]:
+    """Return the deformations of the items of a batch, whose shape is the second value, with strokes as tensors say.
+
+    Beside each are the tensors (at, by, radius) if gradients of them are wanted, or none. The flag is whether there is
+    a batch: else, the only deformation is for all of a tensor.
 
     Raises
     ------
     SuppleError
         If the arguments do not fit each other.
-
-    Warns
-    -----
-    FoldWarning
-        If a stroke that would have folded was damped.
     """
-    many = deformations(deformation)
-    single = isinstance(deformation, Deformation)
-    given = {"at": (at, 2), "by": (by, 2), "radius": (radius, 1)}
-    counts = {} if single else {"deformation": len(many)}
-    for name, (tensor, axes) in given.items():
-        if tensor is None:
-            continue
-        _check(name, tensor, axes, many)
-        if any(d.maps for d in many):
-            raise SuppleError(f"{name} is for deformations of strokes alone, found one with fields or affine maps")
-        if tensor.ndim > axes:
-            counts[name] = len(tensor)
-    if len(set(counts.values())) > 1:
-        found = ", ".join(f"{count} of {name}" for name, count in counts.items())
-        raise SuppleError(f"a batch takes as many of each, one for each item, found {found}")
-    made = []
-    for i in range(next(iter(counts.values()), 1)):
-        tensors = [x[i] if x is not None and x.ndim > axes else x for x, axes in given.values()]
-        made.append(Item(_rebuilt(many[i % len(many)], *tensors), *tensors))
-    return made, bool(counts)
-
-
-def deformations(deformation: object) -> list[Deformation]:
-    """Return one or many deformations as a list; SuppleError for other values, or different shapes."""
-    many = [deformation] if isinstance(deformation, Deformation) else deformation
+    many: Any = [deformation] if isinstance(deformation, Deformation) else deformation
     if not isinstance(many, Sequence) or not many or not all(isinstance(d, Deformation) for d in many):
         refuse("deformation", "a Deformation, or a sequence of them, one for each item of the batch", deformation)
     if len({d.shape for d in many}) > 1:
-        found = ", ".join(map(str, dict.fromkeys(d.shape for d in many)))
-        raise SuppleError(f"the deformations of a batch must be of one shape, found {found}")
-    return list(many)
+        shapes = ", ".join(map(str, dict.fromkeys(d.shape for d in many)))
+        raise SuppleError(f"the deformations of a batch must be of one shape, found {shapes}")
+    axes, counts = {"at": 2, "by": 2, "radius": 1}, {} if many is not deformation else {"deformation": len(many)}
+    given = {name: x for name, x in tensors.items() if x is not None}
+    for name, x in given.items():
+        _check(name, x, axes[name], many)
+        if x.ndim > axes[name]:
+            counts[name] = len(x)
+    if len(set(counts.values())) > 1:
+        each = ", ".join(f"{count} of {name}" for name, count in counts.items())
+        raise SuppleError(f"a batch takes as many of each, one for each item, found {each}")
+    result = []
+    for i in range(next(iter(counts.values()), 1)):
+        own = {name: x[i] if x.ndim > axes[name] else x for name, x in given.items()}
+        wanted = torch.is_grad_enabled() and any(x.requires_grad and x.numel() for x in own.values())
+        result.append((_rebuilt(many[i % len(many)], own), own if wanted else {}))
+    return result, many[0].shape, bool(counts)
 
 
 def _check(name: str, tensor: object, axes: int, many: Sequence[Deformation]) -> None:
     counts = dict.fromkeys(len(d.strokes) for d in many)
     if len(counts) > 1:
         raise SuppleError(f"{name} needs deformations of as many strokes each, found {', '.join(map(str, counts))}")
-    sizes = [next(iter(counts)), many[0].ndim][:axes]
+    sizes = (next(iter(counts)), many[0].ndim)[:axes]
     text, each = ", ".join(map(str, sizes)), "row" if axes == 2 else "number"
-    one = f"({text})" if axes == 2 else f"({text},)"
-    wanted = f"a tensor of shape {one}, one {each} for each stroke, or (N, {text}) for a batch"
+    wanted = f"a tensor of shape {sizes}, one {each} for each stroke, or (N, {text}) for a batch"
     if not isinstance(tensor, torch.Tensor):
         refuse(name, wanted, tensor)
-    if tensor.ndim not in (axes, axes + 1) or list(tensor.shape[-axes:]) != sizes or tensor.is_complex():
+    if tensor.ndim not in (axes, axes + 1) or tensor.shape[-axes:] != sizes or tensor.is_complex():
         refuse(name, wanted, told=f"{tensor.dtype} of shape {tuple(tensor.shape)}")
+    if any(d.maps for d in many):
+        raise SuppleError(f"{name} is for deformations of strokes alone, found one with fields or affine maps")
 
 
-def _rebuilt(
-    d: Deformation, at: torch.Tensor | None, by: torch.Tensor | None, radius: torch.Tensor | None
-) -> Deformation:
-    if at is None and by is None and radius is None:
+def _rebuilt(d: Deformation, given: Given) -> Deformation:
+    """Return a deformation whose strokes have the values of tensors."""
+    if not given:
         return d
-    given = {"at": at, "by": by, "radius": radius}
-    columns = {name: x.detach().to("cpu", torch.float64).tolist() for name, x in given.items() if x is not None}
-    if "by" in columns:
-        columns["by"] = list(map(tuple, columns["by"]))
-    made = d.without_strokes()
+    columns = {name: x.detach().to("cpu", torch.float64).tolist() for name, x in given.items()}
+    result = d.without_strokes()
     for i, stroke in enumerate(d.strokes):
+        values: Any = {name: tuple(rows[i]) if name == "by" else rows[i] for name, rows in columns.items()}
         try:
-            made = made.add(replace(stroke, **{name: rows[i] for name, rows in columns.items()}), warn=False)
+            result = result.add(replace(stroke, **values), warn=False)
         except SuppleError as error:
             raise type(error)(f"stroke {i + 1} of {len(d.strokes)}: {error}") from None
-    for text, part in zip(made.warnings, made.resolution()["damping"], strict=True):
+    for text, part in zip(result.warnings, result.resolution()["damping"], strict=True):
         if text:
-            warnings.warn(text, FoldWarning if part < 1 else MissWarning, stacklevel=4)
-    return made
+            warnings.warn(text, FoldWarning if part < 1 else MissWarning, stacklevel=caller())
+    return result

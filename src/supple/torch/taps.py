@@ -1,7 +1,4 @@
-"""The samples around points, and their weights: in pictures, in displacement fields, and in freeze masks.
-
-A point is a whole sample and a fraction, so that large coordinates do not reduce the accuracy of weights.
-"""
+"""What all gradients share: the samples around points, their weights, and λ of Mᵀ λ = g."""
 
 from __future__ import annotations
 
@@ -12,9 +9,6 @@ from dataclasses import dataclass
 
 import torch
 
-from supple.space.splines import HORIZON, POLE
-
-Columns = list[torch.Tensor]  # one for each coordinate, x first
 Kernel = tuple[int, list[list[float]]]
 
 
@@ -40,55 +34,62 @@ def count(kinds: Sequence[str]) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Taps:
-    """The T samples around each of P points.
+    """The T samples around each of P points: their indices, and which are inside the array (None: all), both (T, P).
 
-    Parameters
-    ----------
-    index : int64 tensor, shape (T, P)
-    inside : bool tensor, shape (T, P), or None
-        Which are in the array; None if all are taken from it.
-    rest : D tensors of shape (P,)
-        The fractions.
-    kinds : D names of kernels
+    ``rest`` are the fractions of the points (D, P), and ``kinds`` the kernels along the axes.
     """
 
     index: torch.Tensor
     inside: torch.Tensor | None
-    rest: Columns
+    rest: torch.Tensor
     kinds: Sequence[str]
 
     def weights(self, along: int | None = None) -> torch.Tensor:
         """Return the weights (T, P), or their derivatives along an axis; differentiable in the fractions."""
-        made = []
+        each = []
         for k, (t, kind) in enumerate(zip(self.rest, self.kinds, strict=True)):
             rows = _KERNELS[kind][1]
             if k == along:
                 rows = [[n * c for n, c in enumerate(row)][1:] or [0] for row in rows]
-            made.append(torch.stack([_polynomial(t, row) for row in rows]))
-        return functools.reduce(lambda before, own: (own[:, None] * before).flatten(0, 1), made)
+            each.append(torch.stack([_polynomial(t, row) for row in rows]))
+        return functools.reduce(lambda before, own: (own[:, None] * before).flatten(0, 1), each)
 
-    def values(self, source: torch.Tensor, fill: torch.Tensor | None = None) -> torch.Tensor:
-        """Return the samples (K, T, P) of a source (K, M); those outside are ``fill``, of shape (K, 1, 1)."""
-        made = source.index_select(-1, self.index.flatten()).unflatten(-1, self.index.shape)
-        return made if self.inside is None else torch.where(self.inside, made, fill)
+    def samples(self, source: torch.Tensor, fill: float | Sequence[float] = ()) -> torch.Tensor:
+        """Return the samples (K, T, P) of a source (K, M); those outside are the K fill values."""
+        samples = source.index_select(-1, self.index.flatten()).unflatten(-1, self.index.shape)
+        if self.inside is None:
+            return samples
+        return torch.where(self.inside, samples, samples.new_tensor(fill)[:, None, None])
+
+    def between(self, samples: torch.Tensor) -> torch.Tensor:
+        """Return the interpolant (..., P) of samples (..., T, P)."""
+        return (samples * self.weights()).sum(-2)
+
+    def slopes(self, samples: torch.Tensor) -> torch.Tensor:
+        """Return the derivatives (D, ..., P) of the interpolant of samples (..., T, P)."""
+        return torch.stack([(samples * self.weights(axis)).sum(-2) for axis in range(len(self.kinds))])
+
+    def scatter(self, values: torch.Tensor, into: torch.Tensor) -> None:
+        """Add values (K, P) to an array (K, M) by the adjoint of interpolation."""
+        weights = self.weights() if self.inside is None else self.weights() * self.inside
+        into.index_add_(1, self.index.flatten(), (values[:, None] * weights).flatten(1))
 
 
-def around(whole: Columns, rest: Columns, sizes: Sequence[int], kinds: Sequence[str], outside: str) -> Taps:
-    """Return the samples around points.
+def _polynomial(t: torch.Tensor, row: Sequence[float]) -> torch.Tensor:
+    value = torch.full_like(t, row[-1])
+    for c in row[-2::-1]:
+        value = value * t + c
+    return value
 
-    Parameters
-    ----------
-    whole, rest : D tensors of shape (P,), x first
-        The points, in samples, as integers and fractions from 0 to 1.
-    sizes : sequence of int
-        Those of the array's axes, x first.
-    kinds : sequence of str
-        A kernel for each axis.
-    outside : str
-        What is beyond the array: its ``"edge"``, a ``"constant"``, or its mirror image, about the edge of the last
-        sample (``"reflect"``) or its centre (``"mirror"``).
+
+def around(whole: torch.Tensor, rest: torch.Tensor, sizes: Sequence[int], kinds: Sequence[str], outside: str) -> Taps:
+    """Return the samples around points in an array, whose sizes and kernels are given x first.
+
+    Points are whole samples (int64) and fractions from 0 to 1, both (D, P), so that large coordinates do not reduce the
+    accuracy of weights. The boundary mode is ``"edge"``, ``"constant"``, or the mirror image about the edge of the last
+    sample (``"reflect"``) or its centre (``"mirror"``).
     """
-    index, inside, stride = None, None, 1
+    index, inside, stride = torch.zeros_like(whole[:1]), None, 1
     for i, t, size, kind in zip(whole, rest, sizes, kinds, strict=True):
         first, rows = _KERNELS[kind]
         i = i + (t >= 0.5) if kind == "nearest" else i
@@ -96,43 +97,19 @@ def around(whole: Columns, rest: Columns, sizes: Sequence[int], kinds: Sequence[
         if outside == "constant":
             within = (i >= 0) & (i < size)
             inside = within if inside is None else (within[:, None] & inside).flatten(0, 1)
-        i = _place(i, size, outside) * stride
-        index = i if index is None else (i[:, None] + index).flatten(0, 1)
+        if outside in ("reflect", "mirror"):
+            twice = outside == "reflect"  # the last sample
+            period = max(2 * size - 2 + 2 * twice, 1)
+            i = torch.minimum(i % period, period - twice - i % period)
+        index = ((i.clamp(0, size - 1) * stride)[:, None] + index).flatten(0, 1)
         stride *= size
-    assert index is not None
     return Taps(index, inside, rest, kinds)
 
 
-def _place(i: torch.Tensor, n: int, outside: str) -> torch.Tensor:
-    if outside not in ("reflect", "mirror"):
-        return i.clamp(0, n - 1)
-    twice = outside == "reflect"  # the last sample
-    period = max(2 * n - 2 + 2 * twice, 1)
-    k = i % period
-    return torch.minimum(k, period - twice - k)
-
-
-def _polynomial(t: torch.Tensor, row: Sequence[float]) -> torch.Tensor:
-    made = torch.full_like(t, row[-1])
-    for c in row[-2::-1]:
-        made = made * t + c
-    return made
-
-
-def coefficients(values: torch.Tensor, axes: int) -> torch.Tensor:
-    """Return the coefficients of the cubic B-splines through values, along the last axes.
-
-    By the filter of `supple.space.splines`; it is differentiable any number of times.
-    """
-    steps = torch.arange(HORIZON, device=values.device)
-    for axis in range(1, axes + 1):
-        v = values.movedim(-axis, 0)
-        if len(v) > 1:
-            there = [torch.tensordot(POLE ** steps.to(v.dtype), v[_place(steps, len(v), "mirror")], 1)]
-            for x in v[1:]:
-                there.append(torch.add(x, there[-1], alpha=POLE))
-            back = [POLE / (POLE * POLE - 1) * torch.add(there[-1], there[-2], alpha=POLE)]
-            for x in there[-2::-1]:
-                back.append(POLE * (back[-1] - x))
-            values = 6 * torch.stack(back[::-1]).movedim(0, -axis)
-    return values
+def adjoint(rows: torch.Tensor, g: torch.Tensor) -> torch.Tensor:
+    """Return λ (D, P) of Mᵀ λ = g, for matrices M (D, D, P), by Cramer's rule."""
+    if len(g) == 2:
+        (a, b), (c, d) = rows
+        return torch.stack([g[0] * d - g[1] * c, a * g[1] - b * g[0]]) / (a * d - b * c)
+    crosses = [torch.linalg.cross(rows[k - 2], rows[k - 1], dim=0) for k in range(3)]
+    return torch.stack([(g * cross).sum(0) for cross in crosses]) / (rows[0] * crosses[0]).sum(0)

@@ -1,49 +1,34 @@
 """Warps of tensors, and T of points, with gradients.
 
-Values are computed by the engines. The backward pass reads the same samples again at T⁻¹.
+Values are computed by the engine of the tensor's device. The backward pass reads the same samples again at the points
+p(θ) = T⁻¹(q; θ), however these were solved: for a loss L of them, T(p; θ) = q gives, at fixed p,
+
+    dL/dθ = -Σ_q λᵀ ∂T(p; θ)/∂θ,    (I+J)ᵀ λ = ∂L/∂p.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import math
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
+from supple.arrays import warp_array
 from supple.deformation import Deformation
-from supple.engines.base import Group, Layout, Sampling, Space, Work, warn_of
-from supple.pipeline import sampled
+from supple.engines.base import Sampling, warn_of
+from supple.engines.native import NATIVE
+from supple.errors import SuppleError, ToleranceWarning, caller
 from supple.space.domain import refuse
-from supple.torch.engine import TORCH, adjoint_of, grid, offsets_of, seen_at, working
-from supple.torch.field import Strokes, strokes_gradients
-from supple.torch.strokes import Item, items
-from supple.torch.taps import Columns, Taps, around, count
+from supple.torch.strokes import Given, Strokes, items, strokes_of
+from supple.torch.taps import Taps, adjoint, around, count
 
-SMOOTH = ("nearest", "linear", "cubic")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Job:
-    """The work on a tensor of K channels; ``strokes`` is set if they need gradients."""
-
-    work: Work
-    strokes: Strokes | None = None
-
-    @property
-    def kinds(self) -> list[str]:
-        """The kernels of the differentiable filter."""
-        sampling = self.work.sampling
-        between = "catmull-rom" if sampling.between == "cubic" else sampling.between
-        return [sampling.filter, sampling.filter, str(between)][: self.work.space.ndim]
-
-    def fill(self, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
-        """Return the fill values, of shape (K, 1, 1)."""
-        return torch.tensor(self.work.fills[0], dtype=dtype, device=device)[:, None, None]
-
-
+_SMOOTH = ("nearest", "linear", "cubic")
+_FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 _ROOM = 1 << 23  # the numbers in memory for points processed at once, mostly for gradients of T
 _OF_MASKS = 8  # as many terms of a stroke need as much room as the freeze mask's
 
@@ -68,8 +53,7 @@ def warp(
     tensor : tensor of shape (H, W), (C, H, W) or (N, C, H, W); of a volume or frames (Z, H, W) to (N, C, Z, H, W)
         Of bool, integers or floats, on any device. Only floats have gradients.
     deformation : Deformation, or sequence of N of them
-        A deformation of the shape of the last axes; or one for each item of the batch. With fields or affine maps, the
-        tensor must be in host memory.
+        A deformation of the shape of the last axes; or one for each item of the batch.
     at, by : tensor of shape (n, D), or (N, n, D), optional
         Replacements of the positions and the drags of the deformation's n strokes: in pixels, x first. The drags of
         brushes other than grabs are 0, and have no gradients.
@@ -105,15 +89,8 @@ def warp(
         If a stroke with new numbers was damped. Gradients take the damping factor as constant.
     ToleranceWarning
         If the checks of the map's cells do not promise the tolerance everywhere.
-
-    Notes
-    -----
-    With p = T⁻¹(q) and θ any number of a stroke, ∂p/∂θ = -(I+J)⁻¹ ∂K/∂θ.
     """
-    given, batch = items(deformation, at, by, radius)
-    if not given:
-        return _nothing(tensor, "tensor")
-    shape = given[0].deformation.shape
+    given, shape, batch = items(deformation, {"at": at, "by": by, "radius": radius})
     _check(tensor, shape, len(given) if batch else None)
     axes = len(shape)
     sampling = Sampling.checked(
@@ -121,32 +98,19 @@ def warp(
         time_filter=False,
     )  # fmt: skip
     wanted = torch.is_grad_enabled() and tensor.requires_grad
-    strokes_wanted = any(item.differentiable for item in given)
-    if (wanted or strokes_wanted) and filter not in SMOOTH:
+    strokes_wanted = any(own for _, own in given)
+    if (wanted or strokes_wanted) and filter not in _SMOOTH:
         refuse("filter", '"linear", "cubic" or "nearest" where gradients are needed', filter)
     if strokes_wanted and not tensor.is_floating_point():
         refuse("tensor", "of floats where strokes need gradients", told=str(tensor.dtype))
     channels = tensor.shape[-axes - 1] if tensor.ndim > axes else 1
-    colours = np.asarray(sampling.filled(channels, np.dtype(np.float64)).fill)
+    colours = sampling.filled(channels, np.dtype(np.float64)).fill
     if tensor.numel() == 0:
         return tensor.clone()
     parts = tensor.reshape(len(given), -1, *shape)
-    sampling = replace(sampling, fill=tuple(np.tile(colours, parts.shape[1] // channels).tolist()))
-    layout = Layout(
-        (Group((shape[-2], shape[-1]), parts.shape[1]),), np.dtype(np.float32), 1.0
-    )  # its engine knows the type
-    made = [
-        _warped(part, item, Job(Work(item.deformation.space, layout, sampling)))
-        for part, item in zip(parts, given, strict=True)
-    ]
-    return (torch.stack(made) if batch else made[0]).reshape(tensor.shape)
-
-
-def _nothing(tensor: torch.Tensor, name: str) -> torch.Tensor:
-    """Return the result of a batch without items."""
-    if not isinstance(tensor, torch.Tensor) or tensor.ndim == 0 or len(tensor):
-        refuse(name, "a tensor of no items, as the strokes are", tensor)
-    return tensor.clone()
+    sampling = replace(sampling, fill=tuple(np.resize(colours, parts.shape[1]).tolist()))
+    results = [_warped(part, *own, sampling) for part, own in zip(parts, given, strict=True)]
+    return (torch.stack(results) if batch else results[0]).reshape(tensor.shape)
 
 
 def forward(
@@ -181,27 +145,34 @@ def forward(
     FoldWarning
         As in `warp`.
     """
-    given, batch = items(deformation, at, by, radius)
-    if not given:
-        return _nothing(points, "points")
-    n = given[0].deformation.ndim
+    given, shape, batch = items(deformation, {"at": at, "by": by, "radius": radius})
+    n = len(shape)
     if not isinstance(points, torch.Tensor):
         refuse("points", f"a tensor of shape (..., {n})", points)
     if not points.is_floating_point() or points.ndim == 0 or points.shape[-1] != n:
         refuse("points", f"floats of shape (..., {n}), x first", told=f"{points.dtype} of shape {tuple(points.shape)}")
     if batch and (points.ndim < 2 or len(points) != len(given)):
         refuse("points", f"of shape ({len(given)}, ..., {n}), as the batch is", told=f"shape {tuple(points.shape)}")
-    made = []
-    for part, item in zip(points if batch else [points], given, strict=True):
-        strokes = item.strokes(working(points), points.device)
-        made.append(seen_at(part, strokes))
-    return torch.stack(made) if batch else made[0]
+    results = []
+    for part, (d, own) in zip(points if batch else [points], given, strict=True):
+        if not d.space.is_plain:
+            raise SuppleError(
+                "supple.torch.forward is for strokes alone, found a deformation with fields or affine maps: "
+                "Deformation.forward takes it, without gradients"
+            )
+        strokes = strokes_of(d, own, points, _working(points))
+        positions = strokes.at(part.to(_working(points)).reshape(-1, n).T)
+        results.append(positions.T.reshape(part.shape).to(points.dtype))
+    if not results:
+        return points.clone()
+    return torch.stack(results) if batch else results[0]
 
 
 def _check(tensor: object, shape: tuple[int, ...], count: int | None) -> None:
     if not isinstance(tensor, torch.Tensor):
         refuse("tensor", "a PyTorch tensor (Deformation.warp takes arrays)", tensor)
-    if tensor.is_complex() or tensor.is_quantized or tensor.layout != torch.strided or _odd(tensor.dtype):
+    odd = tensor.is_floating_point() and tensor.dtype not in _FLOATS
+    if tensor.is_complex() or tensor.is_quantized or tensor.layout != torch.strided or odd:
         wanted = "dense, of bool, integers or floats of 16 to 64 bits"
         refuse("tensor", wanted, told=f"{tensor.dtype}, {tensor.layout}")
     sizes, axes = ", ".join(map(str, shape)), len(shape)
@@ -213,111 +184,122 @@ def _check(tensor: object, shape: tuple[int, ...], count: int | None) -> None:
         refuse("tensor", wanted, told=f"shape {tuple(tensor.shape)}")
 
 
-def _odd(dtype: torch.dtype) -> bool:
-    return dtype.is_floating_point and dtype not in (torch.float16, torch.bfloat16, torch.float32, torch.float64)
-
-
-def _warped(tensor: torch.Tensor, item: Item, job: Job) -> torch.Tensor:
+def _warped(tensor: torch.Tensor, d: Deformation, given: Given, sampling: Sampling) -> torch.Tensor:
     """Return one warped item, of shape (K, *shape)."""
-    if item.differentiable:
-        strokes = item.strokes(working(tensor), tensor.device)
-        held = replace(strokes, at=strokes.at.detach(), by=strokes.by.detach(), radius=strokes.radius.detach())
-        job = replace(job, strokes=held)
-        return _Warp.apply(tensor, strokes.at, strokes.by, strokes.radius, job)
-    if job.work.space.is_identity:
-        return tensor.clone()
-    if torch.is_grad_enabled() and tensor.requires_grad:
-        return _Warp.apply(tensor, None, None, None, job)
-    return _values(tensor, job.work)
+    if not given and not (torch.is_grad_enabled() and tensor.requires_grad):
+        return _values(tensor, d, sampling)
+    if not given:
+        return _Warp.apply(tensor, None, d, sampling, None)
+    strokes = strokes_of(d, given, tensor, _working(tensor))
+    return _Warp.apply(tensor, strokes.numbers, d, sampling, replace(strokes, numbers=strokes.numbers.detach()))
 
 
-def _values(tensor: torch.Tensor, work: Work) -> torch.Tensor:
-    held = TORCH.taken(tensor, "tensor")
-    made = TORCH.result(None, held)
-    certificate = sampled(TORCH, work, [held], [made])
-    warn_of(certificate, work.sampling.tolerance, 5)
-    return made
+def _working(tensor: torch.Tensor) -> torch.dtype:
+    """Return the type for work on a tensor outside of the engines."""
+    return torch.float64 if tensor.dtype == torch.float64 else torch.float32
+
+
+def _values(tensor: torch.Tensor, d: Deformation, sampling: Sampling) -> torch.Tensor:
+    """Return a warped tensor (K, *shape), by the engine of its device, without gradients."""
+    source: Any = tensor.detach()
+    # NumPy has no bfloat16, and the core processes half precision in single precision.
+    if tensor.dtype == torch.bfloat16 or (tensor.dtype == torch.float16 and not tensor.is_cuda):
+        source = source.float()
+    source = source.movedim(0, -1)
+    if not tensor.is_cuda:
+        source = np.ascontiguousarray(source.numpy(force=True))
+    result, certificate = warp_array(source, d.space, sampling, alpha=False)
+    warn_of(certificate, sampling.tolerance, caller() + 1)
+    return torch.as_tensor(result).movedim(-1, 0).contiguous().to(tensor)
+
+
+def _pixels(index: torch.Tensor, d: Deformation) -> torch.Tensor:
+    """Return the pixels (D, P), x first, with flat indices (P,)."""
+    return torch.stack(torch.unravel_index(index, d.shape)[::-1])
+
+
+def offsets_of(like: torch.Tensor, d: Deformation, tolerance: float) -> torch.Tensor:
+    """Return T⁻¹(q) - q of all M pixels q, (D, M), which float32 holds to their accuracy for images of any size.
+
+    They are on the device of ``like``, in its working type, and 0 where T moves nothing.
+    """
+    dtype, total = _working(like), math.prod(d.shape)
+    if d.space.is_identity:
+        return torch.zeros(d.ndim, total, dtype=dtype, device=like.device)
+    if like.is_cuda and dtype == torch.float32:
+        from supple.engines.cuda.points import inverse_map
+
+        offsets, certificate = inverse_map(d.space, like.detach(), tolerance, offsets=True)
+        warn_of(certificate, tolerance, caller() + 1)
+        return torch.as_tensor(offsets).reshape(total, d.ndim).T
+    pixels = _pixels(torch.arange(total, device=like.device if like.is_cuda else "cpu"), d)
+    if dtype == torch.float32:
+        points, certificate = NATIVE.inverse_map(d.space, tolerance, dtype=np.float64)
+        warn_of(certificate, tolerance, caller() + 1)
+    else:
+        solution = d.inverse(pixels.double().T)
+        points, lost = solution.points, total - int(solution.converged.sum())
+        if lost:
+            text = f"{lost} of {total} source points did not converge: what is shown there is a guess"
+            warnings.warn(text, ToleranceWarning, stacklevel=caller())
+    offsets = torch.as_tensor(points).reshape(total, d.ndim).T - pixels
+    return offsets.to(dtype).to(like.device)  # not every device has float64
+
+
+def _parts(
+    offsets: torch.Tensor, d: Deformation, sampling: Sampling, strokes: Strokes | None
+) -> Iterator[tuple[slice, torch.Tensor, Taps]]:
+    """Yield pixels, some at a time: which these are, their source points (D, P), and the samples around these."""
+    between = "catmull-rom" if sampling.between == "cubic" else sampling.between
+    kinds, terms = [sampling.filter, sampling.filter, between][: d.ndim], 0
+    if strokes is not None:
+        table = strokes.table
+        terms = int(table["terms"].sum()) + (0 if strokes.mask is None else _OF_MASKS * len(table))
+    size = max(1, _ROOM // (np.size(sampling.fill) * count(kinds) + 16 * (terms + 1)))
+    for index in torch.arange(offsets.shape[1], device=offsets.device).split(size):
+        some = slice(int(index[0]), int(index[0]) + len(index))
+        pixels, own = _pixels(index, d), offsets[:, some]
+        lower = own.floor()
+        taps = around(pixels + lower.long(), own - lower, d.shape[::-1], kinds, sampling.outside)
+        yield some, pixels + own, taps
 
 
 class _Warp(torch.autograd.Function):
-    """The warp of a tensor (K, *shape) by a job; at, by and radius are those of the job's strokes, or None."""
+    """The warp of a tensor (K, *shape); ``numbers`` are those of the strokes, or None if they need no gradients."""
 
     @staticmethod
-    def forward(
-        ctx: Any,
-        tensor: torch.Tensor,
-        at: torch.Tensor | None,
-        by: torch.Tensor | None,
-        radius: torch.Tensor | None,
-        job: Job,
-    ) -> torch.Tensor:
+    def forward(ctx: Any, tensor: torch.Tensor, numbers: torch.Tensor | None, *job: Any) -> torch.Tensor:
+        d, sampling, strokes = ctx.job = job
         offsets = None
-        if job.work.space.is_identity:
-            made = tensor.clone()
-        elif tensor.dtype != torch.float64:
-            made = _values(tensor, job.work)
-        else:
-            offsets = offsets_of(tensor, job.work.space, job.work.sampling.tolerance)
-            source, fill = tensor.reshape(len(tensor), -1), job.fill(tensor.dtype, tensor.device)
-            near = (_taps(offsets, *ends, job) for ends in _chunks(offsets, job))
-            parts = [(taps.values(source, fill) * taps.weights()).sum(1) for taps in near]
+        if tensor.dtype != torch.float64:
+            result = _values(tensor, d, sampling)
+        else:  # as exactly as gradients are
+            offsets, flat = offsets_of(tensor, d, sampling.tolerance), tensor.reshape(len(tensor), -1)
+            parts = [taps.between(taps.samples(flat, sampling.fill)) for _, _, taps in _parts(offsets, *ctx.job)]
             # Unchanged pixels are copied, so that no NaN of a neighbour reaches them.
-            made = torch.where(offsets.any(1), torch.cat(parts, 1), source).reshape(tensor.shape)
-        ctx.job = job
-        ctx.save_for_backward(tensor if at is not None else None, at, by, radius, offsets)
-        return made
+            result = torch.where(offsets.any(0), torch.cat(parts, 1), flat).reshape(tensor.shape)
+        ctx.save_for_backward(None if strokes is None else tensor, offsets)
+        return result
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, gradient: torch.Tensor) -> tuple[Any, ...]:
-        tensor, at, by, radius, offsets = ctx.saved_tensors
-        job, space, dtype = ctx.job, ctx.job.work.space, working(gradient)
-        offsets = offsets_of(gradient, space, job.work.sampling.tolerance) if offsets is None else offsets
-        flat, fill = gradient.reshape(len(gradient), -1), job.fill(dtype, gradient.device)
-        into = torch.zeros_like(flat, dtype=dtype) if ctx.needs_input_grad[0] else None
-        found, strokes, source = None, None, None
-        if at is not None:
-            found = [torch.zeros_like(x) for x in (at, by, radius)]
-            if any(kind != "nearest" for kind in job.kinds):
-                strokes = replace(job.strokes, at=at, by=by, radius=radius)
-                source = tensor.reshape(len(tensor), -1)
-        for start, stop in _chunks(offsets, job) if into is not None or strokes is not None else ():
-            taps, own = _taps(offsets, start, stop, job), flat[:, None, start:stop].to(dtype)
-            if into is not None:
-                weights = taps.weights() if taps.inside is None else taps.weights() * taps.inside
-                into.index_add_(1, taps.index.flatten(), (own * weights).flatten(1))
-            if strokes is not None and found is not None:
-                seen = (own * taps.values(source, fill)).sum(0)
-                slopes = [(seen * taps.weights(axis)).sum(0) for axis in range(space.ndim)]
-                pixels = _points(offsets, start, stop, space)
-                points = [i + x for i, x in zip(*pixels, strict=True)]
-                slopes = adjoint_of(space, points, slopes)
-                for total, more in zip(found, strokes_gradients(points, slopes, strokes), strict=True):
-                    total += more
-        image = None if into is None else into.to(gradient.dtype).reshape(gradient.shape)
-        return image, *(found or (None, None, None)), None
-
-
-def _points(offsets: torch.Tensor, start: int, stop: int, space: Space) -> tuple[Columns, Columns]:
-    """Return the source points of some pixels, as pixels and offsets from them."""
-    pixels = grid(torch.arange(start, stop, device=offsets.device), space.whole[::-1])
-    return pixels, list(offsets[start:stop].unbind(-1))
-
-
-def _taps(offsets: torch.Tensor, start: int, stop: int, job: Job) -> Taps:
-    """Return the samples around the source points of some pixels."""
-    space = job.work.space
-    pixels, columns = _points(offsets, start, stop, space)
-    lower = [torch.floor(x) for x in columns]
-    whole = [i + x.long() for i, x in zip(pixels, lower, strict=True)]
-    rest = [x - low for x, low in zip(columns, lower, strict=True)]
-    return around(whole, rest, space.whole[::-1], job.kinds, job.work.sampling.outside)
-
-
-def _chunks(offsets: torch.Tensor, job: Job) -> list[tuple[int, int]]:
-    terms = 0
-    if job.strokes is not None:
-        frozen = _OF_MASKS if job.strokes.freedom is not None else 0
-        terms = sum(kind.scales + frozen for kind in job.strokes.kinds)
-    size, total = max(1, _ROOM // (len(job.work.fills[0]) * count(job.kinds) + 16 * (terms + 1))), len(offsets)
-    return [(start, min(start + size, total)) for start in range(0, total, size)]
+    def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        tensor, offsets = ctx.saved_tensors
+        d, sampling, strokes = ctx.job
+        if offsets is None:
+            offsets = offsets_of(gradient, d, sampling.tolerance)
+        flat = gradient.reshape(len(gradient), -1)
+        image = torch.zeros_like(flat, dtype=offsets.dtype) if ctx.needs_input_grad[0] else None
+        numbers = None if strokes is None else torch.zeros_like(strokes.numbers)
+        for some, points, taps in _parts(offsets, *ctx.job):
+            own = flat[:, some].to(offsets.dtype)
+            if image is not None:
+                taps.scatter(own, image)
+            if strokes is not None:
+                samples = taps.samples(tensor.reshape(len(tensor), -1), sampling.fill)
+                slopes = taps.slopes((own[:, None] * samples).sum(0))
+                matrices = torch.as_tensor(d.jacobian(points.T if points.is_cuda else points.T.cpu()))
+                matrices = matrices.to(points.dtype).to(points.device)  # not every device has float64
+                numbers += strokes.gradient(points, adjoint(matrices.movedim(0, -1), slopes))
+        image = None if image is None else image.to(gradient.dtype).reshape(gradient.shape)
+        return image, numbers, None, None, None

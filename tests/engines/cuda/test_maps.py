@@ -10,6 +10,7 @@ import pytest
 import supple
 import supple.cuda
 from supple import Deformation, Field, Freeze, Grid
+from supple.engines.cuda.points import inverse_map
 from tests.effort import pairs
 from tests.engines.cuda.driver import on_host, sent
 
@@ -91,6 +92,8 @@ def test_points(name: str, shape: tuple[int, ...]) -> None:
     np.testing.assert_array_equal(on_host(found.converged), wanted.converged)
     made = on_host(d.inverse_map(like=there, tolerance=TIGHT))
     assert np.linalg.norm(made - d.inverse_map(tolerance=TIGHT), axis=-1).max() < 2.5 * TIGHT
+    offsets, _ = inverse_map(d.space, there, TIGHT, offsets=True)  # what gradients of tensors are computed from
+    np.testing.assert_allclose(on_host(offsets), made - np.moveaxis(np.indices(d.shape)[::-1], 0, -1), atol=1e-5)
 
 
 @pytest.mark.parametrize("shape", SHAPES)

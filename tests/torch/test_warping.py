@@ -1,4 +1,4 @@
-"""Tensors through a map: the engine's values in PyTorch's layouts, and gradients by the implicit function theorem."""
+"""Warps of tensors: values as the slow reference and the engines have them, in all layouts, and their gradients."""
 
 from __future__ import annotations
 
@@ -21,65 +21,40 @@ else:
     torch = pytest.importorskip("torch")
 
 import supple.torch as bending
-from supple.torch import engine, warping
-from supple.torch.engine import offsets_of
+from supple.torch import warping
+from supple.torch.warping import offsets_of
+from tests.engines.table import Limits, Row, rows
+from tests.torch.shared import DOUBLE, bent, check, no_kinks, numbers, picture, smooth
 
-DOUBLE = torch.float64
-
-
-def bent(shape: tuple[int, ...] = (9, 11), reach: float | None = None, **options: Any) -> supple.Deformation:
-    """Three strokes of one to three scales, none of which lies on a pixel."""
-    options = {"border": 4.0, **options}
-    d = supple.Deformation(shape, **{"on_fold": "damp", **options})
-    middle = (np.array(shape[::-1]) - 1) / 2
-    drags = np.array([[1.1, -0.7, 0.4], [-0.5, 0.73, -0.61], [0.37, 0.41, 0.53]])[:, : len(shape)]
-    places = np.array([[-0.63, 0.71, 0.29], [1.27, -1.13, 0.37], [-1.31, -0.57, -0.21]])[:, : len(shape)]
-    for i, (drag, place) in enumerate(zip(drags, places, strict=True)):
-        radius, poisson = 4.3 - 0.4 * i, (0.4, 0.5, -np.inf)[i]
-        d = d.grab(middle + place, by=drag, radius=radius, scales=i + 1, poisson=poisson, reach=reach)
-    return d
+ROWS = [
+    *rows(["image", "image, local", "image, turned"], ("bool", "u1", "i2", "f4", "f8"), few=True),
+    *(row for row in rows(["clip", "volume", "volume, turned"], ("u1", "f4"), few=True) if not row.average),
+]
 
 
-def numbers(d: supple.Deformation, dtype: Any = DOUBLE) -> dict[str, torch.Tensor]:
-    """The strokes' numbers as tensors that need gradients."""
-    return {
-        name: torch.tensor([getattr(stroke, name) for stroke in d.strokes], dtype=dtype, requires_grad=True)
-        for name in ("at", "by", "radius")
-    }
+def by_torch(d: supple.Deformation, source: np.ndarray, **options: Any) -> np.ndarray:
+    for what in ("alpha", "time_filter"):
+        options.pop(what, None)
+    bare = source.ndim == d.ndim
+    tensor = torch.from_numpy(source if bare else np.ascontiguousarray(np.moveaxis(source, -1, 0)))
+    made = bending.warp(tensor, d, tolerance=1e-5, **options).detach().numpy()
+    return made if bare else np.moveaxis(made, 0, -1)
 
 
-def picture(*shape: int, seed: int = 0, dtype: Any = DOUBLE) -> torch.Tensor:
-    return torch.rand(*shape, dtype=dtype, generator=torch.Generator().manual_seed(seed))
+@pytest.mark.filterwarnings("ignore::supple.FoldWarning")
+@pytest.mark.parametrize("row", ROWS, ids=str)
+def test_rows(row: Row) -> None:
+    row.check(by_torch, Limits(3e-4), (0, 1, 3))
 
 
-def smooth(*shape: int) -> torch.Tensor:
-    """A picture of waves a few pixels long, of values from -1 to 1, in float64."""
-    axes = torch.meshgrid(*[torch.arange(n, dtype=DOUBLE) for n in shape[-2:]], indexing="ij")
-    wave = torch.sin(0.37 * axes[0] + 0.11 * axes[1]) * torch.cos(0.29 * axes[1] - 0.07 * axes[0])
-    return wave.expand(shape).clone()
-
-
-def pixels(d: supple.Deformation) -> Any:
-    """Return the points of all pixels."""
-    return np.stack(np.meshgrid(*[np.arange(n) for n in d.shape], indexing="ij")[::-1], -1).astype(float)
-
-
-def no_kinks(d: supple.Deformation) -> None:
-    """No source point is where linear interpolation has a kink, but for those that a fixed border holds there."""
-    grid = pixels(d)
-    found = d.inverse(grid).points
-    near = abs(found - np.round(found)) < 1e-5
-    assert not (near & (abs(found - grid) > 1e-12)).any()
-
-
-def check(function: Callable[..., torch.Tensor], *inputs: torch.Tensor) -> None:
-    """Each input's gradient of a random sum of what comes out, against differences."""
-    weights = torch.randn(function(*inputs).shape, dtype=DOUBLE, generator=torch.Generator().manual_seed(9))
-    # Of a picture's many numbers, the gradient is checked along a random direction.
-    fast = max(x.numel() for x in inputs) > 50
-    assert torch.autograd.gradcheck(
-        lambda *given: (function(*given) * weights).sum(), inputs, atol=1e-6, fast_mode=fast
-    )
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.int16])
+def test_a_constant_is_one_of_the_type(dtype: torch.dtype) -> None:
+    d = supple.Deformation((23, 31), border=None).grab((10, 9), by=(7, 5), radius=12)
+    flat = torch.full((23, 31), 100, dtype=dtype)
+    most, least = torch.iinfo(dtype).max, torch.iinfo(dtype).min
+    for beyond, within in ((1e30, most), (-1e30, least)):
+        found = [bending.warp(flat, d, outside="constant", fill=fill) for fill in (beyond, within)]
+        assert torch.equal(*found)
 
 
 @pytest.mark.parametrize("filter", ["linear", "cubic", "nearest"])
@@ -98,43 +73,6 @@ def test_gradients_of_a_picture_and_of_strokes(filter: str, outside: str) -> Non
     if filter == "nearest":
         bending.warp(image, d, **given, **options).sum().backward()
         assert all(not x.grad.any() for x in given.values())
-
-
-@pytest.mark.parametrize("border", [None, 3.0, 50.0])
-@pytest.mark.parametrize(("filter", "spacing"), [("linear", (1.0, 1.7)), ("cubic", 1.0), ("cubic", (1.0, 1.7))])
-def test_gradients_on_any_domain(border: float | None, filter: str, spacing: Any) -> None:
-    d = bent(border=border, spacing=spacing)
-    no_kinks(d)
-    image = picture(9, 11)
-    check(
-        lambda at, by, radius: bending.warp(image, d, at=at, by=by, radius=radius, filter=filter),
-        *numbers(d).values(),
-    )
-
-
-@pytest.mark.parametrize("profile", ["quartic", "sine"])
-@pytest.mark.parametrize("reach", [1.2, 2.0])
-def test_gradients_with_reach_and_either_profile(reach: float, profile: Any) -> None:
-    d = bent((14, 16), reach=reach, border=5.0, border_profile=profile)
-    image = picture(14, 16)
-    still = torch.tensor(~np.any(d.inverse(pixels(d)).points != pixels(d), axis=-1))
-    assert 10 < still.sum() < 200
-    made = bending.warp(image.clone().requires_grad_(), d, filter="cubic")
-    assert torch.equal(made[still], image[still])
-    spoiled = torch.where(still, torch.full_like(image, torch.nan), image)
-    spoiled[0, 0] = -0.0
-    made = bending.warp(spoiled.clone().requires_grad_(), d, filter="cubic").detach()
-    assert made[still].numpy().tobytes() == spoiled[still].numpy().tobytes()
-    check(
-        lambda at, by, radius: bending.warp(image, d, at=at, by=by, radius=radius, filter="cubic"),
-        *numbers(d).values(),
-    )
-    points = picture(40, 2) * 15
-    assert np.allclose(bending.forward(points, d).numpy(), d.forward(points.numpy()), rtol=0, atol=1e-12)
-    assert np.allclose(bending.forward(points, d, **numbers(d)).detach().numpy(), d.forward(points.numpy()), atol=1e-12)
-    pivots = numbers(d)
-    at_rest = pivots["at"].detach().clone()
-    check(lambda at, by, radius: bending.forward(at_rest, d, at=at, by=by, radius=radius), *pivots.values())
 
 
 @pytest.mark.parametrize(
@@ -179,31 +117,6 @@ def test_a_batch_has_strokes_of_its_own() -> None:
     points = picture(2, 5, 2) * 8
     seen = bending.forward(points, two)
     assert torch.equal(seen, torch.stack([bending.forward(points[i], two[i]) for i in range(2)]))
-
-
-@pytest.mark.filterwarnings("ignore::supple.OutsideWarning")
-@pytest.mark.parametrize("shape", [(9, 11), (5, 6, 7), (1, 9), (1, 5, 6)])
-@pytest.mark.parametrize("border", [None, 4.0])
-def test_forward_is_the_engines(shape: tuple[int, ...], border: float | None) -> None:
-    d = bent(shape, border=border, spacing=(1.0, 1.3, 0.7)[: len(shape)])
-    points = picture(4, 6, len(shape)) * 16 - 4
-    expected = d.forward(points.numpy())
-    assert np.allclose(bending.forward(points, d).numpy(), expected, rtol=0, atol=1e-10)
-    given = numbers(d)
-    made = bending.forward(points, d, **given)
-    assert np.allclose(made.detach().numpy(), expected, rtol=0, atol=1e-10)
-    assert np.allclose(bending.forward(points.float(), d, **given).detach().numpy(), expected, rtol=0, atol=1e-5)
-
-
-def test_forward_is_differentiable_twice() -> None:
-    d = bent(border=None)
-    points = (picture(3, 2) * 8).requires_grad_()
-    given = numbers(d)
-    check(
-        lambda points, at, by, radius: bending.forward(points, d, at=at, by=by, radius=radius), points, *given.values()
-    )
-    only = {"at": given["at"]}
-    assert torch.autograd.gradgradcheck(lambda p, at: bending.forward(p, d, at=at).sum(), (points, *only.values()))
 
 
 def test_strokes_without_force_have_gradients() -> None:
@@ -284,7 +197,6 @@ def test_parts_at_a_time_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> 
     results = []
     for room in (1 << 23, 1 << 12):
         monkeypatch.setattr(warping, "_ROOM", room)
-        monkeypatch.setattr(engine, "_SOLVED", room >> 4)
         image, given = smooth(2, 20, 30).requires_grad_(), numbers(d)
         made = bending.warp(image, d, **given)
         made.square().sum().backward()
@@ -296,11 +208,11 @@ def test_far_pixels_of_a_wide_picture_lose_nothing() -> None:
     d = supple.Deformation((3, 200_000), border=None, on_fold="damp").grab(
         (199_950.0, 1.0), by=(3.3, 0.1), radius=40, reach=None
     )
-    found = offsets_of(torch.zeros(3, 200_000), d.space, 1e-4)
+    found = offsets_of(torch.zeros(3, 200_000), d, 1e-4)
     columns = np.arange(199_900, 200_000)
     grid = np.stack([columns, np.ones(100)], -1)
     exact = d.inverse(grid).points - grid
-    assert abs(found.reshape(3, 200_000, 2)[1, 199_900:].numpy() - exact).max() < 3e-4
+    assert abs(found.T.reshape(3, 200_000, 2)[1, 199_900:].numpy() - exact).max() < 3e-4
 
 
 def test_damping_is_constant_in_the_gradient() -> None:
@@ -325,53 +237,16 @@ def test_damping_is_constant_in_the_gradient() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::supple.OutsideWarning")
-def test_strokes_that_flow() -> None:
-    d = supple.Deformation((20, 24), border=8.0, on_fold="flow").grab(
-        (3.3, 5.2), by=(0.8, -0.6), radius=6.0, reach=None
-    )
-    assert d.resolution()["applied"] == 1
-    given = numbers(d)
-    points = (picture(5, 2) * 15).requires_grad_()
-    exact = d.forward(points.detach().numpy())
-    assert np.allclose(bending.forward(points, d, **given).detach().numpy(), exact, atol=1e-10)
-    check(lambda points, at, by: bending.forward(points, d, at=at, by=by), points, given["at"], given["by"])
-    image = smooth(20, 24)
-    check(lambda at, by, radius: bending.warp(image, d, at=at, by=by, radius=radius, filter="cubic"), *given.values())
-    outside = supple.Deformation((20, 24), border=8.0, on_fold="flow").grab(
-        (-2.0, 5.2), by=(0.8, -0.6), radius=6.0, reach=None
-    )
+def test_strokes_that_flow_in_several() -> None:
+    points, image = picture(5, 2) * 15, smooth(20, 24)
+    outside = supple.Deformation((20, 24), border=8.0).grab((-2.0, 5.2), by=(0.8, -0.6), radius=6.0, reach=None)
     made = bending.forward(points, outside, **numbers(outside))
-    assert np.allclose(made.detach().numpy(), outside.forward(points.detach().numpy()), atol=1e-10)
-    several = supple.Deformation((20, 24), border=None, on_fold="flow").grab(
-        (12, 9), by=(9.0, 3.0), radius=4.0, reach=None
-    )
-    assert np.allclose(bending.forward(points, several).detach().numpy(), several.forward(points.detach().numpy()))
-    warped = bending.warp(image.clone().requires_grad_(), several, by=torch.tensor([[9.0, 3.0]]))
-    assert warped.requires_grad
+    assert np.allclose(made.detach().numpy(), outside.forward(points.numpy()), atol=1e-10)
+    several = supple.Deformation((20, 24), border=None).grab((12, 9), by=(9.0, 3.0), radius=4.0, reach=None)
+    assert np.allclose(bending.forward(points, several).numpy(), several.forward(points.numpy()))
+    assert bending.warp(image.clone().requires_grad_(), several, by=torch.tensor([[9.0, 3.0]])).requires_grad
     with pytest.raises(SuppleError, match="found one that flows in several; use on_fold='damp'"):
         bending.warp(image, several, at=numbers(several)["at"])
-
-
-def test_a_stroke_is_found_from_pictures() -> None:
-    true = supple.Deformation((40, 44), border=8.0, on_fold="damp").grab(
-        (20.0, 18.0), by=(3.2, -2.4), radius=9.0, reach=None
-    )
-    image = smooth(40, 44).float()
-    target = bending.warp(image, true)
-    at, by, radius = torch.tensor([[22.0, 17.0]]), torch.zeros(1, 2), torch.tensor([8.0])
-    given = [x.requires_grad_() for x in (at, by, radius)]
-    search = torch.optim.LBFGS(given, line_search_fn="strong_wolfe", max_iter=40)
-
-    def loss() -> torch.Tensor:
-        search.zero_grad()
-        off = (bending.warp(image, true, at=at, by=by, radius=radius, filter="cubic") - target).square().mean()
-        off.backward()
-        return off
-
-    search.step(loss)
-    assert torch.allclose(at, torch.tensor([[20.0, 18.0]]), atol=0.2)
-    assert torch.allclose(by, torch.tensor([[3.2, -2.4]]), atol=0.05)
-    assert torch.allclose(radius, torch.tensor([9.0]), atol=0.2)
 
 
 def test_nothing_is_kept_that_needs_no_gradient() -> None:
@@ -490,14 +365,3 @@ def test_damped_numbers_warn_once_and_as_deformations_do() -> None:
             by=far,
         )
     assert [w.category for w in caught] == [FoldWarning]
-
-
-def test_implicit_gradients_are_those_of_t() -> None:
-    """Points that travel by T⁻¹ and back by T stay, whatever the strokes do: the chain rule through both is zero."""
-    d = bent(border=None)
-    given = numbers(d)
-    ramp = torch.stack(torch.meshgrid(torch.arange(9.0), torch.arange(11.0), indexing="ij")[::-1]).double()
-    found = bending.warp(ramp, d, **given, filter="linear")[:, 3:6, 4:7]  # which keeps ramps
-    back = bending.forward(found.movedim(0, -1), d, **given)
-    for slope in torch.autograd.grad(back.square().sum(), list(given.values())):
-        assert slope.abs().max() < 1e-7
