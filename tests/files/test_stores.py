@@ -32,10 +32,7 @@ from supple.engines.base import Sampling  # noqa: E402
 from supple.errors import VolumeWarning  # noqa: E402
 from supple.fields import Placed  # noqa: E402
 from supple.files import plans, tasks  # noqa: E402
-from supple.files.options import (
-    GridOptions,
-    VolumeOptions,
-)
+from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
 from supple.files.plans import chunks_of, plan_boxes, plan_file, task_shape  # noqa: E402
 from supple.files.stores import WarpedStore, warp_store  # noqa: E402
 from supple.files.tasks import Running, runner_of  # noqa: E402
