@@ -167,12 +167,12 @@ def test_damaged_text_is_refused(tmp_path: Path) -> None:
 def test_what_no_map_holds_is_not_written(tmp_path: Path) -> None:
     values, path = np.zeros((5, 6, 2), np.float32), tmp_path / "a.npy"
     for contents, match in [
-        ([], "and not nothing"),
-        ([np.eye(3)], "and not an affine map: sample the map"),
-        ([Displacements(values, Grid((5, 6))), np.eye(3)], "a field and an affine map"),
-        ([Displacements(np.zeros((4, 5, 6, 3)), Grid((4, 5, 6)))], "the field is of a volume"),
+        ([], "one field for each file, found nothing"),
+        ([np.eye(3)], "found 1 affine map: sample them"),
+        ([Displacements(values, Grid((5, 6))), np.eye(3)], "found 1 affine map and 1 field"),
+        ([Displacements(np.zeros((4, 5, 6, 3)), Grid((4, 5, 6)))], "maps of pictures, found one of 3 coordinates"),
         ([Displacements(values, Grid((5, 6), 2.0))], "a sample at each pixel"),
-        ([Displacements(values, Grid((5, 6)), "bspline")], "coefficients of a spline"),
+        ([Displacements(values, Grid((5, 6)), "bspline")], "interpolation bspline: sample it"),
         ([Displacements(values * np.nan, Grid((5, 6)))], "NaN or infinity"),
     ]:
         with pytest.raises(SuppleError, match=match):
