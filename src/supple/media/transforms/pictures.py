@@ -131,11 +131,12 @@ def _yaml(path: PathLike) -> dict[str, Array]:
     text = head_of(path, -1).decode("utf-8", "replace")
     if not text.startswith("%YAML"):
         raise unreadable(path, "it does not begin with %YAML", "write it by cv2.FileStorage")
-    found = _YAML.findall(text)
-    for name, *_, end in found:
+    found = {}
+    for name, rows, cols, dt, data, end in _YAML.findall(text):
         if not end:
             raise unreadable(path, f"its matrix {name} is cut short")
-    return {name: _matrix(path, name, *words, data.replace(",", " ")) for name, *words, data, _ in found}
+        found[name] = _matrix(path, name, rows, cols, dt, data.replace(",", " "))
+    return found
 
 
 def _matrix(path: PathLike, name: str, rows: str, cols: str, dt: str, data: str) -> Array:
