@@ -16,12 +16,15 @@ from supple.media.transforms.base import (
     Content,
     Grids,
     Matrix,
+    centred,
     check_matrix,
+    check_plumb,
     check_text,
+    coordinates,
+    described,
     inverse,
     only_matrix,
 )
-from supple.media.transforms.places import centred, check_plumb, coordinates, described
 
 _NAMES = {"fsl-affine": "a matrix of FLIRT", "afni": "a matrix of AFNI", "freesurfer": "a .lta file"}
 SUFFIXES = (".mat", ".txt")

@@ -31,14 +31,18 @@ from supple.media.transforms.base import (
     Displacements,
     Grids,
     Matrix,
+    Space,
+    centred,
     check_count,
     check_finite,
+    check_plumb,
+    coordinates,
+    grid_of,
     inverse,
     only_field,
     suffix_of,
     vectors_of,
 )
-from supple.media.transforms.places import Space, centred, check_plumb, coordinates, grid_of
 from supple.media.volume import nifti
 from supple.media.volume.data import Volume, native, reading, too_large
 from supple.space.geometry import Grid
