@@ -13,7 +13,6 @@ import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -33,10 +32,10 @@ _MAPS = (("map1", "map2"), ("mapx", "mapy"), ("xmap", "ymap"), ("x", "y"))
 _CHANNELS = (("R", "G"), ("S", "T"), ("U", "V"), ("X", "Y"))
 _STEPS = 32  # a pixel, in OpenCV's fixed point
 _TYPES = {"u": np.uint8, "c": np.int8, "w": np.uint16, "s": np.int16, "i": np.int32, "f": np.float32, "d": np.float64}
-_YAML = re.compile(
-    r"^(\w+)\s*:\s*!!opencv-matrix\s+rows:\s*(\d+)\s+cols:\s*(\d+)\s+dt:\s*\"?(\w+)\"?\s+data:\s*\[([^\]]*)(\]?)",
-    re.MULTILINE,
-)
+_XML = r"<(\w+)\s+type_id=\"opencv-matrix\"\s*>\s*<rows>\s*(\d+)\s*</rows>\s*<cols>\s*(\d+)\s*</cols>"
+_XML += r"\s*<dt>\s*\"?(\w+)\"?\s*</dt>\s*<data>([^<]*)(</data>)?"
+_YAML = r"(?m)^(\w+)\s*:\s*!!opencv-matrix\s+rows:\s*(\d+)\s+cols:\s*(\d+)\s+dt:\s*\"?(\w+)\"?"
+_YAML += r"\s+data:\s*\[([^\]]*)(\]?)"
 _LONGEST = 32_767  # pixels on a side, of cv2.remap
 _WHITE = 65_535
 _Planes = tuple[Array, Array, Array | None, tuple[int, int], tuple[int, int]]
@@ -75,7 +74,7 @@ def read_remap(path: PathLike, grids: Grids) -> tuple[Content, ...]:
     """
     suffix = Path(path).suffix.lower()
     check_suffix(path, suffix, REMAP, "is of no map of OpenCV's", f"use {', '.join(REMAP)}", "read")
-    arrays = {".npy": _arrays, ".npz": _arrays, ".xml": _xml}.get(suffix, _yaml)(path)
+    arrays = (_arrays if suffix in (".npy", ".npz") else _matrices)(path)
     return (_displacements(path, *_planes(path, _chosen(path, arrays))),)
 
 
@@ -115,43 +114,29 @@ def _arrays(path: PathLike) -> dict[str, Array]:
         raise unreadable(path, f"it is no {kind} of NumPy's, or cut short") from error
 
 
-def _xml(path: PathLike) -> dict[str, Array]:
-    try:
-        root = ElementTree.fromstring(head_of(path, -1))
-    except (ElementTree.ParseError, ValueError) as error:
-        raise unreadable(path, f"it is no XML, or cut short ({error})") from error
-    if root.tag != "opencv_storage":
-        raise unreadable(path, f"its XML begins with <{root.tag}>, not <opencv_storage>", "write it by cv2.FileStorage")
-    matrices = [item for item in root if item.get("type_id") == "opencv-matrix"]
-    keys = ("rows", "cols", "dt", "data")
-    return {item.tag: _matrix(path, item.tag, *(item.findtext(key) or "" for key in keys)) for item in matrices}
-
-
-def _yaml(path: PathLike) -> dict[str, Array]:
-    text = head_of(path, -1).decode("utf-8", "replace")
-    if not text.startswith("%YAML"):
-        raise unreadable(path, "it does not begin with %YAML", "write it by cv2.FileStorage")
+def _matrices(path: PathLike) -> dict[str, Array]:
+    """Return the matrices of a file of ``cv2.FileStorage``, which writes them alike in XML and YAML."""
+    xml = Path(path).suffix.lower() == ".xml"
+    text, begin = head_of(path, -1).decode("utf-8", "replace"), "<opencv_storage>" if xml else "%YAML"
+    if begin not in text[:1000]:
+        raise unreadable(path, f"it does not begin with {begin}", "write it by cv2.FileStorage")
     found = {}
-    for name, rows, cols, dt, data, end in _YAML.findall(text):
+    for name, rows, cols, dt, data, end in re.findall(_XML if xml else _YAML, text):
+        kind = re.fullmatch(r"([1-4]?)([ucwsifd])", dt)
         if not end:
             raise unreadable(path, f"its matrix {name} is cut short")
-        found[name] = _matrix(path, name, rows, cols, dt, data.replace(",", " "))
+        if kind is None:
+            raise unreadable(path, f"its matrix {name} has the type {dt!r}", _ADVICE)
+        shape = (int(rows), int(cols), int(kind[1])) if kind[1] not in ("", "1") else (int(rows), int(cols))
+        words = data.replace(",", " ").replace(".Inf", "inf").replace(".Nan", "nan").split()
+        try:
+            numbers = np.array([float(word) for word in words])
+        except ValueError as error:
+            raise unreadable(path, f"the data of its matrix {name} are no plain numbers", "write it as text") from error
+        if numbers.size != np.prod(shape):
+            raise unreadable(path, f"its matrix {name} holds {numbers.size} numbers in place of {np.prod(shape)}")
+        found[name] = numbers.astype(_TYPES[kind[2]]).reshape(shape)
     return found
-
-
-def _matrix(path: PathLike, name: str, rows: str, cols: str, dt: str, data: str) -> Array:
-    rows, cols, dt = rows.strip(), cols.strip(), dt.strip().strip('"')
-    kind = re.fullmatch(r"([1-4]?)([ucwsifd])", dt)
-    if kind is None or not rows.isdigit() or not cols.isdigit():
-        raise unreadable(path, f"its matrix {name} has {rows} rows, {cols} columns and the type {dt!r}", _ADVICE)
-    shape = (int(rows), int(cols), int(kind[1])) if kind[1] not in ("", "1") else (int(rows), int(cols))
-    try:
-        numbers = np.array([float(word) for word in data.replace(".Inf", "inf").replace(".Nan", "nan").split()])
-    except ValueError as error:
-        raise unreadable(path, f"the data of its matrix {name} are no plain numbers", "write it as text") from error
-    if numbers.size != np.prod(shape):
-        raise unreadable(path, f"its matrix {name} holds {numbers.size} numbers in place of {np.prod(shape)}")
-    return numbers.astype(_TYPES[kind[2]]).reshape(shape)
 
 
 def _chosen(path: PathLike, named: dict[str, Array]) -> list[Array]:
