@@ -10,14 +10,24 @@ from collections.abc import Sequence
 
 from supple.media.files import PathLike, unreadable
 from supple.media.transforms.base import Content, Displacements, Grids, MissingGridError
-from supple.media.transforms.conventions import CONVENTIONS, check_convention, convention_in, convention_of, form_of
+from supple.media.transforms.conventions import (
+    CONVENTIONS,
+    PULL,
+    Convention,
+    check_convention,
+    convention_in,
+    convention_of,
+    form_of,
+)
 from supple.media.transforms.itk import SUFFIXES_OUT, check_target, write_field
 from supple.space.geometry import Grid
 
 __all__ = [
     "CONVENTIONS",
+    "PULL",
     "SUFFIXES_OUT",
     "Content",
+    "Convention",
     "Displacements",
     "MissingGridError",
     "check_convention",

@@ -16,6 +16,9 @@ from supple.media.transforms import affines, fields, itk, ngff, pictures
 from supple.media.transforms.base import TEXT, Content, Grids, check_count, check_text, suffix_of
 from supple.media.volume import nifti
 
+PULL = "output point -> input point"
+PUSH = "input point -> output point"
+
 
 class Form(NamedTuple):
     """A kind of file of some programs: its suffixes, and how it is read and written."""
@@ -25,31 +28,73 @@ class Form(NamedTuple):
     write: Callable[..., None]
 
 
+class Convention(NamedTuple):
+    """What the numbers in files of some programs are, and the kinds of their files.
+
+    ``affine`` is the direction in which affine maps lead; fields are pull maps. ``forms`` are in order: the first is
+    that of files of other suffixes. ``written`` are ``holds``, ``space`` and ``units`` as written, if others.
+    """
+
+    label: str
+    holds: str
+    space: str
+    units: str
+    forms: tuple[Form, ...]
+    affine: str = PULL
+    written: tuple[str, str, str] | None = None
+
+
 def _form(module: ModuleType, name: str, suffixes: tuple[str, ...]) -> Form:
     return Form(suffixes, partial(module.read, convention=name), partial(module.write, convention=name))
 
 
+def _field(name: str, label: str, holds: str, space: str, *more: str) -> Convention:
+    """Return a convention of fields in millimetres, in NIfTI files and those of more suffixes."""
+    return Convention(label, holds, space, "mm", (_form(fields, name, (*fields.NIFTI, *more)),))
+
+
+_FSL = "FSL coordinates of the input image"
+_BOTH = "positions or displacements"
 _LTA = _form(affines, "freesurfer", (".lta",))
-CONVENTIONS: dict[str, tuple[Form, ...]] = {
-    "itk": (Form((*itk.TRANSFORMS, *itk.IMAGES), itk.read, itk.write),),
-    **{name: (_form(fields, name, fields.NIFTI),) for name in ("fsl-relative", "fsl-absolute")},
-    "fsl-affine": (_form(affines, "fsl-affine", affines.SUFFIXES),),
-    "afni": (
-        _form(fields, "afni", (*fields.NIFTI, *fields.DATASETS)),
-        _form(affines, "afni", (".aff12.1d", ".1d")),
+_AFNI = _field("afni", "AFNI", "displacements", "LPS", *fields.DATASETS)
+CONVENTIONS = {
+    "itk": Convention(
+        "ITK", "displacements", "LPS", "mm", (Form((*itk.TRANSFORMS, *itk.IMAGES), itk.read, itk.write),)
     ),
-    **{name: (_form(fields, name, (*fields.NIFTI, *fields.MIF)),) for name in ("mrtrix", "mrtrix-displacement")},
-    "freesurfer": (
-        _LTA,
-        _form(fields, "freesurfer", (*fields.MGZ, *fields.MORPHS))._replace(write=_LTA.write),  # which are only read
+    "fsl-relative": _field("fsl-relative", "FSL, relative", "displacements", _FSL),
+    "fsl-absolute": _field("fsl-absolute", "FSL, absolute", "positions", _FSL),
+    "fsl-affine": Convention(
+        "FSL's FLIRT", "positions", "FSL coordinates of both images", "mm",
+        (_form(affines, "fsl-affine", affines.SUFFIXES),), PUSH,
     ),
-    **{name: (_form(fields, name, fields.NIFTI),) for name in ("niftyreg", "spm-deformation")},
-    "ngff": (Form(ngff.SUFFIXES, ngff.read, ngff.write),),
-    "opencv": (Form(pictures.REMAP, pictures.read_remap, pictures.write_remap),),
-    "stmap": (Form(pictures.STMAP, pictures.read_stmap, pictures.write_stmap),),
-}
-"""By their names; of several forms, the first is that of files of other suffixes."""
-_SUFFIXES = tuple({suffix for forms in CONVENTIONS.values() for form in forms for suffix in form.suffixes})
+    "afni": _AFNI._replace(forms=(*_AFNI.forms, _form(affines, "afni", (".aff12.1d", ".1d")))),
+    "mrtrix": _field("mrtrix", "MRtrix, deformation", "positions", "RAS", *fields.MIF),
+    "mrtrix-displacement": _field(
+        "mrtrix-displacement", "MRtrix, displacement", "displacements", "RAS", *fields.MIF
+    ),
+    "freesurfer": Convention(
+        "FreeSurfer", _BOTH, "RAS", "mm",
+        # warps are only read
+        (_LTA, _form(fields, "freesurfer", (*fields.MGZ, *fields.MORPHS))._replace(write=_LTA.write)), PUSH,
+        ("positions", "RAS", "mm"),
+    ),
+    "niftyreg": _field("niftyreg", "NiftyReg", _BOTH, "RAS")._replace(written=("positions", "RAS", "mm")),
+    "spm-deformation": _field("spm-deformation", "SPM", "positions", "RAS"),
+    "ngff": Convention(
+        "OME-Zarr", "displacements or positions", "LPS, or as its axes say", "mm, or as its axes say",
+        (Form(ngff.SUFFIXES, ngff.read, ngff.write),), PULL, ("displacements", "LPS", "mm"),
+    ),
+    "opencv": Convention(
+        "OpenCV's remap", "positions", "the picture", "pixels",
+        (Form(pictures.REMAP, pictures.read_remap, pictures.write_remap),),
+    ),
+    "stmap": Convention(
+        "STMap", "positions", "the picture, from its bottom left corner", "of its width and height",
+        (Form(pictures.STMAP, pictures.read_stmap, pictures.write_stmap),),
+    ),
+}  # fmt: skip
+"""By their names: in memory, all are displacements in millimetres in LPS, or in pixels."""
+_SUFFIXES = tuple({suffix for row in CONVENTIONS.values() for form in row.forms for suffix in form.suffixes})
 _NUMBERS = "its numbers may be positions, as of OpenCV's maps, or displacements", "if they are positions"
 _PICTURE = "it may be an STMap, or any other picture", "if it is one"
 _DOUBTFUL = {**dict.fromkeys((".npy", ".npz"), _NUMBERS), **dict.fromkeys((".tif", ".tiff", ".png"), _PICTURE)}
@@ -61,7 +106,7 @@ _COLOURS = (128, 2304)  # the datatypes RGB24 and RGBA32 of NIfTI
 def form_of(path: PathLike, convention: str) -> Form:
     """Return the kind of a file in a convention; SuppleError if there is no such convention."""
     check_convention(convention)
-    forms = CONVENTIONS[convention]
+    forms = CONVENTIONS[convention].forms
     suffix = suffix_of(path, _SUFFIXES)
     return next((form for form in forms if suffix in form.suffixes), forms[0])
 
@@ -93,7 +138,7 @@ def convention_in(path: PathLike) -> str:
 def _candidates(path: PathLike, verb: str) -> tuple[str, ...]:
     suffix = suffix_of(path, _SUFFIXES)
     refused = unreadable if verb == "read" else unwritable
-    names = tuple(name for name, forms in CONVENTIONS.items() if any(suffix in form.suffixes for form in forms))
+    names = tuple(name for name, row in CONVENTIONS.items() if any(suffix in form.suffixes for form in row.forms))
     doubtful = suffix in _DOUBTFUL and (verb == "read" or suffix in image.SUFFIXES)
     if (doubtful or not names) and verb == "read" and not os.path.exists(path):
         raise unreadable(path, "No such file or directory", "check the name and its rights")
