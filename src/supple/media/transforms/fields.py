@@ -173,7 +173,7 @@ def write_nifti(path: PathLike, temporary: Path, values: Array, matrix: Matrix, 
     if max(values.shape) > nifti.LONGEST:
         sizes = " x ".join(map(str, values.shape[2::-1]))
         what = f"NIfTI ends at {nifti.LONGEST} voxels on a side, and the field has {sizes}"
-        raise unwritable(path, what, "write .nrrd or .mha")
+        raise unwritable(path, what, "write .nrrd or .mha" if kind is VECTORS["itk"] else "write a smaller field")
     nibabel = nifti.imported()
     affine, shaped = LPS @ matrix, values.transpose(2, 1, 0, 3)
     image = nibabel.Nifti1Image(shaped if kind.axes == 4 else shaped[:, :, :, None], affine)
