@@ -174,7 +174,7 @@ LINES: list[tuple[str, str]] = [
     ("compose a.tfm flow.yml --out v.mha", "a.tfm has 3 axes, and the grid has 2"),
     ("check u.nii flow.yml", "u.nii is a field of 3 axes, and flow.yml of 2: give two of as many"),
     ("convert flow.yml v.mha", "it takes maps of volumes, found one of 2 coordinates"),
-    ("convert u.nii v.npy", "a map of OpenCV's is of a picture, and the field is of a volume"),
+    ("convert u.nii v.npy", "it takes maps of pictures, found one of 3 coordinates"),
     # outputs that are inputs
     ("check u.nii --map u.nii --force", "u.nii is read: --force does not replace it, so choose another name"),
     ("invert u.nii v.mha --error u.nii --force", "u.nii is read: --force does not replace it"),

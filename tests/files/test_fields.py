@@ -17,8 +17,9 @@ import SimpleITK as sitk  # noqa: N813
 from supple import Affine, Field, FoldWarning, Grid, OutsideWarning, SuppleError
 from supple.files import fields as verbs
 from supple.files.fields import Input, check_file, compose_files, convert_file, invert_file
-from supple.files.maps import KINDS, PULL, PUSH, grid_of, read_file
+from supple.files.maps import grid_of, read_file
 from supple.media import transforms, volume
+from supple.media.transforms.conventions import CONVENTIONS, PULL, PUSH
 from supple.space.geometry import Geometry
 from tests.sampled_fields import GRID, moved, positions, sine, smooth
 
@@ -368,10 +369,10 @@ def test_there_and_back(tmp_path: Path, to: str) -> None:
     moving = image(tmp_path / "moving.nii.gz", OTHER)
     there = convert_file(tmp_path / "u.mha", tmp_path / "w.nii.gz", to=to, image=moving)
     back = convert_file(tmp_path / "w.nii.gz", tmp_path / "v.nrrd", convention=to, image=moving)
-    assert (there.target.kind, back.sources[0].known) == (KINDS[to], "as given")
+    assert (there.target.kind, back.sources[0].known) == (CONVENTIONS[to], "as given")
     np.testing.assert_allclose(read(tmp_path / "v.nrrd").values, field.values, atol=2e-5)
     facts = there.facts()
-    assert (facts["written"]["holds"], facts["written"]["units"]) == (KINDS[to].holds, "mm")
+    assert (facts["written"]["holds"], facts["written"]["units"]) == (CONVENTIONS[to].holds, "mm")
 
 
 def test_an_oblique_field_stays_one_in_ome_zarr(tmp_path: Path) -> None:
@@ -443,7 +444,3 @@ def test_the_grid_of_an_image(tmp_path: Path) -> None:
     nibabel.Nifti1Image(np.zeros((4, 3, 2), np.float32), None).to_filename(tmp_path / "n.nii")
     with pytest.raises(SuppleError, match=r"n.nii does not say where its voxels lie in space: give an image that does"):
         grid_of(tmp_path / "n.nii")
-
-
-def test_every_convention_is_described() -> None:
-    assert set(transforms.CONVENTIONS) <= set(KINDS)

@@ -148,12 +148,12 @@ def _stored(name: str) -> tuple[dict[str, Any], str]:
 
 def _field(name: str) -> dict[str, Any]:
     """Return the convention of a NIfTI file that is a displacement field without doubt."""
-    from supple.files.maps import KINDS
     from supple.media import transforms
 
     try:
         known = transforms.convention_in(name)
-        return {"field": known, "field_holds": KINDS[known].holds, "field_space": KINDS[known].space}
+        kind = transforms.CONVENTIONS[known]
+        return {"field": known, "field_holds": kind.holds, "field_space": kind.space}
     except SuppleError:
         return {}
 

@@ -111,8 +111,6 @@ def move_points(
         without a geometry.
     """
     check_target(target, source)
-    if convention is not None:
-        choice("convention", convention, ("LPS", "RAS", "index"))
     if geometry is not None and deformation.ndim != 3:
         raise SuppleError(f"a geometry is of a volume, and shape {deformation.shape} has two axes")
     check_output(target, force=force)
@@ -158,9 +156,7 @@ def _ways(deformation: Deformation, geometry: Geometry | None, known: str) -> tu
     """Return the map from points of a file to indices of a deformation, and back."""
     if geometry is None or (known == "index" and not geometry.shear):
         return _same, _same
-    if not geometry.shear:
-        return (lambda p: geometry.from_world(p, known)), (lambda p: geometry.to_world(p, known))
-    place = deformation.grid.geometry(geometry.convention)
+    place = deformation.grid.geometry(geometry.convention) if geometry.shear else geometry
     if known != "index":
         return (lambda p: place.from_world(p, known)), (lambda p: place.to_world(p, known))
     return (lambda p: place.from_lps(geometry.to_lps(p))), (lambda p: geometry.from_lps(place.to_lps(p)))
@@ -237,8 +233,6 @@ def read_landmarks(
     SuppleError
         If the file cannot be read, or its coordinates do not fit the volume.
     """
-    if convention is not None:
-        choice("convention", convention, ("LPS", "RAS", "index"))
     read = read_points(path)
     known = convention_of(read, convention, geometry.convention)
     if read.points.shape[1] != 3:
@@ -336,50 +330,38 @@ def _spoken(read: PointFile, k: int) -> str:
     return f"{name} at {_listed(read.points[k])}"
 
 
-def _check_told(read: PointFile) -> None:
-    """Raise an error, or warn, if numbers may be voxels or positions in space."""
-    if read.told == "names":
-        warnings.warn(
-            f"x, y and z of {read.name} are taken for voxels, counted from 0: --convention LPS or RAS takes them for "
-            "millimetres",
-            VolumeWarning,
-            stacklevel=5,
-        )
-    elif read.told == "mesh":
-        raise SuppleError(
-            f"cannot place {read.name}: nothing in it says LPS or RAS, as what 3D Slicer saves does: "
-            "give --convention LPS or RAS (millimetres), or index (voxels from 0)"
-        )
-    elif read.told != "said":
-        found = {
-            "mm": "its columns are in mm, but not said to be LPS or RAS",
-            "world": "its columns are not said to be LPS or RAS",
-        }.get(read.told, "no header says what its numbers are")
-        choices = "LPS or RAS" if read.told else "index (voxels from 0), LPS or RAS (millimetres)"
-        names = "l,p,s or r,a,s" if read.told else "i,j,k, l,p,s or r,a,s"
-        raise SuppleError(
-            f"cannot place {read.name}: {found}: give --convention {choices}, or name its columns {names}"
-        )
+_UNSAID = {
+    "mesh": (
+        "nothing in it says LPS or RAS, as what 3D Slicer saves does",
+        "LPS or RAS (millimetres), or index (voxels from 0)",
+    ),
+    "mm": ("its columns are in mm, but not said to be LPS or RAS", "LPS or RAS, or name its columns l,p,s or r,a,s"),
+    "world": ("its columns are not said to be LPS or RAS", "LPS or RAS, or name its columns l,p,s or r,a,s"),
+    "": (
+        "no header says what its numbers are",
+        "index (voxels from 0), LPS or RAS (millimetres), or name its columns i,j,k, l,p,s or r,a,s",
+    ),
+}
+"""By `PointFile.told`: what a file does not say, and the conventions to give."""
 
 
 def convention_of(read: PointFile, asked: str | None, place: str | None) -> str:
     """Return the convention of the points of a file, for a volume of the convention ``place``; None without one."""
+    if asked is not None:
+        choice("convention", asked, ("LPS", "RAS", "index"))
+    known, refused = asked or read.convention, f"cannot place {read.name}: it"
     if asked not in (None, read.convention) and read.convention != "index":
-        raise SuppleError(
-            f"cannot place {read.name}: it says that it is in {read.convention}, and {asked} was asked for: "
-            "leave that out"
-        )
-    known = asked or read.convention
+        raise SuppleError(f"{refused} says that it is in {read.convention}, and {asked} was asked for: leave that out")
     if asked is None and place not in (None, "array"):
-        _check_told(read)
-    if known != "index" and place is None:
-        raise SuppleError(
-            f"cannot place {read.name}: it is in {known}, and only volumes have a place in space: "
-            "give pixels in a table with x and y"
-        )
-    if known != "index" and place == "array":
-        raise SuppleError(
-            f"cannot place {read.name}: it is in {known}, and the volume does not know where it lies in space: "
-            "give indices in a table with x, y and z"
-        )
+        if read.told == "names":
+            text = f"x, y and z of {read.name} are taken for voxels, counted from 0"
+            warnings.warn(f"{text}: --convention LPS or RAS takes them for millimetres", VolumeWarning, stacklevel=4)
+        elif read.told in _UNSAID:
+            what, advice = _UNSAID[read.told]
+            raise SuppleError(f"cannot place {read.name}: {what}: give --convention {advice}")
+    if known != "index" and place in (None, "array"):
+        what = "only volumes have a place in space: give pixels in a table with x and y"
+        if place is not None:
+            what = "the volume does not know where it lies in space: give indices in a table with x, y and z"
+        raise SuppleError(f"{refused} is in {known}, and {what}")
     return known

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,44 +22,6 @@ from supple.space.geometry import Grid, check_upright
 
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
-
-PULL = "output point -> input point"
-PUSH = "input point -> output point"
-
-
-class Kind(NamedTuple):
-    """What the numbers in files of a convention are."""
-
-    label: str
-    holds: str
-    space: str
-    units: str
-    affine: str = PULL
-
-
-KINDS = {
-    "itk": Kind("ITK", "displacements", "LPS", "mm"),
-    "fsl-relative": Kind("FSL, relative", "displacements", "FSL coordinates of the input image", "mm"),
-    "fsl-absolute": Kind("FSL, absolute", "positions", "FSL coordinates of the input image", "mm"),
-    "fsl-affine": Kind("FSL's FLIRT", "positions", "FSL coordinates of both images", "mm", PUSH),
-    "afni": Kind("AFNI", "displacements", "LPS", "mm"),
-    "mrtrix": Kind("MRtrix, deformation", "positions", "RAS", "mm"),
-    "mrtrix-displacement": Kind("MRtrix, displacement", "displacements", "RAS", "mm"),
-    "freesurfer": Kind("FreeSurfer", "positions or displacements", "RAS", "mm", PUSH),
-    "niftyreg": Kind("NiftyReg", "positions or displacements", "RAS", "mm"),
-    "spm-deformation": Kind("SPM", "positions", "RAS", "mm"),
-    "ngff": Kind("OME-Zarr", "displacements or positions", "LPS, or as its axes say", "mm, or as its axes say"),
-    "opencv": Kind("OpenCV's remap", "positions", "the picture", "pixels"),
-    "stmap": Kind("STMap", "positions", "the picture, from its bottom left corner", "of its width and height"),
-}
-"""What the files of each convention hold. In memory, all are displacements in millimetres in LPS, or in pixels."""
-
-WRITTEN = {
-    "freesurfer": KINDS["freesurfer"]._replace(holds="positions"),
-    "niftyreg": KINDS["niftyreg"]._replace(holds="positions"),
-    "ngff": Kind("OME-Zarr", "displacements", "LPS", "mm"),
-}
-"""What is written, where the convention reads more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,16 +51,15 @@ class MapFile:
     written: bool = False
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> transforms.Convention:
         """What the convention's numbers are."""
-        if self.written and self.convention in WRITTEN:
-            kind = WRITTEN[self.convention]
-            return (
-                kind
-                if any(each.ndim == 3 for each in self.maps)
-                else kind._replace(space="the picture", units="pixels")
-            )
-        return KINDS.get(self.convention, Kind(self.convention, "numbers", "its own", "its own units"))
+        kind = transforms.CONVENTIONS[self.convention]
+        if not self.written or kind.written is None:
+            return kind
+        holds, space, units = kind.written
+        if not any(each.ndim == 3 for each in self.maps):
+            space, units = "the picture", "pixels"
+        return kind._replace(holds=holds, space=space, units=units)
 
     @property
     def grid(self) -> Grid | None:
@@ -108,7 +69,7 @@ class MapFile:
     @property
     def direction(self) -> str:
         """Which way the numbers in the file lead; what is read is always a pull map."""
-        return self.kind.affine if all(isinstance(each, Affine) for each in self.maps) else PULL
+        return self.kind.affine if all(isinstance(each, Affine) for each in self.maps) else transforms.PULL
 
     def facts(self) -> dict[str, Any]:
         """Return what is known of the file, ready for JSON."""

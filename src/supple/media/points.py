@@ -15,8 +15,7 @@ import numpy.typing as npt
 from supple.errors import SuppleError, shown
 from supple.media import meshes
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable
-from supple.media.meshes.base import Mesh
-from supple.media.meshes.cells import Ints, Part
+from supple.media.meshes.base import Ints, Mesh, Part
 from supple.media.tables import Table, parsed
 from supple.media.volume import Volume
 from supple.space.domain import LARGEST, value_shown
@@ -24,6 +23,7 @@ from supple.space.domain import LARGEST, value_shown
 Floats = npt.NDArray[np.float64]
 
 KINDS = {".csv": "CSV", ".tsv": "CSV", ".txt": "CSV", ".fcsv": "fcsv", ".json": "JSON"}
+_FORMATS = {**KINDS, **meshes.KINDS}
 _GIVE = "give a .csv, .tsv, .txt, .fcsv or .mrk.json file"
 _MESHES = f"{_GIVE}, or a mesh: {', '.join(meshes.KINDS)}"
 FLIP = np.array([-1.0, -1.0, 1.0])
@@ -93,7 +93,7 @@ def check_target(path: PathLike, source: PathLike) -> None:
     """Raise SuppleError for a name of another kind of file than ``source``."""
     kind = _kind("read", source)
     if _kind("write", path) != kind:
-        suffixes = " or ".join(suffix for suffix, known in {**KINDS, **meshes.KINDS}.items() if known == kind)
+        suffixes = " or ".join(suffix for suffix, known in _FORMATS.items() if known == kind)
         raise SuppleError(f"cannot write {shown(path)}: {shown(source)} is of another kind: give a name in {suffixes}")
 
 
@@ -175,8 +175,7 @@ def write_points(
     SuppleError
         If the points are not finite or not as many, the suffix is of another kind, or the file cannot be written.
     """
-    kinds = {**KINDS, **meshes.KINDS}
-    check_target(path, f"x{next(suffix for suffix, kind in kinds.items() if kind == like.kind)}")
+    check_target(path, f"x{next(suffix for suffix, kind in _FORMATS.items() if kind == like.kind)}")
     made = np.asarray(points, np.float64)
     if made.shape != like.points.shape or not np.isfinite(made).all():
         wanted = f"an array of finite numbers of shape {like.points.shape}"
@@ -197,7 +196,7 @@ def _written(like: PointFile, made: Floats, residual: npt.ArrayLike | None) -> s
 
 
 def _kind(verb: str, path: PathLike, *, mesh: bool = True) -> str:
-    suffix, known = Path(path).suffix, {**KINDS, **meshes.KINDS} if mesh else KINDS
+    suffix, known = Path(path).suffix, _FORMATS if mesh else KINDS
     check_suffix(path, suffix, known, "is of no file of points", _MESHES if mesh else _GIVE, verb)
     return known[suffix.lower()]
 

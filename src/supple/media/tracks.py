@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
-from supple.errors import SuppleError, shown
 from supple.media.files import PathLike, head_of, unreadable
 from supple.space.domain import LARGEST, LONGEST_AXIS, choice, value_shown
 
@@ -45,14 +44,16 @@ class Track:
     keys: tuple[tuple[int, tuple[float, float]], ...]
 
 
-@dataclass(frozen=True, slots=True)
-class _Found:
+class _Key(NamedTuple):
     """A point of a row: the place in the file, for messages, and what it says."""
 
     where: str
     frame: float
     x: float
     y: float
+
+
+_Keys = dict[str, list[_Key]]
 
 
 def read_tracks(
@@ -86,7 +87,6 @@ def read_tracks(
         If the file cannot be read or holds no tracks, or its convention is not known; the message names the line or the
         track at fault.
     """
-    name = shown(path)
     if convention is not None:
         choice("convention", convention, CONVENTIONS)
     data = head_of(path, -1, _GIVE, _GIVE)
@@ -94,18 +94,16 @@ def read_tracks(
         raise unreadable(path, "it is no text in UTF-8", _GIVE)
     text = data.decode("utf-8", "replace").removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     if text.lstrip().startswith(_AE):
-        own, found = "ae", _after_effects(name, text)
+        own, found = "ae", _after_effects(path, text)
     elif _CURVE.search(text):
-        own, found = "nuke", _nuke(name, text)
+        own, found = "nuke", _nuke(path, text)
     else:
-        known, found = _table(name, text)
-        own = convention or ("pixels" if known else "")
+        headed, found = _table(path, text)
+        own = convention or ("pixels" if headed else "")
         if not own:
-            raise unreadable(
-                path,
-                "it is a table without a header, and does not say from where its pixels count",
-                "say whether it is from nuke, ae or in pixels (--track-from), or begin it with a line frame,x,y",
-            )
+            what = "it is a table without a header, and does not say from where its pixels count"
+            advice = "say whether it is from nuke, ae or in pixels (--track-from), or begin it with a line frame,x,y"
+            raise unreadable(path, what, advice)
     if convention not in (None, own):
         raise unreadable(path, f"its positions are those of {own}, and {convention} was asked for", "leave that out")
     up = own == "nuke"
@@ -115,62 +113,57 @@ def read_tracks(
     start, half = _FIRST[own] if first is None else first, 0.0 if own == "pixels" else 0.5
     return tuple(
         Track(label, tuple((k - start, (x - half, rows - y - half if up else y - half)) for k, x, y in points))
-        for label, points in ((label, _ordered(name, points)) for label, points in found.items())
+        for label, points in ((label, _ordered(path, keys)) for label, keys in found.items())
     )
 
 
-def _ordered(name: str, points: Sequence[_Found]) -> list[tuple[int, float, float]]:
+def _ordered(path: PathLike, keys: Sequence[_Key]) -> list[tuple[int, float, float]]:
     made: dict[int, tuple[int, float, float]] = {}
-    for each in points:
-        for what, value in (("x", each.x), ("y", each.y)):
+    for where, frame, x, y in keys:
+        for what, value in (("x", x), ("y", y)):
             if not abs(value) <= LARGEST:
-                raise SuppleError(f"cannot read {name}: {each.where}: {what} is {value:g}: give a finite number")
-        if not (abs(each.frame) <= LONGEST_AXIS and float(each.frame).is_integer()):
-            raise SuppleError(f"cannot read {name}: {each.where}: the frame is {each.frame:g}: give a whole number")
-        k = int(each.frame)
+                raise unreadable(path, f"{where}: {what} is {value:g}", "give a finite number")
+        if not (abs(frame) <= LONGEST_AXIS and float(frame).is_integer()):
+            raise unreadable(path, f"{where}: the frame is {frame:g}", "give a whole number")
+        k = int(frame)
         if k in made:
-            raise SuppleError(
-                f"cannot read {name}: {each.where}: frame {k} is there twice in one track: give each track a name"
-            )
-        made[k] = (k, each.x, each.y)
+            raise unreadable(path, f"{where}: frame {k} is there twice in one track", "give each track a name")
+        made[k] = (k, x, y)
     return [made[k] for k in sorted(made)]
 
 
-def _table(name: str, text: str) -> tuple[bool, dict[str, list[_Found]]]:
+def _table(path: PathLike, text: str) -> tuple[bool, _Keys]:
     """Return whether a table has a header, and its tracks."""
     lines = [(n, line.strip()) for n, line in enumerate(text.split("\n"), 1)]
     rows = [(n, _cells(line)) for n, line in lines if line and not line.startswith("#")]
     if not rows:
-        raise SuppleError(f"cannot read {name}: it holds no tracks: {_GIVE}")
+        raise unreadable(path, "it holds no tracks", _GIVE)
     number, head = rows[0]
-    known = not any(_is_number(cell) for cell in head)
-    columns = {column: k for k, column in enumerate(_COLUMNS)}
-    if known:
+    width, headed = len(head), not any(map(_is_number, head))
+    columns = {column: k for k, column in enumerate(_COLUMNS[:width])}
+    if headed:
         names = [cell.lower() for cell in head]
         missing = [column for column in _COLUMNS[:3] if names.count(column) != 1]
         if missing:
-            raise SuppleError(
-                f"cannot read {name}: line {number}: its columns are {value_shown(', '.join(head))}, without one named "
-                f"{missing[0]}: {_GIVE}"
-            )
+            what = f"its columns are {value_shown(', '.join(head))}, without one named {missing[0]}"
+            raise unreadable(path, f"line {number}: {what}", _GIVE)
         columns = {column: names.index(column) for column in _COLUMNS if column in names}
-    found: dict[str, list[_Found]] = {}
-    width = len(head)
-    for number, cells in rows[known:]:
-        if len(cells) != width or (not known and width not in (3, 4)):
-            wanted = f"{width}, as the first line has" if known or width in (3, 4) else "frame, x, y, or a name besides"
-            raise SuppleError(f"cannot read {name}: line {number}: it has {len(cells)} columns: give {wanted}")
-        values = []
+    keys: _Keys = {}
+    for number, cells in rows[headed:]:
+        if len(cells) != width or (not headed and width not in (3, 4)):
+            wanted = (
+                f"{width}, as the first line has" if headed or width in (3, 4) else "frame, x, y, or a name besides"
+            )
+            raise unreadable(path, f"line {number}: it has {len(cells)} columns", f"give {wanted}")
         for column in _COLUMNS[:3]:
-            cell = cells[columns[column]]
-            if not _is_number(cell):
-                raise SuppleError(f"cannot read {name}: line {number}: {column} is {value_shown(cell)}: give a number")
-            values.append(float(cell))
-        label = cells[columns["name"]] if "name" in columns and columns["name"] < width else ""
-        found.setdefault(label, []).append(_Found(f"line {number}", *values))
-    if not found:
-        raise SuppleError(f"cannot read {name}: it has a header alone: give the frames and positions below it")
-    return known, found
+            if not _is_number(cell := cells[columns[column]]):
+                raise unreadable(path, f"line {number}: {column} is {value_shown(cell)}", "give a number")
+        label = cells[columns["name"]] if "name" in columns else ""
+        values = (float(cells[columns[column]]) for column in _COLUMNS[:3])
+        keys.setdefault(label, []).append(_Key(f"line {number}", *values))
+    if not keys:
+        raise unreadable(path, "it has a header alone", "give the frames and positions below it")
+    return headed, keys
 
 
 def _cells(line: str) -> list[str]:
@@ -185,16 +178,13 @@ def _is_number(text: str) -> bool:
         return False
 
 
-def _after_effects(name: str, text: str) -> dict[str, list[_Found]]:
+def _after_effects(path: PathLike, text: str) -> _Keys:
     """Return the positions of keyframes: sections that begin with a name, and have columns in pixels."""
-    found: dict[str, list[_Found]] = {}
+    keys: _Keys = {}
     label = ""
     columns: list[str] = []
-    ended = False
-    for number, line in enumerate(text.split("\n"), 1):
-        if line.startswith("End of Keyframe Data"):
-            ended = True
-            break
+    body, end, _ = text.partition("\nEnd of Keyframe Data")
+    for number, line in enumerate(body.split("\n"), 1):
         if line and not line[0].isspace():
             parts = [part.strip() for part in line.split("\t") if part.strip()]
             label, columns = " ".join(parts[1:] if len(parts) > 1 else parts), []
@@ -208,52 +198,40 @@ def _after_effects(name: str, text: str) -> dict[str, list[_Found]]:
         if not cells[0]:
             continue  # a value that does not change has no frame
         if len([*filter(None, cells)]) != len([*filter(None, columns)]) or not all(map(_is_number, cells[:3])):
-            raise SuppleError(
-                f"cannot read {name}: line {number}: it is {value_shown(line.strip())}: give a frame, x and y"
-            )
-        found.setdefault(label, []).append(_Found(f"line {number}", *map(float, cells[:3])))
-    if not found:
-        raise SuppleError(
-            f"cannot read {name}: none of its keyframes are positions: copy those of a position or a tracker"
-        )
-    if not ended:
-        raise SuppleError(f"cannot read {name}: it breaks off before End of Keyframe Data: give a whole copy of it")
-    return found
+            raise unreadable(path, f"line {number}: it is {value_shown(line.strip())}", "give a frame, x and y")
+        keys.setdefault(label, []).append(_Key(f"line {number}", *map(float, cells[:3])))
+    if not keys:
+        raise unreadable(path, "none of its keyframes are positions", "copy those of a position or a tracker")
+    if not end:
+        raise unreadable(path, "it breaks off before End of Keyframe Data")
+    return keys
 
 
-def _nuke(name: str, text: str) -> dict[str, list[_Found]]:
+def _nuke(path: PathLike, text: str) -> _Keys:
     """Return the points of a script: rows of trackers, and pairs of curves in knobs of points."""
-    found: dict[str, list[_Found]] = {}
-
-    def add(label: str, x: str, y: str) -> None:
-        label, wanted, k = label or "track", label or "track", 2
-        while label in found:
-            label, k = f"{wanted} {k}", k + 1
-        found[label] = list(_points(name, label, x, y))
-
-    for row in _ROW.finditer(text):
-        add(*row.groups())
+    curves = [found.groups() for found in _ROW.finditer(text)]
     for pair in _PAIR.finditer(text):
         knob = re.search(r"([A-Za-z_]\w*)?\s*\Z", text[max(0, pair.start() - 80) : pair.start()])
         label = (knob and knob[1]) or ""
         if not label or _POINTS.fullmatch(label):
-            add(label, *pair.groups())
-    if not found:
-        raise SuppleError(f"cannot read {name}: none of its curves are of points: give a tracker or a corner pin")
-    return found
+            curves.append((label, *pair.groups()))
+    if not curves:
+        raise unreadable(path, "none of its curves are of points", "give a tracker or a corner pin")
+    keys: _Keys = {}
+    for name, *both in curves:
+        label, k = name or "track", 2
+        while label in keys:
+            label, k = f"{name or 'track'} {k}", k + 1
+        where = f"track {value_shown(label)}"
+        x, y = (dict(_values(path, where, curve)) for curve in both)
+        if not x or x.keys() != y.keys():
+            what = f"{where}: x has {len(x)} keys, and y {len(y)}, of other frames"
+            raise unreadable(path, what, "give both alike")
+        keys[label] = [_Key(where, frame, x[frame], y[frame]) for frame in x]
+    return keys
 
 
-def _points(name: str, label: str, x: str, y: str) -> Iterator[_Found]:
-    where = f"track {value_shown(label)}"
-    along, down = (dict(_values(name, where, curve)) for curve in (x, y))
-    if not along or along.keys() != down.keys():
-        raise SuppleError(
-            f"cannot read {name}: {where}: x has {len(along)} keys, and y {len(down)}, of other frames: give both alike"
-        )
-    return (_Found(where, frame, along[frame], down[frame]) for frame in along)
-
-
-def _values(name: str, where: str, curve: str) -> Iterable[tuple[float, float]]:
+def _values(path: PathLike, where: str, curve: str) -> Iterator[tuple[float, float]]:
     """Yield the keys of a curve: ``x1 100 101 x5 90``, values of frame 1, 2 and 5, among letters for its shape."""
     frame: float | None = None
     given = False
@@ -262,7 +240,7 @@ def _values(name: str, where: str, curve: str) -> Iterable[tuple[float, float]]:
             frame, given = float(keyed[1]), True
         elif _NUMBER.fullmatch(word):
             if frame is None:
-                raise SuppleError(f"cannot read {name}: {where}: its curve has a value without a frame: copy it again")
+                raise unreadable(path, f"{where}: its curve has a value without a frame", "copy it again")
             frame = frame if given else frame + 1
             given = False
             yield frame, float(word)

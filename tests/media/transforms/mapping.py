@@ -1,4 +1,4 @@
-"""Maps of files as SciPy applies them: what a reader's contents do to points and images."""
+"""Maps of files as SciPy applies them: what a reader's contents do to points and images, of pictures and volumes."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Floats = npt.NDArray[np.float64]
 
 
 def mapped(contents: Sequence[Content], points: npt.ArrayLike) -> Floats:
-    """Return where points (..., 3) of the output lie in the input."""
+    """Return where points (..., D) of the output lie in the input."""
     found = np.asarray(points, np.float64)
     for content in contents:
         if isinstance(content, Displacements):
             found = found + displacement(content, found)
         else:
-            found = found @ content[:3, :3].T + content[:3, 3]
+            found = found @ content[:-1, :-1].T + content[:-1, -1]
     return found
 
 
@@ -39,7 +39,7 @@ def displacement(field: Displacements, points: Floats) -> Floats:
     ]
     made = np.stack(parts, axis=-1)
     if field.beyond == "zero":
-        sizes = np.array(field.grid.sizes)[::-1].reshape(3, *[1] * (at.ndim - 1))
+        sizes = np.array(field.grid.sizes)[::-1].reshape(-1, *[1] * (at.ndim - 1))
         inside = ((at >= -0.5) & (at <= sizes - 0.5)).all(axis=0)
         made *= inside[..., np.newaxis]
     return made
@@ -57,6 +57,13 @@ def warped(image: npt.NDArray[Any], grid: Grid, contents: Sequence[Content], out
     most = np.array(grid.shape).reshape(3, 1, 1, 1) - 1
     found = ndimage.map_coordinates(np.asarray(image, np.float64), at, order=1, mode="nearest")
     return found, ((at > 1e-3) & (at < most - 1e-3)).all(axis=0)
+
+
+def sampled(image: npt.NDArray[Any], contents: Sequence[Content], shape: tuple[int, int]) -> Floats:
+    """Return an image (H, W, C) as seen from the pixels of a picture of ``shape``, linearly interpolated."""
+    at = np.moveaxis(mapped(contents, np.moveaxis(np.indices(shape)[::-1], 0, -1)), -1, 0)[::-1]
+    planes = np.moveaxis(np.float64(image), -1, 0)
+    return np.stack([ndimage.map_coordinates(plane, at, order=1, mode="nearest") for plane in planes], axis=-1)
 
 
 def rotation(*angles: float) -> Floats:

@@ -141,19 +141,6 @@ def test_vector_images(suffix: str, name: str, dtype: Any, tmp_path: Path) -> No
     np.testing.assert_allclose(mapped([found], points), by_itk(known, points), atol=1e-5)
 
 
-@pytest.mark.parametrize(("suffix", "name"), list(itertools.product([".nii.gz", ".mha", ".nrrd", ".h5"], GRIDS)))
-def test_fields_that_itk_reads(suffix: str, name: str, tmp_path: Path) -> None:
-    made, file = field_on(GRIDS[name]), tmp_path / f"a{suffix}"
-    write(file, [made], "itk")
-    points = points_in(made.grid)
-    if suffix == ".h5":
-        known = sitk.ReadTransform(str(file))
-    else:
-        known = sitk.DisplacementFieldTransform(sitk.ReadImage(str(file), sitk.sitkVectorFloat64))
-    np.testing.assert_allclose(by_itk(known, points), mapped([made], points), atol=1e-5)
-    np.testing.assert_allclose(mapped(read(file), points), mapped([made], points), atol=1e-5)
-
-
 @pytest.mark.parametrize("space", ["left-posterior-superior", "right-anterior-superior", "left-anterior-superior"])
 def test_a_nrrd_of_any_space_has_its_vectors_as_itk_reads_them(space: str, tmp_path: Path) -> None:
     signs = np.array([1.0 if word in ("left", "posterior", "superior") else -1.0 for word in space.split("-")])

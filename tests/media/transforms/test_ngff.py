@@ -15,7 +15,7 @@ import zarr
 from supple import SuppleError, errors
 from supple.media.transforms import Displacements, read, write
 from supple.space.geometry import Grid
-from tests.media.transforms.moved import moved
+from tests.media.transforms.mapping import mapped
 
 Array = npt.NDArray[Any]
 Json = dict[str, Any]
@@ -58,7 +58,7 @@ def test_what_ngff_zarr_wrote(n: int, name: str, what: str) -> None:
     told = POINTS[str(n)]
     contents = read(DATA / f"{name}-{n}d.zarr")
     assert [type(one) for one in contents] == [Displacements, np.ndarray][: len(contents)]
-    seen = moved(contents, np.array(told["points"]) / 1000) * 1000
+    seen = mapped(contents, np.array(told["points"]) / 1000) * 1000
     assert np.abs(seen - told[what]).max() < 1e-9
 
 
@@ -76,7 +76,7 @@ def test_round_trips(n: int, turned: bool, tmp_path: Path) -> None:
         path = tmp_path / f"{len(list(tmp_path.iterdir()))}.zarr"
         write(path, contents)
         again = read(path)
-        assert np.abs(moved(again, points) - moved(contents, points)).max() < 1e-12
+        assert np.abs(mapped(again, points) - mapped(contents, points)).max() < 1e-12
         assert [type(one) for one in again] == [type(one) for one in contents]
         for one in again:
             if isinstance(one, Displacements):
@@ -119,7 +119,7 @@ def test_a_field_between_a_matrix_and_its_inverse_is_one_field(n: int, dtype: An
         assert (again.values.dtype, again.interpolation) == (dtype, "cubic")
         points = inner @ after[:-1, :-1].T + after[:-1, -1]
         exact = 1e-5 if dtype is np.float32 else 1e-12
-        assert np.abs(moved([again], points) - moved(contents, points)).max() < exact
+        assert np.abs(mapped([again], points) - mapped(contents, points)).max() < exact
         index = np.moveaxis(np.indices(field.grid.shape)[::-1], 0, -1)
         meant = field.grid.positions(index) @ after[:-1, :-1].T + after[:-1, -1]
         assert np.abs(again.grid.positions(index) - meant).max() < 1e-12
@@ -137,7 +137,7 @@ def test_a_matrix_of_several_steps_is_one(tmp_path: Path) -> None:
     (one,) = read(tmp_path / "c.zarr")
     points = (turn @ shift @ [*field.grid.positions([1.5, 2.5, 1.5]), 1])[:3]
     parts = [back, np.linalg.inv(shift), field, turn @ shift]
-    np.testing.assert_allclose(moved([one], [points]), moved(parts, [points]), atol=1e-12)
+    np.testing.assert_allclose(mapped([one], [points]), mapped(parts, [points]), atol=1e-12)
 
 
 @pytest.mark.parametrize("n", [2, 3])

@@ -13,7 +13,7 @@ import pytest
 from supple import SuppleError
 from supple.media.transforms import Displacements, read, write
 from supple.space.geometry import Grid
-from tests.media.transforms.moved import moved, sampled
+from tests.media.transforms.mapping import mapped, sampled
 
 Array = npt.NDArray[Any]
 
@@ -91,7 +91,7 @@ def test_landmarks_of_a_lens(tmp_path: Path) -> None:
     read_back = read(stored(tmp_path / "lens.xml", map1=x, map2=y))
     points = np.random.default_rng(0).uniform([8, 6], [44, 30], (20, 2))
     ideal = cv2.undistortPoints(points[:, None], camera, lens, P=camera)[:, 0]
-    assert np.abs(moved(read_back, ideal) - points).max() < 1e-3
+    assert np.abs(mapped(read_back, ideal) - points).max() < 1e-3
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".npz", ".xml", ".yml", ".yaml"])
@@ -134,7 +134,6 @@ def test_what_is_no_map_is_refused(tmp_path: Path) -> None:
     refused("h.npz", r"\(37, 53\) and float32 of shape \(36, 53\)", map1=X, map2=Y[1:])
     refused("i.npz", "map1, map2, x, y, which do not tell", map1=X, map2=Y, x=X, y=Y)
     refused("j.npy", r"shape \(0, 5, 2\)", np.zeros((0, 5, 2)))
-    refused("missing.npy", "No such file")
     (tmp_path / "k.npy").write_bytes(b"nothing")
     refused("k.npy", "no array of NumPy's, or cut short")
     (tmp_path / "l.npz").write_bytes(b"nothing")
@@ -148,10 +147,10 @@ def test_what_is_no_map_is_refused(tmp_path: Path) -> None:
 def test_damaged_text_is_refused(tmp_path: Path) -> None:
     whole = {suffix: stored(tmp_path / f"a{suffix}", map1=X, map2=Y).read_text() for suffix in (".xml", ".yml")}
     for suffix, text, match in [
-        (".xml", whole[".xml"][:3000], "no XML, or cut short"),
-        (".xml", "<svg/>", "begins with <svg>"),
+        (".xml", whole[".xml"][:3000], "its matrix map1 is cut short"),
+        (".xml", "<svg/>", "does not begin with <opencv_storage>"),
         (".xml", whole[".xml"].replace("<rows>37", "<rows>38", 1), "holds 1961 numbers in place of 2014"),
-        (".xml", whole[".xml"].replace("<dt>f", "<dt>q", 1), "and the type 'q'"),
+        (".xml", whole[".xml"].replace("<dt>f", "<dt>q", 1), "has the type 'q'"),
         (".xml", whole[".xml"].replace("</data>", " spam </data>", 1), "no plain numbers"),
         (".xml", whole[".xml"].replace("map", "left"), "left1, left2, which do not tell"),
         (".yml", whole[".yml"][:3000], "its matrix map1 is cut short"),
@@ -167,12 +166,12 @@ def test_damaged_text_is_refused(tmp_path: Path) -> None:
 def test_what_no_map_holds_is_not_written(tmp_path: Path) -> None:
     values, path = np.zeros((5, 6, 2), np.float32), tmp_path / "a.npy"
     for contents, match in [
-        ([], "and not nothing"),
-        ([np.eye(3)], "and not an affine map: sample the map"),
-        ([Displacements(values, Grid((5, 6))), np.eye(3)], "a field and an affine map"),
-        ([Displacements(np.zeros((4, 5, 6, 3)), Grid((4, 5, 6)))], "the field is of a volume"),
+        ([], "one field for each file, found nothing"),
+        ([np.eye(3)], "found 1 affine map: sample them"),
+        ([Displacements(values, Grid((5, 6))), np.eye(3)], "found 1 affine map and 1 field"),
+        ([Displacements(np.zeros((4, 5, 6, 3)), Grid((4, 5, 6)))], "maps of pictures, found one of 3 coordinates"),
         ([Displacements(values, Grid((5, 6), 2.0))], "a sample at each pixel"),
-        ([Displacements(values, Grid((5, 6)), "bspline")], "coefficients of a spline"),
+        ([Displacements(values, Grid((5, 6)), "bspline")], "interpolation bspline: sample it"),
         ([Displacements(values * np.nan, Grid((5, 6)))], "NaN or infinity"),
     ]:
         with pytest.raises(SuppleError, match=match):

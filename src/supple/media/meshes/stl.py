@@ -7,63 +7,45 @@ import re
 import numpy as np
 
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes.base import NUMBER, Floats, Mesh, checked, numbers, space_of, spliced
-from supple.media.meshes.cells import Part, part_of
+from supple.media.meshes.base import Floats, Mesh, checked, edited, in_rows, in_text, part_of, space_of
 
-_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_FACET = [("numbers", "<f4", 12), ("attribute", "<u2")]  # a normal and three vertices
 _HEAD = 84
-_TRIPLE = re.compile(rb"\b(normal|vertex)[ \t]+(%b)[ \t]+(%b)[ \t]+(%b)" % (NUMBER, NUMBER, NUMBER), re.IGNORECASE)
+_NUMBER = rb"[-+.\w]+"
+_TRIPLE = re.compile(rb"\b(normal|vertex)[ \t]+(%b)[ \t]+(%b)[ \t]+(%b)" % ((_NUMBER,) * 3), re.IGNORECASE)
 
 
 def parsed(path: PathLike, data: bytes) -> Mesh:
     """Return the vertices of an STL file, each once."""
     count = int.from_bytes(data[80:_HEAD], "little")
-    size = _HEAD + count * _FACET.itemsize
-    if len(data) >= _HEAD and (len(data) == size or (len(data) > size and not data.lstrip().startswith(b"solid"))):
-        return _binary(path, data, count)
-    if not data.lstrip()[:5].lower() == b"solid":
+    size = _HEAD + count * np.dtype(_FACET).itemsize
+    text = data.lstrip()[:5].lower() == b"solid"
+    if len(data) >= _HEAD and (len(data) == size or (len(data) > size and not text)):
+        facets, head = in_rows(path, data, _HEAD, count, _FACET, ["numbers"], "facets"), data[:80]
+    elif text:
+        found = list(_TRIPLE.finditer(data))
+        words = "".join(chr(match[1][0] | 32) for match in found)  # in small letters
+        if words != "nvvv" * (len(words) // 4):
+            raise unreadable(path, "its facets are not a normal and three vertices each")
+        if len(found) and not re.search(rb"endsolid\b[^\n]*\s*\Z", data, re.IGNORECASE):
+            raise unreadable(path, "its end is missing")
+        spans = [match.span(k) for match in found for k in (2, 3, 4)]
+        facets, head = in_text(path, data, spans, 12), data.partition(b"\n")[0]
+    else:
         raise unreadable(path, f"its {len(data)} bytes are not the {size} of {count} facets")
-    return _text(path, data)
-
-
-def _binary(path: PathLike, data: bytes, count: int) -> Mesh:
-    facets = np.frombuffer(data, _FACET, count, _HEAD)
-    corners = facets["corners"].reshape(-1, 3)
-    points, which = _distinct(checked(path, corners))
-
-    def rewritten(moved: Floats, _: Floats) -> bytes:
-        made = facets.copy()
-        triangles = moved.astype(np.float32)[which].reshape(-1, 3, 3)
-        turned = (triangles != facets["corners"]).any(axis=(1, 2))
-        made["corners"], made["normal"][turned] = triangles, _normals(triangles[turned].astype(np.float64))
-        return data[:_HEAD] + made.tobytes() + data[_HEAD + made.nbytes :]
-
-    return Mesh(points, space_of(data[:80]), rewritten, lambda: _parts(path, points, which))
-
-
-def _text(path: PathLike, data: bytes) -> Mesh:
-    found = list(_TRIPLE.finditer(data))
-    words = "".join(chr(match[1][0] | 32) for match in found)  # in small letters
-    if words != "nvvv" * (len(words) // 4):
-        raise unreadable(path, "its facets are not a normal and three vertices each")
-    if len(found) and not re.search(rb"endsolid\b[^\n]*\s*\Z", data, re.IGNORECASE):
-        raise unreadable(path, "its end is missing")
-    spans = [match.span(k) for match in found for k in (2, 3, 4)]
-    before = numbers(path, [data[start:end] for start, end in spans]).reshape(-1, 4, 3)
-    points, which = _distinct(checked(path, before[:, 1:]))
+    before = facets.values
+    points, which = _distinct(checked(path, before[:, 3:]))
 
     def rewritten(moved: Floats, _: Floats) -> bytes:
         made = before.copy()
-        made[:, 1:] = moved[which].reshape(-1, 3, 3)
-        turned = (made != before).any(axis=(1, 2))
-        made[turned, 0] = _normals(made[turned, 1:])
-        return spliced(data, spans, before, made)
+        binary = facets.rows is not None  # of float32
+        made[:, 3:] = (moved.astype(np.float32) if binary else moved)[which].reshape(-1, 9)
+        turned = (made != before).any(axis=1)
+        made[turned, :3] = _normals(made[turned, 3:].reshape(-1, 3, 3))
+        return edited(data, facets.edits(made))
 
-    return Mesh(points, space_of(data.partition(b"\n")[0]), rewritten, lambda: _parts(path, points, which))
-
-
-def _parts(path: PathLike, points: Floats, which: np.typing.NDArray[np.intp]) -> list[Part]:
-    return [part_of(path, len(points), (which, np.full(len(which) // 3, 3)))]
+    runs = which, np.full(len(which) // 3, 3)
+    return Mesh(points, space_of(head), rewritten, lambda: [part_of(path, len(points), runs)])
 
 
 def _distinct(corners: Floats) -> tuple[Floats, np.typing.NDArray[np.intp]]:

@@ -4,32 +4,47 @@ from __future__ import annotations
 
 import base64
 import binascii
+import contextlib
 import lzma
 import re
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from supple.errors import SuppleError, shown
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes.base import Floats, Mesh, checked, numbers, spliced
-from supple.media.meshes.cells import NO_RUNS, Ints, Part, part_of
+from supple.media.meshes.base import (
+    NO_RUNS,
+    TOKEN,
+    Edit,
+    Floats,
+    Ints,
+    Mesh,
+    Numbers,
+    Part,
+    checked,
+    edited,
+    in_text,
+    part_of,
+)
 
 _ROOT = re.compile(rb"<VTKFile\b([^>]*)>")
 _PIECE = re.compile(rb"<Piece\b.*?</Piece\s*>", re.DOTALL)
 _ARRAY = re.compile(rb"<(DataArray|Array)\b([^>]*?)(/>|>(.*?)</\1\s*>)", re.DOTALL)
 _KEY = re.compile(rb"\s*<InformationKey\b.*?</InformationKey\s*>", re.DOTALL)
-_RANGES = re.compile(
-    rb'(name="L2_NORM(?:_FINITE)?_RANGE"[^>]*>\s*<Value index="0">\s*)\S+?'
-    rb'(\s*</Value>\s*<Value index="1">\s*)\S+?(\s*<)'
-)
+_NOTED = rb'name="L2_NORM(?:_FINITE)?_RANGE"[^>]*>\s*<Value index="0">\s*'
+_LEAST = re.compile(rb'(?:RangeMin="|%b)([^"<\s]+)' % _NOTED)
+_MOST = re.compile(rb'(?:RangeMax="|%b[^<]+</Value>\s*<Value index="1">\s*)([^"<\s]+)' % _NOTED)
 _APPENDED = re.compile(rb'<AppendedData\s+encoding="(raw|base64)"\s*>\s*_')
 _OFFSET = re.compile(rb'(<(?:DataArray|Array)\b[^>]*?\boffset=")(\d+)(")')
-_TOKEN = re.compile(rb"\S+")
-_TYPES = {"Float32": "f4", "Float64": "f8"}
-_WHOLE = {"Int64": "i8", "Int32": "i4", "UInt64": "u8", "UInt32": "u4", "Int16": "i2", "UInt16": "u2", "UInt8": "u1"}
+_TYPES = {
+    "Float32": "f4", "Float64": "f8", "Int64": "i8", "Int32": "i4", "UInt64": "u8", "UInt32": "u4", "Int16": "i2",
+    "UInt16": "u2", "Int8": "i1", "UInt8": "u1", "String": "u1",
+}  # fmt: skip
 _Codec = tuple[Callable[[bytes], bytes], Callable[[bytes], bytes]]
 _CODECS: dict[str, _Codec] = {
     "vtkZLibDataCompressor": (zlib.compress, zlib.decompress),
@@ -87,23 +102,27 @@ class _File:
 
 @dataclass(frozen=True, slots=True)
 class _Array:
-    """An array of vectors: its values (N, 3), its tag, and the place of its numbers."""
+    """An array: its attributes, its numbers, its tag, and the place of its numbers."""
 
-    values: Floats
+    known: dict[str, str]
+    values: npt.NDArray[Any]
     tag: tuple[int, int]
     start: int
     end: int
-    dtype: str
-    form: str
-    block: int
+    block: int = 0
+    text: Numbers | None = None
 
-    def written(self, file: _File, new: Floats) -> bytes:
-        """Return what stands for the numbers."""
-        if self.form == "ascii":
-            inner = file.data[self.start : self.end]
-            return spliced(inner, [match.span() for match in _TOKEN.finditer(inner)], self.values, new)
-        raw = self.form == "appended" and file.raw
-        return file.encode(new.astype(self.dtype).tobytes(), self.block, raw)
+    def edits(self, file: _File, new: Floats) -> list[Edit]:
+        """Return the edits that put other numbers there, and their range, where it is noted."""
+        if self.text is not None:
+            edits = self.text.edits(new)
+        else:
+            raw = self.known["format"] == "appended" and file.raw
+            edits = [(self.start, self.end, file.encode(new.astype(self.values.dtype).tobytes(), self.block, raw))]
+        length = np.linalg.norm(new, axis=1)
+        for pattern, value in ((_LEAST, length.min()), (_MOST, length.max())):
+            edits += [(*found.span(1), f"{value:.17g}".encode()) for found in pattern.finditer(file.data, *self.tag)]
+        return edits
 
 
 def parsed(path: PathLike, data: bytes) -> Mesh:
@@ -122,92 +141,77 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
     begin = appended.end() if appended else len(data)
     raw = appended is not None and appended[1] == b"raw"
     file = _File(path, data, order, count, _CODECS.get(named), begin, raw)
+    xml = data[: appended.start() if appended else None]
+    if not appended and b"</VTKFile" not in xml:
+        raise unreadable(path, "its end is missing")
+    with _damage(path):
+        return _read(file, xml)
+
+
+@contextlib.contextmanager
+def _damage(path: PathLike) -> Iterator[None]:
     try:
-        return _read(file, data[: appended.start() if appended else None])
-    except (binascii.Error, zlib.error, lzma.LZMAError, ValueError) as error:
+        yield
+    except SuppleError:
+        raise
+    except (binascii.Error, zlib.error, lzma.LZMAError, ValueError, OverflowError) as error:
         raise unreadable(path, f"an array is damaged ({error})") from error
 
 
 def _read(file: _File, xml: bytes) -> Mesh:
-    if file.appended == len(file.data) and b"</VTKFile" not in xml:
-        raise unreadable(file.path, "its end is missing")
+    pieces = list(_PIECE.finditer(xml))
     points, normals, at, base = [], [], [], 0
-    for piece in _PIECE.finditer(xml):
-        (placed,) = _arrays(file, piece, "Points", None) or (None,)
+    for piece in pieces:
+        placed = next(_arrays(file, piece, "Points"), None)
         if placed is None:
             raise unreadable(file.path, "a piece has no points", "give a mesh")
+        points.append(_vectors(file, placed, "Points"))
         opened = re.search(rb"<PointData\b([^>]*)>", piece[0])
         active = _attributes(opened[1]).get("Normals") if opened else None
         for array in _arrays(file, piece, "PointData", active) if active else ():
+            normals.append(_vectors(file, array, "PointData"))
             if len(array.values) != len(placed.values):
-                found = f"it has {len(array.values)} normals for {len(placed.values)} points"
-                raise unreadable(file.path, found)
-            normals.append(array)
-            at.append(base + np.arange(len(array.values), dtype=np.intp))
-        points.append(placed)
-        base += len(placed.values)
+                many = [len(each.values) // 3 for each in (array, placed)]
+                raise unreadable(file.path, f"it has {many[0]} normals for {many[1]} points")
+            at.append(base + np.arange(len(array.values) // 3, dtype=np.intp))
+        base += len(placed.values) // 3
 
     def rewritten(moved: Floats, turned: Floats) -> bytes:
-        edits: list[tuple[int, int, bytes]] = []
+        edits: list[Edit] = []
         for arrays, new in ((points, moved), (normals, turned)):
-            last = 0
-            for array in arrays:
-                part = new[last : last + len(array.values)]
-                last += len(part)
-                if (part != array.values).any():
-                    edits += _edits(file, array, part)
-        return _replaced(file, edits)
+            ends = np.cumsum([len(values) for _, values in arrays])
+            for (array, values), part in zip(arrays, np.split(new, ends), strict=False):
+                if (part != values).any():
+                    edits += array.edits(file, part)
+        return edited(file.data, [*edits, *_offsets(file, edits)])
 
-    vertices = checked(file.path, np.concatenate([array.values for array in points]) if points else [])
-    many = [array.values for array in normals]
-    return Mesh(
-        vertices,
-        _space(file, xml),
-        rewritten,
-        lambda: _parts(file, xml, [len(array.values) for array in points]),
-        np.concatenate(many) if many else np.zeros((0, 3)),
-        np.concatenate(at) if at else np.zeros(0, np.intp),
-    )
+    def parts() -> list[Part]:
+        with _damage(file.path):
+            return [_part(file, pieces, [len(values) for _, values in points])]
+
+    vertices = checked(file.path, np.concatenate([values for _, values in points]) if points else [])
+    vectors = np.concatenate([np.zeros((0, 3)), *(values for _, values in normals)])
+    return Mesh(vertices, _space(file, xml), rewritten, parts, vectors, np.concatenate([np.zeros(0, np.intp), *at]))
 
 
-def _parts(file: _File, xml: bytes, counts: list[int]) -> list[Part]:
+def _part(file: _File, pieces: list[re.Match[bytes]], counts: list[int]) -> Part:
     """Return the cells of all pieces, of so many points each."""
-    total, base, kinds = sum(counts), 0, ("Polys", "Lines", "Strips")
-    corners: dict[str, list[Ints]] = {kind: [] for kind in kinds}
-    many: dict[str, list[Ints]] = {kind: [] for kind in kinds}
-    try:
-        for piece, count in zip(_PIECE.finditer(xml), counts, strict=True):
-            for kind in kinds:
-                arrays = dict(_whole(file, piece, kind))
-                if {"connectivity", "offsets"} <= set(arrays):
-                    corners[kind].append(base + arrays["connectivity"])
-                    many[kind].append(np.diff(arrays["offsets"], prepend=0))
-            base += count
-    except SuppleError:
-        raise
-    except (binascii.Error, zlib.error, lzma.LZMAError, ValueError, OverflowError) as error:
-        raise unreadable(file.path, f"an array is damaged ({error})") from error
-    polygons, lines, strips = (
-        (np.concatenate(corners[k]), np.concatenate(many[k])) if corners[k] else NO_RUNS for k in kinds
-    )
-    return [part_of(file.path, total, polygons, lines, strips)]
-
-
-def _whole(file: _File, piece: re.Match[bytes], section: str) -> Iterator[tuple[str, Ints]]:
-    """Yield the names and the whole numbers of the arrays in a section of a piece."""
-    for found in _found(file, piece, section):
-        known = _attributes(found[2])
-        if known.get("type") not in _WHOLE:
-            raise unreadable(file.path, f"{section} are not whole numbers")
-        dtype, form = file.order + _WHOLE[known["type"]], known.get("format", "ascii")
-        inner = (found[4] or b"").lstrip()
-        if form == "appended":
-            values = file.decode(file.appended + int(known.get("offset", "0")), file.raw)[0]
-        elif form == "ascii" or not inner:
-            values = np.array([int(token) for token in _KEY.sub(b"", inner).split()], dtype).tobytes()
-        else:
-            values = file.decode(found.end(4) - len(inner), False)[0]
-        yield known.get("Name", ""), np.frombuffer(values, dtype).astype(np.intp)
+    runs = []
+    for kind in ("Polys", "Lines", "Strips"):
+        corners: list[Ints] = []
+        many: list[Ints] = []
+        for piece, base in zip(pieces, np.cumsum([0, *counts]).tolist(), strict=False):
+            arrays = {}
+            for array in _arrays(file, piece, kind):
+                if array.values.dtype.kind not in "iu" or array.known["type"] == "String":
+                    raise unreadable(file.path, f"{kind} are not whole numbers")
+                arrays[array.known.get("Name", "")] = array.values.astype(np.intp)
+            if {"connectivity", "offsets"} <= set(arrays):
+                corners.append(base + arrays["connectivity"])
+                many.append(np.diff(arrays["offsets"], prepend=0))
+        runs.append((np.concatenate(corners), np.concatenate(many)) if corners else NO_RUNS)
+    polygons, lines, strips = runs
+    return part_of(file.path, sum(counts), polygons, lines, strips)
 
 
 def _attributes(text: bytes) -> dict[str, str]:
@@ -215,92 +219,59 @@ def _attributes(text: bytes) -> dict[str, str]:
     return dict(found)
 
 
-def _arrays(file: _File, piece: re.Match[bytes], section: str, name: str | None) -> list[_Array]:
-    """Return the arrays of vectors in a section of a piece: all, or those of a name."""
-    made = []
-    for found in _found(file, piece, section):
-        known = _attributes(found[2])
-        if name is not None and known.get("Name") != name:
-            continue
-        if known.get("type") not in _TYPES or known.get("NumberOfComponents") != "3":
-            raise unreadable(file.path, f"{section} are not three floats each", "save it with Float32 or Float64")
-        made.append(_array(file, found, known, file.order + _TYPES[known["type"]]))
-    return made
+def _vectors(file: _File, array: _Array, section: str) -> tuple[_Array, Floats]:
+    """Return an array and its vectors, (N, 3)."""
+    if array.values.dtype.kind != "f" or array.known.get("NumberOfComponents") != "3":
+        raise unreadable(file.path, f"{section} are not three floats each", "save it with Float32 or Float64")
+    return array, array.values.reshape(-1, 3).astype(np.float64)
 
 
-def _found(file: _File, piece: re.Match[bytes], section: str) -> Iterator[re.Match[bytes]]:
-    """Return the arrays in a section of a piece."""
-    tag = section.encode()
-    where = re.search(rb"<%b\b[^>]*>(.*?)</%b\s*>" % (tag, tag), piece[0], re.DOTALL)
-    if where is None:
-        return iter(())
-    return _ARRAY.finditer(file.data, piece.start() + where.start(1), piece.start() + where.end(1))
+def _arrays(file: _File, piece: re.Match[bytes], section: str, name: str | None = None) -> Iterator[_Array]:
+    """Yield the arrays in a section of a piece: all, or those of a name."""
+    where = re.search(rb"<%b\b[^>]*>(.*?)</%b\s*>" % ((section.encode(),) * 2), piece[0], re.DOTALL)
+    if where is not None:
+        for found in _ARRAY.finditer(file.data, piece.start() + where.start(1), piece.start() + where.end(1)):
+            if name is None or _attributes(found[2]).get("Name") == name:
+                yield _array(file, found)
 
 
-def _array(file: _File, found: re.Match[bytes], known: dict[str, str], dtype: str) -> _Array:
-    form, tag = known.get("format", "ascii"), found.span()
-    if form == "appended":
+def _array(file: _File, found: re.Match[bytes]) -> _Array:
+    known, tag = {"format": "ascii", **_attributes(found[2])}, found.span()
+    if known.get("type") not in _TYPES:
+        raise unreadable(file.path, f"an array is of type {shown(known.get('type', ''))}")
+    dtype = np.dtype(file.order + _TYPES[known["type"]])
+    if known["format"] == "appended":
         start = file.appended + int(known.get("offset", "0"))
         values, end, block = file.decode(start, file.raw)
-    else:
-        inner = _KEY.sub(lambda key: b" " * len(key[0]), found[4] or b"")
-        tokens = [match.span() for match in _TOKEN.finditer(inner)]
-        if not tokens:
-            return _Array(np.zeros((0, 3)), tag, found.start(4), found.start(4), dtype, "ascii", 0)
-        start, end = found.start(4) + tokens[0][0], found.start(4) + tokens[-1][1]
-        if form == "ascii":
-            plain = numbers(file.path, [inner[a:b] for a, b in tokens])
-            return _Array(plain.reshape(-1, 3), tag, start, end, dtype, form, 0)
-        values, end, block = file.decode(start, False)
-    numbers_of = np.frombuffer(values, dtype).reshape(-1, 3).astype(np.float64)
-    return _Array(numbers_of, tag, start, end, dtype, form, block)
+        return _Array(known, np.frombuffer(values, dtype), tag, start, end, block)
+    inner = _KEY.sub(lambda key: b" " * len(key[0]), found[4] or b"")
+    spans = [(found.start(4) + match.start(), found.start(4) + match.end()) for match in TOKEN.finditer(inner)]
+    if not spans:
+        return _Array(known, np.zeros(0, dtype), tag, found.end(), found.end())
+    start, end = spans[0][0], spans[-1][1]
+    if known["format"] == "ascii" and dtype.kind == "f":
+        text = in_text(file.path, file.data, spans, 1)
+        return _Array(known, text.values.ravel(), tag, start, end, text=text)
+    if known["format"] == "ascii":
+        return _Array(known, np.array([int(file.data[a:b]) for a, b in spans], dtype), tag, start, end)
+    values, end, block = file.decode(start, False)
+    return _Array(known, np.frombuffer(values, dtype), tag, start, end, block)
 
 
 def _space(file: _File, xml: bytes) -> str:
     """Return what the field SPACE says, which 3D Slicer writes: the codes of its letters."""
     for found in _ARRAY.finditer(xml):
-        known = _attributes(found[2])
-        if known.get("Name") != "SPACE":
-            continue
-        if known.get("format") == "appended":
-            text = file.decode(file.appended + int(known.get("offset", "0")), file.raw)[0]
-        elif known.get("format") == "binary":
-            inner = (found[4] or b"").lstrip()
-            text = file.decode(found.end(4) - len(inner), False)[0] if inner else b""
-        else:
-            text = bytes(int(code) for code in (found[4] or b"").split())
-        said = text.rstrip(b"\0").decode("latin-1")
-        return said if said in ("LPS", "RAS") else ""
+        if _attributes(found[2]).get("Name") == "SPACE":
+            said = _array(file, found).values.tobytes().rstrip(b"\0").decode("latin-1")
+            return said if said in ("LPS", "RAS") else ""
     return ""
 
 
-def _edits(file: _File, array: _Array, new: Floats) -> list[tuple[int, int, bytes]]:
-    """Return what replaces the numbers of an array, and the ranges that are noted with it."""
-    edits = [(array.start, array.end, array.written(file, new))]
-    length = np.linalg.norm(new, axis=1)
-    low, high = (f"{value:.17g}".encode() for value in (length.min(), length.max()))
-    start, end = array.tag
-    inside = start <= array.start < end
-    for first, last in ((start, array.start), (array.end, end)) if inside else ((start, end),):
-        part = file.data[first:last]
-        for name, value in ((b"RangeMin", low), (b"RangeMax", high)):
-            edits += [(first + m.start(1), first + m.end(1), value) for m in re.finditer(rb'%b="([^"]*)"' % name, part)]
-        for m in _RANGES.finditer(part):
-            edits.append((first + m.start(), first + m.end(), m[1] + low + m[2] + high + m[3]))
-    return edits
-
-
-def _replaced(file: _File, edits: list[tuple[int, int, bytes]]) -> bytes:
-    """Return the file with edits; where appended arrays change in size, the offsets of those behind follow."""
+def _offsets(file: _File, edits: list[Edit]) -> Iterator[Edit]:
+    """Yield the edits of offsets: where appended arrays change in size, those behind follow."""
     shifts = [(start - file.appended, len(new) - (end - start)) for start, end, new in edits if start >= file.appended]
     if any(size for _, size in shifts):
         for found in _OFFSET.finditer(file.data, 0, file.appended):
-            old = int(found[2])
-            new = old + sum(size for start, size in shifts if start < old)
-            if new != old:
-                edits.append((*found.span(2), str(new).encode()))
-    parts, last = [], 0
-    for start, end, made in sorted(edits):
-        parts += [file.data[last:start], made]
-        last = end
-    return b"".join([*parts, file.data[last:]])
+            shift = sum(size for start, size in shifts if start < int(found[2]))
+            if shift:
+                yield (*found.span(2), str(int(found[2]) + shift).encode())

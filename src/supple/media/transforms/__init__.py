@@ -6,22 +6,28 @@ displacements of volumes are in millimetres in LPS, those of pictures in pixels.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any, NamedTuple
+from collections.abc import Sequence
 
-from supple.errors import SuppleError, argument, shown
 from supple.media.files import PathLike, unreadable
-from supple.media.transforms import afni, freesurfer, fsl, itk_files, ngff, opencv, ras, stmap
 from supple.media.transforms.base import Content, Displacements, Grids, MissingGridError
-from supple.media.transforms.guess import convention_in, convention_of
+from supple.media.transforms.conventions import (
+    CONVENTIONS,
+    PULL,
+    Convention,
+    check_convention,
+    convention_in,
+    convention_of,
+    form_of,
+)
 from supple.media.transforms.itk import SUFFIXES_OUT, check_target, write_field
 from supple.space.geometry import Grid
 
 __all__ = [
     "CONVENTIONS",
+    "PULL",
     "SUFFIXES_OUT",
     "Content",
+    "Convention",
     "Displacements",
     "MissingGridError",
     "check_convention",
@@ -32,32 +38,6 @@ __all__ = [
     "write",
     "write_field",
 ]
-
-
-class Convention(NamedTuple):
-    """How the files of some programs are read and written."""
-
-    read: Callable[[PathLike, Grids], tuple[Content, ...]]
-    write: Callable[..., None]
-
-
-def _pair(module: Any, **kind: bool | str) -> Convention:
-    return Convention(partial(module.read, **kind), partial(module.write, **kind))
-
-
-CONVENTIONS = {
-    "itk": _pair(itk_files),
-    "fsl-relative": _pair(fsl, absolute=False),
-    "fsl-absolute": _pair(fsl, absolute=True),
-    "fsl-affine": Convention(fsl.read_affine, fsl.write_affine),
-    "afni": _pair(afni),
-    **{name: _pair(ras, convention=name) for name in ("mrtrix", "mrtrix-displacement")},
-    "freesurfer": _pair(freesurfer),
-    **{name: _pair(ras, convention=name) for name in ("niftyreg", "spm-deformation")},
-    "ngff": _pair(ngff),
-    "opencv": _pair(opencv),
-    "stmap": _pair(stmap),
-}
 
 
 def read(
@@ -86,11 +66,11 @@ def read(
     SuppleError
         If the convention is unknown or in doubt, a grid that it needs is not given, or the file holds no such map.
     """
-    known = convention_in(path) if convention is None else convention
-    found = _found(known).read(path, Grids(source, reference))
-    if any(isinstance(each, Displacements) and each.grid.shear for each in found):
+    name = convention_in(path) if convention is None else convention
+    contents = form_of(path, name).read(path, Grids(source, reference))
+    if any(isinstance(each, Displacements) and each.grid.shear for each in contents):
         raise unreadable(path, "the axes of its grid are not at right angles to each other", "resample it first")
-    return found
+    return contents
 
 
 def write(
@@ -111,7 +91,8 @@ def write(
     path : str or os.PathLike
         The file.
     contents : sequence of Content
-        Matrices and fields, to apply in order to a point of the output. Only ``.h5`` and ``.tfm`` hold more than one.
+        Matrices and fields, to apply in order to a point of the output. Only ``.h5``, ``.tfm`` and ``.zarr`` hold more
+        than one.
     convention : str, optional
         One of `CONVENTIONS`; by default, that of the suffix, if only one has it.
     source : Grid, optional
@@ -126,16 +107,5 @@ def write(
     SuppleError
         If the convention is unknown or in doubt, or cannot hold these maps; or the file cannot be written.
     """
-    known = convention_of(path) if convention is None else convention
-    _found(known).write(path, contents, Grids(source, reference), force=force)
-
-
-def check_convention(convention: str, name: str = "convention") -> None:
-    """Raise SuppleError for an unknown convention; ``name`` is that of the argument."""
-    if convention not in CONVENTIONS:
-        raise SuppleError(f"{argument(name)} must be one of {', '.join(CONVENTIONS)}, found {shown(str(convention))}")
-
-
-def _found(convention: str) -> Convention:
-    check_convention(convention)
-    return CONVENTIONS[convention]
+    name = convention_of(path) if convention is None else convention
+    form_of(path, name).write(path, contents, Grids(source, reference), force=force)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from supple.media.files import PathLike, check_suffix, replacing_together, unwritable
-from supple.media.transforms.base import Content, Displacements, Grids, Matrix
+from supple.media.transforms.base import Content, Displacements, Grids, Matrix, check_content, inverse
 from supple.media.transforms.omezarr import Store, imported
 
 SUFFIXES = (".zarr",)
@@ -21,7 +21,6 @@ VERSION = "0.6"
 _FIELDS = "coordinateTransformations"
 _ARRAY = "s0"
 _SIDES = {2: 512, 3: 64}  # of chunks
-_INTERPOLATION = {"linear": "linear", "cubic": "cubic"}  # so the schema; its text calls the latter bspline-cubic
 
 
 def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
@@ -54,11 +53,10 @@ def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: b
         raise unwritable(path, f"the map has parts of {sorted(sizes) or 'no'} dimensions", "give parts of 2, or of 3")
     (n,) = sizes
     for one in contents:
-        if isinstance(one, Displacements) and one.interpolation not in _INTERPOLATION:
+        if isinstance(one, Displacements) and one.interpolation == "bspline":
             what = "OME-Zarr holds displacements, and the field has coefficients of a spline"
             raise unwritable(path, what, "sample it first")
-        if not all(np.isfinite(part).all() for part in (one if isinstance(one, np.ndarray) else one.values)):
-            raise unwritable(path, "the map holds NaN or infinity", "mend it first")
+        check_content(path, one, n)
     imported()
     with replacing_together([path], force=force) as (temporary,):
         fields: list[tuple[Displacements, Matrix]] = []
@@ -69,8 +67,7 @@ def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: b
                 continue
             turn: Matrix = np.eye(n + 1)
             turn[:-1, :-1] = one.grid.direction
-            back: Matrix = np.asarray(np.linalg.inv(turn), np.float64)
-            plain = np.array_equal(turn, np.eye(n + 1))
+            back, plain = inverse(turn), np.array_equal(turn, np.eye(n + 1))
             step = _displacements(len(fields), one.interpolation)
             fields.append((one, back))
             steps += [step] if plain else [_affine(back), step, _affine(turn)]
@@ -138,8 +135,8 @@ def bijection(
 
 
 def _displacements(index: int, interpolation: str) -> dict[str, Any]:
-    path = f"{_FIELDS}/{index}"
-    return {"type": "displacements", "path": path, "interpolation": _INTERPOLATION[interpolation]}
+    # "linear" or "cubic", as the schema has it; its text calls the latter bspline-cubic
+    return {"type": "displacements", "path": f"{_FIELDS}/{index}", "interpolation": interpolation}
 
 
 def _scene(store: Any, transformation: Mapping[str, Any], axes: Sequence[Mapping[str, Any]]) -> Any:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from supple.errors import SuppleError, need, said
 from supple.media.files import PathLike, unreadable
-from supple.media.transforms.base import Array, Content, Displacements, Matrix
-from supple.media.transforms.sequences import shortened
+from supple.media.transforms.base import Array, Content, Displacements, Matrix, inverse
 from supple.space.geometry import Grid
 
 _PREFIXES = {
@@ -38,6 +37,7 @@ ORIENTATIONS = {
 }  # fmt: skip
 _KINDS = {"displacements": "displacement", "coordinates": "coordinate"}
 _INTERPOLATION: dict[str, Literal["linear", "cubic"]] = {"linear": "linear", "cubic": "cubic", "bspline-cubic": "cubic"}
+_EXACT = 1e-6  # of a voxel
 _PARAMETERS = ("scale", "translation", "affine", "rotation", "mapAxis")
 _LINEAR = ("identity", *_PARAMETERS, "byDimension")
 _TYPES = (*_LINEAR, "sequence", "bijection", *_KINDS)
@@ -136,14 +136,14 @@ class Store:
         with self.parsing():
             found, holder = self._only()
             before, after = self._systems(found, holder)
-            made = self._parts(found, len(before))
+            made = self._parts(found, len(before) - 1)
         try:
             turned = [_turned(part, before) for part in made]
         except SuppleError as error:
             raise self.error(str(error), "resample the field") from error
-        tail = after @ np.linalg.inv(before)
+        tail = after @ inverse(before)
         if not np.allclose(tail, np.eye(len(tail)), rtol=0, atol=1e-12):
-            turned.append(_homogeneous(tail))
+            turned.append(tail)
         return tuple(shortened(turned))
 
     def _only(self) -> tuple[Json, Json]:
@@ -172,7 +172,9 @@ class Store:
         units = [[axis.get("unit") for axis in end] for end in ends]
         for one, other in (units, units[::-1]):
             one[:] = [a or b for a, b in zip(one, other, strict=True)]
-        return space_matrix(ends[0], units[0], self.error), space_matrix(ends[1], units[1], self.error)
+        before, after = np.eye(len(ends[0]) + 1), np.eye(len(ends[0]) + 1)
+        before[:-1, :-1], after[:-1, :-1] = (space_matrix(*end, self.error) for end in zip(ends, units, strict=True))
+        return before, after
 
     def _axes(self, end: Any, holder: Json) -> list[Json] | None:
         """Return the axes of a coordinate system; None if the store describes none at all."""
@@ -218,16 +220,20 @@ class Store:
 
     def _matrix(self, found: Json, n: int) -> Matrix:
         """Return the homogeneous matrix of a linear transformation, of ``n`` axes if it does not say how many."""
-        kind = found["type"]
+        kind, made = found["type"], np.eye(n + 1)
         if kind == "identity":
-            return np.eye(n + 1)
+            return made
         if kind == "sequence":  # of a field's indices
-            made = np.eye(n + 1)
             for one in found["transformations"]:
                 made = self._matrix(one, n) @ made
             return made
         if kind == "byDimension":
-            return self._by_dimension(found, n)
+            for one in found["transformations"]:
+                rows, columns = (one.get(f"{end}Axes", one.get(f"{end}_axes")) for end in ("output", "input"))
+                part = self._matrix(one["transformation"], len(columns))
+                made[np.ix_(rows, range(n + 1))] = 0
+                made[np.ix_(rows, [*columns, n])] = part[:-1]
+            return made
         if kind not in _LINEAR:
             known = _LINEAR if kind in _TYPES else _TYPES
             raise self.error(f"it holds a transformation of the type {kind!r} here", f"use {', '.join(known)}")
@@ -254,15 +260,6 @@ class Store:
             sizes = [self._size(one) for one in found["transformations"]]
             return next((size for size in sizes if size), None)
         return len(self._numbers(found, found["type"])) if found["type"] in _PARAMETERS else None
-
-    def _by_dimension(self, found: Json, n: int) -> Matrix:
-        made = np.eye(n + 1)
-        for one in found["transformations"]:
-            rows, columns = (one.get(f"{end}Axes", one.get(f"{end}_axes")) for end in ("output", "input"))
-            part = self._matrix(one["transformation"], len(columns))
-            made[np.ix_(rows, range(n + 1))] = 0
-            made[np.ix_(rows, [*columns, n])] = part[:-1]
-        return made
 
     def _numbers(self, found: Json, kind: str) -> Matrix:
         if kind in found:
@@ -354,23 +351,68 @@ class _Raw(NamedTuple):
     interpolation: Literal["linear", "cubic"]
 
 
-def _homogeneous(linear: Matrix) -> Matrix:
-    made = np.eye(len(linear) + 1)
-    made[:-1, :-1] = linear
-    return made
-
-
 def _turned(part: Matrix | _Raw, axes: Matrix) -> Content:
     """Return a part of a transformation in millimetres in LPS, x first, with ``axes`` from stored coordinates."""
-    whole = _homogeneous(axes)
     if not isinstance(part, _Raw):
-        return np.asarray(whole @ part @ np.linalg.inv(whole))
-    n = len(axes)
-    order = [int(np.flatnonzero(row)[0]) for row in axes]  # of the array's axes, x first
-    matrix = (whole @ part.matrix)[:n, [*order, n]]
+        return np.asarray(axes @ part @ inverse(axes))
+    n = len(axes) - 1
+    order = [int(np.flatnonzero(row)[0]) for row in axes[:n]]  # of the array's axes, x first
+    matrix = (axes @ part.matrix)[:n, [*order, n]]
     spacing = np.linalg.norm(matrix[:, :n], axis=0)
     shape = [part.values.shape[axis] for axis in order[::-1]]
     grid = Grid(shape, spacing.tolist(), matrix[:, n].tolist(), matrix[:, :n] / spacing)
     dtype = np.float64 if part.values.dtype.itemsize == 8 else np.float32
-    values = part.values.transpose([*order[::-1], n]) @ axes.T.astype(dtype)
+    values = part.values.transpose([*order[::-1], n]) @ axes[:n, :n].T.astype(dtype)
     return Displacements(np.ascontiguousarray(values, dtype), grid, part.interpolation)
+
+
+def shortened(parts: Iterable[Content]) -> list[Content]:
+    """Return the same map of fewer parts, the first first: matrices multiplied, and fields on oriented grids.
+
+    Where fields lie along the axes of space, one on a turned grid is written as three maps: M into the axes of the
+    field, the field u, and M⁻¹ back. That is x → M⁻¹ (M x + u(M x)) = x + L u(M x), with L the linear part of M⁻¹: one
+    field of the vectors L u, whose samples lie where M⁻¹ puts those of u. These are found before matrices that follow
+    each other are multiplied, so that a field's own matrices are not lost among others; and after that, since a
+    sequence may spell each of them as several.
+    """
+    made: list[Content] = []
+    for part in _oriented(parts):
+        if made and isinstance(part, np.ndarray) and isinstance(made[-1], np.ndarray):
+            made[-1] = np.asarray(part @ made[-1])
+        else:
+            made.append(part)
+    return _oriented(made)
+
+
+def _oriented(parts: Iterable[Content]) -> list[Content]:
+    """Return the parts with a matrix, a field and the inverse of the matrix as one field."""
+    made: list[Content] = []
+    for part in parts:
+        made.append(part)
+        while len(made) > 2 and (whole := _one_field(*made[-3:])) is not None:
+            made[-3:] = [whole]
+    return made
+
+
+def _one_field(before: Content, field: Content, after: Content) -> Displacements | None:
+    """Return three maps as one field; None if they are no matrix, field and inverse, or their grid is sheared."""
+    if isinstance(before, Displacements) or not isinstance(field, Displacements) or isinstance(after, Displacements):
+        return None
+    matrix = after @ field.grid.matrix
+    if not abs(np.linalg.det(matrix)) > 0:
+        return None
+    # by how many voxels positions are off at most
+    off = np.abs(inverse(matrix) @ (after @ before - np.eye(len(after))) @ matrix)[:-1] @ [*field.grid.sizes, 1]
+    if off.max() > _EXACT:
+        return None
+    spacing = np.linalg.norm(matrix[:-1, :-1], axis=0)
+    try:
+        grid = Grid(field.grid.shape, spacing.tolist(), matrix[:-1, -1].tolist(), matrix[:-1, :-1] / spacing)
+    except SuppleError:  # the axes lie in a plane
+        return None
+    if grid.shear:
+        return None
+    values = np.empty_like(field.values)
+    for k, plane in enumerate(field.values):
+        values[k] = plane @ after[:-1, :-1].T
+    return field._replace(values=values, grid=grid)

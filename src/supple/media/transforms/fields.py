@@ -1,0 +1,397 @@
+"""Fields that are sampled on a grid, by a table of what their vectors are, and what NIfTI files say of them.
+
+NIfTI of all programs; .mif of MRtrix, .HEAD with .BRIK of AFNI, and .mgz of FreeSurfer are only read. Nothing in a file
+of FSL says whether its warp is relative or absolute. Fields of NiftyReg and SPM name themselves in their headers: they
+have the intent code of ITK's (1007), those of SPM's Segment none, and hold something else. Beyond its grid, AFNI
+continues a warp with the mean slope at its faces; here, as all of these, it keeps the displacement of the edge.
+"""
+
+from __future__ import annotations
+
+import gzip
+import math
+import re
+import struct
+import warnings
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import IO, Any, Literal, NamedTuple, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.errors import SuppleError, VolumeWarning, shown
+from supple.media.files import PathLike, head_of, replacing, unreadable, unwritable
+from supple.media.transforms.affines import spelled
+from supple.media.transforms.base import (
+    FINITE,
+    LPS,
+    Array,
+    Content,
+    Displacements,
+    Grids,
+    Matrix,
+    Space,
+    centred,
+    check_count,
+    check_finite,
+    check_plumb,
+    coordinates,
+    grid_of,
+    inverse,
+    only_field,
+    suffix_of,
+    vectors_of,
+)
+from supple.media.volume import nifti
+from supple.media.volume.data import Volume, native, reading, too_large
+from supple.space.geometry import Grid
+
+VECTOR = 1007
+"""The intent code of a vector for each voxel."""
+NIFTI = (".nii", ".nii.gz")
+DATASETS, MIF, MGZ, MORPHS = (".head", ".brik", ".brik.gz"), (".mif", ".mif.gz"), (".mgz", ".mgh"), (".m3z", ".m3d")
+
+
+class Vectors(NamedTuple):
+    """What the vectors of a convention's fields are, and what NIfTI files of it say.
+
+    ``space`` is that of their coordinates; ``absolute`` are positions in the input image, others displacements.
+    ``codes`` are the intent codes that are read; ``axes``, ``intent`` and its ``name`` are what is written. ``gaps`` is
+    what to do about NaN.
+    """
+
+    space: Space
+    absolute: bool = False
+    codes: tuple[int, ...] = (0,)
+    axes: Literal[4, 5] = 4
+    intent: int = 0
+    name: str = ""
+    gaps: str = FINITE
+
+
+_MARKED = "MRtrix marks so what lies outside the input: crop the warp, or fill these voxels"
+_OUTSIDE = "such voxels lie outside the input: crop the field, or fill them"
+VECTORS = {
+    "itk": Vectors("LPS", False, (VECTOR,), 5, VECTOR),
+    "fsl-relative": Vectors("FSL", False, (2006, 0), 4, 2006),
+    "fsl-absolute": Vectors("FSL", True, (2006, 0), 4, 2006),
+    "afni": Vectors("LPS", False, (0, VECTOR), 5),  # 1007 of a field that another program has copied
+    "mrtrix": Vectors("RAS", True, gaps=_MARKED),
+    "mrtrix-displacement": Vectors("RAS", False, gaps=_MARKED),
+    "niftyreg": Vectors("RAS", True, (VECTOR,), 5, VECTOR, "NREG_TRANS", _OUTSIDE),  # its header may say displacements
+    "spm-deformation": Vectors("RAS", True, (0, VECTOR), 5, VECTOR, "Mapping", _OUTSIDE),
+}
+_FREESURFER = (Vectors("voxels", True), Vectors("voxels", False), Vectors("RAS", True), Vectors("RAS", False))
+"""By the number of their format."""
+
+_POSITIONS, _DISPLACEMENTS = 0, 1  # what fields of NiftyReg hold, in intent_p1
+_COEFFICIENTS = (2007, 2008, 2009, 2016, 2017)  # of FNIRT and topup
+_NO_FIELDS = {
+    2: "control points of a cubic B-spline",
+    5: "control points of a velocity",
+    6: "control points of a spline",
+}
+_FOREIGN = re.compile("veloc|flow field|coefficient|b-?spline", re.IGNORECASE)
+_OF_SPM = re.compile("((inverse|forward) )?deformation( field.*)?", re.IGNORECASE)  # Segment writes no intent
+_LABELS = ["x_delta", "y_delta", "z_delta"]  # some warps of AFNI hold other volumes after these
+_HEADER = 1 << 16  # bytes that hold the header of any .mif
+_PLACES, _SHEARED, _FORMAT = 10, 15, 13  # tags of .mgz; of others, these have no size
+_UNSIZED = {1: "a table of colours", 2: "old coordinates", 11: "labels", 12: "labels", 20: "a surface", 30: "a matrix"}
+_PLACE = 76 + 512  # bytes of the place of an image, and of the name of its file
+_LEAN = 1e-4  # the largest shear by rounding
+_CONVERT = "run mrconvert, and give its .nii.gz"
+_CONVERT_WARP = "run mri_warp_convert with --outitk, and read that"
+
+
+def read(path: PathLike, grids: Grids, *, convention: str) -> tuple[Content, ...]:
+    """Read a field; FSL's need the grid of the source."""
+    suffix = suffix_of(path, (*NIFTI, *DATASETS, *MIF, *MGZ, *MORPHS))
+    if suffix in MORPHS:
+        what = f"it is a morph ({suffix}), of which FreeSurfer has the only reader"
+        raise unreadable(path, what, "run mri_warp_convert --inm3z with --outitk, and read that")
+    source = grids.source
+    if convention == "freesurfer":
+        values, grid, kind, source = _mgz(path)
+    elif convention == "afni" and suffix in DATASETS:
+        values, grid, kind = *_dataset(path), VECTORS[convention]
+    elif convention.startswith("mrtrix") and suffix in MIF:
+        values, grid, kind = *_mif(path), VECTORS[convention]
+    else:
+        values, grid, kind = _nifti(path, convention)
+    if convention == "afni":
+        check_plumb(path, Grids(source), own=grid)
+    if kind.space == "FSL":
+        source = grids.needed(path, "source", convention)
+    check_finite(path, values, kind.gaps)
+    return (Displacements(_converted(values, grid, kind, source or grid), grid, beyond="edge"),)
+
+
+def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, convention: str, force: bool = False) -> None:
+    """Write a field as NIfTI; FSL's need the grid of the source."""
+    suffix = suffix_of(path, (*NIFTI, *DATASETS))
+    if suffix in DATASETS:
+        raise unwritable(path, "AFNI's own datasets are only read", "write .nii.gz, which AFNI reads")
+    field, kind = only_field(path, contents, convention), VECTORS[convention]
+    if convention == "afni":
+        check_plumb(path, grids, "write", field.grid)
+    source = grids.needed(path, "source", convention, "write") if kind.space == "FSL" else field.grid
+    if suffix not in NIFTI:
+        raise unwritable(path, f"fields of this convention are NIfTI files, found the suffix {suffix}", "use .nii.gz")
+    values = _converted(field.values, field.grid, kind, source, back=True)
+    with replacing(path, force=force) as temporary:
+        write_nifti(path, temporary, values, field.grid.matrix, kind)
+
+
+def _converted(values: Array, grid: Grid, kind: Vectors, source: Grid, *, back: bool = False) -> Array:
+    """Return displacements in LPS of the vectors of a file, or, with ``back``, what a file holds of displacements.
+
+    With p the position of a sample in LPS, R and S the coordinates of the image that is sampled and of the source, a
+    file holds v = S (p + u), of displacements less R p; so u = S⁻¹ (v + R p) - p. This goes plane by plane.
+    """
+    if kind.space == "LPS":
+        return values
+    own, other = (coordinates(kind.space, each) for each in (grid, source))
+    before, after, less = (np.eye(4), other, own) if back else (own, inverse(other), np.eye(4))
+    alike = kind.space == "RAS" and not kind.absolute  # R = S: positions cancel
+    made = np.empty(values.shape, values.dtype)
+    y, x = np.mgrid[: grid.shape[1], : grid.shape[2]]
+    for z, plane in enumerate(values):
+        places = grid.positions(np.stack([x, y, np.full_like(x, z)], axis=-1))
+        whole = plane.astype(np.float64)
+        if not alike and (back or not kind.absolute):
+            whole += places @ before[:3, :3].T + before[:3, 3]
+        whole = whole @ after[:3, :3].T + after[:3, 3]
+        if not alike and not (back and kind.absolute):
+            whole -= places @ less[:3, :3].T + less[:3, 3]
+        made[z] = whole
+    return made
+
+
+def write_nifti(path: PathLike, temporary: Path, values: Array, matrix: Matrix, kind: Vectors) -> None:
+    """Write vectors (Z, H, W, 3) into the temporary file of a NIfTI file, with the matrix of its indices to LPS."""
+    if max(values.shape) > nifti.LONGEST:
+        sizes = " x ".join(map(str, values.shape[2::-1]))
+        what = f"NIfTI ends at {nifti.LONGEST} voxels on a side, and the field has {sizes}"
+        raise unwritable(path, what, "write .nrrd or .mha" if kind is VECTORS["itk"] else "write a smaller field")
+    nibabel = nifti.imported()
+    affine, shaped = LPS @ matrix, values.transpose(2, 1, 0, 3)
+    image = nibabel.Nifti1Image(shaped if kind.axes == 4 else shaped[:, :, :, None], affine)
+    image.set_sform(affine, code=1)
+    image.set_qform(affine, code=1)
+    image.header["intent_code"], image.header["intent_name"] = kind.intent, kind.name.encode()
+    image.header.set_xyzt_units("mm")
+    with nifti.writing(temporary, str(path)) as file:
+        image.to_file_map({"image": nibabel.FileHolder(fileobj=file)})
+
+
+def announced(path: PathLike, header: Any) -> str:
+    """Return the convention that a NIfTI header names: ``"niftyreg"``, ``"spm-deformation"``, or ``""`` for none.
+
+    SuppleError for what says that it is no field, or none that is read.
+    """
+    code = int(header["intent_code"])
+    if code in _COEFFICIENTS:
+        what = f"its intent code is {code}, of coefficients, to which FSL's programs add the affine part differently"
+        raise unreadable(path, what, "run fnirtfileutils --withaff, with --ref= and --out=, and read what it makes")
+    name, note = (bytes(header[key]).split(b"\0")[0].decode("latin-1").strip() for key in ("intent_name", "descrip"))
+    if name == VECTORS["niftyreg"].name:
+        form = int(header["intent_p1"])
+        if form not in (_POSITIONS, _DISPLACEMENTS):
+            what = f"it holds {_NO_FIELDS.get(form, 'a velocity field')} of NiftyReg (kind {form})"
+            raise unreadable(path, what, "let its transform program write a deformation field (-def, with -ref)")
+        return "niftyreg"
+    if found := _FOREIGN.search(name) or _FOREIGN.search(note):
+        what = f"its header says {shown(found.string)}, which is no field of displacements or positions"
+        raise unreadable(path, what, "let the program that wrote it make one of these (a deformation field)")
+    return "spm-deformation" if name == VECTORS["spm-deformation"].name or _OF_SPM.fullmatch(note) else ""
+
+
+def check_header(path: PathLike, volume: Volume, convention: str) -> str:
+    """Return the convention that the header of a NIfTI file names; SuppleError if it is another one."""
+    known = announced(path, volume.header)
+    if known not in ("", convention):
+        name = {"niftyreg": "NiftyReg", "spm-deformation": "SPM"}[known]
+        what = f"its header says that it is a field of {name}, and not {convention}"
+        raise unreadable(path, what, f"give the convention {known}")
+    return known
+
+
+def _nifti(path: PathLike, convention: str) -> tuple[Array, Grid, Vectors]:
+    """Return the vectors of a NIfTI file whose place is not in doubt, their grid, and what they are."""
+    kind = VECTORS[convention]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", VolumeWarning)
+        try:
+            volume = nifti.read(path)
+        except VolumeWarning as error:
+            what = "its qform and its sform disagree, and programs choose between them differently"
+            raise unreadable(path, what, "make them the same in its header") from error
+        except SuppleError as error:
+            if "it is no NIfTI file" not in str(error):
+                raise
+            what = f"it is no NIfTI file, and those of the convention {convention} are"
+            raise unreadable(path, what, "check its name and its convention") from error
+    known, code = check_header(path, volume, convention), int(volume.header["intent_code"])
+    if code not in kind.codes:
+        wanted = " or ".join(map(str, kind.codes))
+        what = f"its intent code is {code}, and that of a field in the convention {convention} is {wanted}"
+        raise unreadable(path, what, "give the convention that it has")
+    if convention == "niftyreg":  # which says what it holds
+        if known != convention:
+            what = f"its header does not say that it is of {convention}"
+            raise unreadable(path, what, "give the convention that it has")
+        kind = kind._replace(absolute=int(volume.header["intent_p1"]) == _POSITIONS)
+    values, grid = vectors_of(path, volume)
+    if kind.space == "FSL":
+        steps = [abs(float(x)) for x in volume.header["pixdim"][1:4]]
+        if not np.allclose(steps, grid.spacing, rtol=1e-3):
+            what = f"its pixdim, {spelled(steps)}, differ from the spacing of its matrix, {spelled(grid.spacing)}"
+            raise unreadable(path, what, "correct its header: FSL counts in the former")
+    return values, grid, kind
+
+
+def _dataset(path: PathLike) -> tuple[Array, Grid]:
+    """Return the vectors of a .HEAD and .BRIK dataset, and their grid."""
+    nibabel = nifti.imported()
+    head_of(path, 4)
+    with reading(path):
+        try:
+            image: Any = nibabel.load(path)
+            affine, data = image.affine, np.asarray(image.dataobj)
+        except (nibabel.filebasedimages.ImageFileError, KeyError, ValueError, IndexError, OSError) as error:
+            raise unreadable(path, "it is no dataset of AFNI, or damaged or without its .HEAD or .BRIK") from error
+    labels = str(image.header.info.get("BRICK_LABS", "")).split("~")[:3]
+    count = data.shape[3] if data.ndim == 4 else 1
+    if count < 3 or (count > 3 and labels != _LABELS) or data.dtype.kind != "f":
+        what = f"it holds {data.dtype} of {' x '.join(map(str, data.shape))}"
+        raise unreadable(path, what, f"give a warp, whose sub-bricks are {', '.join(_LABELS)}")
+    return native(data[..., :3].transpose(2, 1, 0, 3)), grid_of(path, affine, data.shape[:3])
+
+
+def _opened(path: PathLike) -> IO[bytes]:
+    packed = head_of(path, 2) == b"\x1f\x8b"  # whatever its name
+    return cast("IO[bytes]", gzip.open(path)) if packed else open(path, "rb")
+
+
+def _voxels(path: PathLike, file: IO[bytes], dtype: npt.DTypeLike, shape: Sequence[int]) -> Array:
+    """Return the array that follows in a file."""
+    count = np.dtype(dtype).itemsize * math.prod(shape)
+    try:
+        data = file.read(count)
+    except OverflowError as error:
+        raise too_large(path) from error
+    if len(data) < count:
+        raise unreadable(path, f"its header promises {count} bytes of voxels, and it has {len(data)}")
+    return np.frombuffer(data, dtype).reshape(shape)
+
+
+# Kept: neither nibabel nor SimpleITK reads .mif.
+def _mif(path: PathLike) -> tuple[Array, Grid]:
+    """Return the vectors of a .mif file, and their grid."""
+    with reading(path), _opened(path) as file:
+        start = file.read(_HEADER)
+        if not start.startswith(b"mrtrix image"):
+            raise unreadable(path, "it is no .mif file of MRtrix", "check its name")
+        header, end, _ = start.partition(b"\nEND")
+        told: dict[str, list[str]] = {}
+        for key, text in re.findall(r"(?m)^([\w ]+?):[ \t]*(.*?)[ \t]*$", header.decode("utf-8", "replace")):
+            told.setdefault(key.lower(), []).append(text)
+        try:
+            sizes = [int(x) for x in told["dim"][0].split(",")]
+            steps = np.array([float(x) for x in told["vox"][0].split(",")[:3]])
+            layout = told["layout"][0].split(",")
+            order = [int(x[1:]) for x in layout]
+            matrix = np.array([[float(x) for x in line.split(",")] for line in told["transform"]])
+            name, _, offset = told["file"][0].partition(" ")
+            begin = int(offset or 0)
+            if not end or matrix.shape != (3, 4) or sorted(order) != list(range(len(sizes))):
+                raise ValueError
+        except (KeyError, ValueError, IndexError) as error:
+            raise unreadable(path, "its header is damaged, or of another version", _CONVERT) from error
+        words = told.get("datatype", [""])[0]
+        kind = re.fullmatch(r"float(32|64)(le|be)?", words.lower())
+        if kind is None:
+            raise unreadable(path, f"its voxels are {words or 'of no type'}, and those of a warp are Float32", _CONVERT)
+        if "scaling" in told or name != ".":
+            what = "its values are scaled" if "scaling" in told else "its voxels are in another file"
+            raise unreadable(path, what, _CONVERT)
+        if len(sizes) != 4 or sizes[3] != 3:
+            what = f"it holds {' x '.join(map(str, sizes))} values, and a warp has x, y, z and three volumes"
+            how = "run warpconvert with warpfull2deformation" if len(sizes) == 5 else "give a warp"
+            raise unreadable(path, what, how)
+        file.seek(begin)
+        dtype = f"{ {'le': '<', 'be': '>', None: '='}[kind[2]] }f{int(kind[1]) // 8}"
+        # axes in the order of the file, the fastest last; then x, y, z and component, each forwards
+        kept = sorted(range(4), key=lambda axis: -order[axis])
+        whole = _voxels(path, file, dtype, [sizes[axis] for axis in kept])
+    whole = whole.transpose([kept.index(axis) for axis in (2, 1, 0, 3)])
+    whole = whole[tuple(slice(None, None, -1 if layout[axis].startswith("-") else 1) for axis in (2, 1, 0, 3))]
+    full = np.vstack([matrix, np.eye(4)[3]])
+    full[:3, :3] *= steps
+    return native(whole), grid_of(path, full, sizes[:3])
+
+
+# Kept: nibabel leaves out the tags behind the voxels, which say between which images a warp leads.
+def _mgz(path: PathLike) -> tuple[Array, Grid, Vectors, Grid]:
+    """Return the vectors of a warp that mri_warp_convert writes, their grid, what they are, and the source's grid."""
+    with reading(path), _opened(path) as file:
+        start = file.read(284)
+        if len(start) < 284 or struct.unpack_from(">i", start)[0] & 0xFF != 1:
+            raise unreadable(path, "it is no .mgz or .mgh file", "check its name")
+        width, height, depth, frames, kind = struct.unpack_from(">5i", start, 4)
+        if min(width, height, depth, frames) < 1:
+            raise unreadable(path, f"its header says {width} x {height} x {depth} voxels", "correct its header")
+        check_count(path, frames)
+        if kind != 3:
+            raise unreadable(path, f"its voxels are of type {kind}, and those of a warp are floats (3)", _CONVERT_WARP)
+        values = native(np.moveaxis(_voxels(path, file, ">f4", (frames, depth, height, width)), 0, -1))
+        tags = file.read()[20:]  # behind the parameters of the scan
+    try:
+        found = dict(_tags(path, tags))
+    except struct.error as error:
+        raise unreadable(path, "what follows its voxels is cut short or damaged") from error
+    if not {_PLACES, _FORMAT} <= set(found):
+        raise unreadable(path, "it does not say between which images it leads, as a warp does", _CONVERT_WARP)
+    (form,) = struct.unpack_from(">i", found[_FORMAT])
+    if form not in range(len(_FREESURFER)):
+        raise unreadable(path, f"it is of format {form}, and {len(_FREESURFER)} formats are known", _CONVERT_WARP)
+    places = found[_PLACES]
+    half = len(places) // 2
+    source, grid = _place(path, places[:half]), _place(path, places[half:])
+    if grid.shape != values.shape[:3]:
+        sizes = [" x ".join(map(str, sizes)) for sizes in (values.shape[2::-1], grid.sizes)]
+        raise unreadable(path, f"it has {sizes[0]} voxels, and the image that it is of has {sizes[1]}", _CONVERT_WARP)
+    return values, grid, _FREESURFER[form], source
+
+
+def _tags(path: PathLike, tags: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield the tags behind the voxels of a .mgz and their contents."""
+    at = 0
+    while at + 4 <= len(tags):
+        (tag,) = struct.unpack_from(">i", tags, at)
+        at += 4
+        if tag == 0:
+            return
+        if tag in _UNSIZED:
+            raise unreadable(path, f"it holds {_UNSIZED[tag]} (tag {tag}), which no warp does", _CONVERT_WARP)
+        if tag == _PLACES:
+            size = 2 * _PLACE
+        else:
+            (size,) = struct.unpack_from(">q", tags, at)
+            at += 8
+        if not 0 <= size <= len(tags) - at:
+            raise struct.error
+        yield (_PLACES if tag == _SHEARED else tag), tags[at : at + size]
+        at += size
+
+
+def _place(path: PathLike, held: bytes) -> Grid:
+    """Return the grid of an image that a tag describes: its sizes and place, shear if it has it, and a file's name."""
+    valid, *sizes = struct.unpack_from(">4i", held)
+    numbers = np.array(struct.unpack_from(">15f", held, 16))
+    if not valid or min(sizes) < 1:
+        raise unreadable(path, "the place of an image that it belongs to is not valid", _CONVERT_WARP)
+    if len(held) > _PLACE and np.abs(struct.unpack_from(">3f", held, 76)).max() > _LEAN:
+        raise unreadable(path, "the axes of an image that it belongs to are not at right angles", "resample it first")
+    return grid_of(path, centred(sizes, numbers[:3], numbers[3:12].reshape(3, 3).T, numbers[12:]), sizes)

@@ -1,0 +1,286 @@
+"""Maps of pictures as absolute source positions: maps of OpenCV's remap in pixels, and STMaps of compositors.
+
+An STMap is an image whose red and green are each pixel's source position, normalised: red, s, goes from 0 at the left
+edge of the source to 1 at its right edge; green, t, from 0 at the bottom to 1 at the top, as in Nuke. One that changes
+nothing holds ((x + 0.5) / W, 1 - (y + 0.5) / H), y down. OpenImageIO's ``st_warp`` reads it with ``flip_t``.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+import zipfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from supple.errors import OutsideWarning, shown
+from supple.media import image
+from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable, unwritable
+from supple.media.image import exr
+from supple.media.transforms.base import Array, Content, Displacements, Grids, Matrix, only_field
+from supple.space.geometry import Grid
+
+REMAP = (".npy", ".npz", ".xml", ".yml", ".yaml")
+STMAP = (".exr", ".tif", ".tiff", ".png")
+_STMAP_OUT = (".exr", ".tif", ".tiff")
+_ADVICE = "give an array (H, W, 2) of source positions, or two of (H, W), named map1 and map2"
+_STMAP_ADVICE = "an STMap needs red and green of 16 or 32 bits"
+_MAPS = (("map1", "map2"), ("mapx", "mapy"), ("xmap", "ymap"), ("x", "y"))
+_CHANNELS = (("R", "G"), ("S", "T"), ("U", "V"), ("X", "Y"))
+_STEPS = 32  # a pixel, in OpenCV's fixed point
+_TYPES = {"u": np.uint8, "c": np.int8, "w": np.uint16, "s": np.int16, "i": np.int32, "f": np.float32, "d": np.float64}
+_XML = r"<(\w+)\s+type_id=\"opencv-matrix\"\s*>\s*<rows>\s*(\d+)\s*</rows>\s*<cols>\s*(\d+)\s*</cols>"
+_XML += r"\s*<dt>\s*\"?(\w+)\"?\s*</dt>\s*<data>([^<]*)(</data>)?"
+_YAML = r"(?m)^(\w+)\s*:\s*!!opencv-matrix\s+rows:\s*(\d+)\s+cols:\s*(\d+)\s+dt:\s*\"?(\w+)\"?"
+_YAML += r"\s+data:\s*\[([^\]]*)(\]?)"
+_LONGEST = 32_767  # pixels on a side, of cv2.remap
+_WHITE = 65_535
+_Planes = tuple[Array, Array, Array | None, tuple[int, int], tuple[int, int]]
+
+
+def _displacements(path: PathLike, x: Array, y: Array, first: tuple[int, int] = (0, 0)) -> Displacements:
+    """Return the displacements of positions x and y (H, W) of pixels, of which the first is at ``first``, x first."""
+    height, width = x.shape
+    values = np.empty((height, width, 2), np.float64 if max(x.itemsize, y.itemsize) == 8 else np.float32)
+    np.subtract(x, np.arange(first[0], first[0] + width, dtype=np.float64), out=values[..., 0], casting="same_kind")
+    rows = np.arange(first[1], first[1] + height, dtype=np.float64)[:, None]
+    np.subtract(y, rows, out=values[..., 1], casting="same_kind")
+    if bad := np.count_nonzero(~np.isfinite(values).all(axis=-1)):
+        raise unreadable(path, f"{bad} of its {height * width} positions are NaN or infinite", "fill them first")
+    return Displacements(values, Grid((height, width), origin=first), beyond="edge")
+
+
+def _positions(path: PathLike, contents: Sequence[Content], form: str) -> Matrix:
+    """Return the source positions (H, W, 2) of a picture's pixels; SuppleError for all but one map of a picture."""
+    field = only_field(path, contents, form, 2)
+    grid = field.grid
+    if not np.array_equal(grid.matrix, np.eye(3)):
+        where = f"a spacing of {grid.spacing}, an origin of {grid.origin} and a direction of {grid.direction}"
+        what = f"{form} has a sample at each pixel, and the field has {where}"
+        raise unwritable(path, what, "sample the map on the pixels of the picture first")
+    return np.asarray(field.values + np.moveaxis(np.indices(grid.shape, np.float64), 0, -1)[..., ::-1])
+
+
+def read_remap(path: PathLike, grids: Grids) -> tuple[Content, ...]:
+    """Read a map for ``cv2.remap``; beyond its edges, it goes on as at the edge.
+
+    ``.npy``: an array (H, W, 2), or (2, H, W), of float32 or float64, or of int16. ``.npz``: that, or two arrays (H, W)
+    of names that tell x from y (map1 and map2, map_x and map_y, mapx and mapy, x and y). ``.xml``, ``.yml`` and
+    ``.yaml``, as ``cv2.FileStorage`` writes them: matrices of these names. A map1 of int16 (H, W, 2) with a map2 of
+    uint16 (H, W) is the fixed-point form of ``cv2.convertMaps``, to a thirty-second of a pixel.
+    """
+    suffix = Path(path).suffix.lower()
+    check_suffix(path, suffix, REMAP, "is of no map of OpenCV's", f"use {', '.join(REMAP)}", "read")
+    arrays = (_arrays if suffix in (".npy", ".npz") else _matrices)(path)
+    return (_displacements(path, *_planes(path, _chosen(path, arrays))),)
+
+
+def write_remap(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: bool = False) -> None:
+    """Write a map for ``cv2.remap``, in float32: as one array (H, W, 2) in ``.npy``, else as map1 and map2, x and y."""
+    suffix = Path(path).suffix.lower()
+    check_suffix(path, suffix, REMAP, "is of no map of OpenCV's", f"use {', '.join(REMAP)}")
+    places = _positions(path, contents, "a map of OpenCV's").astype(np.float32)
+    if max(places.shape) > _LONGEST:
+        what = f"OpenCV's maps end at {_LONGEST} pixels on a side, and the field has {places.shape[1]} x {len(places)}"
+        raise unwritable(path, what, "write an STMap")
+    maps = {f"map{i + 1}": np.ascontiguousarray(places[..., i]) for i in range(2)}
+    with replacing(path, force=force) as temporary, open(temporary, "wb") as file:
+        if suffix == ".npy":
+            np.save(file, places)
+        elif suffix == ".npz":
+            np.savez(file, map1=maps["map1"], map2=maps["map2"])
+        elif suffix == ".xml":
+            matrices = "".join(_in_xml(name, plane) for name, plane in maps.items())
+            file.write(f'<?xml version="1.0"?>\n<opencv_storage>\n{matrices}</opencv_storage>\n'.encode())
+        else:
+            file.write(f"%YAML:1.0\n---\n{''.join(_in_yaml(name, plane) for name, plane in maps.items())}".encode())
+
+
+def _arrays(path: PathLike) -> dict[str, Array]:
+    """Return the array of a .npy file, or those of a .npz archive."""
+    head_of(path, 1)
+    kind = "array" if Path(path).suffix.lower() == ".npy" else "archive"
+    try:
+        with open(path, "rb") as file:
+            found = np.load(file, allow_pickle=False)
+            if kind == "array":
+                return {"": np.asarray(found)}
+            with found:
+                return {name: found[name] for name in found.files}
+    except (OSError, ValueError, EOFError, AttributeError, TypeError, zipfile.BadZipFile) as error:
+        raise unreadable(path, f"it is no {kind} of NumPy's, or cut short") from error
+
+
+def _matrices(path: PathLike) -> dict[str, Array]:
+    """Return the matrices of a file of ``cv2.FileStorage``, which writes them alike in XML and YAML."""
+    xml = Path(path).suffix.lower() == ".xml"
+    text, begin = head_of(path, -1).decode("utf-8", "replace"), "<opencv_storage>" if xml else "%YAML"
+    if begin not in text[:1000]:
+        raise unreadable(path, f"it does not begin with {begin}", "write it by cv2.FileStorage")
+    found = {}
+    for name, rows, cols, dt, data, end in re.findall(_XML if xml else _YAML, text):
+        kind = re.fullmatch(r"([1-4]?)([ucwsifd])", dt)
+        if not end:
+            raise unreadable(path, f"its matrix {name} is cut short")
+        if kind is None:
+            raise unreadable(path, f"its matrix {name} has the type {dt!r}", _ADVICE)
+        shape = (int(rows), int(cols), int(kind[1])) if kind[1] not in ("", "1") else (int(rows), int(cols))
+        words = data.replace(",", " ").replace(".Inf", "inf").replace(".Nan", "nan").split()
+        try:
+            numbers = np.array([float(word) for word in words])
+        except ValueError as error:
+            raise unreadable(path, f"the data of its matrix {name} are no plain numbers", "write it as text") from error
+        if numbers.size != np.prod(shape):
+            raise unreadable(path, f"its matrix {name} holds {numbers.size} numbers in place of {np.prod(shape)}")
+        found[name] = numbers.astype(_TYPES[kind[2]]).reshape(shape)
+    return found
+
+
+def _chosen(path: PathLike, named: dict[str, Array]) -> list[Array]:
+    """Return the arrays of x and of y by their names; or the only one."""
+    filled = {name: array for name, array in named.items() if array.size or not name}  # remap takes an empty map2
+    if len(filled) == 1:
+        return list(filled.values())
+    plain = {name.lower().replace("_", ""): array for name, array in filled.items()}
+    pairs = [pair for pair in _MAPS if set(pair) <= set(plain)]
+    if len(pairs) != 1 or len(plain) != len(filled):
+        names = ", ".join(named) or "nothing"
+        raise unreadable(path, f"it holds {names}, which do not tell the map of x from that of y", _ADVICE)
+    return [plain[name] for name in pairs[0]]
+
+
+def _planes(path: PathLike, arrays: list[Array]) -> tuple[Array, Array]:
+    """Return the source positions, x and y, of the maps in any of OpenCV's forms."""
+    first, second = arrays[0], arrays[-1]
+    what = " and ".join(f"{array.dtype} of shape {array.shape}" for array in arrays)
+    if any(array.dtype.kind not in "iuf" or array.dtype.itemsize > 8 for array in arrays):
+        raise unreadable(path, f"it holds {what}", "give real numbers: " + _ADVICE)
+    if any(0 in array.shape for array in arrays):
+        raise unreadable(path, f"it holds {what}", _ADVICE)
+    if len(arrays) == 1 and first.ndim == 3 and 2 in (len(first), first.shape[-1]):
+        if len(first) == first.shape[-1]:
+            raise unreadable(path, f"{what} may be of two rows or of two planes", "give two arrays, map1 and map2")
+        return (first[..., 0], first[..., 1]) if first.shape[-1] == 2 else (first[0], first[1])
+    if len(arrays) == 2 and first.ndim == 2 and first.shape == second.shape:
+        return first, second
+    fixed = first.dtype == np.int16 and second.dtype in (np.uint16, np.int16) and first.shape == (*second.shape, 2)
+    if len(arrays) == 2 and fixed:
+        parts = (second & (_STEPS - 1), second // _STEPS & (_STEPS - 1))
+        x, y = (first[..., k] + part / np.float32(_STEPS) for k, part in enumerate(parts))
+        return x, y
+    raise unreadable(path, f"it holds {what}", _ADVICE)
+
+
+def _in_xml(name: str, plane: Array) -> str:
+    data = "\n".join(" ".join(map(str, row)) for row in plane)
+    head = f"<rows>{plane.shape[0]}</rows>\n<cols>{plane.shape[1]}</cols>\n<dt>f</dt>"
+    return f'<{name} type_id="opencv-matrix">\n{head}\n<data>\n{data}</data></{name}>\n'
+
+
+def _in_yaml(name: str, plane: Array) -> str:
+    data = ",\n       ".join(", ".join(map(str, row)) for row in plane)
+    head = f"   rows: {plane.shape[0]}\n   cols: {plane.shape[1]}\n   dt: f\n"
+    return f"{name}: !!opencv-matrix\n{head}   data: [ {data} ]\n"
+
+
+def read_stmap(path: PathLike, grids: Grids) -> tuple[Content, ...]:
+    """Read an STMap, in pixels; beyond its edges, it goes on as at the edge.
+
+    It is an ``.exr`` of 16 or 32 bits, of which half floats are exact to about a 4000th of the source; a ``.tif``,
+    ``.tiff`` or ``.png`` of 16 bits, exact to half a 65535th of the source; or a ``.tif`` of 32. Blue is not read.
+    Neither is opacity if it is the same everywhere, as in maps that were made without it: where it is transparent, a
+    map is not defined.
+
+    1 stands for the width and the height of the source; by default, of the map. An EXR's are those of its display
+    window; pixels beyond it (overscan) are kept.
+    """
+    suffix = Path(path).suffix.lower()
+    check_suffix(path, suffix, STMAP, "is of no STMap", f"use {', '.join(STMAP)}", "read")
+    s, t, opacity, first, own = (_of_exr if suffix == ".exr" else _of_picture)(path)
+    if opacity is not None and (thin := np.count_nonzero(opacity != opacity.flat[0])):
+        what = f"its opacity changes, at {thin} pixels, and where it is transparent an STMap is not defined"
+        raise unreadable(path, what, "fill these parts, or write it without alpha")
+    (height, width), (x0, y0) = s.shape, first
+    if x0 > 0 or y0 > 0 or x0 + width < own[0] or y0 + height < own[1]:
+        text = f"{shown(path)} holds {width} x {height} pixels of its {own[0]} x {own[1]}: beyond, its edge goes on"
+        warnings.warn(text, OutsideWarning, stacklevel=2)
+    width, height = _size(path, grids, own, unreadable)
+    x, y = (s.astype(np.float64) * width - 0.5, (1 - t.astype(np.float64)) * height - 0.5)
+    found = _displacements(path, x, y, first)
+    return (found._replace(values=found.values.astype(np.float32)),)
+
+
+def write_stmap(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: bool = False) -> None:
+    """Write an STMap, with blue at 0; 1 stands for the width and the height of the source, by default the field's.
+
+    An ``.exr`` is of 32-bit floats; ``.tif`` and ``.tiff`` of 16-bit integers, which round positions to half a 65535th
+    of the source: to 0.03 pixels, if it is 4096 wide. They hold no positions outside of it.
+    """
+    suffix = Path(path).suffix.lower()
+    check_suffix(path, suffix, _STMAP_OUT, "is of no STMap", f"use {', '.join(_STMAP_OUT)}")
+    places = _positions(path, contents, "an STMap")
+    height, width = places.shape[:2]
+    st = (places + 0.5) / _size(path, grids, (width, height), unwritable)
+    st[..., 1] = 1 - st[..., 1]
+    if suffix != ".exr" and (outside := np.count_nonzero(((st < 0) | (st > 1)).any(axis=-1))):
+        raise unwritable(path, f"{outside} positions are outside the source, and a TIFF ends there", "write an EXR")
+    pixels = np.zeros((height, width, 3), np.float32 if suffix == ".exr" else np.uint16)
+    pixels[..., :2] = st if suffix == ".exr" else np.rint(st * _WHITE)
+    image.write(path, pixels, force=force)
+
+
+def _size(
+    path: PathLike, grids: Grids, own: tuple[int, int], refused: Callable[[PathLike, str, str], Exception]
+) -> tuple[int, ...]:
+    """Return the width and height for which 1 stands: those of the source, or the map's own."""
+    if grids.source is not None and grids.source.ndim != 2:
+        raise refused(path, "an STMap is of a picture, and the source is a volume", "give the grid of a picture")
+    return own if grids.source is None else grids.source.sizes
+
+
+def _of_picture(path: PathLike) -> _Planes:
+    """Return s, t, the opacity, the first pixel and the size of a picture."""
+    found = image.read(path)
+    pixels = found.pixels
+    channels = pixels.shape[2] if pixels.ndim == 3 else 1
+    if pixels.dtype not in (np.uint16, np.float32, np.float64) or channels - found.alpha < 2:
+        raise unreadable(path, f"it has {channels} channels of {pixels.dtype}", _STMAP_ADVICE)
+    scaled = pixels if pixels.dtype.kind == "f" else pixels / np.float64(_WHITE)
+    opacity = pixels[..., -1] if found.alpha else None
+    return scaled[..., 0], scaled[..., 1], opacity, (0, 0), (pixels.shape[1], pixels.shape[0])
+
+
+def _of_exr(path: PathLike) -> _Planes:
+    """Return s, t, the opacity, the first pixel and the size of an EXR."""
+    with exr.opened(path) as file:
+        names, header = dict(file.channels()), file.header()
+        windows = [np.array(header[key], np.int64) for key in ("dataWindow", "displayWindow")]
+    pairs = _pairs(names)
+    if len(pairs) != 1:
+        which = "more than one pair" if pairs else "no pair"
+        raise unreadable(path, f"its channels {', '.join(names)} hold {which} of s and t", _STMAP_ADVICE)
+    ((red, green),) = pairs
+    s, t = names[red].pixels, names[green].pixels
+    if s.dtype.kind != "f" or t.dtype.kind != "f":
+        raise unreadable(path, f"its channels {red} and {green} are of {s.dtype}", "write floats of 16 or 32 bits")
+    alpha = names.get(red.rpartition(".")[0] + "." * ("." in red) + "A")
+    (low, _), (least, most) = windows
+    first, own = (low - least).tolist(), (most - least + 1).tolist()
+    return s, t, None if alpha is None else alpha.pixels, (first[0], first[1]), (own[0], own[1])
+
+
+def _pairs(names: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the channels of s and t: those without a layer, or else those of all layers."""
+    found = []
+    for name in names:
+        layer, dot, channel = name.rpartition(".")
+        for one, other in _CHANNELS:
+            if channel.upper() == one:
+                mates = [n for n in names if n.upper() == f"{layer}{dot}{other}".upper()]
+                found += [(name, mate) for mate in mates]
+    plain = [pair for pair in found if "." not in pair[0]]
+    coloured = [pair for pair in plain if pair[0] == "R"]
+    return coloured or plain or found
