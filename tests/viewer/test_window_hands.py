@@ -164,7 +164,7 @@ def test_the_panel_answers_though_it_keeps_events_to_itself(view: tuple[Any, Han
 
 @pytest.mark.parametrize("keys", ["/", "?", "-"])
 def test_the_list_of_keys_opens_by_the_character_on_any_layout(view: tuple[Any, Hand], keys: str) -> None:
-    # glfw knows keys by their place, on a US keyboard; Qt and browsers by what is on them.
+    # glfw knows keys by their place, on a US keyboard; browsers by what is on them.
     window, hand = view
 
     def typed(*characters: str) -> None:

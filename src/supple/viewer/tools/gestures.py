@@ -293,9 +293,7 @@ class Tools(Drawing, Generic[V]):
         self._refused = None
         key = str(event.get("key", ""))
         if commanded(event):
-            # Some toolkits send the control character that is typed.
-            letter = chr(ord(key) + 96) if len(key) == 1 and ord(key) < 27 else key.lower()
-            return self._command(letter, shifted(event))
+            return self._command(key.lower(), shifted(event))
         return self._edit(key) or self._key(key)
 
     def _on_key_up(self, event: Event) -> bool:
