@@ -14,7 +14,7 @@ from supple.errors import SuppleError
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.editing import Document
 from supple.viewer.document.state import Item, State
-from supple.viewer.document.words import described, listed, sentence, settings, step
+from supple.viewer.document.words import described, done, listed, named, place, step
 
 SHAPE = (60, 80)
 A = Stroke(at=(20, 20), by=(4, 2), radius=9)
@@ -119,15 +119,6 @@ def test_a_thousand_edits_come_back_bit_for_bit() -> None:
     assert all(step(a, b) for a, b in zip(d.steps, d.steps[1:], strict=False))
 
 
-def test_a_recipe_in_words() -> None:
-    recipe = Recipe(strokes=(A, replace(B, hidden=True, scales=3, poisson=0.3, strength=0.5)), border=None)
-    d = Document(SHAPE, recipe=recipe)
-    assert [sentence(i, item) for i, item in enumerate(d.items)] == [
-        "1. Grab at (20, 20) by (4, 2),\n    radius 9.",
-        "2. Grab at (50, 40) by (-3, 5),\n    radius 7, fall-off near, Poisson ratio 0.3, 50 % of it (hidden).",
-    ]
-
-
 def test_other_brushes_in_words() -> None:
     for brush, name, does in (
         (
@@ -147,7 +138,8 @@ def test_other_brushes_in_words() -> None:
             "by a factor of 0.5, axis (1, 1)",
         ),
     ):
-        assert sentence(0, Item.of(brush)) == f"1. {name} {does},\n    radius 9."
+        assert f"{named(brush)} at {place(brush.at)}" == name
+        assert done(brush) == does
         assert step(State(), State((Item.of(brush),))) == name
         if brush.brush != "grab":
             assert described(brush, None).splitlines()[1:] == [does, "radius 9", "reach: 4 radii"]
@@ -167,14 +159,6 @@ def test_strokes_that_were_drawn_at_once_are_one_step_in_words() -> None:
     old, new = State((Item.of(A),)), State((Item.of(A), *map(Item.of, some)))
     assert step(old, new) == "Smooth at (0, 6), 3 strokes"
     assert step(old, State((Item.of(A), Item.of(some[0]), Item.of(A)))) == "Open a recipe"
-
-
-def test_settings_in_words() -> None:
-    recipe = Recipe(border=None)
-    assert settings(recipe) == "Where a stroke would fold: go in small steps. The border is free."
-    assert settings(replace(recipe, border=8, on_fold="error")) == (
-        "Where a stroke would fold: refuse the stroke. The border is fixed, over 8."
-    )
 
 
 def test_any_step_is_compared_with_whatever_happens_to_it() -> None:

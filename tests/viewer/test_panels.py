@@ -74,7 +74,6 @@ SECTIONS = (
     "Folds and border",
     "Accuracy",
     "History",
-    "Recipe",
 )
 
 

@@ -11,9 +11,10 @@ from typing import Any
 import pytest
 
 from supple.strokes import Stroke
-from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
+from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.gestures import Tools
 from supple.viewer.tools.keys import KEYS
+from supple.viewer.tools.volumes import VolumeTools
 from tests.viewer.tools import (
     LEFT,
     MIDDLE,
@@ -121,10 +122,10 @@ def test_merged_events_equal_single_ones(make: Make, seed: int) -> None:
         assert b.stroke.radius == pytest.approx(a.stroke.radius)
     assert other.radius == pytest.approx(one.radius)
     if isinstance(one, ImageTools) and isinstance(other, ImageTools):
-        assert other.viewport.zoom == pytest.approx(one.viewport.zoom)
-        assert other.viewport.centre == pytest.approx(one.viewport.centre)
+        assert other.view.zoom == pytest.approx(one.view.zoom)
+        assert other.view.centre == pytest.approx(one.view.centre)
     if isinstance(one, VolumeTools) and isinstance(other, VolumeTools):
-        assert one.stage.project(one.camera, (3, 4, 5)) == pytest.approx(other.stage.project(other.camera, (3, 4, 5)))
+        assert one.stage.project(one.view, (3, 4, 5)) == pytest.approx(other.stage.project(other.view, (3, 4, 5)))
 
 
 NAMED = (

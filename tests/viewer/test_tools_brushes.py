@@ -149,7 +149,7 @@ class TestPaths:
         stroke = tools.document.items[0].stroke
         assert (stroke.at, stroke.by) == ((110, 55), (10, 30.5))
         assert stroke.path == ((120, 55), (130, 65), (130, 75), (120, 85))
-        end = tools.viewport.to_canvas(*tools.document.handles(0)[0][1])
+        end = tools.view.to_canvas(*tools.document.handles(0)[0][1])
         drag(tools, end, (end[0] + 20, end[1]))
         assert tools.document.items[0].stroke.path == stroke.path
         assert tools.document.items[0].stroke.by == pytest.approx((20, 30.5))
@@ -360,7 +360,7 @@ class TestSymmetry:
     def test_on_the_line_it_stays_there(self) -> None:
         tools = image()
         press(tools, "m")
-        x, y = tools.viewport.to_canvas(149.5, 50)
+        x, y = tools.view.to_canvas(149.5, 50)
         stroke = drawn(tools, "g", (x, y), (x + 20, y + 20))
         assert stroke.by == pytest.approx((0, 10))
         assert stroke.also == ()
@@ -383,7 +383,7 @@ class TestSymmetry:
         tools = image(on_fold="flow")
         for key in "mf":
             press(tools, key)
-        x, y = tools.viewport.to_canvas(149.5, 50)
+        x, y = tools.view.to_canvas(149.5, 50)
         drag(tools, (x, y), (x + 20, y), (x + 40, y + 40))
         assert tools.document.items == ()
         assert "line of symmetry" in (tools.status or "")
@@ -414,8 +414,8 @@ class TestSymmetry:
             (0, "pivot"), (0, "end"), (1, "pivot"), (1, "end")
         ]  # fmt: skip
         press(tools, "m")  # each for itself
-        drag(tools, tools.viewport.to_canvas(189, 55), tools.viewport.to_canvas(189, 65))
-        drag(tools, tools.viewport.to_canvas(199, 50), tools.viewport.to_canvas(204, 50))
+        drag(tools, tools.view.to_canvas(189, 55), tools.view.to_canvas(189, 65))
+        drag(tools, tools.view.to_canvas(199, 50), tools.view.to_canvas(204, 50))
         (item,) = tools.document.items
         assert (item.stroke.at, item.stroke.by) == ((100, 50), (10, 5))
         ((at, by),) = item.stroke.also
@@ -426,7 +426,7 @@ class TestSymmetry:
         tools = image()
         press(tools, "m")
         drawn(tools, "g", (201, 101), (221, 111))
-        place = tools.viewport.to_canvas
+        place = tools.view.to_canvas
         drag(tools, place(189, 55), place(185, 65))  # the end of the image
         drag(tools, place(100, 50), place(90, 52))  # the point itself
         (item,) = tools.document.items
@@ -445,7 +445,7 @@ class TestSymmetry:
     def test_an_edit_of_a_point_on_the_line_stays_there(self) -> None:
         tools = image()
         press(tools, "m")
-        x, y = tools.viewport.to_canvas(149.5, 50)
+        x, y = tools.view.to_canvas(149.5, 50)
         drawn(tools, "g", (x, y), (x, y + 20))
         drag(tools, (x, y + 20), (x + 16, y + 40))
         (item,) = tools.document.items
@@ -456,7 +456,7 @@ class TestSymmetry:
         press(tools, "m")
         drawn(tools, "g", (201, 101), (221, 111))
         press(tools, "d")
-        place = tools.viewport.to_canvas(70, 80)
+        place = tools.view.to_canvas(70, 80)
         drag(tools, place, place)
         assert len(tools.document.items[0].stroke.handles) == 4
         drag(tools, place, place)
@@ -558,7 +558,7 @@ class TestVolumes:
         assert tools.active == RENDERED
         stroke = drawn(tools, "t", (200, 150), (220, 150), radius=5)
         assert stroke.axis is not None
-        view = tools.stage.view(tools.camera)
+        view = tools.stage.view(tools.view)
         along = np.array(stroke.axis) * view.spacing
         assert abs(along @ view.ahead) / np.linalg.norm(along) == pytest.approx(1)
         near = np.array(stroke.at) + view.packed[3] / np.linalg.norm(view.packed[3])  # to the right

@@ -9,7 +9,7 @@ from supple.space.geometry import Geometry
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.editing import Document
 from supple.viewer.tools.planes import RENDERED, planes_of
-from supple.viewer.tools.slices import SliceTools
+from supple.viewer.tools.volumes import VolumeTools
 from tests.viewer.tools import MIDDLE, RIGHT, click, down, drag, move, press, up, wheel
 
 AXIAL, CORONAL, SAGITTAL = 0, 1, 2
@@ -17,21 +17,21 @@ RAS = np.diag([-1.0, -1.0, 1.0])
 MOST = (1000.0, 800.0)
 
 
-def bench(direction: np.ndarray = RAS, convention: str = "RAS", *strokes: Stroke) -> SliceTools:
+def bench(direction: np.ndarray = RAS, convention: str = "RAS", *strokes: Stroke) -> VolumeTools:
     """A volume of 60 x 50 x 40 voxels of 1 x 2 x 3 mm, before nobody's camera."""
     geometry = Geometry((1, 2, 3), (0, 0, 0), direction, convention)
     document = Document((40, 50, 60), (1, 2, 3), Recipe(border=None), kind="volume", geometry=geometry)
     for stroke in strokes:
         document.add(stroke)
-    return SliceTools(document, geometry, MOST, lambda x, y: None, lambda pick, to: (0.0, 0.0, 0.0), (0.0, 100.0))
+    return VolumeTools(document, geometry, MOST, lambda x, y: None, lambda pick, to: (0.0, 0.0, 0.0), (0.0, 100.0))
 
 
-def middle(tools: SliceTools, k: int) -> tuple[float, float]:
+def middle(tools: VolumeTools, k: int) -> tuple[float, float]:
     left, top, width, height = tools.places[k]
     return left + width / 2, top + height / 2
 
 
-def is_at_right(tools: SliceTools, k: int, axis: int, way: int) -> bool:
+def is_at_right(tools: VolumeTools, k: int, axis: int, way: int) -> bool:
     """Whether a step along an axis of the patient, in LPS, leads to the right."""
     pane, start = tools.pane(k), np.array(tools.index, float)
     step = np.zeros(3)

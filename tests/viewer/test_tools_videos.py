@@ -107,7 +107,7 @@ class TestVideos:
         assert arrived(tools, 0) == (70, 50, 7)
         for frame, x, chosen in [(3, 50, 0), (3, 70, None), (7, 70, 0), (7, 50, None), (5, 60, None)]:
             tools.playback.seek(frame)
-            click(tools, *tools.viewport.to_canvas(x, 50))
+            click(tools, *tools.view.to_canvas(x, 50))
             assert tools.document.selected == chosen
         assert [handle.part for handle in tools.handles()] == []
         tools.playback.seek(7)
@@ -171,7 +171,7 @@ class TestVideos:
         press(tools, "End")
         assert playback.frame == 19
         press(tools, "1")
-        assert tools.viewport.percent == 100
+        assert tools.view.percent == 100
 
     def test_hover_knows_the_time(self) -> None:
         tools = clip()

@@ -29,11 +29,11 @@ class TestVolumes:
         tools.radius = 9
         asked: list[Any] = []
         tools.drag = lambda pick, to: asked.append((pick.index, to)) or (1.0, 2.0, 3.0)  # type: ignore[func-returns-value]
-        camera = tools.camera
+        camera = tools.view
         drag(tools, (200, 150), (220, 140))
         assert tools.document.items[0].stroke == Stroke(at=(20, 20, 15), by=(1, 2, 3), radius=9)
         assert asked[-1] == ((20, 20, 15), (220, 140))
-        assert tools.camera is camera
+        assert tools.view is camera
 
     def test_what_is_picked_lies_in_the_volume(self) -> None:
         tools = solid()
@@ -46,9 +46,9 @@ class TestVolumes:
         tools.radius = 4
         move(tools, 200, 150, buttons=())
         assert tools.hover == (20, 20, 15)
-        at = tools.stage.project(tools.camera, (20, 20, 15))
+        at = tools.stage.project(tools.view, (20, 20, 15))
         # It is seen along y: a brush that is across lies in x and z.
-        beside = tools.stage.project(tools.camera, (24, 20, 15))
+        beside = tools.stage.project(tools.view, (24, 20, 15))
         assert at is not None
         assert beside is not None
         assert tools.ring == pytest.approx(abs(beside[0] - at[0]), rel=1e-6)
@@ -77,37 +77,37 @@ class TestVolumes:
         tools = solid()
         drag(tools, (x, 150), (x + 30, 150), (x + 50, 180), button=button)
         assert tools.document.items == ()
-        assert (tools.camera.azimuth, tools.camera.elevation) == (-30, 18)
+        assert (tools.view.azimuth, tools.view.elevation) == (-30, 18)
         press(tools, "0")
-        assert tools.camera == Camera()
+        assert tools.view == Camera()
 
     def test_pans_and_dollies(self) -> None:
         tools = solid()
-        middle = tools.stage.target(tools.camera)
+        middle = tools.stage.target(tools.view)
         drag(tools, (200, 150), (230, 140), button=MIDDLE)
-        found = tools.stage.project(tools.camera, middle)
+        found = tools.stage.project(tools.view, middle)
         assert found is not None
         assert found[:2] == pytest.approx((230, 140), abs=0.5)
-        away = tools.stage.distance(tools.camera)
+        away = tools.stage.distance(tools.view)
         wheel(tools, -100)
-        assert tools.camera.distance == pytest.approx(away / 1.1)
+        assert tools.view.distance == pytest.approx(away / 1.1)
         tools.radius = 8
-        camera = tools.camera
+        camera = tools.view
         wheel(tools, -100, "Shift")
         assert tools.radius == pytest.approx(8.8)
         wheel(tools, 0, "Shift", dx=100)
         assert tools.radius == pytest.approx(8)
-        assert tools.camera is camera
+        assert tools.view is camera
 
     def test_the_camera_stays_while_something_is_held(self) -> None:
         tools = solid()
         tools.radius = 8
         down(tools, 200, 150)
         move(tools, 220, 150)
-        camera = tools.camera
+        camera = tools.view
         wheel(tools, -100)
         press(tools, "0")
-        assert tools.camera is camera
+        assert tools.view is camera
         assert tools.document.items[0].stroke.radius == pytest.approx(8.8)
 
     def test_clicks_select_and_handles_are_dragged(self) -> None:

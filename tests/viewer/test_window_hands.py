@@ -51,10 +51,10 @@ def test_a_screen_of_small_pixels_shows_the_same_twice_as_sharp(gpu: Gpu, photo:
         hand.canvas.draw()
         pictures.append(seen(hand))
         recipes.append(view.recipe)
-        assert view.tools.viewport.pixel_ratio == ratio
+        assert view.tools.view.pixel_ratio == ratio
         assert view._textures[0].size[:2] == tuple(round(ratio * v) for v in view.area)
         hand.key("1")
-        assert view.tools.viewport.zoom == pytest.approx(1 / ratio)
+        assert view.tools.view.zoom == pytest.approx(1 / ratio)
         view.document.mark_saved()  # else the next one asks whether to restore it
         view.close()
     # The pointer is where it is, in logical pixels: the stroke is the same.

@@ -12,7 +12,7 @@ from supple.gpu.device import Gpu
 from supple.media import volume as volumes
 from supple.viewer.panels.slices import first_window, turned
 from supple.viewer.panels.view import LINE, WIDE
-from supple.viewer.tools.slices import SliceTools
+from supple.viewer.tools.volumes import VolumeTools
 from supple.viewer.window.launch import SIZE
 from tests.effort import soak
 from tests.viewer.sessions import near, recipe_in, warped
@@ -24,17 +24,17 @@ pytest.importorskip("glfw")
 AREA = (SIZE[0] - WIDE, SIZE[1] - LINE)
 
 
-def expected(volume: volumes.Volume) -> SliceTools:
+def expected(volume: volumes.Volume) -> VolumeTools:
     """The tools of such a window."""
     from supple.viewer.document.editing import Document
 
     shape = volume.samples.shape
     document = Document(shape, volume.geometry.spacing, kind="volume", geometry=volume.geometry)
     window = first_window(volume, "")
-    return SliceTools(document, volume.geometry, AREA, lambda x, y: None, lambda pick, to: (0.0, 0.0, 0.0), window)
+    return VolumeTools(document, volume.geometry, AREA, lambda x, y: None, lambda pick, to: (0.0, 0.0, 0.0), window)
 
 
-def greys(seen: Pixels, tools: SliceTools, samples: np.ndarray, k: int) -> float:
+def greys(seen: Pixels, tools: VolumeTools, samples: np.ndarray, k: int) -> float:
     """How far the greys of a plane on the screen are from its voxels, at their centres, beside what lies over them."""
     pane, (low, high), plane = tools.pane(k), tools.sight.window, tools.planes[k]
     values = turned(np.take(samples, tools.index[plane.axis], axis=2 - plane.axis), plane)

@@ -1,9 +1,12 @@
-"""States of a document, and their deformations."""
+"""States of a document and their deformations, and landmarks, which move with a volume."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import Literal, Self
+
+import numpy as np
+import numpy.typing as npt
 
 from supple.deformation import Deformation, after
 from supple.folding.limits import NEAR
@@ -12,6 +15,7 @@ from supple.strokes import CoordinateSpace, FoldPolicy, Recipe, Stroke
 
 Kind = Literal["image", "video", "volume"]
 Point = tuple[float, ...]
+Floats = npt.NDArray[np.float64]
 Handle = tuple[Point, Point]
 """A point of a stroke, and where it ends."""
 _EMPTY = Recipe()
@@ -131,3 +135,26 @@ class Solved:
         if whole is not now:
             stroke = replace(stroke, at=tuple(whole.forward(now.inverse(stroke.at).points).tolist()))
         return replace(stroke.weakened(1 / part), strength=stroke.strength) if 0 < part < 1 else stroke
+
+
+class Landmarks:
+    """Named points of a volume, before and after strokes.
+
+    Parameters
+    ----------
+    names : tuple of str
+    points : float64 array, shape (N, 3)
+        In voxels of the volume without strokes, x first.
+    """
+
+    def __init__(self, names: tuple[str, ...], points: Floats) -> None:
+        self.names, self.points = names, points
+        self._moved: tuple[Deformation, Floats] | None = None
+
+    def moved(self, deformation: Deformation) -> Floats:
+        """Return where the points are after strokes, (N, 3); the last answer is cached."""
+        if deformation.is_identity:
+            return self.points
+        if self._moved is None or self._moved[0] is not deformation:
+            self._moved = deformation, np.asarray(deformation.forward(self.points), np.float64)
+        return self._moved[1]

@@ -92,29 +92,6 @@ def described(stroke: Stroke, arrival: Arrival | None) -> str:
     return said
 
 
-def sentence(i: int, item: Item) -> str:
-    """Return a stroke of a list as a sentence, in two lines."""
-    stroke = item.stroke
-    said = f"{i + 1}. {named(stroke)} at {place(stroke.at)} {done(stroke)},\n"
-    said += f"    radius {stroke.radius:.4g}"
-    if stroke.scales != 1:
-        said += f", fall-off {FALLOFFS[stroke.scales - 1]}"
-    if stroke.poisson is not None:
-        said += f", Poisson ratio {stroke.poisson:.3g}"
-    if stroke.strength != 1.0:
-        said += f", {100 * stroke.strength:.3g} % of it"
-    return said + (" (hidden)." if item.hidden else ".")
-
-
-def settings(recipe: Recipe) -> str:
-    """Return what a recipe says of folds, of the border, and of what is frozen, in a few sentences."""
-    border = "The border is free" if recipe.border is None else "The border is fixed"
-    width = "" if not isinstance(recipe.border, int | float) else f", over {recipe.border:g}"
-    return f"Where a stroke would fold: {FOLDS[recipe.on_fold]}. {border}{width}." + (
-        "" if recipe.freeze is None else f" {frozen(recipe.freeze)}."
-    )
-
-
 @lru_cache(maxsize=4)
 def frozen(freeze: Freeze) -> str:
     """Return how much of a medium a mask freezes; one of two axes does so in all frames of a clip."""

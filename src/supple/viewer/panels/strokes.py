@@ -15,7 +15,7 @@ from supple.viewer.document.state import Item
 from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, listed, others
 from supple.viewer.panels import legend, theme
 from supple.viewer.panels.actions import ACTIONS
-from supple.viewer.panels.icons import HIDDEN, SEEN
+from supple.viewer.panels.theme import HIDDEN, SEEN
 from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import REST, hint, icon_button, label, listing, section, slider, typed, wrapped
 from supple.viewer.tools.drags import IMMATERIAL, MASKS, SHAPES

@@ -29,7 +29,7 @@ from supple.space.domain import length, point
 from supple.space.geometry import Geometry, Grid, check_upright
 from supple.strokes import Fit, Recipe, fit_recipe
 from supple.viewer.document.editing import Document
-from supple.viewer.document.landmarks import Landmarks
+from supple.viewer.document.state import Landmarks
 from supple.viewer.panels.frame_cache import FrameCache
 from supple.viewer.panels.slices import first_window
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage
@@ -37,7 +37,7 @@ from supple.viewer.panels.transforms import shown as as_pixels
 from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.drags import Pair
 from supple.viewer.tools.playback import Playback
-from supple.viewer.tools.slices import SliceTools
+from supple.viewer.tools.volumes import VolumeTools
 from supple.viewer.window import dialogs
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool
         raise SuppleError(f"time_scale is for clips, and {name} is none: leave it out")
 
 
-def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) -> ImageTools | SliceTools:
+def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) -> ImageTools | VolumeTools:
     """Return the tools for a stage."""
     if isinstance(stage, VideoStage):
         playback = Playback(stage.film.count, stage.rate, stage.film.starts)
@@ -176,9 +176,9 @@ def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) ->
         return ImageTools(document, size, turn=stage.turn)
 
     def placed() -> Camera:
-        return tools.stage.placed(tools.camera)
+        return tools.stage.placed(tools.view)
 
-    tools: SliceTools = SliceTools(
+    tools: VolumeTools = VolumeTools(
         document,
         stage.volume.geometry,
         size,
@@ -373,7 +373,7 @@ def view(
     with _installed():
         from rendercanvas.anywidget import JS, RenderCanvas, loop
 
-        from supple.viewer.window.page import KEYS
+        from supple.viewer.window.server import KEYS
 
         widget = type("Widget", (RenderCanvas,), {"_esm": JS + KEYS})
     canvas = widget(size=(960, 600), max_fps=30, update_mode="ondemand")
