@@ -316,7 +316,7 @@ def history(path: Path) -> None:
         start = view.tools.view.to_canvas(*at)
         hand.drag(start, (start[0] + by[0], start[1] + by[1]), 0.1)
     document.hide(2)
-    document.replace(0, replace(document.items[0].stroke, radius=36.0))
+    document.replace(0, replace(document.strokes[0], radius=36.0))
     document.undo()
     hand.move(view.tools.view.to_canvas(200, 230))
     hand.still(path, 60)

@@ -165,7 +165,7 @@ class TestPictures:
         assert tools.radius > 19
         move(tools, 202, 101)
         up(tools, 202, 101)
-        assert tools.document.items[0].stroke.at == (100, 50)
+        assert tools.document.strokes[0].at == (100, 50)
         assert (mask(tools)[within(tools, [(100, 50)], 9.9)] == 0).all()
 
     def test_what_is_symmetric_is_frozen_on_both_sides(self) -> None:
@@ -193,7 +193,7 @@ class TestPictures:
         document = tools.document
         said = "ends 30 pixels short: what is frozen holds it back"
         assert said in (document.warning(0) or "")
-        assert "30 short: what is frozen holds it back" in described(document.items[0].stroke, document.arrival(0))
+        assert "30 short: what is frozen holds it back" in described(document.strokes[0], document.arrival(0))
 
     def test_what_is_frozen_lets_go_of_one_of_several_points(self) -> None:
         tools = image(Stroke(at=(100, 50), by=(20, 0), radius=20, also=(((200, 100), (0, 10)),)), on_fold="flow")

@@ -214,7 +214,7 @@ def test_a_click_on_the_cube_that_is_drawn_looks_from_there(gpu: Gpu) -> None:
         hand.click((x, y))
         assert (view.tools.view.azimuth, view.tools.view.elevation) == (face.azimuth, face.elevation)
         view.tools.view = Camera(30, 20)
-    assert view.document.items == ()
+    assert view.document.strokes == ()
 
 
 def test_the_first_window_holds_most_values(gpu: Gpu) -> None:

@@ -114,12 +114,12 @@ def test_merged_events_equal_single_ones(make: Make, seed: int) -> None:
     assert len(few) < 0.8 * len(events)
     for event in few:
         other.handle(event)
-    assert len(one.document.items) == len(other.document.items) > 0
+    assert len(one.document.strokes) == len(other.document.strokes) > 0
     assert one.document.selected == other.document.selected
-    for a, b in zip(one.document.items, other.document.items, strict=True):
-        assert b.stroke.at == pytest.approx(a.stroke.at)
-        assert b.stroke.by == pytest.approx(a.stroke.by, abs=1e-9)
-        assert b.stroke.radius == pytest.approx(a.stroke.radius)
+    for a, b in zip(one.document.strokes, other.document.strokes, strict=True):
+        assert b.at == pytest.approx(a.at)
+        assert b.by == pytest.approx(a.by, abs=1e-9)
+        assert b.radius == pytest.approx(a.radius)
     assert other.radius == pytest.approx(one.radius)
     if isinstance(one, ImageTools) and isinstance(other, ImageTools):
         assert other.view.zoom == pytest.approx(one.view.zoom)

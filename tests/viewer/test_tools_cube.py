@@ -71,7 +71,7 @@ def test_a_click_on_a_face_looks_from_that_side_upright(geometry: Geometry) -> N
             np.testing.assert_allclose(above, axes @ WAYS[UP[name]], atol=1e-12)
             assert [(f.name, pytest.approx(1.0)) for f in tools.cube] == [(name, tools.cube[0].towards)]
     assert seen == set("LRPASI")
-    assert document.items == ()
+    assert document.strokes == ()
 
 
 def test_a_volume_without_a_place_in_space_has_the_axes_of_its_voxels() -> None:

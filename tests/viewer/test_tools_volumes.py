@@ -31,7 +31,7 @@ class TestVolumes:
         tools.drag = lambda pick, to: asked.append((pick.index, to)) or (1.0, 2.0, 3.0)  # type: ignore[func-returns-value]
         camera = tools.view
         drag(tools, (200, 150), (220, 140))
-        assert tools.document.items[0].stroke == Stroke(at=(20, 20, 15), by=(1, 2, 3), radius=9)
+        assert tools.document.strokes[0] == Stroke(at=(20, 20, 15), by=(1, 2, 3), radius=9)
         assert asked[-1] == ((20, 20, 15), (220, 140))
         assert tools.view is camera
 
@@ -39,7 +39,7 @@ class TestVolumes:
         tools = solid()
         tools.pick = lambda x, y: Pick((-0.6, 20, 39.7), (0, 0, 0), 5)
         drag(tools, (200, 150), (205, 150))
-        assert tools.document.items[0].stroke.at == (-0.5, 20, 39.5)
+        assert tools.document.strokes[0].at == (-0.5, 20, 39.5)
 
     def test_the_ring_is_as_large_as_the_brush_where_it_is(self) -> None:
         tools = solid()
@@ -76,7 +76,7 @@ class TestVolumes:
     def test_beside_it_or_to_the_right_the_camera_turns(self, x: float, button: int) -> None:
         tools = solid()
         drag(tools, (x, 150), (x + 30, 150), (x + 50, 180), button=button)
-        assert tools.document.items == ()
+        assert tools.document.strokes == ()
         assert (tools.view.azimuth, tools.view.elevation) == (-30, 18)
         press(tools, "0")
         assert tools.view == Camera()
@@ -108,7 +108,7 @@ class TestVolumes:
         wheel(tools, -100)
         press(tools, "0")
         assert tools.view is camera
-        assert tools.document.items[0].stroke.radius == pytest.approx(8.8)
+        assert tools.document.strokes[0].radius == pytest.approx(8.8)
 
     def test_clicks_select_and_handles_are_dragged(self) -> None:
         tools = solid(Stroke(at=(30, 10, 20), by=(4, 0, 0), radius=10))
@@ -118,14 +118,14 @@ class TestVolumes:
         assert tools.document.selected == 0
         x, y = end.seen
         drag(tools, (x + 2, y), (x + 2, y - 30))
-        stroke = tools.document.items[0].stroke
+        stroke = tools.document.strokes[0]
         assert stroke.by[0] == pytest.approx(4)
         assert stroke.by[1] == pytest.approx(0, abs=1e-9)
         assert stroke.by[2] > 2
         assert tools.handles()[1].seen == pytest.approx((x, y - 30))
         x, y = pivot.seen
         drag(tools, (x, y), (x + 20, y))
-        moved = tools.document.items[0].stroke
+        moved = tools.document.strokes[0]
         assert moved.by == stroke.by
         assert moved.at[0] > 31
         click(tools, 10, 10)
@@ -134,7 +134,7 @@ class TestVolumes:
     def test_a_click_on_the_object_makes_nothing(self) -> None:
         tools = solid()
         click(tools, 200, 150)
-        assert (tools.document.items, tools.document.can_undo) == ((), False)
+        assert (tools.document.strokes, tools.document.can_undo) == ((), False)
 
     def test_hover_is_what_is_seen(self) -> None:
         tools = solid()

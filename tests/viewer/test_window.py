@@ -316,7 +316,7 @@ def test_the_first_strokes_may_be_places_in_space(gpu: Gpu, state: Path) -> None
     at = head.geometry.to_world(np.array([45.0, 60, 50]))
     recipe = Recipe(border=None, strokes=(Stroke.grab(tuple(at), by=(4, 0, 2), radius=20),))
     view, _ = opened(DATA / "head.nii.gz", recipe, volume=VolumeOptions(world=True))
-    np.testing.assert_allclose(view.document.items[0].stroke.at, (45, 60, 50), atol=1e-6)
+    np.testing.assert_allclose(view.document.strokes[0].at, (45, 60, 50), atol=1e-6)
     assert (view.recipe.space, view.recipe.size) == ("RAS", head.sizes)
     np.testing.assert_allclose(view.recipe.strokes[0].at, at, atol=1e-9)
     wanted = deformation_of(recipe, head, world=True)

@@ -81,7 +81,7 @@ def _delete(view: View) -> None:
 def _hide(view: View) -> None:
     chosen = view.document.selected
     if chosen is not None:
-        view.attempt(lambda: view.document.hide(chosen, not view.document.items[chosen].hidden))
+        view.attempt(lambda: view.document.hide(chosen, not view.document.strokes[chosen].hidden))
 
 
 def _thaw(view: View) -> None:

@@ -216,7 +216,7 @@ def strokes(
     document = view.document
     for i, each in document.tracks():
         selected = document.selected == i
-        if not selected and len(document.items) > 60:
+        if not selected and len(document.strokes) > 60:
             continue
         stroke, wanted = each.stroke, each.wanted
         colour = theme.BLUE if selected else theme.SOFT

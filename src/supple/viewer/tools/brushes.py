@@ -127,8 +127,8 @@ class VideoTools(ImageTools):
     def stroke_frames(self) -> dict[float, bool]:
         """The frames of the clip at which visible strokes begin or end, and whether a stroke there is selected."""
         found: dict[float, bool] = {}
-        for i, item in enumerate(self.document.items):
-            for at, by in () if item.hidden else item.stroke.handles:
+        for i, stroke in enumerate(self.document.strokes):
+            for at, by in () if stroke.hidden else stroke.handles:
                 for t in {at[2], at[2] + by[2]}:
                     if 0 <= t <= self.playback.count - 1:
                         found[t] = found.get(t, False) or i == self.document.selected

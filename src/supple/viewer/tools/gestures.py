@@ -276,7 +276,7 @@ class Tools(Drawing, Generic[V]):
                 if not self.document.commit():
                     self._refused = trouble or self._refused
                 elif gesture.paints:  # the newest of its strokes
-                    self.document.select(len(self.document.items) - 1)
+                    self.document.select(len(self.document.strokes) - 1)
                 return True
             if self.document.dragging:
                 self.document.abandon()
@@ -342,7 +342,7 @@ class Tools(Drawing, Generic[V]):
         elif key in ("Delete", "Backspace", "h", "H"):
             if chosen is not None and self._gesture is None:
                 if key.lower() == "h":
-                    document.hide(chosen, not document.items[chosen].hidden)
+                    document.hide(chosen, not document.strokes[chosen].hidden)
                 else:
                     document.remove(chosen)
         else:
