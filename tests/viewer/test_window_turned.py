@@ -14,7 +14,6 @@ import pytest
 from supple.gpu.device import Gpu
 from supple.strokes import Recipe
 from supple.viewer.panels.frame_cache import FrameCache
-from tests import effort
 from tests.viewer.windows import Hand, opened, wait_for
 
 pytest.importorskip("rendercanvas")
@@ -108,18 +107,7 @@ def frozen(view: Any, hand: Hand) -> np.ndarray:
     return settled(view, hand)
 
 
-@pytest.mark.parametrize(
-    ("name", "ratio"),
-    [
-        ("clockwise", 2.0),
-        ("mirrored", 1.0),
-        *(
-            pytest.param(name, 1.0, marks=effort.soak("turns that the viewport's own tests have all"))
-            for name in DISPLAYS
-            if name != "mirrored"
-        ),
-    ],
-)
+@pytest.mark.parametrize(("name", "ratio"), [("clockwise", 2.0), ("mirrored", 1.0)])
 def test_a_turned_clip_is_shown_and_bent_as_its_upright_frames_are(
     gpu: Gpu, tmp_path: Path, name: str, ratio: float
 ) -> None:
