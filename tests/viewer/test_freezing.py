@@ -192,7 +192,7 @@ class TestPictures:
         assert arrived(tools, 0) == (100, 50)
         document = tools.document
         said = "ends 30 pixels short: what is frozen holds it back"
-        assert said in (document.warning(0) or "")
+        assert said in (document.deformation.warnings[0] or "")
         assert "30 short: what is frozen holds it back" in described(document.strokes[0], document.arrival(0))
 
     def test_what_is_frozen_lets_go_of_one_of_several_points(self) -> None:
@@ -202,7 +202,7 @@ class TestPictures:
         drag(tools, (201, 101), (203, 101))
         assert tools.status is None
         assert arrived(tools, 0) == (100, 50)
-        assert "(100, 50), is let go" in (document.warning(0) or "")
+        assert "(100, 50), is let go" in (document.deformation.warnings[0] or "")
         np.testing.assert_allclose(document.deformation.forward((200, 100)), (200, 110), atol=1e-6)
 
     def test_words(self) -> None:

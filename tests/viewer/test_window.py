@@ -35,18 +35,6 @@ DATA = Path(supple.__file__).parent / "examples" / "data"
 
 
 @pytest.fixture
-def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of its own for what windows keep."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    return tmp_path
-
-
-@pytest.fixture
-def photo(state: Path) -> Path:
-    return small_photo(state)
-
-
-@pytest.fixture
 def photo_view(gpu: Gpu, photo: Path) -> Iterator[tuple[Any, Hand]]:
     view, hand = opened(photo)
     yield view, hand

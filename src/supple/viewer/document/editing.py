@@ -99,11 +99,6 @@ class Document:
         found = [] if arrival is None else [each.carried_by for each in (arrival, *arrival.also)]
         return next((self._now.visible[k][0] for k in found if k is not None), None)
 
-    def warning(self, i: int) -> str | None:
-        """Return a sentence on a stroke that misses its target."""
-        known = self._nth(i)
-        return None if known is None else self.deformation.warnings[known]
-
     def handles(self, i: int) -> tuple[Handle, ...]:
         """Return the points of a stroke and their positions after it; for a hidden one, and all but the first, targets.
 
