@@ -27,6 +27,7 @@ def test_each_column_is_where_it_belongs(
 ) -> None:
     source: Path = request.getfixturevalue(kind)
     monkeypatch.setattr("supple.viewer.panels.overlay.draw", unmarked)
+    monkeypatch.setattr("supple.viewer.panels.view.SETTLED", 0.0)  # nothing is drawn coarser for a while
     view, hand = opened(source)
     if kind != "volume":
         hand.key("1")
