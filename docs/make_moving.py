@@ -202,12 +202,12 @@ def photo(path: Path) -> None:
     tools.scales = 2
 
     def pull(at: Pair, by: Pair, notches: int) -> None:
-        hand.move(tools.viewport.to_canvas(*at))
+        hand.move(tools.view.to_canvas(*at))
         if notches:
             hand.wheel(notches, "wheel: radius")
         hand.says = "drag"
         hand.press()
-        hand.move(tools.viewport.to_canvas(at[0] + by[0], at[1] + by[1]), 0.9)
+        hand.move(tools.view.to_canvas(at[0] + by[0], at[1] + by[1]), 0.9)
         hand.release()
 
     pull((290, 24), (0, 44), -4)
@@ -228,7 +228,7 @@ def clip(path: Path) -> None:
     view = hand.view
     view.tools.playback.seek(38)
     view.tools.radius = 60.0
-    place = view.tools.viewport.to_canvas
+    place = view.tools.view.to_canvas
     hand.shoot(0.4)
     hand.move(place(350, 120))
     hand.says = "taken"
@@ -257,7 +257,7 @@ def volume(path: Path) -> None:
     hand.drag(seen(45, 100, 28), seen(45, 101, 40), 1.2, says="drag: in a plane, seen in all")
     hand.shoot(0.6)
     hand.key("4", "4: the rendering alone", 0.8)
-    width, height = tools.canvas_size
+    width, height = tools.place[2:]
     hand.drag((0.9 * width, 0.8 * height), (0.6 * width, 0.75 * height), 1.0, says="beside it: turn")
     hand.move((0.5 * width, 0.35 * height))
     hand.wheel(-4, "Shift+wheel: radius", "Shift")
@@ -273,11 +273,11 @@ def panel(path: Path) -> None:
     tools = hand.view.tools
 
     def drag(start: Pair, end: Pair) -> None:
-        hand.drag(tools.viewport.to_canvas(*start), tools.viewport.to_canvas(*end), 0.1)
+        hand.drag(tools.view.to_canvas(*start), tools.view.to_canvas(*end), 0.1)
 
     hand.key("m", "", 0.1)
     at, y = tools.grip
-    hand.drag((at, y), (tools.viewport.to_canvas(290, 0)[0], y), 0.1)
+    hand.drag((at, y), (tools.view.to_canvas(290, 0)[0], y), 0.1)
     tools.radius = 45.0
     drag((206, 60), (188, 48))
     tools.radius, tools.scales = 30.0, 2
@@ -287,7 +287,7 @@ def panel(path: Path) -> None:
     drag((370, 300), (388, 300))
     hand.view.document.select(0)
     hand.key("g", "", 0.1)
-    hand.move(tools.viewport.to_canvas(420, 120))
+    hand.move(tools.view.to_canvas(420, 120))
     hand.still(path, 62)
 
 
@@ -313,12 +313,12 @@ def history(path: Path) -> None:
     view.tools.radius = 30.0
     for key, at, by in (("g", (350, 120), (30, -20)), ("w", (330, 90), (20, 0)), ("n", (250, 200), (0, 20))):
         hand.key(key, "", 0.1)
-        start = view.tools.viewport.to_canvas(*at)
+        start = view.tools.view.to_canvas(*at)
         hand.drag(start, (start[0] + by[0], start[1] + by[1]), 0.1)
     document.hide(2)
-    document.replace(0, replace(document.items[0].stroke, radius=36.0))
+    document.replace(0, replace(document.strokes[0], radius=36.0))
     document.undo()
-    hand.move(view.tools.viewport.to_canvas(200, 230))
+    hand.move(view.tools.view.to_canvas(200, 230))
     hand.still(path, 60)
 
 

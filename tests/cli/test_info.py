@@ -91,7 +91,7 @@ def viewed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     """What windows are asked to show; none is opened."""
     shown: list[tuple[Any, ...]] = []
 
-    def show(source: str, recipe: Any = None, *, toolkit: str, options: Any) -> None:
+    def show(source: str, recipe: Any = None, *, options: Any) -> None:
         shown.append((source, recipe, options))
 
     monkeypatch.setattr("supple.viewer.window.launch.show", show)

@@ -13,8 +13,8 @@ import pytest
 from supple.errors import SuppleError
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.editing import Document
-from supple.viewer.document.state import Item, State
-from supple.viewer.document.words import described, listed, sentence, settings, step
+from supple.viewer.document.state import State
+from supple.viewer.document.words import described, done, listed, named, place, step
 
 SHAPE = (60, 80)
 A = Stroke(at=(20, 20), by=(4, 2), radius=9)
@@ -55,9 +55,9 @@ def test_any_step_is_one_way_from_any_other() -> None:
     d = Document(SHAPE)
     for stroke in (A, B, C):
         d.add(stroke)
-    assert [len(state.items) for state in d.steps] == [0, 1, 2, 3]
+    assert [len(state.strokes) for state in d.steps] == [0, 1, 2, 3]
     heard: list[int] = []
-    d.on_change.append(lambda: heard.append(len(d.items)))
+    d.on_change.append(lambda: heard.append(len(d.strokes)))
     for to in (1, 3, 0, 2):
         d.go(to)
         assert d.step == to
@@ -76,13 +76,13 @@ def test_any_step_is_one_way_from_any_other() -> None:
 
 
 def edit(d: Document, rng: random.Random) -> None:
-    n = len(d.items)
+    n = len(d.strokes)
     at, by = (rng.uniform(0, 79), rng.uniform(0, 59)), (rng.gauss(0, 6), rng.gauss(0, 6))
     some = Stroke(at=at, by=by, radius=rng.uniform(3, 15), scales=rng.randint(1, 3))
     acts: list[Callable[[], object]] = [lambda: d.add(some), lambda: d.set_border(rng.choice([None, 3, 8]))]
     if n:
         i = rng.randrange(n)
-        acts += [lambda: d.replace(i, some), lambda: d.hide(i, not d.items[i].hidden)]
+        acts += [lambda: d.replace(i, some), lambda: d.hide(i, not d.strokes[i].hidden)]
         acts += [lambda: d.move(i, rng.randrange(n))]
         acts += [lambda: d.remove(i)] * (1 + 3 * (n > 6))
     rng.choice(acts)()
@@ -119,15 +119,6 @@ def test_a_thousand_edits_come_back_bit_for_bit() -> None:
     assert all(step(a, b) for a, b in zip(d.steps, d.steps[1:], strict=False))
 
 
-def test_a_recipe_in_words() -> None:
-    recipe = Recipe(strokes=(A, replace(B, hidden=True, scales=3, poisson=0.3, strength=0.5)), border=None)
-    d = Document(SHAPE, recipe=recipe)
-    assert [sentence(i, item) for i, item in enumerate(d.items)] == [
-        "1. Grab at (20, 20) by (4, 2),\n    radius 9.",
-        "2. Grab at (50, 40) by (-3, 5),\n    radius 7, fall-off near, Poisson ratio 0.3, 50 % of it (hidden).",
-    ]
-
-
 def test_other_brushes_in_words() -> None:
     for brush, name, does in (
         (
@@ -147,8 +138,9 @@ def test_other_brushes_in_words() -> None:
             "by a factor of 0.5, axis (1, 1)",
         ),
     ):
-        assert sentence(0, Item.of(brush)) == f"1. {name} {does},\n    radius 9."
-        assert step(State(), State((Item.of(brush),))) == name
+        assert f"{named(brush)} at {place(brush.at)}" == name
+        assert done(brush) == does
+        assert step(State(), State((brush,))) == name
         if brush.brush != "grab":
             assert described(brush, None).splitlines()[1:] == [does, "radius 9", "reach: 4 radii"]
 
@@ -164,17 +156,9 @@ def test_a_list_says_how_much() -> None:
 
 def test_strokes_that_were_drawn_at_once_are_one_step_in_words() -> None:
     some = [Stroke(at=(k, 6), by=(1, 0), radius=9, name="smooth") for k in range(3)]
-    old, new = State((Item.of(A),)), State((Item.of(A), *map(Item.of, some)))
+    old, new = State((A,)), State((A, *some))
     assert step(old, new) == "Smooth at (0, 6), 3 strokes"
-    assert step(old, State((Item.of(A), Item.of(some[0]), Item.of(A)))) == "Open a recipe"
-
-
-def test_settings_in_words() -> None:
-    recipe = Recipe(border=None)
-    assert settings(recipe) == "Where a stroke would fold: go in small steps. The border is free."
-    assert settings(replace(recipe, border=8, on_fold="error")) == (
-        "Where a stroke would fold: refuse the stroke. The border is fixed, over 8."
-    )
+    assert step(old, State((A, some[0], A))) == "Open a recipe"
 
 
 def test_any_step_is_compared_with_whatever_happens_to_it() -> None:

@@ -14,7 +14,7 @@ from supple.gpu.device import Gpu
 from supple.media import image as images
 from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke
-from supple.viewer.document.words import described, settings, step
+from supple.viewer.document.words import described, frozen, step
 from supple.viewer.panels.overlay import status
 from supple.viewer.tools.gestures import Tools
 from tests.viewer.sessions import recipe_in, warped
@@ -165,7 +165,7 @@ class TestPictures:
         assert tools.radius > 19
         move(tools, 202, 101)
         up(tools, 202, 101)
-        assert tools.document.items[0].stroke.at == (100, 50)
+        assert tools.document.strokes[0].at == (100, 50)
         assert (mask(tools)[within(tools, [(100, 50)], 9.9)] == 0).all()
 
     def test_what_is_symmetric_is_frozen_on_both_sides(self) -> None:
@@ -192,8 +192,8 @@ class TestPictures:
         assert arrived(tools, 0) == (100, 50)
         document = tools.document
         said = "ends 30 pixels short: what is frozen holds it back"
-        assert said in (document.warning(0) or "")
-        assert "30 short: what is frozen holds it back" in described(document.items[0].stroke, document.arrival(0))
+        assert said in (document.deformation.warnings[0] or "")
+        assert "30 short: what is frozen holds it back" in described(document.strokes[0], document.arrival(0))
 
     def test_what_is_frozen_lets_go_of_one_of_several_points(self) -> None:
         tools = image(Stroke(at=(100, 50), by=(20, 0), radius=20, also=(((200, 100), (0, 10)),)), on_fold="flow")
@@ -202,23 +202,22 @@ class TestPictures:
         drag(tools, (201, 101), (203, 101))
         assert tools.status is None
         assert arrived(tools, 0) == (100, 50)
-        assert "(100, 50), is let go" in (document.warning(0) or "")
+        assert "(100, 50), is let go" in (document.deformation.warnings[0] or "")
         np.testing.assert_allclose(document.deformation.forward((200, 100)), (200, 110), atol=1e-6)
 
     def test_words(self) -> None:
         tools = image()
         document = tools.document
-        assert "frozen" not in settings(document.state.rest)
         half = np.zeros(document.shape, bool)
         half[:, :150] = True
         document.set_freeze(Freeze.of(half))
-        assert settings(document.state.rest).endswith(" 50 % is frozen.")
+        assert frozen(document.freeze) == "50 % is frozen"
         document.set_freeze(document.freeze.inverted)
         document.set_freeze(Freeze.free(document.shape, (1.0, 1.0)).painted((10, 10), 2, (1.0, 1.0)))
-        assert settings(document.state.rest).endswith(" Less than 1 % is frozen.")
+        assert frozen(document.freeze) == "Less than 1 % is frozen"
         document.set_freeze(None)
         document.set_freeze(document.freeze.inverted)
-        assert settings(document.state.rest).endswith(" 100 % is frozen.")
+        assert frozen(document.freeze) == "100 % is frozen"
         kinds = ["Freeze", "Invert what is frozen", "Freeze and thaw", "Thaw everything", "Invert what is frozen"]
         assert names(tools) == kinds
         with pytest.raises(SuppleError, match="of 300 x 200"):
@@ -319,7 +318,7 @@ def test_a_photograph_is_frozen_by_hand(gpu: Gpu, grey_photo: Path) -> None:
     assert (made != source).any()
     # What is on screen is what is exported.
     view.overlay = ""
-    left, top = (round(v) for v in view.tools.viewport.to_canvas(0, 0))
+    left, top = (round(v) for v in view.tools.view.to_canvas(0, 0))
     shown = view.pixels()[top : top + made.shape[0], left : left + made.shape[1]]
     assert np.abs(shown.astype(int) - made).max() <= 1
 
@@ -330,7 +329,7 @@ def test_a_device_that_warps_knows_what_is_frozen(gpu: Gpu, grey_photo: Path, mo
     hand.key("1")
     view.tools.radius = 30
     hand.drag((250, 250), (270, 260))
-    left, top = (round(v) for v in view.tools.viewport.to_canvas(0, 0))
+    left, top = (round(v) for v in view.tools.view.to_canvas(0, 0))
     source = images.read(grey_photo).pixels
 
     def off() -> np.ndarray:
@@ -371,7 +370,7 @@ def test_overlays_know_what_is_frozen(gpu: Gpu, grey_photo: Path) -> None:
         view.overlay = name
         away = np.abs(view.pixels().astype(int) - before)
         assert np.mean(away) < 0.2
-    x, y = (round(v) for v in view.tools.viewport.to_image(290, 260))
+    x, y = (round(v) for v in view.tools.view.to_image(290, 260))
     document.set_freeze(Freeze.free(document.shape, (1.0, 1.0)).painted((x, y), 40, (1.0, 1.0)))
     free = document.deformation.without_strokes()
     view.overlay = "grid"
@@ -423,7 +422,7 @@ def test_a_clip_is_shown_as_it_is_exported(gpu: Gpu, clip: Path) -> None:
     frames = np.stack([view.stage.film.get(k)[..., :3] for k in range(3)])
     full = np.concatenate([frames, np.repeat(frames[-1:], view.stage.film.count - 3, 0)])
     wanted = bent.warp(full)[0].astype(int)
-    left, top = (round(v) for v in view.tools.viewport.to_canvas(0, 0))
+    left, top = (round(v) for v in view.tools.view.to_canvas(0, 0))
     height, width = (min(a, b) for a, b in zip(wanted.shape, shown.shape[:2], strict=False))
     x, y = max(left, 0), max(top, 0)
     crop = wanted[y - top : height, x - left : width]

@@ -22,8 +22,8 @@ from supple.viewer.panels.slices import first_window
 from supple.viewer.panels.view import LINE, WIDE
 from supple.viewer.tools.brushes import GRIP, ZOOM
 from supple.viewer.tools.drawing import GROWTH
-from supple.viewer.tools.slices import SliceTools
 from supple.viewer.tools.viewport import Viewport
+from supple.viewer.tools.volumes import VolumeTools
 from supple.viewer.window.launch import SIZE
 from tests.viewer.sessions import DATA, recipe_in, warped
 from tests.viewer.windows import Hand, opened, wait_for
@@ -312,7 +312,7 @@ def test_the_edge_of_a_tumour_is_pushed_in_a_slice(gpu: Gpu, state: Path) -> Non
     shape, geometry = volume.samples.shape, volume.geometry
     document = Document(shape, geometry.spacing, kind="volume", geometry=geometry)
     window = first_window(volume, "")
-    tools = SliceTools(document, geometry, AREA, lambda x, y: None, lambda pick, to: (0.0, 0.0, 0.0), window)
+    tools = VolumeTools(document, geometry, AREA, lambda x, y: None, lambda pick, to: (0.0, 0.0, 0.0), window)
     tools.step(0, TUMOUR[2] - tools.index[2])
     tools.enlarge(0)
     axial = tools.pane(0)

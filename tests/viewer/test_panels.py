@@ -74,7 +74,6 @@ SECTIONS = (
     "Folds and border",
     "Accuracy",
     "History",
-    "Recipe",
 )
 
 
@@ -120,7 +119,7 @@ def test_every_control_can_be_clicked(gpu: Gpu, seen: dict[str, tuple[float, flo
         if imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
             hand.click((10, 1390))  # closes a menu
         if label == "button Delete":
-            assert len(view.document.items) == len(strokes) - 1
+            assert len(view.document.strokes) == len(strokes) - 1
         elif label == "invisible_button undo":
             assert view.document.state != before
     view.document.mark_saved()
@@ -139,7 +138,7 @@ def test_what_goes_wrong_does_not_kill_the_window(gpu: Gpu, monkeypatch: pytest.
     for k in range(3):
         hand.drag((200 + 20 * k, 300), (220 + 20 * k, 310))
     assert view.commands.message == "ValueError: of its own"
-    assert len(view.document.items) == 3
+    assert len(view.document.strokes) == 3
     view.commands.autosave.flush()
     view.commands.autosave.keep()
     assert len(json.loads(view.commands.autosave.place.read_text())["recipe"]["strokes"]) == 3
@@ -421,17 +420,17 @@ def test_a_number_that_is_typed_counts_when_it_is_left(
     hand.modifiers = ()
     hand.canvas.draw()
     type_(hand, "61")
-    assert view.document.items[0].stroke.radius == 40  # not yet
+    assert view.document.strokes[0].radius == 40  # not yet
     if leaving == "elsewhere":
         hand.click((SIZE[0] - 5, 1300))
     else:
         hand.key(leaving)
     for _ in range(3):
         hand.canvas.draw()
-    assert view.document.items[0].stroke.radius == 61
+    assert view.document.strokes[0].radius == 61
     assert view.typed == {}
     view.document.undo()
-    assert view.document.items[0].stroke.radius == 40  # it is one step
+    assert view.document.strokes[0].radius == 40  # it is one step
     view.document.mark_saved()
 
 

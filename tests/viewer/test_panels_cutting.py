@@ -125,8 +125,8 @@ def test_a_pointer_hits_the_cut_face(window: tuple[Any, Hand], places: Places) -
     assert before[1] > 40
     tools.radius = 6.0
     hand.drag(place, (place[0] + 20, place[1]))
-    start = view.document.items[-1].stroke.at
-    assert len(view.document.items) == 2
+    start = view.document.strokes[-1].at
+    assert len(view.document.strokes) == 2
     assert start[1] == pytest.approx(30, abs=1.5)
     view.document.mark_saved()
 

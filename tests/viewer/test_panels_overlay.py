@@ -245,7 +245,7 @@ def test_the_knob_of_the_cut_is_seen_and_dragged(gpu: Gpu) -> None:
     assert (hand.canvas.draw()[y - 6, x, :3] > 200).all()
     hand.drag((x, y), (x - 200, y))
     assert view.tools.split == pytest.approx((x - 200) / view.area[0], abs=0.01)
-    assert view.document.items == ()
+    assert view.document.strokes == ()
     hand.move(10, 10)
     seen = hand.canvas.draw()
     assert (seen[y - 6, x - 200, :3] > 200).all()

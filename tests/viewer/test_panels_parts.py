@@ -61,10 +61,8 @@ def grey(*strokes: Stroke, size: tuple[int, int] = SIZE) -> tuple[Any, Hand]:
 
 
 def test_each_tool_and_action_has_an_icon_and_a_key_that_is_listed() -> None:
-    from supple.viewer.panels.actions import ACTIONS
-    from supple.viewer.panels.icons import ICONS
-    from supple.viewer.panels.menu import MENUS
-    from supple.viewer.panels.toolbar import GROUPS
+    from supple.viewer.panels.actions import ACTIONS, GROUPS, MENUS
+    from supple.viewer.panels.theme import ICONS
 
     assert {*BRUSHES, *(name for group in GROUPS for name in group)} <= set(ICONS)
     assert {name for items in MENUS.values() for name in items} - {""} == set(ACTIONS)
@@ -74,14 +72,14 @@ def test_each_tool_and_action_has_an_icon_and_a_key_that_is_listed() -> None:
 
 
 def test_icons_are_seen_and_differ(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
-    from supple.viewer.panels import icons
+    from supple.viewer.panels import theme
 
     _, hand = grey()
     seen: dict[str, np.ndarray] = {}
-    for name, icon in {**icons.ICONS, "eye": icons.SEEN, "no eye": icons.HIDDEN}.items():
+    for name, icon in {**theme.ICONS, "eye": theme.SEEN, "no eye": theme.HIDDEN}.items():
 
         def draw(view: Any, icon: str = icon) -> None:
-            icons.draw(imgui.get_background_draw_list(), icon, (30, 30), 18, 0xFFFFFFFF)
+            theme.draw_icon(imgui.get_background_draw_list(), icon, (30, 30), 18, 0xFFFFFFFF)
 
         monkeypatch.setattr("supple.viewer.panels.overlay.draw", draw)
         picture = hand.canvas.draw()[10:50, 10:50, :3].astype(int)
@@ -99,16 +97,16 @@ def test_the_strip_does_what_its_keys_do(gpu: Gpu, places: Places) -> None:
     hand.canvas.draw()
     view.document.remove(0)
     hand.click(places["undo"])
-    assert len(view.document.items) == 2
+    assert len(view.document.strokes) == 2
     hand.click(places["redo"])
-    assert len(view.document.items) == 1
+    assert len(view.document.strokes) == 1
     hand.click(places["split"])
     assert view.tools.split == 0.5
     hand.click(places["split"])
     assert view.tools.split is None
     hand.key("1")
     hand.click(places["fit"])
-    assert view.tools.viewport.held is None
+    assert view.tools.view.held is None
     for name in ("open", "save", "copy"):
         view.commands.asked = None
         hand.canvas.draw()
@@ -165,7 +163,7 @@ def test_a_step_is_compared_with_the_present(gpu: Gpu, kind: str, request: Any, 
     hand.canvas.draw()
     hand.click(places["mark 0"])
     assert view.tools.split == 0.5
-    assert view.document.compared.items == view.document.steps[0].items
+    assert view.document.compared.strokes == view.document.steps[0].strokes
     both = view.pixels().astype(int)
     views = view.tools.places.values() if kind == "volume" else [(0, 0, *view.area)]
     for left, top, width, height in views:
@@ -225,7 +223,7 @@ def test_the_menu_undoes_by_name(gpu: Gpu, places: Places, monkeypatch: pytest.M
     assert "Undo: Remove stroke 1###undo" in said
     assert "Redo###redo" in said
     hand.click(places["menu undo"])
-    assert len(view.document.items) == 2
+    assert len(view.document.strokes) == 2
     said.clear()
     hand.click(places["Edit"])
     assert "Redo: Remove stroke 1###redo" in said
@@ -236,23 +234,29 @@ def test_a_click_in_the_history_goes_there(gpu: Gpu, places: Places) -> None:
     view, hand = grey(size=(SIZE[0], 1200))
     for stroke in FLAT:
         view.document.add(stroke)
-    view.sections = {"History": True, "Recipe": True}
+    view.sections = {"History": True}
     view.document.select(None)
     for _ in range(2):
         hand.canvas.draw()
     assert {"step 0", "step 1", "step 2"} <= set(places)
     hand.click(places["step 0"])
-    assert view.document.items == ()
+    assert view.document.strokes == ()
     hand.click(places["step 2"])
-    assert len(view.document.items) == 2
-    # The recipe is copied where there is a clipboard.
-    copied: list[str] = []
-    hand.click(places["Copy JSON"])
-    assert copied == []
-    view.copy_text = copied.append
-    hand.click(places["Copy JSON"])
-    assert Recipe.from_json(copied[0]).strokes == FLAT
+    assert len(view.document.strokes) == 2
     view.document.mark_saved()
+
+
+def test_the_recipe_is_copied_where_there_is_a_clipboard(gpu: Gpu, places: Places) -> None:
+    from supple.viewer.panels.actions import ACTIONS
+
+    view, hand = grey(*FLAT)
+    assert not ACTIONS["copy recipe"].able(view)
+    copied: list[str] = []
+    view.copy_text = copied.append
+    hand.canvas.draw()
+    hand.click(places["Edit"])
+    hand.click(places["menu copy recipe"])
+    assert Recipe.from_json(copied[0]).strokes == FLAT
 
 
 def test_what_is_folded_stays_folded(gpu: Gpu, places: Places, tmp_path: Path) -> None:
@@ -323,7 +327,7 @@ def test_the_inner_ring_is_the_radius_and_the_outer_one_the_reach(gpu: Gpu) -> N
         row = hand.canvas.draw()[y, x : x + 300, :3].astype(int).min(axis=-1)
         return [k for k in range(1, 299) if row[k] > 160 and row[k] >= row[k - 1] and row[k] > row[k + 1]]
 
-    zoom = view.tools.viewport.zoom
+    zoom = view.tools.view.zoom
     inner, outer = rings()
     assert inner == pytest.approx(20 * zoom, abs=2)
     assert outer == pytest.approx(80 * zoom, abs=2)

@@ -195,7 +195,7 @@ def test_a_hidden_rendering_is_not_drawn_and_comes_back(gpu: Gpu) -> None:
     left, top, width, height = (int(v) for v in view.tools.places[RENDERED])
     part = np.s_[top + 24 : top + height - 60, left : left + width]
     assert np.abs(back[part].astype(int) - four[part].astype(int)).max() < 8
-    assert view.tools.camera == Camera()
+    assert view.tools.view == Camera()
 
 
 def test_a_click_on_the_cube_that_is_drawn_looks_from_there(gpu: Gpu) -> None:
@@ -212,9 +212,9 @@ def test_a_click_on_the_cube_that_is_drawn_looks_from_there(gpu: Gpu) -> None:
         assert hovered[2] > hovered[0] + 60  # blue under the pointer
         view.tools.view = Camera(30, 20)
         hand.click((x, y))
-        assert (view.tools.camera.azimuth, view.tools.camera.elevation) == (face.azimuth, face.elevation)
+        assert (view.tools.view.azimuth, view.tools.view.elevation) == (face.azimuth, face.elevation)
         view.tools.view = Camera(30, 20)
-    assert view.document.items == ()
+    assert view.document.strokes == ()
 
 
 def test_the_first_window_holds_most_values(gpu: Gpu) -> None:
@@ -346,7 +346,7 @@ def test_a_script_shows_landmarks_as_the_command_does(monkeypatch: pytest.Monkey
 
 def test_the_curve_is_the_opacity_of_the_transfer_function(gpu: Gpu) -> None:
     from supple.render.transfer import TransferFunction
-    from supple.viewer.panels.curve import opacities
+    from supple.viewer.panels.volume import _opacities as opacities
 
     view, hand = opened(DATA / "head.nii.gz", size=(468, 1400))
     hand.canvas.draw()

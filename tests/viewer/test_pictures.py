@@ -146,7 +146,7 @@ def test_a_window_shows_it_and_exports_its_values(
     path = save(tmp_path / name, pixels, kind, icc)
     view, hand = opened(path)
     hand.key("1")
-    place = view.tools.viewport.to_canvas(0, 0)
+    place = view.tools.view.to_canvas(0, 0)
     left, top = round(place[0]), round(place[1])
     seen = view.pixels()[top + 10 : top + 30, left + 10 : left + 50].astype(float)
     colours = np.broadcast_to(wanted[..., :3], (40, 60, 3))[10:30, 10:50].astype(float)

@@ -11,9 +11,10 @@ from typing import Any
 import pytest
 
 from supple.strokes import Stroke
-from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
+from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.gestures import Tools
 from supple.viewer.tools.keys import KEYS
+from supple.viewer.tools.volumes import VolumeTools
 from tests.viewer.tools import (
     LEFT,
     MIDDLE,
@@ -113,18 +114,18 @@ def test_merged_events_equal_single_ones(make: Make, seed: int) -> None:
     assert len(few) < 0.8 * len(events)
     for event in few:
         other.handle(event)
-    assert len(one.document.items) == len(other.document.items) > 0
+    assert len(one.document.strokes) == len(other.document.strokes) > 0
     assert one.document.selected == other.document.selected
-    for a, b in zip(one.document.items, other.document.items, strict=True):
-        assert b.stroke.at == pytest.approx(a.stroke.at)
-        assert b.stroke.by == pytest.approx(a.stroke.by, abs=1e-9)
-        assert b.stroke.radius == pytest.approx(a.stroke.radius)
+    for a, b in zip(one.document.strokes, other.document.strokes, strict=True):
+        assert b.at == pytest.approx(a.at)
+        assert b.by == pytest.approx(a.by, abs=1e-9)
+        assert b.radius == pytest.approx(a.radius)
     assert other.radius == pytest.approx(one.radius)
     if isinstance(one, ImageTools) and isinstance(other, ImageTools):
-        assert other.viewport.zoom == pytest.approx(one.viewport.zoom)
-        assert other.viewport.centre == pytest.approx(one.viewport.centre)
+        assert other.view.zoom == pytest.approx(one.view.zoom)
+        assert other.view.centre == pytest.approx(one.view.centre)
     if isinstance(one, VolumeTools) and isinstance(other, VolumeTools):
-        assert one.stage.project(one.camera, (3, 4, 5)) == pytest.approx(other.stage.project(other.camera, (3, 4, 5)))
+        assert one.stage.project(one.view, (3, 4, 5)) == pytest.approx(other.stage.project(other.view, (3, 4, 5)))
 
 
 NAMED = (

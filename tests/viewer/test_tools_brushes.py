@@ -26,16 +26,16 @@ def drawn(tools: Tools[Any], key: str, *way: tuple[float, float], radius: float 
     """The stroke of one drag, which is one step, and comes back bit for bit."""
     tools.radius = radius
     press(tools, key)
-    before, count = state(tools), len(tools.document.items)
+    before, count = state(tools), len(tools.document.strokes)
     drag(tools, *way)
     after, selected = state(tools), tools.document.selected
-    assert len(tools.document.items) == count + 1
+    assert len(tools.document.strokes) == count + 1
     assert selected == count
     press(tools, "z", "Control")
     assert state(tools) == before
     press(tools, "y", "Control")
     assert state(tools) == after
-    return tools.document.items[-1].stroke
+    return tools.document.strokes[-1]
 
 
 class TestPictures:
@@ -70,7 +70,7 @@ class TestPictures:
         tools.radius = 20
         press(tools, "n")
         drag(tools, (201, 101), (233, 77), modifiers=("Shift",))
-        assert tools.document.items[0].stroke.factor == pytest.approx(E**0.5)
+        assert tools.document.strokes[0].factor == pytest.approx(E**0.5)
 
     def test_the_wheel_is_the_radius_of_the_running_drag(self) -> None:
         tools = image()
@@ -79,12 +79,12 @@ class TestPictures:
         down(tools, 201, 101)
         move(tools, 241, 101)
         wheel(tools, -100)
-        (item,) = tools.document.items
-        assert item.stroke.radius == pytest.approx(22)
-        assert item.stroke.angle == pytest.approx(90 / 1.1)
+        (stroke,) = tools.document.strokes
+        assert stroke.radius == pytest.approx(22)
+        assert stroke.angle == pytest.approx(90 / 1.1)
         press(tools, "Escape")
         up(tools, 241, 101)
-        assert tools.document.items == ()
+        assert tools.document.strokes == ()
 
     def test_a_click_makes_nothing_and_settings_of_pulls_are_not_theirs(self) -> None:
         tools = image()
@@ -92,7 +92,7 @@ class TestPictures:
         for key in "twpn":
             press(tools, key)
             drag(tools, (201, 101), (202, 101))
-            assert tools.document.items == ()
+            assert tools.document.strokes == ()
         for key, poisson in (("t", None), ("w", None), ("p", None), ("n", 0.2), ("g", 0.2)):
             stroke = drawn(tools, key, (301, 201), (321, 201))
             assert (stroke.poisson, stroke.reach, stroke.scales) == (poisson, 6.0, 3 if key == "g" else 1)
@@ -106,13 +106,13 @@ class TestPictures:
         tools.document.select(0)
         assert [handle.part for handle in tools.handles()] == ["pivot"]
         drag(tools, (201, 101), (221, 111), (261, 121))
-        (item,) = tools.document.items
-        assert item.stroke == Stroke(brush=brush, at=(130, 60), radius=20, **more)
+        (stroke,) = tools.document.strokes
+        assert stroke == Stroke(brush=brush, at=(130, 60), radius=20, **more)
         wheel(tools, -100)
         down(tools, 261, 121)
         wheel(tools, -100)
         up(tools, 261, 121)
-        assert tools.document.items[0].stroke.radius == pytest.approx(22)
+        assert tools.document.strokes[0].radius == pytest.approx(22)
 
 
 class TestPaths:
@@ -135,9 +135,9 @@ class TestPaths:
         tools.radius = 15
         press(tools, "f")
         drag(tools, (201, 101), (241, 101), (241, 141), (201, 141), (201, 102))
-        (item,) = tools.document.items
-        assert item.stroke.by == (0, 0.5)
-        assert len(item.stroke.path) == 3
+        (stroke,) = tools.document.strokes
+        assert stroke.by == (0, 0.5)
+        assert len(stroke.path) == 3
         forward = tools.document.deformation.forward([(100, 50), (112, 62)])
         assert forward[0] == pytest.approx((100, 50.5), abs=1e-6)
         assert math.dist(forward[1], (112, 62)) > 0.5
@@ -146,13 +146,13 @@ class TestPaths:
         tools = image(on_fold="flow")
         drawn(tools, "f", *self.WAY)
         drag(tools, (201, 101), (211, 101), (221, 111))
-        stroke = tools.document.items[0].stroke
+        stroke = tools.document.strokes[0]
         assert (stroke.at, stroke.by) == ((110, 55), (10, 30.5))
         assert stroke.path == ((120, 55), (130, 65), (130, 75), (120, 85))
-        end = tools.viewport.to_canvas(*tools.document.handles(0)[0][1])
+        end = tools.view.to_canvas(*tools.document.handles(0)[0][1])
         drag(tools, end, (end[0] + 20, end[1]))
-        assert tools.document.items[0].stroke.path == stroke.path
-        assert tools.document.items[0].stroke.by == pytest.approx((20, 30.5))
+        assert tools.document.strokes[0].path == stroke.path
+        assert tools.document.strokes[0].by == pytest.approx((20, 30.5))
 
     def test_in_a_plane_it_stays_there(self) -> None:
         tools = bench()
@@ -184,7 +184,7 @@ class TestPaintings:
         before, was = state(tools), displaced(tools, *self.AROUND)
         # From the handle on, which is not dragged by these; 30 logical pixels are half of the radius.
         drag(tools, (341, 201), (380, 201), (341, 161), (341, 241))
-        strokes = [item.stroke for item in tools.document.items]
+        strokes = list(tools.document.strokes)
         assert strokes[0] == BENT
         assert [stroke.name for stroke in strokes[1:]] == [name] * 5
         assert displaced(tools, *self.AROUND) < rest * was
@@ -200,10 +200,10 @@ class TestPaintings:
         tools.radius = 20
         press(tools, "r")
         drag(tools, (341, 201), (341, 201))
-        assert len(tools.document.items) == 2
+        assert len(tools.document.strokes) == 2
         assert tools.document.deformation.forward([BENT.at])[0] == pytest.approx(BENT.at, abs=0.01)
         drag(tools, (21, 21), (61, 21))
-        assert len(tools.document.items) == 2
+        assert len(tools.document.strokes) == 2
 
     def test_escape_takes_all_of_it_back(self) -> None:
         tools = image(BENT)
@@ -211,7 +211,7 @@ class TestPaintings:
         press(tools, "r")
         down(tools, 341, 201)
         move(tools, 441, 201)
-        assert len(tools.document.items) > 2
+        assert len(tools.document.strokes) > 2
         press(tools, "Escape")
         up(tools, 441, 201)
         assert state(tools) == before
@@ -233,7 +233,7 @@ class TestPaintings:
             tools.radius, tools.strength = 20, strength
             press(tools, key)
             drag(tools, (221, 101), (221, 101))
-            gone.append(np.array([by for _, by in tools.document.items[-1].stroke.handles]))
+            gone.append(np.array([by for _, by in tools.document.strokes[-1].handles]))
         np.testing.assert_allclose(gone[1], 0.25 * gone[0], atol=1e-9)
         assert np.abs(gone[0]).max() > 0.1
 
@@ -242,14 +242,14 @@ class TestPaintings:
         film.playback.seek(5)
         press(film, "r")
         drag(film, (341, 201), (341, 201))
-        assert film.document.items[1].stroke.at == (170, 100, 5)
+        assert film.document.strokes[1].at == (170, 100, 5)
         solid = bench(np.eye(3), "LPS", Stroke(at=(30, 25, 20), by=(6, 0, 0), radius=12))
         x, y = solid.pane(0).to_canvas((36, 25, 20))
         move(solid, x, y, buttons=())
         press(solid, "r")
         was = displaced(solid, (36, 25, 20))
         drag(solid, (x, y), (x, y))
-        assert solid.document.items[1].stroke.at == pytest.approx((36, 25, 20))
+        assert solid.document.strokes[1].at == pytest.approx((36, 25, 20))
         assert displaced(solid, (36, 25, 20)) < 0.2 * was
 
 
@@ -261,8 +261,8 @@ class TestPins:
         press(tools, "d")
         before = state(tools)
         drag(tools, (281, 101), (281, 101))
-        (item,) = tools.document.items
-        assert item.stroke.handles == (((100, 50), (15, 0)), ((140, 50), (0, 0)))
+        (stroke,) = tools.document.strokes
+        assert stroke.handles == (((100, 50), (15, 0)), ((140, 50), (0, 0)))
         ends = tools.document.deformation.forward([(100, 50), (140, 50)])
         np.testing.assert_allclose(ends, [(115, 50), (140, 50)], atol=1e-6)
         press(tools, "z", "Control")
@@ -272,12 +272,12 @@ class TestPins:
         drag(tools, (201, 181), (202, 181))
         assert [handle.nth for handle in tools.handles()] == [0, 0, 1, 1, 2, 2]
         drag(tools, (281, 101), (281, 101))
-        (item,) = tools.document.items
-        assert item.stroke.handles == (((100, 50), (15, 0)), ((100, 90), (0, 0)))
+        (stroke,) = tools.document.strokes
+        assert stroke.handles == (((100, 50), (15, 0)), ((100, 90), (0, 0)))
         drag(tools, (201, 101), (201, 101))
-        assert tools.document.items[0].stroke.handles == (((100, 90), (0, 0)),)
+        assert tools.document.strokes[0].handles == (((100, 90), (0, 0)),)
         drag(tools, (201, 181), (201, 181))
-        assert tools.document.items == ()
+        assert tools.document.strokes == ()
 
     def test_a_drag_pulls_what_is_seen_there_and_the_others_stay_where_they_are(self) -> None:
         tools = image(on_fold="flow")
@@ -288,31 +288,31 @@ class TestPins:
         below = was.inverse([(130.0, 60.0)]).points[0]
         before = state(tools)
         drag(tools, (261, 121), (271, 125), (281, 131))
-        (item,) = tools.document.items
-        assert len(item.stroke.handles) == 2
-        (at, by) = item.stroke.handles[1]
+        (stroke,) = tools.document.strokes
+        assert len(stroke.handles) == 2
+        (at, by) = stroke.handles[1]
         assert at == pytest.approx(tuple(below), abs=1e-6)
         assert np.add(at, by) == pytest.approx((140, 65))
         ends = tools.document.deformation.forward([(100, 50), at])
         np.testing.assert_allclose(ends, [(110, 50), (140, 65)], atol=1e-6)
         drag(tools, (281, 131), (291, 131))  # its end is edited
-        (item,) = tools.document.items
-        assert np.add(*item.stroke.handles[1]) == pytest.approx((145, 65))
+        (stroke,) = tools.document.strokes
+        assert np.add(*stroke.handles[1]) == pytest.approx((145, 65))
         for _ in range(2):
             press(tools, "z", "Control")
         assert state(tools) == before
 
     def test_without_a_grab_it_begins_one(self) -> None:
         for tools in (image(), image(Stroke(brush="twist", at=(50, 50), angle=30, radius=20)), image(BENT)):
-            tools.document.select(0 if tools.document.items else None)
-            if tools.document.items and tools.document.items[0].stroke is BENT:
+            tools.document.select(0 if tools.document.strokes else None)
+            if tools.document.strokes and tools.document.strokes[0] is BENT:
                 tools.document.hide(0)
             press(tools, "d")
             drag(tools, (201, 101), (201, 101))
-            stroke = tools.document.items[-1].stroke
+            stroke = tools.document.strokes[-1]
             assert (stroke.at, stroke.by, stroke.also) == ((100, 50), (0, 0), ())
             drag(tools, (281, 101), (291, 101))
-            assert len(tools.document.items[-1].stroke.also) == 1
+            assert len(tools.document.strokes[-1].also) == 1
 
     def test_one_that_cannot_be_is_refused_and_said(self) -> None:
         tools = image(on_fold="flow")
@@ -333,11 +333,11 @@ class TestPins:
         drag(tools, (x + 60, y), (x + 70, y))
         press(tools, "d")
         drag(tools, (x + 60, y + 60), (x + 60, y + 60))
-        (item,) = tools.document.items
-        points = [at for at, _ in item.stroke.handles]
+        (stroke,) = tools.document.strokes
+        points = [at for at, _ in stroke.handles]
         assert len(points) == 4
         assert points[2][0] + points[3][0] == pytest.approx(59)
-        assert item.stroke.handles[2][1] == (0, 0, 0)
+        assert stroke.handles[2][1] == (0, 0, 0)
         assert points[2] == pytest.approx(tools.sight.cross)
 
 
@@ -360,7 +360,7 @@ class TestSymmetry:
     def test_on_the_line_it_stays_there(self) -> None:
         tools = image()
         press(tools, "m")
-        x, y = tools.viewport.to_canvas(149.5, 50)
+        x, y = tools.view.to_canvas(149.5, 50)
         stroke = drawn(tools, "g", (x, y), (x + 20, y + 20))
         assert stroke.by == pytest.approx((0, 10))
         assert stroke.also == ()
@@ -372,7 +372,7 @@ class TestSymmetry:
         press(tools, key)
         before = state(tools)
         drag(tools, (201, 101), (211, 111), (241, 121))
-        one, other = (item.stroke for item in tools.document.items)
+        one, other = tools.document.strokes
         assert other.at == (199, 50)
         assert other == one.mirrored((149.5, 0), (1, 0))
         assert tools.document.selected == 0
@@ -383,9 +383,9 @@ class TestSymmetry:
         tools = image(on_fold="flow")
         for key in "mf":
             press(tools, key)
-        x, y = tools.viewport.to_canvas(149.5, 50)
+        x, y = tools.view.to_canvas(149.5, 50)
         drag(tools, (x, y), (x + 20, y), (x + 40, y + 40))
-        assert tools.document.items == ()
+        assert tools.document.strokes == ()
         assert "line of symmetry" in (tools.status or "")
         assert tools.held is None
 
@@ -395,7 +395,7 @@ class TestSymmetry:
         for key in "mr":
             press(tools, key)
         drag(tools, (137, 101), (137, 101))
-        one, other = (item.stroke for item in tools.document.items[3:])
+        one, other = tools.document.strokes[3:]
         assert (one.at, other.at) == ((68, 50), (231, 50))
 
     def test_an_edit_of_one_that_is_alone_is_not_mirrored(self) -> None:
@@ -403,8 +403,8 @@ class TestSymmetry:
         press(tools, "m")
         tools.document.select(0)
         drag(tools, (221, 111), (241, 111))
-        (item,) = tools.document.items
-        assert item.stroke == Stroke(at=(100, 50), by=(20, 5), radius=20)
+        (stroke,) = tools.document.strokes
+        assert stroke == Stroke(at=(100, 50), by=(20, 5), radius=20)
 
     def test_both_points_of_a_symmetric_grab_are_handles(self) -> None:
         tools = image()
@@ -414,11 +414,11 @@ class TestSymmetry:
             (0, "pivot"), (0, "end"), (1, "pivot"), (1, "end")
         ]  # fmt: skip
         press(tools, "m")  # each for itself
-        drag(tools, tools.viewport.to_canvas(189, 55), tools.viewport.to_canvas(189, 65))
-        drag(tools, tools.viewport.to_canvas(199, 50), tools.viewport.to_canvas(204, 50))
-        (item,) = tools.document.items
-        assert (item.stroke.at, item.stroke.by) == ((100, 50), (10, 5))
-        ((at, by),) = item.stroke.also
+        drag(tools, tools.view.to_canvas(189, 55), tools.view.to_canvas(189, 65))
+        drag(tools, tools.view.to_canvas(199, 50), tools.view.to_canvas(204, 50))
+        (stroke,) = tools.document.strokes
+        assert (stroke.at, stroke.by) == ((100, 50), (10, 5))
+        ((at, by),) = stroke.also
         assert at == pytest.approx((204, 50))
         assert by == pytest.approx((-10, 15))
 
@@ -426,41 +426,41 @@ class TestSymmetry:
         tools = image()
         press(tools, "m")
         drawn(tools, "g", (201, 101), (221, 111))
-        place = tools.viewport.to_canvas
+        place = tools.view.to_canvas
         drag(tools, place(189, 55), place(185, 65))  # the end of the image
         drag(tools, place(100, 50), place(90, 52))  # the point itself
-        (item,) = tools.document.items
-        (at, by), (image_at, image_by) = item.stroke.handles
+        (stroke,) = tools.document.strokes
+        (at, by), (image_at, image_by) = stroke.handles
         assert at == pytest.approx((90, 52))
         assert by == pytest.approx((14, 15))
         assert image_at == pytest.approx((209, 52))
         assert image_by == pytest.approx((-14, 15))
         # Numbers that are typed are edits, too.
-        typed = tools.paired(item.stroke, replace(item.stroke, by=(3.0, 1.0)))
+        typed = tools.paired(stroke, replace(stroke, by=(3.0, 1.0)))
         assert typed.also[0][1] == (-3, 1)
         # One step each: undo takes both back.
         press(tools, "z", "Control")
-        assert tools.document.items[0].stroke.also[0][0] == pytest.approx((199, 50))
+        assert tools.document.strokes[0].also[0][0] == pytest.approx((199, 50))
 
     def test_an_edit_of_a_point_on_the_line_stays_there(self) -> None:
         tools = image()
         press(tools, "m")
-        x, y = tools.viewport.to_canvas(149.5, 50)
+        x, y = tools.view.to_canvas(149.5, 50)
         drawn(tools, "g", (x, y), (x, y + 20))
         drag(tools, (x, y + 20), (x + 16, y + 40))
-        (item,) = tools.document.items
-        assert item.stroke.by == pytest.approx((0, 20))
+        (stroke,) = tools.document.strokes
+        assert stroke.by == pytest.approx((0, 20))
 
     def test_pins_come_and_go_in_pairs(self) -> None:
         tools = image()
         press(tools, "m")
         drawn(tools, "g", (201, 101), (221, 111))
         press(tools, "d")
-        place = tools.viewport.to_canvas(70, 80)
+        place = tools.view.to_canvas(70, 80)
         drag(tools, place, place)
-        assert len(tools.document.items[0].stroke.handles) == 4
+        assert len(tools.document.strokes[0].handles) == 4
         drag(tools, place, place)
-        assert len(tools.document.items[0].stroke.handles) == 2
+        assert len(tools.document.strokes[0].handles) == 2
 
     def test_its_knob_moves_the_line_which_finds_the_middle(self) -> None:
         tools = image()
@@ -470,7 +470,7 @@ class TestSymmetry:
         assert grip is not None
         drag(tools, grip, (grip[0] - 60, grip[1] + 30))
         assert tools.middle == pytest.approx(119.5)
-        assert tools.document.items == ()
+        assert tools.document.strokes == ()
         stroke = drawn(tools, "g", (201, 101), (221, 111))
         assert stroke.also == (((139, 50), (-10, 5)),)
         drag(tools, tools.grip, (9000, 0))
@@ -497,7 +497,7 @@ class TestSymmetry:
         drag(tools, (x, y), (x - 10 * scale, y))
         assert abs(tools.middle - 29.5) == pytest.approx(10)
         assert tools.grip_of(0)[0] == pytest.approx(tools.grip_of(1)[0])
-        assert tools.document.items == ()
+        assert tools.document.strokes == ()
 
     def test_a_volume_has_a_plane_between_left_and_right(self) -> None:
         tools = bench()  # 60 voxels from left to right
@@ -522,10 +522,10 @@ class TestClips:
         press(tools, "ArrowRight")
         assert tools.playback.frame == 7
         up(tools, 241, 101)
-        (item,) = tools.document.items
-        assert item.stroke.at == (100, 50, 7)
-        assert item.stroke.axis == ((20, 0, 0) if key == "n" else None)
-        assert item.stroke.radius == pytest.approx(22)
+        (stroke,) = tools.document.strokes
+        assert stroke.at == (100, 50, 7)
+        assert stroke.axis == ((20, 0, 0) if key == "n" else None)
+        assert stroke.radius == pytest.approx(22)
 
 
 class TestVolumes:
@@ -558,7 +558,7 @@ class TestVolumes:
         assert tools.active == RENDERED
         stroke = drawn(tools, "t", (200, 150), (220, 150), radius=5)
         assert stroke.axis is not None
-        view = tools.stage.view(tools.camera)
+        view = tools.stage.view(tools.view)
         along = np.array(stroke.axis) * view.spacing
         assert abs(along @ view.ahead) / np.linalg.norm(along) == pytest.approx(1)
         near = np.array(stroke.at) + view.packed[3] / np.linalg.norm(view.packed[3])  # to the right

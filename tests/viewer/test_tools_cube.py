@@ -10,10 +10,9 @@ import pytest
 
 from supple.render.camera import Camera
 from supple.space.geometry import Geometry
-from supple.viewer.tools.cube import face_at, faces_of
-from supple.viewer.tools.orbit import Stage
+from supple.viewer.tools.orbit import Stage, face_at, faces_of
 from supple.viewer.tools.planes import RENDERED
-from supple.viewer.tools.slices import SliceTools
+from supple.viewer.tools.volumes import VolumeTools
 from tests.viewer.tools import MIDDLE, RIGHT, click, down, drag, move, press, send, solid, up
 
 TURNED = np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]) @ np.diag([1.0, -1.0, 1.0])
@@ -54,7 +53,7 @@ def test_a_click_on_a_face_looks_from_that_side_upright(geometry: Geometry) -> N
     document = solid().document
     seen = set()
     for camera in CAMERAS:
-        tools = SliceTools(document, geometry, (400, 300), lambda x, y: None, lambda pick, to: (0, 0, 0), (0.0, 1.0))
+        tools = VolumeTools(document, geometry, (400, 300), lambda x, y: None, lambda pick, to: (0, 0, 0), (0.0, 1.0))
         tools.enlarge(RENDERED)
         before = replace(camera, target=(20.0, 30.0, 10.0), distance=150.0)
         for name in [face.name for face in faces_of(tools.stage, before, tools.corner)]:
@@ -62,7 +61,7 @@ def test_a_click_on_a_face_looks_from_that_side_upright(geometry: Geometry) -> N
             face = next(face for face in tools.cube if face.name == name)
             click(tools, *face.middle)
             seen.add(name)
-            after = tools.camera
+            after = tools.view
             assert (after.target, after.distance, after.roll) == (before.target, before.distance, 0.0)
             assert after.azimuth == face.azimuth
             view = tools.stage.view(after)
@@ -72,7 +71,7 @@ def test_a_click_on_a_face_looks_from_that_side_upright(geometry: Geometry) -> N
             np.testing.assert_allclose(above, axes @ WAYS[UP[name]], atol=1e-12)
             assert [(f.name, pytest.approx(1.0)) for f in tools.cube] == [(name, tools.cube[0].towards)]
     assert seen == set("LRPASI")
-    assert document.items == ()
+    assert document.strokes == ()
 
 
 def test_a_volume_without_a_place_in_space_has_the_axes_of_its_voxels() -> None:
@@ -87,18 +86,18 @@ def test_a_drag_of_the_cube_turns_the_view_as_one_beside_the_object() -> None:
     x, y = tools.cube[0].middle
     drag(tools, (x, y), (x - 30, y + 20))
     drag(other, (10, 10), (-20, 30))
-    assert tools.camera == other.camera != Camera(30, 30)
-    before = tools.camera
+    assert tools.view == other.view != Camera(30, 30)
+    before = tools.view
     down(tools, *tools.cube[0].middle)
     move(tools, x - 60, y)
-    assert tools.camera != before
+    assert tools.view != before
     press(tools, "Escape")
-    assert tools.camera == before
+    assert tools.view == before
     for button in (RIGHT, MIDDLE):  # which turn and pan on the cube as elsewhere
         x, y = tools.cube[0].middle
         send(tools, "pointer_down", x, y, button=button, buttons=(button,))
         up(tools, x, y, button=button)
-        assert tools.camera == before
+        assert tools.view == before
 
 
 def test_a_press_that_ends_beside_the_cube_turns() -> None:
@@ -109,7 +108,7 @@ def test_a_press_that_ends_beside_the_cube_turns() -> None:
     move(tools, x + 200, y)
     assert tools.side is None
     up(tools, x + 200, y)
-    assert tools.camera != Camera(30, 30)
+    assert tools.view != Camera(30, 30)
 
 
 def test_nothing_behind_the_cube_is_picked() -> None:
@@ -137,4 +136,4 @@ def test_a_small_rendering_has_no_cube() -> None:
     assert top + height - 80 < y < top + height
     tools.enlarge(0)  # a plane has none where the rendering's was
     click(tools, x, y)
-    assert tools.camera == Camera()
+    assert tools.view == Camera()

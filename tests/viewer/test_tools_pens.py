@@ -17,13 +17,13 @@ def drawn(tools: Tools[Any], key: str, *pressures: float | None) -> tuple[Stroke
     """The strokes of a drag to the right, with a pressure at each place."""
     tools.radius = 20
     press(tools, key)
-    count = len(tools.document.items)
+    count = len(tools.document.strokes)
     for k, pressure in enumerate(pressures):
         more = {} if pressure is None else {"pressure": pressure}
         kind = "pointer_move" if k else "pointer_down"
         send(tools, kind, 201 + 10 * k, 101, button=0 if k else 1, buttons=(1,), **more)
     send(tools, "pointer_up", 201 + 10 * (len(pressures) - 1), 101, button=1, buttons=())
-    return tuple(item.stroke for item in tools.document.items[count:])
+    return tools.document.strokes[count:]
 
 
 def picture() -> Tools[Any]:
@@ -90,7 +90,7 @@ def test_the_peak_of_a_drag_counts_where_moves_were_dropped_but_not_for_painting
         send(tools, "pointer_down", 201, 101, button=1, buttons=(1,), pressure=0.2, peak=0.2)
         send(tools, "pointer_move", 231, 101, button=0, buttons=(1,), pressure=0.2, peak=0.2)
         send(tools, "pointer_up", 231, 101, button=1, buttons=(), pressure=0.2, **last)
-        return tuple(item.stroke for item in tools.document.items[1:])
+        return tools.document.strokes[1:]
 
     low, high = left(peak=0.2), left(peak=0.5)
     if key == "r":
@@ -130,6 +130,6 @@ def test_pins_are_where_they_are() -> None:
         kind = "pointer_move" if k else "pointer_down"
         send(tools, kind, x, 201, button=0 if k else 1, buttons=(1,), pressure=0.3)
     send(tools, "pointer_up", 301, 201, button=1, buttons=())
-    (item,) = tools.document.items
-    assert item.stroke.by == (12, 0)
-    assert [by for _, by in item.stroke.also] == [(0, 0)]
+    (stroke,) = tools.document.strokes
+    assert stroke.by == (12, 0)
+    assert [by for _, by in stroke.also] == [(0, 0)]

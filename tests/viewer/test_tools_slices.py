@@ -9,7 +9,7 @@ from supple.space.geometry import Geometry
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.editing import Document
 from supple.viewer.tools.planes import RENDERED, planes_of
-from supple.viewer.tools.slices import SliceTools
+from supple.viewer.tools.volumes import VolumeTools
 from tests.viewer.tools import MIDDLE, RIGHT, click, down, drag, move, press, up, wheel
 
 AXIAL, CORONAL, SAGITTAL = 0, 1, 2
@@ -17,21 +17,21 @@ RAS = np.diag([-1.0, -1.0, 1.0])
 MOST = (1000.0, 800.0)
 
 
-def bench(direction: np.ndarray = RAS, convention: str = "RAS", *strokes: Stroke) -> SliceTools:
+def bench(direction: np.ndarray = RAS, convention: str = "RAS", *strokes: Stroke) -> VolumeTools:
     """A volume of 60 x 50 x 40 voxels of 1 x 2 x 3 mm, before nobody's camera."""
     geometry = Geometry((1, 2, 3), (0, 0, 0), direction, convention)
     document = Document((40, 50, 60), (1, 2, 3), Recipe(border=None), kind="volume", geometry=geometry)
     for stroke in strokes:
         document.add(stroke)
-    return SliceTools(document, geometry, MOST, lambda x, y: None, lambda pick, to: (0.0, 0.0, 0.0), (0.0, 100.0))
+    return VolumeTools(document, geometry, MOST, lambda x, y: None, lambda pick, to: (0.0, 0.0, 0.0), (0.0, 100.0))
 
 
-def middle(tools: SliceTools, k: int) -> tuple[float, float]:
+def middle(tools: VolumeTools, k: int) -> tuple[float, float]:
     left, top, width, height = tools.places[k]
     return left + width / 2, top + height / 2
 
 
-def is_at_right(tools: SliceTools, k: int, axis: int, way: int) -> bool:
+def is_at_right(tools: VolumeTools, k: int, axis: int, way: int) -> bool:
     """Whether a step along an axis of the patient, in LPS, leads to the right."""
     pane, start = tools.pane(k), np.array(tools.index, float)
     step = np.zeros(3)
@@ -95,16 +95,16 @@ def test_a_drag_in_a_plane_stays_in_it(k: int) -> None:
     pane = tools.pane(k)
     start, end = pane.to_point(x + 5, y), pane.to_point(x + 45, y - 30)
     drag(tools, (x + 5, y), (x + 20, y - 10), (x + 45, y - 30))
-    (item,) = tools.document.items
-    assert item.stroke.at == pytest.approx(start)
-    assert item.stroke.by == pytest.approx(np.subtract(end, start))
-    assert item.stroke.by[pane.plane.axis] == 0
-    assert item.stroke.radius == 9.0
+    (stroke,) = tools.document.strokes
+    assert stroke.at == pytest.approx(start)
+    assert stroke.by == pytest.approx(np.subtract(end, start))
+    assert stroke.by[pane.plane.axis] == 0
+    assert stroke.radius == 9.0
     assert tools.sight.cross == pytest.approx(start)  # so that the other planes show it, too
     # Its end is there, and can be dragged on; in another plane, it is not.
     drag(tools, (x + 45, y - 30), (x + 45, y))
-    assert tools.document.items[0].stroke.by == pytest.approx(np.subtract(pane.to_point(x + 45, y), start), abs=1e-6)
-    assert len(tools.document.items) == 1
+    assert tools.document.strokes[0].by == pytest.approx(np.subtract(pane.to_point(x + 45, y), start), abs=1e-6)
+    assert len(tools.document.strokes) == 1
     tools.step(k, 2)
     assert tools.handles() == []
 
@@ -119,10 +119,10 @@ def test_a_drag_goes_on_in_its_plane_over_the_others() -> None:
     before = tools.sight
     down(tools, x, y)
     move(tools, *far)
-    assert tools.document.items[0].stroke.by == pytest.approx(np.subtract(pane.to_point(*far), pane.to_point(x, y)))
+    assert tools.document.strokes[0].by == pytest.approx(np.subtract(pane.to_point(*far), pane.to_point(x, y)))
     press(tools, "Escape")
     up(tools, *far)
-    assert tools.document.items == ()
+    assert tools.document.strokes == ()
     assert tools.sight == before
 
 
@@ -134,7 +134,7 @@ def test_a_click_moves_the_crosshair_and_selects_what_is_there() -> None:
     wanted = tools.sight.at(pane.to_point(x + 40, y - 25), tools.sizes).cross
     assert tools.sight.cross == pytest.approx(wanted)
     assert tools.index[1] == pane.index[1]
-    assert tools.document.items == ()
+    assert tools.document.strokes == ()
     tools.document.add(Stroke.grab(tuple(map(float, tools.index)), by=(0, 0, 0.5), radius=5))
     tools.document.select(None)
     place, before = tools.pane(CORONAL).to_canvas(tools.index), tools.index
@@ -154,7 +154,7 @@ def test_shift_and_drag_moves_the_crosshair_and_escape_puts_it_back() -> None:
     up(tools, x + 30, y + 10)
     drag(tools, (x, y), (x + 9000, y), modifiers=("Shift",))
     assert tools.sight.cross[1] in (0.0, 49.0)  # the end of the volume
-    assert tools.document.items == ()
+    assert tools.document.strokes == ()
 
 
 def test_the_wheel_scrolls_zooms_or_widens_the_brush() -> None:
@@ -203,7 +203,7 @@ def test_right_drags_change_contrast_and_brightness() -> None:
     low, high = tools.sight.window
     assert high - low == pytest.approx(100 * np.e)
     assert low + high == pytest.approx(50)
-    assert tools.document.items == ()
+    assert tools.document.strokes == ()
 
 
 def test_middle_drags_and_drags_beside_the_volume_move_all_planes() -> None:
@@ -217,7 +217,7 @@ def test_middle_drags_and_drags_beside_the_volume_move_all_planes() -> None:
     left, top, _, _ = tools.places[AXIAL]
     drag(tools, (left + 3, top + 40), (left + 3, top + 28))
     assert tools.pane(AXIAL).to_canvas(point) == pytest.approx((x + 30, y))
-    assert tools.document.items == ()
+    assert tools.document.strokes == ()
     assert b > 0
 
 
@@ -236,7 +236,7 @@ def test_a_view_is_enlarged_by_its_key_or_its_button_and_put_back() -> None:
         left, top, width, height = tools.button(k)
         click(tools, left + width / 2, top + height / 2)
         assert len(tools.places) == 4
-    assert tools.document.items == ()
+    assert tools.document.strokes == ()
 
 
 def test_the_ring_and_the_hover_are_those_of_the_view_under_the_pointer() -> None:
@@ -264,7 +264,7 @@ def test_the_split_has_a_knob_in_each_view() -> None:
     left, _, width, _ = tools.places[CORONAL]
     drag(tools, (x, y), (left + 0.25 * width, y))
     assert tools.split == pytest.approx(0.25)
-    assert tools.document.items == ()
+    assert tools.document.strokes == ()
 
 
 def test_the_planes_follow_the_size_of_the_canvas() -> None:

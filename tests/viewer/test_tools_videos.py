@@ -26,13 +26,13 @@ class TestVideos:
         down(tools, 201, 101)
         assert not tools.playback.playing
         wheel(tools, -300)
-        assert (tools.playback.frame, tools.document.items[0].stroke.by) == (8, (0, 0, 3))
+        assert (tools.playback.frame, tools.document.strokes[0].by) == (8, (0, 0, 3))
         move(tools, 221, 101)
         up(tools, 221, 111)
-        assert tools.document.items[0].stroke == Stroke(at=(100, 50, 5), by=(10, 5, 3), radius=40)
+        assert tools.document.strokes[0] == Stroke(at=(100, 50, 5), by=(10, 5, 3), radius=40)
         assert (tools.playback.frame, tools.radius) == (8, 40)
         tools.document.undo()
-        assert tools.document.items == ()
+        assert tools.document.strokes == ()
 
     def test_parts_of_a_notch_add_up_to_whole_frames(self) -> None:
         tools = clip()
@@ -47,7 +47,7 @@ class TestVideos:
             wheel(tools, -120)
         wheel(tools, 100)
         up(tools, 201, 101)
-        assert tools.document.items[0].stroke.by == (0, 0, 13)  # the way back begins at the last frame
+        assert tools.document.strokes[0].by == (0, 0, 13)  # the way back begins at the last frame
 
     def test_the_wheel_alone_is_the_radius(self) -> None:
         tools = clip()
@@ -58,7 +58,7 @@ class TestVideos:
         down(tools, 201, 101)
         wheel(tools, -100, "Shift")
         move(tools, 221, 101)
-        assert tools.document.items[0].stroke.radius == pytest.approx(48.4)
+        assert tools.document.strokes[0].radius == pytest.approx(48.4)
         assert tools.playback.frame == 0
 
     def test_stays_within_the_clip(self) -> None:
@@ -66,9 +66,9 @@ class TestVideos:
         tools.playback.seek(15)
         down(tools, 201, 101)
         wheel(tools, -1e5)
-        assert (tools.playback.frame, tools.document.items[0].stroke.by[2]) == (19, 4)
+        assert (tools.playback.frame, tools.document.strokes[0].by[2]) == (19, 4)
         wheel(tools, 1e5)
-        assert (tools.playback.frame, tools.document.items[0].stroke.by[2]) == (0, -15)
+        assert (tools.playback.frame, tools.document.strokes[0].by[2]) == (0, -15)
 
     def test_arrows_carry_what_is_held(self) -> None:
         tools = clip()
@@ -79,7 +79,7 @@ class TestVideos:
         press(tools, " ")
         assert not tools.playback.playing
         up(tools, 201, 101)
-        assert tools.document.items[0].stroke.by == (0, 0, 2)
+        assert tools.document.strokes[0].by == (0, 0, 2)
 
     @pytest.mark.parametrize("end", ["escape", "undo", "back"])
     def test_is_put_back(self, end: str) -> None:
@@ -107,7 +107,7 @@ class TestVideos:
         assert arrived(tools, 0) == (70, 50, 7)
         for frame, x, chosen in [(3, 50, 0), (3, 70, None), (7, 70, 0), (7, 50, None), (5, 60, None)]:
             tools.playback.seek(frame)
-            click(tools, *tools.viewport.to_canvas(x, 50))
+            click(tools, *tools.view.to_canvas(x, 50))
             assert tools.document.selected == chosen
         assert [handle.part for handle in tools.handles()] == []
         tools.playback.seek(7)
@@ -116,14 +116,14 @@ class TestVideos:
         down(tools, 141, 101)
         wheel(tools, -200)
         up(tools, 151, 101)
-        assert tools.document.items[0].stroke.by == pytest.approx((25, 0, 6))
+        assert tools.document.strokes[0].by == pytest.approx((25, 0, 6))
         assert tools.playback.frame == 9
         tools.playback.seek(3)
         down(tools, 101, 101)
         wheel(tools, 100)
         up(tools, 101, 101)
-        assert tools.document.items[0].stroke.at == (50, 50, 2)
-        assert tools.document.items[0].stroke.by == pytest.approx((25, 0, 6))
+        assert tools.document.strokes[0].at == (50, 50, 2)
+        assert tools.document.strokes[0].by == pytest.approx((25, 0, 6))
 
     def test_between_two_frames(self) -> None:
         tools = clip(Stroke(at=(50, 50, 3), by=(20, 0, 0.5), radius=60))
@@ -171,7 +171,7 @@ class TestVideos:
         press(tools, "End")
         assert playback.frame == 19
         press(tools, "1")
-        assert tools.viewport.percent == 100
+        assert tools.view.percent == 100
 
     def test_hover_knows_the_time(self) -> None:
         tools = clip()

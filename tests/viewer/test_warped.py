@@ -224,7 +224,7 @@ def test_during_a_drag_pixels_are_those_of_the_export(
         if software:  # however slow the device is
             np.testing.assert_array_equal(pixels_of(view.gpu, view._textures[0]), wanted)
     hand.release(345, 275)
-    assert len(view.document.items) == 2
+    assert len(view.document.strokes) == 2
     seen = view.pixels()
     assert np.quantile(np.abs(seen - wanted[..., :3]), 0.98) <= (0 if software else 5)
     assert not hasattr(view.stage, "_plate") or not software

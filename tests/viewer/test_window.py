@@ -35,18 +35,6 @@ DATA = Path(supple.__file__).parent / "examples" / "data"
 
 
 @pytest.fixture
-def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of its own for what windows keep."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    return tmp_path
-
-
-@pytest.fixture
-def photo(state: Path) -> Path:
-    return small_photo(state)
-
-
-@pytest.fixture
 def photo_view(gpu: Gpu, photo: Path) -> Iterator[tuple[Any, Hand]]:
     view, hand = opened(photo)
     yield view, hand
@@ -63,7 +51,7 @@ def test_a_drag_is_a_stroke_and_the_canvas_shows_what_is_exported(
 ) -> None:
     view, hand = photo_view
     hand.key("1")
-    first = view.tools.viewport.to_canvas(0, 0)
+    first = view.tools.view.to_canvas(0, 0)
     hand.drag((350, 300), (400, 270))
     (stroke,) = view.recipe.strokes
     np.testing.assert_allclose(stroke.by, (50, -30), atol=1e-9)
@@ -206,7 +194,7 @@ def test_a_clip_plays_and_is_bent_in_time(gpu: Gpu, state: Path) -> None:
     assert view.stage.film.wait(*needed, 30.0)
     view.document.select(None)
     seen = view.pixels()
-    left, top = (round(v) for v in view.tools.viewport.to_canvas(0, 0))
+    left, top = (round(v) for v in view.tools.view.to_canvas(0, 0))
     with video.open_clip(DATA / "bunny.mp4") as clip:
         from supple.files.clip_work import deformation_of, frames_of, sampling_of
 
@@ -266,19 +254,19 @@ def test_a_volume_is_pulled_and_turned(gpu: Gpu, state: Path) -> None:
     view, hand = opened(DATA / "head.nii.gz")
     hand.key("4")  # the rendering, on the whole canvas
     view.stage._plain.step  # noqa: B018, it is a scene
-    camera = view.tools.camera
+    camera = view.tools.view
     hand.drag((350, 300), (390, 280))
     (stroke,) = view.recipe.strokes
     assert stroke.radius == view.tools.radius
     assert all(0 <= p <= n for p, n in zip(stroke.at, reversed(view.stage.shape), strict=True))
-    assert view.tools.camera == camera
+    assert view.tools.view == camera
     hand.drag((350, 300), (390, 280), button=3)
-    assert view.tools.camera != camera
+    assert view.tools.view != camera
     hand.key("z", "Control")
     assert view.recipe.strokes == ()
     hand.key("0")
     hand.drag((8, 8), (60, 8))  # beside the head
-    assert view.tools.camera != camera
+    assert view.tools.view != camera
     assert view.recipe.strokes == ()
     hand.wheel(300, 300, 200)
     view.stage.look("grey", (20.0, 200.0))
@@ -316,7 +304,7 @@ def test_the_first_strokes_may_be_places_in_space(gpu: Gpu, state: Path) -> None
     at = head.geometry.to_world(np.array([45.0, 60, 50]))
     recipe = Recipe(border=None, strokes=(Stroke.grab(tuple(at), by=(4, 0, 2), radius=20),))
     view, _ = opened(DATA / "head.nii.gz", recipe, volume=VolumeOptions(world=True))
-    np.testing.assert_allclose(view.document.items[0].stroke.at, (45, 60, 50), atol=1e-6)
+    np.testing.assert_allclose(view.document.strokes[0].at, (45, 60, 50), atol=1e-6)
     assert (view.recipe.space, view.recipe.size) == ("RAS", head.sizes)
     np.testing.assert_allclose(view.recipe.strokes[0].at, at, atol=1e-9)
     wanted = deformation_of(recipe, head, world=True)

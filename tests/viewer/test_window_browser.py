@@ -9,17 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import SimpleITK as sitk  # noqa: N813
 
-from supple.cli import command
 from supple.gpu.device import Gpu
 from supple.media import image
 from supple.strokes import Stroke
-from supple.viewer.panels.view import BAR, LINE, WIDE
-from tests import effort
-from tests.clips import decoded
+from supple.viewer.panels.view import LINE, WIDE
 from tests.viewer.sessions import near, on_canvas, recipe_in, warped
-from tests.viewer.windows import Browser, Pixels, as_in_a_window, needs, small_photo, viewing, wait_for
+from tests.viewer.windows import Browser, Pixels, needs, small_photo, viewing, wait_for
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
@@ -105,55 +101,6 @@ def test_a_photograph_in_a_browser(gpu: Gpu, photo: Path, state: Path) -> None:
 
         undone_and_opened(browser, lambda: away(wanted) < 5, lambda: away(before) < 5)
         assert away(before) > 8
-
-
-@effort.soak("the frames of a clip in a browser, which others have on a screen")
-def test_a_clip_in_a_browser(gpu: Gpu, clip: Path, state: Path) -> None:
-    saved, made = state / "clip.recipe.json", state / "clip-bent.mp4"
-    with browsing(clip) as browser:
-        browser.key("1", 49)  # nothing was clicked on yet
-        for _ in range(8):
-            browser.key("ArrowRight", 39)
-            time.sleep(0.2)
-        strokes = edited_there(browser, saved, made)
-        assert {stroke.at[2] for stroke in strokes} == {8}
-        frames = decoded(made)
-        for one, other in zip(frames, decoded(warped(clip, "wanted.mp4", saved)), strict=True):
-            np.testing.assert_array_equal(one.to_ndarray(), other.to_ndarray())
-        wanted, before = (some[8].to_ndarray(format="rgb24") for some in (frames, decoded(clip)))
-
-        def away(picture: Pixels) -> float:
-            seen = browser.shown()
-            return on_canvas(picture, seen, (seen.shape[1] - WIDE, seen.shape[0] - LINE - BAR), strokes)
-
-        undone_and_opened(browser, lambda: away(wanted) < 8, lambda: away(before) < 8)
-        assert away(before) > 10
-
-
-@effort.soak("a volume in a browser, which others have without a screen, and in planes by a pointer")
-def test_a_volume_in_a_browser(gpu: Gpu, volume: Path, state: Path) -> None:
-    saved, made = state / "head.recipe.json", state / "head-bent.nii.gz"
-    with browsing(volume) as browser:
-        browser.key("4", 52)  # the rendering, on the whole canvas
-        edited_there(browser, saved, made)
-        found, wanted = (
-            sitk.GetArrayFromImage(sitk.ReadImage(str(path))) for path in (made, warped(volume, "wanted.nii.gz", saved))
-        )
-        np.testing.assert_array_equal(found, wanted)
-        seen = browser.shown()
-        area = seen.shape[1] - WIDE, seen.shape[0] - LINE
-        pictures = []
-        for name, recipe in (("bent.png", ["--recipe", str(saved)]), ("plain.png", [])):
-            look = as_in_a_window(volume, *area)
-            assert command(["render", str(volume), str(state / name), *recipe, *look]) == 0
-            pictures.append(image.read(state / name).pixels[..., :3])
-
-        def away(picture: Pixels) -> float:
-            free = np.s_[30 : area[1] - 110]  # of the button, the axes and the scale bar
-            return near(browser.shown()[: area[1], : area[0]], picture, free)
-
-        undone_and_opened(browser, lambda: away(pictures[0]) < 4, lambda: away(pictures[1]) < 4)
-        assert away(pictures[1]) > 4.2
 
 
 def test_hints_and_the_list_of_keys_in_a_browser(gpu: Gpu, page: Page) -> None:

@@ -82,7 +82,7 @@ def test_a_picture_bent_by_all_brushes(gpu: Gpu, photo: Path) -> None:
     hand.release(260, 470)
     assert len(view.recipe.strokes[-1].also) == 3
     assert sum(not any(by) for _, by in view.recipe.strokes[-1].handles) == 1
-    for i in range(len(view.document.items)):
+    for i in range(len(view.document.strokes)):
         view.document.select(i)
         hand.canvas.draw()  # the panel shows each by its numbers
     bent, wanted = both(view, photo, "wanted.png")

@@ -69,7 +69,7 @@ def test_what_a_dialog_answers_is_done(desk: Any, tmp_path: Path) -> None:
     commands.ask("open")
     opened[-1][1].says = str(place)
     commands.tick()
-    assert len(commands.document.items) == 2
+    assert len(commands.document.strokes) == 2
     commands.end()
 
 

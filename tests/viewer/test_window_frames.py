@@ -193,7 +193,7 @@ def test_the_value_under_the_pointer_is_what_is_seen_there(gpu: Gpu, monkeypatch
     stroke = Stroke.grab((300, 200), by=(120, 40), radius=90)
     view, hand = opened(ramp, Recipe(border=None, strokes=(stroke,)))
     hand.key("1")
-    x, y = view.tools.viewport.to_canvas(420, 240)
+    x, y = view.tools.view.to_canvas(420, 240)
     hand.move(x, y)
     seen = [int(v) for v in view.pixels()[round(y), round(x)]]
 

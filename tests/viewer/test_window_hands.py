@@ -51,10 +51,10 @@ def test_a_screen_of_small_pixels_shows_the_same_twice_as_sharp(gpu: Gpu, photo:
         hand.canvas.draw()
         pictures.append(seen(hand))
         recipes.append(view.recipe)
-        assert view.tools.viewport.pixel_ratio == ratio
+        assert view.tools.view.pixel_ratio == ratio
         assert view._textures[0].size[:2] == tuple(round(ratio * v) for v in view.area)
         hand.key("1")
-        assert view.tools.viewport.zoom == pytest.approx(1 / ratio)
+        assert view.tools.view.zoom == pytest.approx(1 / ratio)
         view.document.mark_saved()  # else the next one asks whether to restore it
         view.close()
     # The pointer is where it is, in logical pixels: the stroke is the same.
@@ -164,7 +164,7 @@ def test_the_panel_answers_though_it_keeps_events_to_itself(view: tuple[Any, Han
 
 @pytest.mark.parametrize("keys", ["/", "?", "-"])
 def test_the_list_of_keys_opens_by_the_character_on_any_layout(view: tuple[Any, Hand], keys: str) -> None:
-    # glfw knows keys by their place, on a US keyboard; Qt and browsers by what is on them.
+    # glfw knows keys by their place, on a US keyboard; browsers by what is on them.
     window, hand = view
 
     def typed(*characters: str) -> None:

@@ -14,7 +14,7 @@ from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.gestures import Tools
 from supple.viewer.tools.planes import RENDERED
 from supple.viewer.tools.playback import Playback
-from supple.viewer.tools.slices import SliceTools
+from supple.viewer.tools.volumes import VolumeTools
 
 LEFT, RIGHT, MIDDLE = 1, 2, 3
 
@@ -73,7 +73,7 @@ def clip(*strokes: Stroke, count: int = 20) -> VideoTools:
     return VideoTools(document, Playback(count, 10), (600, 400))
 
 
-def solid(*strokes: Stroke, large: int | None = RENDERED) -> SliceTools:
+def solid(*strokes: Stroke, large: int | None = RENDERED) -> VolumeTools:
     """A volume whose object is a disc in the middle of the rendering, which has the whole canvas."""
     document = Document((40, 50, 60), (1, 1, 1), Recipe(border=None, strokes=strokes), kind="volume")
 
@@ -83,11 +83,11 @@ def solid(*strokes: Stroke, large: int | None = RENDERED) -> SliceTools:
     def pull(pick: Pick, to: tuple[float, float]) -> tuple[float, ...]:
         # By the true camera, which the tools lead: it stands in front, and +z is up.
         assert tools is not None
-        view = tools.stage.view(tools.camera)
+        view = tools.stage.view(tools.view)
         start = (np.array(pick.index) - view.eye) * view.spacing
         ray = view.direction(to[0] - 0.5, to[1] - 0.5)
         return tuple(ray * (start @ view.ahead) / (ray @ view.ahead) - start)
 
-    tools = SliceTools(document, Geometry(), (400, 300), pick, pull, (0.0, 1.0))
+    tools = VolumeTools(document, Geometry(), (400, 300), pick, pull, (0.0, 1.0))
     tools.enlarge(large)
     return tools

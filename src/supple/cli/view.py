@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -25,7 +25,6 @@ def view(
     *,
     serve: bool = False,
     port: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 0,
-    toolkit: Literal["glfw", "qt"] = "glfw",
     strokes: StrokeOptions = _STROKES,
     maps: MapOptions = _MAPS,
     time: TimeOptions = _TIME,
@@ -45,8 +44,6 @@ def view(
         Show the window in a web browser, on this machine or through a tunnel: the address is printed.
     port
         Port for --serve (default: any free port).
-    toolkit
-        Window toolkit: glfw, or qt (needs PySide6 or PyQt6).
     labels
         The volume is a label map: exports take the label of the nearest voxel, and labels are not mixed.
     points
@@ -94,4 +91,4 @@ def view(
     if serve:
         serve_it(source, recipe, port=port, tell=tell, options=options)
     else:
-        show(source, recipe, toolkit=toolkit, options=options)
+        show(source, recipe, options=options)

@@ -13,7 +13,7 @@ from supple.space.domain import Border, Domain, integer, refuse
 from supple.space.freezing import Freeze
 from supple.space.geometry import Geometry
 from supple.strokes import PAINTINGS, FoldPolicy, Recipe, Stroke, spoken
-from supple.viewer.document.state import Handle, Item, Kind, Solved, State, Track, handles_of
+from supple.viewer.document.state import Handle, Kind, Solved, State, Track, handles_of
 
 _HIDDEN = attrgetter("hidden")
 
@@ -61,9 +61,9 @@ class Document:
         return self._now.state
 
     @property
-    def items(self) -> tuple[Item, ...]:
-        """The strokes."""
-        return self._now.state.items
+    def strokes(self) -> tuple[Stroke, ...]:
+        """The strokes, with the hidden ones."""
+        return self._now.state.strokes
 
     @property
     def selected(self) -> int | None:
@@ -99,25 +99,20 @@ class Document:
         found = [] if arrival is None else [each.carried_by for each in (arrival, *arrival.also)]
         return next((self._now.visible[k][0] for k in found if k is not None), None)
 
-    def warning(self, i: int) -> str | None:
-        """Return a sentence on a stroke that misses its target."""
-        known = self._nth(i)
-        return None if known is None else self.deformation.warnings[known]
-
     def handles(self, i: int) -> tuple[Handle, ...]:
         """Return the points of a stroke and their positions after it; for a hidden one, and all but the first, targets.
 
         The point of a twist, a scale or a pinch stays where it is.
         """
         known = self._nth(i)
-        return handles_of(self.items[i].stroke) if known is None else self._now.tracks[known].handles
+        return handles_of(self.strokes[i]) if known is None else self._now.tracks[known].handles
 
     def tracks(self) -> list[tuple[int, Track]]:
         """Return the strokes that have handles on screen, and their indices: no hidden ones.
 
         Of those of a painting, which are many, only the selected one has handles; during a drag, only what is dragged.
         """
-        visible = (i for i, item in enumerate(self.items) if not item.hidden)
+        visible = (i for i, stroke in enumerate(self.strokes) if not stroke.hidden)
         pairs, chosen, lone = zip(visible, self._now.tracks, strict=True), self.selected, self.dragging
         return [(i, track) for i, track in pairs if i == chosen or not (lone or track.stroke.name in PAINTINGS)]
 
@@ -130,12 +125,12 @@ class Document:
     def seen(self, i: int) -> Stroke:
         """Return a stroke at its full drag on screen, if its recipe applies a fraction of it."""
         known = self._nth(i)
-        return self.items[i].stroke if known is None else self._now.tracks[known].stroke
+        return self.strokes[i] if known is None else self._now.tracks[known].stroke
 
     def add(self, stroke: Stroke) -> int:
         """Append a stroke, and select it; return its index."""
-        count = len(self.items)
-        self._edit(replace(self.state, items=(*self.items, Item.of(stroke)), selected=count))
+        count = len(self.strokes)
+        self._edit(replace(self.state, strokes=(*self.strokes, _checked_stroke(stroke)), selected=count))
         return count
 
     def replace(self, i: int, stroke: Stroke) -> None:
@@ -147,20 +142,19 @@ class Document:
         i, selected = self._checked(i), self.selected
         if selected is not None and selected >= i:
             selected = None if selected == i else selected - 1
-        self._edit(replace(self.state, items=(*self.items[:i], *self.items[i + 1 :]), selected=selected))
+        self._edit(replace(self.state, strokes=(*self.strokes[:i], *self.strokes[i + 1 :]), selected=selected))
 
     def move(self, i: int, to: int) -> None:
         """Move a stroke to another index, so that it is applied earlier or later."""
-        order = list(range(len(self.items)))
+        order = list(range(len(self.strokes)))
         order.insert(self._checked(to), order.pop(self._checked(i)))
         selected = None if self.selected is None else order.index(self.selected)
-        self._edit(replace(self.state, items=tuple(self.items[k] for k in order), selected=selected))
+        self._edit(replace(self.state, strokes=tuple(self.strokes[k] for k in order), selected=selected))
 
     def hide(self, i: int, hidden: bool = True) -> None:
         """Hide a stroke, or show it."""
         i = self._checked(i)
-        item = replace(self.items[i], hidden=bool(hidden))
-        self._edit(self.state.with_item(i, item))
+        self._edit(self.state.with_stroke(i, replace(self.strokes[i], hidden=bool(hidden))))
 
     def set_border(self, border: Border) -> None:
         """Set the width of the fixed border, as in `Domain`."""
@@ -280,7 +274,7 @@ class Document:
         if known is None:
             return None
         # Two steps may be equal, and a selection makes another state of the same step.
-        same = (k for k, state in enumerate(self.steps) if state.items is known.items and state.rest is known.rest)
+        same = (k for k, state in enumerate(self.steps) if state.strokes is known.strokes and state.rest is known.rest)
         return next(same, None)
 
     @property
@@ -338,10 +332,10 @@ class Document:
         """
         before, i = self._dragged()
         state, had, self.trouble = before.state, self.trouble, None
-        kept = [before.kept(stroke, sum(not item.hidden for item in state.items[:i])) for stroke in strokes]
+        kept = [before.kept(stroke, sum(not each.hidden for each in state.strokes[:i])) for stroke in strokes]
         if i is None:
-            chosen = len(state.items) if select else state.selected
-            state = replace(state, items=(*state.items, *map(Item.of, kept)), selected=chosen)
+            chosen = len(state.strokes) if select else state.selected
+            state = replace(state, strokes=(*state.strokes, *kept), selected=chosen)
         else:
             state = replace(self._replaced(state, i, kept[0]), selected=i)
         try:
@@ -417,7 +411,7 @@ class Document:
                 tracks = (*made.tracks, Track.of(stroke, applied))
                 made = Solved(state, (*made.chain, applied), (*made.wholes, whole), tracks)
             except SuppleError as error:
-                many = len(state.items) > 1
+                many = len(state.strokes) > 1
                 raise type(error)(f"stroke {i + 1}: {error}" if many else str(error)) from None
         return made
 
@@ -440,15 +434,21 @@ class Document:
         return self._drag
 
     def _checked(self, i: int) -> int:
-        count = len(self.items)
+        count = len(self.strokes)
         wanted = f"one of {count}, from 0 to {count - 1}" if count else "none, as there are no strokes"
         return integer("a stroke's number", i, wanted, 0, count - 1)
 
     def _nth(self, i: int) -> int | None:
         """Return the index of an item among the visible strokes."""
         i = self._checked(i)
-        return None if self.items[i].hidden else i - sum(map(_HIDDEN, self.items[:i]))
+        return None if self.strokes[i].hidden else i - sum(map(_HIDDEN, self.strokes[:i]))
 
     @staticmethod
     def _replaced(state: State, i: int, stroke: Stroke) -> State:
-        return state.with_item(i, Item(Item.of(stroke).stroke, state.items[i].hidden))
+        return state.with_stroke(i, replace(_checked_stroke(stroke), hidden=state.strokes[i].hidden))
+
+
+def _checked_stroke(stroke: Stroke) -> Stroke:
+    if not isinstance(stroke, Stroke):
+        refuse("a stroke", "a Stroke", stroke)
+    return stroke

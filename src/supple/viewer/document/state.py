@@ -1,40 +1,23 @@
-"""States of a document, and their deformations."""
+"""States of a document and their deformations, and landmarks, which move with a volume."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import Literal, Self
 
+import numpy as np
+import numpy.typing as npt
+
 from supple.deformation import Deformation, after
 from supple.folding.limits import NEAR
-from supple.space.domain import refuse
 from supple.strokes import CoordinateSpace, FoldPolicy, Recipe, Stroke
 
 Kind = Literal["image", "video", "volume"]
 Point = tuple[float, ...]
+Floats = npt.NDArray[np.float64]
 Handle = tuple[Point, Point]
 """A point of a stroke, and where it ends."""
 _EMPTY = Recipe()
-
-
-@dataclass(frozen=True, slots=True)
-class Item:
-    """A stroke in the list, which may be hidden."""
-
-    stroke: Stroke  # never hidden itself
-    hidden: bool = False
-
-    @classmethod
-    def of(cls, stroke: Stroke) -> Self:
-        """Return the item of a recipe's stroke."""
-        if not isinstance(stroke, Stroke):
-            refuse("a stroke", "a Stroke", stroke)
-        return cls(replace(stroke, hidden=False) if stroke.hidden else stroke, stroke.hidden)
-
-    @property
-    def kept(self) -> Stroke:
-        """Return the stroke for a recipe."""
-        return replace(self.stroke, hidden=True) if self.hidden else self.stroke
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +27,7 @@ class State:
     Points are samples here; if those of the file are in millimetres, ``rest`` has their space.
     """
 
-    items: tuple[Item, ...] = ()  # in the order of application
+    strokes: tuple[Stroke, ...] = ()  # in the order of application, with the hidden ones
     rest: Recipe = _EMPTY  # the recipe's other options
     selected: int | None = None
 
@@ -52,26 +35,26 @@ class State:
     def of(cls, recipe: Recipe, space: CoordinateSpace | None = None) -> Self:
         """Return the state of a recipe of samples, with nothing selected, and its space for saving."""
         rest = replace(recipe, strokes=(), size=None, space=space, time_scale=None)
-        return cls(tuple(map(Item.of, recipe.strokes)), rest)
+        return cls(recipe.strokes, rest)
 
     @property
     def recipe(self) -> Recipe:
         """The recipe of this state, without its space: points are samples."""
-        return replace(self.rest, space=None, strokes=tuple(item.kept for item in self.items))
+        return replace(self.rest, space=None, strokes=self.strokes)
 
     @property
     def on_fold(self) -> FoldPolicy:
         """The policy for strokes that would fold the image."""
         return self.rest.on_fold
 
-    def with_item(self, i: int, item: Item) -> Self:
-        """Return a state with a stroke replaced, or appended."""
-        return replace(self, items=(*self.items[:i], item, *self.items[i + 1 :]))
+    def with_stroke(self, i: int, stroke: Stroke) -> Self:
+        """Return a state with a stroke replaced."""
+        return replace(self, strokes=(*self.strokes[:i], stroke, *self.strokes[i + 1 :]))
 
     @property
     def content(self) -> tuple[object, object]:
         """The state without the selection."""
-        return self.items, self.rest
+        return self.strokes, self.rest
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +95,7 @@ class Solved:
     @property
     def visible(self) -> list[tuple[int, Stroke]]:
         """The visible strokes, with their indices."""
-        return [(i, item.stroke) for i, item in enumerate(self.state.items) if not item.hidden]
+        return [(i, stroke) for i, stroke in enumerate(self.state.strokes) if not stroke.hidden]
 
     def before(self, k: int) -> tuple[Deformation, Deformation]:
         """Return the deformation before a visible stroke, or the next one: at full strength, and as applied."""
@@ -131,3 +114,26 @@ class Solved:
         if whole is not now:
             stroke = replace(stroke, at=tuple(whole.forward(now.inverse(stroke.at).points).tolist()))
         return replace(stroke.weakened(1 / part), strength=stroke.strength) if 0 < part < 1 else stroke
+
+
+class Landmarks:
+    """Named points of a volume, before and after strokes.
+
+    Parameters
+    ----------
+    names : tuple of str
+    points : float64 array, shape (N, 3)
+        In voxels of the volume without strokes, x first.
+    """
+
+    def __init__(self, names: tuple[str, ...], points: Floats) -> None:
+        self.names, self.points = names, points
+        self._moved: tuple[Deformation, Floats] | None = None
+
+    def moved(self, deformation: Deformation) -> Floats:
+        """Return where the points are after strokes, (N, 3); the last answer is cached."""
+        if deformation.is_identity:
+            return self.points
+        if self._moved is None or self._moved[0] is not deformation:
+            self._moved = deformation, np.asarray(deformation.forward(self.points), np.float64)
+        return self._moved[1]

@@ -10,7 +10,7 @@ from supple.deformation import Arrival
 from supple.folding.limits import NEAR
 from supple.space.freezing import Freeze
 from supple.strokes import PAINTINGS, FoldPolicy, Recipe, Stroke
-from supple.viewer.document.state import Item, State
+from supple.viewer.document.state import State
 
 CAUSES = {"fold": "all of it would fold", "border": "the fixed border holds it back", "outside": "it starts outside"}
 CAUSES["freeze"] = "what is frozen holds it back"
@@ -92,29 +92,6 @@ def described(stroke: Stroke, arrival: Arrival | None) -> str:
     return said
 
 
-def sentence(i: int, item: Item) -> str:
-    """Return a stroke of a list as a sentence, in two lines."""
-    stroke = item.stroke
-    said = f"{i + 1}. {named(stroke)} at {place(stroke.at)} {done(stroke)},\n"
-    said += f"    radius {stroke.radius:.4g}"
-    if stroke.scales != 1:
-        said += f", fall-off {FALLOFFS[stroke.scales - 1]}"
-    if stroke.poisson is not None:
-        said += f", Poisson ratio {stroke.poisson:.3g}"
-    if stroke.strength != 1.0:
-        said += f", {100 * stroke.strength:.3g} % of it"
-    return said + (" (hidden)." if item.hidden else ".")
-
-
-def settings(recipe: Recipe) -> str:
-    """Return what a recipe says of folds, of the border, and of what is frozen, in a few sentences."""
-    border = "The border is free" if recipe.border is None else "The border is fixed"
-    width = "" if not isinstance(recipe.border, int | float) else f", over {recipe.border:g}"
-    return f"Where a stroke would fold: {FOLDS[recipe.on_fold]}. {border}{width}." + (
-        "" if recipe.freeze is None else f" {frozen(recipe.freeze)}."
-    )
-
-
 @lru_cache(maxsize=4)
 def frozen(freeze: Freeze) -> str:
     """Return how much of a medium a mask freezes; one of two axes does so in all frames of a clip."""
@@ -126,23 +103,23 @@ def step(before: State, after: State) -> str:
     """Return the name of the undo step between two states."""
     if before.rest != after.rest:
         changed = [f.name for f in fields(Recipe) if getattr(before.rest, f.name) != getattr(after.rest, f.name)]
-        if before.items != after.items or len(changed) > 1:
+        if before.strokes != after.strokes or len(changed) > 1:
             return _OTHER
         if changed == ["freeze"]:
             return _freezing(before.rest.freeze, after.rest.freeze)
         if changed == ["border"]:
             return "Free the border" if after.rest.border is None else "Fix the border"
         return "Folds" if changed == ["on_fold"] else _OTHER
-    old, new = before.items, after.items
+    old, new = before.strokes, after.strokes
     # The first and the last place where they differ.
     first = next((k for k, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), min(len(old), len(new)))
     more = len(new) - len(old)
     if (
         more > 0
         and new[first + more :] == old[first:]
-        and len({named(item.stroke) for item in new[first : first + more]}) == 1
+        and len({named(stroke) for stroke in new[first : first + more]}) == 1
     ):
-        made = new[first].stroke
+        made = new[first]
         return f"{named(made)} at {place(made.at)}" + (f", {more} strokes" if more > 1 else "")
     if len(new) == len(old) - 1 and new[first:] == old[first + 1 :]:
         return f"Remove stroke {first + 1}"
@@ -172,10 +149,10 @@ def _freezing(old: Freeze | None, new: Freeze | None) -> str:
     return "Freeze" if (other <= one).all() else "Thaw" if (other >= one).all() else "Freeze and thaw"
 
 
-def _edit(i: int, old: Item, new: Item) -> str:
+def _edit(i: int, old: Stroke, new: Stroke) -> str:
     if old.hidden != new.hidden:
         return f"{'Hide' if new.hidden else 'Show'} stroke {i + 1}"
-    changed = [f.name for f in fields(Stroke) if getattr(old.stroke, f.name) != getattr(new.stroke, f.name)]
+    changed = [f.name for f in fields(Stroke) if getattr(old, f.name) != getattr(new, f.name)]
     if len(changed) != 1:
         return f"Edit stroke {i + 1}"
     return f"{_FIELDS.get(changed[0], changed[0].capitalize())} of stroke {i + 1}"

@@ -1,4 +1,4 @@
-"""What lies over the views of a volume: crosshair, letters, scale bars, strokes, and the brush's ring."""
+"""What lies over the views of a volume: crosshair, letters, scale bars, strokes, rings, and the orientation cube."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from supple.render.box import whole_box
 from supple.render.marks import rounded
 from supple.space.geometry import SIDES
 from supple.strokes import PAINTINGS
-from supple.viewer.panels import cube, theme
+from supple.viewer.panels import theme
 from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.panels.view import COMPUTING, View
 from supple.viewer.tools.brushes import ImageTools
-from supple.viewer.tools.drags import MASKS, PAINTED, Pair
-from supple.viewer.tools.planes import RENDERED, Pane, Place
-from supple.viewer.tools.slices import SliceTools
+from supple.viewer.tools.drags import MASKS, PAINTED, Pair, Place, Point
+from supple.viewer.tools.planes import RENDERED, Pane
+from supple.viewer.tools.volumes import VolumeTools
 
 _LETTERS = 0xF0FFFFFF  # ABGR
 _PLANES = (0xFF6478F0, 0xFF78C86C, 0xFF50C8E8)  # red, green and yellow, as elsewhere for these three
@@ -32,7 +32,7 @@ _NEARBY = 5.0  # millimetres of a landmark from a plane in which it is seen, fai
 _MARK = 0xFFF0D060  # of landmarks
 
 
-def draw(view: View, tools: SliceTools, lines: imgui.ImDrawList) -> None:
+def draw(view: View, tools: VolumeTools, lines: imgui.ImDrawList) -> None:
     """Draw what lies over all views; their planes are sampled first."""
     if view.slices is not None:
         view.slices.update(tools, not view._lately)
@@ -45,14 +45,14 @@ def draw(view: View, tools: SliceTools, lines: imgui.ImDrawList) -> None:
             _plane(view, tools, lines, k)
         if tools.active == k:
             rings(tools, lines)
-        if (at := tools.knob_of(k)) is not None:
+        if (at := tools.knob_in(place)) is not None:
             knob(lines, at)
         names(tools, lines, place, _NAMED)
         _button(tools, lines, k)
         lines.pop_clip_rect()
 
 
-def rings(tools: ImageTools | SliceTools, lines: imgui.ImDrawList) -> None:
+def rings(tools: ImageTools | VolumeTools, lines: imgui.ImDrawList) -> None:
     """Draw the brush's radius under the pointer and, around it, its reach, beyond which nothing moves."""
     middle, radius, held = tools.pointer, tools.ring, tools.held
     if middle is None or tools.original or not radius:
@@ -74,7 +74,7 @@ def ring(lines: imgui.ImDrawList, middle: Pair, radius: float, stretch: Pair, co
     lines.add_ellipse(middle, (radius * stretch[0], radius * stretch[1]), colour, 0.0, 0, thick)
 
 
-def names(tools: ImageTools | SliceTools, lines: imgui.ImDrawList, place: Place, down: float) -> None:
+def names(tools: ImageTools | VolumeTools, lines: imgui.ImDrawList, place: Place, down: float) -> None:
     """Say which picture of a view is the original, or a step of the history, some pixels below its upper edge."""
     (left, top, width, _), named = place, []
     compared = tools.document.compared is not None
@@ -106,7 +106,7 @@ def _text(lines: imgui.ImDrawList, at: Pair, said: str, colour: int = _LETTERS, 
     lines.add_text((x, y), colour, said)
 
 
-def _button(tools: SliceTools, lines: imgui.ImDrawList, k: int) -> None:
+def _button(tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> None:
     """Draw the button that enlarges a view: the corners of a frame, which point outwards or inwards."""
     left, top, width, height = tools.button(k)
     x, y, large = left + width / 2, top + height / 2, tools.sight.large is not None
@@ -120,7 +120,7 @@ def _button(tools: SliceTools, lines: imgui.ImDrawList, k: int) -> None:
             lines.add_line(corner, (x + a * near, y + b * far), shade, thick)
 
 
-def _plane(view: View, tools: SliceTools, lines: imgui.ImDrawList, k: int) -> None:
+def _plane(view: View, tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> None:
     pane = tools.pane(k)
     left, top, width, height = pane.place
     if tools.mask is not None and not tools.original:
@@ -130,7 +130,13 @@ def _plane(view: View, tools: SliceTools, lines: imgui.ImDrawList, k: int) -> No
     _crosshair(tools, lines, pane)
     if (grip := tools.grip_of(k)) is not None:
         mirror(lines, grip, top, height)
-    _strokes(view, tools, lines, pane)
+
+    def ball(start: Pair, point: Point, radius: float) -> None:  # where the plane cuts it
+        away = (point[pane.plane.axis] - pane.index[pane.plane.axis]) * pane.spacing[pane.plane.axis]
+        if abs(away) < radius:
+            lines.add_circle(start, math.sqrt(radius**2 - away**2) * pane.scale, theme.BALL, 0, 1.0)
+
+    strokes(view, lines, pane.to_canvas, pane.crosses, ball)
     _landmarks(view, lines, pane.to_canvas, pane)
     x, y, (west, east, north, south) = left + width / 2, top + height / 2, pane.plane.sides
     _text(lines, (left + _INSET, y), west, align=(0.0, 0.5))
@@ -151,7 +157,7 @@ def _plane(view: View, tools: SliceTools, lines: imgui.ImDrawList, k: int) -> No
         _text(lines, (left + width - _INSET, top + height - _INSET), said, theme.GREY, (1.0, 1.0))
 
 
-def _lies(tools: SliceTools, pane: Pane) -> str:
+def _lies(tools: VolumeTools, pane: Pane) -> str:
     """Return where a plane lies on the axis of a patient that it crosses, such as S 12 mm, or how oblique it is."""
     geometry = tools.geometry
     if geometry.convention == "array":
@@ -163,7 +169,7 @@ def _lies(tools: SliceTools, pane: Pane) -> str:
     return f"{SIDES[row][place < 0]} {abs(place):.1f} mm"
 
 
-def _crosshair(tools: SliceTools, lines: imgui.ImDrawList, pane: Pane) -> None:
+def _crosshair(tools: VolumeTools, lines: imgui.ImDrawList, pane: Pane) -> None:
     """Draw the other two planes as lines, with a gap about the voxel where they cross."""
     (left, top, width, height), (x, y) = pane.place, pane.to_canvas(pane.index)
     normal = {plane.axis: _PLANES[k] & 0xB0FFFFFF for k, plane in enumerate(tools.planes)}
@@ -188,33 +194,47 @@ def _cut(view: View, lines: imgui.ImDrawList, pane: Pane) -> None:
     lines.add_rect((min(a, c), min(b, d)), (max(a, c), max(b, d)), colour, 0.0, 1.0)
 
 
-def _strokes(view: View, tools: SliceTools, lines: imgui.ImDrawList, pane: Pane) -> None:
-    """Draw the strokes whose point starts or ends in a plane, and the selected one, faint where it is elsewhere."""
+def strokes(
+    view: View,
+    lines: imgui.ImDrawList,
+    place: Callable[[Point], Pair | None],
+    there: Callable[[Point], bool] = lambda point: True,
+    ball: Callable[[Pair, Point, float], None] = lambda place, point, radius: None,
+) -> None:
+    """Draw the strokes, and faint points where those of the selected one are in other frames or planes.
+
+    Parameters
+    ----------
+    view, lines
+    place : function
+        Returns where a point is on the canvas; None where it is not seen.
+    there : function
+        Returns whether a point is in the frame or the plane that is shown.
+    ball : function
+        Draws the ball of the selected stroke's brush, from a place on the canvas, the point there, and its radius.
+    """
     document = view.document
-    for i, seen in document.tracks():
+    for i, each in document.tracks():
         selected = document.selected == i
-        if not selected and len(document.items) > 60:
+        if not selected and len(document.strokes) > 60:
             continue
-        stroke, wanted = seen.stroke, seen.wanted
+        stroke, wanted = each.stroke, each.wanted
         colour = theme.BLUE if selected else theme.SOFT
-        for point, where in seen.handles:
-            there = [pane.crosses(p) for p in (point, where)]
-            if not any(there) and not selected:
-                continue
-            start, end = pane.to_canvas(point), pane.to_canvas(where)
-            if all(there):
-                track(lines, (start, *map(pane.to_canvas, stroke.path), end), colour)
-            if there[0]:
-                lines.add_circle_filled(start, 3.0, colour)
-            else:
-                lines.add_circle(start, 2.0, theme.DIM, 0, 1.0)
-            if there[1] and stroke.brush == "grab":
-                end_of(lines, end, colour, None if wanted is None else pane.to_canvas(wanted))
-            elif not there[1]:
-                lines.add_circle(end, 3.0, theme.DIM, 0, 1.5)
-            away = (point[pane.plane.axis] - pane.index[pane.plane.axis]) * pane.spacing[pane.plane.axis]
-            if selected and abs(away) < stroke.radius:  # the ball of the brush, where the plane cuts it
-                lines.add_circle(start, math.sqrt(stroke.radius**2 - away**2) * pane.scale, theme.BALL, 0, 1.0)
+        for point, where in each.handles:
+            start, end, starts, ends = place(point), place(where), there(point), there(where)
+            if start is not None and end is not None and (starts or ends or selected):
+                if starts and ends:
+                    track(lines, (start, *map(place, stroke.path), end), colour)
+                if starts:
+                    lines.add_circle_filled(start, 3.0, colour)
+                else:
+                    lines.add_circle(start, 2.0, theme.DIM, 0, 1.0)
+                if not ends:
+                    lines.add_circle(end, 3.0, theme.DIM, 0, 1.5)
+                elif stroke.brush == "grab":
+                    end_of(lines, end, colour, None if wanted is None else place(wanted))
+                if selected:
+                    ball(start, point, stroke.radius)
             wanted = None  # only the first one's is known
 
 
@@ -242,19 +262,8 @@ def end_of(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None)
         lines.add_circle(wanted, 4.0, theme.RED, 0, 1.5)
 
 
-def _rendering(view: View, tools: SliceTools, lines: imgui.ImDrawList, place: Place) -> None:
-    document = view.document
-    for i, seen in document.tracks():
-        wanted = None if seen.wanted is None else tools.projected(seen.wanted)
-        colour = theme.BLUE if document.selected == i else theme.SOFT
-        for point, where in seen.handles:
-            start, end = tools.projected(point), tools.projected(where)
-            if start is not None and end is not None:
-                track(lines, (start, *map(tools.projected, seen.stroke.path), end), theme.SOFT)
-                lines.add_circle_filled(start, 3.0, colour)
-                if seen.stroke.brush == "grab":
-                    end_of(lines, end, colour, wanted)
-            wanted = None  # only the first one's is known
+def _rendering(view: View, tools: VolumeTools, lines: imgui.ImDrawList, place: Place) -> None:
+    strokes(view, lines, tools.projected)
     if tools.sight.large is None and (at := tools.projected(tuple(map(float, tools.index)))) is not None:
         for a, b in ((1, 0), (0, 1)):
             for way in (-1, 1):
@@ -265,7 +274,7 @@ def _rendering(view: View, tools: SliceTools, lines: imgui.ImDrawList, place: Pl
     if view.computing:
         left, top, width, _ = place
         _text(lines, (left + width / 2, top + _INSET), COMPUTING, align=(0.5, 0.0))
-    cube.draw(tools, lines)
+    _cube(tools, lines)
     _bar(lines, place, tools.stage.scale(tools.view, tools.stage.target(tools.view)))
 
 
@@ -320,3 +329,29 @@ def _bar(lines: imgui.ImDrawList, place: Place, scale: float) -> None:
         for end in (x, x + length * scale):
             lines.add_line((end, y - 6), (end, y), colour, thick)
     _text(lines, (x, y - 8), f"{length:g} mm", align=(0.0, 1.0))
+
+
+_DARKEST, _BRIGHTEST = 0.46, 0.88  # grey of faces that get no light, and all of it
+_EDGE, _INK = 0xFF202020, 0xFF101010  # ABGR
+_LARGE = 1.2  # letters of the cube, relative to others
+_SLANT = (0.12, 0.3)  # of faces between which a letter appears: on narrower ones, it would lie beside them
+
+
+def _cube(tools: VolumeTools, lines: imgui.ImDrawList) -> None:
+    """Draw the faces of the cube with their letters; the one that a click would choose is blue."""
+    font, high = imgui.get_font(), _LARGE * imgui.get_font_size()
+    for face in tools.cube:
+        grey = _DARKEST + (_BRIGHTEST - _DARKEST) * face.lit
+        colour: theme.Colour = (grey, grey, grey, 1.0)
+        if face == tools.side:
+            r, g, b, _ = theme.ACCENT
+            colour = (r * grey / _BRIGHTEST, g * grey / _BRIGHTEST, b * grey / _BRIGHTEST, 1.0)
+        corners: list[Any] = [imgui.ImVec2(*corner) for corner in face.corners]
+        lines.add_convex_poly_filled(corners, imgui.color_convert_float4_to_u32(colour))
+        lines.add_polyline([*corners, corners[0]], _EDGE, 1.5, 0)
+        size, (x, y) = imgui.calc_text_size(face.name), face.middle
+        least, most = _SLANT
+        opaque = min(max((face.towards - least) / (most - least), 0.0), 1.0)
+        shade = _INK & 0xFFFFFF | round(255 * opaque) << 24
+        at = (round(x - 0.5 * _LARGE * size.x), round(y - 0.5 * _LARGE * size.y))
+        lines.add_text(font, high, at, shade, face.name)

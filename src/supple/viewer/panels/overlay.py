@@ -7,14 +7,14 @@ import math
 from imgui_bundle import imgui
 
 from supple.viewer.document.words import done, named
-from supple.viewer.panels import icons, marks, theme
+from supple.viewer.panels import marks, theme
 from supple.viewer.panels.stages import VideoStage, VolumeStage
 from supple.viewer.panels.view import BAR, COMPUTING, LINE, View
 from supple.viewer.panels.widgets import hint, icon_button, shortened
 from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.drags import Pair, Point
 from supple.viewer.tools.playback import Playback
-from supple.viewer.tools.slices import SliceTools
+from supple.viewer.tools.volumes import VolumeTools
 
 _BARE = (
     imgui.WindowFlags_.no_title_bar
@@ -31,12 +31,12 @@ def draw(view: View) -> None:
     width, height = view.area
     lines.push_clip_rect((0, 0), (width, height))
     tools = view.tools
-    if isinstance(tools, SliceTools):
+    if isinstance(tools, VolumeTools):
         marks.draw(view, tools, lines)
     else:
         if tools.mask is not None and not tools.original:
             size, outline = view.document.shape[:-3:-1], not view.veiled
-            view.veil.draw(lines, tools.mask, size, lambda p: tools.viewport.to_canvas(*p), outline=outline)
+            view.veil.draw(lines, tools.mask, size, lambda p: tools.view.to_canvas(*p), outline=outline)
         if (grip := tools.grip) is not None:
             marks.mirror(lines, grip, 0.0, height)
         _handles(view, lines)
@@ -57,36 +57,20 @@ def bars(view: View) -> None:
 def _handles(view: View, lines: imgui.ImDrawList) -> None:
     tools = view.tools
     assert isinstance(tools, ImageTools)
-    document, viewport = view.document, tools.viewport
-    (left, top), zoom = viewport.to_canvas(0.0, 0.0), viewport.zoom
-    a, b, c, d = (zoom * n for n in viewport.turn)
+    (left, top), zoom = tools.view.to_canvas(0.0, 0.0), tools.view.zoom
+    a, b, c, d = (zoom * n for n in tools.view.turn)
 
     def placed(point: Point) -> Pair:  # as the viewport does, which finds its zoom anew for each
         return left + a * point[0] + b * point[1], top + c * point[0] + d * point[1]
 
-    for i, track in document.tracks():
-        selected = document.selected == i
-        if not selected and len(document.items) > 60:
-            continue
-        stroke, wanted = track.stroke, track.wanted
-        colour = theme.BLUE if selected else theme.SOFT
-        for point, where in track.handles:
-            start, end = placed(point), placed(where)
-            if isinstance(view.stage, VideoStage):
-                # Handles of other frames are faint, and cannot be dragged.
-                there = [abs(t - view.frame) <= 0.5 for t in (point[2], where[2])]
-                if not all(there):
-                    for place, seen in zip((start, end), there, strict=True):
-                        if seen or selected:
-                            lines.add_circle(place, 5.0 if seen else 3.0, colour if seen else theme.DIM, 0, 1.5)
-                    continue
-            marks.track(lines, (start, *map(placed, stroke.path), end), colour)
-            lines.add_circle_filled(start, 3.0, colour)
-            if stroke.brush == "grab":
-                marks.end_of(lines, end, colour, None if wanted is None else placed(wanted))
-            if selected:
-                marks.ring(lines, start, stroke.radius * zoom, tools.stretch, theme.BALL)
-            wanted = None  # only the first one's is known
+    def there(point: Point) -> bool:
+        return not isinstance(tools, VideoTools) or abs(point[2] - view.frame) <= 0.5
+
+    def ball(start: Pair, point: Point, radius: float) -> None:
+        if there(point):
+            marks.ring(lines, start, radius * zoom, tools.stretch, theme.BALL)
+
+    marks.strokes(view, lines, placed, there, ball)
 
 
 def _timeline(view: View, stage: VideoStage) -> None:
@@ -95,7 +79,7 @@ def _timeline(view: View, stage: VideoStage) -> None:
     playback = tools.playback
     width, height = view.area[0], view.logical[1]
     _bar("timeline", height - LINE - BAR, width, BAR, (8, 8))
-    if icon_button("play", icons.PAUSE if playback.playing else icons.PLAY, imgui.get_frame_height()):
+    if icon_button("play", theme.PAUSE if playback.playing else theme.PLAY, imgui.get_frame_height()):
         tools.press(" ")
     hint("Pause (Space)" if playback.playing else "Play (Space)")
     imgui.same_line()
@@ -180,14 +164,14 @@ def status(view: View) -> str:
         parts.append("  ".join(f"{name} {v:.1f}" for name, v in zip(names, hover, strict=False)))
         if document.dragging:
             parts.append(_held(view))
-        elif isinstance(tools, SliceTools):
+        elif isinstance(tools, VolumeTools):
             parts += _of_a_volume(view, tools, hover)
         elif not isinstance(view.stage, VolumeStage):
             seen = document.base if _is_before(view) else document.deformation
             parts.append(view.stage.value((hover[0], hover[1]), view.frame, seen))
     parts.append(certified(view))
     if isinstance(tools, ImageTools):
-        parts.append(f"{tools.viewport.percent:.0f} %")
+        parts.append(f"{tools.view.percent:.0f} %")
     if view.refining and not document.dragging:
         parts.append(f"refining the rendering, {100 * view.filled:.0f} %")
     elif view.busy:
@@ -219,7 +203,7 @@ def _is_before(view: View) -> bool:
     return tools.knob is not None and tools.pointer[0] < tools.knob[0]
 
 
-def _of_a_volume(view: View, tools: SliceTools, hover: tuple[float, ...]) -> list[str]:
+def _of_a_volume(view: View, tools: VolumeTools, hover: tuple[float, ...]) -> list[str]:
     """Return the value of a voxel on screen, and its position."""
     stage, slices, document = view.stage, view.slices, view.document
     assert isinstance(stage, VolumeStage)

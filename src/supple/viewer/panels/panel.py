@@ -1,9 +1,10 @@
-"""The panel beside the image: the menu, sections that fold, and the file commands below them."""
+"""The panel beside the image: sections that fold, the file commands below them, the question and the list of keys."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from imgui_bundle import imgui
@@ -12,11 +13,12 @@ from supple.errors import shown
 from supple.files.options import ClipOptions
 from supple.gpu.plate import OVERLAYS
 from supple.viewer.document.background import Export
-from supple.viewer.panels import history, legend, menu, question, strokes, theme, volume
-from supple.viewer.panels.actions import ACTIONS
-from supple.viewer.panels.icons import CROSS
+from supple.viewer.document.words import step
+from supple.viewer.panels import legend, strokes, theme, volume
+from supple.viewer.panels.actions import ACTIONS, menu
 from supple.viewer.panels.overlay import certified
 from supple.viewer.panels.stages import ImageStage
+from supple.viewer.panels.theme import CROSS
 from supple.viewer.panels.transforms import TRANSFORMS
 from supple.viewer.panels.view import FROZEN, STRIP, WIDE, View
 from supple.viewer.panels.widgets import (
@@ -25,12 +27,14 @@ from supple.viewer.panels.widgets import (
     hint,
     icon_button,
     label,
+    listing,
     primary,
     section,
     slider,
     typed,
     wrapped,
 )
+from supple.viewer.tools.keys import KEYS
 
 _FOOT = 94.0  # logical pixels of the file commands
 _EXPORTING, _DONE = 60.0, 30.0  # and of an export's progress, and of its end
@@ -51,7 +55,7 @@ def panel(view: View) -> None:
     imgui.push_style_var(imgui.StyleVar_.window_rounding, 0.0)
     imgui.begin("panel", None, _FLAGS | imgui.WindowFlags_.menu_bar | imgui.WindowFlags_.no_scrollbar)
     imgui.pop_style_var()
-    menu.draw(view)
+    menu(view)
     job = view.commands.export
     foot = _FOOT + (0.0 if job is None else _DONE if job.done else _EXPORTING)
     wide = imgui.get_content_region_avail().x
@@ -66,10 +70,10 @@ def panel(view: View) -> None:
     strokes.folds(view)
     _accuracy(view)
     _exports(view)
-    history.draw(view)
+    _history(view)
     imgui.end_child()
     _files(view)
-    question.draw(view)
+    _question(view)
     imgui.end()
 
 
@@ -198,3 +202,129 @@ def _exporting(view: View, job: Export) -> None:
     imgui.same_line()
     if imgui.button("Cancel", (REST, 0)):
         view.commands.end_export()
+
+
+def _question(view: View) -> None:
+    """Draw the open question."""
+    asked = view.commands.asked
+    if asked is None:
+        return
+    if not imgui.is_popup_open(asked.title):
+        imgui.open_popup(asked.title)
+    width, height = view.logical
+    imgui.set_next_window_pos((width / 2, height / 2), imgui.Cond_.always, (0.5, 0.5))
+    imgui.push_style_var(imgui.StyleVar_.window_padding, (16, 14))
+    imgui.push_style_var(imgui.StyleVar_.frame_padding, (16, 9))  # of the title
+    shown = imgui.begin_popup_modal(asked.title, None, imgui.WindowFlags_.always_auto_resize)[0]
+    imgui.pop_style_var(2)
+    if not shown:
+        return
+    wide = max(min(460.0, width - 60), 80.0)
+    wrapped(asked.text, wide, theme.TEXT)
+    answer = ""
+    if asked.path is not None:
+        imgui.set_next_item_width(wide)
+        if asked.fresh:
+            imgui.set_keyboard_focus_here()
+            imgui.get_io().clear_events_queue()  # drop input from before the question
+            imgui.get_io().clear_input_keys()
+        entered, asked.path = imgui.input_text("##path", asked.path, imgui.InputTextFlags_.enter_returns_true)
+        if entered:
+            answer = asked.choices[0]
+    if not asked.fresh and imgui.is_key_pressed(imgui.Key.enter):
+        answer = answer or asked.choices[0]  # for any focus of the keyboard
+    asked.fresh = False
+    if asked.problem:
+        wrapped(asked.problem, wide, theme.WARNING)
+    imgui.spacing()
+    for k, choice in enumerate(asked.offered):
+        if k:
+            imgui.same_line()
+            if imgui.get_cursor_pos_x() + imgui.calc_text_size(choice).x > width - 40:
+                imgui.new_line()
+        if primary(choice, 0.0) if k == 0 else imgui.button(choice, (0, 32)):
+            answer = choice
+    if imgui.is_key_pressed(imgui.Key.escape) and "Cancel" in asked.choices:
+        answer = "Cancel"
+    if answer and view.commands.answer(answer):
+        imgui.close_current_popup()
+    imgui.end_popup()
+
+
+_WIDTH = 720.0
+_FIXED = imgui.WindowFlags_.no_resize | imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_collapse
+
+
+def list_keys(view: View) -> None:
+    """Draw the list, if it is asked for."""
+    if not view.tools.listing:
+        return
+    width, height = view.area[0], view.logical[1]
+    wide = max(min(_WIDTH, width - 40), 80.0)
+    imgui.set_next_window_pos((0.5 * width, 0.5 * height), imgui.Cond_.always, (0.5, 0.5))
+    imgui.set_next_window_size_constraints((wide, 0), (wide, height - 40))
+    shown, stays = imgui.begin(
+        "Keys and gestures", True, _FIXED | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_saved_settings
+    )
+    if shown and imgui.begin_table("keys", 2, imgui.TableFlags_.row_bg):
+        imgui.table_setup_column("keys", imgui.TableColumnFlags_.width_fixed, 0.28 * wide)
+        imgui.table_setup_column("what", imgui.TableColumnFlags_.width_stretch)
+        for keys, what in KEYS[view.stage.kind].items():
+            imgui.table_next_row()
+            imgui.table_next_column()
+            imgui.text(keys)
+            imgui.table_next_column()
+            imgui.push_text_wrap_pos(0.0)
+            imgui.text(what)
+            imgui.pop_text_wrap_pos()
+        imgui.end_table()
+    imgui.end()
+    view.tools.listing = bool(stays)
+
+
+_MARK = "Click to compare what you see with this step (A), side by side"
+_MARKED = "Before and after, and the original, show this step: click to compare with the original again"
+_BACK = "Before and after, and the original, show step A, even once it has left the history"
+
+
+def _history(view: View) -> None:
+    if not section(view, "History"):
+        return
+    document = view.document
+    steps, now = document.steps, document.step
+    row = imgui.get_text_line_height_with_spacing()
+    listing("history", len(steps), 7, row)
+    if view.reached != now:
+        view.reached = now
+        imgui.set_scroll_y(row * (now + 0.5) - 0.5 * imgui.get_window_height())
+    clipper = imgui.ListClipper()
+    clipper.begin(len(steps))
+    wide, compared = imgui.calc_text_size("A").x, document.compared_step
+    while clipper.step():
+        for k in range(clipper.display_start, clipper.display_end):
+            marked = k == compared
+            imgui.push_style_color(imgui.Col_.text, theme.TEXT if marked else theme.FAINT)
+            if imgui.selectable(f"A###mark {k}", marked, size=(wide, 0))[0] and not document.dragging:
+                view.attempt(partial(_compare, view, None if marked else k))
+            imgui.pop_style_color()
+            hint(_MARKED if marked else _MARK)
+            imgui.same_line()
+            name = "Start" if k == 0 else step(steps[k - 1], steps[k])
+            imgui.push_style_color(imgui.Col_.text, theme.TEXT if k <= now else theme.FAINT)
+            if imgui.selectable(f"{name}###step {k}", k == now)[0] and not document.dragging:
+                view.attempt(partial(document.go, k))
+            imgui.pop_style_color()
+            hint("Click to go back to it" if k < now else "Click to go to it" if k > now else "What is seen now")
+    imgui.end_child()
+    if document.compared is not None:
+        if imgui.button("Compare with the original", (REST, 0)):
+            view.attempt(partial(_compare, view, None))
+        hint(_BACK)
+
+
+def _compare(view: View, step: int | None) -> None:
+    """Compare with a step, side by side; or with the original again."""
+    view.document.compare(step)
+    if step is not None and view.tools.split is None:
+        view.tools.split = 0.5
+    view.refresh()

@@ -21,7 +21,7 @@ from supple.media.volume.data import rescaled
 from supple.render.labels import LabelColours
 from supple.viewer.panels.stages import filled
 from supple.viewer.tools.planes import RENDERED, Plane
-from supple.viewer.tools.slices import SliceTools
+from supple.viewer.tools.volumes import VolumeTools
 
 Array = npt.NDArray[Any]
 Pixels = npt.NDArray[np.uint8]
@@ -103,7 +103,7 @@ class Slices:
             return f"label {value:.6g}"
         return f"{value:.6g} {self.unit}".rstrip()
 
-    def update(self, tools: SliceTools, resting: bool = True) -> None:
+    def update(self, tools: VolumeTools, resting: bool = True) -> None:
         """Sample and shade what is to be seen of the visible planes.
 
         In a drag, planes other than its own that take long are left until the pointer is ``resting``.
@@ -144,7 +144,7 @@ class Slices:
         made[..., :3] = np.clip(np.nan_to_num(part) + 0.5, 0, 255).astype(np.uint8)[..., None]
         return made
 
-    def draw(self, drawing: Any, format: str, tools: SliceTools, ratio: float, size: tuple[int, int]) -> None:
+    def draw(self, drawing: Any, format: str, tools: VolumeTools, ratio: float, size: tuple[int, int]) -> None:
         """Draw the planes into a render pass of columns and rows."""
         for k in tools.places:
             if k == RENDERED or (k, False) not in self._textures:
@@ -172,7 +172,7 @@ class Slices:
             self._screens[k, format].draw(drawing, self._textures[k, False][0], second, cut, place, part)
 
     def composed(
-        self, tools: SliceTools, ratio: float, size: tuple[int, int], rendered: tuple[Any, Any], part: Any
+        self, tools: VolumeTools, ratio: float, size: tuple[int, int], rendered: tuple[Any, Any], part: Any
     ) -> Pixels:
         """Return all views on a canvas of columns and rows, as on screen: (rows, columns, 4)."""
         onto = self._gpu.device.create_texture(size=(*size, 1), format=_PLAIN, usage="RENDER_ATTACHMENT|COPY_SRC")

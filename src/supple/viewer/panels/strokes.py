@@ -10,12 +10,11 @@ from typing import Any, get_args
 from imgui_bundle import imgui
 
 from supple.folding.limits import NEAR
-from supple.strokes import PAINTINGS, POISSON, REACH, FoldPolicy
-from supple.viewer.document.state import Item
+from supple.strokes import PAINTINGS, POISSON, REACH, FoldPolicy, Stroke
 from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, listed, others
 from supple.viewer.panels import legend, theme
 from supple.viewer.panels.actions import ACTIONS
-from supple.viewer.panels.icons import HIDDEN, SEEN
+from supple.viewer.panels.theme import HIDDEN, SEEN
 from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import REST, hint, icon_button, label, listing, section, slider, typed, wrapped
 from supple.viewer.tools.drags import IMMATERIAL, MASKS, SHAPES
@@ -107,7 +106,7 @@ def _reach(reach: float | None, of: str) -> tuple[bool, float | None]:
 def strokes(view: View) -> None:
     """Draw the section of the list."""
     state = view.document.state
-    count = len(state.items)
+    count = len(state.strokes)
     if not section(view, "Strokes", f"Strokes ({count})" if count else "Strokes"):
         return
     legend.mask(view)
@@ -128,29 +127,29 @@ def strokes(view: View) -> None:
     clipper.begin(count, row)
     while clipper.step():
         for i in range(clipper.display_start, clipper.display_end):
-            _row(view, i, state.items[i], state.selected == i)
+            _row(view, i, state.strokes[i], state.selected == i)
     imgui.end_child()
 
 
-def _row(view: View, i: int, item: Item, selected: bool) -> None:
+def _row(view: View, i: int, stroke: Stroke, selected: bool) -> None:
     document = view.document
     imgui.push_id(i)
-    if icon_button("seen", HIDDEN if item.hidden else SEEN, imgui.get_frame_height()):
-        view.attempt(lambda: document.hide(i, not item.hidden))
-    hint("Hidden: click to show it" if item.hidden else "Seen: click to hide it")
+    if icon_button("seen", HIDDEN if stroke.hidden else SEEN, imgui.get_frame_height()):
+        view.attempt(lambda: document.hide(i, not stroke.hidden))
+    hint("Hidden: click to show it" if stroke.hidden else "Seen: click to hide it")
     imgui.same_line()
     short = document.misses(i)
-    text = listed(item.stroke)
-    coloured = short or (item.hidden and not selected)  # what is faint is not read on the ground of what is selected
+    text = listed(stroke)
+    coloured = short or (stroke.hidden and not selected)  # what is faint is not read on the ground of what is selected
     if coloured:
-        imgui.push_style_color(imgui.Col_.text, theme.FAINT if item.hidden else theme.WARNING)
+        imgui.push_style_color(imgui.Col_.text, theme.FAINT if stroke.hidden else theme.WARNING)
     imgui.push_style_var(imgui.StyleVar_.selectable_text_align, (0.0, 0.5))
     if imgui.selectable(f"{text}##row", selected, size=(0, imgui.get_frame_height()))[0]:
         view.attempt(lambda: document.select(None if selected else i))
     imgui.pop_style_var()
     if coloured:
         imgui.pop_style_color()
-    hint(lambda: described(item.stroke, document.arrival(i)))
+    hint(lambda: described(stroke, document.arrival(i)))
     imgui.pop_id()
 
 
@@ -158,11 +157,11 @@ def selected(view: View) -> None:
     """Draw the section of the selected stroke."""
     document = view.document
     i = document.state.selected
-    if i is None or i >= len(document.state.items):
+    if i is None or i >= len(document.state.strokes):
         return
     if not section(view, "Selected stroke", f"Stroke {i + 1}"):
         return
-    stroke = document.state.items[i].stroke
+    stroke = document.state.strokes[i]
     axes = "xyt" if view.stage.kind == "video" else "xyz"
     made: dict[str, Any] = {}
     gap = imgui.get_style().item_inner_spacing.x
@@ -207,7 +206,7 @@ def selected(view: View) -> None:
     if made:
         view.attempt(lambda: document.replace(i, view.tools.paired(stroke, replace(stroke, **made))))
     _arrival(view, i)
-    count = len(document.state.items)
+    count = len(document.state.strokes)
     wide = (imgui.get_content_region_avail().x - 2 * imgui.get_style().item_spacing.x) / 3
     for text, step, tip in (("Earlier", -1, "Apply it before"), ("Later", 1, "Apply it after")):
         imgui.begin_disabled(not 0 <= i + step < count)
@@ -224,7 +223,7 @@ def selected(view: View) -> None:
 def _arrival(view: View, i: int) -> None:
     """Say where a stroke's point ends, if it is not where it was asked to."""
     document = view.document
-    arrival = document.arrival(i) if i < len(document.items) else None
+    arrival = document.arrival(i) if i < len(document.strokes) else None
     unit = "voxels" if view.stage.kind == "volume" else "px"
     if arrival is not None and arrival.miss > NEAR:
         cause = CAUSES[arrival.cause or "border"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -16,13 +18,13 @@ from supple.errors import SuppleError
 from supple.gpu.device import Gpu
 from supple.gpu.screen import composed
 from supple.media import image
+from supple.media.files import replacing
 from supple.render.labels import LabelColours
 from supple.strokes import Recipe
 from supple.viewer.document.background import Certifier
 from supple.viewer.document.editing import Document
 from supple.viewer.document.files import FileCommands
-from supple.viewer.document.landmarks import Landmarks
-from supple.viewer.panels import settings
+from supple.viewer.document.state import Landmarks
 from supple.viewer.panels.painter import Painter, Shot
 from supple.viewer.panels.slices import Slices, physical
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage
@@ -30,7 +32,7 @@ from supple.viewer.panels.veil import Veil
 from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.drags import MASKS
 from supple.viewer.tools.planes import RENDERED
-from supple.viewer.tools.slices import SliceTools
+from supple.viewer.tools.volumes import VolumeTools
 
 WIDE, STRIP = 348, 44  # logical pixels of the tools and the panel, and of the tools alone
 BAR, LINE = 44, 24  # and of the timeline and the status line
@@ -48,7 +50,7 @@ class View:
 
     stage: ImageStage | VolumeStage
     document: Document
-    tools: ImageTools | SliceTools
+    tools: ImageTools | VolumeTools
     canvas: Any  # of rendercanvas
     gpu: Gpu
     source: Path | None  # the source file, for autosave and export
@@ -60,7 +62,7 @@ class View:
         self.overlay = ""  # one of `supple.gpu.plate.OVERLAYS`, or `FROZEN`
         self.listed: int | None = None  # the stroke that the list has scrolled to
         self.reached: int | None = None  # and the step of the history
-        self.sections = settings.read()  # those that were folded or opened
+        self.sections = read_sections()  # those that were folded or opened
         self.copy_text: Callable[[str], None] | None = None  # to the clipboard, if there is one
         self.typed: dict[str, float] = {}  # numbers being typed in the panel
         self.filled = 0.0
@@ -112,7 +114,7 @@ class View:
     def refresh(self) -> None:
         """Draw again, at full size."""
         self._drawn_key = None
-        if isinstance(self.tools, SliceTools):
+        if isinstance(self.tools, VolumeTools):
             self.tools.forget()
         self.canvas.request_draw()
 
@@ -143,11 +145,11 @@ class View:
         common: dict[str, Any] = {"size": size, "place": (0, 0, *size), "moving": moving, "ratio": ratio}
         common["overlay"] = "" if self.overlay == FROZEN else self.overlay
         common |= {"base": self.document.base, "original": tools.original, "split": tools.split is not None}
-        if isinstance(tools, SliceTools):
+        if isinstance(tools, VolumeTools):
             hidden = (0.0, 0.0, 1.0, 1.0)  # a pixel of it is drawn
             place = physical(tools.places.get(RENDERED, hidden), ratio, (size[0], size[1]))
             common |= {"size": place[2:], "place": place}
-            return Shot(self.document.deformation, camera=tools.stage.placed(tools.camera), **common)
+            return Shot(self.document.deformation, camera=tools.stage.placed(tools.view), **common)
         first, scale, common["size"], part = tools.view.drawn((size[0], size[1]), ratio)
         return Shot(self.document.deformation, origin=first, scale=scale, part=part, time=self.frame, **common)
 
@@ -218,7 +220,7 @@ class View:
                 first, second = self.painter.paint(shot)
             if stage.trouble:
                 raise SuppleError(stage.trouble)
-        if self.slices is not None and isinstance(self.tools, SliceTools):
+        if self.slices is not None and isinstance(self.tools, VolumeTools):
             ratio = self.canvas.get_pixel_ratio()
             size = round(self.area[0] * ratio), round(self.area[1] * ratio)
             self.slices.update(self.tools)
@@ -226,3 +228,28 @@ class View:
             return np.ascontiguousarray(seen[..., :3])
         seen = composed(self.gpu, shot.place[2:], first, second, self.tools.split or 0.0, self.painter.part)
         return np.ascontiguousarray(seen[..., :3])
+
+
+def _settings_file() -> Path:
+    from platformdirs import user_config_path
+
+    return user_config_path("supple", appauthor=False) / "window.json"
+
+
+def read_sections() -> dict[str, bool]:
+    """Return which sections are open, by their names; a file that is missing or broken says nothing."""
+    with contextlib.suppress(OSError, ValueError, RecursionError, ImportError):
+        data: Any = json.loads(_settings_file().read_text(encoding="utf-8"))
+        known = data.get("sections") if isinstance(data, dict) else None
+        if isinstance(known, dict):
+            return {name: opened for name, opened in known.items() if isinstance(opened, bool)}
+    return {}
+
+
+def write_sections(sections: dict[str, bool]) -> None:
+    """Keep which sections are open; a folder that cannot be written is ignored."""
+    with contextlib.suppress(OSError, SuppleError, ImportError):
+        place = _settings_file()
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(place, force=True) as target:
+            target.write_text(json.dumps({"sections": sections}, indent=1), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""How a volume is rendered: its colours, the window of its values, and the mode."""
+"""How a volume is rendered: its colours, the window of its values, the curve of their opacity, and the mode."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from imgui_bundle import imgui
 
 from supple.render.box import whole_box
 from supple.render.transfer import LABELS, PRESETS, TransferFunction
-from supple.viewer.panels import curve, theme
+from supple.viewer.panels import theme
 from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import LABEL, REST, hint, label, section, slider, toggle, typed, wrapped
 from supple.viewer.tools.planes import ends_of
-from supple.viewer.tools.slices import SliceTools
+from supple.viewer.tools.volumes import VolumeTools
 
 _MODES = {
     "hybrid": "From a lattice of source points, and from a bent copy where it is complete: fast",
@@ -44,7 +46,7 @@ def draw(view: View) -> None:
         imgui.plot_histogram("##histogram", stage.histogram, graph_size=(wide, 50))
         imgui.pop_style_color()
         hint("How many voxels have which value, on a logarithmic scale, and the opacity of each")
-        curve.draw(stage, transfer)
+        _curve(stage, transfer)
     for k, said in enumerate(("Values from", "to")):
         label(said, "The range of values that the colours are spread over")
         changed, value = slider(f"##density {said}", window[k], low, high, "%.4g")
@@ -77,7 +79,7 @@ def _cutting(view: View, stage: VolumeStage) -> None:
     if not imgui.tree_node("Cut away"):
         return
     tools = view.tools
-    assert isinstance(tools, SliceTools)
+    assert isinstance(tools, VolumeTools)
     box, wide = stage.scene.clip, imgui.get_content_region_avail().x
     whole, named = whole_box(stage.shape), ends_of(tools.planes)
     gap = imgui.get_style().item_spacing.x
@@ -146,3 +148,45 @@ def _transfer(view: View, stage: VolumeStage, transfer: TransferFunction) -> Non
         made: Any = tuple(sorted((tuple(p) for p in points), key=lambda p: p[0]))
         _show(view, lambda: stage.look(replace(transfer, points=made), stage.density))
     imgui.tree_pop()
+
+
+_CURVE, _UNDER, _DARKER = 0xFFFFFFFF, 0xC0000000, 0xA0202020  # ABGR
+_STEPS = 128  # points of the curve
+
+
+def _opacities(stage: VolumeStage, transfer: TransferFunction, count: int = _STEPS) -> npt.NDArray[np.float32]:
+    """Return the opacity of values, from the smallest to the largest, for the transfer function's unit."""
+    low, high = stage.scene.range
+    table = transfer.table(low, high, transfer.unit)[:, 3]
+    return np.asarray(table[np.rint(np.linspace(0, len(table) - 1, count)).astype(int)], np.float32)
+
+
+def _curve(stage: VolumeStage, transfer: TransferFunction) -> None:
+    """Draw the curve, and the colours of its points, over the last item; what the density window hides is darker."""
+    scene, lines = stage.scene, imgui.get_window_draw_list()
+    (low, high), pad = scene.range, imgui.get_style().frame_padding
+    least, most = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+    left, right, top, bottom = least.x + pad.x, most.x - pad.x, least.y + pad.y, most.y - pad.y
+
+    def across(value: float) -> float:
+        part = (value - low) / (high - low) if high > low else 0.0
+        return left + min(max(part, 0.0), 1.0) * (right - left)
+
+    if stage.density is not None:
+        for a, b in ((left, across(stage.density[0])), (across(stage.density[1]), right)):
+            lines.add_rect_filled((a, top), (b, bottom), _DARKER)
+    known = _opacities(stage, transfer)
+    curve: list[Any] = [
+        imgui.ImVec2(left + k * (right - left) / (len(known) - 1), bottom - float(part) * (bottom - top))
+        for k, part in enumerate(known)
+    ]
+    lines.push_clip_rect((least.x, least.y), (most.x, most.y), True)
+    for colour, thick in ((_UNDER, 3.0), (_CURVE, 1.5)):
+        lines.add_polyline(curve, colour, thick, 0)
+    for value, red, green, blue, part in transfer.points:
+        place = low + value * (high - low) if transfer.relative else value
+        if low <= place <= high:
+            at = across(place), bottom - part * (bottom - top)
+            lines.add_circle_filled(at, 4.5, _UNDER)
+            lines.add_circle_filled(at, 3.5, imgui.color_convert_float4_to_u32((red, green, blue, 1.0)))
+    lines.pop_clip_rect()

@@ -7,13 +7,13 @@ from collections.abc import Callable
 
 from imgui_bundle import imgui
 
-from supple.viewer.panels import icons, settings, theme
-from supple.viewer.panels.view import View
+from supple.viewer.panels import theme
+from supple.viewer.panels.view import View, write_sections
 
 LABEL = 104.0  # logical pixels of the labels before fields
 _RESTING = int(imgui.HoveredFlags_.delay_short | imgui.HoveredFlags_.allow_when_disabled)
 REST = -1e-3  # the width of what takes the rest of a line
-FOLDED = ("Folds and border", "Export options", "History", "Recipe")
+FOLDED = ("Folds and border", "Export options", "History")
 """The sections that are folded in the first window."""
 
 
@@ -27,7 +27,7 @@ def section(view: View, name: str, text: str = "") -> bool:
     imgui.pop_style_color()
     if now != opened:
         view.sections[name] = now
-        settings.write(view.sections)
+        write_sections(view.sections)
     return now
 
 
@@ -102,7 +102,7 @@ def icon_button(name: str, icon: str, size: float, on: bool = False, enabled: bo
         ground = theme.PRIMARY if on else theme.PRESSED if held else theme.RAISED
         lines.add_rect_filled((low.x, low.y), (high.x, high.y), theme.packed(ground), 6.0)
     colour = theme.packed((1.0, 1.0, 1.0, 1.0) if on else theme.TEXT, 1.0 if enabled else 0.3)
-    icons.draw(lines, icon, (0.5 * (low.x + high.x), 0.5 * (low.y + high.y)), round(0.5 * size), colour)
+    theme.draw_icon(lines, icon, (0.5 * (low.x + high.x), 0.5 * (low.y + high.y)), round(0.5 * size), colour)
     return bool(pressed)
 
 

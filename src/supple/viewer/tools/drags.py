@@ -13,6 +13,8 @@ from supple.viewer.tools.keys import Tool
 
 Pair = tuple[float, float]
 Point = tuple[float, ...]
+Place = tuple[float, float, float, float]
+"""A rectangle of the canvas: left, top, width and height, in logical pixels."""
 Part = Literal["pivot", "end"]
 
 CLICK = 3.0  # logical pixels that a click may move

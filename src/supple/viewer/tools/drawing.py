@@ -101,18 +101,13 @@ class Drawing(ABC):
 
     def _takes(self, i: int) -> bool:
         """Return whether a stroke may have one more point."""
-        item = self.document.items[i]
-        return (
-            item.stroke.brush == "grab"
-            and not item.stroke.path
-            and item.stroke.name not in PAINTINGS
-            and not item.hidden
-        )
+        stroke = self.document.strokes[i]
+        return stroke.brush == "grab" and not (stroke.path or stroke.hidden or stroke.name in PAINTINGS)
 
     def _unpin(self, held: Held) -> None:
         """Remove a point of a stroke, and its mirror image; with its last one, the stroke."""
         assert held.item is not None
-        stroke = self.document.items[held.item].stroke
+        stroke = self.document.strokes[held.item]
         gone = {held.nth, *self._images(stroke, stroke.handles[held.nth][0])}
         pairs = [pair for nth, pair in enumerate(stroke.handles) if nth not in gone]
         if pairs:

@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 from supple.errors import SuppleError
 from supple.space.freezing import Freeze
 from supple.viewer.document.editing import Document
-from supple.viewer.tools.drags import CLICK, Held, Pair, nearest
+from supple.viewer.tools.drags import CLICK, Held, Pair, Place, nearest
 from supple.viewer.tools.drawing import Drawing
 from supple.viewer.tools.keys import BRUSHES
 
@@ -54,8 +54,6 @@ class Tools(Drawing, Generic[V]):
     drag. They may be merged, so that amounts count, and not their number. Errors are shown in `status`. The first
     argument is the view, a viewport or a camera.
     """
-
-    _beside = "click"  # the left button's effect on the view where there is nothing to grab
 
     def __init__(self, document: Document, view: V) -> None:
         super().__init__(document)
@@ -119,21 +117,30 @@ class Tools(Drawing, Generic[V]):
 
     @property
     def knob(self) -> Pair | None:
-        """The position of the knob of the split; None without a split."""
-        width, height = self.canvas_size
-        return None if self.split is None else (self.split * width, 0.5 * height)
+        """The position of the knob of the split in the view under the pointer; None without a split."""
+        return self.knob_in(self.place)
+
+    def knob_in(self, place: Place) -> Pair | None:
+        """Return the position of the knob of the split in a view; None without a split."""
+        left, top, width, height = place
+        return None if self.split is None else (left + self.split * width, top + 0.5 * height)
 
     @property
     @abstractmethod
     def grip(self) -> Pair | None:
-        """The position of the knob of the line of symmetry; None where that is not drawn."""
+        """The position of the knob of the line of symmetry in the view under the pointer; None where it has none."""
+
+    @property
+    def _beside(self) -> str:
+        """The left button's effect on the view where there is nothing to grab."""
+        return "click"
 
     # Methods of the kinds of media.
 
     @property
     @abstractmethod
-    def canvas_size(self) -> Pair:
-        """The width and height of the canvas, in logical pixels."""
+    def place(self) -> Place:
+        """The rectangle of the view under the pointer."""
 
     @abstractmethod
     def _level(self, place: Pair) -> float:
@@ -232,7 +239,8 @@ class Tools(Drawing, Generic[V]):
         if isinstance(gesture, Held):
             self._draw(gesture)
         elif gesture.how == _CUT:
-            self.split = min(max(place[0] / self.canvas_size[0], 0.0), 1.0)
+            left, _, width, _ = self.place
+            self.split = min(max((place[0] - left) / width, 0.0), 1.0)
         elif gesture.how == _LINE:
             self._lay(gesture, place)
         else:
@@ -268,7 +276,7 @@ class Tools(Drawing, Generic[V]):
                 if not self.document.commit():
                     self._refused = trouble or self._refused
                 elif gesture.paints:  # the newest of its strokes
-                    self.document.select(len(self.document.items) - 1)
+                    self.document.select(len(self.document.strokes) - 1)
                 return True
             if self.document.dragging:
                 self.document.abandon()
@@ -293,9 +301,7 @@ class Tools(Drawing, Generic[V]):
         self._refused = None
         key = str(event.get("key", ""))
         if commanded(event):
-            # Some toolkits send the control character that is typed.
-            letter = chr(ord(key) + 96) if len(key) == 1 and ord(key) < 27 else key.lower()
-            return self._command(letter, shifted(event))
+            return self._command(key.lower(), shifted(event))
         return self._edit(key) or self._key(key)
 
     def _on_key_up(self, event: Event) -> bool:
@@ -336,7 +342,7 @@ class Tools(Drawing, Generic[V]):
         elif key in ("Delete", "Backspace", "h", "H"):
             if chosen is not None and self._gesture is None:
                 if key.lower() == "h":
-                    document.hide(chosen, not document.items[chosen].hidden)
+                    document.hide(chosen, not document.strokes[chosen].hidden)
                 else:
                     document.remove(chosen)
         else:

@@ -7,11 +7,9 @@ from itertools import permutations
 from typing import Self
 
 from supple.space.geometry import SIDES, Geometry
-from supple.viewer.tools.drags import Pair
+from supple.viewer.tools.drags import Pair, Place
 
 Point = tuple[float, float, float]
-Place = tuple[float, float, float, float]
-"""A rectangle of the canvas: left, top, width and height, in logical pixels."""
 
 RENDERED = 3
 """The number of the rendering among the views; 0, 1 and 2 are the axial, the coronal and the sagittal plane."""

@@ -29,24 +29,19 @@ class Playback:
         self.dropped = 0  # the number of dropped frames
         self.first, self.last = 0, self.count - 1
         """The in point and the out point of the played part, both included."""
-        self._frame = 0
+        self.frame = 0  # the displayed frame
         self._since: tuple[float, int] | None = None  # the start time and the start frame of playback
         self._advanced = 0  # frames since then
 
     @property
-    def frame(self) -> int:
-        """The displayed frame."""
-        return self._frame
-
-    @property
     def seconds(self) -> float:
         """The time of the displayed frame."""
-        return self._starts[self._frame] if self._starts else self._frame / self.rate
+        return self._starts[self.frame] if self._starts else self.frame / self.rate
 
     def play(self) -> None:
         """Play; from the in point at the end."""
-        if not self.first <= self._frame <= self.last or (self._frame == self.last and not self.loop):
-            self._frame = self.first
+        if not self.first <= self.frame <= self.last or (self.frame == self.last and not self.loop):
+            self.frame = self.first
         self.playing, self._since = True, None
 
     def pause(self) -> None:
@@ -59,32 +54,32 @@ class Playback:
 
     def seek(self, frame: float) -> None:
         """Display the nearest frame; playback continues from there."""
-        self._frame = min(max(math.floor(frame + 0.5), 0), self.count - 1)
+        self.frame = min(max(math.floor(frame + 0.5), 0), self.count - 1)
         self._since = None
 
     def step(self, frames: int) -> None:
         """Pause, and advance by some frames."""
         self.pause()
-        self.seek(self._frame + frames)
+        self.seek(self.frame + frames)
 
     def home(self) -> None:
         """Display the in point; from there, the first frame."""
-        self.seek(0 if self._frame <= self.first else self.first)
+        self.seek(0 if self.frame <= self.first else self.first)
 
     def end(self) -> None:
         """Display the out point; from there, the last frame."""
-        self.seek(self.count - 1 if self._frame >= self.last else self.last)
+        self.seek(self.count - 1 if self.frame >= self.last else self.last)
 
     def mark_in(self) -> None:
         """Set the in point to the displayed frame."""
-        self.first = self._frame
+        self.first = self.frame
         if self.last < self.first:
             self.last = self.count - 1
         self._since = None
 
     def mark_out(self) -> None:
         """Set the out point to the displayed frame."""
-        self.last = self._frame
+        self.last = self.frame
         if self.first > self.last:
             self.first = 0
         self._since = None
@@ -112,18 +107,18 @@ class Playback:
     def frame_at(self, now: float) -> int:
         """Return the frame at a time, in seconds of any monotonic clock."""
         if not self.playing:
-            return self._frame
+            return self.frame
         if self._since is None:
-            if not self.first <= self._frame <= self.last:
-                self._frame = self.first
-            self._since, self._advanced = (now, self._frame), 0
+            if not self.first <= self.frame <= self.last:
+                self.frame = self.first
+            self._since, self._advanced = (now, self.frame), 0
         begun, start = self._since
         advanced = max(self._passed(now - begun, start), self._advanced)
         if not self.loop:
             advanced = min(advanced, self.last - start)
         self.dropped += max(advanced - self._advanced - 1, 0)
         self._advanced = advanced
-        self._frame = self.first + (start - self.first + advanced) % (self.last - self.first + 1)
-        if not self.loop and self._frame == self.last:
+        self.frame = self.first + (start - self.first + advanced) % (self.last - self.first + 1)
+        if not self.loop and self.frame == self.last:
             self.pause()
-        return self._frame
+        return self.frame

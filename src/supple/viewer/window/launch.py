@@ -27,11 +27,11 @@ from supple.gpu.device import Gpu, open_gpu
 from supple.media.image import Picture, read
 from supple.media.volume import Volume
 from supple.render.camera import Camera
-from supple.space.domain import choice, length, point
+from supple.space.domain import length, point
 from supple.space.geometry import Geometry, Grid, check_upright
 from supple.strokes import Fit, Recipe, fit_recipe
 from supple.viewer.document.editing import Document
-from supple.viewer.document.landmarks import Landmarks
+from supple.viewer.document.state import Landmarks
 from supple.viewer.panels.frame_cache import FrameCache
 from supple.viewer.panels.slices import first_window
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage
@@ -39,14 +39,13 @@ from supple.viewer.panels.transforms import shown as as_pixels
 from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.drags import Pair
 from supple.viewer.tools.playback import Playback
-from supple.viewer.tools.slices import SliceTools
-from supple.viewer.window import dialogs, qt
+from supple.viewer.tools.volumes import VolumeTools
+from supple.viewer.window import dialogs
 
 if TYPE_CHECKING:
     from supple.viewer.window.window import Window
 
 SIZE = (1280, 800)
-_NO_SCREEN = "no screen was found for a window: --serve shows it in a browser"
 Source = str | os.PathLike[str] | npt.NDArray[Any]
 Spacing = tuple[float, float, float]
 _EVEN = (1.0, 1.0, 1.0)
@@ -170,7 +169,7 @@ def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool
         raise SuppleError(f"{argument('time_scale')} is for clips, and {name} is none: leave it out")
 
 
-def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) -> ImageTools | SliceTools:
+def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) -> ImageTools | VolumeTools:
     """Return the tools for a stage."""
     if isinstance(stage, VideoStage):
         playback = Playback(stage.film.count, stage.rate, stage.film.starts)
@@ -179,9 +178,9 @@ def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) ->
         return ImageTools(document, size, turn=stage.turn)
 
     def placed() -> Camera:
-        return tools.stage.placed(tools.camera)
+        return tools.stage.placed(tools.view)
 
-    tools: SliceTools = SliceTools(
+    tools: VolumeTools = VolumeTools(
         document,
         stage.volume.geometry,
         size,
@@ -252,34 +251,10 @@ def _installed() -> Iterator[None]:
         raise SuppleError(f"the window needs {missing}, which is not installed: pip install 'supple[view]'") from None
 
 
-def on_screen_of(toolkit: str) -> tuple[Any, Any]:
-    """Return the canvas and the loop of a toolkit: ``"glfw"`` or ``"qt"``.
-
-    Raises
-    ------
-    SuppleError
-        If it is not installed, or there is no screen.
-    """
-    choice("toolkit", toolkit, ("glfw", "qt"))
-    with _installed():
-        if toolkit == "glfw":
-            import glfw
-
-            if not glfw.init():
-                raise SuppleError(_NO_SCREEN)
-            from rendercanvas.glfw import RenderCanvas, loop
-        else:
-            RenderCanvas, loop = qt.toolkit()
-            if not qt.has_screen():
-                raise SuppleError(_NO_SCREEN)
-    return RenderCanvas, loop
-
-
 def show(
     source: Source,
     recipe: Recipe | None = None,
     *,
-    toolkit: str = "glfw",
     size: tuple[int, int] = SIZE,
     options: ViewOptions = _USUAL,
 ) -> Window:
@@ -289,8 +264,6 @@ def show(
     ----------
     source, recipe
         As in `view`.
-    toolkit : str
-        ``"glfw"``, or ``"qt"`` if PySide6 or PyQt6 is installed.
     size : (int, int)
         Columns and rows of the window.
     options : ViewOptions
@@ -302,26 +275,26 @@ def show(
         ``view.recipe`` is the result.
     """
     _exists(source)
-    canvas_type, loop = on_screen_of(toolkit)
+    with _installed():
+        import glfw
+
+        if not glfw.init():
+            raise SuppleError("no screen was found for a window: --serve shows it in a browser")
+        from rendercanvas.glfw import RenderCanvas, loop
     gpu = _gpu()
-    canvas = canvas_type(size=size, title="Supple", max_fps=60, update_mode="ondemand", vsync=False)
+    canvas = RenderCanvas(size=size, title="Supple", max_fps=60, update_mode="ondemand", vsync=False)
     try:
         made = opened(source, recipe, canvas, loop, gpu, options)
     except SuppleError:
         canvas.close()
         raise
     made.commands.choose = dialogs.chooser()
-    if toolkit == "glfw":
-        _ask_before_closing(canvas, made)
-    else:
-        qt.attend(canvas, made)
+    _ask_before_closing(canvas, made)
     from supple.viewer.window.window import closed_by_signals
 
     with closed_by_signals(loop):
         loop.run()
-        if canvas.get_closed():  # if a loop is running, as in a notebook with Qt, the window stays
-            if toolkit == "qt":
-                qt.settle(made)  # what ends later would call a Qt that is gone
+        if canvas.get_closed():  # if a loop is running, as in a notebook, the window stays
             made.close()
     return made
 
@@ -402,7 +375,7 @@ def view(
     with _installed():
         from rendercanvas.anywidget import JS, RenderCanvas, loop
 
-        from supple.viewer.window.page import KEYS
+        from supple.viewer.window.server import KEYS
 
         widget = type("Widget", (RenderCanvas,), {"_esm": JS + KEYS})
     canvas = widget(size=(960, 600), max_fps=30, update_mode="ondemand")

@@ -13,13 +13,13 @@ from typing import Any
 
 from supple.errors import SuppleError
 from supple.gpu.screen import Screen
-from supple.viewer.panels import keys, overlay, panel, toolbar
+from supple.viewer.panels import actions, overlay, panel
 from supple.viewer.panels.painter import Shot
 from supple.viewer.panels.stages import VideoStage, VolumeStage
 from supple.viewer.panels.view import SETTLED, View
 from supple.viewer.tools.brushes import VideoTools
 from supple.viewer.tools.planes import RENDERED
-from supple.viewer.tools.slices import SliceTools
+from supple.viewer.tools.volumes import VolumeTools
 from supple.viewer.window.gui import Gui
 
 FILLING = 0.004  # seconds of each frame for filling a volume's buffer
@@ -224,7 +224,7 @@ class Window(View):
             with contextlib.suppress(SuppleError):
                 self._textures = self.painter.paint(shot, encoder)
             self._drawn_key = key
-        if slow and anew and isinstance(tools, SliceTools):
+        if slow and anew and isinstance(tools, VolumeTools):
             tools.forget()  # what is under the pointer is another point now
         self._present(shot, encoder)
         if anew and moving:
@@ -244,12 +244,12 @@ class Window(View):
         onto = self._context.get_current_texture()
         colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 1)}
         drawing = encoder.begin_render_pass(color_attachments=[colours])
-        if self._textures is not None and (not isinstance(self.tools, SliceTools) or RENDERED in self.tools.places):
+        if self._textures is not None and (not isinstance(self.tools, VolumeTools) or RENDERED in self.tools.places):
             left, top, columns, rows = shot.place
             place = (left, top, min(columns, onto.size[0] - left), min(rows, onto.size[1] - top))
             if min(place[2:]) > 0:  # a canvas may have shrunk since
                 self._screen.draw(drawing, *self._textures, self.tools.split or 0.0, place, self.painter.part)
-        if self.slices is not None and isinstance(self.tools, SliceTools):
+        if self.slices is not None and isinstance(self.tools, VolumeTools):
             self.slices.draw(drawing, onto.format, self.tools, shot.ratio, onto.size[:2])
         self._gui.draw(drawing)
         drawing.end()
@@ -285,9 +285,9 @@ class Window(View):
 
     def _controls(self) -> None:
         panel.panel(self)
-        toolbar.draw(self)
+        actions.strip(self)
         overlay.bars(self)
-        keys.draw(self)
+        panel.list_keys(self)
 
     def drop(self, paths: list[str]) -> None:
         """Open a file dropped on the window: a recipe here, other files in a window of their own."""

@@ -13,32 +13,34 @@ from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.space.geometry import Geometry
 from supple.viewer.document.editing import Document
-from supple.viewer.tools.brushes import GRIP, ZOOM, VolumeTools, pans
-from supple.viewer.tools.drags import Held, Pair
-from supple.viewer.tools.gestures import Event, Lead, commanded, shifted
-from supple.viewer.tools.planes import (
-    RENDERED,
-    Pane,
-    Place,
-    Sight,
-    fitting,
-    holding,
-    places_of,
-    planes_of,
-)
+from supple.viewer.tools import orbit
+from supple.viewer.tools.brushes import GRIP, ZOOM, pans
+from supple.viewer.tools.drags import Held, Pair, Place
+from supple.viewer.tools.gestures import Event, Lead, Tools, commanded, shifted
+from supple.viewer.tools.planes import RENDERED, Pane, Sight, fitting, holding, places_of, planes_of
 
 BUTTON = 22.0  # logical pixels of the button that enlarges a view, in its upper right corner
-_CROSS, _SLIDE, _LEVEL, _CUT = "cross", "slide", "level", "cut"
+_CUBE, _CROSS, _SLIDE, _LEVEL = "cube", "cross", "slide", "level"
 _SLOW = 200.0  # logical pixels of a right drag that widen the window by a factor of e, or move it by its width
 _LEFT, _RIGHT = 1, 2
 _KEYS = {"1": 0, "2": 1, "3": 2, "4": RENDERED}
 
 
-class SliceTools(VolumeTools):
-    """The tools of a volume in four views: in a plane, a left drag pulls what is under the pointer within the plane.
+class VolumeTools(Tools[Camera]):
+    """The tools of a volume: a left drag pulls what is under the pointer within a plane, or parallel to the screen.
 
-    ``window`` are the values that are black and white in the planes at first; the other parameters are those of
-    `VolumeTools`.
+    Parameters
+    ----------
+    document : Document
+    geometry : Geometry
+    canvas_size : (float, float)
+        Width and height of all views together, in logical pixels.
+    pick, drag : function
+        Return the point at a pixel of the rendering and the drag to another, as `supple.render.scene.Scene` does.
+    window : (float, float)
+        The values that are black and white in the planes at first.
+    points : float64 array, shape (N, 3), optional
+        Voxels that are in view in the rendering at first; None for the whole volume.
     """
 
     def __init__(
@@ -51,7 +53,12 @@ class SliceTools(VolumeTools):
         window: Pair,
         points: npt.NDArray[np.float64] | None = None,
     ) -> None:
-        super().__init__(document, geometry, canvas_size, pick, drag, points)
+        super().__init__(document, Camera())
+        self._home, self.pick, self.drag = self.view, pick, drag
+        self.stage = orbit.Stage(document.shape, geometry, (1, 1), points)
+        self.corner: Pair = (0.0, 0.0)  # the upper left corner of the rendering, on the canvas
+        self._picked: Pick | None = None
+        self._under: tuple[tuple[object, ...], Pick | None] | None = None
         self.geometry, self.planes = geometry, planes_of(geometry)
         self.sizes = tuple(reversed(document.shape))
         self.across = self.planes[2].axis  # to the left and right of the patient
@@ -84,6 +91,11 @@ class SliceTools(VolumeTools):
         """The voxel under the crosshair, x first."""
         return tuple(math.floor(p + 0.5) for p in self.sight.cross)
 
+    @property
+    def place(self) -> Place:
+        """The rectangle of the view under the pointer."""
+        return self.places[self.active]
+
     def pane(self, k: int) -> Pane:
         """Return a visible plane in its place."""
         sight, spacing = self.sight, self.geometry.spacing
@@ -97,37 +109,57 @@ class SliceTools(VolumeTools):
 
     @property
     def under(self) -> Pick | None:
-        """The point of the rendering under the pointer."""
-        return super().under if self.active == RENDERED else None
+        """The point of the rendering under the pointer; a ray is cast after a change of pointer, camera or strokes."""
+        if self.active != RENDERED:
+            return None
+        key = (self.pointer, self.view, self.stage.size, self.document.revision)
+        if self._under is None or self._under[0] != key:
+            at = None if self.side is not None else self.pointer
+            self._under = key, None if at is None else self.pick(*self._within(*at))
+        return self._under[1]
+
+    def forget(self) -> None:
+        """Cast the ray again, after a change of the image."""
+        self._under = None
+
+    @property
+    def cube(self) -> tuple[orbit.Face, ...]:
+        """The visible faces of the orientation cube; none where there is no room for it."""
+        return orbit.faces_of(self.stage, self.view, self.corner)
+
+    @property
+    def side(self) -> orbit.Face | None:
+        """The face of the cube that a click would choose: the one under the pointer."""
+        gesture = self._gesture
+        led = gesture is None or (isinstance(gesture, Lead) and gesture.how == _CUBE and not gesture.moved)
+        return orbit.face_at(self.cube, self.pointer) if led and self.pointer is not None else None
+
+    def _within(self, x: float, y: float) -> Pair:
+        """Return a position of the canvas in the rendering."""
+        return x - self.corner[0], y - self.corner[1]
+
+    def projected(self, point: tuple[float, ...]) -> Pair | None:
+        """Return the position on the canvas of a voxel in the rendering; None behind the camera."""
+        seen = self.stage.project(self.view, point)
+        return None if seen is None else (seen[0] + self.corner[0], seen[1] + self.corner[1])
 
     @property
     def hover(self) -> tuple[float, ...] | None:
-        """The voxel under the pointer; it may lie between voxels."""
+        """The voxel under the pointer; in a plane, it may lie between voxels."""
         pane = self.pane_under
-        if pane is None or self.pointer is None:
-            return super().hover
-        point = pane.to_point(*self.pointer)
-        return point if pane.holds(point) else None
+        if pane is None:
+            return None if self.under is None else self.under.index
+        point = None if self.pointer is None else pane.to_point(*self.pointer)
+        return point if point is not None and pane.holds(point) else None
 
     @property
     def ring(self) -> float | None:
         """The brush's radius under the pointer, in logical pixels; None outside of the volume."""
-        pane, held = self.pane_under, self.held
-        if pane is None:
-            return super().ring
-        if held is None and self.hover is None:
+        held = self.held
+        point = self.hover if held is None else held.point
+        if point is None:
             return None
-        return (self.radius if held is None else held.stroke.radius) * self._scale(())
-
-    @property
-    def knob(self) -> Pair | None:
-        """The position of the knob of the split in the view under the pointer; None without a split."""
-        return self.knob_of(self.active)
-
-    def knob_of(self, k: int) -> Pair | None:
-        """Return the position of the knob of the split in a view; None without a split."""
-        left, top, width, height = self.places[k]
-        return None if self.split is None else (left + self.split * width, top + 0.5 * height)
+        return (self.radius if held is None else held.stroke.radius) * self._scale(point)
 
     @property
     def grip(self) -> Pair | None:
@@ -164,6 +196,10 @@ class SliceTools(VolumeTools):
         left, top, width, _ = self.places[k]
         return left + width - BUTTON, top, BUTTON, BUTTON
 
+    @property
+    def _beside(self) -> str:
+        return "orbit" if self.active == RENDERED else _SLIDE
+
     def _on_pointer_down(self, event: Event) -> bool:
         place = float(event["x"]), float(event["y"])
         if self._gesture is None:
@@ -171,7 +207,6 @@ class SliceTools(VolumeTools):
                 self.pointer = place
                 self.enlarge(self.active if self.sight.large is None else None)
                 return True
-            self._beside = "orbit" if self.active == RENDERED else _SLIDE
             self._base = self.sight
         made = super()._on_pointer_down(event)
         if isinstance(self._gesture, Lead) and self._gesture.how == _CROSS:
@@ -179,24 +214,27 @@ class SliceTools(VolumeTools):
         return made
 
     def _leads(self, event: Event) -> str | None:
-        if self.active == RENDERED:
-            return super()._leads(event)
+        button, rendering = event.get("button"), self.active == RENDERED
         if pans(event):
-            return _SLIDE
-        if event.get("button") == _RIGHT:
-            return _LEVEL
-        return _CROSS if event.get("button") == _LEFT and shifted(event) else None
+            return "pan" if rendering else _SLIDE
+        if button == _RIGHT:
+            return "orbit" if rendering else _LEVEL
+        if button == _LEFT and rendering and self.side is not None:
+            return _CUBE
+        return _CROSS if button == _LEFT and not rendering and shifted(event) else None
+
+    def _led(self, how: str, view: Camera, dx: float, dy: float) -> Camera:
+        if not (dx or dy):
+            return view
+        return {"orbit": orbit.orbit, _CUBE: orbit.orbit, "pan": orbit.pan}[how](view, dx, dy, self.stage)
 
     def _follow(self, gesture: Held | Lead[Camera], place: Pair) -> None:
-        if isinstance(gesture, Held) or gesture.how not in (_CROSS, _SLIDE, _LEVEL, _CUT):
+        if isinstance(gesture, Held) or gesture.how not in (_CROSS, _SLIDE, _LEVEL):
             super()._follow(gesture, place)
             return
         gesture.now = place
         dx, dy = (b - a for a, b in zip(gesture.start, place, strict=True))
-        if gesture.how == _CUT:
-            left, _, width, _ = self.places[self.active]
-            self.split = min(max((place[0] - left) / width, 0.0), 1.0)
-        elif gesture.how == _LEVEL:
+        if gesture.how == _LEVEL:
             self.sight = self._base.levelled(math.exp(min(max(dx / _SLOW, -9.0), 9.0)), -dy / _SLOW)
         elif gesture.how == _SLIDE:
             self.sight = self._base.slid(replace(self.pane(self.active), middle=self._base.middle), dx, dy)
@@ -205,8 +243,15 @@ class SliceTools(VolumeTools):
 
     def _cross(self, place: Pair) -> None:
         """Move the crosshair, in the plane under the pointer, to a position of the canvas."""
-        pane = self.pane(self.active)
-        self.sight = self.sight.at(pane.to_point(*place), self.sizes)
+        self.sight = self.sight.at(self.pane(self.active).to_point(*place), self.sizes)
+
+    def _released(self) -> bool:
+        chosen = self.side if isinstance(self._gesture, Lead) else None
+        if chosen is None:
+            return super()._released()
+        self._gesture = None
+        self._look(chosen.camera(self.view))
+        return True
 
     def _taken(self, x: float, y: float) -> Held | None:
         """Return what is grabbed; the crosshair goes to a new point, so that all planes show what becomes of it."""
@@ -217,37 +262,50 @@ class SliceTools(VolumeTools):
 
     def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
         pane = self.pane_under
-        if pane is None:
-            return super()._grab(x, y)
-        point = pane.to_point(x, y)
-        return point if pane.holds(point) else None
+        if pane is not None:
+            point = pane.to_point(x, y)
+            return point if pane.holds(point) else None
+        found = self._picked = self.pick(*self._within(x, y))
+        if found is None:
+            return None
+        # A picked point lies in the volume, but for rounding.
+        return tuple(np.clip(found.index, -0.5, np.array(self.sizes) - 0.5).tolist())
 
     def _seen(self, point: tuple[float, ...]) -> Pair | None:
         pane = self.pane_under
         if pane is None:
-            return super()._seen(point)
+            return self.projected(point)
         return pane.to_canvas(point) if pane.crosses(point) else None
 
     def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
         pane = self.pane_under
         if pane is None:
-            return super()._carried(held, x, y)
+            # A handle has no fixed depth; only its position on screen counts.
+            picked = self._picked if held.new else None
+            held_at: Pick = picked or Pick(held.point, held.point, 0.0)  # type: ignore[arg-type]
+            return self.drag(held_at, self._within(x, y))
         gone = [a - b for a, b in zip(pane.to_point(x, y), held.point, strict=True)]
         gone[pane.plane.axis] = 0.0
         return tuple(gone)
 
     def _scale(self, point: tuple[float, ...]) -> float:
         pane = self.pane_under
-        return super()._scale(point) if pane is None else pane.scale
+        return self.stage.scale(self.view, point) if pane is None else pane.scale
 
     def _normal(self, point: tuple[float, ...]) -> tuple[float, ...] | None:
         pane = self.pane_under
-        return super()._normal(point) if pane is None else pane.plane.normal
+        if pane is not None:
+            return pane.plane.normal
+        seen = self.stage.view(self.view)
+        normal = np.cross(*seen.packed[3:]) / seen.spacing  # the axes of the screen, in millimetres
+        return tuple((normal / np.linalg.norm(normal)).tolist())
 
     def _turn(self, event: Event, amount: float) -> None:
         pane = self.pane_under
-        if pane is None or self.held is not None or shifted(event):
-            super()._turn(event, amount)
+        if self.held is not None or shifted(event):
+            self.grow(-amount / 100)  # a moving camera would change the position of the held point
+        elif pane is None:
+            self._look(orbit.dolly(self.view, amount, self.stage))
         elif self._gesture is not None:
             return  # the gesture continues from where it began
         elif commanded(event):
@@ -262,16 +320,18 @@ class SliceTools(VolumeTools):
         self.sight = self.sight.at(tuple(cross), self.sizes)
 
     def _key(self, key: str) -> bool:
-        if self._gesture is not None:
-            return super()._key(key)
-        if key in _KEYS:
+        if key == "0" and self.held is None:
+            if self._gesture is None:
+                self.sight = replace(self._first, cross=self.sight.cross, large=self.sight.large)
+            self._look(self._home)
+        elif self._gesture is not None:
+            return False
+        elif key in _KEYS:
             self.enlarge(None if self.sight.large == _KEYS[key] else _KEYS[key])
         elif key in ("ArrowUp", "ArrowDown"):
             self.step(0 if self.active == RENDERED else self.active, 1 if key == "ArrowUp" else -1)
         else:
-            if key == "0":
-                self.sight = replace(self._first, cross=self.sight.cross, large=self.sight.large)
-            return super()._key(key)
+            return False
         return True
 
     def _on_resize(self, event: Event) -> bool:
