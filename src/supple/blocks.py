@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.deformation import Deformation
-from supple.engines.base import Array, Certificate, Layout, Sampling, Space, Work
-from supple.engines.native import NATIVE, needed
+from supple.engine.core import needed, sample, working_dtype
+from supple.engine.sampling import Certificate, Sampling
+from supple.engine.work import Array, Space, work_of
 from supple.space.geometry import Grid
 
 Box = tuple[tuple[int, int], ...]
@@ -104,9 +105,9 @@ class Warp:
         """Return the map of a block."""
         whole = self.deformation.grid if self.grid is None else self.grid
         first, end = np.array(box)[::-1].T
-        return replace(self._space(), grid=whole.crop(first.tolist(), (end - first).tolist()))
+        return replace(self.packed(), grid=whole.crop(first.tolist(), (end - first).tolist()))
 
-    def _space(self) -> Space:
+    def packed(self) -> Space:
         """Return the packed map, which all blocks share: to prepare a large cubic field takes long."""
         with _PACKING:
             if not self._packed:
@@ -138,7 +139,7 @@ class Warp:
         found = each(self, boxes)
         certificate = Certificate(0.0, 0.0)
         deep = self.deformation.ndim == 3
-        plain = self._space().composite is None
+        plain = self.packed().composite is None
         still = np.full(self.shape[0] if deep else 1, plain)
         for box, (_, moved, known) in zip(boxes, found, strict=True):
             planes = slice(*box[0]) if deep else slice(1)
@@ -198,16 +199,20 @@ class Warp:
             result[...] = part
             return result, Certificate(0.0, 0.0)
         space = self.space(block.box)
-        layout = Layout.of_array(
-            (*space.whole, *tail), part.dtype, space.whole, alpha=self.alpha, light=self.sampling.light
+        work = work_of((*space.whole, *tail), part.dtype, space, self.sampling, self.alpha)
+        # Items are the groups of one frame: their map is solved once.
+        layout, fill = work.layout, np.tile(work.sampling.fill, len(part))
+        work = replace(
+            work,
+            layout=replace(layout, groups=layout.groups * len(part)),
+            sampling=replace(work.sampling, fill=tuple(fill.tolist())),
         )
-        work = Work(space, layout, self.sampling.filled(layout.groups[0].channels, part.dtype))
-        kind = NATIVE.working_dtype(part.dtype)
+        kind = working_dtype(part.dtype)
         frames = [planes.astype(kind, copy=False) for planes in _planes(part, n)]
         outs = [planes.view(kind) if part.dtype == np.bool_ else planes for planes in _planes(result, n)]
         made = [out if out.dtype == kind and out.dtype.isnative else np.empty(out.shape, kind) for out in outs]
         corner = (block.part[-1][0], block.part[-2][0], block.part[0][0] if n == 3 else 0)
-        certificate = NATIVE.warp_part(work, frames, made, corner, block.copied)
+        certificate = sample(work, frames, made, corner=corner, copied=block.copied)
         for out, one in zip(outs, made, strict=True):
             if out is not one:
                 with np.errstate(over="ignore"):

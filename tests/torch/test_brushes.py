@@ -21,7 +21,7 @@ else:
     torch = pytest.importorskip("torch")
 
 import supple.torch as bending
-from supple.torch.engine import TORCH
+from supple.torch import engine
 from supple.torch.field import Strokes, moved
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
@@ -133,6 +133,6 @@ def test_strokes_that_act_at_once(shape: tuple[int, ...], border: float | None) 
 
     np.testing.assert_allclose(seen(points).numpy(), expected, atol=1e-11)
     np.testing.assert_allclose(torch.func.vmap(torch.func.jacrev(seen))(points).numpy(), slopes, atol=1e-11)
-    found, _, _, converged = TORCH.inverse(space, points)
+    found, _, _, converged = engine.inverse(space, points)
     assert converged.all()
     np.testing.assert_allclose(found.numpy(), reference.inverse(steps, d.domain, points.numpy()), atol=1e-7)

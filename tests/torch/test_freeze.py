@@ -18,7 +18,7 @@ else:
     torch = pytest.importorskip("torch")
 
 import supple.torch as bending
-from supple.torch.engine import TORCH
+from supple.torch import engine
 from supple.torch.field import Freedom
 from tests import reference
 
@@ -68,7 +68,7 @@ def test_points_are_those_of_the_native_engine(shape: tuple[int, ...], border: f
     np.testing.assert_allclose(bending.forward(given, d).numpy(), d.forward(points), atol=1e-6)
     slopes = torch.func.vmap(torch.func.jacrev(lambda p: bending.forward(p, d)))(given.flatten(0, 1))
     np.testing.assert_allclose(slopes.unflatten(0, (6, 5)).numpy(), d.jacobian(points), atol=1e-6)
-    np.testing.assert_array_equal(TORCH.inverse(d.space, given)[0].numpy(), d.inverse(points).points)
+    np.testing.assert_array_equal(engine.inverse(d.space, given)[0].numpy(), d.inverse(points).points)
 
 
 @SHAPES
@@ -159,13 +159,10 @@ def test_parts_at_a_time_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_tensors_elsewhere_are_served_by_the_core(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No engine of a device is asked where there is a mask."""
-    from supple.torch import engine
-
-    monkeypatch.setattr(engine, "engine_at", lambda value: pytest.fail("a device's engine is asked"))
+    """No device is asked where there is a mask."""
+    monkeypatch.setattr(engine, "is_on_device", lambda value: pytest.fail("a device is asked"))
     d, mask = held((15, 18))
     picture = torch.rand(15, 18, generator=torch.Generator().manual_seed(0))
     made = bending.warp(picture, d)
     assert torch.equal(made[torch.from_numpy(mask)], picture[torch.from_numpy(mask)])
-    TORCH.inverse(d.space, torch.rand(4, 2))
-    TORCH.inverse_map(d.space, 0.01, picture)
+    engine.inverse(d.space, torch.rand(4, 2))

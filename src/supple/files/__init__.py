@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from supple.arrays import warp_picture
+from supple.arrays import check_device, warp_picture
 from supple.deformation import Deformation, Report
-from supple.engines.base import Sampling, warn_of
-from supple.engines.choice import check_device
+from supple.engine.progress import counted, staged
+from supple.engine.sampling import Sampling, warn_of
 from supple.errors import SuppleError, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
@@ -38,7 +38,6 @@ from supple.media.volume import SUFFIXES as VOLUMES
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import grid_of as volume_grid
 from supple.media.volume import suffix_of
-from supple.progress import counted, staged
 from supple.space.domain import refuse
 from supple.space.geometry import Grid
 from supple.strokes import Fit, Recipe, fit_recipe

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from supple.arrays import work_of
+from supple._core import threads
 from supple.blocks import Block, Box, Read, Warp, batches, boxes_of
 from supple.deformation import Deformation
-from supple.engines.base import Certificate, Sampling, warn_of
-from supple.engines.workers import threads
+from supple.engine.sampling import Certificate, Sampling, warn_of
+from supple.engine.work import Tell, work_of
 from supple.errors import SuppleError, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.clips import is_clip
@@ -26,7 +26,6 @@ from supple.files.volumes import VolumeOptions, deformation_of, is_volume_job, s
 from supple.media.files import is_store, unreadable
 from supple.media.stores import Samples, StoredImage, like_file, open_image
 from supple.media.volume import Volume
-from supple.pipeline import Tell
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import Fit, Recipe, fit_recipe
 
@@ -342,7 +341,7 @@ def warp_on(
         regrid = grid_on(grid, medium.grid, medium.name, maps)
         volume = Volume(whole, medium.geometry, medium.name)
         deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
-    work_of(whole, deformation.space_on(regrid), sampling, alpha=False)  # raise its errors now
+    work_of(whole.shape, whole.dtype, deformation.space_on(regrid), sampling, alpha=False)  # raise its errors now
     return Warp(deformation, sampling, regrid)
 
 

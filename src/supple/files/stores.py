@@ -17,7 +17,8 @@ import numpy as np
 
 from supple.blocks import Block, Box, Warp, boxes_of
 from supple.deformation import Deformation, Report
-from supple.engines.base import Certificate, warn_of
+from supple.engine.sampling import Certificate, warn_of
+from supple.engine.work import Tell
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Field, Placed, folds_of, only_name
 from supple.files import plans
@@ -38,7 +39,6 @@ from supple.media.stores import (
     holding,
 )
 from supple.media.transforms.ngff import Placement
-from supple.pipeline import Tell
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import Fit, Recipe
 

@@ -1,21 +1,22 @@
-"""The torch engine: tensors by the engine of their device, and T as differentiable operations of PyTorch."""
+"""Tensors through the core, or CUDA where they lie there, and T as differentiable operations of PyTorch."""
 
 from __future__ import annotations
 
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
 
-from supple.engines.base import Certificate, Engine, Layout, Space, Steps, Work, warn_of
-from supple.engines.choice import engine_at
-from supple.engines.native import NATIVE
+from supple.cuda import job
+from supple.cuda import points as on_device
+from supple.engine import core
+from supple.engine.devices import is_on_device
+from supple.engine.sampling import Certificate, Sampling, warn_of
+from supple.engine.work import Space, work_of
 from supple.errors import ToleranceWarning
-from supple.space.domain import refuse
 from supple.torch.field import Strokes, moved, solved
 from supple.torch.taps import Columns
 
@@ -23,86 +24,40 @@ _SOLVED = 1 << 18  # points solved in one call
 _NEAR = 1 << 12  # pixels of an axis up to which float32 coordinates are accurate to 0.0001
 
 
-@dataclass(frozen=True, slots=True)
-class Torch:
-    """The engine of tensors (`supple.engines.base.Engine`), whose channels come first: (K, *shape)."""
-
-    name: str = "torch"
-
-    def taken(self, value: Any, name: str) -> torch.Tensor:
-        """Return a tensor, detached from its gradients; SuppleError for other values."""
-        if not isinstance(value, torch.Tensor):
-            refuse(name, "a PyTorch tensor (Deformation.warp takes arrays)", value)
-        return value.detach()
-
-    def result(
-        self, out: torch.Tensor | None, held: torch.Tensor, shape: tuple[int, ...] | None = None
-    ) -> torch.Tensor:
-        """See `Engine.result`; it has the shape of the source."""
-        return torch.empty_like(held, memory_format=torch.contiguous_format) if out is None else out
-
-    def warp(self, work: Work, frames: Sequence[torch.Tensor], outs: Sequence[torch.Tensor]) -> Steps:
-        """See `Engine.warp`; a tensor (K, *shape) is all frames. The values are those of the engine of its device."""
-        (tensor,), (out,) = frames, outs
-        engine = _engine_of(work.space, tensor)
-        # NumPy has no bfloat16, and the core processes half precision in single precision.
-        halves = (torch.bfloat16, torch.float16) if engine is NATIVE else (torch.bfloat16,)
-        held: Any = (tensor.float() if tensor.dtype in halves else tensor).movedim(0, -1)
-        if engine is NATIVE:
-            array = np.ascontiguousarray(held.numpy(force=True))
-            work = _on(work, array)
-            array = array if work.space.ndim == 3 else array[None]
-            made = np.empty_like(array)
-            kind = NATIVE.working_dtype(array.dtype)
-            yield from engine.warp(work, [array.view(kind)], [made.view(kind)])
-            given = torch.from_numpy(made.reshape(held.shape))
-        else:
-            source = engine.taken(held, "tensor")
-            result = engine.result(None, source)
-            yield from engine.warp(_on(work, source), [source], [result])
-            given = result.given
-        out.copy_(given.movedim(-1, 0))
-
-    def forward(self, space: Space, points: torch.Tensor, *, matrices: bool = False) -> torch.Tensor:
-        """See `Engine.forward`; the engine of the points' device moves them, without gradients."""
-        engine, held = _held(space, points)
-        found = torch.as_tensor(engine.forward(space, held, matrices=matrices))
-        return found.to(points.dtype).to(points.device)  # not every device has float64
-
-    def inverse(self, space: Space, points: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """See `Engine.inverse`; the engine of the points' device solves for them."""
-        engine, held = _held(space, points)
-        return tuple(torch.as_tensor(x).to(points.device) for x in engine.inverse(space, held))
-
-    def inverse_map(self, space: Space, tolerance: float, like: Any = None) -> tuple[torch.Tensor, Certificate]:
-        """See `Engine.inverse_map`; it is a tensor on the device of ``like``."""
-        engine = _engine_of(space, like)
-        if engine is not NATIVE:
-            found, certificate = engine.inverse_map(space, tolerance, like)
-            return torch.as_tensor(found), certificate
-        found, certificate = NATIVE.inverse_map(space, tolerance)
-        return torch.from_numpy(found).to(like.device), certificate
+def sample(tensor: torch.Tensor, space: Space, sampling: Sampling) -> tuple[torch.Tensor, Certificate]:
+    """Return a warped tensor (K, *shape), without gradients, and the certificate; its device does the work."""
+    native = _is_native(space, tensor)
+    # NumPy has no bfloat16, and the core processes half precision in single precision.
+    halves = (torch.bfloat16, torch.float16) if native else (torch.bfloat16,)
+    held: Any = (tensor.float() if tensor.dtype in halves else tensor).detach().movedim(0, -1)
+    if native:
+        array = np.ascontiguousarray(held.numpy(force=True))
+        work = work_of(array.shape, array.dtype, space, sampling, alpha=False)
+        array = array if space.ndim == 3 else array[None]
+        made = np.empty_like(array)
+        kind = core.working_dtype(array.dtype)
+        certificate = core.sample(work, [array.view(kind)], [made.view(kind)])
+        given = torch.from_numpy(made.reshape(held.shape))
+    else:
+        given, certificate = job.sample(held, (space,), sampling, False, None)
+    out = torch.empty_like(tensor, memory_format=torch.contiguous_format)
+    return out.copy_(given.movedim(-1, 0)), certificate
 
 
-TORCH = Torch()
-
-
-def _engine_of(space: Space, tensor: Any) -> Engine:
-    """Return the engine of a tensor's device, or the native one for freeze masks."""
-    return engine_at(tensor) if space.freeze is None else NATIVE
-
-
-def _held(space: Space, points: torch.Tensor) -> tuple[Engine, Any]:
-    """Return the engine for points, and them as it takes them."""
+def inverse(space: Space, points: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    """Return T⁻¹ of points, and what else `supple.Inverse` holds, on their device."""
     held: Any = points.detach()
-    engine = _engine_of(space, held)
-    return engine, held.cpu().double().numpy() if engine is NATIVE else held.double()
+    if _is_native(space, held):
+        values, certificate = core.inverse(space, held.cpu().double().numpy())
+    else:
+        values, certificate = on_device.inverse(space, held.double())
+    warn_of(certificate, 1.0, 4)
+    return tuple(torch.as_tensor(x).to(points.device) for x in values)
 
 
-def _on(work: Work, held: Any) -> Work:
-    """Return the work with the layout of an array (*shape, K), and the fill values in its type."""
-    layout = Layout.of_array(held.shape, held.dtype, work.space.whole, alpha=False, light=False)
-    return replace(work, layout=layout, sampling=work.sampling.filled(layout.groups[0].channels, held.dtype))
+def _is_native(space: Space, tensor: Any) -> bool:
+    """Return whether the core does the work: for tensors of the host, and for freeze masks."""
+    return space.freeze is not None or not is_on_device(tensor)
 
 
 def seen_at(points: torch.Tensor, strokes: Strokes) -> torch.Tensor:
@@ -124,20 +79,18 @@ def offsets_of(like: torch.Tensor, space: Space, tolerance: float) -> torch.Tens
     if space.is_identity:
         return made.to(like.device)
     if dtype == torch.float32 and like.is_cuda and space.freeze is None:
-        from supple.engines.cuda.points import inverse_map
-
-        found, certificate = inverse_map(space, like.detach(), tolerance, offsets=True)
+        found, certificate = on_device.inverse_map(space, tolerance, like.detach(), offsets=True)
         warn_of(certificate, tolerance, 3)
         return torch.as_tensor(found).reshape(made.shape)
     if dtype == torch.float32 and max(sizes) <= _NEAR:
-        sources, certificate = NATIVE.inverse_map(space, tolerance)
+        sources, certificate = core.inverse_map(space, tolerance)
         warn_of(certificate, tolerance, 3)
         pixels = torch.stack(grid(torch.arange(len(made)), sizes), -1)
         return (torch.from_numpy(sources).reshape(made.shape) - pixels).to(like.device)
     lost, steps = 0, torch.tensor(space.axes[: space.ndim, 3], device=where)
     for start in range(0, len(made), _SOLVED):
         points = torch.stack(grid(torch.arange(start, min(start + _SOLVED, len(made)), device=where), sizes), -1)
-        solved, _, _, converged = TORCH.inverse(space, points)
+        solved, _, _, converged = inverse(space, points)
         # Engines solve in physical units: of a point that stays, they return the pixel there and back.
         stays = solved == points * steps / steps
         made[start : start + len(points)] = torch.where(stays, 0.0, solved - points)
@@ -150,7 +103,12 @@ def offsets_of(like: torch.Tensor, space: Space, tolerance: float) -> torch.Tens
 
 def adjoint_of(space: Space, points: Columns, slopes: Columns) -> Columns:
     """Return λ of (I+J)ᵀ λ = ∂L/∂p at points, in pixels; the engine of their device knows J."""
-    matrices = TORCH.forward(space, torch.stack(points, -1), matrices=True)
+    held: Any = torch.stack(points, -1).detach()
+    if _is_native(space, held):
+        made, _ = core.forward(space, held.cpu().double().numpy(), matrices=True)
+    else:
+        made, _ = on_device.forward(space, held.double(), matrices=True)
+    matrices = torch.as_tensor(made).to(held.dtype).to(held.device)  # not every device has float64
     return solved([row.unbind(-1) for row in matrices.unbind(-2)], slopes)
 
 

@@ -27,7 +27,7 @@ from typing import Self
 import numpy as np
 import torch
 
-from supple.engines.base import Space
+from supple.engine.work import Space
 from supple.errors import SuppleError
 from supple.folding.strain import Mask
 from supple.space.domain import PROFILE_CODES

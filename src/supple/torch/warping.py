@@ -14,10 +14,10 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from supple.deformation import Deformation
-from supple.engines.base import Group, Layout, Sampling, Space, Work, warn_of
-from supple.pipeline import sampled
+from supple.engine.sampling import Sampling, warn_of
+from supple.engine.work import Group, Layout, Space, Work
 from supple.space.domain import refuse
-from supple.torch.engine import TORCH, adjoint_of, grid, offsets_of, seen_at, working
+from supple.torch.engine import adjoint_of, grid, offsets_of, sample, seen_at, working
 from supple.torch.field import Strokes, strokes_gradients
 from supple.torch.strokes import Item, items
 from supple.torch.taps import Columns, Taps, around, count
@@ -41,7 +41,7 @@ class Job:
 
     def fill(self, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
         """Return the fill values, of shape (K, 1, 1)."""
-        return torch.tensor(self.work.fills[0], dtype=dtype, device=device)[:, None, None]
+        return torch.tensor(self.work.sampling.fill, dtype=dtype, device=device)[:, None, None]
 
 
 _ROOM = 1 << 23  # the numbers in memory for points processed at once, mostly for gradients of T
@@ -232,9 +232,7 @@ def _warped(tensor: torch.Tensor, item: Item, job: Job) -> torch.Tensor:
 
 
 def _values(tensor: torch.Tensor, work: Work) -> torch.Tensor:
-    held = TORCH.taken(tensor, "tensor")
-    made = TORCH.result(None, held)
-    certificate = sampled(TORCH, work, [held], [made])
+    made, certificate = sample(tensor, work.space, work.sampling)
     warn_of(certificate, work.sampling.tolerance, 5)
     return made
 
@@ -319,5 +317,6 @@ def _chunks(offsets: torch.Tensor, job: Job) -> list[tuple[int, int]]:
     if job.strokes is not None:
         frozen = _OF_MASKS if job.strokes.freedom is not None else 0
         terms = sum(kind.scales + frozen for kind in job.strokes.kinds)
-    size, total = max(1, _ROOM // (len(job.work.fills[0]) * count(job.kinds) + 16 * (terms + 1))), len(offsets)
+    channels, total = job.work.layout.groups[0].channels, len(offsets)
+    size = max(1, _ROOM // (channels * count(job.kinds) + 16 * (terms + 1)))
     return [(start, min(start + size, total)) for start in range(0, total, size)]
