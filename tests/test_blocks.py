@@ -174,7 +174,7 @@ def test_axes_before_are_carried_along() -> None:
     blocks, _ = warp.plan(list(boxes_of([(13, 17), (40,), (25, 25)])))
     expected = np.stack([[d.warp(each) for each in row] for row in source])
     for block in blocks:
-        made, _ = warp.along(source[(..., *slices(block.part))], block, 2)
+        made, _ = warp.block(source[(..., *slices(block.part))], block, 2)
         assert_equal(made, expected[(..., *slices(block.box))])
 
 

@@ -177,14 +177,17 @@ class Warp:
         for z, (_, moved, _) in zip(doubtful, each(replace(self, grid=None), planes), strict=True):
             still[z] = moved[0] * math.sqrt(3) <= self.sampling.tolerance
 
-    def block(self, part: Array, block: Block) -> tuple[Array, Certificate]:
+    def block(self, part: Array, block: Block, first: int = 1) -> tuple[Array, Certificate]:
         """Sample a block from the part of the source that it reads.
 
         Parameters
         ----------
-        part : array, shape (N, ...) or (N, ..., C)
-            Items that are warped alike; of each, `Block.part`.
+        part : array
+            `Block.part`, perhaps with channels last, of each item: along the axes before ``first``, items are warped
+            alike.
         block : Block
+        first : int
+            The first axis that is bent.
 
         Returns
         -------
@@ -193,11 +196,11 @@ class Warp:
         Certificate
         """
         n = self.deformation.ndim
-        tail = part.shape[1 + n :]
-        result = np.empty((len(part), *block.shape, *tail), part.dtype)
+        lead, tail = part.shape[:first], part.shape[first + n :]
         if block.identity:
-            result[...] = part
-            return result, Certificate(0.0, 0.0)
+            return part.copy(), Certificate(0.0, 0.0)
+        part = part.reshape(-1, *part.shape[first:])
+        result = np.empty((len(part), *block.shape, *tail), part.dtype)
         space = self.space(block.box)
         work = work_of((*space.whole, *tail), part.dtype, space, self.sampling, self.alpha)
         # Items are the groups of one frame: their map is solved once.
@@ -217,12 +220,7 @@ class Warp:
             if out is not one:
                 with np.errstate(over="ignore"):
                     out[...] = one
-        return result, certificate
-
-    def along(self, part: Array, block: Block, first: int) -> tuple[Array, Certificate]:
-        """Sample a block of an array whose axes before ``first`` are carried along, as `block` does."""
-        made, certificate = self.block(part.reshape(-1, *part.shape[first:]), block)
-        return made.reshape(*part.shape[:first], *made.shape[1:]), certificate
+        return result.reshape(*lead, *block.shape, *tail), certificate
 
 
 def batches(boxes: Sequence[Box]) -> list[Sequence[Box]]:

@@ -241,11 +241,11 @@ def _warp_pieces(
     part = np.empty(shape, pieces[0].dtype)
     for place, piece in zip(places, pieces, strict=True):
         part[tuple(slice(*each) for each in place)] = piece
-    return job.along(part, block, first)[0]
+    return job.block(part, block, first)[0]
 
 
 def _warp_read(job: Warp, block: Block, first: int, source: Any, box: Box) -> npt.NDArray[Any]:
-    return job.along(np.asarray(source[tuple(slice(*each) for each in box)]), block, first)[0]
+    return job.block(np.asarray(source[tuple(slice(*each) for each in box)]), block, first)[0]
 
 
 def _of_xarray(array: Any, job: Warp, chunks: Any, axes: Sequence[int] | None) -> Any:

@@ -382,7 +382,7 @@ class Deformation:
 
     @property
     def space(self) -> Space:
-        """The packed map and domain, as engines take them."""
+        """The packed map and domain, as the core takes them."""
         return self.space_on(None, check=False)
 
     def space_on(self, grid: Grid | None, source: Grid | None = None, *, check: bool = True) -> Space:

@@ -1,4 +1,4 @@
-"""A GPU that is played in memory: the engine's kernels are compiled for the host."""
+"""A simulated GPU: the kernels are compiled for the host."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def coded(program: Program, arch: int) -> bytes:
 
 
 class View:
-    """An array of the played GPU, as cuda.core describes arrays."""
+    """An array of the simulated GPU, as cuda.core describes arrays."""
 
     device_id, is_device_accessible = 0, True
 
@@ -88,7 +88,7 @@ def library() -> Path | None:
 
 @pytest.fixture
 def gpu(library: Path | None, monkeypatch: pytest.MonkeyPatch) -> Iterator[CudaDevice]:
-    """A real GPU, where there must be one; or one that is played in memory, where nothing is left over in the end."""
+    """A real GPU, where there must be one; or a simulated one, where nothing is left over in the end."""
     if library is None:
         yield device.open_device()
         return

@@ -1,4 +1,4 @@
-"""A driver of NVIDIA's, played in host memory: it runs kernels that are compiled for the host, and records all calls.
+"""A simulated driver of NVIDIA: it runs kernels that are compiled for the host, and records all calls.
 
 Its functions are those of ``cuda.bindings.driver`` that the engine calls, with their arguments and results. Work of a
 stream is done at once, in the order of the calls; what a real driver would refuse fails here: freed memory, unknown

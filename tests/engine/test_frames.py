@@ -163,16 +163,6 @@ def test_both_ways_to_a_sample_agree(filter: str, between: str, averaged: bool) 
         assert np.abs(weighed[..., 3] - top_of(dtype)).max() <= 1e-5 * top_of(dtype)
 
 
-def test_the_last_of_four_channels_of_8_or_16_bits_is_opacity_unless_told() -> None:
-    for dtype in ("u1", "u2", "i2", "f4"):
-        for channels in (2, 3, 4, 5):
-            source = (np.abs(noise("f8", channels)) % 1 * top_of(dtype)).astype(dtype)
-            weighed = channels == 4 and dtype in ("u1", "u2")
-            np.testing.assert_array_equal(bent().warp(source), bent().warp(source, alpha=weighed))
-            if channels == 4:
-                assert (bent().warp(source, alpha=False) != bent().warp(source, alpha=True)).any()
-
-
 @pytest.mark.parametrize(
     ("filter", "between", "averaged"), effort.pairs(["linear", "cubic", "auto"], BETWEEN, [False, True])
 )
@@ -196,33 +186,6 @@ def test_constants_stay_constant(filter: str, between: str, averaged: bool) -> N
                                 np.testing.assert_array_equal(out, source)
                             elif value:
                                 np.testing.assert_array_equal(out[..., :-1], source[..., :-1])
-
-
-@pytest.mark.parametrize("rule", RULES)
-@pytest.mark.parametrize("shift", [-31, -12, -3, 2, 9, 12, 30])
-def test_all_of_a_clip_outside_itself(shift: int, rule: str) -> None:
-    """By whole frames, so that every filter but an average shows just one of them; far beyond the clip as well."""
-    count = 9
-    d = Deformation((count, 20, 40), border=None, on_fold="damp").grab(
-        (20, 10, 4), by=(0, 0, shift), radius=1e7, reach=None
-    )
-    t = np.arange(count) - shift
-    folded = t % (2 * count)
-    shown = {
-        "edge": np.clip(t, 0, count - 1),
-        "reflect": np.where(folded < count, folded, 2 * count - 1 - folded),
-        "constant": np.where((t >= 0) & (t < count), t, -1),
-    }[rule]
-    for dtype in ("u1", "f4"):
-        for channels in (1, 2, 3, 5):
-            source = np.random.default_rng(2).integers(0, 255, (count, 20, 40, channels)).astype(dtype)
-            clip = np.concatenate([source, np.full((1, 20, 40, channels), 50, dtype)])
-            for name in ("nearest", "linear", "cubic", "auto"):
-                for averaged in (False, True):
-                    how: dict[str, Any] = {"filter": name, "outside": rule, "fill": 50, "time_filter": averaged}
-                    out = d.warp(source, alpha=False, **how)
-                    off = np.abs(out.astype(np.float64) - clip[shown])
-                    assert off.max() <= (0 if dtype == "u1" else 2e-3), (dtype, channels, how)
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 37, 50), (2, 2, 2), (5, 1, 40), (5, 40, 1), (3, 33, 33), (2, 3, 300)])

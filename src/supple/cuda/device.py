@@ -34,7 +34,7 @@ FAILURES = CudaError, MemoryError, OSError
 
 @functools.cache
 def driver() -> Any:
-    """Return the bindings of NVIDIA's driver; tests put a driver in memory in their place."""
+    """Return the bindings of NVIDIA's driver; tests put a simulated driver in their place."""
     try:
         return importlib.import_module("cuda.bindings.driver")
     except ImportError:
@@ -94,7 +94,7 @@ class CudaDevice:
 
     @property
     def free(self) -> int:
-        """Return the free memory in bytes, after what is kept for the next warp is given back."""
+        """Return the free bytes of memory, after emptying the pool."""
         with self.current():
             call("cuMemPoolTrimTo", call("cuDeviceGetDefaultMemPool", call("cuDeviceGet", self.number)), 0)
             return int(call("cuMemGetInfo")[0])
@@ -206,15 +206,15 @@ _lock = threading.Lock()
 
 def keep(stream: Stream, *held: object) -> Event:
     """Keep objects alive until a stream gets here; return this place."""
-    let_go()
+    release_passed()
     event = stream.record()
     with _lock:
         _kept.append((event, held))
     return event
 
 
-def let_go() -> None:
-    """Forget what was kept until events that are over: their work is done, or the GPU has failed."""
+def release_passed() -> None:
+    """Release objects kept for events that have passed, or whose GPU has failed."""
 
     def over(event: Event) -> bool:
         try:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from supple.cuda.arrays import DeviceArray, as_stream, checked_out, made_like, stream_of, taken
-from supple.cuda.device import Event, Stream, keep, let_go
+from supple.cuda.device import Event, Stream, keep, release_passed
 from supple.cuda.warp import Told, warp
 from supple.engine.devices import note
 from supple.engine.sampling import Certificate, Sampling, warn_of
@@ -51,7 +51,7 @@ class Warping:
         """Wait for the warp; return how accurate it is."""
         with self._source.gpu.current():
             self._event.synchronize()
-            let_go()
+            release_passed()
         self._certificate = self._told.certificate(self._work.space)
         return self._certificate
 

@@ -132,7 +132,7 @@ def _uploaded(gpu: CudaDevice, spaces: tuple[Space, ...], tolerance: float) -> L
 
 
 class Told:
-    """What kernels say of a map: on the GPU, and, when their stream gets there, on the host."""
+    """The error and the counts of a map, which kernels write on the GPU, and their copy on the host."""
 
     def __init__(self, stream: Stream) -> None:
         self.there = Memory(TOLD.itemsize, stream)
@@ -141,7 +141,7 @@ class Told:
         self._said: tuple[Any, ...] = ()
 
     def send(self) -> None:
-        """Copy it to the host, when the stream gets there."""
+        """Copy them to the host, asynchronously."""
         try:  # host memory that GPUs write to takes long to make
             self._here = _spare.pop()
         except IndexError:
@@ -149,7 +149,7 @@ class Told:
         self.there.download(self._here.bytes)
 
     def certificate(self, space: Space) -> Certificate:
-        """Return the certificate; the stream has got there."""
+        """Return the certificate; the copy must be complete."""
         with _lock:
             if self._here is not None:
                 self._said = self._here.bytes.view(TOLD)[0].item()

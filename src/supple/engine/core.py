@@ -123,7 +123,7 @@ def view(array: Array) -> Array | None:
     if not (array.flags.c_contiguous and array.flags.aligned and array.dtype.isnative):
         return None
     kind = _KINDS.get(array.dtype, array.dtype)
-    return array.view(kind) if array.dtype in (kind, np.bool_) else None
+    return np.asarray(array).view(kind) if array.dtype in (kind, np.bool_) else None
 
 
 def samplings_of(

@@ -27,12 +27,12 @@ def silent(step: str, done: int, total: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Space:
-    """The packed strokes and domain, as engines take them, and the number of frames.
+    """The packed strokes and domain, as the core takes them, and the number of frames.
 
     Parameters
     ----------
     table : ndarray of STROKE_DTYPE
-        Strokes that are known to be one-to-one.
+        Strokes, each one-to-one.
     axes : float64 array, shape (3, 5)
         The packed domain: a row (first, last, sigma, spacing, profile) for each axis, x first (`Domain.packed`).
     ndim : int

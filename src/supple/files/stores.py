@@ -465,7 +465,7 @@ def _warp_block(work: Work, item: tuple[Box, Block]) -> tuple[bool, bool, int]:
             return False, True, count
     with work.place.reading(f"samples of it cannot be decoded, at {_told((*lead, *block.part))}"):
         part = np.asarray(work.samples[tuple(slice(*each) for each in (*lead, *block.part))])
-    made, _ = work.warp.along(part, block, work.carried)
+    made, _ = work.warp.block(part, block, work.carried)
     target.write(0, box, made)
     read = whole_chunks((*lead, *block.part), work.samples.shape, work.samples.chunks)
     return False, False, read * part.itemsize
