@@ -14,7 +14,6 @@ from supple.cuda.device import CudaDevice
 from supple.errors import ToleranceWarning
 from tests.cuda.at_size import (
     CLOSE,
-    SCALE,
     apart,
     bent,
     both,
@@ -98,25 +97,6 @@ def test_averages(room: str, dtype: str) -> None:
     assert apart(made, wanted, source).max() <= (2 * CLOSE if room == "frames" else CLOSE)
 
 
-@pytest.mark.parametrize("room", ["picture", "volume", "frames"])
-def test_what_no_stroke_reaches_keeps_every_bit(room: str) -> None:
-    _, shape, channels = ROOMS[room]
-    size, radius = np.array(shape[::-1]), min(shape) / 8
-    d = supple.Deformation(shape, border=64, on_fold="damp")
-    for part in (0.3, 0.6):
-        d = d.grab(part * size, by=np.full(len(shape), 0.3 * radius), radius=radius, reach=3)
-    source = labels(shape, channels, "f4").astype(np.float32)
-    made, wanted = both(sent(source), source, d)
-    assert apart(made, wanted, source).max() <= CLOSE
-    places = np.indices(shape)[::-1].astype(np.float64)
-    kept = np.ones(shape, np.bool_)
-    for part in (0.3, 0.6):
-        centre = (part * size).reshape(-1, *[1] * len(shape))
-        kept &= np.linalg.norm(places - centre, axis=0) >= 3 * radius
-    assert 0.3 < kept.mean() < 1
-    np.testing.assert_array_equal(made[kept], source[kept])
-
-
 @only_on_a_card  # a small zone plate has too few rings
 def test_averages_are_near_those_of_many_samples() -> None:
     # A zone plate, squeezed: what lies between pixels would alias.
@@ -142,33 +122,6 @@ def test_averages_are_near_those_of_many_samples() -> None:
     assert ours > quality(d.warp(plate)) - 1
 
 
-@pytest.mark.parametrize("between", ["linear", "cubic", "nearest"])
-@pytest.mark.parametrize("average", [False, True])
-def test_frames_bent_in_time(between: str, average: bool) -> None:
-    _, shape, channels = ROOMS["frames"]
-    count, height, width = shape
-    d = supple.Deformation(shape, border=None, on_fold="damp").grab(
-        (width / 2, height / 2, count / 2), by=(width / 12, 0, count / 8), radius=width / 6, reach=None
-    )
-    source = waves(shape, channels)
-    options: dict[str, Any] = {"filter": "linear", "between": between, "time_filter": average, "outside": "reflect"}
-    made, wanted = both(sent(source), source, d, **options)
-    off = apart(made, wanted, source)
-    if between == "nearest":  # but where a point lies between two frames
-        assert (off > CLOSE).mean() < 5e-3
-    else:
-        assert off.max() <= CLOSE
-
-
-@pytest.mark.parametrize("light", [False, True])
-def test_opacity_and_light(light: bool) -> None:
-    shape = ROOMS["picture"][1]
-    source = typed(0.1 + 0.9 * waves(shape, 4), "u1")
-    made, wanted = both(sent(source), source, bent(shape, 2), filter="cubic", linear_light=light)
-    assert np.quantile(apart(made, wanted, source), 0.999) <= CLOSE
-    assert np.abs(made.astype(int) - wanted).max() <= 2
-
-
 @pytest.mark.parametrize("border", [None, 20.0])
 @pytest.mark.parametrize("room", ["picture", "volume"])
 @pytest.mark.parametrize("tolerance", [0.01, 1e-3])
@@ -185,23 +138,6 @@ def test_the_map_is_as_exact_as_asked(room: str, border: float | None, tolerance
     grown = np.linalg.norm(d.jacobian(found), ord=2, axis=(-2, -1))
     residual = np.linalg.norm(d.forward(found) - at, axis=-1)
     assert (residual <= 1.5 * grown * (tolerance + 3e-4 + coarse)).all()
-
-
-@pytest.mark.parametrize("room", ["picture", "volume"])
-@pytest.mark.parametrize("dtype", ["f4", "f8"])
-def test_points(room: str, dtype: str) -> None:
-    shape = ROOMS[room][1]
-    d = bent(shape, 4, count=5, border=0.2 * min(shape))
-    points = (np.random.default_rng(1).uniform(-0.1, 1.1, (100_000 // SCALE**2, len(shape))) * shape[::-1]).astype(
-        dtype
-    )
-    there = sent(points)
-    np.testing.assert_allclose(host(d.forward(there)), d.forward(points), atol=1e-8)
-    np.testing.assert_allclose(host(d.jacobian(there)), d.jacobian(points), atol=1e-8)
-    solved = d.inverse(there)
-    assert host(solved.converged).all()
-    np.testing.assert_allclose(host(solved.points), d.inverse(points).points, atol=1e-5)
-    np.testing.assert_allclose(d.forward(host(solved.points)), points, atol=2e-6)
 
 
 def test_more_samples_than_32_bits_count(gpu: CudaDevice) -> None:
