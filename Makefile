@@ -103,7 +103,7 @@ demo: | $(VENV)/made
 # tests first: those with the slowest would be last. CUDA is tested on a simulated driver. What needs windows and devices,
 # whose memory is freed with its processes alone, is tested before the rest. Bytecode is kept, whatever the environment
 # says: hundreds of processes would compile the package anew.
-APART := tests/engines tests/gpu tests/torch tests/viewer
+APART := tests/engine tests/cuda tests/gpu tests/torch tests/viewer
 TEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -q -n logical --dist loadfile --no-loadscope-reorder
 
 test: venv
@@ -115,10 +115,10 @@ versions: venv
 
 # On a real GPU, one after the other: each test fails where there is none. The last are few, and watched.
 test-cuda: venv $(VENV)/stamp-cuda
-	SUPPLE_TEST_CUDA=1 $(BIN)/python -m pytest -q tests/engines/cuda
+	SUPPLE_TEST_CUDA=1 $(BIN)/python -m pytest -q tests/cuda
 	@if command -v compute-sanitizer >/dev/null; then \
 	  SUPPLE_TEST_CUDA=1 compute-sanitizer --tool memcheck --report-api-errors no --error-exitcode 1 \
-	    $(BIN)/python -m pytest -q tests/engines/cuda/test_memory.py; \
+	    $(BIN)/python -m pytest -q tests/cuda/test_memory.py; \
 	else \
 	  echo "compute-sanitizer is not on the PATH (it comes with the CUDA toolkit): memory was not checked"; \
 	fi
@@ -151,7 +151,7 @@ lint: $(VENV)/stamp
 	$(BIN)/lint-imports
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
 	$(BIN)/zizmor --offline --no-progress --quiet .github
-	$(BIN)/clang-format --dry-run --Werror $(wildcard src/supple/_core/*.[ch]pp src/supple/engines/cuda/kernels/*)
+	$(BIN)/clang-format --dry-run --Werror $(wildcard src/supple/_core/*.[ch]pp src/supple/cuda/kernels/*)
 
 wheel: $(VENV)/stamp
 	@$(BIN)/python tools/wheel.py

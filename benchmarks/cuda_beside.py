@@ -56,9 +56,9 @@ def first_calls(b: Bench) -> Iterator[Line]:
 def handed_over(b: Bench) -> Iterator[Line]:
     """How long the host is kept, and how evenly another stream's small kernels run meanwhile."""
     import supple.cuda
-    from supple.engines.cuda.device import open_device
-    from supple.engines.cuda.layout import SOME
-    from supple.engines.cuda.programs import Program, launch, prepare
+    from supple.cuda.device import open_device
+    from supple.cuda.layout import SOME
+    from supple.cuda.programs import Program, launch, prepare
 
     place, shape = b.place, (b.side,) * 3
     d = stroke(*shape)
@@ -115,7 +115,7 @@ def handed_over(b: Bench) -> Iterator[Line]:
 
 def host_volume(b: Bench) -> Iterator[Line]:
     """A volume of twice the side that lies on the host, through the GPU and back, against plain copies."""
-    from supple.engines.cuda.device import Memory, Pinned, Stream, open_device
+    from supple.cuda.device import Memory, Pinned, Stream, open_device
 
     n, memory = 2 * b.side, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     while 3 * 4 * n**3 > memory and n > 64:

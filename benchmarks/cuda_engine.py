@@ -222,7 +222,7 @@ def main() -> int:
     if asked.dry:
         play()
     import supple
-    from supple.engines.cuda.device import open_device
+    from supple.cuda.device import open_device
 
     warnings.simplefilter("ignore", supple.FoldWarning)
     try:

@@ -43,7 +43,7 @@ from zarr.storage import LocalStore, WrapperStore
 import supple
 from supple.blocks import Warp, boxes_of
 from supple.dask import warp
-from supple.engines.base import Sampling
+from supple.engine.sampling import Sampling
 
 Array = npt.NDArray[Any]
 THREADS = 2

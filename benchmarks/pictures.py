@@ -23,7 +23,7 @@ from measure import Row, faster, milliseconds, run, timed
 from mesh import rasterize
 
 import supple
-from supple.engines import paper
+from supple.engine import paper
 from supple.space.domain import Border
 
 Array = npt.NDArray[Any]

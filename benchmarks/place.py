@@ -41,7 +41,7 @@ class Events:
     beside: bool = False
 
     def __call__(self, work: Work) -> float:
-        from supple.engines.cuda.device import call, open_device
+        from supple.cuda.device import call, open_device
 
         with open_device().current():
             begin, end = (call("cuEventCreate", 0) for _ in range(2))
@@ -60,9 +60,9 @@ class Events:
 def play() -> None:
     """Put a GPU that is played in memory, as the tests have it, in the place of a real one."""
     sys.path.insert(0, str(Path(__file__).parents[1]))
-    from supple.engines.cuda import arrays, device, programs
-    from tests.engines.cuda import conftest
-    from tests.engines.cuda.driver import Driver
+    from supple.cuda import arrays, device, programs
+    from tests.cuda import conftest
+    from tests.cuda.driver import Driver
 
     made: Any = Driver(conftest.compiled())
     replaced: Any = (device, programs, arrays)
@@ -73,8 +73,8 @@ def play() -> None:
 
 def sent(array: Array) -> Any:
     """An array of Supple's own on the GPU."""
-    from supple.engines.cuda.arrays import CudaArray
-    from supple.engines.cuda.device import Stream, call, open_device
+    from supple.cuda.arrays import CudaArray
+    from supple.cuda.device import Stream, call, open_device
 
     gpu = open_device()
     with gpu.current():
@@ -153,7 +153,7 @@ class Place:
 
     def about(self) -> dict[str, str]:
         """What all this is: the GPU, its driver, the CUDA that it knows, and the libraries."""
-        from supple.engines.cuda.device import call, open_device
+        from supple.cuda.device import call, open_device
 
         libraries = (
             "supple", "cuda-bindings", "cuda-core", "nvidia-cuda-nvrtc", "nvidia-cuda-nvrtc-cu12", "torch",
@@ -168,8 +168,8 @@ class Place:
 
 def host(array: Any) -> Array:
     """An array of any of the libraries, on the host."""
-    from supple.engines.cuda.arrays import CudaArray
-    from supple.engines.cuda.device import call, open_device
+    from supple.cuda.arrays import CudaArray
+    from supple.cuda.device import call, open_device
 
     if isinstance(array, CudaArray):
         made = np.empty(array.shape, array.dtype)

@@ -24,8 +24,9 @@ from measure import Row, faster, run, timed
 from reference import psnr, reference_frame
 
 import supple
-from supple.engines.base import Group, Layout, Sampling, Work
-from supple.engines.native import NATIVE
+from supple.engine.core import plan_of, sample, samplings_of
+from supple.engine.sampling import Sampling
+from supple.engine.work import Group, Layout, Work
 from supple.files.clips import warp_clip
 from supple.space.domain import Border
 
@@ -116,8 +117,9 @@ def frame_row(runs: int, filter: str | None, border: Border, bar: float | None, 
     outs = [np.empty((1, *a.shape[1:]), a.dtype) for a in (luma, chroma)]
 
     def ours() -> None:
-        for _ in NATIVE.warp(Work(d.space, layout, sampling), [luma, chroma], outs, [z]):
-            pass
+        plan = plan_of(d.space, z, sampling.tolerance, layout.step)
+        for each in samplings_of(Work(d.space, layout, sampling), [luma, chroma], [out[0] for out in outs], count):
+            plan.sample(each)
 
     how = f"{filter or 'default'} filter, {'free border' if border is None else 'default border'}, reach=None"
     return timed(
@@ -231,7 +233,7 @@ def against_forward_mapping(runs: int, quick: bool) -> Iterator[Row]:
     kept = [np.empty_like(luma), np.empty_like(chroma)]
 
     def as_stored() -> None:
-        list(NATIVE.warp(Work(d.space, layout, Sampling("linear")), [luma, chroma], kept))
+        sample(Work(d.space, layout, Sampling("linear")), [luma, chroma], kept)
 
     as_stored()
     shown = [round(k) for k in np.linspace(count * 0.2, count * 0.85, 1 if quick else 2)]

@@ -11,8 +11,8 @@ import zarr
 
 import supple
 import supple.dask
-from supple.files.stores import warp_store
 from supple.files.options import VolumeOptions
+from supple.files.stores import warp_store
 from supple.media import image
 
 HEAD = Path(supple.__file__).parent / "examples" / "data" / "head.nii.gz"

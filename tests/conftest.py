@@ -30,7 +30,7 @@ LEFT_OUT = pytest.StashKey[int]()
 # A worker has a file at a time: those that take longest are begun first, so that none of them is waited for at the end.
 LONGEST = (
     "viewer/test_window_browser.py",
-    "engines/test_native.py",
+    "engine/test_core.py",
     "viewer/test_freezing.py",
     "viewer/test_panels_slices.py",
     "viewer/test_panels.py",
@@ -38,12 +38,12 @@ LONGEST = (
     "viewer/test_panels_parts.py",
     "gpu/test_rendering.py",
     "viewer/test_window_pointer.py",
-    "engines/cuda/test_programs.py",
+    "cuda/test_programs.py",
     "files/test_stores.py",
     "house/test_docs.py",
     "plot/test_diagnostics.py",
     "files/test_clip_commands.py",
-    "pipeline/test_frames.py",
+    "engine/test_frames.py",
     "examples/test_gallery.py",
 )
 

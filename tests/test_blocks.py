@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from supple.blocks import Block, Box, Warp, boxes_of
 from supple.deformation import Deformation
-from supple.engines.base import Certificate, Sampling
+from supple.engine.sampling import Certificate, Sampling
 from supple.errors import SuppleError
 from supple.space.geometry import Grid
 from tests.effort import examples

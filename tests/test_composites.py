@@ -14,7 +14,7 @@ from scipy import ndimage
 from scipy.stats import special_ortho_group
 
 from supple import Deformation
-from supple.engines.native import plan_of
+from supple.engine.core import plan_of
 from supple.errors import SuppleError
 from supple.fields import Field
 from supple.space.geometry import Grid

@@ -19,7 +19,7 @@ import pytest
 
 import supple
 from supple.blocks import Warp, boxes_of
-from supple.engines.base import Sampling
+from supple.engine.sampling import Sampling
 from supple.errors import FoldWarning, OutsideWarning, SuppleError
 from tests.fields import drawn
 from tests.strokes import refusal

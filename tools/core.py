@@ -31,8 +31,8 @@ ZIGLANG = "ziglang>=0.13"
 WHAT = "core in C++"
 COMPILERS = ["clang-cl"] if sys.platform == "win32" else ["c++", "g++", "clang++"]
 SANITIZED = [
-    *(f"tests/engines/cuda/test_{name}.py" for name in ("brushes", "driver", "large", "maps", "parity")),
-    "tests/test_blocks.py", "tests/core", "tests/engines/test_native.py",
+    *(f"tests/cuda/test_{name}.py" for name in ("brushes", "driver", "large", "maps", "parity")),
+    "tests/test_blocks.py", "tests/core", "tests/engine/test_core.py",
 ]  # fmt: skip
 EVERY = 11  # of many cases that differ little, how many are one under sanitizers
 GLIBC = "2.28"  # the oldest that what Zig builds runs with: RHEL 8, Debian 10, Ubuntu 18.10

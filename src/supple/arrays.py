@@ -1,34 +1,57 @@
-"""Arrays and functions of points: images, frames, volumes and batches, checked and sent to an engine."""
+"""Arrays in, arrays out: images, frames, volumes, batches and functions of points, checked once and sampled."""
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.engines.base import Array, Certificate, Engine, EngineError, Layout, Sampling, Space, Work, warn_of
-from supple.engines.choice import check_device, engine_at, engine_for
-from supple.engines.native import NATIVE
-from supple.errors import DeviceWarning, SuppleError, ToleranceWarning
-from supple.pipeline import Arrays, Tell, run, sampled
+from supple.engine import core
+from supple.engine.devices import check_gradients, is_on_device
+from supple.engine.sampling import Certificate, Sampling, warn_of
+from supple.engine.stream import make_plan, stream
+from supple.engine.work import Array, Deforming, Space, Tell, Work, check_count, silent, spaces_of, work_of
+from supple.errors import SuppleError, ToleranceWarning, argument
 from supple.space.domain import integer, refuse
+
+# CUDA is imported only where it is used, to keep `import supple` fast.
 
 _MOST_POINTS = 1 << 18  # points in one call of a function
 _WEIGHTLESS = 1e-6  # a weight that rounding leaves
 _SLAB = 1 << 20  # bytes of a slab whose range is computed or clamped
+# Objects that hold an array, by their library and one of their attributes.
+_HELD = {
+    ("SimpleITK", "GetSpacing"): "an image of SimpleITK: give SimpleITK.GetArrayViewFromImage(image)",
+    ("nibabel", "dataobj"): "an image of nibabel: give numpy.asanyarray(image.dataobj).T",
+    ("pydicom", "pixel_array"): "a data set of pydicom: give its pixel_array",
+    ("supple", "rescaled"): "a volume: give its samples",
+}
 
 
-class Deforming(Protocol):
-    """An object with a space: a `supple.Deformation`."""
+def check_device(device: object, what: str = "") -> None:
+    """Raise SuppleError for a device that does not warp, and for ``"cuda"`` where it cannot be used.
 
-    @property
-    def space(self) -> Space:
-        """The packed strokes and domain."""
+    ``what`` names a kind of work that CUDA devices do not support.
+
+    Raises
+    ------
+    SuppleError
+        The message names the devices that can be used.
+    """
+    if not isinstance(device, str) or device not in ("auto", "cpu", "cuda"):
+        refuse("device", '"cpu", "cuda" (on an NVIDIA GPU) or "auto"', device)
+    if device == "cuda":
+        if what:
+            refuse("device", f'"cpu" or "auto" for {what}', device)
+        from supple.cuda.device import open_device
+
+        open_device()
 
 
 def warp_array(
@@ -40,7 +63,7 @@ def warp_array(
     clamp: bool = False,
     device: str = "cpu",
     out: Any = None,
-    tell: Tell = lambda step, done, total: None,
+    tell: Tell = silent,
 ) -> tuple[Any, Certificate]:
     """Sample an image, or frames, plane by plane, so that neither the source nor ``out`` need be in memory.
 
@@ -66,36 +89,28 @@ def warp_array(
     Raises
     ------
     SuppleError
-        If an argument does not fit.
-
-    Warns
-    -----
-    DeviceWarning
-        If the device failed, and the CPU took over.
+        If an argument does not fit, or the device cannot be used, or fails.
     """
-    engine = engine_at(source)
-    held = engine.taken(source, "source")
-    if engine is not NATIVE:
-        work = work_of(held, space, sampling, alpha)
-        if clamp:
-            refuse("clamp", "False for an array on a CUDA device: clip the result there", clamp)
-        return _on_device(engine, held, work, device, out)
-    work = work_of(held, space, sampling, alpha, finite=False)
+    if is_on_device(source):
+        return _on_device(source, (space,), sampling, alpha, clamp, device, out)
+    held = array_of(source, "source")
+    work = work_of(held.shape, held.dtype, space, sampling, alpha, finite=False)
     fills = np.asarray(work.sampling.fill)
     constant = sampling.outside == "constant"
     if endless := not np.isfinite(fills).all():  # averages take the edge's values, and what is beyond is filled later
         sampling = replace(sampling, outside="edge" if constant else sampling.outside, fill=0.0)
-        work = work_of(held, space, sampling, alpha)
-    engine = engine_for(device)
-    result = engine.result(out, held, shape_of(held, work))
+        work = work_of(held.shape, held.dtype, space, sampling, alpha)
+    check_device(device)
+    tail = held.shape[len(space.whole) :]
+    result = result_of(out, held, held.shape if space.grid is None else (*space.out, *tail))
+    if space.is_identity:
+        result[...] = held
+        return result, Certificate(0.0, 0.0)
     own = held
-    if gaps := not space.is_identity and sampling.filter != "nearest" and _has_gaps(held):
+    if gaps := sampling.filter != "nearest" and held.dtype.kind == "f" and _has_gaps(held):
         own = np.where(np.isfinite(held), held, held.dtype.type(0))
-    frames, planes = (Arrays((_as_frames(a, len(space.whole)),)) for a in (own, result))
-    certificate = _by_device(engine, frames, planes, work, tell)
-    if certificate is None:
-        certificate = run(frames, planes, work, tell=tell).certificate
-    if clamp and not space.is_identity:
+    certificate = _sampled(own, result, work, device, tell)
+    if clamp:
         clamp_to(held, result, work.sampling)
 
     def weights(marks: Array, outside: str) -> Array:
@@ -108,28 +123,53 @@ def warp_array(
         if alpha and space.grid is None:  # what nothing moves keeps its colours, whatever its opacity
             still = _still(space)
             result[still] = held[still]
-    if endless and constant and not space.is_identity:
+    if endless and constant:
         beyond = weights(np.ones(space.whole), "constant") < 0.5
         result[beyond] = fills if result.ndim > beyond.ndim else fills[0]
     return result, certificate
 
 
-def _by_device(engine: Engine, source: Arrays, target: Arrays, work: Work, tell: Tell) -> Certificate | None:
-    """Send arrays to a device; None if there is none, nothing to do, or, with a warning, if it fails."""
-    if engine is NATIVE or work.space.is_identity:
-        return None
-    planes = len(target.arrays[0])
-    try:
-        return sampled(engine, work, source.arrays, target.arrays, lambda done: tell("warp", done, planes))
-    except EngineError as error:
-        warnings.warn(f"the CPU did what {engine.name} could not: {error}", DeviceWarning, stacklevel=4)
-        return None
+def _sampled(source: Array, result: Array, work: Work, device: str, tell: Tell) -> Certificate:
+    """Sample a host array on a device; on the CPU, one that the core cannot take as it is, a few frames at a time."""
+    axes = len(work.space.whole)
+    frames, planes = (a if a.ndim > axes else a[..., None] for a in (source, result))
+    frames, planes = (a if axes == 3 else a[None] for a in (frames, planes))
+    if device == "cuda":
+        from supple.cuda.large import sample
+
+        return sample(work, frames, planes, tell)
+    given, made = core.view(frames), core.view(planes)
+    if given is not None and made is not None:
+        return core.sample(work, [given], [made], tell)
+    kind = core.working_dtype(work.layout.dtype)
+    work = replace(work, layout=replace(work.layout, dtype=kind))
+    if not work.space.is_plain:  # a composite map may need any frame at any time
+        made = np.empty(planes.shape, kind)
+        certificate = core.sample(work, [np.ascontiguousarray(frames, kind)], [made], tell)
+        with np.errstate(over="ignore"):
+            planes[...] = made
+        return certificate
+    certificate = Certificate(0.0, 0.0)
+    plan = make_plan(work, range(len(planes)), tell)
+    for z, (plane,), known in stream(work, plan, map(_Frame, frames)):
+        with np.errstate(over="ignore"):
+            planes[z] = plane
+        certificate |= known
+        tell("warp", z + 1, len(planes))
+    return certificate
+
+
+class _Frame(NamedTuple):
+    """A frame of an array that is converted for the core."""
+
+    samples: Array
+
+    def copy_to(self, arrays: Sequence[Array]) -> None:
+        arrays[0][...] = self.samples
 
 
 def _has_gaps(array: Array) -> bool:
     """Return whether any sample is NaN or infinite."""
-    if array.dtype.kind != "f":
-        return False
     if array.dtype in ("f4", "f8") and array.flags.c_contiguous and array.flags.aligned:
         return not _core.finite(array)
     return any(not np.isfinite(part.min()) or not np.isfinite(part.max()) for part in _slabs(array))
@@ -137,7 +177,7 @@ def _has_gaps(array: Array) -> bool:
 
 def _still(space: Space) -> npt.NDArray[np.bool_]:
     """Return the mask of the samples whose source point is their own: copies."""
-    points, _ = NATIVE.inverse_map(space, 0.01)
+    points, _ = core.inverse_map(space, 0.01)
     own = np.moveaxis(np.indices(points.shape[:-1], np.float32)[::-1], 0, -1)
     return np.broadcast_to((points == own).all(-1), space.out)
 
@@ -195,31 +235,85 @@ def warp_picture(
     return picture.warped(warp, regridded=regridded, averaged=averaged, name=name), found
 
 
-def work_of(held: Any, space: Space, sampling: Sampling, alpha: bool | None, *, finite: bool = True) -> Work:
-    """Return the work on an image or on frames; SuppleError if they do not fit."""
-    layout = Layout.of_array(held.shape, held.dtype, space.whole, alpha=alpha, light=sampling.light)
-    return Work(space, layout, sampling.filled(layout.groups[0].channels, held.dtype, finite=finite))
+def array_of(value: object, name: str) -> Array:
+    """Return a value as a NumPy array; SuppleError if it is not an array, with what to give."""
+    if type(value) is np.ndarray:
+        return value
+    check_gradients(value, name)
+    first = value[0] if isinstance(value, list | tuple) and value else value
+    library, mode = type(first).__module__.partition(".")[0], getattr(first, "mode", None)
+    known = (said for (root, has), said in _HELD.items() if root == library and hasattr(type(first), has))
+    if held := next(known, ""):
+        held += ", and its spacing to Deformation"
+    elif isinstance(first, str | os.PathLike):
+        held = "the name of a file: supple.warp_file warps files"
+    elif library == "PIL" and mode in ("P", "PA", "HSV", "CMYK"):
+        held = f'a picture of the mode {mode}, whose numbers do not mix: give image.convert("RGB")'
+    if held:
+        raise SuppleError(f"{argument(name)} must be an array, found {held}")
+    try:
+        return np.asarray(value)
+    except (TypeError, ValueError):
+        refuse(name, "an array of numbers", value)
 
 
-def shape_of(held: Any, work: Work) -> tuple[int, ...] | None:
-    """Return the shape of the result for an array, if it is not that of the array."""
-    if work.space.grid is None:
+def result_of(out: object, held: Array, shape: tuple[int, ...]) -> Array:
+    """Return the array for a result, of the source's dtype: ``out``, or a new one; SuppleError if it does not fit."""
+    if out is None:
+        return np.empty_like(held, order="C") if shape == held.shape else np.empty(shape, held.dtype)
+    wanted = f"an array of {held.dtype} of shape {shape}, as the {'source' if shape == held.shape else 'grid'} is"
+    if not isinstance(out, np.ndarray):
+        refuse("out", wanted, out)
+    if out.shape != shape or out.dtype != held.dtype:
+        refuse("out", wanted, told=f"{out.dtype} of shape {out.shape}")
+    if not out.flags.writeable:
+        raise SuppleError("out must be an array that can be written, found a read-only one")
+    if np.may_share_memory(out, held) or _same_bytes(out, held):
+        raise SuppleError("out must not overlap source: the source is read while the result is written")
+    return out
+
+
+def _same_bytes(out: Array, source: Array) -> bool:
+    """Return whether two arrays map overlapping parts of one file."""
+    one, two = _mapped(out), _mapped(source)
+    if one is None or two is None or not (one[1] < two[2] and two[1] < one[2]):
+        return False
+    try:
+        return os.path.samefile(one[0], two[0])
+    except OSError:  # a file may be deleted while it is mapped
+        return False
+
+
+def _mapped(array: Array) -> tuple[str, int, int] | None:
+    """Return the file that an array is mapped from, and the range of bytes."""
+    root: Any = array
+    while isinstance(root.base, np.ndarray):
+        root = root.base
+    if not isinstance(root, np.memmap) or root.filename is None:
         return None
-    before = 0 if work.items is None else 1
-    return (*held.shape[:before], *work.space.out, *held.shape[before + len(work.space.whole) :])
+    low, high = np.lib.array_utils.byte_bounds(array)
+    start = root.offset - np.lib.array_utils.byte_bounds(root)[0]
+    return os.fspath(root.filename), low + start, high + start
 
 
-def _as_frames(array: Array, axes: int) -> Array:
-    """Return a view of an image or of frames with ``axes`` axes, as (count, h, w, channels)."""
-    deep = array if array.ndim > axes else array[..., None]
-    return deep if axes == 3 else deep[None]
-
-
-def _on_device(engine: Engine, held: Any, work: Work, device: str, out: Any) -> tuple[Any, Certificate]:
+def _on_device(
+    source: Any,
+    spaces: tuple[Space, ...],
+    sampling: Sampling,
+    alpha: bool | None,
+    clamp: bool,
+    device: str,
+    out: Any,
+    batch: bool = False,
+) -> tuple[Any, Certificate]:
     """Warp an array on its CUDA device."""
-    check_device("auto" if device == "cuda" else device)  # the array says which GPU
-    result = engine.result(out, held, shape_of(held, work))
-    return result.given, sampled(engine, work, [held], [result])
+    from supple.cuda.job import sample
+
+    if clamp:
+        refuse("clamp", "False for an array on a CUDA device: clip the result there", clamp)
+    if device != "cuda":  # the array says which GPU
+        check_device(device)
+    return sample(source, spaces, sampling, alpha, out, batch=batch)
 
 
 def warp_batch(
@@ -270,18 +364,17 @@ def warp_batch(
         spaces[0].ndim, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light,
         between=between, time_filter=time_filter,
     )  # fmt: skip
-    engine = engine_at(sources)
-    held = engine.taken(sources, "source" if engine is not NATIVE else "sources")
-    if engine is not NATIVE:
-        result, certificate = _on_device(engine, held, batch_of(held, spaces, sampling, alpha), device, out)
+    if is_on_device(sources):
+        result, certificate = _on_device(sources, spaces, sampling, alpha, False, device, out, batch=True)
         warn_of(certificate, sampling.tolerance, 3)
         return result
+    held = array_of(sources, "sources")
     shape = spaces[0].whole
     if held.ndim < 1 + len(shape) or held.shape[1 : 1 + len(shape)] != shape:
         sizes = ", ".join(map(str, shape))
         refuse("sources", f"of shape (N, {sizes}) or (N, {sizes}, channels)", told=f"shape {held.shape}")
-    _check_count(spaces, len(held))
-    result = engine.result(out, held)
+    check_count(spaces, len(held))
+    result = result_of(out, held, held.shape)
     for k, item in enumerate(held):
         try:
             space = spaces[k % len(spaces)]
@@ -290,32 +383,6 @@ def warp_batch(
             raise type(error)(f"item {k}: {error}" if len(spaces) > 1 else str(error)) from None
         warn_of(certificate, sampling.tolerance, 3)
     return result
-
-
-def spaces_of(deformations: Any) -> tuple[Space, ...]:
-    """Return the spaces of one deformation, or of several of one shape; SuppleError for other values."""
-    wanted = "a Deformation, or a sequence of them, of one shape"
-    several = tuple(deformations) if isinstance(deformations, Sequence) else (deformations,)
-    spaces = tuple(space for d in several if isinstance(space := getattr(d, "space", None), Space))
-    if not spaces or len(spaces) < len(several):
-        refuse("deformations", wanted, deformations)
-    shapes = [s.whole for s in spaces]
-    if len(set(shapes)) > 1:
-        other = next(shape for shape in shapes if shape != shapes[0])
-        refuse("deformations", wanted, told=f"shapes {shapes[0]} and {other}")
-    return spaces
-
-
-def _check_count(spaces: tuple[Space, ...], count: int) -> None:
-    if len(spaces) not in (1, count):
-        refuse("deformations", f"one, or one for each of the {count} items", len(spaces))
-
-
-def batch_of(held: Any, spaces: tuple[Space, ...], sampling: Sampling, alpha: bool | None) -> Work:
-    """Return the work on a batch, whose first axis counts items; SuppleError if its shape does not fit."""
-    _check_count(spaces, held.shape[0] if held.ndim else 0)
-    layout = Layout.of_array(held.shape[1:], held.dtype, spaces[0].whole, alpha=alpha, light=sampling.light)
-    return Work(spaces[0], layout, sampling.filled(layout.groups[0].channels, held.dtype), spaces)
 
 
 def clamp_to(source: Array, result: Array, sampling: Sampling) -> None:
@@ -388,7 +455,7 @@ def warp_function(
     for top in range(0, height, rows):
         y = (np.arange(top, min(top + rows, height))[:, None] + within).ravel()
         grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        points, _, _, converged = NATIVE.inverse(space, grid)
+        (points, _, _, converged), _ = core.inverse(space, grid)
         if not converged.all():
             warnings.warn(
                 f"{np.count_nonzero(~converged)} of {converged.size} source points did not converge: what is shown "
@@ -404,7 +471,8 @@ def warp_function(
             values = values.astype(np.float64)
         square = values.reshape(len(y) // samples, samples, width, samples, *values.shape[1:]).mean(axis=(1, 3))
         if result is None:
-            result = NATIVE.result(out, np.empty((height, width, *values.shape[1:]), values.dtype))
+            shape = (height, width, *values.shape[1:])
+            result = result_of(out, np.empty(shape, values.dtype), shape)
         result[top : top + len(square)] = square
     assert result is not None
     return result

@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.deformation import Deformation
-from supple.engines.base import Array, Certificate, Layout, Sampling, Space, Work
-from supple.engines.native import NATIVE, needed
+from supple.engine.core import needed, sample, working_dtype
+from supple.engine.sampling import Certificate, Sampling
+from supple.engine.work import Array, Space, work_of
 from supple.space.geometry import Grid
 
 Box = tuple[tuple[int, int], ...]
@@ -110,9 +111,9 @@ class Warp:
         """Return the map of a block."""
         whole = self.deformation.grid if self.grid is None else self.grid
         first, end = np.array(box)[::-1].T
-        return replace(self._space(), grid=whole.crop(first.tolist(), (end - first).tolist()))
+        return replace(self.packed(), grid=whole.crop(first.tolist(), (end - first).tolist()))
 
-    def _space(self) -> Space:
+    def packed(self) -> Space:
         """Return the packed map, which all blocks share: to prepare a large cubic field takes long."""
         with _PACKING:
             if not self._packed:
@@ -142,7 +143,7 @@ class Warp:
         found = self._all(boxes, each)
         certificate = Certificate(0.0, 0.0)
         deep = self.deformation.ndim == 3
-        plain = self._space().composite is None
+        plain = self.packed().composite is None
         still = np.full(self.shape[0] if deep else 1, plain)
         for box, (_, moved, known) in zip(boxes, found, strict=True):
             planes = slice(*box[0]) if deep else slice(1)
@@ -190,8 +191,8 @@ class Warp:
         Parameters
         ----------
         part : array
-            An array whose first ``carried`` axes are carried along; the next are those of `Block.part`; the last may be
-            channels.
+            `Block.part`, perhaps with channels last, of each item: along the first ``carried`` axes, items are warped
+            alike.
         block : Block
         carried : int
 
@@ -200,29 +201,32 @@ class Warp:
         array
             Of the shape of the block along the axes that are bent, and of the type of the source.
         """
-        lead, part = part.shape[:carried], part.reshape(-1, *part.shape[carried:])
-        n = self.deformation.ndim
-        tail = part.shape[1 + n :]
-        result = np.empty((len(part), *block.shape, *tail), part.dtype)
         if block.identity:
-            result[...] = part
-            return result.reshape(*lead, *result.shape[1:])
+            return part.copy()
+        n = self.deformation.ndim
+        lead, tail = part.shape[:carried], part.shape[carried + n :]
+        part = part.reshape(-1, *part.shape[carried:])
+        result = np.empty((len(part), *block.shape, *tail), part.dtype)
         space = self.space(block.box)
-        layout = Layout.of_array(
-            (*space.whole, *tail), part.dtype, space.whole, alpha=self.alpha, light=self.sampling.light
+        work = work_of((*space.whole, *tail), part.dtype, space, self.sampling, self.alpha)
+        # Items are the groups of one frame: their map is solved once.
+        layout, fill = work.layout, np.tile(work.sampling.fill, len(part))
+        work = replace(
+            work,
+            layout=replace(layout, groups=layout.groups * len(part)),
+            sampling=replace(work.sampling, fill=tuple(fill.tolist())),
         )
-        work = Work(space, layout, self.sampling.filled(layout.groups[0].channels, part.dtype))
-        kind = NATIVE.working_dtype(part.dtype)
+        kind = working_dtype(part.dtype)
         frames = [planes.astype(kind, copy=False) for planes in _planes(part, n)]
         outs = [planes.view(kind) if part.dtype == np.bool_ else planes for planes in _planes(result, n)]
         buffers = [out if out.dtype == kind and out.dtype.isnative else np.empty(out.shape, kind) for out in outs]
         corner = (block.part[-1][0], block.part[-2][0], block.part[0][0] if n == 3 else 0)
-        NATIVE.warp_part(work, frames, buffers, corner, block.copied)
+        sample(work, frames, buffers, corner=corner, copied=block.copied)
         for out, one in zip(outs, buffers, strict=True):
             if out is not one:
                 with np.errstate(over="ignore"):
                     out[...] = one
-        return result.reshape(*lead, *result.shape[1:])
+        return result.reshape(*lead, *block.shape, *tail)
 
 
 def boxes_of(chunks: Chunks) -> Iterator[Box]:

@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from supple.blocks import Block, Box, Read, Warp, boxes_of
 from supple.deformation import Deformation
-from supple.engines.base import Layout, Sampling, warn_of
+from supple.engine.sampling import Sampling, warn_of
+from supple.engine.work import work_of
 from supple.errors import SuppleError, need
 from supple.space.domain import refuse
 from supple.space.geometry import Grid
@@ -135,14 +136,7 @@ def _warped(array: Any, job: Warp, chunks: Any, first: int, stacklevel: int = 4)
     last = first + n  # the axis after those that are bent
     dtype = np.dtype(array.dtype)
     # Checks the type and the channels.
-    layout = Layout.of_array(
-        (*job.deformation.shape, *array.shape[last:]),
-        dtype,
-        job.deformation.shape,
-        alpha=job.alpha,
-        light=job.sampling.light,
-    )
-    job.sampling.filled(layout.groups[0].channels, dtype)
+    work_of((*job.deformation.shape, *array.shape[last:]), dtype, job.packed(), job.sampling, job.alpha)
     shape = (*array.shape[:first], *job.shape, *array.shape[last:])
     blocks = _chunks(array, chunks, shape, dtype, first, n)
     if isinstance(array, da.Array):

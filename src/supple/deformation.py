@@ -13,9 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.engines.base import Certificate, Sampling, Space, warn_of
-from supple.engines.choice import check_device, engine_at
-from supple.engines.native import NATIVE, measured, plan_of
+from supple.engine import core
+from supple.engine.core import measured, plan_of
+from supple.engine.devices import is_on_device
+from supple.engine.sampling import Certificate, Sampling, warn_of
+from supple.engine.work import Space
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, caller
 from supple.fields import Field, Placed, check_path, folds_of
 from supple.folding.limits import NEAR, resolve
@@ -380,24 +382,22 @@ class Deformation:
 
     @property
     def space(self) -> Space:
-        """The packed map and domain, as engines take them."""
-        return self._space(None)
+        """The packed map and domain, as the core takes them."""
+        return self.space_on(None, check=False)
 
-    def space_on(self, grid: Grid | None, source: Grid | None = None) -> Space:
+    def space_on(self, grid: Grid | None, source: Grid | None = None, *, check: bool = True) -> Space:
         """Return the packed map, with the grid of the output if it is not that of the input.
 
         ``source`` is the grid of the input, if it is not that of the deformation: of a sheared volume, whose
-        deformation is on the upright grid around it.
+        deformation is on the upright grid around it. ``check`` says whether to look if fields lie where they are used.
 
         Raises
         ------
         SuppleError
             If a field lies apart from that grid, or from what the maps before it lead to.
         """
-        check_path(reversed(self.maps), grid or source or self.grid)
-        return self._space(grid, source)
-
-    def _space(self, grid: Grid | None, source: Grid | None = None) -> Space:
+        if check and self.maps:
+            check_path(reversed(self.maps), grid or source or self.grid)
         own = self.grid if source is None else source
         count = own.shape[0] if self.ndim == 3 else 1
         shape = (own.shape[-2], own.shape[-1])
@@ -952,7 +952,9 @@ class Deformation:
         -------
         float64 array, shape (..., D)
         """
-        return engine_at(points).forward(self.space, points)  # type: ignore[no-any-return]
+        found, certificate = _place_of(points).forward(self.space, points)
+        warn_of(certificate, 1.0, 3)
+        return found  # type: ignore[no-any-return]
 
     def jacobian(self, points: npt.ArrayLike) -> Floats:
         """Return ∂T/∂p = I + J of all strokes together.
@@ -967,7 +969,9 @@ class Deformation:
         float64 array, shape (..., D, D)
             Row i, column j is ∂T_i/∂x_j, in pixels per pixel.
         """
-        return engine_at(points).forward(self.space, points, matrices=True)  # type: ignore[no-any-return]
+        found, certificate = _place_of(points).forward(self.space, points, matrices=True)
+        warn_of(certificate, 1.0, 3)
+        return found  # type: ignore[no-any-return]
 
     def inverse(self, points: npt.ArrayLike) -> Inverse:
         """Return T⁻¹ of points: the input points of output points; each is solved, not interpolated.
@@ -987,7 +991,9 @@ class Deformation:
         FoldWarning, OutsideWarning
             If an inverted field folds at some of the points, or no point of its grid leads to them.
         """
-        return Inverse(*engine_at(points).inverse(self.space, points))
+        found, certificate = _place_of(points).inverse(self.space, points)
+        warn_of(certificate, 1.0, 3)
+        return Inverse(*found)
 
     def inverse_map(self, *, tolerance: float = 0.01, like: Any = None) -> npt.NDArray[np.float32]:
         """Return the source point of every output pixel.
@@ -1005,12 +1011,15 @@ class Deformation:
             In pixels, x first: ``cv2.remap`` takes ``map[..., 0]`` and ``map[..., 1]``.
         """
         tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
-        engine = engine_at(like)
-        if like is not None and engine is NATIVE:
+        space = self.space_on(None)
+        if like is None:
+            found, certificate = core.inverse_map(space, tolerance)
+        elif is_on_device(like):
+            found, certificate = _place_of(like).inverse_map(space, tolerance, like)
+        else:
             refuse("like", "an array on a CUDA device, or left out", like)
-        found, certificate = engine.inverse_map(self.space_on(None), tolerance, like)
         warn_of(certificate, tolerance, 3)
-        return found  # type: ignore[no-any-return]
+        return found
 
     def warp(
         self,
@@ -1087,19 +1096,17 @@ class Deformation:
         Raises
         ------
         SuppleError
-            If an argument does not fit.
+            If an argument does not fit, or the device cannot be used, or fails.
 
         Warns
         -----
         ToleranceWarning
             If the checks of the map's cells do not promise the tolerance everywhere.
-        DeviceWarning
-            If the GPU failed, and the CPU took over.
         GapWarning
             If samples of a picture are NaN, infinite or marked as no data.
         """
         # Imported here to keep `import supple` fast.
-        from supple.arrays import warp_array, warp_function, warp_picture
+        from supple.arrays import check_device, warp_array, warp_function, warp_picture
 
         sampling = Sampling.checked(
             self.ndim, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light,
@@ -1221,6 +1228,15 @@ class Deformation:
 
     def _key(self) -> tuple[object, ...]:
         return self.domain, self.grid, self.on_fold, self.strokes, self.maps
+
+
+def _place_of(points: object) -> Any:
+    """Return the module that maps points where they lie: `supple.engine.core`, or `supple.cuda.points`."""
+    if not is_on_device(points):
+        return core
+    from supple.cuda import points as on_device
+
+    return on_device
 
 
 def _frame(grid: Grid) -> Floats:

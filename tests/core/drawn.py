@@ -15,8 +15,9 @@ import numpy.typing as npt
 from hypothesis import strategies as st
 
 from supple import Deformation, _core
-from supple.engines.base import Group, Layout, Sampling, Space, Work
-from supple.engines.native import plan_of, samplings_of
+from supple.engine.core import plan_of, samplings_of
+from supple.engine.sampling import Sampling
+from supple.engine.work import Group, Layout, Space, Work
 from supple.strokes import STROKE_DTYPE, Stroke, numbers
 from tests.children import ROOT
 

@@ -17,7 +17,7 @@ zarr = pytest.importorskip("zarr")
 pytest.importorskip("dask")
 
 from supple import Affine, Field, FoldWarning, OutsideWarning, Recipe, Stroke, SuppleError, ToleranceWarning  # noqa: E402
-from supple.engines.base import Certificate  # noqa: E402
+from supple.engine.sampling import Certificate  # noqa: E402
 from supple.fields import Placed  # noqa: E402
 from supple.files import plans, transforms  # noqa: E402
 from supple.files.bijections import SavedField  # noqa: E402

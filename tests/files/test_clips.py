@@ -234,10 +234,10 @@ def test_a_window_on_disk_gives_the_same(here: Path, monkeypatch: pytest.MonkeyP
     Path("tmp").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(here / "tmp"))
     used: list[int] = []
-    from supple import buffers
+    from supple.engine import memory
 
-    reserve = buffers.reserve
-    monkeypatch.setattr(buffers, "reserve", lambda file, size: (used.append(size), reserve(file, size)))
+    reserve = memory.reserve
+    monkeypatch.setattr(memory, "reserve", lambda file, size: (used.append(size), reserve(file, size)))
     warp_file("in.mkv", "a.mkv", TIMED)
     assert used == []
     made = warp_file("in.mkv", "b.mkv", TIMED, clip=ClipOptions(memory=0))

@@ -28,7 +28,7 @@ pytest.importorskip("dask")
 
 from supple import Affine, Deformation, Recipe, Stroke, SuppleError  # noqa: E402
 from supple.blocks import Warp, boxes_of  # noqa: E402
-from supple.engines.base import Sampling  # noqa: E402
+from supple.engine.sampling import Sampling  # noqa: E402
 from supple.errors import VolumeWarning  # noqa: E402
 from supple.fields import Placed  # noqa: E402
 from supple.files import plans, tasks  # noqa: E402

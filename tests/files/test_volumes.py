@@ -520,7 +520,7 @@ def test_results_too_large_for_memory_go_through_a_file(here: Path, monkeypatch:
     monkeypatch.setattr(volumes, "machine_memory", lambda: samples.nbytes * 2.0)
     warp_volume("in.nii", "b.nii", RECIPE, filter="linear")
     assert Path("a.nii").read_bytes() == Path("b.nii").read_bytes()
-    monkeypatch.setattr("supple.buffers.reserve", _full)
+    monkeypatch.setattr("supple.engine.memory.reserve", _full)
     for name in ("c.nii", "{}{size}.nii"):
         with pytest.raises(
             supple.SuppleError, match=rf"no room for it beside {re.escape(name)} \(No space left on device\)"

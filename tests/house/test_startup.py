@@ -22,7 +22,6 @@ ENGINES = (
     "wgpu",
     "supple.gpu.raymarch",
     "supple.cuda",
-    "supple.engines.cuda.engine",
 )
 LIBRARIES = ("matplotlib", "av", "SimpleITK", "nibabel", "rich", "supple.viewer", "supple.plot")
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import pytest
 
 from supple import Deformation, Stroke, SuppleError
-from supple.engines import paper
+from supple.engine import paper
 from supple.media.image import Picture
 from supple.plot import WHATS, figure, footprints, grid, iterations, plot, residual, sources, stretch
 from supple.plot.background import background

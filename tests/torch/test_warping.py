@@ -23,7 +23,7 @@ else:
 import supple.torch as bending
 from supple.torch import warping
 from supple.torch.warping import offsets_of
-from tests.engines.table import Limits, Row, rows
+from tests.engine.table import Limits, Row, rows
 from tests.torch.shared import DOUBLE, bent, check, no_kinks, numbers, picture, smooth
 
 ROWS = [

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from supple.augment.elastic import RandomElastic as Drawing
 from supple.augment.peers import SEEDS, bent_stack, deformation_of, edged, filter_of, need_library, spacing_of
 from supple.deformation import Deformation
-from supple.engines.base import OUTSIDE
+from supple.engine.sampling import OUTSIDE
 from supple.errors import SuppleError
 from supple.space.domain import choice, refuse
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from supple.arrays import warp_array
 from supple.augment.elastic import Floats, moved_boxes, one_thread_in_workers
 from supple.deformation import Deformation
-from supple.engines.base import Sampling, warn_of
+from supple.engine.sampling import Sampling, warn_of
 from supple.errors import SuppleError
 from supple.space.domain import refuse
 from supple.strokes import Recipe

@@ -12,7 +12,7 @@ import numpy as np
 
 from supple.augment.elastic import RandomElastic as Drawing
 from supple.augment.peers import SEEDS, bent_tensor, deformation_of, filter_of, need_library, spacing_of
-from supple.engines.base import OUTSIDE
+from supple.engine.sampling import OUTSIDE
 from supple.space.domain import Border, choice
 
 need_library("torchio", "TorchIO")

@@ -10,7 +10,7 @@ from typing import Any
 
 from supple.augment.elastic import RandomElastic as Drawing
 from supple.augment.peers import SEEDS, bent_tensor, edged_tensor, filter_of, moved_tensor, need_library
-from supple.engines.base import OUTSIDE
+from supple.engine.sampling import OUTSIDE
 from supple.errors import SuppleError
 from supple.space.domain import Border, choice
 

@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
-from supple.buffers import machine_memory
 from supple.cli.console import FAULT, REFUSED, STREAM, Console, deaf, fault
+from supple.engine.memory import machine_memory
 from supple.errors import SuppleError, shown
 from supple.files.kinds import ONE_FILE
 from supple.files.recipes import check_recipe_name, is_media_name

@@ -82,8 +82,8 @@ def warp_stored(
     *, json: bool,
 ) -> WarpedStore:  # fmt: skip
     """Warp one store to another, as `supple warp` was asked to; ``known`` are the options of `warp_file`."""
+    from supple.engine.progress import counted
     from supple.files.stores import warp_store
-    from supple.progress import counted
 
     source, target = _pair(paths)
     check_known((source, target), known)
@@ -253,8 +253,8 @@ def plan(
     threads
         Number of threads (default: all cores).
     """
+    from supple.engine.progress import counted
     from supple.files.plans import plan_file
-    from supple.progress import counted
 
     console = current()
     console.started(quiet=quiet, threads=threads, file=source)

@@ -16,7 +16,7 @@ from supple.cli.options_maps import MapOptions, Maps
 from supple.cli.options_render import CameraOptions, LookOptions
 from supple.cli.options_strokes import StrokeOptions
 from supple.cli.options_volume import VolumeArguments
-from supple.engines.workers import workers
+from supple.engine.devices import workers
 from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
@@ -51,9 +51,9 @@ def render(
         A picture (PNG and TIFF keep opacity); with --turntable, a video or a name with a number.
     """
     console = current()
+    from supple.engine.progress import counted
     from supple.files.renders import render_file
     from supple.media.volume import grid_of
-    from supple.progress import counted
     from supple.render.camera import Camera
 
     console.started(**options.asked(), file=source)

@@ -36,7 +36,7 @@ from supple.cli.options_strokes import StrokeOptions
 from supple.cli.options_tracks import TrackOptions
 from supple.cli.options_volume import VOLUME, VolumeArguments
 from supple.cli.stores import WorkerOptions
-from supple.engines.workers import workers
+from supple.engine.devices import workers
 from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
@@ -132,9 +132,9 @@ def warp(
         Where to compute: cpu (which auto is), or cuda (an NVIDIA GPU, for pictures and volumes).
     """
     console = current()
+    from supple.arrays import check_device
     from supple.cli.jobs import Crew, check_recipe_file, make_folders, pair, piped, summary
-    from supple.engines.base import FINEST, check_filter
-    from supple.engines.choice import check_device
+    from supple.engine.sampling import FINEST, Sampling
     from supple.files import check_job, grid_of, warp_file
     from supple.files.kinds import holds_volumes, is_derived, kind_of
     from supple.files.recipes import write_recipe
@@ -143,7 +143,7 @@ def warp(
     if len(paths) < 2:
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
     console.started(**options.asked(), file=paths[0] if len(paths) == 2 else "")
-    check_filter(filter)
+    Sampling.checked(filter=filter)
     grid = output.to_grid()
     recipe = strokes.to_recipe(
         world=volume.world, empty=maps.any or maps.dangling or grid is not None, others=OTHERS,
@@ -254,7 +254,7 @@ def warp(
     if kinds != {"clip"}:  # clips raise an error of their own
         check_device(device)
     if many:
-        from supple.engines.workers import threads
+        from supple._core import threads
 
         if elements:
             try:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.engines.base import Certificate, certificate_of_status, warn_of
+from supple.engine.sampling import Certificate, certificate_of_status, warn_of
 from supple.errors import SuppleError, shown
 from supple.fields import checks
 from supple.fields.checks import FieldReport

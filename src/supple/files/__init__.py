@@ -7,13 +7,13 @@ import os
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from supple.engines.choice import check_device
+from supple.arrays import check_device
+from supple.engine.progress import counted
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
 from supple.files.kinds import Kind, kind_of, refuse_places
 from supple.files.options import ClipOptions, GridOptions, PathLike, VolumeOptions
 from supple.media.files import check_output, same_file
-from supple.progress import counted
 from supple.space.domain import refuse
 from supple.space.geometry import Grid
 from supple.strokes import Fit, Recipe

@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.blocks import Box, Warp, boxes_of
-from supple.engines.base import Certificate, Space, warn_of
-from supple.engines.native import certificate_of, forward_of, plan_of
+from supple.engine.core import certificate_of, forward, plan_of
+from supple.engine.sampling import Certificate, warn_of
+from supple.engine.work import Space, Tell
 from supple.errors import SuppleError, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.plans import chunks_of
@@ -24,7 +25,6 @@ from supple.files.transforms import between, pull_of
 from supple.media.files import check_output, is_store
 from supple.media.stores import StoredImage, Target, check_free, create_arrays, overlap
 from supple.media.transforms import check_target, ngff
-from supple.pipeline import Tell
 
 PathLike = str | os.PathLike[str]
 Floats = npt.NDArray[np.float64]
@@ -265,7 +265,7 @@ def _pushed(work: Work, box: Box, done: bool) -> tuple[npt.NDArray[np.float32] |
             continue
         if len(box) == 3:
             points[..., 2] = first[2] + k
-        moved, found = forward_of(space, points)
+        moved, found = forward(space, points)
         certificate |= found
         moved -= points
         if space.composite is not None:

@@ -9,11 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from supple.deformation import Deformation
-from supple.engines.base import Array, Layout, Sampling, Work
+from supple.engine.sampling import Sampling
+from supple.engine.stream import make_plan, stream
+from supple.engine.work import Array, Layout, Tell, Work
 from supple.errors import SuppleError, argument
 from supple.files.motion import motion_of
 from supple.media.base import Clip, ClipWarning
-from supple.pipeline import Tell, make_plan, stream
 from supple.space.domain import length, refuse
 from supple.space.geometry import Grid
 from supple.strokes import Fit, Recipe, fit_recipe, scaling_of

@@ -11,9 +11,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from supple.arrays import check_device
 from supple.deformation import Deformation, Report
-from supple.engines.base import Certificate, warn_of
-from supple.engines.choice import check_device
+from supple.engine.sampling import Certificate, warn_of
+from supple.engine.stream import Done, run
+from supple.engine.work import Tell
 from supple.errors import OutsideWarning, SuppleError, argument, caller, shown
 from supple.files.clip_work import deformations_of, sampling_of, warn_of_frames, work_on
 from supple.files.kinds import VIDEOS_OUT, is_animated
@@ -26,7 +28,6 @@ from supple.media.image.formats import SUFFIXES as SUFFIXES_IN
 from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.numbering import has_number, is_sequence
 from supple.media.suffixes import suffix_of
-from supple.pipeline import Done, Tell, run
 from supple.space.domain import integer, number
 from supple.space.geometry import Grid
 from supple.strokes import Fit, Recipe

@@ -7,8 +7,8 @@ import warnings
 from collections.abc import Iterable, Sequence
 
 from supple.deformation import Deformation
+from supple.engine.work import Tell
 from supple.errors import OutsideWarning, SuppleError
-from supple.pipeline import Tell
 from supple.strokes import Recipe, Stroke
 
 _STROKE = re.compile(r"stroke \d+ of \d+: ")

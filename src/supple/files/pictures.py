@@ -11,7 +11,8 @@ from typing import Any
 
 from supple.arrays import warp_picture
 from supple.deformation import Deformation, Report
-from supple.engines.base import Sampling, warn_of
+from supple.engine.progress import staged
+from supple.engine.sampling import Sampling, warn_of
 from supple.errors import SuppleError, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.grids import arrivals_on, grid_on
@@ -19,7 +20,6 @@ from supple.files.options import GridOptions, PathLike
 from supple.folding.resolved import warn_of_still
 from supple.media.files import replacing
 from supple.media.image import Picture, check_quality, check_target, read, warn_of_exact, write
-from supple.progress import staged
 from supple.space.geometry import Grid
 from supple.strokes import Fit, Recipe, fit_recipe
 

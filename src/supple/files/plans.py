@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from supple.arrays import work_of
+from supple._core import threads
 from supple.blocks import Block, Box, Warp, boxes_of
 from supple.deformation import Deformation
-from supple.engines.base import Certificate, Sampling, warn_of
-from supple.engines.workers import threads
+from supple.engine.sampling import Certificate, Sampling, warn_of
+from supple.engine.work import Tell, work_of
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.grids import grid_on
@@ -26,7 +26,6 @@ from supple.files.volumes import deformation_of, sampling_of
 from supple.media.files import is_store, unreadable
 from supple.media.stores import Samples, StoredImage, like_file, open_image
 from supple.media.volume import Volume
-from supple.pipeline import Tell
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import Fit, Recipe, fit_recipe
 
@@ -298,7 +297,7 @@ def warp_on(
         regrid = grid_on(grid, source.grid, source.name, maps)
         volume = Volume(whole, source.geometry, source.name)
         deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
-    work_of(whole, deformation.space_on(regrid), sampling, alpha=False)  # raise its errors now
+    work_of(whole.shape, whole.dtype, deformation.space_on(regrid), sampling, alpha=False)  # raise its errors now
     return Warp(deformation, sampling, regrid)
 
 

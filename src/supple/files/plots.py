@@ -10,7 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.deformation import Deformation
-from supple.engines.base import Array, Sampling
+from supple.engine.progress import counted
+from supple.engine.sampling import Sampling
+from supple.engine.stream import make_plan
+from supple.engine.work import Array, Tell
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
 from supple.files.clip_work import deformations_of, frames_of, sampling_of, warn_of_frames, work_on
@@ -19,9 +22,7 @@ from supple.files.kinds import kind_of, refuse_places
 from supple.files.options import ClipOptions, PathLike
 from supple.media.base import CountError
 from supple.media.files import check_output
-from supple.pipeline import Tell, make_plan
 from supple.plot import WHATS, check_plot, draw_sheet, draw_slice, evenly, plot
-from supple.progress import counted
 from supple.space.domain import choice, integer
 from supple.strokes import Fit, Recipe, fit_recipe
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from supple.engine.work import Tell
 from supple.errors import SuppleError, VolumeWarning, argument, shown
 from supple.fields import Placed
 from supple.files.meshes import MeshFile, read_surfaces
@@ -24,7 +25,6 @@ from supple.media import image, turntable
 from supple.media.files import check_output, check_outputs, check_suffix, replacing, replacing_all
 from supple.media.numbering import has_number, spelling
 from supple.media.volume import Volume
-from supple.pipeline import Tell
 from supple.render.appearance import PROJECTIONS, cropped, fixed, largest
 from supple.render.box import Clip, Plane
 from supple.render.camera import Camera

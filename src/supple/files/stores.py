@@ -18,7 +18,8 @@ import numpy as np
 
 from supple.blocks import Block, Box, Warp, boxes_of
 from supple.deformation import Deformation, Report
-from supple.engines.base import Certificate, warn_of
+from supple.engine.sampling import Certificate, warn_of
+from supple.engine.work import Tell
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Field, Placed, folds_of, only_name
 from supple.files import plans
@@ -40,7 +41,6 @@ from supple.media.stores import (
 )
 from supple.media.stores.pyramid import Mode
 from supple.media.transforms.ngff import Placement
-from supple.pipeline import Tell
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import Fit, Recipe
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from supple.engines.workers import threads
+from supple._core import threads
 from supple.errors import SuppleError, need, said, shown
 from supple.space.domain import refuse
 

@@ -7,10 +7,11 @@ import os
 import numpy as np
 import numpy.typing as npt
 
-from supple.buffers import beside
 from supple.deformation import Deformation
-from supple.engines.base import Certificate, Space, warn_of
-from supple.engines.native import certificate_of, plan_of
+from supple.engine.core import certificate_of, plan_of
+from supple.engine.memory import beside
+from supple.engine.sampling import Certificate, warn_of
+from supple.engine.work import Space
 from supple.errors import SuppleError
 from supple.media.files import check_output
 from supple.media.transforms import check_target, write_field

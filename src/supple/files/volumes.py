@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.arrays import clamp_to, warp_array, work_of
-from supple.buffers import beside, machine_memory
+from supple.arrays import check_device, clamp_to, warp_array
 from supple.deformation import Arrival, Deformation, Report
-from supple.engines.base import Certificate, Sampling, Space, warn_of
-from supple.engines.choice import check_device
+from supple.engine.memory import beside, machine_memory
+from supple.engine.sampling import Certificate, Sampling, warn_of
+from supple.engine.work import Space, Tell, work_of
 from supple.errors import GapWarning, SuppleError, VolumeWarning, argument, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.grids import arrivals_on, grid_on, warn_of_place
@@ -39,7 +39,6 @@ from supple.media.volume import (
 )
 from supple.media.volume import place_of as volume_place
 from supple.media.volume.dicom import padding_of
-from supple.pipeline import Tell
 from supple.space.geometry import Floats, Geometry, Grid
 from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke, fit_recipe
 
@@ -338,7 +337,7 @@ def warp_volume(
         check_target(target, like, force=force)
     space = deformation.space_on(regrid, volume.grid)
     frames = volume.samples[0] if volume.series else volume.samples
-    work_of(frames, space, sampling, alpha=False, finite=False)  # raise its errors now
+    work_of(frames.shape, frames.dtype, space, sampling, alpha=False, finite=False)  # raise its errors now
     _warn_of_gaps(volume, sampling.filter)
     mixed = not deformation.is_identity or not (regrid is None or regrid.uncropped().is_same_space(volume.grid))
     if sampling.filter != "nearest" and mixed:

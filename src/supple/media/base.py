@@ -7,9 +7,9 @@ from contextlib import AbstractContextManager
 from fractions import Fraction
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
-from supple.engines.base import Array, Layout
+from supple.engine.stream import Frame, Sink
+from supple.engine.work import Array, Layout
 from supple.media.files import PathLike
-from supple.pipeline import Frame, Sink
 
 Held = TypeVar("Held")
 

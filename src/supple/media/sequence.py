@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 import pyvips
 
-from supple.engines.base import Array, Group, Layout
+from supple.engine.stream import Frame
+from supple.engine.work import Array, Group, Layout
 from supple.errors import SuppleError, shown
 from supple.media import image as pictures
 from supple.media.base import Clip, ClipWarning
@@ -35,7 +36,6 @@ from supple.media.numbering import (
     pictures_in,
     spelling,
 )
-from supple.pipeline import Frame
 
 SUFFIXES, SUFFIXES_OUT = pictures.SUFFIXES, pictures.SUFFIXES_OUT
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from supple.engines.base import Group, Layout
+from supple.engine.work import Group, Layout
 from supple.errors import SuppleError, argument, need, shown
 from supple.media.codecs import CODECS, CONTAINERS, ENCODERS, Encoder
 from supple.media.files import PathLike, check_output

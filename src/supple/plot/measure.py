@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.deformation import Deformation
-from supple.engines import paper
-from supple.engines.base import Certificate
-from supple.engines.native import measured, plan_of
+from supple.engine import paper
+from supple.engine.core import measured, plan_of
+from supple.engine.sampling import Certificate
 from supple.errors import SuppleError, argument
 from supple.space.domain import integer, number
 

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.engines.base import Space
-from supple.engines.workers import CPU, note
+from supple.engine.devices import CPU, note
+from supple.engine.work import Space
 from supple.errors import DeviceWarning
 from supple.gpu.device import Gpu
 from supple.gpu.field import fits

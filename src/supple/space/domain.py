@@ -279,7 +279,7 @@ class Domain:
         return tuple(min(width, extent / 2) for width, extent in zip(wanted, self.extent, strict=True))
 
     def packed(self) -> npt.NDArray[np.float64]:
-        """Return the domain in the layout of the engines.
+        """Return the domain in the layout of the core.
 
         Returns
         -------

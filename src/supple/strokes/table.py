@@ -1,4 +1,4 @@
-"""The packed table of strokes that the engines read."""
+"""The packed table of strokes that the core reads."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _RADIUS2 = (1.0, 1.21, 1.4641)
 
 
 def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = False) -> npt.NDArray[np.void]:
-    """Return the strokes as the table that the engines read.
+    """Return the strokes as the table that the core reads.
 
     With ``d = point - pivot`` and ``rho_i² = |d|² + radius2_i``, a row is the displacement
     ``sum_i (p_i / rho_iⁿ + q_i / rho_iⁿ⁺²) v + (r_i / rho_iⁿ⁺²) (d · v) d``. A grab has the ``power`` n = 1, and v is

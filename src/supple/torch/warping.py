@@ -20,8 +20,8 @@ from torch.autograd.function import once_differentiable
 
 from supple.arrays import warp_array
 from supple.deformation import Deformation
-from supple.engines.base import Sampling, warn_of
-from supple.engines.native import NATIVE
+from supple.engine import core
+from supple.engine.sampling import Sampling, warn_of
 from supple.errors import SuppleError, ToleranceWarning, caller
 from supple.space.domain import refuse
 from supple.torch.strokes import Given, Strokes, items, strokes_of
@@ -227,14 +227,14 @@ def offsets_of(like: torch.Tensor, d: Deformation, tolerance: float) -> torch.Te
     if d.space.is_identity:
         return torch.zeros(d.ndim, total, dtype=dtype, device=like.device)
     if like.is_cuda and dtype == torch.float32:
-        from supple.engines.cuda.points import inverse_map
+        from supple.cuda.points import inverse_map
 
         offsets, certificate = inverse_map(d.space, like.detach(), tolerance, offsets=True)
         warn_of(certificate, tolerance, caller() + 1)
         return torch.as_tensor(offsets).reshape(total, d.ndim).T
     pixels = _pixels(torch.arange(total, device=like.device if like.is_cuda else "cpu"), d)
     if dtype == torch.float32:
-        points, certificate = NATIVE.inverse_map(d.space, tolerance, dtype=np.float64)
+        points, certificate = core.inverse_map(d.space, tolerance, dtype=np.float64)
         warn_of(certificate, tolerance, caller() + 1)
     else:
         solution = d.inverse(pixels.double().T)

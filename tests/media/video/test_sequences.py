@@ -14,7 +14,7 @@ import pytest
 import pyvips
 
 from supple import SuppleError
-from supple.engines.base import Group, Layout
+from supple.engine.work import Group, Layout
 from supple.media import files as folders
 from supple.media.image import DepthWarning, ImageWarning, PageWarning, read, write
 from supple.media.numbering import is_sequence

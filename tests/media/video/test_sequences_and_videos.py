@@ -13,7 +13,7 @@ import pytest
 import pyvips
 
 from supple import SuppleError
-from supple.engines.base import Group, Layout
+from supple.engine.work import Group, Layout
 from supple.media.image import Picture, read, write
 from supple.media.sequence import open_clip as open_sequence
 from supple.media.sequence import writer as sequence_writer

@@ -15,7 +15,7 @@ need("video", "videos and image sequences", "av")
 
 import av
 
-from supple.engines.base import Array
+from supple.engine.work import Array
 from supple.media.base import ClipWarning, CountError
 from supple.media.codecs import codec_of
 from supple.media.files import PathLike, unreadable

@@ -14,7 +14,7 @@ import av.logging
 import numpy as np
 from av.filter import Graph
 
-from supple.engines.base import Array
+from supple.engine.work import Array
 from supple.media.codecs import codec_of
 from supple.media.video.planes import Form, Kind, form, pack
 

@@ -13,7 +13,7 @@ from typing import Any
 import av
 from av.filter import Graph
 
-from supple.engines.base import Array
+from supple.engine.work import Array
 from supple.media.codecs import codec_of
 from supple.media.files import PathLike, check_output, replacing, unwritable
 from supple.media.sequence import Pictures

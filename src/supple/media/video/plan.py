@@ -15,7 +15,7 @@ from pathlib import Path
 import av
 import numpy as np
 
-from supple.engines.workers import threads as all_threads
+from supple._core import threads as all_threads
 from supple.errors import SuppleError, shown
 from supple.media.base import ClipWarning
 from supple.media.codecs import (

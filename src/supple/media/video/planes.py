@@ -11,7 +11,7 @@ from typing import Any
 import av
 import numpy as np
 
-from supple.engines.base import Array, Group, Layout
+from supple.engine.work import Array, Group, Layout
 
 # packed formats whose order differs from their name
 _ORDER = {"xv36": "uyvx", "xv48": "uyvx", "yuyv422": "yuyv", "uyvy422": "uyvy", "yvyu422": "yvyu"}

@@ -11,7 +11,7 @@ from typing import Any
 import av
 import numpy as np
 
-from supple.engines.base import Array, Layout
+from supple.engine.work import Array, Layout
 from supple.errors import SuppleError, shown
 from supple.media.codecs import STILLS
 from supple.media.files import PathLike

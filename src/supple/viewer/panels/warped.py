@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from supple.arrays import warp_array
 from supple.deformation import Deformation
-from supple.engines.base import Sampling, Space
+from supple.engine.sampling import Sampling
+from supple.engine.work import Space
 from supple.folding.strain import mask_of
 from supple.gpu.device import Gpu
 from supple.gpu.plate import Laid, Sight, halved

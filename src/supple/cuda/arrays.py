@@ -1,0 +1,248 @@
+"""Arrays on a GPU, of any library: in the form of the kernels, and results in the library of the source."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.cuda.device import CudaDevice, Memory, Stream, open_device
+from supple.engine.devices import ON_CUDA, check_gradients, is_on_device, library_of
+from supple.errors import SuppleError
+from supple.space.domain import refuse
+
+
+class CudaArray:
+    """A result on a GPU for arrays of libraries that Supple does not know, with the interfaces that all of them take.
+
+    Parameters
+    ----------
+    shape : tuple of int
+    dtype : numpy.dtype
+    gpu : CudaDevice
+    stream : Stream
+        The stream that its memory belongs to.
+    """
+
+    def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any], gpu: CudaDevice, stream: Stream) -> None:
+        self.shape, self.dtype, self._gpu = shape, dtype, gpu
+        self._memory = Memory(math.prod(shape) * dtype.itemsize, stream)
+
+    @property
+    def __cuda_array_interface__(self) -> dict[str, Any]:
+        return {
+            "shape": self.shape,
+            "strides": None,
+            "typestr": self.dtype.str,
+            "data": (self._memory.pointer, False),
+            "stream": self._memory.stream.handle or 1,
+            "version": 3,
+        }
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        return ON_CUDA[0], self._gpu.number
+
+    def __dlpack__(self, **options: Any) -> Any:
+        from cuda.core import Buffer
+        from cuda.core.utils import StridedMemoryView
+
+        self._memory.stream.synchronize()  # whatever stream they ask for
+        held = Buffer.from_handle(self._memory.pointer, self._memory.size, owner=self)
+        options.pop("stream", None)
+        return StridedMemoryView.from_buffer(held, self.shape, dtype=self.dtype).__dlpack__(**options)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeviceArray:
+    """An array on a GPU.
+
+    Parameters
+    ----------
+    given : object
+        The library's array.
+    kind : str
+        "torch", "cupy", "numba" or "other": the library of new arrays.
+    shape, strides : tuple of int
+        In samples.
+    dtype : numpy.dtype
+    pointer : int
+        The address of the first sample.
+    gpu : CudaDevice
+    stream : Stream
+        The current stream of the library.
+    writable : bool
+    """
+
+    given: Any
+    kind: str
+    shape: tuple[int, ...]
+    strides: tuple[int, ...]
+    dtype: np.dtype[Any]
+    pointer: int
+    gpu: CudaDevice
+    stream: Stream
+    writable: bool = True
+
+    @property
+    def ndim(self) -> int:
+        """The number of axes."""
+        return len(self.shape)
+
+    @property
+    def size(self) -> int:
+        """The number of samples."""
+        return math.prod(self.shape)
+
+    def samples(self, item: int, coloured: bool) -> tuple[int, ...]:
+        """Return the address and the steps of planes, rows, columns and channels: of a stack of a batch, or of all."""
+        strides = self.strides if coloured else (*self.strides, 0)
+        each, *steps = (0,) * (5 - len(strides)) + strides
+        return self.pointer + item * each * self.dtype.itemsize, *steps
+
+    def overlaps(self, other: DeviceArray) -> bool:
+        """Return whether two arrays may share memory."""
+        if self.size == 0 or other.size == 0 or self.gpu.number != other.gpu.number:
+            return False
+        first, second = (a._bounds() for a in (self, other))
+        return first[0] < second[1] and second[0] < first[1]
+
+    def _bounds(self) -> tuple[int, int]:
+        """Return the addresses of the first byte, and of that after the last."""
+        size = self.dtype.itemsize
+        steps = [(n - 1) * s * size for n, s in zip(self.shape, self.strides, strict=True)]
+        return self.pointer + sum(min(s, 0) for s in steps), self.pointer + sum(max(s, 0) for s in steps) + size
+
+
+def taken(value: Any, name: str) -> DeviceArray:
+    """Return an array on a GPU, of any library, as `DeviceArray`.
+
+    Raises
+    ------
+    SuppleError
+        If CUDA cannot be used, or the array is not on a GPU, or of an unknown kind.
+    """
+    if not is_on_device(value):
+        where = f"{type(value).__name__} of the host, which tensor.cuda() or cupy.asarray copies there"
+        refuse(name, "an array on a GPU", value, told=where if hasattr(value, "shape") else "")
+    check_gradients(value, name)
+    kind = library_of(value)
+    # A GPU is opened before any call that needs the driver: that of the array, if its library names it.
+    named = {"torch": "index", "cupy": "id"}
+    gpu = open_device(int(getattr(value.device, named[kind]) or 0) if kind in named else 0)
+    try:
+        with gpu.current():  # some libraries export only arrays on the current device
+            view = _viewed(value, kind)
+        shape = tuple(int(n) for n in view.shape)
+        dtype = np.dtype(view.dtype)
+    except Exception as error:  # every library has errors of its own
+        refuse(
+            name, "an array on a GPU, of bool, integers or floats of 16 to 64 bits", " ".join(str(error).split())[:80]
+        )
+    strides = tuple(view.strides) if view.strides is not None else dense(shape)
+    if int(view.device_id) != gpu.number:
+        gpu = open_device(int(view.device_id))
+    return DeviceArray(value, kind, shape, tuple(int(s) for s in strides), dtype, int(view.ptr), gpu,
+                       stream_of(value, kind), not view.readonly)  # fmt: skip
+
+
+def _viewed(value: Any, kind: str) -> Any:
+    """Return the description of an array; CudaArray and tests have one of their own."""
+    from cuda.core.utils import StridedMemoryView
+
+    # Known libraries work in the order of their stream; others wait until what makes the array is done.
+    view = StridedMemoryView.from_any_interface(value, stream_ptr=1 if kind == "other" else -1)
+    if not view.is_device_accessible:
+        raise BufferError("its memory is not a GPU's")
+    return view
+
+
+def plain(value: Any) -> Any:
+    """Return an array of the same library on the same GPU, of any type."""
+    return sys.modules["torch"].empty(1, device=value.device) if library_of(value) == "torch" else value
+
+
+def dense(shape: Sequence[int]) -> tuple[int, ...]:
+    """Return the strides of a contiguous array, in samples."""
+    return tuple(math.prod(shape[k + 1 :]) for k in range(len(shape)))
+
+
+def stream_of(value: Any, kind: str) -> Stream:
+    """Return the current stream of a library."""
+    if kind == "torch":
+        return Stream(int(sys.modules["torch"].cuda.current_stream(value.device).cuda_stream))
+    if kind == "cupy":
+        with value.device:
+            return Stream(int(sys.modules["cupy"].cuda.get_current_stream().ptr))
+    own = getattr(value, "stream", None) if kind == "numba" else None
+    return as_stream(own) if own else Stream(0)
+
+
+def as_stream(value: Any) -> Stream:
+    """Return a stream of any library; SuppleError if it is not a stream."""
+    if isinstance(value, Stream):
+        return value
+    for name in ("cuda_stream", "ptr", "handle"):  # PyTorch's, CuPy's, and Numba's or NVIDIA's own
+        known = getattr(value, name, None)
+        if known is not None:
+            with contextlib.suppress(TypeError, ValueError):
+                return Stream(int(getattr(known, "value", known) or 0))
+    if not hasattr(value, "__cuda_stream__"):
+        refuse("stream", "a stream of PyTorch, CuPy or Numba, or left out", value)
+    said = value.__cuda_stream__
+    return Stream(int((said() if callable(said) else said)[1]))
+
+
+def made_like(
+    source: DeviceArray, shape: Sequence[int], dtype: npt.DTypeLike, *, as_it_lies: bool = False
+) -> DeviceArray:
+    """Return a new array of the same library and GPU; ``as_it_lies``: with the same strides, for an equal shape."""
+    given, shape, kind = source.given, tuple(shape), np.dtype(dtype)
+    library: Any = sys.modules.get({"numba": "numba.cuda"}.get(source.kind, source.kind))
+    with source.gpu.current(), given.device if source.kind == "cupy" else contextlib.nullcontext():
+        if source.kind == "other":
+            made = CudaArray(shape, kind, source.gpu, source.stream)
+        elif source.kind == "numba":
+            # Bound to a stream only if the source is: arrays bound to the default stream cannot be exported.
+            made = library.device_array(shape, kind, stream=getattr(given, "stream", 0) or 0)
+        elif source.kind == "cupy":
+            made = library.empty_like(given, order="K") if as_it_lies else library.empty(shape, kind)
+        elif as_it_lies:
+            made = library.empty_like(given, memory_format=library.preserve_format)
+        else:
+            made = library.empty(shape, dtype=getattr(library, kind.name), device=given.device)
+        return taken(made, "the result")
+
+
+def checked_out(out: Any, source: DeviceArray, shape: tuple[int, ...]) -> DeviceArray:
+    """Return a user's array for a result; SuppleError if it does not fit the source, or a shape."""
+    whose = "source" if shape == source.shape else "grid"
+    wanted = f"an array on the source's GPU, of {source.dtype} and shape {shape}, as the {whose} is"
+    if not is_on_device(out):
+        refuse("out", wanted, out)
+    target = taken(out, "out")
+    if target.shape != shape or target.dtype != source.dtype or target.gpu.number != source.gpu.number:
+        refuse("out", wanted, told=f"{target.dtype} of shape {target.shape} on GPU {target.gpu.number}")
+    if not target.writable:
+        raise SuppleError("out must be an array that can be written, found a read-only one")
+    if 0 in (s for s, n in zip(target.strides, target.shape, strict=True) if n > 1):
+        raise SuppleError("out must have a place for each sample, found an array that is broadcast")
+    if target.overlaps(source):
+        raise SuppleError("out must not overlap source: the source is read while the result is written")
+    return target
+
+
+def contiguous(source: DeviceArray) -> DeviceArray:
+    """Return a contiguous copy; SuppleError if the library has none."""
+    if source.size <= 1 or source.strides == dense(source.shape):
+        return source
+    if source.kind == "torch":
+        return taken(source.given.contiguous(), "the array")
+    if source.kind == "cupy":
+        return taken(sys.modules["cupy"].ascontiguousarray(source.given), "the array")
+    raise SuppleError(f"points must lie one after the other in memory, found strides {source.strides}")

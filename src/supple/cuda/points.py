@@ -1,0 +1,85 @@
+"""Points on a GPU, through a deformation, and its inverse map."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from supple.cuda.arrays import DeviceArray, contiguous, made_like, plain, taken
+from supple.cuda.device import keep
+from supple.cuda.layout import SOME, record
+from supple.cuda.programs import Program, launch, prepare
+from supple.cuda.warp import Told, lattice_of, paint
+from supple.engine.core import CONVERGED
+from supple.engine.sampling import Certificate
+from supple.engine.work import Space
+from supple.space.domain import refuse
+
+
+def _columns(points: Any, ndim: int) -> DeviceArray:
+    given = taken(points, "points")
+    if given.ndim == 0 or given.shape[-1] != ndim:
+        refuse("points", f"an array of shape (..., {ndim}), x first", told=f"shape {given.shape}")
+    if given.dtype not in (np.float32, np.float64):
+        refuse("points", "an array on a GPU of float32 or float64", told=f"dtype {given.dtype}")
+    return contiguous(given)
+
+
+def _moved(space: Space, given: DeviceArray, results: dict[str, DeviceArray], *, back: bool) -> Certificate:
+    """Map points, and write what is asked for; it waits only for what is known of a composite map."""
+    count = given.size // space.ndim
+    if not count:
+        return Certificate(0.0, 0.0)
+    gpu, stream = given.gpu, given.stream
+    with gpu.current():
+        lattice, told = lattice_of(gpu, (space,)), Told(stream)
+        kernel = prepare(gpu, Program("points", space.ndim, space.composite is not None))
+        pointers = {name: array.pointer for name, array in results.items()}
+        job = record(SOME, map=lattice.memory.pointer, points=given.pointer, told=told.there.pointer, count=count,
+                     tolerance=CONVERGED, wide=given.dtype == np.float64, back=back, **pointers)  # fmt: skip
+        launch(kernel, job, stream, count)
+        # An unknown library may not keep an array alive until it is read.
+        if space.composite is None and given.kind != "other":
+            keep(stream, told, lattice, given)
+            return Certificate(0.0, 0.0)
+        told.send()
+        stream.synchronize()
+    return Certificate(0.0, 0.0) if space.composite is None else told.certificate(space)
+
+
+def forward(space: Space, points: Any, *, matrices: bool = False) -> tuple[Any, Certificate]:
+    """Return T of points (..., D), or ∂T/∂p (..., D, D), in float64 and their library; see `core.forward`."""
+    given = _columns(points, space.ndim)
+    results = {"to": made_like(given, given.shape, np.float64)}
+    if matrices:
+        results["matrices"] = made_like(given, (*given.shape, space.ndim), np.float64)
+    certificate = _moved(space, given, results, back=False)
+    return results["matrices" if matrices else "to"].given, certificate
+
+
+def inverse(space: Space, points: Any) -> tuple[tuple[Any, Any, Any, Any], Certificate]:
+    """Return T⁻¹ of points (..., D), with the values of `supple.Inverse`, in their library; see `core.inverse`."""
+    given = _columns(points, space.ndim)
+    results = {"to": made_like(given, given.shape, np.float64)}
+    for name, dtype in (("residual", np.float64), ("steps", np.int64), ("done", np.bool_)):
+        results[name] = made_like(given, given.shape[:-1], dtype)
+    certificate = _moved(space, given, results, back=True)
+    points, residual, steps, done = (array.given for array in results.values())
+    return (points, residual, steps, done), certificate
+
+
+def inverse_map(space: Space, tolerance: float, like: Any, *, offsets: bool = False) -> tuple[Any, Certificate]:
+    """Return the source point of every pixel, float32 (*shape, D), x first, in pixels, and the certificate.
+
+    With ``offsets``, displacements from the pixels, which float32 stores more accurately.
+    """
+    given = taken(plain(like), "like")
+    out = made_like(given, (*space.out, space.ndim), np.float32)
+    with given.gpu.current():
+        told, to = Told(given.stream), out.samples(0, coloured=True)
+        _held = paint(given.gpu, (space,), out.dtype, told, (0,) * 5, to, (0, space.planes[0]), tolerance=tolerance,
+              average=offsets)  # fmt: skip
+        told.send()
+        given.stream.synchronize()
+    return out.given, told.certificate(space)

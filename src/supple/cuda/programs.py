@@ -1,0 +1,184 @@
+"""Kernels, compiled by NVRTC from the core's headers, and kept on disk by their content and the GPU's architecture."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import os
+import re
+import sys
+import tempfile
+import threading
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from supple.cuda.device import CudaDevice, CudaError, Stream, bindings, call
+from supple.cuda.layout import JOB, SOME
+
+UNITS = ("points", "nodes", "cells", "fill", "rough")
+THREADS = 128  # of a block
+
+_HERE = Path(__file__).parent / "kernels"
+_CORE = Path(__file__).parents[1] / "_core"
+_loaded: dict[tuple[int, Program], Future[Any]] = {}
+_lock = threading.Lock()
+_compilers = ThreadPoolExecutor(len(UNITS), "supple-nvrtc")
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """A kernel, and what it is compiled for.
+
+    Parameters
+    ----------
+    unit : str
+        The kernel: one of `UNITS`.
+    dimensions : int
+        2 or 3.
+    composed : bool, optional
+        Whether the map is a composite, and not of strokes alone; None: of both kinds.
+    sample, number : str
+        The types, in C++, of samples, and of their sums; for ``fill`` and ``rough`` alone.
+    together : int
+        How many channels are summed together: 1 or 4.
+    filter, between, average, light : int
+        As in the job.
+    """
+
+    unit: str
+    dimensions: int
+    composed: bool | None = False
+    sample: str = ""
+    number: str = ""
+    together: int = 1
+    filter: int = 0
+    between: int = 0
+    average: int = 0
+    light: int = 0
+
+    @property
+    def macros(self) -> list[str]:
+        """The macros that choose it."""
+        chosen: dict[str, object] = {"UNIT": UNITS.index(self.unit), "DIM": self.dimensions}
+        chosen |= {"JOB_BYTES": JOB.itemsize, "SOME_BYTES": SOME.itemsize}
+        if self.composed is not None:
+            chosen["COMPOSED"] = int(self.composed)
+        if self.sample:
+            chosen |= {"SAMPLE": self.sample, "NUMBER": self.number, "TOGETHER": self.together, "CHOSEN": self.filter,
+                       "BETWEEN": self.between, "AVERAGE": self.average, "LIGHT": self.light}  # fmt: skip
+        return [f"{name}={value}" for name, value in chosen.items()]
+
+
+@cache
+def sources() -> Mapping[str, str]:
+    """Return the texts that kernels are compiled from, by the names of their files: each after those it includes."""
+    texts: dict[str, str] = {}
+
+    def add(name: str) -> None:
+        path = _HERE / name if (_HERE / name).exists() else _CORE / name
+        text = path.read_text(encoding="utf-8")
+        for included in re.findall(r'^#include "(.*)"', text, re.MULTILINE):
+            if included not in texts:
+                add(included)
+        # What is included is there already: NVRTC is given one text, and opens no file.
+        texts[name] = re.sub(r'^#(include "|pragma once).*', "", text, flags=re.MULTILINE)
+
+    add("kernels.cu")
+    return texts
+
+
+def compiled(program: Program, arch: int, *more: str) -> tuple[bytes, str]:
+    """Compile a program for an architecture (90: sm_90), and return the machine code and what the compiler says.
+
+    ``more`` are options of the assembler.
+
+    Raises
+    ------
+    CudaError
+        If the program does not compile.
+    """
+    said = io.StringIO()
+    text = "\n".join(f'#line 1 "{name}"\n{text}' for name, text in sources().items())
+    try:
+        from cuda import core
+
+        options = core.ProgramOptions(
+            name=f"{program.unit}.cu", arch=f"sm_{arch}", std="c++20", device_as_default_execution_space=True,
+            define_macro=program.macros, ptxas_options=list(more),
+        )  # fmt: skip
+        made = core.Program(text, "c++", options).compile("cubin", logs=said)
+    except Exception as error:  # of NVRTC, or where it is missing
+        raise CudaError(f"NVRTC: {error}") from error
+    return bytes(made.code), said.getvalue()
+
+
+def folder() -> Path:
+    """Return the folder of compiled programs: SUPPLE_CACHE, or supple/cuda in the user's folder of caches."""
+    if given := os.environ.get("SUPPLE_CACHE"):
+        return Path(given)
+    if sys.platform == "win32":
+        home = os.environ.get("LOCALAPPDATA") or tempfile.gettempdir()
+    else:
+        home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    if home.startswith("~"):  # a user without a home
+        home = tempfile.gettempdir()
+    return Path(home, "supple", "cuda")
+
+
+def kept(program: Program, arch: int) -> bytes:
+    """Return the machine code of a program: from disk, or compiled and kept there, if that can be written."""
+    content = "\n".join([bindings(), str(arch), *program.macros, *sources().values()])
+    path = folder() / f"{program.unit}-sm_{arch}-{hashlib.sha256(content.encode()).hexdigest()[:32]}.cubin"
+    with contextlib.suppress(OSError):
+        return path.read_bytes()
+    code, _ = compiled(program, arch)
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+            file.write(code)
+        os.replace(file.name, path)
+    return code
+
+
+def prepare(gpu: CudaDevice, program: Program) -> Future[Any]:
+    """Begin to load a kernel, beside others; what is compiled first takes seconds."""
+    key = (gpu.number, program)
+    with _lock:
+        if key not in _loaded:
+            _loaded[key] = _compilers.submit(_load, gpu, program)
+        return _loaded[key]
+
+
+def _load(gpu: CudaDevice, program: Program) -> Any:
+    try:
+        code = kept(program, gpu.arch)
+        with gpu.current():
+            return call("cuModuleGetFunction", call("cuModuleLoadData", code), program.unit.encode())
+    except Exception:
+        with _lock:
+            _loaded.pop((gpu.number, program), None)  # it may succeed the next time
+        raise
+
+
+def launch(kernel: Future[Any], job: np.ndarray[Any, Any], stream: Stream, x: int, y: int = 1, z: int = 1) -> None:
+    """Launch a kernel on a stream of the current device, with one argument: a record, which is copied.
+
+    Parameters
+    ----------
+    kernel : Future
+        From `prepare`.
+    job : array of one record
+    stream : Stream
+    x, y, z : int
+        The number of threads that there is work for, which go in blocks of `THREADS`; and of rows and layers of blocks.
+    """
+    argument = np.array([job.ctypes.data], np.uintp)  # the driver takes an array of pointers to arguments
+    blocks = max(1, -(-x // THREADS))
+    call("cuLaunchKernel", kernel.result(), blocks, y, z, THREADS, 1, 1, 0, stream.handle, int(argument.ctypes.data), 0)

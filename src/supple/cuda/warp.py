@@ -1,0 +1,271 @@
+"""Warps on a GPU: the map of a deformation in its memory, and the kernels for planes.
+
+The lattice of each plane is solved, its cells are checked, the good ones are filled, and the pixels of the others are
+solved one by one. Planes are computed a few at a time, so that scratch memory stays small. The host does not wait.
+"""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple import _core
+from supple.cuda.device import CudaDevice, Memory, Pinned, Stream
+from supple.cuda.layout import JOB, TOLD, record
+from supple.cuda.programs import THREADS, Program, launch, prepare
+from supple.engine.sampling import BETWEEN, FILTERS, OUTSIDE, Certificate
+from supple.engine.work import Space, Work
+from supple.strokes import numbers
+
+Samples = tuple[int, ...]
+"""The address of the first sample, and the steps to the next plane, row, column and channel, in samples."""
+
+SIZES = 8, 16, 32  # pixels from node to node
+MAP = 4  # no filter: source points are written as float32, x first, or their displacements
+SCRATCH = 256 << 20  # bytes of scratch memory, at most
+_BLOCKS = 2048  # that share the rough cells
+_MOST = 65535  # planes of one launch
+_KEPT = 16  # maps on the GPUs
+_NODE, _LEAF = {2: 48, 3: 80}, {2: 168, 3: 236}  # bytes of a Node and of a Leaf, by dimensions: as in job.hpp
+RUN = {2: 1, 3: 8}  # planes whose nodes are solved by one thread: as in job.hpp
+_TYPES = {
+    "u1": ("uint8_t", "float"), "u2": ("uint16_t", "float"), "u4": ("uint32_t", "double"), "u8": ("uint64_t", "double"),
+    "i1": ("int8_t", "float"), "i2": ("int16_t", "float"), "i4": ("int32_t", "double"), "i8": ("int64_t", "double"),
+    "f2": ("Half", "float"), "f4": ("float", "float"), "f8": ("double", "double"), "b1": ("uint8_t", "float"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lattice:
+    """Maps of one shape on a GPU, and the nodes at which they are solved.
+
+    Parameters
+    ----------
+    spaces : tuple of Space
+        The maps: one, or one for each plane.
+    memory : Memory
+        The maps (`_core.flatten`).
+    places : Memory
+        The positions of nodes along x, and then along y, int32, in pixels.
+    nodes : (int, int)
+        Their numbers along x and y.
+    """
+
+    spaces: tuple[Space, ...]
+    memory: Memory
+    places: Memory
+    nodes: tuple[int, int]
+
+
+_lattices: OrderedDict[tuple[Any, ...], Lattice] = OrderedDict()
+_lock = threading.Lock()
+_spare: list[Pinned] = []
+
+
+def size_of(space: Space, tolerance: float) -> int:
+    """Return how many pixels nodes are apart.
+
+    A bicubic patch of the size h misses a stroke that moves pixels by its own radius r by about 0.15 h⁴/r³. What varies
+    over other lengths than radii (fields, masks) gets the smallest. Borders along other axes than the planes' do not
+    count: in a plane, their factors vary no faster than the map does.
+    """
+    if space.composite is not None or space.freeze is not None or not space.table.size:
+        return SIZES[0]
+    radius, reach = np.sqrt(space.table["radius2"][:, 0].min()), space.table["reach"].min()
+    widths = [length / space.axes[:2, 3].max() for length in (radius, reach / 3)]  # over which a stroke ends, in pixels
+    widths += [sigma / spacing for sigma, spacing in space.axes[:2, 2:4] if sigma > 0]
+    return max([SIZES[0], *(h for h in SIZES if 0.15 * h**4 <= tolerance * min(widths) ** 3)])
+
+
+def positions(first: int, n: int, axis: npt.NDArray[np.float64], size: int) -> npt.NDArray[np.int32]:
+    """Return the positions of nodes along an axis of ``n`` samples from the ``first`` on, at most ``size`` apart.
+
+    ``axis`` is the row of the packed domain: the border's factor has a kink at its end, and a node there keeps cells
+    from crossing it.
+    """
+    if n == 1:  # a single sample gets a cell, too, which extends beyond the plane
+        return np.array([first, first + 1], np.int32)
+    low, high, sigma, spacing = axis[:4]
+    kinks = [round(k / spacing) for k in (low + sigma, high - sigma)] if sigma > 0 else []
+    end = first + n - 1
+    ends = sorted({first, *(k for k in kinks if first < k < end), end})
+    return np.concatenate([*(np.arange(a, b, size) for a, b in itertools.pairwise(ends)), [end]]).astype(np.int32)
+
+
+def lattice_of(gpu: CudaDevice, spaces: Sequence[Space], tolerance: float = 0.01) -> Lattice:
+    """Return the maps of deformations of one shape on a GPU, the current device; the last ones are kept there."""
+    # Their arrays are immutable, and kept alive with the lattice, so that their ids stay unique.
+    parts = [(s.shape, id(s.table), id(s.axes), id(s.composite), id(s.freeze), s.grid) for s in spaces]
+    key = (gpu.number, tolerance, *parts)
+    with _lock:
+        found = _lattices.get(key)
+        if found is None:
+            found = _lattices[key] = _uploaded(gpu, tuple(spaces), tolerance)
+            while len(_lattices) > _KEPT:
+                _lattices.popitem(last=False)
+        _lattices.move_to_end(key)
+    return found
+
+
+def _uploaded(gpu: CudaDevice, spaces: tuple[Space, ...], tolerance: float) -> Lattice:
+    stream = gpu.stream()  # it does not wait for other work of the GPU
+    maps = [(numbers(s.table), s.axes, s.composite, s.freeze) for s in spaces]
+    memory = Memory(len(_core.flatten(maps, 0)), stream)
+    memory.upload(np.frombuffer(_core.flatten(maps, memory.pointer), np.uint8))
+    one, axes = spaces[0], spaces[0].axes
+    if any(not np.array_equal(axes, other.axes) for other in spaces[1:]):
+        axes = np.full_like(axes, -1.0)  # no nodes at the ends of several borders: their cells are rough
+    size = min(size_of(space, tolerance) for space in spaces)
+    first = (0, 0) if one.grid is None else one.grid.first[:2]
+    xs, ys = (positions(first[k], n, axes[k], size) for k, n in enumerate(one.planes[:0:-1]))
+    places = Memory(4 * (xs.size + ys.size), stream)
+    places.upload(np.concatenate([xs, ys]))
+    stream.synchronize()  # from here on, any stream may read them
+    return Lattice(spaces, memory, places, (xs.size, ys.size))
+
+
+class Told:
+    """The error and the counts of a map, which kernels write on the GPU, and their copy on the host."""
+
+    def __init__(self, stream: Stream) -> None:
+        self.there = Memory(TOLD.itemsize, stream)
+        self.there.clear()
+        self._here: Pinned | None = None
+        self._said: tuple[Any, ...] = ()
+
+    def send(self) -> None:
+        """Copy them to the host, asynchronously."""
+        try:  # host memory that GPUs write to takes long to make
+            self._here = _spare.pop()
+        except IndexError:
+            self._here = Pinned(TOLD.itemsize)
+        self.there.download(self._here.bytes)
+
+    def certificate(self, space: Space) -> Certificate:
+        """Return the certificate; the copy must be complete."""
+        with _lock:
+            if self._here is not None:
+                self._said = self._here.bytes.view(TOLD)[0].item()
+                _spare.append(self._here)
+                self._here = None
+        worst, _rough, *counts = self._said
+        return Certificate(np.inf if counts[0] else worst, 0.0, *(() if space.composite is None else counts))
+
+
+def paint(
+    gpu: CudaDevice,
+    spaces: Sequence[Space],
+    dtype: np.dtype[Any],
+    told: Told,
+    source: Samples,
+    out: Samples,
+    planes: tuple[int, int],
+    *,
+    together: int = 1,
+    filter: int = MAP,
+    slab: int | None = None,
+    **values: Any,
+) -> Lattice:
+    """Launch the kernels for some planes in the order of the stream of ``told``, slab by slab.
+
+    Parameters
+    ----------
+    gpu : CudaDevice
+        The current device.
+    spaces : sequence of Space
+        One map, or one for each plane. Images of one map share its nodes; slices have nodes of their own.
+    dtype : numpy.dtype
+    told : Told
+    source, out : Samples
+        From the first frame that is there on, and from the first of the planes on.
+    planes : (int, int)
+        From, to.
+    together, filter : int
+        As in `Program`.
+    slab : int, optional
+        The number of planes in one launch, at most; by default, as many as scratch memory has room for.
+    **values
+        Other fields of the job.
+
+    Returns
+    -------
+    Lattice
+        What must be kept until the kernels are done.
+    """
+    stream, lattice, space = told.there.stream, lattice_of(gpu, spaces, values["tolerance"]), spaces[0]
+    kinds = {each.composite is not None for each in spaces}
+    n, composed = space.ndim, kinds.pop() if len(kinds) == 1 else None
+    sample, number = _TYPES[dtype.str[1:]]
+    way = {name: int(values.get(name, 0)) for name in ("between", "average", "light")}
+    wanted = [Program("nodes", n, composed), Program("cells", n, composed)]
+    wanted += [Program(unit, n, composed, sample, number, together, filter, **way) for unit in ("fill", "rough")]
+    nodes, cells, fill, rough = [prepare(gpu, program) for program in wanted]  # all, before the first is waited for
+    (nx, ny), (_, height, width) = lattice.nodes, space.planes
+    first_x, first_y, *depth = (0, 0) if space.grid is None else space.grid.first
+    each, shared = (nx - 1) * (ny - 1), n == 2 and len(spaces) == 1
+    sizes = {"nodes": nx * ny * _NODE[n], "leaves": each * _LEAF[n], "states": each * 4, "rough": each * 4}
+    room = max(1, min(SCRATCH // sum(sizes.values()), _MOST))
+    all_planes = planes[1] - planes[0]
+    solved = 1 if shared else min(all_planes, room, slab or room)
+    most = min(all_planes, _MOST) if shared else solved
+    scratch = Memory(solved * sum(sizes.values()), stream)
+    starts = itertools.accumulate((solved * size for size in sizes.values()), initial=scratch.pointer)
+    values |= dict(zip(sizes, starts, strict=False))
+    xs = lattice.places.pointer
+    for start in range(*planes, most):
+        count = min(most, planes[1] - start)
+        many, own = 1 if shared else count, sum(depth) + start
+        first = out[0] + (start - planes[0]) * out[1] * dtype.itemsize
+        job = record(JOB, **values, source=source, out=(first, *out[1:]), told=told.there.pointer, planes=many,
+                     first=own, shared=count if shared else 0, maps=lattice.memory.pointer,
+                     map_count=len(spaces), xs=xs, ys=xs + 4 * nx, nx=nx, ny=ny, from_x=first_x, from_y=first_y,
+                     height=height, width=width)  # fmt: skip
+        launch(nodes, job, stream, (-(-(own + many) // RUN[n]) - own // RUN[n]) * nx * ny)
+        launch(cells, job, stream, many * each)
+        launch(fill, job, stream, width, ny - 1, count)
+        launch(rough, job, stream, THREADS * min(many * each, _BLOCKS))
+    return lattice
+
+
+def warp(
+    gpu: CudaDevice,
+    work: Work,
+    dtype: np.dtype[Any],
+    told: Told,
+    source: Samples,
+    out: Samples,
+    planes: tuple[int, int],
+    *,
+    slab: int | None = None,
+    held_from: int = 0,
+) -> Lattice:
+    """Launch the kernels of work on samples of a type, as `paint` does; the source is there from a frame on."""
+    space, sampling, group = work.space, work.sampling, work.layout.groups[0]
+    nearest = sampling.filter == "nearest"
+    timed = space.ndim == 3 and not nearest  # otherwise a pixel is of one frame, whatever is asked for
+    fill = np.array(sampling.fill, np.float64)
+    held = Memory(fill.nbytes, told.there.stream)
+    held.upload(fill)
+    white = 1.0 if dtype == np.bool_ else work.layout.white
+    high = min(white, int(np.iinfo(dtype).max)) if dtype.kind in "iu" else white
+    return paint(
+        gpu, work.spaces, dtype, told, source, out, planes, slab=slab,
+        together=1 if group.channels == 1 else 4,
+        filter=FILTERS[sampling.filter],
+        tolerance=sampling.tolerance,
+        fill=held.pointer, white=white, high=high, top=int(high),
+        w=space.shape[1], h=space.shape[0], count=space.count if space.ndim == 3 else 1,
+        held_from=held_from, channels=group.channels,
+        between=BETWEEN[sampling.between] if timed else 0,
+        rule=OUTSIDE[sampling.outside],
+        average=timed and sampling.time_filter and sampling.between != "nearest",
+        alpha=group.channels - 1 if group.alpha and not nearest else -1,
+        light=sampling.light and not nearest,
+    )  # fmt: skip

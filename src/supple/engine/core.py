@@ -1,0 +1,313 @@
+"""The core's calls: plans of T⁻¹, samples at it, and points, on all CPU cores."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple import _core
+from supple.engine.sampling import BETWEEN, FILTERS, OUTSIDE, Certificate, Sampling, certificate_of_status
+from supple.engine.work import Array, Space, Tell, Work, silent
+from supple.errors import SuppleError
+from supple.space.domain import refuse
+from supple.strokes import numbers
+
+Floats = npt.NDArray[np.float64]
+Box = tuple[int, int, int, int]
+
+CONVERGED = 1e-6
+"""The largest residual |T(p) - q| of a converged point, in pixels."""
+
+_PADDING = 256  # bytes: more than a vector reads beyond the last sample
+_TOGETHER = 8  # planes for each thread between reports of progress
+_KINDS: dict[np.dtype[Any], np.dtype[Any]] = {
+    np.dtype(np.float16): np.dtype(np.float32),
+    np.dtype(np.bool_): np.dtype(np.uint8),
+}
+
+
+def plan_of(space: Space, z: float, tolerance: float, step: tuple[int, int] = (1, 1)) -> _core.Plan:
+    """Solve for T⁻¹ on a plane.
+
+    Parameters
+    ----------
+    space : Space
+    z : float
+        The index of the plane, in samples.
+    tolerance : float
+        The largest distance of a source point from T⁻¹(q), in pixels.
+    step : (int, int)
+        The largest spacing of samples, in pixels, x first.
+    """
+    first, shape, box = _laid(space, step)
+    return _core.Plan(
+        numbers(space.table), space.axes, space.ndim, *shape, float(first + z), tolerance, space.composite, box,
+        space.freeze,
+    )  # fmt: skip
+
+
+def _laid(space: Space, step: tuple[int, int]) -> tuple[int, tuple[int, int], Box | None]:
+    """Return the first plane of the output, the shape of whole planes, and the box (x0, x1, y0, y1) of each."""
+    height, width = space.shape
+    if space.grid is not None:
+        (x, y, *z), (width, height, *_) = space.grid.first, space.grid.sizes
+        return sum(z), (space.grid.whole[-2], space.grid.whole[-1]), (x, x + width, y, y + height)
+    if space.composite is None and space.axes[0, 2] < 0:  # beyond a fixed face, the displacement is constant
+        height, width = -(-height // step[1]) * step[1], -(-width // step[0]) * step[0]
+    return 0, (height, width), None
+
+
+def certificate_of(plan: _core.Plan, space: Space) -> Certificate:
+    """Return the certificate of a plan from the checks of its cells, with their reserve."""
+    return _certificate(space, plan.error, plan.evaluations, (plan.unsolved, plan.folds, plan.outside))
+
+
+def _certificate(space: Space, error: float, evaluations: float, counts: tuple[int, int, int]) -> Certificate:
+    """Return a certificate; points that are not solved, fold, and lie outside are those of fields alone."""
+    return Certificate(error, evaluations, *((0, 0, 0) if space.composite is None else counts))
+
+
+def measured(plan: _core.Plan, tolerance: float) -> Certificate:
+    """Return the error of a plan's source points, measured at every pixel by further Newton steps."""
+    error, unknown = plan.measure(min(1e-5, 1e-3 * tolerance))
+    return Certificate(error, plan.evaluations, unknown)
+
+
+def needed(
+    space: Space, sampling: Sampling, planes: Sequence[int] | None = None
+) -> tuple[tuple[int, ...], list[float], Certificate]:
+    """Return the part of the source that the output reads, or some of its planes.
+
+    Returns
+    -------
+    tuple of int
+        Its bounds x0, x1, y0, y1, and the first frame and that after the last.
+    list of float
+        How far each plane of the output moves, in pixels; -1 where no stroke reaches it.
+    Certificate
+        The accuracy of the map there.
+    """
+    (count, rows, columns), (first, (height, width), box) = space.planes, _laid(space, (1, 1))
+    part, moved, error, counts = _core.needed(
+        numbers(space.table),
+        space.axes,
+        space.ndim,
+        height,
+        width,
+        [first + z for z in (planes if planes is not None else range(count if space.ndim == 3 else 1))],
+        sampling.tolerance,
+        space.count,
+        space.shape,
+        FILTERS[sampling.filter],
+        BETWEEN[sampling.between],
+        OUTSIDE[sampling.outside],
+        sampling.time_filter and sampling.between != "nearest",
+        space.composite,
+        box or (0, columns, 0, rows),
+        space.freeze,
+    )
+    return part, moved, _certificate(space, error, 0.0, counts)
+
+
+def working_dtype(dtype: np.dtype[Any]) -> np.dtype[Any]:
+    """Return the type in which the core takes samples."""
+    native: np.dtype[Any] = dtype.newbyteorder("=")
+    return _KINDS.get(native, native)
+
+
+def view(array: Array) -> Array | None:
+    """Return a view of an array in the form that the core takes; None if the array must be copied."""
+    if not (array.flags.c_contiguous and array.flags.aligned and array.dtype.isnative):
+        return None
+    kind = _KINDS.get(array.dtype, array.dtype)
+    return np.asarray(array).view(kind) if array.dtype in (kind, np.bool_) else None
+
+
+def samplings_of(
+    work: Work, frames: Sequence[Array], outs: Sequence[Array], count: int, corner: tuple[int, int, int] | None = None
+) -> list[_core.Sampling]:
+    """Return the core's sampling jobs for some frames.
+
+    Parameters
+    ----------
+    work : Work
+    frames : sequence of arrays
+        For each group, the frames (slots, h, w, channels); frame k is in slot k modulo the number of slots:
+        contiguous, in native byte order.
+    outs : sequence of arrays
+        For each group, the destination: (h, w, channels) or (planes, h, w, channels), contiguous.
+    count : int
+        The number of frames of the clip.
+    corner : (int, int, int), optional
+        If ``frames`` are a part of those of the layout: the position x, y, and the frame, of their first sample.
+    """
+    sampling, rule = work.sampling, OUTSIDE[work.sampling.outside]
+    timed = sampling.time_filter and sampling.between != "nearest"
+    chosen = FILTERS[sampling.filter], BETWEEN[sampling.between], rule, timed
+    nearest = FILTERS["nearest"], BETWEEN["nearest"], rule, False
+    fills = np.broadcast_to(sampling.fill, sum(group.channels for group in work.layout.groups)).tolist()
+    made, done = [], 0
+    for group, held, out in zip(work.layout.groups, frames, outs, strict=True):
+        fill = list(map(float, fills[done : done + group.channels]))
+        done += group.channels
+        job = _core.Sampling(
+            held, out, count, group.step, group.offset, *(nearest if group.exact else chosen), fill,
+            group.channels - 1 if group.alpha else -1, sampling.light, work.layout.white, corner,
+            None if corner is None else group.shape,
+        )  # fmt: skip
+        made.append(job)
+    return made
+
+
+def sample(
+    work: Work,
+    frames: Sequence[Array],
+    outs: Sequence[Array],
+    tell: Tell = silent,
+    *,
+    corner: tuple[int, int, int] | None = None,
+    copied: Sequence[bool] | None = None,
+) -> Certificate:
+    """Sample frames that are in memory, planes side by side, on all threads.
+
+    Parameters
+    ----------
+    work : Work
+    frames, outs : sequence of arrays
+        For each group, all frames, and the destination of all planes: arrays (count, h, w, channels), as `view`
+        returns them; with a ``corner``, frames may have any order of bytes and axes.
+    tell : function
+        Called at intervals with ``"warp"``, the number of finished planes, and their total.
+    corner : (int, int, int), optional
+        If ``frames`` are a part of those of the layout (`needed`), the position x, y, and the frame, of its first
+        sample.
+    copied : sequence of bool, optional
+        Which planes are copied, since all of them moves by less than the tolerance.
+
+    Returns
+    -------
+    Certificate
+        The accuracy of the map of all planes.
+    """
+    space, tolerance, planes = work.space, work.sampling.tolerance, len(outs[0])
+    if corner is not None:
+        frames = [_padded(held) for held in frames]
+    if space.ndim == 2:
+        plan = plan_of(space, 0, tolerance, work.layout.step)
+        for k in range(planes):  # each frame is an image of its own
+            for each in samplings_of(work, [f[k : k + 1] for f in frames], [out[k] for out in outs], 1, corner):
+                plan.sample(each)
+        tell("warp", planes, planes)
+        return certificate_of(plan, space)
+    first, shape, box = _laid(space, work.layout.step)
+    table, together, certificate = numbers(space.table), _TOGETHER * _core.threads(), Certificate(0.0, 0.0)
+    for start in range(0, planes, together):
+        some = slice(start, min(start + together, planes))
+        numbered = list(range(first + some.start, first + some.stop))
+        jobs = samplings_of(work, frames, [out[some] for out in outs], space.count, corner)
+        error, steps, (folded, outside, unknown) = _core.warp_stack(
+            table, space.axes, *shape, numbered, tolerance, jobs, space.composite,
+            box, None if copied is None else list(copied[some]), space.freeze,
+        )  # fmt: skip
+        certificate |= _certificate(space, error, steps, (unknown, folded, outside))
+        tell("warp", some.stop, planes)
+    return certificate
+
+
+def _padded(array: Array) -> Array:
+    """Return a copy of an array, followed by bytes that vectors may read."""
+    held = np.empty(array.nbytes + _PADDING, np.uint8)
+    made = held[: array.nbytes].view(array.dtype).reshape(array.shape)
+    made[...] = array
+    return made
+
+
+def forward(space: Space, points: npt.ArrayLike, *, matrices: bool = False) -> tuple[Floats, Certificate]:
+    """Return T of points (..., D) in pixels, x first, or, if ``matrices``, ∂T/∂p (..., D, D); and the certificate.
+
+    Without fields, T is explicit.
+    """
+    rows, given = _rows(space, points)
+    certificate = Certificate(0.0, 0.0)
+    if space.composite is None:
+        result, slopes = _core.forward(numbers(space.table), space.axes, rows, matrices, space.freeze)
+    else:
+        status = np.zeros(len(rows), np.uint8)
+        result, slopes, _ = space.composite.through(rows, False, matrices, status)
+        certificate = certificate_of_status(status)
+    if slopes is None:
+        return _points(space, result, rows, given), certificate
+    n, steps = space.ndim, space.axes[: space.ndim, 3]
+    full = slopes[:, :n, :n] * (steps[None, :] / steps[:, None])
+    return np.ascontiguousarray(full.reshape(*given.shape[:-1], n, n)), certificate
+
+
+def inverse(
+    space: Space, points: npt.ArrayLike
+) -> tuple[tuple[Floats, Floats, npt.NDArray[np.int64], npt.NDArray[np.bool_]], Certificate]:
+    """Return T⁻¹ of points (..., D) with the values of `supple.Inverse`, and the certificate.
+
+    The residual is in pixels, by the least spacing.
+    """
+    targets, given = _rows(space, points)
+    shape, finest = given.shape[:-1], float(space.axes[: space.ndim, 3].min())
+    status = np.zeros(len(targets), np.uint8)
+    if space.composite is None:
+        result, residual, steps = _core.inverse(
+            numbers(space.table), space.axes, targets, space.ndim, 1e-9 * finest, space.freeze
+        )
+    else:
+        result, _, steps = space.composite.through(targets, True, False, status)
+        seen, _, _ = space.composite.through(result, False, False, np.zeros_like(status))
+        residual = np.linalg.norm((seen - targets)[:, : space.ndim], axis=1)
+    # A bound on the residual in pixels, which for one spacing along all axes is the residual.
+    off = residual.reshape(shape) / finest
+    near = off <= CONVERGED
+    if not near.all():  # far from the origin, rounding alone leaves more
+        near |= off <= 1e-14 / finest * np.abs(targets).max(axis=1, initial=0.0).reshape(shape)
+    near &= status.reshape(shape) & 4 == 0
+    values = _points(space, result, targets, given), off, steps.astype(np.int64).reshape(shape), near
+    return values, certificate_of_status(status)
+
+
+def inverse_map(
+    space: Space, tolerance: float, dtype: npt.DTypeLike = np.float32
+) -> tuple[npt.NDArray[Any], Certificate]:
+    """Return the source point of every pixel, (*shape, D), and the certificate.
+
+    In float64, points of images of any size are equally accurate.
+    """
+    out = np.empty((*space.out, space.ndim), dtype)
+    certificate = Certificate(0.0, 0.0)
+    for z, plane in enumerate(out if space.ndim == 3 else [out]):
+        plan = plan_of(space, z, tolerance)
+        plan.points(plane)
+        certificate |= certificate_of(plan, space)
+    return out, certificate
+
+
+def _rows(space: Space, points: npt.ArrayLike) -> tuple[Floats, Floats]:
+    """Return points in the core's form, (N, 3) in physical units, and as given."""
+    n = space.ndim
+    try:
+        given = np.asarray(points, np.float64)
+    except (TypeError, ValueError):
+        refuse("points", f"numbers in an array of shape (..., {n})", points)
+    if given.ndim == 0 or given.shape[-1] != n:
+        refuse("points", f"an array of shape (..., {n}), x first", told=f"shape {given.shape}")
+    if not np.isfinite(given).all():
+        raise SuppleError("points must be finite, found NaN or infinity among them")
+    rows = np.zeros((given.size // n, 3))
+    rows[:, :n] = given.reshape(-1, n) * space.axes[:n, 3]
+    return rows, given
+
+
+def _points(space: Space, moved: Floats, rows: Floats, given: Floats) -> Floats:
+    """Return points in samples; a coordinate that did not change keeps every bit."""
+    n, flat = space.ndim, given.reshape(-1, space.ndim)
+    made = moved[:, :n] / space.axes[:n, 3]
+    np.copyto(made, flat, where=moved[:, :n] == rows[:, :n])
+    return made.reshape(given.shape)

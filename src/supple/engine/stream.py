@@ -1,0 +1,313 @@
+"""Frames from a source to a sink: a plan says which are needed when, and they pass through a window of memory."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import warnings
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextvars import copy_context
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.engine.core import certificate_of, plan_of, samplings_of
+from supple.engine.memory import buffers
+from supple.engine.sampling import LONGEST, Certificate
+from supple.engine.work import Array, Tell, Work, silent
+from supple.errors import GapWarning, SuppleError
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+SUPPORT = {"nearest": 1, "linear": 1, "cubic": 2}
+_SLACK = 1e-3  # frames: points are of float32, and may lie a little outside of the bounds of a plan
+_AHEAD = 2  # planes in the queue of the writer
+
+
+class Frame(Protocol):
+    """A frame of a source."""
+
+    def copy_to(self, arrays: Sequence[Array]) -> None:
+        """Copy the samples into one array for each group."""
+
+
+class Source(Protocol):
+    """Frames in order: a clip, an image sequence, or an array."""
+
+    def frames(self) -> Iterable[Frame]:
+        """Read all frames in order, to the end."""
+
+
+class Sink(Protocol):
+    """The destination of planes, in order: a clip, an image sequence, or an array."""
+
+    @property
+    def aside(self) -> bool:
+        """Return whether a thread writes a plane while the next is computed."""
+
+    def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
+        """Write plane k, one array for each group; ``still`` marks an unchanged copy of frame k of the source."""
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """The result of a run.
+
+    Parameters
+    ----------
+    certificate : Certificate
+        The accuracy of the map of all planes.
+    still : int
+        The number of unchanged planes, copied from their frame.
+    held : int
+        The number of frames held at once.
+    """
+
+    certificate: Certificate
+    still: int = 0
+    held: int = 0
+
+
+def run(
+    source: Source,
+    sink: Sink,
+    work: Work,
+    *,
+    memory: float = math.inf,
+    tell: Tell = silent,
+) -> Done:
+    """Warp all frames of a source.
+
+    Parameters
+    ----------
+    source : Source
+    sink : Sink
+    work : Work
+    memory : float
+        The bytes of memory for frames; frames beyond that go to a temporary file.
+    tell : function
+        Called with ``"plan"`` or ``"warp"``, the number of finished planes and their total; its exceptions end the run.
+
+    Raises
+    ------
+    SuppleError
+        If the source ends too early, there is no room for the temporary file, or the sink refuses a plane.
+    """
+    count = work.space.count
+    plan = make_plan(work, range(count), tell)
+    certificate = Certificate(0.0, 0.0)
+    buffered = _AHEAD + 1 if sink.aside else 1
+    made = stream(work, plan, source.frames(), memory=memory, buffered=buffered)
+    with contextlib.closing(made), _writing(sink) as write:
+        for z, arrays, known in made:
+            write(arrays, z, still=bool(plan.still[z]))
+            certificate |= known
+            tell("warp", z + 1, count)
+    return Done(certificate, int(plan.still.sum()), plan.capacity)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The frames needed for each plane of the output, computed before any is read.
+
+    Parameters
+    ----------
+    planes : tuple of int
+        The planes of the output to compute, in ascending order.
+    first, last : int64 array
+        The range of frames that each plane samples, some perhaps outside the clip.
+    still : bool array
+        Whether a plane is unchanged: all displacements are within the tolerance.
+    keep, read : int64 array
+        When a plane is computed, frames before ``keep`` are no longer needed, and all up to ``read`` have been read.
+    capacity : int
+        The number of frames held at once.
+    """
+
+    planes: tuple[int, ...]
+    first: npt.NDArray[np.int64]
+    last: npt.NDArray[np.int64]
+    still: npt.NDArray[np.bool_]
+    keep: npt.NDArray[np.int64]
+    read: npt.NDArray[np.int64]
+    capacity: int
+
+
+def make_plan(work: Work, planes: Sequence[int], tell: Tell = silent) -> Plan:
+    """Solve the lattice of every plane to find the frames that it needs.
+
+    ``tell`` is called at intervals with ``"plan"``, the number of finished planes and their total.
+    """
+    space, sampling = work.space, work.sampling
+    n, count = len(planes), space.count
+    first, last = np.array(planes, np.int64), np.array(planes, np.int64)
+    still = np.array([space.is_identity if work.items is None else work.items[z].is_identity for z in planes], bool)
+    if space.ndim == 3 and not space.is_identity:
+        support = SUPPORT[sampling.between]
+        earliest, latest = _times_seen(sampling.outside, count, sampling.time_filter)
+        step = work.layout.step
+        for k, z in enumerate(planes):
+            plan = plan_of(space, z, sampling.tolerance, step)
+            low, high, moved, rate = plan.extent()
+            still[k] = plan.identity or moved * 3**0.5 <= sampling.tolerance
+            if not still[k]:
+                # A chroma sample covers several pixels; and derivatives between nodes may be larger.
+                wide = 1.5 * rate * math.hypot(*step, 1)
+                beyond = min(wide, LONGEST) / 2 + 1 if sampling.time_filter else 0.0
+                early, late = (min(max(t, earliest), latest) for t in (low[2] - _SLACK, high[2] + _SLACK))
+                first[k] = math.floor(early - beyond) - support + 1
+                last[k] = math.floor(late + beyond) + support
+            if k % 64 == 63 or k == n - 1:
+                tell("plan", k + 1, n)
+    needed = np.array([_frames_needed(a, b, count, sampling.outside) for a, b in zip(first, last, strict=True)])
+    keep = np.minimum.accumulate(needed[::-1, 0])[::-1]
+    # The timestamp of a frame is known when it has been read.
+    read = np.maximum.accumulate(np.maximum(needed[:, 1], planes)) if n else needed[:, 1]
+    return Plan(tuple(planes), first, last, still, keep, read, int((read - keep).max()) + 1)
+
+
+def _frames_needed(first: int, last: int, count: int, outside: str) -> tuple[int, int]:
+    """Return the range of frames read for a range of times."""
+    if outside == "reflect" and (first < 0 or last >= count):
+        k = np.arange(max(first, last - 2 * count), last + 1) % (2 * count)
+        seen = np.minimum(k, 2 * count - 1 - k)
+        return int(seen.min()), int(seen.max())
+    return min(max(first, 0), count - 1), min(max(last, 0), count - 1)
+
+
+def _times_seen(outside: str, count: int, average: bool) -> tuple[float, float]:
+    """Return the times beyond which an edge or a constant continues unchanged."""
+    beyond = 3.0 + (LONGEST / 2 if average else 0.0)
+    if outside == "reflect":
+        return -1e9, 1e9
+    return -beyond, count - 1.0 + beyond
+
+
+def stream(
+    work: Work,
+    plan: Plan,
+    frames: Iterable[Frame],
+    *,
+    memory: float = math.inf,
+    buffered: int = 1,
+) -> Generator[tuple[int, list[Array], Certificate], None, None]:
+    """Warp frames in the order in which they are read.
+
+    Parameters
+    ----------
+    work : Work
+    plan : Plan
+    frames : iterable of Frame
+        All frames of the source in order, read to the end.
+    memory : float
+        The bytes of memory for frames; frames beyond that go to a temporary file.
+    buffered : int
+        The number of planes whose samples are kept.
+
+    Yields
+    ------
+    int
+        The index of a plane of the output.
+    list of arrays
+        Its samples, one array (h, w, channels) for each group. The arrays are reused for the next plane, or for a later
+        one if more are buffered.
+    Certificate
+        The accuracy of its map.
+
+    Raises
+    ------
+    SuppleError
+        If there are fewer frames than the plan needs, or no room for the temporary file.
+    """
+    layout = work.layout
+    with contextlib.ExitStack() as stack:
+        capacity = plan.capacity
+        shapes = [(capacity, *g.shape, g.channels) for g in layout.groups]
+
+        def full(size: str, folder: str, reason: str) -> str:
+            return (
+                f"{capacity} frames have to be held at once, {size}, more than the memory allowed, and there is no "
+                f"room for them in {folder} ({reason}): allow more memory, or set TMPDIR to another folder"
+            )
+
+        window = stack.enter_context(buffers(shapes, layout.dtype, memory, full))
+        sets = [[np.empty((*g.shape, g.channels), layout.dtype) for g in layout.groups] for _ in range(buffered)]
+        space, step, tolerance = work.space, layout.step, work.sampling.tolerance
+        every = None  # one map for all frames
+        if space.ndim == 2 and work.items is None:
+            every = plan_of(space, 0, tolerance, step)
+        source = iter(frames)
+        read = _reading(source, work, plan, window)
+        for k, z in enumerate(plan.planes):
+            read(k)
+            outs, known = sets[k % buffered], Certificate(0.0, 0.0)
+            if plan.still[k]:
+                for kept, out in zip(window, outs, strict=True):
+                    out[...] = kept[z % capacity]
+            else:
+                space, held, count = work.space if work.items is None else work.items[z], window, work.space.count
+                solved = every or plan_of(space, z if space.ndim == 3 else 0, tolerance, step)
+                if space.ndim == 2:  # each frame is an image of its own
+                    slot = z % capacity
+                    held, count = [frame[slot : slot + 1] for frame in window], 1
+                for each in samplings_of(work, held, outs, count):
+                    solved.sample(each)
+                known = certificate_of(solved, space)
+            yield z, outs, known
+        for _ in source:
+            pass
+
+
+def _reading(source: Iterator[Frame], work: Work, plan: Plan, window: Sequence[Array]) -> Callable[[int], None]:
+    """Return a function that reads the frames of a plane into their slots."""
+    have = 0
+    floats = work.layout.dtype.kind == "f" and work.sampling.filter != "nearest"
+    averaged = [number for number, group in enumerate(work.layout.groups) if floats and not group.exact]
+    warned = False
+
+    def read(k: int) -> None:
+        nonlocal have, warned
+        while have <= plan.read[k]:
+            frame = next(source, None)
+            if frame is None:
+                raise SuppleError(f"the clip ends after {have} frames, where {work.space.count} were expected")
+            if have >= plan.keep[k]:
+                slots = [held[have % len(held)] for held in window]
+                frame.copy_to(slots)
+                if averaged and not warned:
+                    warned = not all(np.isfinite(slots[number]).all() for number in averaged)
+                    if warned:
+                        text = f"frame {have} has NaN or infinite samples, which spread as far as the filter reaches"
+                        warnings.warn(text, GapWarning, stacklevel=2)
+            have += 1
+
+    return read
+
+
+@contextlib.contextmanager
+def _writing(sink: Sink) -> Iterator[Callable[..., None]]:
+    """Return a function that writes a plane, in a thread if the sink wants it; errors of the thread are raised here."""
+    if not sink.aside:
+        yield sink.write
+        return
+    from concurrent.futures import ThreadPoolExecutor
+
+    waiting: deque[Future[None]] = deque()
+
+    def submit(arrays: Sequence[Array], k: int, *, still: bool) -> None:
+        while len(waiting) >= _AHEAD:
+            waiting.popleft().result()
+        waiting.append(pool.submit(copy_context().run, lambda: sink.write(arrays, k, still=still)))
+
+    with ThreadPoolExecutor(1, "supple-encode") as pool:
+        try:
+            yield submit
+            while waiting:
+                waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()

@@ -1,0 +1,255 @@
+"""The window of frames that a stream holds: in memory or in a file, and what is left when it ends early."""
+
+from __future__ import annotations
+
+import errno
+import gc
+import math
+import os
+import tempfile
+import tracemalloc
+import weakref
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from supple import Deformation, SuppleError
+from supple.engine.sampling import Sampling
+from supple.engine.stream import make_plan, stream
+from supple.engine.work import Layout, Work
+from tests.engine.streams import COUNT, LAYOUTS, Array, Clip, Frame, bent, layout_of, noise, streamed
+
+pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
+
+
+def kept(monkeypatch: pytest.MonkeyPatch, folder: Path) -> list[Any]:
+    """The temporary files that are made, in a folder of the test's own."""
+    made: list[Any] = []
+    create = tempfile.TemporaryFile
+
+    def spy(*args: Any, **options: Any) -> Any:
+        made.append(create(*args, **options))
+        return made[-1]
+
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    monkeypatch.setattr(tempfile, "TemporaryFile", spy)
+    return made
+
+
+def test_what_does_not_fit_in_memory_is_in_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    made = kept(monkeypatch, tmp_path)
+    d = bent()
+    for kind, layout in LAYOUTS.items():
+        arrays = noise(layout)
+        for name in ("linear", "auto"):
+            expected, plan, _ = streamed(d.space, layout, arrays, Sampling(name))
+            size = plan.capacity * sum(math.prod((*g.shape, g.channels)) for g in layout.groups)
+            size *= layout.dtype.itemsize
+            assert not made, kind
+            streamed(d.space, layout, arrays, Sampling(name), memory=size)
+            assert not made
+            for memory in (0, size - 1):
+                found, _, _ = streamed(d.space, layout, arrays, Sampling(name), memory=memory)
+                for part, other in zip(found, expected, strict=True):
+                    np.testing.assert_array_equal(part, other)
+                (file,) = made
+                assert file.closed
+                made.clear()
+                assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("allocates", [True, False])
+def test_the_file_has_its_size_before_it_is_used(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, allocates: bool
+) -> None:
+    if not allocates:
+        monkeypatch.delattr(os, "posix_fallocate", raising=False)
+    made = kept(monkeypatch, tmp_path)
+    layout = LAYOUTS["4:2:0"]
+    arrays = noise(layout)
+    d = bent()
+    plan = make_plan(Work(d.space, layout, Sampling()), range(COUNT))
+    running = stream(Work(d.space, layout, Sampling()), plan, Clip(arrays), memory=0)
+    next(running)
+    found = os.fstat(made[0].fileno())
+    assert found.st_size == plan.capacity * (41 * 67 + 21 * 34 * 2)
+    assert found.st_blocks * 512 >= found.st_size
+    running.close()
+    assert made[0].closed
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kind", ["allocate", "write", "create"])
+def test_a_full_disk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, kind: str) -> None:
+    made = kept(monkeypatch, tmp_path)
+
+    def full(*args: Any, **options: Any) -> Any:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    if kind == "allocate":
+        monkeypatch.setattr(os, "posix_fallocate", full, raising=False)
+    elif kind == "create":
+        monkeypatch.setattr(tempfile, "TemporaryFile", full)
+    else:
+        monkeypatch.delattr(os, "posix_fallocate", raising=False)
+        create = tempfile.TemporaryFile
+
+        class Full:
+            def __init__(self, file: Any) -> None:
+                self.file = file
+
+            def __enter__(self) -> Full:
+                return self
+
+            def __exit__(self, *args: object) -> None:
+                self.file.close()
+
+            def __getattr__(self, name: str) -> Any:
+                return full if name in ("write", "flush") else getattr(self.file, name)
+
+        monkeypatch.setattr(tempfile, "TemporaryFile", lambda **options: Full(create(**options)))
+    layout = LAYOUTS["4:2:0"]
+    d = bent()
+    plan = make_plan(Work(d.space, layout, Sampling()), range(COUNT))
+    clip = Clip(noise(layout))
+    with pytest.raises(SuppleError, match="No space left on device") as caught:
+        list(stream(Work(d.space, layout, Sampling()), plan, clip, memory=0))
+    assert "TMPDIR" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert all(file.closed for file in made)
+    assert not list(tmp_path.iterdir())
+    assert clip.given == 0
+
+
+def test_no_folder_for_the_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
+    layout = LAYOUTS["4:2:0"]
+    plan = make_plan(Work(bent().space, layout, Sampling()), range(COUNT))
+    with pytest.raises(SuppleError, match="TMPDIR"):
+        list(stream(Work(bent().space, layout, Sampling()), plan, Clip(noise(layout)), memory=0))
+
+
+@pytest.mark.parametrize("memory", [math.inf, 0])
+def test_a_stream_that_is_left_early_leaves_nothing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, memory: float
+) -> None:
+    made = kept(monkeypatch, tmp_path)
+    layout = LAYOUTS["4:2:0"]
+    d = bent()
+    arrays = noise(layout)
+    plan = make_plan(Work(d.space, layout, Sampling()), range(COUNT))
+    clip = Clip(arrays)
+    running = stream(Work(d.space, layout, Sampling()), plan, clip, memory=memory)
+    assert not made
+    assert clip.given == 0  # nothing happens before it is asked for
+    z, parts, _ = next(running)
+    assert z == 0
+    watched = [weakref.ref(part) for part in parts]
+    assert len(made) == (memory == 0)
+    running.close()
+    del parts
+    gc.collect()
+    assert all(file.closed for file in made)
+    assert not list(tmp_path.iterdir())
+    assert all(ref() is None for ref in watched)
+    assert clip.given < COUNT
+    with pytest.raises(StopIteration):
+        next(running)
+
+
+@pytest.mark.parametrize("memory", [math.inf, 0])
+@pytest.mark.parametrize("have", [0, 1, 5, COUNT - 1])
+def test_a_clip_that_ends_early(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, have: int, memory: float) -> None:
+    made = kept(monkeypatch, tmp_path)
+    layout = LAYOUTS["4:2:0"]
+    d = bent()
+    arrays = noise(layout)
+    whole, plan, _ = streamed(d.space, layout, arrays)
+    seen = []
+
+    def follow() -> None:
+        for z, parts, _ in stream(Work(d.space, layout, Sampling()), plan, Clip(arrays, have), memory=memory):
+            np.testing.assert_array_equal(parts[0], whole[0][z])
+            seen.append(z)
+
+    with pytest.raises(SuppleError, match=f"after {have} frames, where {COUNT} were expected"):
+        follow()
+    assert seen == [z for z in range(COUNT) if plan.read[z] < have]
+    assert all(file.closed for file in made)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_reader_that_fails() -> None:
+    """Its error comes through as it is."""
+    layout = LAYOUTS["4:2:0"]
+    d = bent()
+    plan = make_plan(Work(d.space, layout, Sampling()), range(COUNT))
+
+    def frames() -> Iterator[Frame]:
+        yield from list(Clip(noise(layout)))[:0]
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        list(stream(Work(d.space, layout, Sampling()), plan, frames()))
+
+
+class Endless:
+    """Frames that are made when they are asked for."""
+
+    def __init__(self, count: int, layout: Layout) -> None:
+        self.count, self.layout = count, layout
+
+    def __iter__(self) -> Iterator[Made]:
+        return (Made(k) for k in range(self.count))
+
+
+class Made:
+    def __init__(self, index: int) -> None:
+        self.index = index
+
+    def copy_to(self, arrays: Sequence[Array]) -> None:
+        for array in arrays:
+            array[...] = 20 + self.index % 200
+
+
+def peak(count: int) -> tuple[int, int]:
+    """The most memory that is taken while a clip streams, and the frames of its window."""
+    shape = (64, 96)
+    layout = layout_of(shape=shape)
+    d = Deformation((count, *shape), border=None, on_fold="damp").grab(
+        (40, 30, 50), by=(5, 4, 20), radius=25, reach=None
+    )
+    gc.collect()
+    tracemalloc.start()
+    try:
+        plan = make_plan(Work(d.space, layout, Sampling("linear")), range(count))
+        for z, parts, _ in stream(Work(d.space, layout, Sampling("linear")), plan, Endless(count, layout)):
+            assert parts[0].dtype == np.uint8, z
+        return tracemalloc.get_traced_memory()[1], plan.capacity
+    finally:
+        tracemalloc.stop()
+
+
+def test_memory_does_not_grow_with_the_clip() -> None:
+    peak(100)  # whatever is made once
+    (short, window), (long, same_window) = peak(100), peak(500)
+    frame = 64 * 96 * 3 // 2
+    assert same_window == window < 40
+    assert window * frame < short
+    assert long - short < 400 * 600  # a plan's own numbers: not a tenth of the frames
+
+
+def test_the_window_is_as_long_as_the_strokes_reach() -> None:
+    for by in (2, 8, 20):
+        sizes = []
+        for count in (100, 400):
+            d = Deformation((count, 40, 60), border=None, on_fold="damp").grab(
+                (30, 20, 50), by=(0, 0, by), radius=40, reach=None
+            )
+            plan = make_plan(Work(d.space, layout_of(shape=(40, 60)), Sampling("linear")), range(count))
+            sizes.append(plan.capacity)
+        assert sizes[0] == sizes[1]
+        assert by <= sizes[0] <= by + 4
