@@ -3,41 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from supple.folding.strain import Mask
 from supple.gpu.device import Gpu
-from supple.gpu.field import FIELD, constants, uploaded
-from supple.gpu.kernel import (
-    READ,
-    TURNS,
-    UNIFORM,
-    WRITE,
-    download,
-    pipeline,
-    room,
-    run,
-    source,
-    spread,
-    upload,
-)
+from supple.gpu.field import constants, uploaded
+from supple.gpu.memory import download, room, upload
+from supple.gpu.shader import TURNS, shader, template
 
 Floats = npt.NDArray[np.float64]
 Singles = npt.NDArray[np.float32]
 
-NAMES = (*FIELD, "turns", "points")
-KINDS = (UNIFORM, UNIFORM, READ, READ, READ, WRITE, READ)
-
-
-def compiled(gpu: Gpu, entry: str, known: dict[str, int] | None = None) -> Any:
-    """Return a pipeline of points.wgsl, which lies beside this file, and its layout."""
-    if NAMES not in gpu.pipelines:
-        code = source(*NAMES[:-1]) + Path(__file__).with_name("points.wgsl").read_text(encoding="utf-8")
-        gpu.pipelines[NAMES] = gpu.device.create_shader_module(code=code)
-    return pipeline(gpu, NAMES, entry, KINDS, known)
+TEXT = template(Path(__file__).with_name("points.wgsl").read_text(encoding="utf-8"))
 
 
 def forward(
@@ -74,12 +53,9 @@ def _points(
     turns: int = TURNS,
 ) -> Singles:
     n = len(anchors)
-    settings = np.zeros(1, [("strokes", "u4"), ("count", "u4"), ("tolerance", "f4"), ("turns", "u4")])
-    settings["strokes"], settings["count"], settings["tolerance"] = table.size, n, tolerance
-    settings["turns"] = turns
+    settings = {"strokes": table.size, "count": n, "tolerance": tolerance, "turns": turns}
     four = [upload(gpu, np.pad(values, ((0, 0), (0, 1))).astype(np.float32)) for values in (anchors, offsets)]
-    results = room(gpu, n * 64)
-    places, strokes, mask = uploaded(gpu, table, axes, freeze)
-    buffers = [upload(gpu, settings, UNIFORM), places, strokes, *four, results, mask]
-    run(gpu, [(compiled(gpu, entry, constants(table, freeze)), buffers, (*spread(n, 64), 1))])
-    return download(gpu, results, np.float32, n * 16).reshape(n, 4, 4).copy()
+    given = {"anchors": four[0], "offsets": four[1], "results": room(gpu, n * 64)}
+    work = shader(gpu, TEXT, entry, constants(table, freeze))
+    work.run((-(-n // 64), 1, 1), settings, {**uploaded(gpu, table, axes, freeze), **given})
+    return download(gpu, given["results"], np.float32, n * 16).reshape(n, 4, 4).copy()

@@ -1,5 +1,7 @@
 // T and T⁻¹ of points, one for each thread.
 
+#use newton turns
+
 struct Settings {
     strokes: u32,
     count: u32,
@@ -7,17 +9,14 @@ struct Settings {
     turns: u32, // see turns.wgsl
 }
 
-@group(0) @binding(0) var<uniform> settings: Settings;
-@group(0) @binding(1) var<uniform> domain: Domain;
-@group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
-@group(0) @binding(3) var<storage, read> anchors: array<vec4f>; // q
-@group(0) @binding(4) var<storage, read> offsets: array<vec4f>; // their offsets, or the target offsets
-@group(0) @binding(5) var<storage, read_write> results: array<vec4f>; // four for each point
-@group(0) @binding(6) var<storage, read> mask: array<u32>; // see freeze.wgsl
+var<uniform> settings: Settings;
+var<storage, read> anchors: array<vec4f>; // q
+var<storage, read> offsets: array<vec4f>; // their offsets, or the target offsets
+var<storage, read_write> results: array<vec4f>; // four for each point
 
 @compute @workgroup_size(64)
-fn forward(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
-    let i = id.x + id.y * groups.x * 64u;
+fn forward(@builtin(global_invocation_id) id: vec3u) {
+    let i = id.x;
     if (i >= settings.count) {
         return;
     }
@@ -29,8 +28,8 @@ fn forward(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) gr
 }
 
 @compute @workgroup_size(64)
-fn inverse(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
-    let i = id.x + id.y * groups.x * 64u;
+fn inverse(@builtin(global_invocation_id) id: vec3u) {
+    let i = id.x;
     if (i >= settings.count) {
         return;
     }

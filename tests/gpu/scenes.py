@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 import supple
+from supple.gpu.device import Gpu
 from supple.render.picture import Rendering
 from supple.render.scene import Scene
 from supple.render.transfer import TransferFunction
@@ -61,3 +62,11 @@ def turned(shape: tuple[int, ...], **options: Any) -> supple.Deformation:
         at = (0.3 + 0.2 * k) * size
         d = d.add(replace(stroke, at=at, radius=0.2 * float(size.min()) * min(d.domain.spacing)))
     return d.grab(0.5 * size, by=0.05 * size, radius=0.2 * float(size.max()))
+
+
+def texels_of(gpu: Gpu, texture: Any) -> npt.NDArray[np.float32]:
+    """Return what is in a solid of float32 (z, y, x)."""
+    width, height, depth = texture.size
+    layout = {"bytes_per_row": 4 * width, "rows_per_image": height}
+    data = gpu.device.queue.read_texture({"texture": texture}, layout, texture.size)
+    return np.frombuffer(data, np.float32).reshape(depth, height, width)

@@ -12,14 +12,14 @@ from scipy import ndimage
 import supple
 from supple.errors import DeviceWarning, SuppleError
 from supple.gpu import device as devices
-from supple.gpu import fill, kernel, solid, volume
+from supple.gpu import fill, shader, solid, volume
 from supple.gpu.device import Gpu
-from supple.gpu.texels import put_solid
+from supple.gpu.memory import put
 from supple.render import device as drawing
 from supple.render.camera import Camera
 from supple.render.scene import Scene
 from tests import reference
-from tests.gpu.scenes import GEOMETRY, SHAPE, SIZE, SOFT, apart, turned
+from tests.gpu.scenes import GEOMETRY, SHAPE, SIZE, SOFT, apart, texels_of, turned
 
 
 def displaced(nodes: np.ndarray, step: float, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -42,7 +42,9 @@ def test_nodes_are_the_inverse_and_its_derivatives(gpu: Gpu, bent: supple.Deform
     space, strokes = bent.space, reference.carried_out(bent)
     errors, lengths = [], []
     for step in (2, 4):
-        _, nodes, error, smooth = solid.solve(gpu, space.table, space.axes, SHAPE, step)
+        lattice = solid.solve(gpu, space.table, space.axes, SHAPE, step)
+        nodes, error, smooth = lattice.nodes, lattice.error, lattice.smooth
+        assert nodes is not None
         q = step * reference.grid(nodes.shape[:3])
         p = reference.inverse(strokes, bent.domain, q)
         np.testing.assert_allclose(nodes[..., :3], p - q, atol=2e-4)
@@ -69,7 +71,7 @@ def test_the_buffer_is_the_warped_volume(
     assert volume.beside(held)
     space = bent.space
     # What is solved for each voxel does not need a fine lattice.
-    lattice, *_ = solid.solve(gpu, space.table, space.axes, SHAPE, 8 if polished else 2)
+    lattice = solid.solve(gpu, space.table, space.axes, SHAPE, 8 if polished else 2)
     filling = fill.Filling(held, lattice, polished=polished, tolerance=0.01)
     assert filling.part == 0.0
     assert filling.advance(60.0) == filling.part == 1.0
@@ -83,7 +85,9 @@ def test_the_buffer_is_the_warped_volume(
 def test_the_buffer_has_every_brush(gpu: Gpu, cloud: np.ndarray) -> None:
     d, held = turned(SHAPE, border=None), volume.hold(gpu, cloud)
     assert volume.beside(held)
-    lattice, nodes, error, _ = solid.solve(gpu, d.space.table, d.space.axes, SHAPE, 2)
+    lattice = solid.solve(gpu, d.space.table, d.space.axes, SHAPE, 2)
+    nodes, error = lattice.nodes, lattice.error
+    assert nodes is not None
     q = 2 * reference.grid(nodes.shape[:3])
     np.testing.assert_allclose(nodes[..., :3], d.inverse(q).points - q, atol=1e-3)
     assert error < 0.5
@@ -91,19 +95,6 @@ def test_the_buffer_has_every_brush(gpu: Gpu, cloud: np.ndarray) -> None:
     away = np.abs(texels_of(gpu, held.warped) - d.warp(cloud, filter="linear", tolerance=1e-3))
     assert away.max() < 0.02
     assert np.abs(texels_of(gpu, held.warped) - cloud).max() > 0.1
-
-
-def texels_of(gpu: Gpu, texture: Any) -> np.ndarray:
-    """What is in a solid of float32 (z, y, x)."""
-    size, pitch = texture.size, -(-4 * texture.size[0] // 256) * 256
-    made = kernel.room(gpu, pitch * size[1] * size[2])
-    encoder = gpu.device.create_command_encoder()
-    encoder.copy_texture_to_buffer(
-        {"texture": texture}, {"buffer": made, "bytes_per_row": pitch, "rows_per_image": size[1]}, size
-    )
-    gpu.device.queue.submit([encoder.finish()])
-    words = kernel.download(gpu, made, np.float32, pitch * size[1] * size[2] // 4)
-    return words.reshape(size[2], size[1], pitch // 4)[..., : size[0]]
 
 
 def test_hybrid_fills_its_buffer_bit_by_bit(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,7 +113,7 @@ def test_hybrid_fills_its_buffer_bit_by_bit(gpu: Gpu, monkeypatch: pytest.Monkey
     buffered = Scene(given, deformation=d, transfer=SOFT, mode="buffered").render(camera, SIZE)
     floor = apart(buffered, wanted) - 1
     assert floor > 30
-    monkeypatch.setattr(kernel.Pace, "parts", _one_at_a_time(kernel.Pace.parts))
+    monkeypatch.setattr(shader.Pace, "parts", _one_at_a_time(shader.Pace.parts))
     monkeypatch.setattr(gpu, "software", False)  # which reads the buffer while it is filled
     parts = [0.0]
     while parts[-1] < 1:
@@ -149,7 +140,7 @@ def test_hybrid_fills_its_buffer_bit_by_bit(gpu: Gpu, monkeypatch: pytest.Monkey
 def _one_at_a_time(parts: Any) -> Any:
     """Parts of some work, one item each, where there is a limit."""
 
-    def made(self: kernel.Pace, total: int, seconds: float = 1.0, limit: float = np.inf) -> Any:
+    def made(self: shader.Pace, total: int, seconds: float = 1.0, limit: float = np.inf) -> Any:
         return parts(self, total, seconds) if limit == np.inf else iter([(0, 1)])
 
     return made
@@ -170,7 +161,7 @@ def test_only_what_is_finished_is_read_of_the_buffer(
     filling._made[...] = False
     filling._made[0, 0, 0] = True
     filling._tell()
-    put_solid(gpu, held.volume.warped, np.full_like(cloud, 0.9))
+    put(gpu, held.volume.warped, np.full_like(cloud, 0.9))
     np.testing.assert_allclose(scene.render(size=SIZE).light, wanted.light, atol=1e-5)
     # And with them it is.
     filling._made[...] = True
@@ -264,8 +255,8 @@ def test_a_buffered_scene_keeps_its_word_beside_others(gpu: Gpu, ball: np.ndarra
     options: dict[str, Any] = {"transfer": SOFT, "mode": "buffered", "tolerance": 0.02}
     ours = Scene(ball, deformation=rough, **options)
     theirs = Scene(ball, deformation=rough, device="gpu", **options)
-    assert theirs._solid is not None
-    assert theirs._solid.error > theirs.tolerance  # or this proves nothing
+    assert theirs._lattice is not None
+    assert theirs._lattice.error > theirs.tolerance  # or this proves nothing
     wanted = ours.render(size=SIZE)
     assert apart(theirs.render(size=SIZE), wanted) > 45
     other = theirs.deformed(rough.grab((15, 8, 15), by=(-6, 3, 5), radius=7, reach=None))
@@ -307,7 +298,7 @@ def test_the_cpu_sees_what_a_buffer_shows(
     def lost(*rest: object) -> None:
         raise RuntimeError("Parent device is lost")
 
-    monkeypatch.setattr("supple.gpu.raymarch.run", lost)
+    monkeypatch.setattr("supple.gpu.raymarch._march", lost)
     with pytest.warns(DeviceWarning, match="device is lost"):
         made = theirs.render(size=SIZE)
     assert apart(made, exact.render(size=SIZE)) > 45
@@ -339,7 +330,7 @@ def test_a_fill_that_is_interrupted_leaves_no_wrong_map(
     held = one._held
     assert held is not None
     assert held.filling is not None
-    held.filling._pace = kernel.Pace(1)
+    held.filling._pace = shader.Pace(1)
     with pytest.raises(KeyboardInterrupt):
         one.fill(seconds=60.0)
     monkeypatch.undo()
@@ -350,8 +341,8 @@ def test_a_fill_that_is_interrupted_leaves_no_wrong_map(
 
 def test_a_fill_takes_no_longer_than_it_may(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [0.0]
-    monkeypatch.setattr("supple.gpu.kernel.time.perf_counter", lambda: clock[0])
-    pace = kernel.Pace(1)
+    monkeypatch.setattr("supple.gpu.shader.time.perf_counter", lambda: clock[0])
+    pace = shader.Pace(1)
 
     def spent(limit: float) -> float:
         start = clock[0]
@@ -390,18 +381,13 @@ def test_what_does_not_fit_twice_is_a_lattice(
     gentle = supple.Deformation(SHAPE, spacing=GEOMETRY.spacing, border=None, on_fold="damp").grab(
         (13, 14, 11), by=(2, 1, 0), radius=40, reach=None
     )
-    solids = volume.solid
+    asked: list[Any] = []
 
-    asked: list[bool] = []
+    def full(gpu: Gpu, shape: Any, *rest: Any, **options: Any) -> Any:
+        asked.append(shape)
+        raise MemoryError
 
-    def one(gpu: Gpu, shape: Any, *rest: Any, **options: Any) -> Any:
-        asked.append(bool(options))
-        if options:
-            raise MemoryError
-        return solids(gpu, shape, *rest)
-
-    monkeypatch.setattr(volume, "solid", one)
-    monkeypatch.setattr("supple.gpu.texels.DEEP", 30)
+    monkeypatch.setattr(volume, "solid", full)
     scene = Scene(cloud, GEOMETRY, deformation=gentle, transfer=SOFT, mode="hybrid", device="gpu")
     assert scene.gpu is gpu
     assert scene.fill() == 1.0
@@ -409,10 +395,11 @@ def test_what_does_not_fit_twice_is_a_lattice(
     assert apart(scene.render(size=SIZE), wanted) > 45
     # With other strokes, nothing goes there again, nor is there asked for more.
     assert scene.deformed(gentle).gpu is gpu
-    assert asked == [False, True]
+    assert asked == [SHAPE]
     with pytest.warns(DeviceWarning, match="no memory left for a deformed volume"):
         assert Scene(cloud, GEOMETRY, deformation=gentle, transfer=SOFT, mode="buffered", device="gpu").gpu is None
     # Nor is there a finer lattice than there is room for.
+    monkeypatch.setattr("supple.gpu.memory.DEEP", 30)
     with pytest.warns(supple.ToleranceWarning, match="the lattice may be off"):
         coarse = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode="hybrid", device="gpu")
     assert coarse.gpu is gpu
@@ -432,16 +419,16 @@ def test_a_lattice_is_as_fine_as_there_is_room_for(gpu: Gpu, monkeypatch: pytest
         return solve(gpu, table, axes, shape, step, freeze)
 
     monkeypatch.setattr(drawing, "solve", no_finer)
-    found, lattice = drawing.lattice_of(gpu, d.space, 0.02)
+    found = drawing.lattice_of(gpu, d.space, 0.02)
     assert asked == [8, 2, 4, 2]
-    assert found.step == lattice.spread == 4
+    assert found.step == found.settings["spread"] == 4
     assert 0.02 < found.error < 0.5
 
 
 def _of(scene: Scene, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """What a scene's lattice says of a point: u and ∂p/∂q."""
-    assert scene._solid is not None
-    return displaced(scene._solid.nodes, scene._solid.step, point)
+    assert scene._lattice is not None
+    return displaced(scene._lattice.nodes, scene._lattice.step, point)
 
 
 @pytest.mark.parametrize(("radius", "by", "cells"), [(12, (4, -3, 2), 2), (10, (4, -3, 2), 1), (18, (6, -4, 3), 2)])
@@ -450,13 +437,13 @@ def test_the_error_is_that_along_rays(gpu: Gpu, radius: float, by: tuple[float, 
     d = supple.Deformation((n, n, n), border=None, on_fold="damp").grab((22, 24, 25), by=by, radius=radius, reach=None)
     scene = Scene(np.zeros((n, n, n), np.float32), deformation=d, mode="hybrid", device="gpu")
     assert scene._held is not None
-    assert scene._solid is not None
-    assert scene._held.lattice.cells == cells
-    assert scene._solid is not None
+    assert scene._lattice is not None
+    assert scene._held.cells == cells
+    assert scene._lattice is not None
     rng = np.random.default_rng(0)
     starts = rng.uniform(0, n - 1, (2000, 3)).astype(np.float32)
     ways = rng.normal(size=(2000, 3)).astype(np.float32)
-    ways *= min(cells * scene._solid.step, 8.0) / np.linalg.norm(ways, axis=1)[:, None]
+    ways *= min(cells * scene._lattice.step, 8.0) / np.linalg.norm(ways, axis=1)[:, None]
     points, sources = [], []
     for start, way in zip(starts, ways, strict=True):
         if not ((start + way >= 0) & (start + way <= n - 1)).all():

@@ -14,11 +14,8 @@ from supple import _core
 from supple.cli import command
 from supple.errors import SuppleError
 from supple.gpu import device as devices
-from supple.gpu import kernel, texels
-from supple.gpu import raymarch as shading
+from supple.gpu import shader
 from supple.gpu.device import Gpu, gpu_of
-from supple.gpu.fill import BLOCK
-from supple.gpu.plate import CELL
 
 
 def test_drivers_that_fail_are_said_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,20 +63,10 @@ def test_the_command_line_lists_it(gpu: Gpu, capsys: pytest.CaptureFixture[str])
 
 
 def test_shaders_have_the_numbers_of_the_host() -> None:
-    marching = kernel.source("raymarch")
-
-    def said(text: str, name: str) -> float:
-        found = re.search(rf"const {name} = ([-\w.]+?)u?;", text)
-        assert found, name
-        return float(found[1])
-
-    assert said(kernel.source("plate"), "CELL") == CELL
-    for name in ("PLAIN", "LATTICE", "EXACT", "HYBRID"):
-        assert said(marching, name) == getattr(shading, name)
-    assert said(marching, "BLOCK") == said(kernel.source("fill"), "BLOCK") == BLOCK
-    assert said(marching, "ROW") == texels.ROW
-    shaders = [path.read_text(encoding="utf-8") for path in Path(kernel.__file__).with_name("shaders").glob("*.wgsl")]
+    shaders = [path.read_text(encoding="utf-8") for path in Path(shader.__file__).with_name("shaders").glob("*.wgsl")]
     assert len(shaders) > 10
-    for name, value in _core.constants.items():  # written into every shader, and not by hand
-        assert said(marching, name) == pytest.approx(value, rel=1e-6)
-        assert not any(re.search(rf"^const {name}\b", text, re.M) for text in shaders)
+    for name, value in {**_core.constants, "CELL": shader.CELL, "FAR": shader.FAR}.items():
+        found = re.search(rf"const {name} = ([-+.\de]+)u?;", shader.source("raymarch"))
+        assert found
+        assert float(found[1]) == pytest.approx(value, rel=1e-6)
+        assert not any(re.search(rf"^const {name}\b", text, re.M) for text in shaders)  # and not by hand

@@ -11,13 +11,13 @@ import pytest
 import supple
 from supple import Freeze
 from supple.errors import DeviceWarning
-from supple.gpu import field, fill, kernel, solid, volume
+from supple.gpu import field, fill, solid, volume
 from supple.gpu.device import Gpu
 from supple.gpu.plate import Plate, Sight
 from supple.gpu.screen import canvas_texture, pixels_of
 from supple.render.camera import Camera
 from supple.render.scene import MODES, Scene
-from tests.gpu.scenes import GEOMETRY, SHAPE, SOFT, apart, ball, frozen, pair, size_of
+from tests.gpu.scenes import GEOMETRY, SHAPE, SOFT, apart, ball, frozen, pair, size_of, texels_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.MissWarning", "ignore::supple.FoldWarning")
 
@@ -53,16 +53,9 @@ def test_frozen_voxels_are_those_of_the_volume(gpu: Gpu, cloud: np.ndarray, poli
     d = bent_cloud(5)
     space, held_ = d.space, volume.hold(gpu, cloud)
     assert volume.beside(held_)
-    lattice, *_ = solid.solve(gpu, space.table, space.axes, SHAPE, 4 if polished else 2, space.freeze)
+    lattice = solid.solve(gpu, space.table, space.axes, SHAPE, 4 if polished else 2, space.freeze)
     assert fill.Filling(held_, lattice, polished=polished, tolerance=0.01).advance(60.0) == 1.0
-    pitch = -(-4 * SHAPE[2] // 256) * 256
-    made = kernel.room(gpu, pitch * SHAPE[1] * SHAPE[0])
-    encoder = gpu.device.create_command_encoder()
-    layout = {"buffer": made, "bytes_per_row": pitch, "rows_per_image": SHAPE[1]}
-    encoder.copy_texture_to_buffer({"texture": held_.warped}, layout, held_.warped.size)
-    gpu.device.queue.submit([encoder.finish()])
-    found = kernel.download(gpu, made, np.float32, pitch * SHAPE[1] * SHAPE[0] // 4)
-    found = found.reshape(SHAPE[0], SHAPE[1], pitch // 4)[..., : SHAPE[2]]
+    found = texels_of(gpu, held_.warped)
     still = ball(SHAPE, (0.5, 0.35, 0.4), 5)
     np.testing.assert_array_equal(found[still], cloud[still])
     away = np.abs(found - d.warp(cloud, filter="linear", tolerance=1e-3))

@@ -6,10 +6,30 @@ from typing import Any
 
 import numpy as np
 
-from supple.gpu.buffers import Bound, Kept
 from supple.gpu.device import Gpu
-from supple.gpu.kernel import READ, WRITE, bound, download, pipeline, room, run, upload
-from tests.gpu.points import KINDS, compiled
+from supple.gpu.memory import Bound, Kept, download, room, upload
+from supple.gpu.shader import module, shader, structure, template
+
+COPY = """
+struct Settings {
+    count: u32,
+    at: vec3f, // at its own alignment
+    last: f32,
+    matrix: mat3x3f,
+}
+
+var<uniform> settings: Settings;
+var<storage, read> a: array<u32>;
+var<storage, read_write> b: array<u32>;
+
+@compute @workgroup_size(1)
+fn copy() {
+    for (var k = 0u; k < settings.count; k++) {
+        b[k] = a[k];
+    }
+    b[9] = u32(settings.at.z + settings.last + settings.matrix[2].y);
+}
+"""
 
 
 def test_what_changes_is_written_and_only_that(gpu: Gpu, monkeypatch: Any) -> None:
@@ -39,31 +59,31 @@ def test_what_changes_is_written_and_only_that(gpu: Gpu, monkeypatch: Any) -> No
 
 
 def test_what_a_shader_reads_is_what_is_held(gpu: Gpu) -> None:
-    kept, copied = Kept(gpu), room(gpu, 1024)
-    code = "@group(0) @binding(0) var<storage, read> a: array<u32>;"
-    code += "@group(0) @binding(1) var<storage, read_write> b: array<u32>;"
-    code += "@compute @workgroup_size(1) fn copy() { for (var k = 0u; k < 9u; k++) { b[k] = a[k]; } }"
-    gpu.pipelines[("copy of nine",)] = gpu.device.create_shader_module(code=code)
-    try:
-        copying = pipeline(gpu, ("copy of nine",), "copy", (READ, WRITE))
-        for start in (0, 5):
-            run(gpu, [(copying, [kept.hold(np.arange(start, start + 9, dtype=np.uint32)), copied], (1, 1, 1))])
-            assert download(gpu, copied, np.uint32, 9).tolist() == list(range(start, start + 9))
-    finally:
-        del gpu.pipelines[("copy of nine",)]
+    kept, copied, text = Kept(gpu), room(gpu, 1024), template(COPY)
+    matrix = np.arange(12.0).reshape(3, 4)
+    for start in (0, 5):
+        given = {"a": kept.hold(np.arange(start, start + 9, dtype=np.uint32)), "b": copied}
+        settings = {"count": 9, "at": (1, 2, 300), "last": 40, "matrix": matrix}
+        shader(gpu, text, "copy").run((1, 1, 1), settings, given)
+        assert download(gpu, copied, np.uint32, 10).tolist() == [*range(start, start + 9), 349]
+
+
+def test_settings_are_laid_out_as_shaders_read_them() -> None:
+    made = structure(COPY, "Settings")
+    assert made.fields is not None
+    assert {name: made.fields[name][1] for name in made.names or ()} == {"count": 0, "at": 16, "last": 28, "matrix": 32}
+    assert made.itemsize == 80
 
 
 def test_a_group_is_made_anew_for_other_things(gpu: Gpu) -> None:
-    layout = compiled(gpu, "forward")[1]
-    one, other = ([upload(gpu, np.zeros(64, np.float32), k) for k in KINDS] for _ in range(2))
-    kept, made = Bound(), 0
+    made, kept, asked = module(gpu, template(COPY)), Bound(), []
+    one, other = ({name: upload(gpu, np.zeros(64, np.float32)) for name in made.kinds} for _ in range(2))
 
-    def make(things: Any) -> Any:
-        nonlocal made
-        made += 1
-        return bound(gpu, layout, things)
+    def make(given: Any) -> Any:
+        asked.append(given)
+        return made.group(given)
 
-    first = kept.group(one, lambda: make(one))
-    assert kept.group(list(one), lambda: make(one)) is first
-    assert kept.group([*one[:6], other[6]], lambda: make([*one[:6], other[6]])) is not first
-    assert made == 2
+    first = kept.group(one, make)
+    assert kept.group(dict(one), make) is first
+    assert kept.group({**one, "b": other["b"]}, make) is not first
+    assert len(asked) == 2

@@ -15,12 +15,14 @@ from supple.cli import command
 from supple.errors import DeviceWarning, SuppleError
 from supple.files.volumes import open_volume
 from supple.gpu import device as devices
-from supple.gpu import kernel, solid
+from supple.gpu import shader
 from supple.gpu.device import Gpu
+from supple.gpu.screen import canvas_texture, pixels_of
+from supple.gpu.solid import Lattice
 from supple.media import image
 from supple.render.camera import Camera
+from supple.render.device import along_rays
 from supple.render.scene import MODES, Scene
-from supple.render.solid import Solid, along_rays
 from supple.render.transfer import TransferFunction
 from supple.space.geometry import Geometry
 from tests.gpu.scenes import GEOMETRY, SHAPE, SIZE, SOFT, apart, pair, size_of
@@ -138,7 +140,7 @@ def test_one_slice_of_any_thickness_with_a_fixed_border(gpu: Gpu, cloud: np.ndar
 def test_large_pictures_come_in_parts(gpu: Gpu, cloud: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene(cloud, GEOMETRY, transfer=SOFT, device="gpu")
     whole = scene.render(size=SIZE)
-    monkeypatch.setattr(kernel.Pace, "parts", lambda pace, total: ((k, min(7, total - k)) for k in range(0, total, 7)))
+    monkeypatch.setattr(shader.Pace, "parts", lambda pace, total: ((k, min(7, total - k)) for k in range(0, total, 7)))
     parts = scene.render(size=SIZE)
     np.testing.assert_array_equal(parts.light, whole.light)
     np.testing.assert_array_equal(parts.depth, whole.depth)
@@ -151,11 +153,11 @@ def test_what_does_not_fit_is_done_by_the_cpu(gpu: Gpu, cloud: np.ndarray, monke
     def lost(*rest: object) -> None:
         raise RuntimeError("Parent device is lost")
 
-    monkeypatch.setattr("supple.gpu.raymarch.run", lost)
+    monkeypatch.setattr("supple.gpu.raymarch._march", lost)
     with pytest.warns(DeviceWarning, match="device is lost"):
         np.testing.assert_array_equal(held.render(size=SIZE).light, wanted.light)
     monkeypatch.undo()
-    monkeypatch.setattr("supple.gpu.texels.DEEP", 29)
+    monkeypatch.setattr("supple.gpu.memory.DEEP", 29)
     with pytest.warns(DeviceWarning, match="30 samples along a side are more than a texture holds"):
         scene = Scene(cloud, GEOMETRY, transfer=SOFT, device="gpu")
     np.testing.assert_array_equal(scene.render(size=SIZE).light, wanted.light)
@@ -187,12 +189,9 @@ def test_the_cpu_has_the_same_verbs(cloud: np.ndarray, bent: supple.Deformation)
 def test_a_texture_receives_the_picture(gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, mode: str) -> None:
     scene = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode=mode, device="gpu")
     height, width = 41, 53
-    texture = gpu.device.create_texture(size=(width, height, 1), format="rgba8unorm", usage="STORAGE_BINDING|COPY_SRC")
+    texture = canvas_texture(gpu, (width, height))
     scene.draw(texture, Camera(azimuth=25), supersampling=2, background=(0.1, 0.2, 0.3))
-    data = gpu.device.queue.read_texture(
-        {"texture": texture}, {"bytes_per_row": 4 * width, "rows_per_image": height}, (width, height, 1)
-    )
-    found = np.frombuffer(data, np.uint8).reshape(height, width, 4)
+    found = pixels_of(gpu, texture)
     wanted = scene.render(Camera(azimuth=25), (height, width), supersampling=2).pixels((0.1, 0.2, 0.3))
     assert np.abs(found[..., :3].astype(int) - wanted).max() <= 1
     assert (found[..., 3] == 255).all()
@@ -205,12 +204,9 @@ def test_inversions_tint_the_picture(gpu: Gpu, cloud: np.ndarray, bent: supple.D
     ours, scene = (
         Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode=mode, device=device) for device in ("cpu", "gpu")
     )
-    texture = gpu.device.create_texture(size=(64, 40, 1), format="rgba8unorm", usage="STORAGE_BINDING|COPY_SRC")
+    texture = canvas_texture(gpu, (64, 40))
     scene.draw(texture, overlay="inversions")
-    data = gpu.device.queue.read_texture(
-        {"texture": texture}, {"bytes_per_row": 256, "rows_per_image": 40}, (64, 40, 1)
-    )
-    found = np.frombuffer(data, np.uint8).reshape(40, 64, 4)[..., :3] / 255
+    found = pixels_of(gpu, texture)[..., :3] / 255
     picture, other = scene.render(size=(40, 64)), ours.render(size=(40, 64))
     work = picture.evaluations if mode == "exact" else picture.samples
     assert (picture.evaluations > 0).any() == (mode == "exact")
@@ -237,8 +233,8 @@ def test_what_a_caller_raises_is_no_fault_of_the_gpu(gpu: Gpu, cloud: np.ndarray
 
 def test_parts_of_work_take_about_as_long(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [0.0]
-    monkeypatch.setattr("supple.gpu.kernel.time.perf_counter", lambda: clock[0])
-    pace, counts = kernel.Pace(1), []
+    monkeypatch.setattr("supple.gpu.shader.time.perf_counter", lambda: clock[0])
+    pace, counts = shader.Pace(1), []
     for first, count in pace.parts(1000, 0.25):
         assert first == sum(counts)
         counts.append(count)
@@ -272,7 +268,7 @@ def test_the_head(gpu: Gpu, mode: str) -> None:
 
 def test_what_is_beyond_the_tolerance_is_said_so() -> None:
     for error, said in ((0.1, 0.125), (0.19, 0.2), (1.0, 1.25), (np.inf, np.inf)):
-        found = Solid(np.zeros((2, 2, 2, 16), np.float32), 2, error)
+        found = Lattice({}, {}, {}, 2, None, error)
         assert along_rays(found, 1, 0.2) == pytest.approx(said)
 
 
@@ -302,7 +298,7 @@ def test_textures_that_do_not_fit_are_refused(gpu: Gpu, cloud: np.ndarray) -> No
     with pytest.raises(Exception, match="lost") as lost:
         other.create_texture(size=(8, 8, 1), format="rgba8unorm", usage="STORAGE_BINDING")
     stricken = dataclasses.replace(gpu, device=other)
-    kernel.trouble(stricken, lost.value)
+    devices.trouble(stricken, lost.value)
     assert stricken.lost
 
 
@@ -322,7 +318,7 @@ def test_a_lattice_that_it_cannot_solve_is_the_cpu_s(
     assert made.error == wanted.error
     np.testing.assert_array_equal(made.render(size=SIZE).light, wanted.render(size=SIZE).light)
     if gpu.software:  # a GPU carries out all of them
-        monkeypatch.setattr(solid, "TURNS", 1 << 20)
+        monkeypatch.setattr(shader, "TURNS", 1 << 20)
         with pytest.warns(DeviceWarning, match="its driver ends loops of many turns"):
             assert Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode=mode, device="gpu").gpu is None
     assert devices.open_gpu() is gpu

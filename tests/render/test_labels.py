@@ -178,7 +178,7 @@ def test_skipping_empty_bricks_leaves_the_picture_as_it_is(mode: str) -> None:
     scene = scene_of(labels, mode, transfer=LabelColours({1: (1, 0, 0, 1), 3: (0, 0, 1, 0.3)}))
     skipping = scene.render(CAMERA, SIZE)
     assert (scene._skips > 0).mean() > 0.3
-    scene._set({"_skips": np.zeros_like(scene._skips)})
+    scene._skips = np.zeros_like(scene._skips)
     every = scene.render(CAMERA, SIZE)
     np.testing.assert_allclose(skipping.light, every.light, atol=1e-6)
     assert mode == "exact" or every.samples.sum() > 1.5 * skipping.samples.sum()

@@ -162,7 +162,7 @@ def test_the_largest_part_is_what_ndimage_labels() -> None:
     for value in (0.65, 0.75):
         transfer = TransferFunction(((value, 1, 1, 1, 0), (value + 0.1, 1, 1, 1, 0.5), (1, 1, 1, 1, 0.5)))
         for window in (None, density):
-            threshold = Scene(volume, transfer=transfer, density=window)._threshold
+            threshold = Scene(volume, transfer=transfer, density=window)._seen.threshold
             seen = (volume >= threshold) & (volume <= (np.inf if window is None else window[1]))
             labels, count = ndimage.label(seen)
             assert count > 1

@@ -21,8 +21,9 @@ from supple.gpu.device import Gpu
 from supple.media import image
 from supple.media import volume as media
 from supple.render.camera import Camera
+from supple.render.colour import linear_light
 from supple.render.meshes import Surface
-from supple.render.picture import Rendering, light_of
+from supple.render.picture import Rendering
 from supple.render.scene import Scene
 from supple.render.transfer import TransferFunction
 from supple.space.geometry import Geometry
@@ -409,4 +410,4 @@ class TestFiles:
 
 def test_light_is_linear() -> None:
     light = bare(sphere(8, colour=(0.5, 0.5, 0.5)), shaded=False).render(CAMERA, SIZE).light
-    np.testing.assert_allclose(light[light[..., 3] == 1][:, :3], light_of((0.5, 0.5, 0.5))[0], rtol=1e-6)
+    np.testing.assert_allclose(light[light[..., 3] == 1][:, :3], linear_light((0.5, 0.5, 0.5))[0], rtol=1e-6)

@@ -117,8 +117,8 @@ def _slabs(gpu: CudaDevice, work: Work, source: Array, target: Array, room: int)
             together = (here + 1) // 2
         else:
             raise SuppleError(
-                f"{size / 1e9:.2g} GB for a plane do not fit into the memory of {gpu.name}: {argument('device', 'cpu')} "
-                "does without it"
+                f"{size / 1e9:.2g} GB for a plane do not fit into the memory of {gpu.name}: "
+                f"{argument('device', 'cpu')} does without it"
             )
 
 

@@ -20,19 +20,18 @@ from supple.fields import Placed
 from supple.files.meshes import MeshFile, read_surfaces
 from supple.files.options import VolumeOptions
 from supple.files.volumes import background_of, deformation_of, is_of_labels, open_volume
-from supple.gpu.device import DRAWING
 from supple.media import image, turntable
 from supple.media.files import check_output, check_outputs, check_suffix, replacing, replacing_all
 from supple.media.numbering import has_number, spelling
 from supple.media.volume import Volume
-from supple.render.appearance import PROJECTIONS, cropped, fixed, largest
+from supple.render.appearance import cropped, fixed, largest
 from supple.render.box import Clip, Plane
 from supple.render.camera import Camera
 from supple.render.colour import are_colours
 from supple.render.labels import LabelColours, labels_in
 from supple.render.meshes import Surface
 from supple.render.picture import Rendering
-from supple.render.scene import Scene, check_mode
+from supple.render.scene import Scene, check_options
 from supple.render.transfer import HOUNSFIELD, LABELS, SUFFIXES, Transfer, transfer_of
 from supple.space.domain import choice, integer, number, point
 from supple.space.geometry import check_upright
@@ -42,6 +41,7 @@ Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
 
 WHATS = ("picture", "inversions")
+_OF_SCENE = ("density", "clip", "plane", "projection", "silhouettes", "shadows", "step", "shaded", "device")
 _TABLE = ".ctbl"
 _SAVED = (*SUFFIXES, _TABLE)
 _LABEL_INTENT = 1002  # NIFTI_INTENT_LABEL
@@ -128,11 +128,8 @@ class RenderOptions:
     save_transfer: PathLike | None = None
 
     def __post_init__(self) -> None:
-        choice("device", self.device, DRAWING)
-        check_mode(self.mode)
+        check_options(self.mode, self.projection, self.device, self.silhouettes, self.shadows)
         choice("what", self.what, WHATS)
-        choice("projection", self.projection, PROJECTIONS)
-        number("silhouettes", self.silhouettes, "a number from 0 to 1", 0.0, 1.0)
         if self.projection != "none" and (self.transfer is not None or self.save_transfer is not None):
             raise SuppleError(
                 f"a projection ({self.projection}) is grey, between the values of density, and has no transfer "
@@ -144,7 +141,6 @@ class RenderOptions:
             )
         if self.projection != "none" and not self.shaded:
             raise SuppleError(f"a projection ({self.projection}) has no light: leave flat out")
-        number("shadows", self.shadows, "a number from 0 to 1", 0.0, 1.0)
         for name in ("silhouettes", "shadows"):
             if getattr(self, name) and (self.projection != "none" or not self.shaded):
                 raise SuppleError(f"{name} are of shaded surfaces: leave flat and projection out, or {name}")
@@ -160,15 +156,10 @@ class RenderOptions:
             number("rate", self.rate, "a number of pictures a second above 0", 1e-3, 1e4)
             if self.turntable is None:
                 raise SuppleError("rate is that of a turntable's video, and this is one picture: leave it out")
-        for name in ("meshes", "shadows", "silhouettes"):
-            if self.what == "inversions" and getattr(self, name):
-                raise SuppleError(f"inversions are drawn as a plot, of the volume alone: leave {name} out")
-        if self.what == "inversions" and self.turntable:
-            raise SuppleError("inversions are drawn as one picture: leave the turntable out")
-        if self.what == "inversions" and self.annotate:
-            raise SuppleError("inversions are drawn as a plot, with axes in pixels: leave annotate out")
-        if self.what == "inversions" and self.background is not None:
-            raise SuppleError("inversions are drawn as a plot, on white: leave the background out")
+        if self.what == "inversions":
+            for name in ("meshes", "shadows", "silhouettes", "turntable", "annotate", "background"):
+                if getattr(self, name):
+                    raise SuppleError(f"inversions are drawn as one plot, of the volume alone: leave {name} out")
 
 
 def default_transfer(volume: Volume) -> Transfer | str:
@@ -280,17 +271,9 @@ def scene_of(
         volume.geometry,
         deformation=deformation,
         transfer=transfer,
-        density=known.density,
-        clip=known.clip,
-        plane=known.plane,
-        projection=known.projection,
-        silhouettes=known.silhouettes,
-        shadows=known.shadows,
         meshes=meshes,
         mode="buffered" if known.mode == "hybrid" else known.mode,
-        step=known.step,
-        shaded=known.shaded,
-        device=known.device,
+        **{name: getattr(known, name) for name in _OF_SCENE},
     )
 
 

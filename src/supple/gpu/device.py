@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
+import re
 import sys
 import tempfile
 import threading
@@ -203,12 +204,29 @@ def open_gpu(software: bool = True) -> Gpu:
     raise SuppleError(f"no GPU was found: {reason}{missing()}; {argument('device', 'cpu')} needs none")
 
 
-def forget(gpu: Gpu) -> None:
-    """Drop a device that failed; the next `open_gpu` opens a new one."""
-    with _lock:
-        gpu.lost = True
-        for k in [k for k, known in _opened.items() if known is gpu]:
-            del _opened[k]
+_LOST = re.compile(r"\blost\b|\bdevice\b.*\bdestroyed\b", re.IGNORECASE)  # a texture or a buffer may be destroyed, too
+
+
+def failures() -> tuple[type[Exception], ...]:
+    """Return the exception types of a device that is lost or full, or of a driver that fails to compile a shader."""
+    from wgpu import GPUError
+
+    return (GPUError, MemoryError, RuntimeError, ArithmeticError)
+
+
+def trouble(gpu: Gpu, error: Exception) -> str:
+    """Return a failure in one short line; a lost device is dropped, and opened again at the next use."""
+    from wgpu import GPUValidationError
+
+    text = " ".join(str(error).split())
+    # A validation error is a bug, unless the device is lost, which gives one too.
+    mistaken = isinstance(error, GPUValidationError) and not _LOST.search(text)
+    if not (mistaken or isinstance(error, MemoryError | ArithmeticError)):
+        with _lock:
+            gpu.lost = True
+            for k in [k for k, known in _opened.items() if known is gpu]:
+                del _opened[k]
+    return text[:120] or "the work does not fit"
 
 
 def describe() -> list[dict[str, str]]:

@@ -10,28 +10,13 @@ import numpy.typing as npt
 
 from supple.folding.strain import Mask
 from supple.gpu.device import Gpu
-from supple.gpu.kernel import UNIFORM, upload
+from supple.gpu.memory import upload
+from supple.gpu.shader import source, structure
 
 Floats = npt.NDArray[np.float64]
 
-STROKE = np.dtype(
-    [
-        ("pivot", np.float32, 3),
-        ("terms", np.float32),
-        ("rest", np.float32, 4),
-        ("force", np.float32, 3),
-        ("power", np.float32),
-        ("matrix", np.float32, (3, 4)),
-        ("radius2", np.float32, 4),
-        ("p", np.float32, 4),
-        ("q", np.float32, 4),
-        ("r", np.float32, 4),
-        ("turn", np.float32, 3),
-        ("joined", np.uint32),
-    ]
-)
-FIELD = ("field", "freeze", "newton")
-"""The shaders of T and T⁻¹."""
+STROKE = structure(source("field"), "Stroke")
+DOMAIN = structure(source("field"), "Domain")
 
 _EXACT = 9  # bits of a step: a multiple of it by up to 2¹⁵ is exact in float32
 _CALM = 8  # powers of 2
@@ -65,32 +50,31 @@ def constants(table: npt.NDArray[np.void], freeze: Mask | None) -> dict[str, int
 
 def fits(table: npt.NDArray[np.void]) -> bool:
     """Return whether float32 holds all numbers of a table and their products."""
-    made = packed(table)
+    found = packed(table)
     names = ("pivot", "force", "matrix", "radius2", "p", "q", "r", "turn")
-    return all(bool((np.abs(made[name]) < 1e18).all()) for name in names)
+    return all(bool((np.abs(found[name]) < 1e18).all()) for name in names)
 
 
-def domain(axes: Floats, freeze: Mask | None = None) -> npt.NDArray[np.float32]:
-    """Return a packed domain (`Domain.packed`) in the layout of the shaders.
+def domain(axes: Floats, freeze: Mask | None = None) -> npt.NDArray[np.void]:
+    """Return a packed domain (`Domain.packed`), and where the coefficients of its freeze mask lie, for the shaders.
 
-    Its rows are the first and last faces of the three axes, the widths of the border, the spacing and the profiles,
-    and where the coefficients of the freeze mask lie, if there is one.
-    The fourth spacing is the unit of errors: the least spacing of the axes along which points move. An image has no
-    displacement along its third axis.
+    The unit of errors is the least spacing of the axes along which points move. An image has no displacement along its
+    third axis.
     """
-    out = np.zeros((11, 4), np.float32)
-    out[:5, :3] = axes.T
+    out = np.zeros((), DOMAIN)
+    for name, values in zip(("first", "last", "sigma", "spacing", "profile"), axes.T, strict=True):
+        out[name][:3] = values
     moving = (axes[:, 1] != axes[:, 0]) | (axes[:, 2] != 0.0)
-    out[3, 3] = axes[moving if moving.any() else ..., 3].min()
+    out["spacing"][3] = axes[moving if moving.any() else ..., 3].min()
     if freeze is not None:
         size = np.array(freeze.coefficients.shape[::-1])
         several = size > 1
         parts, powers = np.frexp(freeze.step)
         step = np.ldexp(np.round(parts * 2**_EXACT), powers - _EXACT)
-        out[5, :3], out[5, 3] = size, freeze.step[several].min(initial=np.inf)
-        out[6, :3], out[7, :3] = freeze.first, step
-        out[8, :3], out[9, :3] = freeze.first - out[6, :3].astype(np.float64), freeze.step - step
-        out[10, :3] = several / freeze.step
+        out["mask_size"] = *size, freeze.step[several].min(initial=np.inf)
+        out["mask_first"][:3], out["mask_step"][:3] = freeze.first, step
+        out["mask_first_rest"][:3] = freeze.first - out["mask_first"][:3].astype(np.float64)
+        out["mask_step_rest"][:3], out["mask_per_step"][:3] = freeze.step - step, several / freeze.step
     return out
 
 
@@ -135,8 +119,8 @@ def _shifted(values: npt.NDArray[Any], axis: int, by: int) -> npt.NDArray[Any]:
     return np.take(values, np.clip(np.arange(n) + by, 0, n - 1), axis)
 
 
-def uploaded(gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None) -> tuple[Any, Any, Any]:
-    """Return buffers of a domain, of strokes, and of the freeze mask that they are subject to, if any.
+def uploaded(gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None) -> dict[str, Any]:
+    """Return the buffers of field.wgsl: a domain, strokes, and the freeze mask that they are subject to, if any.
 
     Raises
     ------
@@ -144,4 +128,8 @@ def uploaded(gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, freeze: Mask |
         If the mask exceeds the largest binding.
     """
     mask = packed_mask(gpu, freeze)
-    return upload(gpu, domain(axes, freeze), UNIFORM), upload(gpu, packed(table)), upload(gpu, mask)
+    return {
+        "domain": upload(gpu, domain(axes, freeze)),
+        "strokes": upload(gpu, packed(table)),
+        "mask": upload(gpu, mask),
+    }

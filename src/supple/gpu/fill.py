@@ -2,48 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.gpu.field import FIELD
-from supple.gpu.kernel import (
-    FILLED,
-    READ,
-    SOLID,
-    TURNS,
-    UNIFORM,
-    WRITE,
-    Pace,
-    download,
-    owned,
-    pipeline,
-    room,
-    run,
-    spread,
-    upload,
-)
+from supple.gpu.memory import download, owned, room, upload
+from supple.gpu.shader import BLOCK, MOST_GROUPS, Pace, shader, source
 from supple.gpu.solid import Lattice
 from supple.gpu.volume import Volume
-
-BLOCK = 16  # voxels along a brick's side
-_NAMES = ("fill", "volume", "solid", "blend", "smooth", *FIELD, "turns")
-
-_SETTINGS = np.dtype(
-    [
-        ("size", "u4", 3),
-        ("strokes", "u4"),
-        ("nodes", "u4", 3),
-        ("spread", "f4"),
-        ("count", "u4"),
-        ("tolerance", "f4"),
-        ("turns", "u4"),
-        ("unused", "u4"),
-    ]
-)
 
 
 class Filling:
@@ -65,14 +33,13 @@ class Filling:
 
     def __init__(self, volume: Volume, lattice: Lattice, *, polished: bool, tolerance: float) -> None:
         self._volume, self._lattice = volume, lattice
-        self._polished, self._tolerance = polished, tolerance
+        self._tolerance = tolerance
         self._blocks = tuple(-(-n // BLOCK) for n in reversed(volume.size))
         self._made = np.zeros(self._blocks, np.bool_)
         self._pace = Pace(1)
         self._key = object()  # not ``self``: a reference cycle would hold the device's memory
-        kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, READ, WRITE, FILLED, READ)
-        chosen = lattice.constants | volume.constants | {"POLISHED": int(polished)}
-        self._work = pipeline(volume.gpu, (*_NAMES, volume.reader), "fill", kinds, chosen)
+        chosen = lattice.constants | {"LABELLED": volume.labelled, "POLISHED": polished}
+        self._shader = shader(volume.gpu, source("fill", volume.voxel), "fill", chosen)
         self._target = volume.warped.create_view()
         self.finished = room(volume.gpu, 4 * self._made.size)
         """A buffer with a 1 for each brick that is filled with all of its neighbours, so that it can be read."""
@@ -103,42 +70,32 @@ class Filling:
         gpu = self._volume.gpu
         every = np.arange(self._made.size) if order is None else order
         wanted = every[~self._made.reshape(-1)[every]].astype(np.uint32)
-        with contextlib.ExitStack() as stack:
-            (lost,) = owned(stack, room(gpu, 4))
-            stack.callback(self._tell)  # on every exit
-            for first, count in self._pace.parts(wanted.size, min(seconds, 0.25), seconds):
-                some = wanted[first : first + count]
-                self._make(some, lost)
-                if download(gpu, lost, np.uint32, 1)[0]:  # waits
-                    raise ArithmeticError("voxels could not be solved in its numbers")
-                self._made.reshape(-1)[some] = True
+        try:
+            with owned(room(gpu, 4)) as (lost,):
+                for first, count in self._pace.parts(wanted.size, min(seconds, 0.25), seconds):
+                    some = wanted[first : first + count]
+                    self._make(some, lost)
+                    if download(gpu, lost, np.uint32, 1)[0]:  # waits
+                        raise ArithmeticError("voxels could not be solved in its numbers")
+                    self._made.reshape(-1)[some] = True
+        finally:
+            self._tell()
         return self.part
 
     def prepare(self) -> None:
         """Run for no brick, since some devices compile only at the first run."""
-        with contextlib.ExitStack() as stack:
-            (lost,) = owned(stack, room(self._volume.gpu, 4))
+        with owned(room(self._volume.gpu, 4)) as (lost,):
             self._make(np.zeros(0, np.uint32), lost)
 
     def _make(self, wanted: npt.NDArray[np.uint32], lost: Any) -> None:
-        gpu, volume, lattice = self._volume.gpu, self._volume, self._lattice
-        settings = np.zeros(1, _SETTINGS)
-        for name, value in {
-            "size": volume.size,
-            "nodes": lattice.shape,
-            "spread": lattice.spread,
-            "strokes": lattice.count,
-            "count": wanted.size,
-            "tolerance": self._tolerance,
-            "turns": TURNS,
-        }.items():
-            settings[name] = value
-        with contextlib.ExitStack() as own:
-            told, some = owned(own, upload(gpu, settings, UNIFORM), upload(gpu, wanted))
-            # No buffer is read here; any other texture stands in its place.
-            read = [lattice.domain, lattice.strokes, lattice.nodes, volume.view, lattice.nodes]
-            buffers = [told, *read, some, lost, self._target, lattice.mask]
-            run(gpu, [(self._work, buffers, (*spread(wanted.size, 1), 1))])
+        volume, lattice, count = self._volume, self._lattice, wanted.size
+        settings = {"size": volume.size, "count": count, "tolerance": self._tolerance}
+        rows = max(1, -(-count // MOST_GROUPS))
+        with owned(upload(volume.gpu, wanted)) as (some,):
+            given = {"voxels": volume.samples, "warped": None, "wanted": some, "lost": lost, "made": self._target}
+            self._shader.run(
+                (max(1, -(-count // rows)), rows, 1), lattice.settings | settings, lattice.resources | given
+            )
 
     def _tell(self) -> None:
         """Upload the map of readable bricks: interpolated samples and slopes read their neighbours too."""

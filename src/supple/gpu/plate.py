@@ -10,47 +10,18 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.folding.strain import Mask
-from supple.gpu.buffers import Bound, Kept
 from supple.gpu.device import Gpu
-from supple.gpu.field import FIELD, constants, domain, packed, packed_mask
-from supple.gpu.kernel import PICTURE, READ, TEXTURE, UNIFORM, WRITE, bound, pipeline, room
+from supple.gpu.field import constants, domain, packed, packed_mask
+from supple.gpu.memory import Bound, Kept, room
+from supple.gpu.shader import CELL, module, shader, source
 
 Floats = npt.NDArray[np.float64]
 Box = tuple[float, float, float, float]  # x0, y0, and x1, y1
 
-CELL = 16  # pixels of the window from node to node
 BACK = (0.12, 0.12, 0.13)  # the sRGB background
 OVERLAYS = {"": 0, "grid": 1, "stretch": 2, "residual": 3, "inversions": 4}
 NOWHERE: Box = (math.inf, math.inf, -math.inf, -math.inf)
 EVERYWHERE: Box = (-math.inf, -math.inf, math.inf, math.inf)
-_NAMES = ("plate", "warm", "blend", *FIELD)
-_COMMON = (UNIFORM, UNIFORM, READ, WRITE, READ)
-
-_SETTINGS = np.dtype(
-    [
-        ("size", "u4", 2),
-        ("nodes", "u4", 2),
-        ("origin", "f4", 2),
-        ("scale", "f4"),
-        ("time", "f4"),
-        ("source", "u4", 2),
-        ("frames", "u4"),
-        ("earliest", "u4"),
-        ("held", "u4"),
-        ("slots", "u4"),
-        ("stride", "u4"),
-        ("levels", "u4"),
-        ("strokes", "u4"),
-        ("solved", "u4"),
-        ("overlay", "u4"),
-        ("every", "f4"),
-        ("corner", "f4", 2),
-        ("first", "u4", 2),
-        ("back", "f4", 4),
-        ("step", "f4"),
-        ("unused", "u4", 3),
-    ]
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,68 +62,45 @@ class Sight:
     square: float = 8.0
 
 
-def _nodes_of(size: tuple[int, int]) -> tuple[int, int]:
-    """Return how many columns and rows of nodes T⁻¹ is interpolated between, for a window of columns and rows."""
-    columns, rows = (max(1, -(-(n - 1) // CELL)) + 1 for n in size)
-    return columns, rows
-
-
 class _Sheet:
     """The buffers for drawing into one texture, and what is drawn there."""
 
     def __init__(self, gpu: Gpu, texture: Any) -> None:
         self.gpu, self.texture, self.view = gpu, texture, texture.create_view()
-        self.settings, self.domain, self.strokes = Kept(gpu, UNIFORM), Kept(gpu, UNIFORM), Kept(gpu)
-        self.mask = Kept(gpu)
+        self.buffers = {name: Kept(gpu) for name in ("settings", "domain", "strokes", "mask")}
         self.bound = Bound()
         self.stale: Box = NOWHERE  # of pixels put since the last draw
-        self._table: Any = None
-        self._axes: Any = None
-        self._freeze: Mask | None = None
-        self._settings = np.zeros(1, _SETTINGS)
-        self._told: Any = None
+        self._drawn: tuple[Any, ...] = (None, self, {}, b"")  # of no mask either
 
-    def tell(self, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None, settings: dict[str, Any]) -> bool:
-        """Take what to draw; return whether it is as it was at the last draw.
-
-        Tables and masks are told apart by identity.
-        """
-        same = self._table is table and self._freeze is freeze and self._told == settings
-        if same and np.array_equal(self._axes, axes):
+    def update(self, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None, settings: dict[str, Any]) -> bool:
+        """Upload what changed since the last draw; return whether nothing did. Tables and masks have identity."""
+        before, drawn = self._drawn, (table, freeze, settings, axes.tobytes())
+        if before[0] is table and before[1] is freeze and before[2:] == drawn[2:]:
             return True
-        for name, value in settings.items():
-            self._settings[name] = value
-        self.domain.hold(domain(axes, freeze))
-        self.strokes.hold(packed(table))
-        if self._freeze is not freeze or self._table is None:
-            self.mask.hold(packed_mask(self.gpu, freeze))
-        self._table, self._axes, self._freeze, self._told = table, axes, freeze, settings
+        self.buffers["domain"].hold(domain(axes, freeze))
+        self.buffers["strokes"].hold(packed(table))
+        if before[1] is not freeze:
+            self.buffers["mask"].hold(packed_mask(self.gpu, freeze))
+        self._drawn = drawn
         return False
-
-    def held(self, first: tuple[int, int]) -> tuple[Any, ...]:
-        """Return the buffers of settings, a domain, strokes and a mask; the first pixel is that to draw."""
-        self._settings["first"] = first
-        return self.settings.hold(self._settings), self.domain.buffer, self.strokes.buffer, self.mask.buffer
 
 
 class _Drawn:
     """What is on a device, drawn through strokes into textures."""
 
-    _entry: str  # of the shader
-    _kinds: tuple[str | None, ...]
-    _chosen: tuple[str, ...]  # the constants that it is compiled for
+    _laid = False
 
     def __init__(self, gpu: Gpu, size: tuple[int, int]) -> None:
         self.gpu, self.size = gpu, size
         self._nodes: tuple[int, Any] = (0, None)
         self._sheets: list[_Sheet] = []
 
-    def _held(self, view: Any) -> tuple[Any, ...]:
-        """Return the resources after those in common; the view is that of the texture to draw into."""
+    def _resources(self) -> dict[str, Any]:
+        """Return what is drawn, as the shader reads it."""
         raise NotImplementedError
 
-    def _told(self) -> dict[str, Any]:
-        """Return settings of what is held."""
+    def _settings(self) -> dict[str, Any]:
+        """Return the settings of what is drawn."""
         raise NotImplementedError
 
     def _box(self, sheet: _Sheet, sight: Sight, alike: bool) -> tuple[int, int, int, int]:
@@ -181,30 +129,47 @@ class _Drawn:
         freeze : Mask, optional
             The freeze mask that the strokes are subject to.
         """
-        gpu, cells = self.gpu, _nodes_of(sight.size)
-        if self._nodes[0] < cells[0] * cells[1]:
-            self._nodes = cells[0] * cells[1], room(gpu, 48 * cells[0] * cells[1])
+        gpu = self.gpu
+        columns, rows = (max(1, -(-(n - 1) // CELL)) + 1 for n in sight.size)  # of nodes
+        if self._nodes[0] < columns * rows:
+            self._nodes = columns * rows, room(gpu, 48 * columns * rows)
         if not table.size:
             freeze = None
         sheet = self._sheet(texture)
-        settings = self._settings(sight, cells, table.size)
-        x0, y0, x1, y1 = self._box(sheet, sight, sheet.tell(table, axes, freeze, settings))
+        settings = {
+            "size": sight.size,
+            "nodes": (columns, rows),
+            "origin": sight.origin,
+            "scale": sight.scale,
+            "time": sight.time,
+            "source": self.size,
+            "strokes": table.size,
+            "overlay": OVERLAYS[sight.overlay],
+            "every": sight.every,
+            "back": (*sight.back, max(sight.square, 1.0)),
+            **self._settings(),
+        }
+        chosen = constants(table, freeze) | {
+            "BENT": bool(table.size),
+            "DRAGGED": not sight.solved and sight.overlay not in ("residual", "inversions"),
+            "LAID": self._laid,
+        }
+        x0, y0, x1, y1 = self._box(sheet, sight, sheet.update(table, axes, freeze, settings | chosen))
         sheet.stale = NOWHERE
         if x0 >= x1 or y0 >= y1:
             return
-        *told, mask = sheet.held((x0, y0))
-        resources = (*told, self._nodes[1], mask, *self._held(sheet.view))
-        known = constants(table, freeze)
-        chosen = {"BENT": bool(table.size), "SINGLE": not settings["solved"], **known}
-        paint, layout = pipeline(gpu, _NAMES, self._entry, self._kinds, {name: chosen[name] for name in self._chosen})
-        group = sheet.bound.group(resources, lambda: bound(gpu, layout, resources))
+        text = source("plate")
+        made = module(gpu, text)
+        sheet.buffers["settings"].hold(made.values(settings | {"first": (x0, y0)}))
+        given = {name: kept.buffer for name, kept in sheet.buffers.items()}
+        given |= {"nodes": self._nodes[1], "target_": sheet.view, **self._resources()}
         commands = encoder or gpu.device.create_command_encoder()
         step = commands.begin_compute_pass()
-        step.set_bind_group(0, group)
+        step.set_bind_group(0, sheet.bound.group(given, made.group))
         if table.size:
-            step.set_pipeline(pipeline(gpu, _NAMES, "solve", self._kinds, known)[0])
-            step.dispatch_workgroups(-(-cells[0] // 8), -(-cells[1] // 8), 1)
-        step.set_pipeline(paint)
+            step.set_pipeline(shader(gpu, text, "solve", constants(table, freeze)).pipeline)
+            step.dispatch_workgroups(-(-columns // 8), -(-rows // 8), 1)
+        step.set_pipeline(shader(gpu, text, "paint", chosen).pipeline)
         step.dispatch_workgroups(-(-(x1 - x0) // 8), -(-(y1 - y0) // 8), 1)
         step.end()
         if encoder is None:
@@ -218,27 +183,11 @@ class _Drawn:
         self._sheets = [*self._sheets[-3:], _Sheet(self.gpu, texture)]
         return self._sheets[-1]
 
-    def _settings(self, sight: Sight, cells: tuple[int, int], strokes: int) -> dict[str, Any]:
-        return {
-            "size": sight.size,
-            "nodes": cells,
-            "origin": sight.origin,
-            "scale": sight.scale,
-            "time": sight.time,
-            "source": self.size,
-            "strokes": strokes,
-            "solved": sight.solved or sight.overlay in ("residual", "inversions"),
-            "overlay": OVERLAYS[sight.overlay],
-            "every": sight.every,
-            "back": (*sight.back, max(sight.square, 1.0)),
-            **self._told(),
-        }
-
 
 class Laid(_Drawn):
     """A part of an image at one size, which is warped already: strokes are for the overlay only."""
 
-    _entry, _kinds, _chosen = "lay", (*_COMMON, None, TEXTURE, PICTURE), ("BENT", "GRABS", "FROZEN", "SINGLE")
+    _laid = True
 
     def __init__(self, gpu: Gpu, size: tuple[int, int]) -> None:
         super().__init__(gpu, size)
@@ -284,11 +233,11 @@ class Laid(_Drawn):
             ends.append(math.floor(end) if k < 2 else math.ceil(end))
         return ends[0], ends[1], ends[2], ends[3]
 
-    def _held(self, view: Any) -> tuple[Any, ...]:
-        return None, view, self._view
+    def _resources(self) -> dict[str, Any]:
+        return {"pixels": None, "laid": self._view}
 
-    def _told(self) -> dict[str, Any]:
-        return {"corner": self._corner, "step": self._step}
+    def _settings(self) -> dict[str, Any]:
+        return {"corner": self._corner, "step": self._step, "frames": 1, "levels": 1}
 
 
 class Plate(_Drawn):
@@ -309,8 +258,6 @@ class Plate(_Drawn):
     MemoryError
         If they exceed the largest binding.
     """
-
-    _entry, _kinds, _chosen = "paint", (*_COMMON, READ, TEXTURE), ("BENT", "GRABS", "FROZEN")
 
     def __init__(self, gpu: Gpu, size: tuple[int, int], frames: int = 1, slots: int = 1) -> None:
         super().__init__(gpu, size)
@@ -344,10 +291,10 @@ class Plate(_Drawn):
         if self.held > self.slots:
             self.earliest, self.held = frame - self.slots + 1, self.slots
 
-    def _held(self, view: Any) -> tuple[Any, ...]:
-        return self._pixels, view
+    def _resources(self) -> dict[str, Any]:
+        return {"pixels": self._pixels, "laid": None}
 
-    def _told(self) -> dict[str, Any]:
+    def _settings(self) -> dict[str, Any]:
         return {
             "frames": self.frames,
             "earliest": self.earliest,

@@ -1,89 +1,30 @@
-"""Rendered volumes on the GPU: the resources of a scene, and rays through it."""
+"""Rendered volumes on the GPU: a scene on a device, and rays through it."""
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.gpu.field import FIELD
-from supple.gpu.fill import BLOCK, Filling
-from supple.gpu.kernel import (
-    MOST_GROUPS,
-    READ,
-    SOLID,
-    TEXTURE,
-    TURNS,
-    UNIFORM,
-    WHOLE_SOLID,
-    WRITE,
-    Pace,
-    download,
-    owned,
-    pipeline,
-    room,
-    run,
-    upload,
-)
+from supple import _core
+from supple.gpu.fill import Filling
+from supple.gpu.memory import download, owned, room, upload, uploaded
+from supple.gpu.shader import BLOCK, FAR, HYBRID, LATTICE, MOST_GROUPS, PLAIN, ROW, Pace, shader, source
 from supple.gpu.solid import Lattice
-from supple.gpu.texels import put_solid, solid, table
 from supple.gpu.volume import Volume
 
 Floats = npt.NDArray[np.float64]
+Singles = npt.NDArray[np.float32]
 
-PLAIN, LATTICE, EXACT, HYBRID = 0, 1, 2, 3
 RAYS = 1 << 16  # initial number of rays, before their time is known
 LONGEST = 8  # samples
 # A stretch of samples is read from the buffer if it begins in a brick with filled neighbours: it ends in one of these.
 FARTHEST = BLOCK - 4  # voxels
-_NAMES = ("raymarch", "volume", "solid", "blend", *FIELD, "turns")
-
-SETTINGS = np.dtype(
-    [
-        ("size", "u4", 3),
-        ("strokes", "u4"),
-        ("nodes", "u4", 3),
-        ("spread", "f4"),
-        ("bricks", "u4", 3),
-        ("first", "u4"),
-        ("picture", "u4", 2),
-        ("threshold", "f4"),
-        ("top", "f4"),
-        ("eye", "f4", 4),
-        ("ahead", "f4", 4),
-        ("right", "f4", 4),
-        ("below", "f4", 4),
-        ("light", "f4", 4),
-        ("box_first", "f4", 4),
-        ("box_last", "f4", 4),
-        ("plane", "f4", 4),
-        ("first_node", "f4", 4),
-        ("per_node", "f4", 4),
-        ("step", "f4"),
-        ("low", "f4"),
-        ("scale", "f4"),
-        ("entries", "u4"),
-        ("shaded", "u4"),
-        ("fine", "u4"),
-        ("rows", "u4"),
-        ("stretch", "u4"),
-        ("turns", "u4"),
-        ("projection", "u4"),
-        ("silhouettes", "f4"),
-        ("shadows", "u4"),
-        ("ends", "u4"),
-        ("unused", "u4", 3),
-    ]
-)
-_PAINT = np.dtype(
-    [("background", "f4", 3), ("fine", "u4"), ("width", "u4"), ("first", "u4"), ("rows", "u4"), ("worked", "u4")]
-)
-_FAR = np.float32(3e38)  # of raymarch.wgsl
 _LARGEST = float(np.finfo(np.float32).max)
+_LOST = "points along rays could not be solved in its numbers"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,61 +37,68 @@ class Held:
     lattice : Lattice
     mode : int
         PLAIN, LATTICE, EXACT or HYBRID. A hybrid scene becomes plain when its buffer is filled.
-    filling : Filling or None
+    cells : int
+        The number of cells of the lattice that a ray may cross with one cubic.
+    filling : Filling, optional
         The buffer, of a hybrid scene.
-    pace : Pace
-        The number of rays in one part.
     whole : bool
         Whether the volume is drawn only when its buffer is filled.
+    pace : Pace
+        The number of rays in one part.
     """
 
     volume: Volume
     lattice: Lattice
     mode: int
-    filling: Filling | None
-    pace: Pace
+    cells: int = 1
+    filling: Filling | None = None
     whole: bool = False
+    pace: Pace = field(default_factory=lambda: Pace(RAYS))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
-    """The appearance of a volume, in the layout of ``_core/raymarch.hpp``."""
+    """The appearance of a volume before a camera, in the layout of ``_core/raymarch.hpp``."""
 
+    camera: Floats
     skips: npt.NDArray[np.uint8]
-    table: npt.NDArray[np.float32]
+    table: Singles
+    sums: Floats
     low: float
     scale: float
-    sums: Floats
     threshold: float
     top: float
     step: float
-    light: npt.NDArray[np.float32]
+    light: tuple[float, float, float]
     shaded: bool
     box: Floats
     plane: tuple[float, float, float, float]
     silhouettes: float
     projection: int
-    arrives: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
+    arrives: Singles
+    placed: Singles
     labelled: bool
+
+    @property
+    def core(self) -> _core.Look:
+        """The same, for the core."""
+        return _core.Look(*(getattr(self, each.name) for each in fields(self)))
 
 
 def march(
     held: Held,
     look: Look,
-    view: Floats,
     size: tuple[int, int],
     fine: int,
     tell: Callable[[int], None] = lambda rows: None,
-    ends: npt.NDArray[np.float32] | None = None,
-) -> tuple[npt.NDArray[np.float32], Floats, npt.NDArray[np.int64]]:
+    ends: Singles | None = None,
+) -> tuple[Singles, Floats, npt.NDArray[np.int64]]:
     """Render an image.
 
     Parameters
     ----------
     held : Held
     look : Look
-    view : float64 array (5, 3)
-        A packed camera (`supple.render.camera.Projection`).
     size : (int, int)
         Rows and columns of rays.
     fine : int
@@ -165,18 +113,17 @@ def march(
     arrays (H, W, 4), (H, W, 2) and (H, W, 2)
         Light and opacity; depths of the first surface and of opacity 0.9; samples and evaluations of T.
     """
-    gpu = held.volume.gpu
     height, width = size
     light, depth = np.empty((height, width, 4), np.float32), np.empty((height, width, 2))
     work = np.empty((height, width, 2), np.int64)
-    for first, count, seen in _rays(held, look, view, size, fine, ends):
-        found = download(gpu, seen, np.float32, count * width * 8).reshape(count, width, 8)
+    for first, count, seen in _rays(held, look, size, fine, ends):
+        found = download(held.volume.gpu, seen, np.float32, count * width * 8).reshape(count, width, 8)
         if (found[..., 7] < 0).any():
-            raise ArithmeticError("points along rays could not be solved in its numbers")
-        light[first : first + count] = found[..., :4]
+            raise ArithmeticError(_LOST)
+        part = slice(first, first + count)
+        light[part], work[part] = found[..., :4], found[..., 6:]
         where = found[..., 4:6].astype(np.float64)
-        depth[first : first + count] = np.where(where > 1e38, np.inf, where)
-        work[first : first + count] = found[..., 6:]
+        depth[part] = np.where(where > 1e38, np.inf, where)
         tell(first + count)
     return light, depth, work
 
@@ -184,19 +131,18 @@ def march(
 def paint(
     held: Held,
     look: Look,
-    view: Floats,
     size: tuple[int, int],
     fine: int,
-    background: npt.NDArray[np.float32],
+    background: Singles,
     target: Any,
     worked: bool = False,
-    ends: npt.NDArray[np.float32] | None = None,
+    ends: Singles | None = None,
 ) -> None:
     """Render an image into a writable texture of format rgba8unorm, as sRGB.
 
     Parameters
     ----------
-    held, look, view, size, fine
+    held, look, size, fine
         As `march` takes them.
     background : float32 array (3)
         The background, in linear light.
@@ -207,156 +153,100 @@ def paint(
     ends
         As `march` takes it.
     """
-    gpu = held.volume.gpu
-    work = pipeline(gpu, ("paint", "warm"), "paint", (UNIFORM, READ, WRITE, TEXTURE))
-    settings = np.zeros(1, _PAINT)
-    settings["width"], settings["fine"], settings["background"] = size[1] // fine, fine, background
-    settings["worked"] = worked
-    with contextlib.ExitStack() as stack:
-        (lost,) = owned(stack, room(gpu, 4))
-        for first, count, seen in _rays(held, look, view, size, fine, ends):
-            settings["first"], settings["rows"] = first // fine, count // fine
-            with contextlib.ExitStack() as own:
-                (told,) = owned(own, upload(gpu, settings, UNIFORM))
-                groups = (-(-size[1] // (8 * fine)), -(-count // (8 * fine)), 1)
-                run(gpu, [(work, [told, seen, lost, target.create_view()], groups)])
-                if download(gpu, lost, np.uint32, 1)[0]:  # waits
-                    raise ArithmeticError("points along rays could not be solved in its numbers")
+    gpu, width = held.volume.gpu, size[1] // fine
+    work = shader(gpu, source("paint"), "paint")
+    settings = {"width": width, "fine": fine, "background": background, "worked": worked}
+    with owned(room(gpu, 4)) as (lost,):
+        for first, count, seen in _rays(held, look, size, fine, ends):
+            rows = count // fine
+            given = {"seen": seen, "lost": lost, "target_": target.create_view()}
+            work.run((-(-width // 8), -(-rows // 8), 1), settings | {"first": first // fine, "rows": rows}, given)
+            if download(gpu, lost, np.uint32, 1)[0]:  # waits
+                raise ArithmeticError(_LOST)
 
 
 def _rays(
-    held: Held,
-    look: Look,
-    view: Floats,
-    size: tuple[int, int],
-    fine: int,
-    ends: npt.NDArray[np.float32] | None,
+    held: Held, look: Look, size: tuple[int, int], fine: int, ends: Singles | None
 ) -> Iterator[tuple[int, int, Any]]:
     """March rays some rows at a time: yield the first row, the number of rows, and their results."""
-    volume, lattice, filling = held.volume, held.lattice, held.filling
-    gpu, finest = volume.gpu, float(view[1].min())
+    volume, filling = held.volume, held.filling
+    gpu, finest, (height, width) = volume.gpu, float(look.camera[1].min()), size
     if held.whole and filling is not None and filling.part < 1.0:
         filling.advance()  # another scene of the volume has replaced it
     mode = _mode(held, look.step / finest)
-    made = _marching(held, mode, filling is not None)
-    height, width = size
-    settings = np.zeros(1, SETTINGS)
-    for name, value in {
-        "size": volume.size,
-        "strokes": lattice.count,
-        "nodes": lattice.shape,
-        "spread": lattice.spread,
+    eye, _, ahead, right, below = look.camera
+    settings = {
         "bricks": look.skips.shape[::-1],
         "picture": (width, height),
-        "top": np.clip(look.top, -_LARGEST, _LARGEST),
-        "step": look.step,
-        "low": look.low,
-        "scale": look.scale,
-        "threshold": np.clip(look.threshold, -_LARGEST, _LARGEST),
-        "entries": len(look.table),
-        "shaded": look.shaded,
         "fine": fine,
-        "stretch": _stretch(mode, lattice.cells * lattice.spread, look.step / finest),
-        "turns": TURNS,
-        "plane": look.plane,
-        "silhouettes": look.silhouettes,
-        "projection": look.projection,
-        "shadows": look.arrives[0].size > 0,
-        "ends": ends is not None,
-    }.items():
-        settings[name] = value
-    for name, row in {
-        "eye": view[0],
-        "ahead": view[2],
-        "right": view[3],
-        "below": view[4],
-        "light": look.light,
+        "stretch": _stretch(mode, held.cells * held.lattice.step, look.step / finest),
+        "entries": len(look.table),
+        "top": np.clip(look.top, -_LARGEST, _LARGEST),
+        "threshold": np.clip(look.threshold, -_LARGEST, _LARGEST),
+        "eye": eye,
+        "ahead": ahead,
+        "right": right,
+        "below": below,
         "box_first": look.box[0],
         "box_last": look.box[1],
-        "first_node": look.arrives[1][0],
-        "per_node": look.arrives[1][1],
-    }.items():
-        settings[name][0, :3] = row
+        "first_node": look.placed[0],
+        "per_node": look.placed[1],
+        "shadows": look.arrives.size > 0,
+        "ends": ends is not None,
+        **{name: getattr(look, name) for name in ("step", "low", "scale", "shaded", "light", "plane")},
+        **{name: getattr(look, name) for name in ("silhouettes", "projection")},
+    }
     # Whole rows of pixels, as many as there is room for.
-    row_ = width * fine
-    most = min(height // fine, gpu.binding // (32 * row_))
+    rays = width * fine
+    most = min(height // fine, gpu.binding // (32 * rays))
     if most < 1 or width > 8 * MOST_GROUPS:
         raise MemoryError("a row of pixels of so many rays is more than a shader takes")
-    pace = Pace(max(1, held.pace.count // row_), most)
-    with contextlib.ExitStack() as stack:
-        skips = solid(gpu, look.skips.shape, np.uint8)
-        colours = table(gpu, np.stack([np.pad(look.table, ((0, 1), (0, 0))), look.sums]))
-        owned(stack, skips, colours)
-        put_solid(gpu, skips, look.skips)
-        shadows, lit = look.arrives[0], lattice.nodes  # any texture, without shadows
-        if shadows.size:
-            (held_light,) = owned(stack, solid(gpu, shadows.shape, np.float32))
-            put_solid(gpu, held_light, shadows)
-            lit = held_light.create_view()
-        (seen,) = owned(stack, room(gpu, 32 * row_ * most))
+    pace = Pace(max(1, held.pace.count // rays), most)
+    wide = min(len(look.table) + 1, ROW)
+    colours = np.stack([np.pad(look.table, ((0, 1), (0, 0))), look.sums]).astype(np.float32)
+    colours = np.pad(colours, ((0, 0), (0, -colours.shape[1] % wide), (0, 0))).reshape(2, -1, wide, 4)
+    textures = [uploaded(gpu, look.skips), uploaded(gpu, np.moveaxis(colours, 1, 0))]
+    if look.arrives.size:
+        textures.append(uploaded(gpu, look.arrives))
+    with owned(*textures, room(gpu, 32 * rays * most)) as (*_, seen):
+        views = [texture.create_view() for texture in textures]
+        given = {"skips": views[0], "colours": views[1], "arrives": views[2] if look.arrives.size else None}
         for first, count in pace.parts(height // fine):
-            settings["first"], settings["rows"] = first * fine, count * fine
-            with contextlib.ExitStack() as own:
-                part = np.zeros(4, np.float32) if ends is None else ends[first * fine :][: count * fine]
-                told, ended = owned(own, upload(gpu, settings, UNIFORM), upload(gpu, np.minimum(part, _FAR), READ))
-                finished = filling.finished if filling is not None else lattice.strokes
-                read = _read(held, skips.create_view(), colours.create_view())
-                buffers = [told, *read, seen, finished, lattice.mask, lit, ended, _painted(held)]
-                run(gpu, [(made, buffers, (-(-width // 8), -(-count * fine // 8), 1))])
+            part = {"first": first * fine, "rows": count * fine}
+            meshes = np.zeros(4, np.float32) if ends is None else ends[part["first"] :][: part["rows"]]
+            with owned(upload(gpu, np.minimum(meshes, np.float32(FAR)))) as (ended,):
+                groups = (-(-width // 8), -(-count * fine // 8), 1)
+                _march(held, mode, groups, settings | part, {**given, "seen": seen, "ends": ended})
             yield first * fine, count * fine, seen
             pace.count = min(pace.count, most)
-    held.pace.count = pace.count * row_
+    held.pace.count = pace.count * rays
 
 
-def _read(held: Held, skips: Any, colours: Any) -> list[Any]:
-    """Return the bindings that rays read, from the second on; any texture replaces a missing buffer."""
-    volume, lattice = held.volume, held.lattice
-    warped = volume.warped.create_view() if volume.warped is not None else lattice.nodes
-    return [lattice.domain, lattice.strokes, lattice.nodes, volume.view, warped, skips, colours]
-
-
-def _painted(held: Held) -> Any:
-    """Return the colours of voxels; any texture replaces missing ones."""
-    colours = held.volume.colours
-    return held.lattice.nodes if colours is None else colours.create_view()
-
-
-def _marching(held: Held, mode: int, buffer: bool) -> Any:
-    volume = held.volume
-    kinds = (
-        UNIFORM,
-        UNIFORM,
-        READ,
-        SOLID,
-        volume.kind,
-        SOLID,
-        WHOLE_SOLID,
-        SOLID,
-        WRITE,
-        READ,
-        READ,
-        SOLID,
-        READ,
-        SOLID,
-    )
-    sampled = {PLAIN: 1, HYBRID: 2}.get(mode, 0) if buffer else 0
-    chosen = held.lattice.constants | volume.constants | {"MODE": mode, "SAMPLED": sampled}
-    return pipeline(volume.gpu, (*_NAMES, volume.reader), "march", kinds, chosen)
+def _march(held: Held, mode: int, groups: tuple[int, ...], settings: dict[str, Any], given: dict[str, Any]) -> None:
+    """Run the shader of rays in a mode: settings and resources are those of the scene, and others."""
+    volume, lattice, filling = held.volume, held.lattice, held.filling
+    sampled = {PLAIN: 1, HYBRID: 2}.get(mode, 0) if filling is not None else 0
+    coloured = volume.colours is not None
+    chosen = {"MODE": mode, "SAMPLED": sampled, "LABELLED": volume.labelled, "COLOURED": coloured}
+    work = shader(volume.gpu, source("raymarch", volume.voxel), "march", lattice.constants | chosen)
+    own = {
+        "voxels": volume.samples,
+        "warped": volume.warped and volume.warped.create_view(),
+        "paint": volume.colours,
+        "finished": filling and filling.finished,
+    }
+    work.run(groups, {**lattice.settings, "size": volume.size, **settings}, {**lattice.resources, **own, **given})
 
 
 def prepare(held: Held, filling: Filling) -> None:
     """Compile later stages of a hybrid scene, so that no frame waits; some drivers compile at the first run."""
-    volume = held.volume
-    with contextlib.ExitStack() as stack:
-        told, seen = owned(stack, upload(volume.gpu, np.zeros(1, SETTINGS), UNIFORM), room(volume.gpu, 32))
-        (ended,) = owned(stack, room(volume.gpu, 16))
-        skips, colours = solid(volume.gpu, (1, 1, 1), np.uint8), table(volume.gpu, np.zeros((2, 1, 4)))
-        owned(stack, skips, colours)
-        buffers = [told, *_read(held, skips.create_view(), colours.create_view()), seen, filling.finished]
-        buffers += [held.lattice.mask, held.lattice.nodes, ended, _painted(held)]
-        run(volume.gpu, [(_marching(held, mode, True), buffers, (1, 1, 1)) for mode in (LATTICE, HYBRID, PLAIN)])
+    gpu = held.volume.gpu
+    with owned(uploaded(gpu, np.zeros((1, 1, 1), np.uint8)), room(gpu, 32)) as (skips, seen):
+        given = {"skips": skips.create_view(), "seen": seen, **dict.fromkeys(("colours", "arrives", "ends"))}
+        for mode in (LATTICE, HYBRID, PLAIN):
+            _march(held, mode, (1, 1, 1), {}, given)
         filling.prepare()
-        download(volume.gpu, seen, np.float32, 8)  # waits
+        download(gpu, seen, np.float32, 8)  # waits
 
 
 def _mode(held: Held, step: float) -> int:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from supple.gpu.buffers import Bound, Kept
 from supple.gpu.device import Gpu
-from supple.gpu.kernel import UNIFORM, source
+from supple.gpu.memory import Bound, Kept
+from supple.gpu.shader import module, source
 
 Part = tuple[float, float, float, float, float, float]
 """A part of a texture, in fractions of it: x and y of its first corner on screen, of its side across, and down."""
 ALL: Part = (0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
 
 _PLAIN = "rgba8unorm"
-_SETTINGS = np.dtype([("sides", "f4", 4), ("corner", "f4", 2), ("split", "f4"), ("linear", "u4")])
 
 
 def canvas_texture(gpu: Gpu, size: tuple[int, int]) -> Any:
@@ -60,19 +60,16 @@ class Screen:
     """
 
     def __init__(self, gpu: Gpu, format: str, filter: str = "linear") -> None:
-        self._gpu, self._linear = gpu, format.endswith("srgb")
+        self._linear = format.endswith("srgb")
         self._smooth = gpu.device.create_sampler(mag_filter=filter, min_filter=filter)
-        module = gpu.device.create_shader_module(code=source("screen"))
-        kinds: list[dict[str, Any]] = [{"buffer": {"type": UNIFORM}}, {"texture": {}}, {"texture": {}}, {"sampler": {}}]
-        self._layout = gpu.device.create_bind_group_layout(
-            entries=[{"binding": k, "visibility": "FRAGMENT"} | kind for k, kind in enumerate(kinds)]
-        )
+        self._module = module(gpu, source("screen"))
+        code, layout = self._module.code, self._module.layout
         self._pipelines = [  # for one texture, and for two
             gpu.device.create_render_pipeline(
-                layout=gpu.device.create_pipeline_layout(bind_group_layouts=[self._layout]),
-                vertex={"module": module, "entry_point": "corner"},
+                layout=gpu.device.create_pipeline_layout(bind_group_layouts=[layout]),
+                vertex={"module": code, "entry_point": "corner"},
                 fragment={
-                    "module": module,
+                    "module": code,
                     "entry_point": "shown",
                     "targets": [{"format": format}],
                     "constants": {"SPLIT": split},
@@ -81,7 +78,7 @@ class Screen:
             )
             for split in (False, True)
         ]
-        self._told, self._bound = Kept(gpu, UNIFORM), Bound()
+        self._settings, self._bound = Kept(gpu), Bound()
 
     def draw(
         self,
@@ -105,19 +102,15 @@ class Screen:
         part : tuple of float, optional
             The visible part of the textures.
         """
-        settings = np.array([(part[2:], part[:2], split if second is not None else -1.0, self._linear)], _SETTINGS)
-        things = self._told.hold(settings), first, second or first
+        split = split if second is not None else -1.0
+        values = self._module.values({"sides": part[2:], "corner": part[:2], "linear": self._linear, "split": split})
+        given = {"settings": self._settings.hold(values), "first": first, "second": second or first}
         drawing.set_pipeline(self._pipelines[second is not None])
         if place is not None:
             drawing.set_viewport(*place, 0.0, 1.0)
-        drawing.set_bind_group(0, self._bound.group(things, lambda: self._group(*things)))
+        drawing.set_bind_group(0, self._bound.group(given, self._group))
         drawing.draw(3)
 
-    def _group(self, told: Any, first: Any, second: Any) -> Any:
-        entries: list[dict[str, Any]] = [
-            {"binding": 0, "resource": {"buffer": told}},
-            {"binding": 1, "resource": first.create_view()},
-            {"binding": 2, "resource": second.create_view()},
-            {"binding": 3, "resource": self._smooth},
-        ]
-        return self._gpu.device.create_bind_group(layout=self._layout, entries=entries)
+    def _group(self, given: Mapping[str, Any]) -> Any:
+        views = {name: given[name].create_view() for name in ("first", "second")}
+        return self._module.group({**given, **views, "smooth_": self._smooth})

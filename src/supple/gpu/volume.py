@@ -8,10 +8,7 @@ from typing import Any
 import numpy as np
 
 from supple.gpu.device import Gpu
-from supple.gpu.kernel import SIGNED_SOLID, SOLID, WHOLE_SOLID, Array
-from supple.gpu.texels import put_solid, solid
-
-_KINDS = {"u": (WHOLE_SOLID, "voxels_whole"), "i": (SIGNED_SOLID, "voxels_signed"), "f": (SOLID, "voxels_float")}
+from supple.gpu.memory import Array, solid, uploaded
 
 
 @dataclass(slots=True, eq=False)
@@ -21,15 +18,14 @@ class Volume:
     Parameters
     ----------
     gpu : Gpu
-    samples : wgpu.GPUTexture
-    view : wgpu.GPUTextureView
+    samples : wgpu.GPUTextureView
     size : (int, int, int)
         Voxels, x first.
-    kind, reader : str
-        The kind of the texture for pipelines, and the name of the shader that reads it.
+    voxel : str
+        The type of samples in shaders: f32, i32 or u32.
     labelled : bool
         Whether samples are numbers of labels, which are not mixed.
-    colours : wgpu.GPUTexture or None
+    colours : wgpu.GPUTextureView or None
         The voxels' own colours, sRGB and opacity.
     warped : wgpu.GPUTexture or None
         The texture for a deformed volume, in float32: see `beside`.
@@ -41,20 +37,13 @@ class Volume:
 
     gpu: Gpu
     samples: Any
-    view: Any
     size: tuple[int, int, int]
-    kind: str
-    reader: str
+    voxel: str
     labelled: bool = False
     colours: Any = None
     warped: Any = None
     full: bool = False
     owner: object = None
-
-    @property
-    def constants(self) -> dict[str, int]:
-        """The constants of shaders that sample it."""
-        return {"LABELLED": int(self.labelled), "COLOURED": int(self.colours is not None)}
 
 
 def hold(gpu: Gpu, samples: Array, labelled: bool = False, colours: Array | None = None) -> Volume:
@@ -76,24 +65,21 @@ def hold(gpu: Gpu, samples: Array, labelled: bool = False, colours: Array | None
         If the volume exceeds the largest texture, or there is no room for it.
     """
     depth, height, width = samples.shape
-    made = solid(gpu, (depth, height, width), samples.dtype)
-    put_solid(gpu, made, samples)
-    kind, reader = _KINDS[samples.dtype.kind]
+    view = uploaded(gpu, samples).create_view()
     paint = None
     if colours is not None:
         deep = colours.dtype == np.uint16
-        paint = solid(gpu, (depth, height, width), np.float16 if deep else np.uint8, 4, unit=True)
-        put_solid(gpu, paint, (colours * np.float32(1 / 65535)).astype(np.float16) if deep else colours)
-    return Volume(gpu, made, made.create_view(), (width, height, depth), kind, reader, labelled, paint)
+        paint = uploaded(gpu, (colours * np.float32(1 / 65535)).astype(np.float16) if deep else colours).create_view()
+    voxel = {"u": "u32", "i": "i32", "f": "f32"}[samples.dtype.kind]
+    return Volume(gpu, view, (width, height, depth), voxel, labelled, paint)
 
 
 def beside(volume: Volume) -> bool:
     """Return whether there is room for a deformed volume; the first call allocates it."""
     if volume.warped is None and not volume.full:
-        wide, high, deep = volume.size
         usage = "STORAGE_BINDING|COPY_SRC|COPY_DST"
         try:
-            volume.warped = solid(volume.gpu, (deep, high, wide), np.float32, usage=usage)
+            volume.warped = solid(volume.gpu, volume.size[::-1], np.float32, usage=usage)
         except MemoryError:
             volume.full = True
     return volume.warped is not None

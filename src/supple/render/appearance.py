@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy.typing as npt
 from supple import _core
 from supple.deformation import Deformation
 from supple.errors import SuppleError
-from supple.gpu import raymarch as shading
+from supple.gpu.solid import Lattice
 from supple.render.box import Clip, box_of
 from supple.render.camera import Projection
 from supple.render.colour import linear_light, luminance_and_colours
@@ -28,19 +29,75 @@ _TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32)
 PROJECTIONS = ("none", "maximum", "minimum", "average")
 
 
-def skipped(known: dict[str, Any]) -> npt.NDArray[np.uint8]:
-    """Return the distance in bricks to the next visible one."""
-    if known["projection"] != "none":  # of all that is along a ray
-        return np.zeros(brick_counts(known["samples"].shape, _core.BRICK), np.uint8)
-    seen = visible(known, known["_lows"], known["_highs"])
-    if known["_solid"] is not None:
-        moved = np.empty(brick_counts(known["samples"].shape, _core.BRICK), np.bool_)
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """How rays see the samples of a volume: values, or the numbers of labels.
+
+    Parameters
+    ----------
+    transfer : TransferFunction or LabelColours
+    density : (float, float)
+        The visible range of values or labels.
+    range : (float, float)
+        The smallest and the largest value or label.
+    projection : str
+        One of `PROJECTIONS`.
+    table : float32 array, shape (N, 4)
+        Linear light, and the opacity of a step along a ray.
+    low, scale : float
+        The value of the table's first entry, and entries for each unit of value.
+    threshold : float
+        The lowest visible sample; infinity if nothing is visible.
+    window : (float, float)
+        The visible range of samples.
+    labels : int array, optional
+        The visible labels, in order, of which samples are the numbers, from 1 on.
+    """
+
+    transfer: Transfer
+    density: tuple[float, float]
+    range: tuple[float, float]
+    projection: str
+    table: npt.NDArray[np.float32]
+    low: float
+    scale: float
+    threshold: float
+    window: tuple[float, float]
+    labels: Array | None = None
+
+    def visible(self, lows: Array, highs: Array) -> npt.NDArray[np.bool_]:
+        """Return which bricks are visible, of samples between two for each."""
+        if self.projection != "none":
+            return np.ones(lows.shape, np.bool_)
+        before = np.concatenate([[0], np.cumsum(self.table[:, 3] > 0)])  # visible entries before each
+        lows, highs = np.maximum(lows, np.float32(self.window[0])), np.minimum(highs, np.float32(self.window[1]))
+
+        def entry(values: Array) -> npt.NDArray[np.intp]:
+            places = np.rint((values - np.float32(self.low)) * np.float32(self.scale))
+            return np.asarray(np.clip(places, 0, len(self.table) - 1), np.intp)
+
+        return np.asarray((lows <= highs) & (before[entry(highs) + 1] > before[entry(lows)]), np.bool_)
+
+
+def skipped(
+    seen: Seen, lows: Array, highs: Array, shape: tuple[int, ...], lattice: Lattice | None, error: float
+) -> npt.NDArray[np.uint8]:
+    """Return the distance in bricks to the next visible one.
+
+    ``lows`` and ``highs`` are those of bricks of a volume of some shape; of `FINE` voxels, if a lattice moves them, of
+    which rays are off by an error at most.
+    """
+    skips = np.zeros(brick_counts(shape, _core.BRICK), np.uint8)
+    if seen.projection != "none":  # of all that is along a ray
+        return skips
+    bricks = seen.visible(lows, highs)
+    if lattice is not None and lattice.nodes is not None:
+        moved = np.empty(skips.shape, np.bool_)
         # Along rays, points are off the lattice by less than its error, which includes a reserve.
-        slack = 0.01 + 0.5 * min(known["error"], 1.0)
-        _core.brick_moved(known["_solid"].nodes, known["_solid"].step, seen, FINE, slack, moved)
-        seen = moved
-    skips = np.empty(seen.shape, np.uint8)
-    _core.brick_distances(seen, skips)
+        slack = 0.01 + 0.5 * min(error, 1.0)
+        _core.brick_moved(lattice.nodes, lattice.step, bricks, FINE, slack, moved)
+        bricks = moved
+    _core.brick_distances(bricks, skips)
     return skips
 
 
@@ -53,21 +110,6 @@ def ranged(samples: Array, brick: int, known: dict[int, tuple[Array, Array]]) ->
     return known[brick]
 
 
-def visible(known: dict[str, Any], lows: Array, highs: Array) -> npt.NDArray[np.bool_]:
-    """Return which bricks are visible, of values between two for each."""
-    if known["projection"] != "none":
-        return np.ones(lows.shape, np.bool_)
-    table, (low, scale), (bottom, top) = known["_table"], known["_entries"], known["_window"]
-    before = np.concatenate([[0], np.cumsum(table[:, 3] > 0)])  # visible entries before each
-    lows, highs = np.maximum(lows, np.float32(bottom)), np.minimum(highs, np.float32(top))
-
-    def entry(values: Array) -> npt.NDArray[np.intp]:
-        places = np.rint((values - np.float32(low)) * np.float32(scale))
-        return np.asarray(np.clip(places, 0, len(table) - 1), np.intp)
-
-    return np.asarray((lows <= highs) & (before[entry(highs) + 1] > before[entry(lows)]), np.bool_)
-
-
 def transfer_function(given: Transfer | str) -> Transfer:
     """Return a transfer function, or the preset of a name."""
     if isinstance(given, Transfer):
@@ -77,43 +119,37 @@ def transfer_function(given: Transfer | str) -> Transfer:
 
 
 def sampled(
-    given: Array, transfer: Transfer, density: tuple[float, float] | None, step: float, projection: str
-) -> dict[str, Any]:
-    """Return what rays sample of a volume, and how they see it: values, with or without colours, or labels."""
+    given: Array, transfer: Transfer, density: tuple[float, float] | None, step: float, projection: str = "none"
+) -> tuple[Array, Array | None, Seen]:
+    """Return the samples of a volume for rays, which are values or labels; their colours, if any; and how they look."""
     colours = None
     if isinstance(transfer, LabelColours):
         if projection != "none":
             raise SuppleError(f"a projection ({projection}) is of values, and labels have none: choose one of them")
         if given.ndim != 3:
             refuse("samples", "labels, (Z, H, W), for colours of labels", told=f"shape {given.shape}")
-        ready, seen = _of_labels(given, transfer, density, step)
-    else:
-        if given.ndim == 4:
-            given, colours = luminance_and_colours(given)
-        ready = prepared(given)
-        values = float(ready.min()), float(ready.max())
-        seen = {"range": values, **seen_through(transfer, density, values, step, projection)}
-    return {"_original": ready, "_paint": None if colours is None else widened(colours), "_ranges": {}, **seen}
-
-
-def _of_labels(
-    given: Array, transfer: LabelColours, density: tuple[float, float] | None, step: float
-) -> tuple[Array, dict[str, Any]]:
-    """Return the numbers of visible labels, from 1 on, and the table of their colours."""
-    found, window = labels_in(given), window_of(density, one=True)
-    table = transfer.table(found, step)
-    seen = (table[:, 3] > 0) & (found >= window[0]) & (found <= window[1])
-    ready = widened(numbered(given, found[seen]))
-    return ready, {
-        "transfer": transfer,
-        "density": window,
-        "labels": found[seen],
-        "range": (float(found.min(initial=0)), float(found.max(initial=0))),
-        "_table": np.concatenate([np.zeros((1, 4), np.float32), table[seen]]),
-        "_threshold": 0.5 if seen.any() else math.inf,
-        "_entries": (0.0, 1.0),
-        "_window": (-math.inf, math.inf),
-    }
+        found, window = labels_in(given), window_of(density, one=True)
+        table = transfer.table(found, step)
+        shown = (table[:, 3] > 0) & (found >= window[0]) & (found <= window[1])
+        seen = Seen(
+            transfer,
+            density=window,
+            range=(float(found.min(initial=0)), float(found.max(initial=0))),
+            projection=projection,
+            table=np.concatenate([np.zeros((1, 4), np.float32), table[shown]]),
+            low=0.0,
+            scale=1.0,
+            threshold=0.5 if shown.any() else math.inf,
+            window=(-math.inf, math.inf),
+            labels=found[shown],
+        )
+        return widened(numbered(given, found[shown])), None, seen
+    if given.ndim == 4:
+        given, colours = luminance_and_colours(given)
+        colours = widened(colours)
+    ready = prepared(given)
+    values = float(ready.min()), float(ready.max())
+    return ready, colours, seen_through(transfer, density, values, step, projection)
 
 
 def window_of(density: tuple[float, float] | None, *, one: bool = False) -> tuple[float, float]:
@@ -131,33 +167,34 @@ def seen_through(
     density: tuple[float, float] | None,
     values: tuple[float, float],
     step: float,
-    projection: str = "none",
-) -> dict[str, Any]:
-    """Return the colours and opacities of a transfer function and a window of values, for samples of some range.
+    projection: str,
+) -> Seen:
+    """Return how samples of some range look by a transfer function and a window of values.
 
     Of a projection, they are grey and opaque, from black at the window's lower end to white at its upper one.
     """
     (low, high), window = values, window_of(density)
-    known: dict[str, Any] = {"transfer": transfer, "density": window, "_window": window, "labels": None}
-    known["_entries"] = low, _entries(low, high)
+    places = np.linspace(low, high, ENTRIES)
     if projection != "none":
         black, white = window if density is not None else values
-        shades = np.clip((np.linspace(low, high, ENTRIES) - black) / ((white - black) or 1.0), 0.0, 1.0)
+        shades = np.clip((places - black) / ((white - black) or 1.0), 0.0, 1.0)
         grey = linear_light(np.stack([shades] * 3, axis=1), 1.0)
         table = np.concatenate([grey, np.ones((ENTRIES, 1))], axis=1).astype(np.float32)
-        return known | {"_table": table, "_threshold": -math.inf}
-    table = transfer.table(low, high, step)
-    # An entry is that of all values which are rounded to it, up to halfway to the next.
-    values_, half = np.linspace(low, high, ENTRIES), 0.5 * (high - low) / (ENTRIES - 1)
-    seen = (table[:, 3] > 0) & (values_ + half >= window[0]) & (values_ - half <= window[1])
-    first = int(np.argmax(seen)) if seen.any() else 0
-    if not seen.any():
-        threshold = math.inf
-    elif first == 0:
-        threshold = -math.inf if window[0] <= low else window[0]
+        threshold = -math.inf
     else:
-        threshold = max(window[0], float(values_[first]) - half)
-    return known | {"_table": table, "_threshold": threshold}
+        table = transfer.table(low, high, step)
+        # An entry is that of all values which are rounded to it, up to halfway to the next.
+        half = 0.5 * (high - low) / (ENTRIES - 1)
+        seen = (table[:, 3] > 0) & (places + half >= window[0]) & (places - half <= window[1])
+        first = int(np.argmax(seen)) if seen.any() else 0
+        if not seen.any():
+            threshold = math.inf
+        elif first == 0:
+            threshold = -math.inf if window[0] <= low else window[0]
+        else:
+            threshold = max(window[0], float(places[first]) - half)
+    scale = (ENTRIES - 1) / (high - low) if high > low else 0.0
+    return Seen(transfer, window, values, projection, table, low, scale, threshold, window)
 
 
 def summed(table: Array) -> Floats:
@@ -172,7 +209,7 @@ def fixed(samples: Array, transfer: Transfer) -> Transfer:
     """Return a transfer function in the values of a volume, so that it stays the same where parts are hidden."""
     if not isinstance(transfer, TransferFunction):
         return transfer
-    return transfer.absolute(*sampled(np.asarray(samples), transfer, None, 1.0, "none")["range"])
+    return transfer.absolute(*sampled(np.asarray(samples), transfer, None, 1.0)[2].range)
 
 
 def largest(samples: Array, transfer: Transfer | str, density: tuple[float, float] | None = None) -> Array:
@@ -192,14 +229,14 @@ def largest(samples: Array, transfer: Transfer | str, density: tuple[float, floa
     SuppleError
         If the smallest value is visible, so that no value hides a voxel.
     """
-    ready, known = _hiding(samples, transfer, density)
-    seen = np.stack([visible(known, slab, slab) for slab in ready])
-    kept = np.empty(seen.shape, np.bool_)
-    _core.largest_part(seen, kept)
-    hides = seen & ~kept
-    if _hides_by_zero(known, samples):
+    ready, seen = _hiding(samples, transfer, density)
+    shown = np.stack([seen.visible(slab, slab) for slab in ready])
+    kept = np.empty(shown.shape, np.bool_)
+    _core.largest_part(shown, kept)
+    hides = shown & ~kept
+    if samples.ndim == 4 or seen.labels is not None:
         return np.where(hides.reshape(hides.shape + (1,) * (samples.ndim - 3)), np.zeros((), samples.dtype), samples)
-    hidden = ready[ready < known["_threshold"]].max(initial=known["range"][0])
+    hidden = ready[ready < seen.threshold].max(initial=seen.range[0])
     return np.where(hides, np.asarray(hidden, ready.dtype), ready)
 
 
@@ -221,7 +258,7 @@ def cropped(samples: Array, crop: Clip, transfer: Transfer | str, density: tuple
     SuppleError
         If the box is not within the volume, or the smallest value is visible, so that no value hides a voxel.
     """
-    ready, known = _hiding(samples, transfer, density)
+    ready, seen = _hiding(samples, transfer, density)
     box = box_of(crop, samples.shape[:3], "crop", single=True)
     kept = tuple(
         slice(math.ceil(low), min(math.floor(high) + 1, n))  # a single slice is a box of two
@@ -229,7 +266,7 @@ def cropped(samples: Array, crop: Clip, transfer: Transfer | str, density: tuple
     )
     if any(part.start >= part.stop for part in kept):
         raise SuppleError("crop must hold a voxel along each axis: from a voxel to the same or a later one")
-    if _hides_by_zero(known, samples):
+    if samples.ndim == 4 or seen.labels is not None:
         whole = np.zeros_like(samples)
         whole[kept] = samples[kept]
         return whole
@@ -237,7 +274,7 @@ def cropped(samples: Array, crop: Clip, transfer: Transfer | str, density: tuple
     around = tuple(slice(max(p.start - 1, 0), min(p.stop + 1, n)) for p, n in zip(kept, ready.shape, strict=True))
     ends = [(p.start - a.start, a.stop - p.stop) for p, a in zip(kept, around, strict=True)]
     edge = np.pad(ready[kept], ends, mode="edge").astype(np.float64)
-    low, threshold = known["range"][0], known["_threshold"]
+    low, threshold = seen.range[0], seen.threshold
     below = np.nextafter(np.float32(threshold), np.float32(-np.inf))
     mirrored = np.clip(np.minimum(edge, 2 * threshold - edge), low, max(low, below))
     made = np.full_like(ready, low)
@@ -246,24 +283,13 @@ def cropped(samples: Array, crop: Clip, transfer: Transfer | str, density: tuple
     return made
 
 
-def _hiding(
-    samples: Array, transfer: Transfer | str, density: tuple[float, float] | None
-) -> tuple[Array, dict[str, Any]]:
-    """Return prepared samples and what is seen of them; SuppleError if no value is below that."""
-    known = sampled(np.asarray(samples), transfer_function(transfer), density, 1.0, "none") | {"projection": "none"}
-    if known["_threshold"] == -math.inf:
+def _hiding(samples: Array, transfer: Transfer | str, density: tuple[float, float] | None) -> tuple[Array, Seen]:
+    """Return prepared samples and how they look; SuppleError if no value is below what is visible."""
+    ready, _, seen = sampled(np.asarray(samples), transfer_function(transfer), density, 1.0)
+    if seen.threshold == -math.inf:
         told = "all is visible, down to the smallest value, and no value hides a voxel"
         raise SuppleError(f"{told}: choose a higher density")
-    return known["_original"][tuple(map(slice, samples.shape[:3]))], known
-
-
-def _hides_by_zero(known: dict[str, Any], samples: Array) -> bool:
-    return samples.ndim == 4 or isinstance(known["transfer"], LabelColours)
-
-
-def _entries(low: float, high: float) -> float:
-    """Return the number of table entries for each unit of value."""
-    return (ENTRIES - 1) / (high - low) if high > low else 0.0
+    return ready[tuple(map(slice, samples.shape[:3]))], seen
 
 
 def lamp(view: Projection) -> npt.NDArray[np.float32]:
@@ -271,29 +297,6 @@ def lamp(view: Projection) -> npt.NDArray[np.float32]:
     right, down = (axis / np.linalg.norm(axis) for axis in view.packed[3:])
     towards = -view.ahead - 0.35 * right - 0.45 * down
     return np.asarray(towards / np.linalg.norm(towards), np.float32)
-
-
-def core_look(look: shading.Look, view: Projection) -> _core.Look:
-    """Return the appearance of a volume before a camera in the layout of the core."""
-    return _core.Look(
-        np.ascontiguousarray(view.packed),
-        look.skips,
-        look.table,
-        look.sums,
-        look.low,
-        look.scale,
-        look.threshold,
-        look.top,
-        look.step,
-        triple(look.light),
-        look.shaded,
-        np.ascontiguousarray(look.box),
-        look.plane,
-        look.silhouettes,
-        look.projection,
-        *look.arrives,
-        look.labelled,
-    )
 
 
 def brick_counts(shape: tuple[int, ...], brick: int) -> tuple[int, ...]:

@@ -12,11 +12,17 @@ from supple.space.domain import refuse
 _WEIGHTS = np.array([0.2126, 0.7152, 0.0722])  # of BT.709
 
 
-def linear_light(values: npt.NDArray[np.floating], white: float) -> npt.NDArray[np.floating]:
+def linear_light(values: npt.ArrayLike, white: float = 1.0) -> npt.NDArray[np.floating]:
     """Return sRGB values in linear light; ``white`` is unchanged."""
     u = np.asarray(values) / white
     with np.errstate(invalid="ignore"):
         return np.asarray(white * np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4))
+
+
+def srgb_of(linear: npt.ArrayLike) -> npt.NDArray[np.floating]:
+    """Return linear light, from 0 to 1, as sRGB; beyond that, it is cut off."""
+    u = np.clip(linear, 0, 1)
+    return np.asarray(np.where(u <= 0.0031308, 12.92 * u, 1.055 * np.power(u, 1 / 2.4) - 0.055))
 
 
 def are_colours(samples: npt.NDArray[Any]) -> bool:

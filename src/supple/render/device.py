@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -16,30 +16,46 @@ from supple import _core
 from supple.engine.devices import CPU, note
 from supple.engine.work import Space
 from supple.errors import DeviceWarning
-from supple.gpu.device import Gpu
+from supple.gpu.device import Gpu, failures, trouble
 from supple.gpu.field import fits
-from supple.gpu.fill import BLOCK, Filling
-from supple.gpu.kernel import Pace, failures, trouble
-from supple.gpu.raymarch import EXACT, HYBRID, LATTICE, PLAIN, RAYS, Held, prepare
+from supple.gpu.fill import Filling
+from supple.gpu.raymarch import Held, prepare
+from supple.gpu.shader import BLOCK, EXACT, HYBRID, LATTICE, PLAIN
 from supple.gpu.solid import Lattice, hold_strokes, solve
 from supple.gpu.volume import Volume, beside, hold
 from supple.render.camera import Projection
-from supple.render.solid import FINEST, RESOLVED, Solid, cells_along_rays, solve_solid
 from supple.strokes import STROKE_DTYPE
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 T = TypeVar("T")
 
+COARSEST, FINEST = 8, 2  # voxels from node to node: a finer lattice would be larger than the volume
+# The largest size of a cell, as a fraction of the length scale of the map: in larger cells, the checked points do not
+# represent the points between them.
+RESOLVED = 0.5
+_TWICE, _ONCE = 3.0, 1.25  # measured errors of cubics over two cells and over one, relative to the lattice's
 
-def tried(gpu: Gpu, work: Callable[[], T], stacklevel: int, says: str = "the CPU does what {} cannot") -> T | None:
-    """Return the result of some work on a GPU; None, and a DeviceWarning, on failure."""
+
+def tried(
+    gpu: Gpu,
+    work: Callable[[], T],
+    stacklevel: int,
+    says: str = "the CPU does what {} cannot",
+    raised: Sequence[Exception] = (),
+) -> T | None:
+    """Return the result of some work on a GPU; None, and a DeviceWarning, on failure.
+
+    An exception is raised again if a function of the user raised it, who then puts it into ``raised``.
+    """
     try:
         with gpu.lock:
             done = work()
         note(gpu.name)
         return done
     except failures() as error:
+        if raised:
+            raise
         failed = trouble(gpu, error)
     note(CPU)
     warnings.warn(f"{says.format(gpu.name)}: {failed}", DeviceWarning, stacklevel=stacklevel + 1)
@@ -56,7 +72,7 @@ def held_scene(
     labelled: bool = False,
     colours: Array | None = None,
     volume: Volume | None = None,
-) -> tuple[Held, Solid | None]:
+) -> Held:
     """Upload a scene to a GPU.
 
     Parameters
@@ -82,13 +98,11 @@ def held_scene(
     Returns
     -------
     Held
-    Solid or None
-        The lattice, if one was solved.
 
     Raises
     ------
     Exception
-        One of `supple.gpu.kernel.failures`.
+        One of `supple.gpu.device.failures`.
     """
     if space is not None and not fits(space.table):
         raise ArithmeticError("strokes of such sizes are beyond its numbers")
@@ -102,47 +116,58 @@ def held_scene(
             raise MemoryError("it has no memory left for a deformed volume")
         twice = False  # a lattice without a buffer
     if space is None:
-        return Held(
-            volume, hold_strokes(gpu, np.zeros(0, STROKE_DTYPE), _still(spacing)), PLAIN, None, Pace(RAYS)
-        ), None
+        still = np.zeros((3, 5))  # a domain without displacement
+        still[:, 1], still[:, 3] = 1.0, spacing
+        return Held(volume, hold_strokes(gpu, np.zeros(0, STROKE_DTYPE), still), PLAIN)
     if mode == "exact":
-        return Held(volume, hold_strokes(gpu, space.table, space.axes, space.freeze), EXACT, None, Pace(RAYS)), None
-    solid, lattice = lattice_of(gpu, space, tolerance)
+        return Held(volume, hold_strokes(gpu, space.table, space.axes, space.freeze), EXACT)
+    lattice = lattice_of(gpu, space, tolerance)
+    cells = cells_along_rays(lattice, tolerance)
     if not twice:
-        return Held(volume, lattice, LATTICE, None, Pace(RAYS)), solid
-    filling = Filling(volume, lattice, polished=solid.error > tolerance, tolerance=tolerance)
-    held = Held(volume, lattice, HYBRID, filling, Pace(RAYS), whole=mode == "buffered")
+        return Held(volume, lattice, LATTICE, cells)
+    filling = Filling(volume, lattice, polished=lattice.error > tolerance, tolerance=tolerance)
+    held = Held(volume, lattice, HYBRID, cells, filling, whole=mode == "buffered")
     if mode == "buffered":
         filling.advance()
     else:
         prepare(held, filling)
-    return held, solid
+    return held
 
 
-def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> tuple[Solid, Lattice]:
-    """Return the lattice, as fine as the tolerance needs or the memory allows."""
-    made: list[Lattice] = []
-    tries: list[tuple[Solid, float]] = []
-    shape = (space.count, *space.shape)
-
-    def attempt(step: int) -> tuple[Solid, float]:
-        lattice, nodes, error, smooth = solve(gpu, space.table, space.axes, shape, step, space.freeze)
-        made[:] = [lattice]
-        tries[:] = [(Solid(nodes, step, error), smooth)]
-        return tries[0]
-
+def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> Lattice:
+    """Return the lattice, as fine as the tolerance needs, in voxels, or the memory allows; it knows its error."""
+    found: Lattice | None = None
+    shape, step = (space.count, *space.shape), COARSEST
     try:
-        solid = solve_solid(attempt, tolerance)
+        while True:
+            found = solve(gpu, space.table, space.axes, shape, step, space.freeze)
+            resolved = step <= RESOLVED * found.smooth
+            if (found.error <= tolerance and resolved) or step == FINEST:
+                break
+            # The error falls with the cube of the step.
+            finer = step * (tolerance / max(found.error, tolerance)) ** (1 / 3)
+            finer = min(finer, max(RESOLVED * found.smooth, FINEST))
+            step = max(FINEST, min(step // 2, 2 ** math.floor(math.log2(max(finer, 1.0)))))
     except MemoryError:
-        if not tries:
+        if found is None:
             raise
         with contextlib.suppress(MemoryError):  # some may have been skipped
-            while tries[0][0].step > FINEST:
-                attempt(tries[0][0].step // 2)
-        solid, smooth = tries[0]  # the finest that fits
-        if solid.step > RESOLVED * smooth:
-            solid = replace(solid, error=math.inf)
-    return solid, replace(made[0], cells=cells_along_rays(solid, tolerance))
+            while found.step > FINEST:
+                found = solve(gpu, space.table, space.axes, shape, found.step // 2, space.freeze)
+    return found if found.step <= RESOLVED * found.smooth else replace(found, error=math.inf)
+
+
+def cells_along_rays(lattice: Lattice, tolerance: float) -> int:
+    """Return the number of cells of a lattice that a cubic along a ray may span."""
+    return 2 if _TWICE * lattice.error <= tolerance else 1
+
+
+def along_rays(lattice: Lattice, cells: int, tolerance: float) -> float:
+    """Return the error of source points, in voxels, on cubics over cells of a lattice along rays."""
+    if cells == 2:
+        return _TWICE * lattice.error
+    # If the lattice is accurate enough, its reserve covers the additional error.
+    return min(_ONCE * lattice.error, tolerance if lattice.error <= tolerance else math.inf)
 
 
 def unseen_blocks(shape: tuple[int, ...], skips: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
@@ -173,10 +198,3 @@ def order_of(view: Projection, unseen: npt.NDArray[np.bool_]) -> npt.NDArray[np.
         hidden |= np.abs(along(axis)) / scale > 0.5 * size * scale * (np.maximum(depth, 0.0) + radius) + radius
     far = float(np.abs(depth).max()) + 1.0
     return np.argsort((depth + far * (2.0 * hidden + 4.0 * unseen)).reshape(-1))
-
-
-def _still(spacing: tuple[float, ...]) -> Floats:
-    """Return a domain without displacement."""
-    axes = np.zeros((3, 5))
-    axes[:, 1], axes[:, 3] = 1.0, spacing
-    return axes

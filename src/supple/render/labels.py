@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
-from supple.render.colour import linear_light
+from supple.render.colour import linear_light, srgb_of
 from supple.space.domain import items, number, refuse
 
 Array = npt.NDArray[Any]
@@ -190,8 +190,7 @@ def palette(labels: npt.ArrayLike) -> Floats:
             [-0.0041960863, -0.7034186147, 1.7076147010],
         ]
     )
-    linear = np.clip(cones**3 @ to_linear.T, 0.0, 1.0)
-    return np.asarray(np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055))
+    return np.asarray(srgb_of(cones**3 @ to_linear.T), np.float64)
 
 
 def labels_in(samples: Array) -> Array:

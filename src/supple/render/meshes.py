@@ -11,9 +11,8 @@ import numpy.typing as npt
 from supple import _core
 from supple.deformation import Deformation
 from supple.gpu import raymarch as shading
-from supple.render.appearance import core_look
 from supple.render.camera import Projection
-from supple.render.picture import light_of
+from supple.render.colour import linear_light
 from supple.space.domain import number, point, refuse
 from supple.space.geometry import Geometry
 
@@ -131,11 +130,11 @@ def nearest(meshes: tuple[Placed, ...], look: shading.Look, view: Projection, fi
     Where there is none, that is infinity.
     """
     rows, columns = ((np.arange(n * fine) + 0.5) / fine - 0.5 * n for n in view.size)
-    seen = core_look(look, view)
+    seen = look.core
     ends = np.zeros((len(rows), len(columns), 4), np.float32)
     ends[..., 3] = np.inf
     for mesh in meshes:
-        red, green, blue = light_of(mesh.surface.colour)
+        red, green, blue = linear_light(mesh.surface.colour)
         colour = float(red), float(green), float(blue)
         joined = mesh.surface.triangles, mesh.surface.lines
         _core.raster(seen, mesh.points, mesh.normals, *joined, colour, WIDTH / 2, columns, rows, ends)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.render.colour import linear_light
+from supple.render.colour import linear_light, srgb_of
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -52,20 +52,10 @@ class Rendering:
         alpha = np.clip(self.light[..., 3:], 0, 1)
         if background is None:
             colours = self.light[..., :3] / np.maximum(alpha, 1e-6)
-            seen = np.concatenate([_srgb(colours), alpha], axis=-1)
+            seen = np.concatenate([srgb_of(colours), alpha], axis=-1)
         else:
-            seen = _srgb(self.light[..., :3] + (1 - alpha) * light_of(background))
+            seen = srgb_of(self.light[..., :3] + (1 - alpha) * linear_light(background))
         return np.asarray(np.rint(seen * 255), np.uint8)
-
-
-def _srgb(linear: Array) -> Array:
-    u = np.clip(linear, 0, 1)
-    return np.asarray(np.where(u <= 0.0031308, 12.92 * u, 1.055 * np.power(u, 1 / 2.4) - 0.055))
-
-
-def light_of(colour: tuple[float, float, float]) -> Floats:
-    """Return sRGB from 0 to 1 in linear light."""
-    return np.asarray(linear_light(np.asarray(colour, np.float64), 1.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

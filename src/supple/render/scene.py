@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,31 +14,33 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.deformation import Deformation
-from supple.errors import SuppleError, argument
+from supple.errors import SuppleError, ToleranceWarning, argument
 from supple.gpu import raymarch as shading
-from supple.gpu.device import DRAWING, Gpu
-from supple.gpu.kernel import failures, let_through, passing, trouble
+from supple.gpu.device import DRAWING, Gpu, failures, gpu_of, trouble
+from supple.gpu.shader import LATTICE
+from supple.gpu.volume import Volume
 from supple.render.appearance import (
+    FINE,
     PROJECTIONS,
-    core_look,
+    Seen,
     lamp,
     ranged,
     sampled,
     seen_through,
+    skipped,
     summed,
     transfer_function,
     triple,
-    visible,
+    warped,
 )
 from supple.render.box import Box, Clip, Plane, around, box_of, plane_of, seen_points, within
 from supple.render.camera import Camera, Projection, camera_of, view_of
-from supple.render.device import order_of, tried
+from supple.render.colour import linear_light
+from supple.render.device import along_rays, held_scene, order_of, tried, unseen_blocks
 from supple.render.labels import LabelColours
-from supple.render.meshes import Placed, Surface, nearest
-from supple.render.parts import deformed_parts, skipping
-from supple.render.picture import Array, Pick, Rendering, light_of
-from supple.render.shadows import Shade, arriving, shade_of
-from supple.render.solid import Solid
+from supple.render.meshes import Surface, nearest, place
+from supple.render.picture import Array, Pick, Rendering
+from supple.render.shadows import NEAR, Shade, arriving, shade_of
 from supple.render.transfer import Transfer
 from supple.space.domain import choice, integer, number, point, refuse
 from supple.space.geometry import Geometry
@@ -47,19 +51,22 @@ _STORAGE = 0x08  # wgpu.TextureUsage.STORAGE_BINDING
 _ROWS = 256  # of an image, between two reports of progress
 
 
-def check_mode(mode: object) -> None:
-    """Raise SuppleError for an unknown mode."""
+def check_options(mode: object, projection: object, device: object, silhouettes: object, shadows: object) -> None:
+    """Raise SuppleError for options that no scene has."""
     if mode == "lattice":
         raise SuppleError(
             f'{argument("mode", "lattice")} is gone: "buffered", the default, is faster, and "exact" inverts each '
             "sample"
         )
     choice("mode", mode, MODES)
+    choice("projection", projection, PROJECTIONS)
+    choice("device", device, DRAWING)
+    for name, value in (("silhouettes", silhouettes), ("shadows", shadows)):
+        number(name, value, "a number from 0 to 1", 0.0, 1.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
 class Scene:
-    """A volume to render, with or without a deformation.
+    """A volume to render, with or without a deformation. Its parts do not change, but for what a GPU holds of it.
 
     Parameters
     ----------
@@ -119,50 +126,20 @@ class Scene:
     """The shape of the given volume."""
     samples: Array
     """The volume sampled by the CPU: the original, or the warped one if buffered there."""
-    geometry: Geometry
-    deformation: Deformation | None
-    transfer: Transfer
-    density: tuple[float, float]
     clip: Box
     """The box that is rendered, in voxels of the deformed volume, x first."""
     plane: tuple[float, float, float, float]
     """The plane's unit normal along the volume's axes, and its distance from the first voxel, in millimetres."""
-    projection: str
-    silhouettes: float
-    shadows: float
-    meshes: tuple[Surface, ...]
-    mode: str
-    step: float
-    shaded: bool
-    tolerance: float
     error: float
     """A bound on the distance of source points from T⁻¹(q), in voxels, from the checks."""
     range: tuple[float, float]
     """The smallest and the largest value or label."""
     labels: Array | None
     """The visible labels, of a label map; ``samples`` are their places, from 1 on, and 0 elsewhere."""
-    _placed: tuple[Placed, ...]
-    _solid: Solid | None
-    _lows: npt.NDArray[np.float32]
-    _highs: npt.NDArray[np.float32]
-    _skips: npt.NDArray[np.uint8]
-    _unseen: npt.NDArray[np.bool_]
-    _table: npt.NDArray[np.float32]
-    _threshold: float
-    _shade: Shade | None
-    _entries: tuple[float, float]
-    _window: tuple[float, float]
     device: str
     """The requested device."""
     gpu: Gpu | None
     """The GPU of the rays; None for the CPU."""
-    _ranges: dict[int, tuple[Array, Array]]
-    _given: Array
-    _original: Array
-    _colours: Array | None
-    _paint: Array | None
-    """The colours of ``samples``, and those of ``_original``."""
-    _held: shading.Held | None
 
     def __init__(
         self,
@@ -184,9 +161,7 @@ class Scene:
         tolerance: float = 0.2,
         device: str = "cpu",
     ) -> None:
-        check_mode(mode)
-        choice("projection", projection, PROJECTIONS)
-        choice("device", device, DRAWING)
+        check_options(mode, projection, device, silhouettes, shadows)
         places: object = Geometry() if geometry is None else geometry
         if not isinstance(places, Geometry):
             refuse("geometry", "a Geometry", geometry)
@@ -205,68 +180,111 @@ class Scene:
         drawn: Any = meshes
         if not isinstance(drawn, Sequence) or not all(isinstance(mesh, Surface) for mesh in drawn):
             refuse("meshes", "a sequence of surfaces (supple.render.meshes.Surface)", meshes)
-        tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-6, 1e6)
-        values: dict[str, Any] = {
-            "shape": given.shape[:3],
-            "geometry": places,
-            "clip": box_of(clip, given.shape[:3]),
-            "plane": plane_of(plane, places),
-            "projection": projection,
-            "silhouettes": number("silhouettes", silhouettes, "a number from 0 to 1", 0.0, 1.0),
-            "shadows": number("shadows", shadows, "a number from 0 to 1", 0.0, 1.0),
-            "meshes": tuple(meshes),
-            "mode": mode,
-            "step": step,
-            "shaded": bool(shaded),
-            "tolerance": tolerance,
-            "device": device,
-            "_given": given,
-            **sampled(given, known, density, step, projection),
-        }
-        self._set(values | deformed_parts(values, deformation, None))
+        self.shape, self.geometry, self._given = given.shape[:3], places, given
+        self.clip, self.plane = box_of(clip, self.shape), plane_of(plane, places)
+        self.projection, self.mode, self.device, self.step = projection, mode, device, step
+        self.silhouettes, self.shadows = float(silhouettes), float(shadows)
+        self.tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-6, 1e6)
+        self.meshes, self.shaded = tuple(meshes), bool(shaded)
+        self._sample(known, density)
+        self._deform(deformation, None)
 
     def __repr__(self) -> str:
         strokes = len(self.deformation.strokes) if self.deformation is not None else 0
         who = self.gpu.name if self.gpu is not None else "cpu"
         return f"<Scene of {self.shape} {self.samples.dtype}, {strokes} strokes, mode {self.mode}, by {who}>"
 
-    def _set(self, values: dict[str, Any]) -> None:
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+    def _sample(self, transfer: Transfer, density: tuple[float, float] | None) -> None:
+        """Set what rays sample of the volume, and how they see it."""
+        self._original, self._paint, seen = sampled(self._given, transfer, density, self.step, self.projection)
+        self._ranges: dict[int, tuple[Array, Array]] = {}
+        self._look_by(seen)
 
-    def _known(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in self.__slots__}
+    def _look_by(self, seen: Seen) -> None:
+        self._seen, self.transfer, self.density = seen, seen.transfer, seen.density
+        self.range, self.labels = seen.range, seen.labels
+
+    def _deform(self, given: Deformation | None, volume: Volume | None) -> None:
+        """Set what depends on strokes; the volume is already on a GPU, if it is given."""
+        spacing, gpu = self.geometry.spacing, gpu_of(self.device)
+        deformation = self.deformation = _checked(given, self.shape, spacing)
+        space = deformation.space if deformation is not None else None
+        labelled = isinstance(self.transfer, LabelColours)
+        self._held: shading.Held | None = None
+        if gpu is not None:
+            rest = labelled, self._paint, volume if volume is not None and volume.gpu is gpu else None
+            work = gpu, self._original, spacing, space, self.mode, self.tolerance, *rest
+            self._held = tried(gpu, lambda: held_scene(*work), 3)
+        held = self._held
+        self.gpu = held.volume.gpu if held is not None else None
+        self.samples, self.error = self._original, 0.0
+        self._colours = self._paint  # of samples, and of the original
+        if deformation is not None and self.mode != "exact":
+            self.error = self.tolerance
+            if held is None:
+                self.samples = warped(self._original, deformation, labelled, self.tolerance)
+                if self._paint is not None:
+                    self._colours = warped(self._paint, deformation, labelled, self.tolerance)
+        self._lattice = held.lattice if held is not None and held.lattice.nodes is not None else None
+        if held is not None and self._lattice is not None and self.mode == "hybrid":
+            self.error = along_rays(self._lattice, held.cells, self.tolerance)
+            if self.error > self.tolerance:
+                off = f"by {self.error:.2g} voxels" if math.isfinite(self.error) else "by more than a voxel"
+                warnings.warn(
+                    f"the lattice may be off {off} somewhere, beyond the tolerance {self.tolerance:g}: "
+                    f"{argument('mode', 'exact')} stays within it, and so does {argument('mode', 'buffered')}",
+                    ToleranceWarning,
+                    stacklevel=3,
+                )
+        ranges = self._ranges if self.samples is self._original else {}
+        self._lows, self._highs = ranged(self.samples, _core.BRICK if self._lattice is None else FINE, ranges)
+        self._placed = tuple(place(mesh, deformation, self.geometry) for mesh in self.meshes)
+        self._skip()
+
+    def _skip(self) -> None:
+        """Set the maps of empty space, for rays and for the buffer, and the shade."""
+        shape = self.samples.shape
+        self._skips = skipped(self._seen, self._lows, self._highs, shape, self._lattice, self.error)
+        self._unseen = unseen_blocks(shape, self._skips)
+        self._darken()
+
+    def _darken(self) -> None:
+        """Set the shade."""
+        self._shade: Shade | None = None
+        if self.shadows and self.shaded and self.projection == "none":
+            samples = self.samples
+            if self.deformation is not None and samples is self._original:  # rays look up their sources
+                samples = warped(samples, self.deformation, isinstance(self.transfer, LabelColours), NEAR)
+            self._shade = shade_of(samples, self._seen, self.step, self.clip, self.plane, self.geometry.spacing)
 
     def deformed(self, deformation: Deformation | None) -> Scene:
         """Return this scene with other strokes. The volume stays on the GPU."""
-        made = object.__new__(type(self))
-        values = self._known()
-        made._set(values | deformed_parts(values, deformation, self._held.volume if self._held else None))
+        made = copy.copy(self)
+        made._deform(deformation, self._held.volume if self._held else None)
         return made
 
     def seen_through(self, transfer: Transfer | str, density: tuple[float, float] | None = None) -> Scene:
         """Return this scene with another transfer function, without inverting or warping again unless of labels."""
-        made = object.__new__(type(self))
-        values, known = self._known(), transfer_function(transfer)
+        made, known = copy.copy(self), transfer_function(transfer)
         if isinstance(known, LabelColours) or isinstance(self.transfer, LabelColours):  # those visible are numbered
-            values |= sampled(self._given, known, density, self.step, self.projection)
-            made._set(values | deformed_parts(values, self.deformation, None))
-            return made
-        values |= seen_through(known, density, self.range, self.step, self.projection)
-        made._set(values | skipping(values))
+            made._sample(known, density)
+            made._deform(self.deformation, None)
+        else:
+            made._look_by(seen_through(known, density, self.range, self.step, self.projection))
+            made._skip()
         return made
 
     def clipped(self, clip: Clip | None, plane: Plane | None = None) -> Scene:
         """Return this scene, within another box and before another plane, without inverting or warping again."""
-        made = object.__new__(type(self))
-        values = self._known() | {"clip": box_of(clip, self.shape), "plane": plane_of(plane, self.geometry)}
-        made._set(values | {"_shade": shade_of(values)})
+        made = copy.copy(self)
+        made.clip, made.plane = box_of(clip, self.shape), plane_of(plane, self.geometry)
+        made._darken()
         return made
 
     @property
     def is_empty(self) -> bool:
         """Return whether no value is visible."""
-        return self._threshold == math.inf
+        return self._seen.threshold == math.inf
 
     def view(self, camera: Camera | None, size: tuple[int, int]) -> Projection:
         """Return the projection of a camera before this scene, for an image of ``size`` (rows, columns)."""
@@ -277,7 +295,7 @@ class Scene:
         """Points around all that is visible, in voxels of the deformed volume, x first, (N, 3)."""
         # Bricks of the original, moved: the same in all modes.
         ranges = ranged(self._original, _core.BRICK, self._ranges)
-        points = seen_points(visible(self._known(), *ranges), _core.BRICK, self._original.shape)
+        points = seen_points(self._seen.visible(*ranges), _core.BRICK, self._original.shape)
         if self.deformation is not None and len(points):
             points = self.deformation.forward(points)
         points = within(points, self.clip, self.plane, self.geometry.spacing, _core.BRICK)
@@ -317,35 +335,44 @@ class Scene:
         height, width = size[0] * fine, size[1] * fine
         look = self._look(view)
         ends = self._ends(look, view, fine)
-        columns = (np.arange(width) + 0.5) / fine - 0.5
-
-        def smaller(a: Array, take: Callable[..., Array]) -> Array:
-            return take(a.reshape(size[0], fine, size[1], fine, -1), axis=(1, 3)) if fine > 1 else a
-
-        held = self._held
+        done, held = None, self._held
         if held is not None:
-            told = passing(lambda rows: tell(rows // fine))
-            with let_through():
-                done = tried(
-                    held.volume.gpu,
-                    lambda: shading.march(held, look, view.packed, (height, width), fine, told, ends),
-                    2,
-                    "the CPU did what {} could not",
-                )
-            if done is not None:
-                light, depth, work = done
-                return _picture(smaller(light, np.mean), smaller(depth, np.min), smaller(work, np.sum))
-        light, depth = np.empty((height, width, 4), np.float32), np.empty((height, width, 2))
-        work = np.zeros((height, width, 2), np.int64)
-        march = self._marcher(look, view)
-        for top in range(0, height, _ROWS):
-            below = min(top + _ROWS, height)
-            rows = (np.arange(top, below) + 0.5) / fine - 0.5
-            part = None if ends is None else ends[top:below]
-            march(columns, rows, light[top:below], depth[top:below], work[top:below], part)
-            tell(below // fine)
+            raised: list[Exception] = []
 
-        return _picture(smaller(light, np.mean), smaller(depth, np.min), smaller(work, np.sum))
+            def told(rows: int) -> None:
+                try:
+                    tell(rows // fine)
+                except Exception as error:
+                    raised.append(error)
+                    raise
+
+            done = tried(
+                held.volume.gpu,
+                lambda: shading.march(held, look, (height, width), fine, told, ends),
+                2,
+                "the CPU did what {} could not",
+                raised,
+            )
+        if done is not None:
+            light, depth, work = done
+        else:
+            light, depth = np.empty((height, width, 4), np.float32), np.empty((height, width, 2))
+            work = np.zeros((height, width, 2), np.int64)
+            columns = (np.arange(width) + 0.5) / fine - 0.5
+            for top in range(0, height, _ROWS):
+                part = slice(top, min(top + _ROWS, height))
+                rows = (np.arange(part.start, part.stop) + 0.5) / fine - 0.5
+                own = None if ends is None else ends[part]
+                self._march(look, view, columns, rows, (light[part], depth[part], work[part]), own)
+                tell(part.stop // fine)
+        if fine > 1:
+
+            def blocks(a: Array) -> Array:
+                return a.reshape(size[0], fine, size[1], fine, -1)
+
+            light, depth = blocks(light).mean(axis=(1, 3)), blocks(depth).min(axis=(1, 3))
+            work = blocks(work).sum(axis=(1, 3))
+        return Rendering(light, depth[..., 0], work[..., 0], work[..., 1])
 
     def draw(
         self,
@@ -400,14 +427,14 @@ class Scene:
             number("background", c, "three numbers from 0 to 1", 0.0, 1.0)
             for c in point("background", background, (3,))
         )
-        behind = light_of(colour).astype(np.float32)  # type: ignore[arg-type]
+        behind = linear_light(colour).astype(np.float32)
         look = self._look(view)
         ends = self._ends(look, view, fine)
         try:
             with gpu.lock:
                 size = rows * fine, columns * fine
                 worked = overlay == "inversions"
-                shading.paint(held, look, view.packed, size, fine, behind, texture, worked, ends)
+                shading.paint(held, look, size, fine, behind, texture, worked, ends)
         except failures() as error:
             failed = trouble(gpu, error)
             if not gpu.lost and "Texture with" in failed and "destroyed" in failed:  # other errors are the scene's own
@@ -455,48 +482,56 @@ class Scene:
         )
         if done is None:
             # The lattice of a buffered scene may be too coarse to be seen.
-            left = {"_held": replace(held, filling=None, mode=shading.LATTICE)}
-            self._set({"_held": None, "gpu": None} if held.whole else left)
+            if held.whole:
+                self._held = self.gpu = None
+            else:
+                self._held = replace(held, filling=None, mode=LATTICE)
             return 1.0
         return done
 
     def _look(self, view: Projection) -> shading.Look:
+        seen, light = self._seen, lamp(view)
+        arrives, placed = arriving(self._shade, light, self.shadows)
         return shading.Look(
-            self._skips,
-            self._table,
-            *self._entries,
-            summed(self._table),
-            self._threshold if self.projection == "none" else math.inf,
-            self._window[1],
-            self.step,
-            lamp(view),
-            self.shaded,
-            np.array(self.clip).T,
-            self.plane,
-            self.silhouettes,
-            PROJECTIONS.index(self.projection),
-            arriving(self._shade, lamp(view), self.shadows),
-            isinstance(self.transfer, LabelColours),
+            camera=np.ascontiguousarray(view.packed),
+            skips=self._skips,
+            table=seen.table,
+            sums=summed(seen.table),
+            low=seen.low,
+            scale=seen.scale,
+            threshold=seen.threshold if self.projection == "none" else math.inf,
+            top=seen.window[1],
+            step=self.step,
+            light=triple(light),
+            shaded=self.shaded,
+            box=np.ascontiguousarray(np.array(self.clip).T),
+            plane=self.plane,
+            silhouettes=self.silhouettes,
+            projection=PROJECTIONS.index(self.projection),
+            arrives=arrives,
+            placed=placed,
+            labelled=isinstance(self.transfer, LabelColours),
         )
 
     def _ends(self, look: shading.Look, view: Projection, fine: int) -> npt.NDArray[np.float32] | None:
         return nearest(self._placed, look, view, fine) if self._placed else None
 
-    def _marcher(self, look: shading.Look, view: Projection) -> Callable[..., None]:
-        """Return the function that marches the rays of columns and rows of pixels, into colours, depths and work."""
+    def _march(
+        self,
+        look: shading.Look,
+        view: Projection,
+        columns: Array,
+        rows: Array,
+        into: tuple[Array, Array, Array],
+        ends: Array | None = None,
+    ) -> None:
+        """March the rays of columns and rows of pixels by the CPU, into colours, depths and work."""
         strokes = None
         if self.deformation is not None and self.samples is self._original:
             space = self.deformation.space
             strokes = _core.Strokes(numbers(space.table), np.ascontiguousarray(space.axes), space.freeze)
-        seen = core_look(look, view)
-
-        def march(
-            columns: Array, rows: Array, light: Array, depth: Array, work: Array, ends: Array | None = None
-        ) -> None:
-            xs, ys = columns - (view.size[1] - 1) / 2, rows - (view.size[0] - 1) / 2  # from the centre
-            _core.draw(self.samples, self._colours, seen, strokes, xs, ys, light, depth, work, ends)
-
-        return march
+        xs, ys = columns - (view.size[1] - 1) / 2, rows - (view.size[0] - 1) / 2  # from the centre
+        _core.draw(self.samples, self._colours, look.core, strokes, xs, ys, *into, ends)
 
     def pick(self, camera: Camera, size: tuple[int, int], pixel: tuple[float, float]) -> Pick | None:
         """Return the voxel picked at a pixel.
@@ -518,7 +553,7 @@ class Scene:
         x, y = point("pixel", pixel, (2,))
         view = self.view(camera, size)
         light, depth, work = np.empty((1, 1, 4), np.float32), np.empty((1, 1, 2)), np.empty((1, 1, 2), np.int64)
-        self._marcher(self._look(view), view)(np.array([x]), np.array([y]), light, depth, work)
+        self._march(self._look(view), view, np.array([x]), np.array([y]), (light, depth, work))
         away = float(depth[0, 0, 1])
         if not math.isfinite(away):
             return None
@@ -560,5 +595,20 @@ class Scene:
         return replace(camera, azimuth=camera.azimuth + 360.0 * k / count)
 
 
-def _picture(light: Array, depth: Array, work: Array) -> Rendering:
-    return Rendering(light, depth[..., 0], work[..., 0], work[..., 1])
+def _checked(given: Deformation | None, shape: tuple[int, ...], spacing: tuple[float, ...]) -> Deformation | None:
+    """Return the deformation of a scene's volume; None for one that moves nothing.
+
+    SuppleError if it is of another shape or spacing, or not of strokes alone.
+    """
+    deformation: object = given
+    if deformation is None:
+        return None
+    if not isinstance(deformation, Deformation):
+        refuse("deformation", "a Deformation", deformation)
+    if deformation.shape != shape:
+        refuse("the deformation", f"one of shape {shape}, as the volume", told=f"shape {deformation.shape}")
+    if deformation.maps:
+        raise SuppleError("a scene is bent by strokes alone, found fields or affine maps: warp the volume first")
+    if not np.allclose(deformation.domain.spacing, spacing):
+        refuse("the deformation", f"one of spacing {spacing}", deformation.domain.spacing)
+    return None if deformation.is_identity else deformation

@@ -17,9 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.render.appearance import warped
+from supple.render.appearance import Seen
 from supple.render.box import Box
-from supple.render.labels import LabelColours
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.floating[Any]]
@@ -58,18 +57,15 @@ class Shade:
     sky: Singles
 
 
-def shade_of(known: dict[str, Any]) -> Shade | None:
-    """Return the shade of a scene, of whose attributes ``known`` has enough; None if it has no shadows."""
-    if not known["shadows"] or not known["shaded"] or known["projection"] != "none":
-        return None
-    samples, spacing, deformation = known["samples"], known["geometry"].spacing, known["deformation"]
-    if deformation is not None and samples is known["_original"]:  # rays look up their sources
-        samples = warped(samples, deformation, isinstance(known["transfer"], LabelColours), NEAR)
+def shade_of(
+    samples: Array, seen: Seen, step: float, clip: Box, plane: Sequence[float], spacing: tuple[float, ...]
+) -> Shade:
+    """Return the shade of samples, where rays go by some step, in a box and before a plane."""
     sides = [n * s for n, s in zip(samples.shape[::-1], spacing, strict=True)]
     length = max(max(sides) / LONGEST, min(spacing))
     wide = tuple(max(1, round(length / s)) for s in spacing)
-    nodes = _opacities(samples, known, length, wide)
-    nodes = np.pad(nodes * _kept(nodes.shape, wide, known["clip"], known["plane"], spacing), PAD)
+    nodes = _opacities(samples, seen, length / step, wide)
+    nodes = np.pad(nodes * _kept(nodes.shape, wide, clip, plane, spacing), PAD)
     apart = tuple(w * s for w, s in zip(wide, spacing, strict=True))
     sky = sum((light_from(way, nodes, length, apart) for way in SKY), np.zeros_like(nodes))
     return Shade(nodes, length, wide, apart, np.minimum(sky / np.float32(len(SKY) / 2), 1) ** DEEP)
@@ -151,20 +147,14 @@ def _reached(nodes: Singles) -> Singles:
     return np.ascontiguousarray(nodes)
 
 
-def _opacities(samples: Array, known: dict[str, Any], length: float, wide: tuple[int, ...]) -> Singles:
-    """Return the mean opacity of ``length`` millimetres in blocks of voxels."""
-    table, (low, scale), (bottom, top) = (known[k] for k in ("_table", "_entries", "_window"))
-    values = low + np.arange(len(table)) / (scale or 1.0)
-    opacities = 1 - (1 - table[:, 3].astype(np.float64)) ** (length / known["step"])
-    opacities[(values < bottom) | (values > top)] = 0
+def _opacities(samples: Array, seen: Seen, steps: float, wide: tuple[int, ...]) -> Singles:
+    """Return the mean opacity of a length of some steps in blocks of voxels."""
+    values = seen.low + np.arange(len(seen.table)) / (seen.scale or 1.0)
+    opacities = 1 - (1 - seen.table[:, 3].astype(np.float64)) ** steps
+    opacities[(values < seen.window[0]) | (values > seen.window[1])] = 0
     made = np.empty([-(-n // w) for n, w in zip(samples.shape, wide[::-1], strict=True)], np.float32)
-    _core.block_means(samples, wide, opacities.astype(np.float32), low, scale, made)
+    _core.block_means(samples, wide, opacities.astype(np.float32), seen.low, seen.scale, made)
     return made
-
-
-def _centres(shape: tuple[int, ...], wide: tuple[int, ...]) -> list[Floats]:
-    """Return the voxels at the centres of blocks along each axis, x first."""
-    return [np.arange(n) * w + (w - 1) / 2 for n, w in zip(shape[::-1], wide, strict=True)]
 
 
 def _kept(
@@ -172,7 +162,8 @@ def _kept(
 ) -> Singles:
     """Return the parts of blocks that are not cut away."""
     kept, away = np.ones(shape, np.float32), np.full(shape, -plane[3], np.float32)
-    for axis, (at, w) in enumerate(zip(_centres(shape, wide), wide, strict=True)):
+    for axis, (n, w) in enumerate(zip(shape[::-1], wide, strict=True)):
+        at = np.arange(n) * w + (w - 1) / 2  # the centres of blocks
         (first, last), along = clip[axis], [-1 if k == 2 - axis else 1 for k in range(3)]
         inside = np.minimum(at + w / 2, last + 0.5) - np.maximum(at - w / 2, first - 0.5)
         kept *= np.clip(inside / w, 0, 1).astype(np.float32).reshape(along)

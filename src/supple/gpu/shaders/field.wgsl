@@ -10,6 +10,11 @@
 // A point is an anchor q and an offset w from it, in physical units: the accuracy of w, and of distances to pivots, in
 // float32 does not depend on the distance of q from the origin. Likewise, a pivot is the sum of two numbers.
 
+#use freeze
+
+var<uniform> domain: Domain;
+var<storage, read> strokes: array<Stroke>;
+
 override GRABS: bool = false; // true if all strokes are grabs, one after the other
 
 struct Stroke {
@@ -47,6 +52,7 @@ fn finest() -> f32 {
     return domain.spacing.w;
 }
 
+const IDENTITY = mat3x3f(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
 const HALF_PI = 1.5707963267948966;
 // t² from which on the displacement is 0: m is below 1e-14 there, less than the rounding of t in float32.
 const RIM = 0.99999;
@@ -191,7 +197,7 @@ fn moved_by(k: u32, q: vec3f, start: Moved, at: Moved) -> Moved {
 }
 
 fn moved(first: u32, last: u32, q: vec3f, w: vec3f) -> Moved {
-    var at = Moved(w, mat3x3f(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
+    var at = Moved(w, IDENTITY);
     var start = at;
     for (var k = first; k < last; k++) {
         if (GRABS || strokes[k].joined == 0u) {

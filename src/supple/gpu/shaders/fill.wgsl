@@ -1,5 +1,7 @@
 // A deformed volume, filled in bricks: each voxel from the volume at T⁻¹, which is a cubic along rows.
 
+#use newton solid smooth volume turns
+
 struct Settings {
     size: vec3u, // voxels
     strokes: u32,
@@ -8,24 +10,18 @@ struct Settings {
     count: u32, // of bricks in this dispatch
     tolerance: f32, // of source points, in voxels
     turns: u32, // see turns.wgsl
-    unused: u32,
 }
 
-@group(0) @binding(0) var<uniform> settings: Settings;
-@group(0) @binding(1) var<uniform> domain: Domain;
-@group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
-@group(0) @binding(6) var<storage, read> wanted: array<u32>; // bricks
-@group(0) @binding(7) var<storage, read_write> lost: atomic<u32>; // voxels that could not be solved
-@group(0) @binding(8) var made: texture_storage_3d<r32float, write>; // the buffer
-@group(0) @binding(9) var<storage, read> mask: array<u32>; // see freeze.wgsl
+var<uniform> settings: Settings;
+var<storage, read> wanted: array<u32>; // bricks
+var<storage, read_write> lost: atomic<u32>; // voxels that could not be solved
+var made: texture_storage_3d<r32float, write>; // the buffer
 
 override POLISHED: bool; // true if each voxel is refined, from its point on the lattice
 
-const BLOCK = 16u;
-
 fn source_of(q: vec3f, u: vec3f) -> vec3f {
     let at = q * domain.spacing.xyz;
-    if (frozen(at, vec3f(0.0))) {
+    if (frozen(at)) {
         return q;
     }
     if (!POLISHED) {

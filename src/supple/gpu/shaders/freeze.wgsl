@@ -3,6 +3,8 @@
 // Each coefficient is a number of 16 bits: m times 255; and above it the calm of the cell from it to the next ones: how
 // many cells it is, at least, to any in which m varies, and 0 for one of these. In a calm cell, m is its coefficient.
 
+var<storage, read> mask: array<u32>;
+
 override FROZEN: bool = false; // true if there is a mask
 
 // m and its gradient, in physical units.
@@ -103,12 +105,11 @@ fn smoothness_of_mask(q: vec3f, w: vec3f) -> f32 {
     return (4.0 + f32(mask_in(mask_cell(q, w)) >> 8u)) * domain.mask_size.w;
 }
 
-// True if nothing moves in a box around a point, of which half the sides are given, in physical units.
-fn frozen(q: vec3f, half_: vec3f) -> bool {
+// True if nothing moves at a point, in physical units, and in the cells beside its own.
+fn frozen(q: vec3f) -> bool {
     if (!FROZEN) {
         return false;
     }
     let own = mask_in(mask_cell(q, vec3f(0.0)));
-    let cells = ceil(half_ * domain.mask_per_step.xyz);
-    return (own & 255u) == 0u && max(cells.x, max(cells.y, cells.z)) + 1.0 <= f32(own >> 8u);
+    return (own & 255u) == 0u && own >= 256u;
 }

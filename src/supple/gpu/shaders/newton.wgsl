@@ -1,5 +1,7 @@
 // T⁻¹ at a point: Newton's method with backtracking; see _core/newton.hpp.
 
+#use field
+
 struct Found {
     offset: vec3f, // of the source point from q
     residual: f32, // |T(p) - q| there, in physical units
@@ -29,7 +31,7 @@ fn kept_inside(q: vec3f, goal: vec3f, w: vec3f) -> vec3f {
 
 // Solve T(q + w) = q + goal for the strokes from first to last - 1, from a guess of w.
 fn newton(first: u32, last: u32, q: vec3f, goal: vec3f, guess: vec3f, tolerance: f32, limit: u32) -> Found {
-    var best = Found(guess, 1e30, 0.0, mat3x3f(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
+    var best = Found(guess, 1e30, 0.0, IDENTITY);
     var step = vec3f(0.0);
     var part = 1.0;
     var steps = 0.0;

@@ -1,5 +1,7 @@
 // The lattice of a volume: T⁻¹ solved at its nodes, and its cells checked.
 
+#use newton solid smooth turns
+
 struct Settings {
     nodes: vec3u,
     spread: f32, // voxels from node to node
@@ -9,18 +11,12 @@ struct Settings {
     turns: u32, // see turns.wgsl
 }
 
-@group(0) @binding(0) var<uniform> settings: Settings;
-@group(0) @binding(1) var<uniform> domain: Domain;
-@group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
+var<uniform> settings: Settings;
 // The nodes of some layers, in the layout of solid.wgsl, in rows padded to 256 bytes.
-@group(0) @binding(4) var<storage, read_write> nodes: array<vec4f>;
+var<storage, read_write> nodes: array<vec4f>;
 // The largest observed error, in voxels, and the length scale of the map: positive numbers, which are ordered like
 // their bits. Errors from LOST on mark unsolved points.
-@group(0) @binding(5) var<storage, read_write> stats: array<atomic<u32>, 2>;
-@group(0) @binding(6) var<storage, read> mask: array<u32>; // see freeze.wgsl
-
-const LOST = 1e30;
-const CUT = 2e30; // a driver ended a thread's loops
+var<storage, read_write> stats: array<atomic<u32>, 2>;
 
 fn saw(error: f32) {
     atomicMax(&stats[0], bitcast<u32>(select(LOST, error, error <= LOST)));

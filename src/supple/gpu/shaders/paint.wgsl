@@ -1,5 +1,7 @@
 // Results of rays, composited over a background as sRGB, into a texture.
 
+#use warm
+
 struct Settings {
     background: vec3f, // linear light
     fine: u32, // rays along a pixel's side
@@ -9,10 +11,10 @@ struct Settings {
     worked: u32, // true to tint by work: inversions or, without any, samples along a ray
 }
 
-@group(0) @binding(0) var<uniform> settings: Settings;
-@group(0) @binding(1) var<storage, read> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
-@group(0) @binding(2) var<storage, read_write> lost: atomic<u32>; // rays with an unsolved point
-@group(0) @binding(3) var target_: texture_storage_2d<rgba8unorm, write>;
+var<uniform> settings: Settings;
+var<storage, read> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
+var<storage, read_write> lost: atomic<u32>; // rays with an unsolved point
+var target_: texture_storage_2d<rgba8unorm, write>;
 
 @compute @workgroup_size(8, 8)
 fn paint(@builtin(global_invocation_id) id: vec3u) {

@@ -3,6 +3,8 @@
 // T⁻¹ is solved at every 16th pixel of the window, and interpolated at the others, optionally followed by Newton's
 // method. All offsets are in physical units.
 
+#use newton blend warm
+
 struct Settings {
     size: vec2u, // pixels of the window
     nodes: vec2u,
@@ -17,7 +19,6 @@ struct Settings {
     stride: u32, // words from frame to frame, with all levels
     levels: u32, // each half as large as the one before
     strokes: u32,
-    solved: u32, // true if each pixel is solved
     overlay: u32,
     every: f32, // pixels from line to line of a grid
     corner: vec2f, // of an image that is warped already: the position of the first pixel held, at its size
@@ -26,19 +27,17 @@ struct Settings {
     step: f32, // pixels of the image for each pixel held of one that is warped already
 }
 
-@group(0) @binding(0) var<uniform> settings: Settings;
-@group(0) @binding(1) var<uniform> domain: Domain;
-@group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
-@group(0) @binding(3) var<storage, read_write> nodes: array<vec4f>; // three for each: w, and two columns of ∂p/∂q
-@group(0) @binding(4) var<storage, read> mask: array<u32>; // see freeze.wgsl
-@group(0) @binding(5) var<storage, read> pixels: array<u32>; // sRGB and opacity, of 8 bits each
-@group(0) @binding(6) var target_: texture_storage_2d<rgba8unorm, write>;
-@group(0) @binding(7) var laid: texture_2d<f32>;
+var<uniform> settings: Settings;
+var<storage, read_write> nodes: array<vec4f>; // three for each: w, and two columns of ∂p/∂q
+var<storage, read> pixels: array<u32>; // sRGB and opacity, of 8 bits each
+var laid: texture_2d<f32>; // the pixels held of an image that is warped already
+var target_: texture_storage_2d<rgba8unorm, write>;
 
-override BENT: bool = true; // true if there are strokes; constant, as software GPUs compile shaders slowly
-override SINGLE: bool = false; // true if one sample will do; constant, as a loop of any length takes them as long again
+// These are constants, as software GPUs run both sides of a branch, and loops of any length as often.
+override BENT: bool = true; // true if there are strokes
+override DRAGGED: bool = false; // true if one sample for each pixel will do, and T⁻¹ between nodes
+override LAID: bool = false; // true if the image is warped already, and strokes are for the overlay
 
-const CELL = 16u;
 const GRID = 1u;
 const STRETCH = 2u;
 const RESIDUAL = 3u;
@@ -90,12 +89,12 @@ fn interpolated(at: vec2f) -> Seen {
 
 fn source_of(at: vec2f) -> Seen {
     let q = anchor(at);
-    if (!BENT || frozen(q, vec3f(0.0))) {
+    if (!BENT || frozen(q)) {
         return Seen(vec3f(0.0), vec3f(1.0, 0.0, 0.0), vec3f(0.0, 1.0, 0.0), 0.0, 0.0);
     }
     let guess = interpolated(at);
     // Beside what is frozen, the map may vary too much from node to node.
-    if (settings.solved == 0u && !FROZEN) {
+    if (DRAGGED && !FROZEN) {
         return guess;
     }
     let wanted = 1e-3 * finest();
@@ -108,22 +107,27 @@ fn source_of(at: vec2f) -> Seen {
 
 // A pixel of a level of a frame, weighted by its opacity.
 fn texel(at: vec2i, level: u32, frame: i32) -> vec4f {
-    var size = settings.source;
-    var start = 0u;
-    for (var k = 0u; k < level; k++) {
-        start += size.x * size.y;
-        size = (size + 1u) / 2u;
+    var v: vec4f;
+    if (LAID) {
+        v = textureLoad(laid, clamp(at, vec2i(0), vec2i(textureDimensions(laid)) - 1), 0);
+    } else {
+        var size = settings.source;
+        var start = 0u;
+        for (var k = 0u; k < level; k++) {
+            start += size.x * size.y;
+            size = (size + 1u) / 2u;
+        }
+        let kept = vec2u(clamp(at, vec2i(0), vec2i(size) - 1));
+        // The frames held are in a ring.
+        let here = clamp(frame, i32(settings.earliest), i32(settings.earliest + settings.held) - 1);
+        let slot = u32(here) % settings.slots;
+        v = unpack4x8unorm(pixels[slot * settings.stride + start + kept.y * size.x + kept.x]);
     }
-    let kept = vec2u(clamp(at, vec2i(0), vec2i(size) - 1));
-    // The frames held are in a ring.
-    let here = clamp(frame, i32(settings.earliest), i32(settings.earliest + settings.held) - 1);
-    let slot = u32(here) % settings.slots;
-    let v = unpack4x8unorm(pixels[slot * settings.stride + start + kept.y * size.x + kept.x]);
     return vec4f(v.xyz * v.w, v.w);
 }
 
 fn linear_at(p: vec2f, level: u32, frame: i32) -> vec4f {
-    let q = (p + 0.5) / f32(1u << level) - 0.5;
+    let q = (p + 0.5) / select(f32(1u << level), settings.step, LAID) - 0.5 - settings.corner;
     let whole = floor(clamp(q, vec2f(-1e6), vec2f(1e6)));
     let part = q - whole;
     let i = vec2i(whole);
@@ -150,13 +154,42 @@ fn cover_of(q: vec2f) -> f32 {
     return inside.x * inside.y;
 }
 
-// The samples along each side whose mean is that of a footprint.
-fn taps_of(covers: f32) -> u32 {
-    return u32(clamp(ceil(covers - 0.1), 1.0, 4.0));
-}
-
-// Store a pixel, with the overlay, on the background.
-fn show(id: vec2u, total: vec4f, cover: f32, seen: Seen, p: vec2f, covers: f32) {
+@compute @workgroup_size(8, 8)
+fn paint(@builtin(global_invocation_id) thread: vec3u) {
+    let id = settings.first + thread.xy;
+    if (id.x >= settings.size.x || id.y >= settings.size.y) {
+        return;
+    }
+    let at = vec2f(id);
+    let q = settings.origin + settings.scale * at;
+    let cover = cover_of(q);
+    if (cover == 0.0) {
+        textureStore(target_, id, vec4f(settings.back.xyz, 1.0));
+        return;
+    }
+    let seen = source_of(at);
+    let p = q + seen.w.xy / domain.spacing.xy;
+    let time = settings.time + seen.w.z / domain.spacing.z;
+    // The footprint of a pixel in the image.
+    let right = settings.scale * seen.right.xy * domain.spacing.x / domain.spacing.xy;
+    let below = settings.scale * seen.below.xy * domain.spacing.y / domain.spacing.xy;
+    let covers = max(length(right), length(below));
+    let levels = log2(max(covers, 1e-6)) - select(1.0, 0.5, DRAGGED);
+    let level = u32(clamp(ceil(levels - 0.5), 0.0, f32(settings.levels - 1u)));
+    // Where it is sampled, and in how many pixels: of an image that is warped already, those of the window.
+    let middle = select(p, q, LAID);
+    let across = select(right, vec2f(settings.scale, 0.0), LAID);
+    let down = select(below, vec2f(0.0, settings.scale), LAID);
+    let count = select(covers / f32(1u << level), settings.scale / settings.step, LAID);
+    let taps = select(u32(clamp(ceil(count - 0.1), 1.0, 4.0)), 1u, DRAGGED);
+    var total = vec4f(0.0);
+    for (var j = 0u; j < taps; j++) {
+        for (var i = 0u; i < taps; i++) {
+            let s = (vec2f(vec2u(i, j)) + 0.5) / f32(taps) - 0.5;
+            total += at_time(middle + s.x * across + s.y * down, level, time);
+        }
+    }
+    total /= f32(taps * taps);
     // Transparent pixels are drawn over a checkerboard.
     let square = vec2u((vec2f(id) + 0.5) / settings.back.w);
     let ground = select(0.42, 0.58, ((square.x + square.y) & 1u) == 0u);
@@ -175,82 +208,4 @@ fn show(id: vec2u, total: vec4f, cover: f32, seen: Seen, p: vec2f, covers: f32) 
         shown = mix(shown, warm(seen.steps / 8.0), 0.6);
     }
     textureStore(target_, id, vec4f(mix(settings.back.xyz, shown, cover), 1.0));
-}
-
-@compute @workgroup_size(8, 8)
-fn paint(@builtin(global_invocation_id) thread: vec3u) {
-    let id = settings.first + thread.xy;
-    if (id.x >= settings.size.x || id.y >= settings.size.y) {
-        return;
-    }
-    let at = vec2f(id);
-    let q = settings.origin + settings.scale * at;
-    let cover = cover_of(q);
-    if (cover == 0.0) {
-        textureStore(target_, id, vec4f(settings.back.xyz, 1.0));
-        return;
-    }
-    let seen = source_of(at);
-    let p = q + seen.w.xy / domain.spacing.xy;
-    let time = settings.time + seen.w.z / domain.spacing.z;
-    // The footprint of a pixel in the image, in pixels of a level.
-    let right = settings.scale * seen.right.xy * domain.spacing.x / domain.spacing.xy;
-    let below = settings.scale * seen.below.xy * domain.spacing.y / domain.spacing.xy;
-    let covers = max(length(right), length(below));
-    // During a drag, one sample will do.
-    let levels = log2(max(covers, 1e-6)) - select(0.5, 1.0, settings.solved == 1u);
-    let level = u32(clamp(ceil(levels - 0.5), 0.0, f32(settings.levels - 1u)));
-    let taps = select(1u, taps_of(covers / f32(1u << level)), settings.solved == 1u);
-    var total = vec4f(0.0);
-    for (var j = 0u; j < taps; j++) {
-        for (var i = 0u; i < taps; i++) {
-            let s = (vec2f(vec2u(i, j)) + 0.5) / f32(taps) - 0.5;
-            total += at_time(p + s.x * right + s.y * below, level, time);
-        }
-    }
-    show(id, total / f32(taps * taps), cover, seen, p, covers);
-}
-
-fn laid_texel(at: vec2i) -> vec4f {
-    let v = textureLoad(laid, clamp(at, vec2i(0), vec2i(textureDimensions(laid)) - 1), 0);
-    return vec4f(v.xyz * v.w, v.w);
-}
-
-fn laid_at(q: vec2f) -> vec4f {
-    let p = (q + 0.5) / settings.step - 0.5 - settings.corner;
-    let part = fract(p);
-    let i = vec2i(floor(p));
-    let upper = mix(laid_texel(i), laid_texel(i + vec2i(1, 0)), part.x);
-    let lower = mix(laid_texel(i + vec2i(0, 1)), laid_texel(i + vec2i(1, 1)), part.x);
-    return mix(upper, lower, part.y);
-}
-
-// An image that is warped already.
-@compute @workgroup_size(8, 8)
-fn lay(@builtin(global_invocation_id) thread: vec3u) {
-    let id = settings.first + thread.xy;
-    if (id.x >= settings.size.x || id.y >= settings.size.y) {
-        return;
-    }
-    let at = vec2f(id);
-    let q = settings.origin + settings.scale * at;
-    let cover = cover_of(q);
-    if (cover == 0.0) {
-        textureStore(target_, id, vec4f(settings.back.xyz, 1.0));
-        return;
-    }
-    // During a drag, one sample will do, too: it is the mean of four pixels, each at least half a pixel of the window.
-    let taps = select(taps_of(settings.scale / settings.step), 1u, SINGLE);
-    var total = vec4f(0.0);
-    for (var j = 0u; j < taps; j++) {
-        for (var i = 0u; i < taps; i++) {
-            let s = (vec2f(vec2u(i, j)) + 0.5) / f32(taps) - 0.5;
-            total += laid_at(q + settings.scale * s);
-        }
-    }
-    let seen = source_of(at);
-    let p = q + seen.w.xy / domain.spacing.xy;
-    let right = settings.scale * seen.right.xy * domain.spacing.x / domain.spacing.xy;
-    let below = settings.scale * seen.below.xy * domain.spacing.y / domain.spacing.xy;
-    show(id, total / f32(taps * taps), cover, seen, p, max(length(right), length(below)));
 }

@@ -1,5 +1,7 @@
 // A volume rendered through a camera, a ray for each thread; see _core/raymarch.hpp.
 
+#use newton solid volume turns
+
 struct Settings {
     size: vec3u, // voxels
     strokes: u32,
@@ -10,16 +12,16 @@ struct Settings {
     picture: vec2u,
     threshold: f32, // the visible range of values
     top: f32,
-    eye: vec4f, // in voxels
-    ahead: vec4f, // the direction of view, and the steps to the pixels right and below, in millimetres along the axes
-    right: vec4f,
-    below: vec4f,
-    light: vec4f, // its direction
-    box_first: vec4f, // the corners of the box that is seen, in voxels
-    box_last: vec4f,
+    eye: vec3f, // in voxels
+    ahead: vec3f, // the direction of view, and the steps to the pixels right and below, in millimetres along the axes
+    right: vec3f,
+    below: vec3f,
+    light: vec3f, // its direction
+    box_first: vec3f, // the corners of the box that is seen, in voxels
+    box_last: vec3f,
     plane: vec4f, // what lies beyond it is cut away: its normal, and its distance from the first voxel
-    first_node: vec4f, // the node of the light that arrives at a voxel: first_node + per_node voxel
-    per_node: vec4f,
+    first_node: vec3f, // the node of the light that arrives at a voxel: first_node + per_node voxel
+    per_node: vec3f,
     step: f32, // millimetres from sample to sample
     low: f32, // the value of the transfer function's first entry, and entries for each unit of value
     scale: f32,
@@ -35,31 +37,24 @@ struct Settings {
     ends: u32, // true if there are meshes
 }
 
-@group(0) @binding(0) var<uniform> settings: Settings;
-@group(0) @binding(1) var<uniform> domain: Domain;
-@group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
-@group(0) @binding(6) var skips: texture_3d<u32>;
-@group(0) @binding(7) var colours: texture_3d<f32>; // the transfer function, and its sums before each entry
-@group(0) @binding(8) var<storage, read_write> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
-@group(0) @binding(9) var<storage, read> finished: array<u32>; // for each brick of the buffer, 1 if it can be read
-@group(0) @binding(10) var<storage, read> mask: array<u32>; // see freeze.wgsl
-@group(0) @binding(11) var arrives: texture_3d<f32>; // the part of the light that arrives at nodes
-@group(0) @binding(12) var<storage, read> ends: array<vec4f>; // the meshes that rays end at: colour, and distance
+var<uniform> settings: Settings;
+var skips: texture_3d<u32>;
+var colours: texture_3d<f32>; // the transfer function, and its sums before each entry
+var<storage, read_write> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
+var<storage, read> finished: array<u32>; // for each brick of the buffer, 1 if it can be read
+var paint: texture_3d<f32>; // colours of voxels, sRGB and opacity
+var arrives: texture_3d<f32>; // the part of the light that arrives at nodes
+var<storage, read> ends: array<vec4f>; // the meshes that rays end at: colour, and distance
 
 override MODE: u32;
+override COLOURED: bool = false; // true if voxels have colours of their own
 
-const PLAIN = 0u;
-const LATTICE = 1u;
-const EXACT = 2u;
-const HYBRID = 3u;
-const BLOCK = 16u;
 const BRICK = 4u;
 const BISECTIONS = 2u;
 const HALVINGS = 6u; // of labels
 const OPAQUE = 0.995;
 const FAINT = 4e-3;
 const LAYER = 4.0; // voxels behind a cut face over which the light of gradients takes over
-const FAR = 3e38;
 const MAXIMUM = 1u; // projections
 const AVERAGE = 3u;
 const AMBIENT = 0.15;
@@ -75,8 +70,6 @@ struct Place {
     shift: vec3f, // of an exact one, the guess of the next one
     matrix: mat3x3f, // ∂p/∂q, in physical units, of an exact one
 }
-
-const STILL = mat3x3f(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
 
 fn solved(q: vec3f, near: vec3f) -> Place {
     let at = q * domain.spacing.xyz;
@@ -94,7 +87,6 @@ fn solved(q: vec3f, near: vec3f) -> Place {
 // A stretch of a ray, a few steps long, along which the source points are a cubic: one read of the lattice serves all
 // of its samples. It is about as long as the cells of the lattice, and not longer.
 struct Stretch {
-    of_buffer: bool, // true if the buffer is read, which is filled around it
     start: f32, // in millimetres along the ray
     over: f32, // 1 / its length
     from_: Between, // at its ends
@@ -121,11 +113,11 @@ fn begin(ray: Ray, going_on: bool) {
     // Its end, and its start unless it is known: a loop, since some devices run both sides of a branch.
     var ends = select(2u, 1u, going_on && stretch.start == wanted);
     if (MODE == HYBRID) {
-        let was = stretch.of_buffer;
+        let was = of_buffer;
         let block = vec3u(clamp(ray.o + stretch.start * ray.d, vec3f(0.0), vec3f(settings.size - 1u))) / BLOCK;
         let blocks = (settings.size + BLOCK - 1u) / BLOCK;
-        stretch.of_buffer = finished[(block.z * blocks.y + block.y) * blocks.x + block.x] != 0u;
-        ends = select(select(ends, 2u, was), 0u, stretch.of_buffer);
+        of_buffer = finished[(block.z * blocks.y + block.y) * blocks.x + block.x] != 0u;
+        ends = select(select(ends, 2u, was), 0u, of_buffer);
     }
     for (var k = 0u; k < ends; k++) {
         let here = between(ray.o + (stretch.start + select(length_, 0.0, k == 1u)) * ray.d);
@@ -145,11 +137,11 @@ fn source_of(ray: Ray, t: f32, near: vec3f) -> Place {
     if (MODE == EXACT) {
         return solved(q, near);
     }
-    if (MODE == PLAIN || (MODE == HYBRID && stretch.of_buffer)) {
-        return Place(q, near, STILL);
+    if (MODE == PLAIN || (MODE == HYBRID && of_buffer)) {
+        return Place(q, near, IDENTITY);
     }
     let s = (t - stretch.start) * stretch.over;
-    return Place(q + cubic(stretch.from_.shift, stretch.rise, stretch.a, stretch.b, s), near, STILL);
+    return Place(q + cubic(stretch.from_.shift, stretch.rise, stretch.a, stretch.b, s), near, IDENTITY);
 }
 
 struct Ray {
@@ -180,11 +172,11 @@ fn steps_to_skip(ray: Ray, t: f32) -> f32 {
 
 // The gradient of the deformed volume, per millimetre: (∂p/∂q)ᵀ ∇f.
 fn gradient_at(place: Place, t: f32) -> vec3f {
-    let g = slopes_at(place.p, stretch.of_buffer);
+    let g = slopes_at(place.p);
     if (MODE == EXACT) {
         return (g / domain.spacing.xyz) * place.matrix;
     }
-    if (MODE == PLAIN || (MODE == HYBRID && stretch.of_buffer)) {
+    if (MODE == PLAIN || (MODE == HYBRID && of_buffer)) {
         return g / domain.spacing.xyz;
     }
     let s = (t - stretch.start) * stretch.over;
@@ -195,8 +187,6 @@ fn gradient_at(place: Place, t: f32) -> vec3f {
 fn side(value: f32) -> i32 {
     return select(select(0, 1, value > settings.top), -1, value < settings.threshold);
 }
-
-const ROW = 2048u; // entries in a layer of the texture
 
 // An entry of the transfer function, or of its sums.
 fn table_at(entry: u32, row: u32) -> vec4f {
@@ -287,14 +277,14 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
     let fine = f32(settings.fine);
     let pixel = (vec2f(f32(id.x), f32(id.y + settings.first)) + 0.5) / fine - 0.5
         - 0.5 * (vec2f(size) / fine - 1.0);
-    let along = normalize(settings.ahead.xyz + pixel.x * settings.right.xyz + pixel.y * settings.below.xyz);
+    let along = normalize(settings.ahead + pixel.x * settings.right + pixel.y * settings.below);
     let d = along / domain.spacing.xyz;
-    let o = settings.eye.xyz;
+    let o = settings.eye;
     // Where the ray enters and leaves the box.
     let safe = select(d, vec3f(1e-12), abs(d) < vec3f(1e-12));
     let over = 1.0 / safe;
-    let one_way = (settings.box_first.xyz - o) * over;
-    let other_way = (settings.box_last.xyz - o) * over;
+    let one_way = (settings.box_first - o) * over;
+    let other_way = (settings.box_last - o) * over;
     let enters = min(one_way, other_way);
     let leaves = max(one_way, other_way);
     var near = max(0.0, max(enters.x, max(enters.y, enters.z)));
@@ -313,7 +303,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
     if (settings.projection == 0u) {
         far = min(far, end.w);
     }
-    let half_ = normalize(settings.light.xyz - along);
+    let half_ = normalize(settings.light - along);
     var ray = Ray(o, d, over, safe > vec3f(0.0), near, far, near, 0.0);
     var t = near;
     var taken = 0.0;
@@ -325,7 +315,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
         face = select(face, abs(settings.light[i]), enters[i] == near);
     }
     if (near > boxed) {
-        face = abs(dot(settings.light.xyz, settings.plane.xyz));
+        face = abs(dot(settings.light, settings.plane.xyz));
     }
     if (settings.projection != 0u) {
         project(ray, 2u * (id.y * size.x + id.x));
@@ -363,7 +353,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
         if (!known) {
             let place = source_of(ray, t, shift);
             shift = place.shift;
-            before = sample_at(place.p, stretch.of_buffer);
+            before = sample_at(place.p);
             taken += 1.0;
             known = true;
         }
@@ -372,7 +362,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
             let t1 = min(ray.start + (ray.count + 1.0) * settings.step, far);
             let place = source_of(ray, t1, shift);
             shift = place.shift;
-            let after = sample_at(place.p, stretch.of_buffer);
+            let after = sample_at(place.p);
             taken += 1.0;
             if (surface == FAR) {
                 let outer = side(before);
@@ -388,7 +378,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                         let middle = 0.5 * (low + high);
                         let inner = source_of(ray, middle, shift);
                         shift = inner.shift;
-                        let there = sample_at(inner.p, stretch.of_buffer);
+                        let there = sample_at(inner.p);
                         taken += 1.0;
                         if (side(there) == outer) {
                             low = middle;
@@ -467,7 +457,7 @@ fn project(whole: Ray, k: u32) {
         for (var j = 0u; j < settings.stretch && t <= ray.far; j++) {
             let place = source_of(ray, t, shift);
             shift = place.shift;
-            let next = sample_at(place.p, stretch.of_buffer);
+            let next = sample_at(place.p);
             if (settings.projection == AVERAGE) {
                 value += next;
             } else if (count == 0.0 || select((next < value), (next > value), settings.projection == MAXIMUM)) {
@@ -498,6 +488,22 @@ fn project(whole: Ray, k: u32) {
     seen[k + 1u] = vec4f(surface, at, count, select(inversions, -1.0, lost || cut_short()));
 }
 
+// The colour at a point, with the opacity of the transfer function's: see Coloured in _core/voxels.hpp.
+fn painted(p: vec3f, colour: vec4f) -> vec4f {
+    if (!COLOURED) {
+        return colour;
+    }
+    let cell = cell_of(p);
+    var sum = vec4f(0.0);
+    for (var k = 0u; k < 8u; k++) {
+        let corner = corner_of(cell, k);
+        let found = textureLoad(paint, corner.at, 0);
+        sum += corner.weight * found.w * vec4f(found.xyz, 1.0);
+    }
+    let u = sum.xyz / max(sum.w, 1e-6);
+    return vec4f(select(pow((u + 0.055) / 1.055, vec3f(2.4)), u / 12.92, u <= vec3f(0.04045)), colour.w);
+}
+
 // Ambient and diffuse light, and the highlight, of a surface with a gradient; both sides are lit.
 fn lit_by(gradient: vec3f, half_: vec3f, along: vec3f) -> vec2f {
     let size = length(gradient);
@@ -508,20 +514,18 @@ fn lit_by(gradient: vec3f, half_: vec3f, along: vec3f) -> vec2f {
     let shine = pow(abs(dot(normal, half_)), 16.0);
     let aside = max(1.0 - abs(dot(normal, along)), 0.0);
     let left = 1.0 - settings.silhouettes * aside * aside;
-    return left * vec2f(AMBIENT + DIFFUSE * abs(dot(normal, settings.light.xyz)), SPECULAR * shine);
+    return left * vec2f(AMBIENT + DIFFUSE * abs(dot(normal, settings.light)), SPECULAR * shine);
 }
 
 // The part of the light that arrives at a point, in voxels.
 fn arriving(q: vec3f) -> f32 {
     let last = textureDimensions(arrives) - 1u;
-    let g = clamp(settings.first_node.xyz + settings.per_node.xyz * q, vec3f(0.0), vec3f(last));
+    let g = clamp(settings.first_node + settings.per_node * q, vec3f(0.0), vec3f(last));
     let i = min(vec3u(g), last - 1u);
-    let f = g - vec3f(i);
     var light = 0.0;
     for (var k = 0u; k < 8u; k++) {
-        let corner = vec3u(k & 1u, (k >> 1u) & 1u, k >> 2u);
-        let part = select(1.0 - f, f, corner == vec3u(1u));
-        light += part.x * part.y * part.z * textureLoad(arrives, i + corner, 0).x;
+        let corner = corner_of(Cell(i, g - vec3f(i)), k);
+        light += corner.weight * textureLoad(arrives, corner.at, 0).x;
     }
     return light;
 }

@@ -11,10 +11,10 @@ const LINE: f32 = 0.001; // half the width of the line between them
 
 override SPLIT: bool = true; // constant, as software GPUs would sample both textures everywhere
 
-@group(0) @binding(0) var<uniform> settings: Settings;
-@group(0) @binding(1) var first: texture_2d<f32>;
-@group(0) @binding(2) var second: texture_2d<f32>;
-@group(0) @binding(3) var smooth_: sampler;
+var<uniform> settings: Settings;
+var first: texture_2d<f32>;
+var second: texture_2d<f32>;
+var smooth_: sampler;
 
 struct Corner {
     @builtin(position) position: vec4f,

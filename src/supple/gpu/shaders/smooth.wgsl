@@ -1,5 +1,7 @@
 // The length scale of the map, for checks of lattices; see _core/plan.hpp.
 
+#use field
+
 const RESERVE = 2.0;
 const ROUGH = 3.0; // with a freeze mask: a spline, whose derivatives jump
 
@@ -24,7 +26,7 @@ fn norm_of(m: mat3x3f) -> f32 {
 // border, along each axis by itself, over σ or the distance to it, and a freeze mask as far as it is smooth; all are
 // scaled by the derivative of the stroke's input with respect to q.
 fn smoothness(q: vec3f, w: vec3f, m: mat3x3f) -> f32 {
-    var at = Moved(w, mat3x3f(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
+    var at = Moved(w, IDENTITY);
     var start = at;
     var least = 1e30;
     for (var k = 0u; k < settings.strokes; k++) {

@@ -4,7 +4,9 @@
 // and the error falls with the cube of its size at least. They lie two by two: no side of a
 // texture is much longer than there are nodes along it.
 
-@group(0) @binding(3) var lattice: texture_3d<f32>;
+#use blend
+
+var lattice: texture_3d<f32>;
 
 fn node_at(i: vec3u, k: u32) -> vec3f {
     return textureLoad(lattice, vec3u(i.x, 2u * i.y + (k & 1u), 2u * i.z + (k >> 1u)), 0).xyz;

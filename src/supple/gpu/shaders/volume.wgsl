@@ -1,45 +1,64 @@
 // Samples of a volume between its voxels, and their slopes; see _core/voxels.hpp.
 
-@group(0) @binding(5) var warped: texture_3d<f32>; // the buffer of a deformed volume
-@group(0) @binding(13) var paint: texture_3d<f32>; // colours of voxels, sRGB and opacity
+var voxels: texture_3d<VOXEL>;
+var warped: texture_3d<f32>; // the buffer of a deformed volume
 
 override LABELLED: bool = false; // true if samples are numbers of labels, which are not mixed
-override COLOURED: bool = false; // true if voxels have colours of their own
-override SAMPLED: u32 = 0u; // the volume that is sampled
+override SAMPLED: u32 = 0u; // the volume that is sampled: by default, the given one
 
-const GIVEN = 0u;
 const WARPED = 1u;
 const EITHER = 2u;
 
-fn voxel_of(i: vec3u, of_buffer: bool) -> f32 {
-    if (SAMPLED == GIVEN) {
-        return voxel(i);
-    }
-    if (SAMPLED == WARPED || of_buffer) {
+var<private> of_buffer: bool = false; // where either may be: true if the buffer is sampled
+
+fn voxel_of(i: vec3u) -> f32 {
+    if (SAMPLED == WARPED || (SAMPLED == EITHER && of_buffer)) {
         return textureLoad(warped, i, 0).x;
     }
-    return voxel(i);
+    return f32(textureLoad(voxels, i, 0).x);
+}
+
+// The voxels around a point of the box, from the first one, and how far the point is from that.
+struct Cell {
+    first: vec3u,
+    part: vec3f,
+}
+
+fn cell_of(p: vec3f) -> Cell {
+    let kept = clamp(p, vec3f(0.0), vec3f(settings.size - 1u));
+    let i = min(vec3u(kept), settings.size - 2u);
+    return Cell(i, kept - vec3f(i));
+}
+
+// One of the eight corners of a cell, with its weight.
+struct Corner {
+    at: vec3u,
+    weight: f32,
+}
+
+fn corner_of(cell: Cell, k: u32) -> Corner {
+    let side = vec3u(k & 1u, (k >> 1u) & 1u, k >> 2u);
+    let w = select(1.0 - cell.part, cell.part, side == vec3u(1u));
+    return Corner(cell.first + side, w.x * w.y * w.z);
+}
+
+// A sample between a voxel and the next one along x.
+fn row_at(i: vec3u, part: f32) -> f32 {
+    return mix(voxel_of(i), voxel_of(i + vec3u(1u, 0u, 0u)), part);
 }
 
 // The trilinear sample at a point, in voxels; outside, that at the nearest point of the box.
-fn sample_at(p: vec3f, of_buffer: bool) -> f32 {
+fn sample_at(p: vec3f) -> f32 {
     if (LABELLED) {
-        return label_at(p, of_buffer);
+        return label_at(p);
     }
-    let kept = clamp(p, vec3f(0.0), vec3f(settings.size - 1u));
-    let i = min(vec3u(kept), settings.size - 2u);
-    let f = kept - vec3f(i);
-    let j = i + 1u;
-    let near = mix(
-        mix(voxel_of(i, of_buffer), voxel_of(vec3u(j.x, i.y, i.z), of_buffer), f.x),
-        mix(voxel_of(vec3u(i.x, j.y, i.z), of_buffer), voxel_of(vec3u(j.x, j.y, i.z), of_buffer), f.x),
-        f.y,
-    );
-    let far = mix(
-        mix(voxel_of(vec3u(i.x, i.y, j.z), of_buffer), voxel_of(vec3u(j.x, i.y, j.z), of_buffer), f.x),
-        mix(voxel_of(vec3u(i.x, j.y, j.z), of_buffer), voxel_of(j, of_buffer), f.x),
-        f.y,
-    );
+    let cell = cell_of(p);
+    let i = cell.first;
+    let f = cell.part;
+    let below = i + vec3u(0u, 1u, 0u);
+    let behind = i + vec3u(0u, 0u, 1u);
+    let near = mix(row_at(i, f.x), row_at(below, f.x), f.y);
+    let far = mix(row_at(behind, f.x), row_at(i + vec3u(0u, 1u, 1u), f.x), f.y);
     return mix(near, far, f.z);
 }
 
@@ -52,18 +71,27 @@ struct Around {
 }
 
 // The difference over two voxels along an axis, in the row of voxels through one of those around.
-fn rise(at: vec3u, axis: vec3<bool>, around: Around, s: f32, of_buffer: bool) -> f32 {
-    let a = voxel_of(select(at, around.a, axis), of_buffer);
-    let b = voxel_of(select(at, around.b, axis), of_buffer);
-    let c = voxel_of(select(at, around.c, axis), of_buffer);
-    let d = voxel_of(select(at, around.d, axis), of_buffer);
+fn rise(at: vec3u, axis: vec3<bool>, around: Around, s: f32) -> f32 {
+    let a = voxel_of(select(at, around.a, axis));
+    let b = voxel_of(select(at, around.b, axis));
+    let c = voxel_of(select(at, around.c, axis));
+    let d = voxel_of(select(at, around.d, axis));
     return mix(c - a, d - b, s);
 }
 
+// The slope along an axis, between rows of voxels along it that are apart along u and v; the parts of the way along all.
+fn slope_along(axis: vec3<bool>, u: vec3<bool>, v: vec3<bool>, around: Around, part: vec3f) -> f32 {
+    let b = around.b;
+    let c = around.c;
+    let near = mix(rise(b, axis, around, part.x), rise(select(b, c, u), axis, around, part.x), part.y);
+    let far = mix(rise(select(b, c, v), axis, around, part.x), rise(c, axis, around, part.x), part.y);
+    return mix(near, far, part.z);
+}
+
 // The gradient by central differences of `sample_at`, for each voxel: it reads 32 voxels.
-fn slopes_at(p: vec3f, of_buffer: bool) -> vec3f {
+fn slopes_at(p: vec3f) -> vec3f {
     if (LABELLED) {
-        return label_slopes_at(p, of_buffer);
+        return label_slopes_at(p);
     }
     let last = vec3i(settings.size) - 1;
     let whole = clamp(floor(p), vec3f(-2.0), vec3f(last + 1));
@@ -77,46 +105,29 @@ fn slopes_at(p: vec3f, of_buffer: bool) -> vec3f {
     let y = vec3<bool>(false, true, false);
     let z = vec3<bool>(false, false, true);
     return 0.5 * vec3f(
-        mix(
-            mix(rise(b, x, around, f.x, of_buffer), rise(select(b, c, y), x, around, f.x, of_buffer), f.y),
-            mix(rise(select(b, c, z), x, around, f.x, of_buffer), rise(c, x, around, f.x, of_buffer), f.y),
-            f.z,
-        ),
-        mix(
-            mix(rise(b, y, around, f.y, of_buffer), rise(select(b, c, x), y, around, f.y, of_buffer), f.x),
-            mix(rise(select(b, c, z), y, around, f.y, of_buffer), rise(c, y, around, f.y, of_buffer), f.x),
-            f.z,
-        ),
-        mix(
-            mix(rise(b, z, around, f.z, of_buffer), rise(select(b, c, x), z, around, f.z, of_buffer), f.x),
-            mix(rise(select(b, c, y), z, around, f.z, of_buffer), rise(c, z, around, f.z, of_buffer), f.x),
-            f.y,
-        ),
+        slope_along(x, y, z, around, f.xyz), slope_along(y, x, z, around, f.yxz), slope_along(z, x, y, around, f.zxy),
     );
 }
 
 // The sample of a copy of the volume: labels are those of the nearest voxel, as `supple warp --labels` has it.
 fn copied_at(p: vec3f) -> f32 {
     if (LABELLED) {
-        return voxel_of(vec3u(clamp(p + 0.5, vec3f(0.0), vec3f(settings.size - 1u))), false);
+        return voxel_of(vec3u(clamp(p + 0.5, vec3f(0.0), vec3f(settings.size - 1u))));
     }
-    return sample_at(p, false);
+    return sample_at(p);
 }
 
 // The label at a point, or 0: see Labels in _core/voxels.hpp.
-fn label_at(p: vec3f, of_buffer: bool) -> f32 {
-    let kept = clamp(p, vec3f(0.0), vec3f(settings.size - 1u));
-    let i = min(vec3u(kept), settings.size - 2u);
-    let f = kept - vec3f(i);
+fn label_at(p: vec3f) -> f32 {
+    let cell = cell_of(p);
     var found: array<f32, 8>;
     var weights: array<f32, 8>;
     var same = true;
     var hidden = 0.0;
     for (var k = 0u; k < 8u; k++) {
-        let side = vec3u(k & 1u, (k >> 1u) & 1u, k >> 2u);
-        let w = select(1.0 - f, f, side == vec3u(1u));
-        found[k] = voxel_of(i + side, of_buffer);
-        weights[k] = w.x * w.y * w.z;
+        let corner = corner_of(cell, k);
+        found[k] = voxel_of(corner.at);
+        weights[k] = corner.weight;
         same = same && found[k] == found[0];
         hidden += select(0.0, weights[k], found[k] == 0.0);
     }
@@ -149,8 +160,8 @@ fn bspline(x: f32) -> vec2f {
 }
 
 // The gradient of how far the label at a point reaches, for each voxel: it reads 224 voxels.
-fn label_slopes_at(p: vec3f, of_buffer: bool) -> vec3f {
-    let own = label_at(p, of_buffer);
+fn label_slopes_at(p: vec3f) -> vec3f {
+    let own = label_at(p);
     let kept = clamp(p, vec3f(0.0), vec3f(settings.size - 1u));
     let first = vec3i(kept) + 1 - i32(SPLINE / 2u);
     let last = vec3i(settings.size) - 1;
@@ -165,29 +176,10 @@ fn label_slopes_at(p: vec3f, of_buffer: bool) -> vec3f {
         let z = bspline((kept.z - f32(row.y)) * 4.0 / f32(SPLINE));
         var along = vec2f(0.0);
         for (var i = 0u; i < SPLINE; i++) {
-            let value = voxel_of(vec3u(clamp(vec3i(first.x + i32(i), row), vec3i(0), last)), of_buffer);
+            let value = voxel_of(vec3u(clamp(vec3i(first.x + i32(i), row), vec3i(0), last)));
             along += select(select(0.2, 1.0, value == 0.0), 0.0, value == own) * x[i];
         }
         sum -= vec3f(along.y * y.x * z.x, along.x * y.y * z.x, along.x * y.x * z.y);
     }
     return sum;
-}
-
-// The colour at a point, with the opacity of the transfer function's: see Coloured in _core/voxels.hpp.
-fn painted(p: vec3f, colour: vec4f) -> vec4f {
-    if (!COLOURED) {
-        return colour;
-    }
-    let kept = clamp(p, vec3f(0.0), vec3f(settings.size - 1u));
-    let i = min(vec3u(kept), settings.size - 2u);
-    let f = kept - vec3f(i);
-    var sum = vec4f(0.0);
-    for (var k = 0u; k < 8u; k++) {
-        let side = vec3u(k & 1u, (k >> 1u) & 1u, k >> 2u);
-        let w = select(1.0 - f, f, side == vec3u(1u));
-        let found = textureLoad(paint, i + side, 0);
-        sum += w.x * w.y * w.z * found.w * vec4f(found.xyz, 1.0);
-    }
-    let u = sum.xyz / max(sum.w, 1e-6);
-    return vec4f(select(pow((u + 0.055) / 1.055, vec3f(2.4)), u / 12.92, u <= vec3f(0.04045)), colour.w);
 }

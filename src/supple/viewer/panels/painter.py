@@ -8,7 +8,7 @@ from typing import Any
 
 from supple.deformation import Deformation
 from supple.gpu.device import Gpu
-from supple.gpu.kernel import wait
+from supple.gpu.memory import wait
 from supple.gpu.plate import Sight
 from supple.gpu.screen import ALL, Part, canvas_texture
 from supple.render.camera import Camera

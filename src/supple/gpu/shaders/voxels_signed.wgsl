@@ -1,7 +1,0 @@
-// Signed samples of 8 or 16 bits.
-
-@group(0) @binding(4) var voxels: texture_3d<i32>;
-
-fn voxel(i: vec3u) -> f32 {
-    return f32(textureLoad(voxels, i, 0).x);
-}
