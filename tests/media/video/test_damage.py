@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from supple.errors import SuppleError
+from supple.media import video as movie
 from supple.media.video import ClipWarning, demux, info
 from supple.media.video import open_clip as open_video
-from supple.media.video import source as movie
 from tests import clips
 from tests.media.video.copies import assert_nothing_left, copy
 
