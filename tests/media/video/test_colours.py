@@ -66,19 +66,6 @@ def test_grading_that_is_lost_is_said(tmp_path, target, codec):
     assert sum(told in str(warning.message) for warning in caught) == 1
 
 
-def test_opacity_of_webm_comes_through(tmp_path):
-    def setup(stream):
-        stream.metadata["alpha_mode"] = "1"
-
-    source = clips.make(tmp_path / "a.webm", "libvpx-vp9", "yuva420p", setup=setup, options={"lossless": "1"})
-    with open_video(source) as clip:
-        assert clip.layout.groups[0].alpha
-    copy(source, tmp_path / "b.webm")
-    before, after = read(source), read(tmp_path / "b.webm")
-    assert len(before) == len(after) == 10
-    assert np.abs(before[3][0][..., 1].astype(int) - after[3][0][..., 1]).max() < 20
-
-
 def test_opacity_that_is_lost_is_said_once_and_only_if_there_is_any(tmp_path):
     source = clips.make(tmp_path / "a.mkv", "ffv1", "yuva420p")
     with pytest.warns(ClipWarning, match="loses opacity") as caught:

@@ -106,18 +106,6 @@ def test_frames_are_read_and_written_by_two_threads(tmp_path):
     assert_same_sound(source, tmp_path / "b.mp4")
 
 
-@pytest.mark.parametrize("codec", ["h264", "prores"])
-def test_the_order_of_fields_comes_through(tmp_path, codec):
-    def setup(stream):
-        stream.codec_context.field_order = 2
-
-    source = clips.make(tmp_path / "a.mov", options={"x264-params": "tff=1"}, setup=setup)
-    copy(source, tmp_path / "b.mov", codec=codec)
-    for path in (source, tmp_path / "b.mov"):
-        with open_video(path) as clip:
-            assert clip.field_order in (2, 4)
-
-
 def test_gif_is_timed_without_drift(tmp_path):
     source = clips.make(tmp_path / "a.mkv", "ffv1", count=30, rate=24)
     copy(source, tmp_path / "b.gif")

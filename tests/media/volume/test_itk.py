@@ -82,20 +82,12 @@ class TestITKFormats:
         agree(by_us(tmp_path / "moved" / "an out.mhd"), by_itk(tmp_path / "moved" / "an out.mhd"))
         assert (tmp_path / "moved" / "an out.raw").stat().st_size == like.samples.nbytes
 
-    def test_a_data_file_is_not_clobbered(self, tmp_path):
-        (tmp_path / "out.raw").write_text("precious")
-        like = volume(noise("i2", *SHAPE))
-        with pytest.raises(SuppleError, match=r"out\.raw exists already"):
-            write(tmp_path / "out.mhd", like.samples, like)
-        assert os.listdir(tmp_path) == ["out.raw"]
-        assert (tmp_path / "out.raw").read_text() == "precious"
-
     @pytest.mark.parametrize(
         ("suffix", "old", "new", "told"),
         [
             (".mha", "ElementSpacing = 1", "ElementSpacing = 0", "spacing is 0 x"),
             (".mha", "ElementSpacing = 1", "ElementSpacing = -1", "spacing is -1 x"),
-            (".mha", "ElementSpacing = 1", "ElementSpacing = nan", "spacing"),
+            (".mha", "ElementSpacing = 1", "ElementSpacing = nan", "spacing is nan x 2 x 3"),
             (".mha", "DimSize = 6 5 4", "DimSize = 6 -5 4", "6 x -5 x 4 voxels, which is none"),
             (".mha", "DimSize = 6 5 4", "DimSize = 60000 50000 40000", "60000 x 50000 x 40000"),
             (".mha", "DimSize = 6 5 4", "DimSize = 6 5 8", "cut short"),
@@ -129,24 +121,16 @@ class TestITKFormats:
         assert told in refused(read, tmp_path / "in.nrrd")
 
     @pytest.mark.parametrize("suffix", [".mhd", ".nhdr"])
-    @pytest.mark.parametrize("short", [True, False])
-    def test_data_beside_that_is_short_or_missing(self, tmp_path, suffix, short):
-        sitk.WriteImage(image(noise("i2", *SHAPE)), str(tmp_path / f"in{suffix}"))
-        data = (tmp_path / "in.raw").read_bytes()
-        (tmp_path / "in.raw").unlink()
-        if short:
-            (tmp_path / "in.raw").write_bytes(data[:-9])
-        assert f"in{suffix}" in refused(read, tmp_path / f"in{suffix}")
-
-    def test_what_is_wrong_with_the_data_file(self, tmp_path):
-        sitk.WriteImage(image(noise("i2", *SHAPE)), str(tmp_path / "in.mhd"))
+    def test_what_is_wrong_with_the_data_file(self, tmp_path, suffix):
+        path = tmp_path / f"in{suffix}"
+        sitk.WriteImage(image(noise("i2", *SHAPE)), str(path))
         data = (tmp_path / "in.raw").read_bytes()
         (tmp_path / "in.raw").write_bytes(data[:-9])
-        message = refused(read, tmp_path / "in.mhd")
+        message = refused(read, path)
         assert "in.raw is cut short to 231" in message
         assert "240 bytes" in message
         (tmp_path / "in.raw").unlink()
-        assert "in.raw is missing" in refused(read, tmp_path / "in.mhd")
+        assert "in.raw is missing" in refused(read, path)
 
     @pytest.mark.parametrize("suffix", [".nrrd", ".nhdr", ".mha", ".mhd"])
     def test_damaged_compressed_data(self, tmp_path, suffix):
@@ -228,18 +212,15 @@ class TestITKFormats:
         geometry = read(tmp_path / "in.nrrd").geometry
         assert (geometry.convention, geometry.spacing) == ("array", (1, 2, 3))
 
-    def test_a_spacing_is_told_as_it_is(self, tmp_path):
-        sitk.WriteImage(sitk.GetImageFromArray(noise("i2", *SHAPE)), str(tmp_path / "in.mha"))
-        data = (tmp_path / "in.mha").read_bytes()
-        (tmp_path / "in.mha").write_bytes(data.replace(b"Spacing = 1 1 1", b"Spacing = 1 nan 1"))
-        assert "spacing is 1 x nan x 1" in refused(read, tmp_path / "in.mha")
-
     def test_a_target_whose_data_file_exists(self, tmp_path):
         like = volume(noise("i2", *SHAPE))
         check_target(tmp_path / "out.mhd", like)
         (tmp_path / "out.raw").write_text("precious")
-        with pytest.raises(SuppleError, match=r"out\.raw exists already"):
-            check_target(tmp_path / "out.mhd", like)
+        for refused_by in (check_target, lambda path, like: write(path, like.samples, like)):
+            with pytest.raises(SuppleError, match=r"out\.raw exists already"):
+                refused_by(tmp_path / "out.mhd", like)
+        assert os.listdir(tmp_path) == ["out.raw"]
+        assert (tmp_path / "out.raw").read_text() == "precious"
         check_target(tmp_path / "out.mhd", like, force=True)
         check_target(tmp_path / "out.mha", like)
 
