@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ import pytest
 import pyvips
 
 from supple import SuppleError
-from supple.engine.work import Group, Layout
 from supple.media.image import Picture, read, write
 from supple.media.sequence import open_clip as open_sequence
 from supple.media.sequence import writer as sequence_writer
@@ -25,63 +23,6 @@ from tests.media.video.sequences import SRGB, Array, frames_of, names, numbers, 
 
 # what every film of RGB pictures says that is as players want it; `test_what_a_sequence_loses_is_said` hears it
 pytestmark = pytest.mark.filterwarnings("ignore:.* loses detail of colours:supple.media.base.ClipWarning")
-
-
-class Video:
-    """What a writer sees of a video: planes, and how they become RGB."""
-
-    name, count, rotation, unpictured = "video", 2, 0.0, ()
-
-    def __init__(self, white: float, alpha: bool) -> None:
-        luma, chroma = Group((6, 8), 1 + alpha, alpha=alpha), Group((3, 4), 2, (2, 2))
-        self.layout = Layout((luma, chroma), np.dtype("u1" if white == 255 else "u2"), white)
-
-    def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> Array:
-        return np.repeat(arrays[0][..., :1], 3, axis=2) * np.array(64 if deep else 1, "u2" if deep else "u1")
-
-    def upright(self, pixels: Array) -> Array:
-        return np.rot90(pixels, round(self.rotation / 90))
-
-
-@pytest.mark.parametrize(("white", "alpha"), [(255.0, False), (255.0, True), (1023.0, False), (1023.0, True)])
-def test_videos_become_pictures(tmp_path: Path, white: float, alpha: bool) -> None:
-    clip = Video(white, alpha)
-    luma = np.zeros((6, 8, 1 + alpha), clip.layout.dtype)
-    luma[..., 0], luma[..., alpha:] = 100, white if alpha else 100
-    for target, wanted in ((tmp_path / "folder", numbers(1, 2)), (tmp_path / "p" / "%d.png", ["1.png", "2.png"])):
-        with sequence_writer(clip, target) as sink:
-            for k in range(2):
-                sink.write([luma, np.zeros((3, 4, 2))], k)
-        found = [read((tmp_path / "folder" if target.suffix == "" else tmp_path / "p") / name) for name in wanted]
-        for each in found:
-            assert each.alpha == alpha
-            assert each.pixels.shape == (6, 8, 3 + alpha)
-            assert each.pixels.dtype == (np.uint8 if white == 255 else np.uint16)
-            assert (each.pixels[..., :3] == (100 if white == 255 else 6400)).all()
-            assert not alpha or (each.pixels[..., 3] == np.iinfo(each.pixels.dtype).max).all()
-
-
-class Plain(Video):
-    """A video that has no more than 8 bits to give, and is to be turned."""
-
-    rotation = 90
-
-    def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> Array:
-        return np.repeat(arrays[0][..., :1], 3, axis=2).astype(np.uint8)
-
-
-def test_a_turned_video_becomes_upright_pictures(tmp_path: Path) -> None:
-    luma = np.arange(48, dtype=np.uint16).reshape(6, 8, 1)
-    with sequence_writer(Plain(1023.0, False), tmp_path / "out") as sink:
-        sink.write([luma, np.zeros((3, 4, 2))], 0)
-    np.testing.assert_array_equal(read(tmp_path / "out" / "00001.png").pixels[..., 0], np.rot90(luma[..., 0]))
-
-
-def test_a_picture_without_pixels_has_all_else(tmp_path: Path) -> None:
-    write(tmp_path / "1.png", picture(0), like=Picture(picture(0), icc=SRGB))
-    with open_sequence(tmp_path) as clip, warnings.catch_warnings():
-        like, lost = clip.picture(0)
-    assert (like.icc, like.pixels.size, like.bits, lost) == (SRGB, 0, 8, [])
 
 
 def film(source: Path, target: Path, rate: float = 24, **options: Any) -> None:
@@ -322,10 +263,26 @@ def test_pictures_without_colours_are_refused(tmp_path: Path, kind: str, bands: 
 def test_a_film_becomes_the_pictures_that_it_was_made_of(tmp_path: Path, dtype: str) -> None:
     kept = save(tmp_path / "in", numbers(1, 3), shape=(6, 8, 4), dtype=dtype)
     film(tmp_path / "in", tmp_path / "a.mkv", codec="ffv1")
-    with open_video(tmp_path / "a.mkv") as clip, sequence_writer(clip, tmp_path / "out") as sink:
-        for k, frame in enumerate(clip.frames()):
-            arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
-            frame.copy_to(arrays)
-            sink.write(arrays, k)
-    for want, name in zip(kept, numbers(1, 3), strict=True):
-        np.testing.assert_array_equal(read(tmp_path / "out" / name).pixels, want)
+    for target, found in (("out", numbers(1, 3)), ("out/%d.png", ["1.png", "2.png", "3.png"])):
+        with open_video(tmp_path / "a.mkv") as clip, sequence_writer(clip, tmp_path / target) as sink:
+            for k, frame in enumerate(clip.frames()):
+                arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
+                frame.copy_to(arrays)
+                sink.write(arrays, k)
+        for want, name in zip(kept, found, strict=True):
+            picture = read(tmp_path / "out" / name)
+            assert picture.alpha
+            np.testing.assert_array_equal(picture.pixels, want)
+
+
+@pytest.mark.parametrize(("name", "dtype"), [("yuv420p", np.uint8), ("yuv420p10le", np.uint16)])
+def test_pictures_of_a_clip_have_its_depth(tmp_path: Path, name: str, dtype: Any) -> None:
+    path = clips.make(tmp_path / "a.mkv", "ffv1", name, 1)
+    with open_video(path) as clip, sequence_writer(clip, tmp_path / "out") as sink:
+        arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
+        next(clip.frames()).copy_to(arrays)
+        sink.write(arrays, 0)
+        wanted = clip.to_rgb(arrays, deep=dtype is np.uint16)
+    picture = read(tmp_path / "out" / "00001.png")
+    assert (picture.pixels.dtype, picture.alpha) == (dtype, False)
+    np.testing.assert_array_equal(picture.pixels, wanted)

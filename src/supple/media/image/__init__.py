@@ -450,27 +450,29 @@ def write(
     if bits < have:
         text = f"{name}: {form.name} holds {bits} bits a channel, and the {have} of the pixels are rounded"
         warnings.warn(text, DepthWarning, stacklevel=2)
-    image = wrapped(array, meaning, bits)
+    image, sized = wrapped(array, meaning, bits), False
     if layers is not None and (unkept := layers.lost(exr=form is EXR)):
-        text = f"{name} cannot take over {' and '.join(unkept)} of an OpenEXR"
-        warnings.warn(text, MetadataWarning, stacklevel=2)
+        lost.append(f"{' and '.join(unkept)} of an OpenEXR")
     if head and form is not DPX:
-        text = f"{name} cannot take over the header of a DPX, with its transfer curve and timecode"
-        warnings.warn(text, MetadataWarning, stacklevel=2)
+        lost.append("the header of a DPX, with its transfer curve and timecode")
     if form.pixel_formats:
         lost += [what for key, what in _BESIDE.items() if key in header] + ["the colour profile"] * bool(icc)
-        if lost:
-            text = f"{name}: {form.name} cannot take over {' and '.join(lost)}"
-            warnings.warn(text, MetadataWarning, stacklevel=2)
-        if form is EXR:
-            if alpha:  # EXR is premultiplied
-                array = np.concatenate([array[..., :3] * array[..., 3:], array[..., 3:]], axis=2)
-            from supple.media.image import exr
+    else:
+        image, lacking, sized = dressed(image, header, icc, form, channels - alpha)
+        lost += lacking
+    if lost:
+        text = f"{name}: {form.name} cannot take over {' and '.join(lost)}"
+        warnings.warn(text, MetadataWarning, stacklevel=2)
+    if form is EXR:
+        if alpha:  # EXR is premultiplied
+            array = np.concatenate([array[..., :3] * array[..., 3:], array[..., 3:]], axis=2)
+        from supple.media.image import exr
 
-            made = exr.with_pixels(layers if same else None, array.reshape(*array.shape[:2], -1), half=have == 16)
-            with replacing(path, force=force) as temporary:
-                exr.write(temporary, path, made)
-            return
+        made = exr.with_pixels(layers if same else None, array.reshape(*array.shape[:2], -1), half=have == 16)
+        with replacing(path, force=force) as temporary:
+            exr.write(temporary, path, made)
+        return
+    if form.pixel_formats:
         from supple.media.image import ffmpeg
 
         if bits < array.dtype.itemsize * 8:
@@ -484,10 +486,6 @@ def write(
             data = ffmpeg.encoded(array, form.saver, kind, form.options)
             temporary.write_bytes(dpx.dressed(data, head, path) if form is DPX else data)
         return
-    image, lacking, sized = dressed(image, header, icc, form, channels - alpha)
-    if lost := lost + lacking:
-        text = f"{name}: {form.name} cannot take over {' and '.join(lost)}"
-        warnings.warn(text, MetadataWarning, stacklevel=2)
     options = settings(form, array, bits, quality, lossless) | kept(image, form, sized)
     if form is TIFF:
         options |= tiff.settings(lossless, array.dtype.itemsize)

@@ -78,24 +78,7 @@ def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
         If the file is missing, empty, cut short, damaged, or of an unknown kind; its voxels are not real numbers, or
         not on a regular grid with a spacing above 0.
     """
-    if raw is not None:
-        return _raw(path, raw)
-    form = _format(path)
-    if form == "NIfTI":
-        from supple.media.volume import nifti
-
-        return nifti.read(path)
-    if form == "DICOM":
-        from supple.media.volume import dicom
-
-        return dicom.read(path, series)
-    if form == "TIFF":
-        return stack.read(path)
-    if form == "raw":
-        return _raw(path, None)
-    from supple.media.volume import itk
-
-    return itk.read(path, form)
+    return _read(path, raw, series)
 
 
 def outline_of(path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> Volume:
@@ -104,16 +87,7 @@ def outline_of(path: PathLike, *, raw: RawLayout | None = None, series: str | No
     Parameters and errors are those of `read`. DICOM and TIFF are read for it: their slices tell what they hold one by
     one.
     """
-    form = "raw" if raw is not None else _format(path)
-    if form == "NIfTI":
-        from supple.media.volume import nifti
-
-        return nifti.read_outline(path)
-    if form in ("NRRD", "MetaImage"):
-        from supple.media.volume import itk
-
-        return itk.read_outline(path, form)
-    known = read(path, raw=raw, series=series)
+    known = _read(path, raw, series, header_only=True)
     return replace(known, samples=np.broadcast_to(np.zeros((), known.samples.dtype), known.samples.shape))
 
 
@@ -135,8 +109,23 @@ def place_of(
     return found.geometry, (depth, height, width)
 
 
-def _raw(path: PathLike, layout: RawLayout | None) -> Volume:
-    return raw.read_dat(path) if layout is None and suffix_of(path) == ".dat" else raw.read(path, layout)
+def _read(path: PathLike, layout: RawLayout | None, series: str | None, *, header_only: bool = False) -> Volume:
+    form = "raw" if layout is not None else _format(path)
+    if form == "raw":
+        return raw.read_dat(path) if layout is None and suffix_of(path) == ".dat" else raw.read(path, layout)
+    if form == "TIFF":
+        return stack.read(path)
+    if form == "DICOM":
+        from supple.media.volume import dicom
+
+        return dicom.read(path, series)
+    if form == "NIfTI":
+        from supple.media.volume import nifti
+
+        return nifti.read(path, header_only=header_only)
+    from supple.media.volume import itk
+
+    return itk.read(path, form, header_only=header_only)
 
 
 def _format(path: PathLike) -> str:

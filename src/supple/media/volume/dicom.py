@@ -135,7 +135,7 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
     return sorted(found, key=lambda one: (one.number, one.uid))
 
 
-# Kept: GDCM reads no header of what is no image (test_what_is_no_image_is_left_out_and_named).
+# GDCM reads no header of what is no image (test_what_is_no_image_is_left_out_and_named).
 def _kind_beside(path: str) -> str:
     """Return the content of a file that is not an image, or is derived from one, by its SOP class."""
     try:

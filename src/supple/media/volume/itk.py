@@ -76,35 +76,18 @@ def silence(own: str = "") -> Iterator[None]:
         yield
 
 
-def read(path: PathLike, form: str) -> Volume:
+def read(path: PathLike, form: str, *, header_only: bool = False) -> Volume:
     """Read a NRRD or a MetaImage file (`form`), with its data in it or beside it.
 
-    SuppleError if it is missing, of another kind, damaged or cut short; if its voxels are not real numbers; or if it
-    has more axes than x, y, z and time.
+    With ``header_only``, samples take no memory, and are 0. SuppleError if it is missing, of another kind, damaged or
+    cut short; if its voxels are not real numbers; or if it has more axes than x, y, z and time.
     """
-    found, reader, fields, end = _outline(path, form)
-    each = found.samples.dtype.itemsize
-    # a NRRD counts components as an axis
-    data = _data_file(path, fields)
-    _check_data(path, data, fields, end, each * found.components if form == "MetaImage" else each)
-    with failing(path, form, tuple(reader.GetSize())):
-        samples = imported().GetArrayFromImage(reader.Execute())
-    return replace(found, samples=samples.reshape(found.samples.shape))
-
-
-def read_outline(path: PathLike, form: str) -> Volume:
-    """Return a volume from its header alone; its samples take no memory, and are 0. Errors as in `read`."""
-    return _outline(path, form)[0]
-
-
-def _outline(path: PathLike, form: str) -> tuple[Volume, Any, Any, int]:
-    """Return a volume without its samples, the reader, the fields of the header, and where it ends."""
     sitk = imported()
     head = head_of(path, 4)
     if form == "NRRD" and head != b"NRRD":
         raise unreadable(path, "it is no NRRD file", "check its name")
     fields, end = _fields(path, form)
-    _data_file(path, fields)
+    data = _data_file(path, fields)
     reader = sitk.ImageFileReader()
     reader.SetFileName(os.fspath(path))
     reader.SetImageIO(_LOADERS[form])
@@ -129,7 +112,13 @@ def _outline(path: PathLike, form: str) -> tuple[Volume, Any, Any, int]:
     interval = abs(reader.GetSpacing()[3]) if series else 1.0
     outline = np.broadcast_to(np.zeros((), dtype), shape)
     found = Volume(outline, geometry, shown(path), form, series, header, _scaling(path, fields), interval)
-    return found, reader, fields, end
+    if header_only:
+        return found
+    # a NRRD counts components as an axis
+    _check_data(path, data, fields, end, dtype.itemsize * (components if form == "MetaImage" else 1))
+    with failing(path, form, sizes):
+        samples = sitk.GetArrayFromImage(reader.Execute())
+    return replace(found, samples=samples.reshape(shape))
 
 
 def _scaling(path: PathLike, fields: dict[str, str]) -> tuple[float, float]:
@@ -176,7 +165,7 @@ def _data_file(path: PathLike, fields: dict[str, str]) -> Path | None:
     return data
 
 
-# Kept: ITK fills what is missing, and leaves what is too much (test_sizes_other_than_those_of_the_data).
+# ITK fills what is missing, and leaves what is too much (test_sizes_other_than_those_of_the_data).
 def _check_data(path: PathLike, data: Path | None, fields: dict[str, str], end: int, each: int) -> None:
     """Raise SuppleError for a number of voxels that differs from the header, or damaged ones: ITK does not check."""
     sizes = [int(n) for n in re.findall(r"[-\d]+", fields.get("dimsize", fields.get("sizes", "")))]
@@ -206,7 +195,7 @@ def _check_data(path: PathLike, data: Path | None, fields: dict[str, str], end: 
         raise unreadable(path, what, "give a whole copy of it" if short else "correct the sizes in its header")
 
 
-# Kept: ITK puts another place for one that is none (test_places_that_would_be_replaced).
+# ITK puts another place for one that is none (test_places_that_would_be_replaced).
 def _check_place(path: PathLike, fields: dict[str, str], ndim: int) -> None:
     """Raise SuppleError for a position that ITK would replace: not a number, missing, or not in millimetres."""
     if "elementspacing" in fields:

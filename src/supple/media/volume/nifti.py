@@ -37,6 +37,7 @@ _VECTOR = 1007  # the intent of a vector for each voxel
 LONGEST = 32_767  # an axis in the first version of the format
 _CHUNK = 1 << 22
 _SAME = 0.01  # of a voxel: the largest difference of qform and sform by rounding
+_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])  # from LPS
 _ORDERS: tuple[Literal["little", "big"], ...] = ("little", "big")
 
 
@@ -48,13 +49,13 @@ def imported() -> Any:
     return nibabel
 
 
-def read(path: PathLike) -> Volume:
+def read(path: PathLike, *, header_only: bool = False) -> Volume:
     """Read a NIfTI file, or a pair of .hdr and .img; uncompressed data are mapped.
 
     The geometry is that of the sform if it has a code, else of the qform; if they differ, a warning names the one that
     is used, which is ITK's choice, but for a sheared sform, which no qform can be. An sform alone is used, with a
     warning if its sizes of voxels are not those of pixdim. Without a code, only the spacing is known, and no position
-    in space.
+    in space. With ``header_only``, samples take no memory, and are 0.
 
     Raises
     ------
@@ -62,36 +63,16 @@ def read(path: PathLike) -> Volume:
         If it is not a NIfTI file, damaged or cut short; its voxels are not real numbers; or it has more axes than
         x, y, z and either time or components.
     """
-    found = read_outline(path)
     first, data = _pair(path)
     header, single = _header(first)
-    sizes, components, _ = _axes(path, header)
-    colours = _COLOURS.get(int(header["datatype"]), 0)
-    try:
-        offset = int(header["vox_offset"])
-    except (ValueError, OverflowError) as error:
-        raise unreadable(path, f"its voxels begin at byte {header['vox_offset']}", "correct its header") from error
-    offset = max(offset, header.single_vox_offset) if single else max(offset, 0)
-    shape = (*sizes[::-1], colours) if colours else sizes[::-1]
-    with reading(data):
-        samples = native(_samples(data, shape, _dtype(path, header), offset, colours=bool(colours)))
-    if components > 1:
-        samples = np.ascontiguousarray(np.moveaxis(samples.reshape(components, *shape[-3:]), 0, -1))
-    return replace(found, samples=samples.reshape(found.samples.shape))
-
-
-def read_outline(path: PathLike) -> Volume:
-    """Return a volume from its header alone; its samples take no memory, and are 0. Errors as in `read`."""
-    first, _ = _pair(path)
-    header, _ = _header(first)
     sizes, components, series = _axes(path, header)
-    dtype, colours = _dtype(path, header).newbyteorder("="), _COLOURS.get(int(header["datatype"]), 0)
+    dtype, colours = _dtype(path, header), _COLOURS.get(int(header["datatype"]), 0)
     if colours and (series or components > 1):
         raise unreadable(path, "it is a series or a field of colours", "give one volume of colours")
     after = (components,) if components > 1 else (colours,) if colours else ()
     units = int(header["xyzt_units"])
-    return Volume(
-        np.broadcast_to(np.zeros((), dtype), sizes[::-1] if series else (*sizes[2::-1], *after)),
+    outline = Volume(
+        np.broadcast_to(np.zeros((), dtype.newbyteorder("=")), sizes[::-1] if series else (*sizes[2::-1], *after)),
         _geometry(path, first, header, sizes[:3], _MILLIMETRES.get(units & 7, 1.0)),
         shown(path),
         "NIfTI",
@@ -100,6 +81,19 @@ def read_outline(path: PathLike) -> Volume:
         (1.0, 0.0) if colours else _scaling(path, header),
         _interval(header, units) if series else 1.0,
     )
+    if header_only:
+        return outline
+    try:
+        offset = int(header["vox_offset"])
+    except (ValueError, OverflowError) as error:
+        raise unreadable(path, f"its voxels begin at byte {header['vox_offset']}", "correct its header") from error
+    offset = max(offset, header.single_vox_offset) if single else max(offset, 0)
+    shape = (*sizes[::-1], colours) if colours else sizes[::-1]
+    with reading(data):
+        samples = native(_samples(data, shape, dtype, offset, colours=bool(colours)))
+    if components > 1:
+        samples = np.ascontiguousarray(np.moveaxis(samples.reshape(components, *shape[-3:]), 0, -1))
+    return replace(outline, samples=samples.reshape(outline.samples.shape))
 
 
 def outline(path: PathLike) -> tuple[Any, tuple[int, ...], int, bool]:
@@ -211,7 +205,7 @@ def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offse
         return samples
 
 
-# Kept: nibabel takes what is left for nothing (test_sizes_smaller_than_the_data).
+# nibabel takes what is left for nothing (test_sizes_smaller_than_the_data).
 def _check_rest(path: PathLike, wanted: int, rest: int, row: int) -> None:
     """Raise SuppleError for a row or more after the voxels: the sizes in the header are wrong."""
     if rest >= row:
@@ -269,7 +263,7 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
     with itk.failing(path, "NIfTI"):
         reader.ReadImageInformation()
     geometry = itk.geometry_of(path, reader, "RAS")
-    by_itk = np.diag([-1.0, -1.0, 1.0, 1.0]) @ geometry.matrix
+    by_itk = _TO_RAS @ geometry.matrix
     to_sform, to_qform = apart(by_itk, sform), apart(by_itk, qform)
     used = "sform" if to_sform <= to_qform else "qform"
     warnings.warn(
@@ -367,7 +361,7 @@ def _placed(header: Any, like: Volume) -> Any:
     codes = [int(header[name]) for name in ("qform_code", "sform_code")]
     if like.geometry.convention == "array":
         return header
-    affine = np.diag([-1.0, -1.0, 1.0, 1.0]) @ like.geometry.matrix
+    affine = _TO_RAS @ like.geometry.matrix
     affine[:3] /= unit
     for set_form, code in zip((header.set_qform, header.set_sform), codes if any(codes) else (1, 1), strict=True):
         if code:
@@ -398,7 +392,7 @@ def _made(samples: Array, like: Volume) -> Any:
     else:
         header.set_data_shape((*like.sizes, len(samples)) if like.series else like.sizes)
     header.set_zooms((*spacing, like.interval) if like.series else (*spacing, 1.0, 1.0)[: len(header.get_data_shape())])
-    affine = np.diag([-1.0, -1.0, 1.0, 1.0]) @ like.geometry.matrix
+    affine = _TO_RAS @ like.geometry.matrix
     header.set_qform(affine, 1)
     header.set_sform(affine, 1)
     _check_forms(header, like)
