@@ -74,7 +74,7 @@ def test_seeds_go_through_a_registration_as_itk_takes_them(run: Run, composite: 
 
 def test_points_go_where_the_picture_goes(run: Run, composite: sitk.Transform) -> None:
     """Strokes and maps in any order are the map of supple warp; --inverse before them leads back."""
-    grid = media.grid_of("fixed.nii.gz")
+    grid = media.outline_of("fixed.nii.gz").grid
     field, turn = supple.read_maps("composite.h5")
     d = Deformation(grid).grab((11, 12, 10), to=(13, 12, 10), radius=20)
     d = d.affine(turn).field(field)  # type: ignore[arg-type]

@@ -140,7 +140,7 @@ def test_a_recipe_comes_before_grabs(run: Run, asked: Asked) -> None:
 
 
 def test_volumes(run: Run, asked: Asked, head: npt.NDArray[Any]) -> None:
-    grid = media.grid_of("head.nii.gz")
+    grid = media.outline_of("head.nii.gz").grid
     still = {"between": "linear", "filter": "linear"}
     d = Deformation(grid).field(SOLID, inverse=True).grab((7, 8, 6), to=(9, 8, 6), radius=5).affine(TURN)
     options = ("--field", "solid.nii", "--inverse", "--convention", "itk", *STROKE, "--affine", "turn.mat")

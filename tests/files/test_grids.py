@@ -130,7 +130,7 @@ class TestMapsOnFiles:
         turn = Affine([[1, 0, 0, 2], [0, 1, 0, 0], [0, 0, 1, -1]])
         maps = [Placed(turn), Placed(given, True, after=1), Placed(turn, True, after=2)]
         done = warp_file("in.nii", "out.nii", two, maps=maps, clamp=False)
-        grid = media.grid_of("in.nii")
+        grid = media.outline_of("in.nii").grid
         d = Deformation(grid, border=5.0).affine(turn).add(two.strokes[0]).field(given, inverse=True)
         d = d.add(two.strokes[1]).affine(turn, inverse=True)
         assert done.deformation.space.composite is not None
@@ -194,7 +194,7 @@ class TestMapsOnFiles:
         assert check_job("in.tif", "x.tif", EMPTY, maps=[Placed(given)]) == "picture"
 
     def test_warnings_of_folds(self, here: Path) -> None:
-        grid = media.grid_of(_named("in.nii"))
+        grid = media.outline_of(_named("in.nii")).grid
         values = np.zeros((*grid.shape, 3), np.float32)
         values[:, :, 8:] = -6.0 * np.array(grid.direction)[:, 0]
         placed = Placed(Field(values, grid), True, name="u.nii")
@@ -294,14 +294,14 @@ class TestGrids:
             GridOptions(resample=(0.8, 2.0, 1.5), crop=(1, 2, 3, 4, 5, 6)),
         ):
             done = warp_file(f"in{source}", f"out{suffix}", SOLID, grid=options, force=True, filter="linear")
-            grid = output_grid(options, media.grid_of(f"in{source}"))
+            grid = output_grid(options, media.outline_of(f"in{source}").grid)
             assert done.grid == grid
             read = SimpleITK.ReadImage(f"out{suffix}")
             assert read.GetSize() == grid.sizes
             np.testing.assert_allclose(read.GetSpacing(), grid.spacing, rtol=1e-5)
             np.testing.assert_allclose(read.GetOrigin(), grid.origin, atol=1e-4)
             np.testing.assert_allclose(np.reshape(read.GetDirection(), (3, 3)), grid.direction, atol=1e-5)
-            assert media.grid_of(f"out{suffix}").is_same_space(grid)
+            assert media.outline_of(f"out{suffix}").grid.is_same_space(grid)
 
     def test_a_reference(self, here: Path) -> None:
         """As SimpleITK resamples onto another image, of another type and another place."""
@@ -357,7 +357,7 @@ class TestGrids:
         assert nibabel.load("out.nii").shape == (8, 18, 21)
         stored("ref.nii", np.zeros((4, 5, 6), np.uint8), Geometry((1, 1, 1), (1.0, 2.0, 3.0), np.eye(3), "LPS"))
         warp_file("in.nii", "there.nii", EMPTY, grid=GridOptions(reference="ref.nii"))
-        assert media.grid_of("there.nii").is_same_space(media.grid_of("ref.nii"))
+        assert media.outline_of("there.nii").grid.is_same_space(media.outline_of("ref.nii").grid)
 
     def test_stacks_of_pages(self, here: Path) -> None:
         stored("in.nrrd", voxels(np.uint16), Geometry((0.5, 0.5, 2.0), (0, 0, 0), np.eye(3), "LPS"))
@@ -424,7 +424,7 @@ class TestRefusals:
         Path("ref.mp4").write_bytes(b"x")
         stored("far.nii", voxels(), Geometry((1, 1, 1), (500.0, 0.0, 0.0), np.eye(3), "LPS"))
         flat = Placed(field(around(Grid((40, 50)))), name="flow.npy")
-        far = Placed(field(media.grid_of("far.nii")), name="far-warp.nii")
+        far = Placed(field(media.outline_of("far.nii").grid), name="far-warp.nii")
         for options, maps, said in (
             ({"crop": (0, 0, 0, 5, 5, 50)}, (), r"crop must be within the grid of 16 x 18 x 14 samples"),
             ({"reference": "ref.png"}, (), r"ref\.png is a picture, and the grid of a volume is needed"),
@@ -444,10 +444,10 @@ class TestRefusals:
         stored("in.nii", voxels(), Geometry((1, 1, 1), (0.0, 0.0, 0.0), np.eye(3), "LPS"))
         stored("ref.nii", voxels(), Geometry((1, 1, 1), (500.0, 0.0, 0.0), np.eye(3), "LPS"))
         home = Placed(Affine([[1, 0, 0, -500], [0, 1, 0, 0], [0, 0, 1, 0]]))
-        given = Placed(Field(np.zeros((*SHAPE, 3), np.float32), media.grid_of("ref.nii")))
+        given = Placed(Field(np.zeros((*SHAPE, 3), np.float32), media.outline_of("ref.nii").grid))
         warp_file("in.nii", "out.nii", EMPTY, maps=[home, given], grid=GridOptions(reference="ref.nii"))
         np.testing.assert_allclose(media.read("out.nii").samples, media.read("in.nii").samples, atol=1e-3)
-        assert media.grid_of("out.nii").is_same_space(media.grid_of("ref.nii"))
+        assert media.outline_of("out.nii").grid.is_same_space(media.outline_of("ref.nii").grid)
 
     def test_clips(self, here: Path) -> None:
         Path("in.mp4").write_bytes(b"x")

@@ -363,7 +363,7 @@ def test_what_needs_right_angles_says_how_to_get_them(here: Path, run: Run) -> N
     assert run(*shlex.split(line)[1:], "--filter", "linear")[0] == 0
     upright = nibabel.load("upright.nii.gz")
     assert media.read("upright.nii.gz").geometry.shear == 0
-    assert media.grid_of("upright.nii.gz").is_same_space(media.grid_of("in.nii").upright())
+    assert media.outline_of("upright.nii.gz").grid.is_same_space(media.outline_of("in.nii").grid.upright())
     places = positions(upright.affine, upright.shape)
     indices = (places - affine[:3, 3]) @ np.linalg.inv(affine[:3, :3]).T
     within = ((indices >= 1) & (indices <= np.array(SIZES) - 2)).all(axis=-1)

@@ -53,7 +53,7 @@ def render(
     console = current()
     from supple.engine.progress import counted
     from supple.files.renders import render_file
-    from supple.media.volume import grid_of
+    from supple.media.volume import outline_of
     from supple.render.camera import Camera
 
     console.started(**options.asked(), file=source)
@@ -70,7 +70,7 @@ def render(
     if reading.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
     placed = (
-        elements.on(console, grid_of(source, raw=reading.layout, series=reading.series), shown(source))
+        elements.on(console, outline_of(source, raw=reading.layout, series=reading.series).grid, shown(source))
         if elements
         else ()
     )

@@ -258,10 +258,10 @@ def grid_of(
     """
     kind = kind_of(source, target, recipe, volume, maps=maps, grid=grid)
     if kind == "volume":
-        from supple.media.volume import grid_of as volume_grid
+        from supple.media.volume import outline_of
 
         known = volume or VolumeOptions()
-        return volume_grid(source, raw=known.layout, series=known.series)
+        return outline_of(source, raw=known.layout, series=known.series).grid
     if kind == "clip":
         return None
     from supple.files.grids import picture_grid

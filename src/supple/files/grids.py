@@ -81,9 +81,9 @@ def reference_grid(path: PathLike, ndim: int) -> Grid:
         raise SuppleError(f"{shown(path)} is {found}, and the grid of a {wanted} is needed: name a {wanted}")
     if ndim == 2:
         return picture_grid(path)
-    geometry, shape = volume.place_of(path)
-    warn_of_place(geometry, shown(path))
-    return geometry.grid(shape)
+    outline = volume.outline_of(path)
+    warn_of_place(outline.geometry, shown(path))
+    return outline.grid
 
 
 def _stored_grid(path: PathLike, ndim: int) -> Grid:

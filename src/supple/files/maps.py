@@ -125,11 +125,11 @@ def grid_of(path: PathLike) -> Grid:
 
         facts = info(path)
         return Grid((int(str(facts["height"])), int(str(facts["width"]))))
-    geometry, shape = volume.place_of(path)
-    if geometry.convention == "array":
+    outline = volume.outline_of(path)
+    if outline.geometry.convention == "array":
         raise SuppleError(f"{shown(path)} does not say where its voxels lie in space: give an image that does")
-    check_upright(geometry, shown(path), "what computes with fields")
-    return geometry.grid(shape)
+    check_upright(outline.geometry, shown(path), "what computes with fields")
+    return outline.grid
 
 
 def check_reference(read: MapFile, grid: Grid | None, path: PathLike | None) -> None:

@@ -33,11 +33,11 @@ from supple.media.volume import (
     Volume,
     check_target,
     derived,
+    outline_of,
     read,
     suffix_of,
     write,
 )
-from supple.media.volume import place_of as volume_place
 from supple.media.volume.dicom import padding_of
 from supple.space.geometry import Floats, Geometry, Grid
 from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke, fit_recipe
@@ -128,7 +128,7 @@ def place_of(path: PathLike, options: VolumeOptions | None = None) -> str | None
     solid = Recipe(strokes=(Stroke(at=(0, 0, 0), by=(0, 0, 0), radius=1),))
     if kind_of(path, "", solid, known) != "volume":
         return None
-    return volume_place(path, raw=known.layout, series=known.series)[0].convention
+    return outline_of(path, raw=known.layout, series=known.series).geometry.convention
 
 
 def deformation_of(

@@ -1,59 +1,13 @@
-"""The interface of all media: arrays, and streams of frames."""
+"""What a video and an image sequence are while they are open."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager
 from fractions import Fraction
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol
 
-from supple.engine.stream import Frame, Sink
+from supple.engine.stream import Frame
 from supple.engine.work import Array, Layout
-from supple.media.files import PathLike
-
-Held = TypeVar("Held")
-
-
-@runtime_checkable
-class Medium(Protocol):
-    """A kind of file, as the module for it: `image`, `volume`, `video` or `sequence`.
-
-    Each is also an `ArrayMedium` or a `StreamMedium`, and may take further options. Errors are SuppleErrors of one
-    sentence, and losses are warned of. Output appears whole, or not at all.
-    """
-
-    SUFFIXES: frozenset[str]
-    """The suffixes of this kind, in lower case."""
-    SUFFIXES_OUT: tuple[str, ...]
-    """The suffixes of files that can be written."""
-
-    def check_target(self, path: PathLike, /) -> None:
-        """Raise SuppleError, before any work, for a name that cannot be written as this kind."""
-
-    def info(self, path: PathLike, /) -> dict[str, Any]:
-        """Return the facts on a file, decoding as little as possible."""
-
-
-@runtime_checkable
-class ArrayMedium(Medium, Protocol[Held]):
-    """A medium read as an array: images (`image.Picture`) and volumes (`volume.Volume`)."""
-
-    def read(self, path: PathLike, /) -> Held:
-        """Read a file: its samples in its own dtype, its ``format``, and its header."""
-
-    def write(self, path: PathLike, samples: Array, like: Held, /, *, force: bool = False) -> None:
-        """Write samples with the header of ``like``, in the format of the suffix."""
-
-
-@runtime_checkable
-class StreamMedium(Medium, Protocol):
-    """A medium that streams frame by frame: videos, and image sequences."""
-
-    def open_clip(self, path: PathLike, /) -> AbstractContextManager[Clip]:
-        """Open a clip for reading; it is closed when the block ends."""
-
-    def writer(self, clip: Any, target: PathLike, /, *, force: bool = False) -> AbstractContextManager[Sink]:
-        """Write a clip with new frames, and all else of it that the target can hold."""
 
 
 class Clip(Protocol):

@@ -24,7 +24,6 @@ from supple.media.volume.data import (
     rescaled_dtype,
 )
 from supple.media.volume.pages import has_pages
-from supple.space.geometry import Geometry, Grid
 
 __all__ = [
     "SUFFIXES",
@@ -32,13 +31,11 @@ __all__ = [
     "RawLayout",
     "Volume",
     "check_target",
-    "grid_of",
     "has_pages",
     "info",
     "is_dicom",
     "is_volume",
     "outline_of",
-    "place_of",
     "read",
     "suffix_of",
     "write",
@@ -89,24 +86,6 @@ def outline_of(path: PathLike, *, raw: RawLayout | None = None, series: str | No
     """
     known = _read(path, raw, series, header_only=True)
     return replace(known, samples=np.broadcast_to(np.zeros((), known.samples.dtype), known.samples.shape))
-
-
-def grid_of(path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> Grid:
-    """Return the grid of a volume; of NIfTI, NRRD and MetaImage, from the header alone.
-
-    Parameters and errors are those of `read`.
-    """
-    geometry, shape = place_of(path, raw=raw, series=series)
-    return geometry.grid(shape)
-
-
-def place_of(
-    path: PathLike, *, raw: RawLayout | None = None, series: str | None = None
-) -> tuple[Geometry, tuple[int, int, int]]:
-    """Return the geometry of a volume, and its shape (Z, H, W); as `grid_of` does."""
-    found = outline_of(path, raw=raw, series=series)
-    width, height, depth = found.sizes
-    return found.geometry, (depth, height, width)
 
 
 def _read(path: PathLike, layout: RawLayout | None, series: str | None, *, header_only: bool = False) -> Volume:
