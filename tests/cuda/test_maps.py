@@ -92,7 +92,7 @@ def test_points(name: str, shape: tuple[int, ...]) -> None:
     np.testing.assert_array_equal(on_host(found.converged), wanted.converged)
     made = on_host(d.inverse_map(like=there, tolerance=TIGHT))
     assert np.linalg.norm(made - d.inverse_map(tolerance=TIGHT), axis=-1).max() < 2.5 * TIGHT
-    offsets, _ = inverse_map(d.space, there, TIGHT, offsets=True)  # what gradients of tensors are computed from
+    offsets, _ = inverse_map(d.space, TIGHT, there, offsets=True)  # what gradients of tensors are computed from
     np.testing.assert_allclose(on_host(offsets), made - np.moveaxis(np.indices(d.shape)[::-1], 0, -1), atol=1e-5)
 
 

@@ -238,7 +238,7 @@ def test_other_formats_say_what_they_cannot_take_over(tmp_path: Path) -> None:
     save(tmp_path / "in.exr", (0, 0, 69, 39), (0, 0, 59, 39), layered(40, 70), owner="me", **MATTES)
     with pytest.warns(
         MetadataWarning,
-        match=r"out.tif cannot take .* channels .*, Z and 5 more and the .*, owner and",
+        match=r"out.tif: TIFF cannot take .* channels .*, Z and 5 more and the .*, owner and",
     ):
         warp_file(tmp_path / "in.exr", tmp_path / "out.tif", GRAB)
     assert image.read(tmp_path / "out.tif").pixels.shape == (40, 60, 4)

@@ -1,7 +1,5 @@
 import contextlib
 import errno
-import importlib
-import inspect
 import os
 import stat
 import subprocess
@@ -14,7 +12,6 @@ from types import SimpleNamespace
 import pytest
 
 from supple.errors import SuppleError, shown
-from supple.media import base
 from supple.media.files import check_output, replacing, replacing_together
 from tests.children import SOURCE
 
@@ -297,21 +294,6 @@ def test_a_full_disk_is_said_whatever_a_library_says(tmp_path, monkeypatch, code
 
     assert fail(0).endswith("out.mp4: No space left on device: make room or choose another place")
     assert os.strerror(code) in fail(1 << 30)
-
-
-@pytest.mark.parametrize(
-    ("name", "kind"), [("image", "Array"), ("volume", "Array"), ("video", "Stream"), ("sequence", "Stream")]
-)
-def test_every_medium_keeps_the_contract(name, kind):
-    medium, contract = importlib.import_module(f"supple.media.{name}"), getattr(base, f"{kind}Medium")
-    assert isinstance(medium, contract)
-    for member in dir(contract):
-        wanted = getattr(contract, member)
-        if not member.startswith("_") and callable(wanted):
-            parameters = list(inspect.signature(wanted).parameters.values())[1:]
-            options = {each.name: each.default for each in parameters if each.kind is each.KEYWORD_ONLY}
-            places = [each for each in parameters if each.name not in options]
-            inspect.signature(getattr(medium, member)).bind(*places, **options)
 
 
 @pytest.mark.parametrize("failing", [0, 1, 2, None])

@@ -229,7 +229,7 @@ def offsets_of(like: torch.Tensor, d: Deformation, tolerance: float) -> torch.Te
     if like.is_cuda and dtype == torch.float32:
         from supple.cuda.points import inverse_map
 
-        offsets, certificate = inverse_map(d.space, like.detach(), tolerance, offsets=True)
+        offsets, certificate = inverse_map(d.space, tolerance, like.detach(), offsets=True)
         warn_of(certificate, tolerance, caller() + 1)
         return torch.as_tensor(offsets).reshape(total, d.ndim).T
     pixels = _pixels(torch.arange(total, device=like.device if like.is_cuda else "cpu"), d)
