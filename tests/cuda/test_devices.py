@@ -183,7 +183,7 @@ def test_this_machine_has_a_card_or_says_why_not() -> None:
 def test_the_command_line_ends_before_any_work(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in ("files.read", "files.volumes.open_volume"):
+    for module in ("files.pictures.read", "files.volumes.open_volume"):
         monkeypatch.setattr(f"supple.{module}", lambda *rest, **options: pytest.fail("it was read"))
     for source, target, strokes in (
         ("photo.png", "new.png", GRAB),
