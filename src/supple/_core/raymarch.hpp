@@ -356,7 +356,7 @@ private:
     INLINE Chosen find(const Look& look, const Volume& voxels, Source& source, const Number& start, const Number& stop,
                        Chosen lanes) {
         const Chosen outer = side(look, before.all), within = lanes & (outer != 0) & (outer != side(look, after.all));
-        surface.all = lanes & (outer == 0) ? start.all : surface.all;
+        surface.all = (lanes & (outer == 0)) ? start.all : surface.all;
         if (!bits(within)) return within;
         Floats low = start.all, high = stop.all, u = before.all, v = after.all;
         for (int turn = 0; turn < (look.labelled ? HALVINGS : BISECTIONS); turn++) {
@@ -468,7 +468,7 @@ private:
         const Floats part = seen ? (1 - light[3].all) * opacity.all : Floats{};
         for (int c = 0; c < 3; c++) light[c].all += seen ? part * (colour[c] * lit + SPECULAR * shine) : Floats{};
         light[3].all += part;
-        opaque.all = (opaque.all == ENDLESS) & (light[3].all >= 0.9f) ? start.all : opaque.all;
+        opaque.all = ((opaque.all == ENDLESS) & (light[3].all >= 0.9f)) ? start.all : opaque.all;
         live &= ~(light[3].all > OPAQUE);
         return seen;
     }
