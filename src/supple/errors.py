@@ -6,6 +6,7 @@ import contextlib
 import os
 import sys
 from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
@@ -32,33 +33,44 @@ class Spelling:
 
 PYTHON = Spelling(lambda name, value: name if value is _ANY else f"{name}={value!r}")
 JSON = Spelling(lambda name, value: name if value is _ANY else f'"{name}": {value!r}', "null")
-_spelling = PYTHON
+_face = PYTHON  # of all threads
+_here: ContextVar[Spelling | None] = ContextVar("spelling", default=None)
 
 
 def current_spelling() -> Spelling:
     """Return how messages name arguments now."""
-    return _spelling
+    return _here.get() or _face
 
 
 @contextlib.contextmanager
 def spelling(how: Spelling) -> Iterator[None]:
-    """Name arguments in another way in all messages of this process, as a face does while it runs."""
-    global _spelling
-    before, _spelling = _spelling, how
+    """Name arguments in another way in the messages of this context."""
+    token = _here.set(how)
     try:
         yield
     finally:
-        _spelling = before
+        _here.reset(token)
+
+
+@contextlib.contextmanager
+def facing(how: Spelling) -> Iterator[None]:
+    """Name arguments in another way in the messages of all threads, as the command does while it runs."""
+    global _face
+    before, _face = _face, how
+    try:
+        yield
+    finally:
+        _face = before
 
 
 def argument(name: str, value: object = _ANY) -> str:
     """Return an argument, and a value of it, as the reader of a message gives it: ``on_fold='flow'``."""
-    return _spelling.argument(name, value)
+    return current_spelling().argument(name, value)
 
 
 def none() -> str:
     """Return None as the reader of a message gives it."""
-    return _spelling.none
+    return current_spelling().none
 
 
 class SuppleError(ValueError):

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
 
@@ -22,7 +23,8 @@ import supple.files.clips
 import supple.files.volumes
 from supple.cli import command
 from supple.cli.console import COMMAND
-from supple.errors import Spelling, SuppleError, ToleranceWarning, argument, none, spelling
+from supple.errors import Spelling, SuppleError, ToleranceWarning, argument, facing, none
+from supple.files.recipes import read_recipe
 from supple.media import image
 from tests import clips
 from tests.children import SOURCE
@@ -329,10 +331,30 @@ def test_no_message_names_an_argument_by_itself() -> None:
 )
 def test_each_face_names_arguments_in_its_own_words(name: str, value: object, python: str, option: str) -> None:
     assert argument(name, value) == python
-    with spelling(COMMAND):
+    with facing(COMMAND):
         assert argument(name, value) == option
         assert none() == "none"
     assert argument(name, value) == python
+
+
+def test_recipes_read_side_by_side_leave_the_spelling_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "r.json"
+    path.write_text('{"supple": 2, "strokes": null}')
+
+    def refused(_: int) -> str:
+        with pytest.raises(SuppleError) as caught:
+            read_recipe(path)
+        return str(caught.value)
+
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(8) as pool:
+            messages = set(pool.map(refused, range(400)))
+    finally:
+        sys.setswitchinterval(before)
+    assert messages == {f"{path}: strokes must be a list, found null"}
+    assert argument("on_fold", "flow") == "on_fold='flow'"
 
 
 def test_a_warning_is_spelt_for_who_reads_it(run: Run) -> None:

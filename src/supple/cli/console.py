@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, field
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from supple.errors import LayerWarning, ScaleWarning, Spelling, SuppleError, spelling
+from supple.errors import LayerWarning, ScaleWarning, Spelling, SuppleError, facing
 
 if TYPE_CHECKING:
     from supple.deformation import Arrival, Deformation
@@ -257,7 +257,7 @@ def run(command: Callable[[Console], object]) -> int:
     console = Console()
     token = _current.set(console)
     try:
-        with _signals(), _warnings(console), spelling(COMMAND):
+        with _signals(), _warnings(console), facing(COMMAND):
             command(console)
             if sys.stdout is not None:
                 sys.stdout.flush()

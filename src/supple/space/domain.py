@@ -46,6 +46,8 @@ _SHORT.maxstring = _SHORT.maxother = 60
 
 def value_shown(value: object) -> str:
     """Return a short representation of any value, on one line, for a message."""
+    if value is None:
+        return none()
     text = " ".join(_SHORT.repr(value.item() if isinstance(value, np.generic) else value).split())
     return text if len(text) <= 100 else f"{text[:97]}..."
 

@@ -378,6 +378,17 @@ def test_a_dpx_keeps_its_bits_and_its_header(tmp_path: Path, bits: int, order: s
         write(tmp_path / "out.tif", picture.pixels, picture)
 
 
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_a_dpx_keeps_its_orientation(tmp_path: Path, order: str) -> None:
+    dpx(tmp_path / "in.dpx", np.zeros((19, 24, 3), np.int64), 10, order)
+    data = bytearray((tmp_path / "in.dpx").read_bytes())
+    struct.pack_into(f"{order}H", data, 768, 2)  # from bottom to top
+    (tmp_path / "in.dpx").write_bytes(data)
+    picture = read(tmp_path / "in.dpx")
+    write(tmp_path / "out.dpx", picture.pixels, picture)
+    assert struct.unpack_from(f"{order}H", (tmp_path / "out.dpx").read_bytes(), 768) == (2,)
+
+
 def test_dpx_as_a_sequence(tmp_path: Path) -> None:
     heads = [
         dpx(tmp_path / f"a.{k:07d}.dpx", np.random.default_rng(k).integers(0, 1024, (40, 60, 3)), 10, ">", curve=k)

@@ -30,7 +30,9 @@ def test_existing_outputs_and_other_jobs(remote: bool, tmp_path: Path, memory: s
     again = create(out, like, job="one")
     assert again.is_done(0, box)
     assert not again.is_done(0, whole(again))
-    with pytest.raises(SuppleError, match=r"is the unfinished output of another job: choose .*--force starts anew"):
+    with pytest.raises(
+        SuppleError, match=r"is the unfinished output of another job: choose .*force=True, which starts anew"
+    ):
         create(out, like, job="two")
     assert create(out, like, job="one", force=True).is_done(0, box)
     with pytest.raises(SuppleError, match="of another job"):
@@ -291,7 +293,7 @@ def test_where_objects_may_be_incomplete_nothing_is_continued(memory: str, monke
     values, like = small(f"{memory}/in.zarr")
     create(f"{memory}/out.zarr", like, job="a").write(0, [(0, 4), (0, 9), (0, 9)], values)
     monkeypatch.setattr(places, "_ATOMIC", set())
-    with pytest.raises(SuppleError, match=r"objects there may be incomplete: .*--force starts anew"):
+    with pytest.raises(SuppleError, match=r"objects there may be incomplete: .*force=True, which starts anew"):
         create(f"{memory}/out.zarr", like, job="a")
     anew = create(f"{memory}/out.zarr", like, job="a", force=True)
     assert not any(anew.is_done(0, box) for box in boxes(anew, 0))

@@ -281,7 +281,9 @@ def test_prepared_outputs_are_asked_for_before_any_work(remote: bool, tmp_path: 
     check_free(out, metadata, "a", False)
     check_free(out, metadata, "b", True)
     before = files(tmp_path)
-    with pytest.raises(SuppleError, match="is the unfinished output of another job: choose another name, or --force"):
+    with pytest.raises(
+        SuppleError, match="is the unfinished output of another job: choose another name, or force=True"
+    ):
         check_free(out, metadata, "b", False)
     assert files(tmp_path) == before
     with holding():

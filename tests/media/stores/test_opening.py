@@ -122,6 +122,7 @@ BAD = {
     ),
     "version": (break_metadata(lambda ome: ome.update(version="0.2")), r"it is of OME-Zarr 0.2: use 0.4, 0.5 or 0.6"),
     "no axes": (multiscale("axes", None), "incomplete or malformed"),
+    "no datasets": (multiscale("datasets", []), "its image has no datasets"),
     "too few axes": (
         break_metadata(lambda o: o["multiscales"][0]["axes"].pop(0)),
         "axes c, z, y, x, and its array 0 has 5",
@@ -173,6 +174,7 @@ def test_what_cannot_be_opened_is_told_in_one_sentence(name: str, tmp_path: Path
     assert str(told.value).startswith("cannot read ")
     assert "in.zarr" in str(told.value)
     assert "\n" not in str(told.value)
+    assert str(told.value).count("cannot read") == 1
 
 
 def test_other_things_that_cannot_be_opened(tmp_path: Path, memory: str) -> None:

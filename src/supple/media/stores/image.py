@@ -189,6 +189,8 @@ def described(place: Place, node: Any, ndim: int | None) -> StoredImage:
     else:
         try:
             image = _multiscale(place, node, attributes, ndim)
+        except SuppleError:
+            raise
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             what = f"its metadata are incomplete or malformed ({type(error).__name__}: {error})"
             raise place.unreadable(what, "see the specification of OME-Zarr") from error
@@ -224,6 +226,8 @@ def _multiscale(place: Place, group: Any, attributes: Json, ndim: int | None) ->
         raise place.unreadable(f"its image has {space} axes of space", f"give at most {space} for ndim")
     shared = [] if version == "0.6" else image.get("coordinateTransformations") or []
     levels: list[Level] = []
+    if not image["datasets"]:
+        raise place.unreadable("its image has no datasets", _MEND)
     for dataset in image["datasets"]:
         path = dataset["path"].strip("/")
         if not path or {"..", "."} & set(path.split("/")):

@@ -191,7 +191,7 @@ def _look(place: Place, job: str, force: bool) -> tuple[Place, bool]:
             what = f"{name} is the unfinished output of another job"
             if marker["job"] == job:
                 what = "it is unfinished, and objects there may be incomplete"
-            raise place.unwritable(what, "choose another name, or --force starts anew")
+            raise place.unwritable(what, f"choose another name, or {argument('force', True)}, which starts anew")
     elif site.folder is not None:
         # killed before the marker was there, a process left nothing else
         there = os.path.lexists(site.folder)

@@ -349,16 +349,16 @@ def _mgz(path: PathLike) -> tuple[Array, Grid, Vectors, Grid]:
         tags = file.read()[20:]  # behind the parameters of the scan
     try:
         found = dict(_tags(path, tags))
+        if not {_PLACES, _FORMAT} <= set(found):
+            raise unreadable(path, "it does not say between which images it leads, as a warp does", _CONVERT_WARP)
+        (form,) = struct.unpack_from(">i", found[_FORMAT])
+        if form not in range(len(_FREESURFER)):
+            raise unreadable(path, f"it is of format {form}, and {len(_FREESURFER)} formats are known", _CONVERT_WARP)
+        places = found[_PLACES]
+        half = len(places) // 2
+        source, grid = _place(path, places[:half]), _place(path, places[half:])
     except struct.error as error:
         raise unreadable(path, "what follows its voxels is cut short or damaged") from error
-    if not {_PLACES, _FORMAT} <= set(found):
-        raise unreadable(path, "it does not say between which images it leads, as a warp does", _CONVERT_WARP)
-    (form,) = struct.unpack_from(">i", found[_FORMAT])
-    if form not in range(len(_FREESURFER)):
-        raise unreadable(path, f"it is of format {form}, and {len(_FREESURFER)} formats are known", _CONVERT_WARP)
-    places = found[_PLACES]
-    half = len(places) // 2
-    source, grid = _place(path, places[:half]), _place(path, places[half:])
     if grid.shape != values.shape[:3]:
         sizes = [" x ".join(map(str, sizes)) for sizes in (values.shape[2::-1], grid.sizes)]
         raise unreadable(path, f"it has {sizes[0]} voxels, and the image that it is of has {sizes[1]}", _CONVERT_WARP)
