@@ -452,10 +452,12 @@ def warp_function(
     x = (np.arange(width)[:, None] + within).ravel()
     rows = max(1, _MOST_POINTS // (width * samples * samples))
     result: Array | None = None
+    certificate = Certificate(0.0, 0.0)
     for top in range(0, height, rows):
         y = (np.arange(top, min(top + rows, height))[:, None] + within).ravel()
         grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        (points, _, _, converged), _ = core.inverse(space, grid)
+        (points, _, _, converged), own = core.inverse(space, grid)
+        certificate |= own
         if not converged.all():
             warnings.warn(
                 f"{np.count_nonzero(~converged)} of {converged.size} source points did not converge: what is shown "
@@ -474,5 +476,6 @@ def warp_function(
             shape = (height, width, *values.shape[1:])
             result = result_of(out, np.empty(shape, values.dtype), shape)
         result[top : top + len(square)] = square
+    warn_of(certificate, 1.0, 4)
     assert result is not None
     return result

@@ -952,7 +952,7 @@ class Deformation:
         -------
         float64 array, shape (..., D)
         """
-        found, certificate = _place_of(points).forward(self.space, points)
+        found, certificate = place_of(points).forward(self.space, points)
         warn_of(certificate, 1.0, 3)
         return found  # type: ignore[no-any-return]
 
@@ -969,7 +969,7 @@ class Deformation:
         float64 array, shape (..., D, D)
             Row i, column j is ∂T_i/∂x_j, in pixels per pixel.
         """
-        found, certificate = _place_of(points).forward(self.space, points, matrices=True)
+        found, certificate = place_of(points).forward(self.space, points, matrices=True)
         warn_of(certificate, 1.0, 3)
         return found  # type: ignore[no-any-return]
 
@@ -991,7 +991,7 @@ class Deformation:
         FoldWarning, OutsideWarning
             If an inverted field folds at some of the points, or no point of its grid leads to them.
         """
-        found, certificate = _place_of(points).inverse(self.space, points)
+        found, certificate = place_of(points).inverse(self.space, points)
         warn_of(certificate, 1.0, 3)
         return Inverse(*found)
 
@@ -1015,7 +1015,7 @@ class Deformation:
         if like is None:
             found, certificate = core.inverse_map(space, tolerance)
         elif is_on_device(like):
-            found, certificate = _place_of(like).inverse_map(space, tolerance, like)
+            found, certificate = place_of(like).inverse_map(space, tolerance, like)
         else:
             refuse("like", "an array on a CUDA device, or left out", like)
         warn_of(certificate, tolerance, 3)
@@ -1230,7 +1230,7 @@ class Deformation:
         return self.domain, self.grid, self.on_fold, self.strokes, self.maps
 
 
-def _place_of(points: object) -> Any:
+def place_of(points: object) -> Any:
     """Return the module that maps points where they lie: `supple.engine.core`, or `supple.cuda.points`."""
     if not is_on_device(points):
         return core

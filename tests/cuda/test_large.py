@@ -148,3 +148,14 @@ def test_volumes_from_file_to_file(gpu: CudaDevice, folder: Path, capfd: pytest.
     told = json.loads(capfd.readouterr().out)
     assert told["device"] == gpu.name
     assert told["error"] <= 0.01
+
+
+def test_an_error_of_the_caller_is_not_one_of_the_gpu(gpu: CudaDevice) -> None:
+    d, source = bent(), noise()
+    work = work_of(source.shape, source.dtype, d.space, Sampling.checked(3, filter="linear"))
+
+    def tell(step: str, done: int, total: int) -> None:
+        raise BrokenPipeError("nobody reads")
+
+    with pytest.raises(BrokenPipeError, match="nobody reads"):
+        sample(work, source[..., None], np.empty_like(source)[..., None], tell)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from supple import Deformation, SuppleError
+from supple import Deformation, Field, FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
 from tests import reference
 from tests.engine.pictures import SHAPE, Floats, bent, exact
 
@@ -82,3 +82,11 @@ def test_functions_that_give_something_else(function: Callable[[Floats], Any], m
 def test_bad_numbers_of_samples(samples: Any) -> None:
     with pytest.raises(SuppleError, match="samples"):
         bent().warp(ripples, samples=samples)
+
+
+def test_what_an_inverted_field_cannot_answer_is_warned_of() -> None:
+    values = 3 * np.random.default_rng(2).normal(size=(20, 24, 2)).astype(np.float32)
+    d = Deformation((20, 24))
+    d = d.field(Field(values, d.grid), inverse=True)
+    with pytest.warns(FoldWarning), pytest.warns(OutsideWarning), pytest.warns(ToleranceWarning):
+        d.warp(lambda points: points[:, 0])

@@ -266,3 +266,20 @@ def test_strokes_among_maps_have_no_gradients(name: str) -> None:
         SuppleError, match=r"^supple.torch.forward is for strokes alone, found a deformation with fields"
     ):
         bending.forward(torch.zeros(4, 2), d)
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "cubic"])
+def test_second_gradients_are_alike_at_both_edges(interpolation: str) -> None:
+    def mirrored(v: torch.Tensor) -> torch.Tensor:
+        return v.flip(-1) * torch.tensor([-1.0, 1.0], dtype=v.dtype)[:, None, None]
+
+    def second(v: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+        v = v.clone().requires_grad_(True)
+        inverted = bending.invert(v, interpolation=interpolation, tolerance=1e-9).values
+        (first,) = torch.autograd.grad((weights * inverted).sum(), v, create_graph=True)
+        return torch.autograd.grad(first.square().sum(), v)[0]
+
+    values, weights = field(2, 6, 7), field(2, 6, 7, seed=1)
+    values[..., [0, -1]] = 0  # points on the edges themselves
+    found = second(mirrored(values), mirrored(weights))
+    torch.testing.assert_close(found, mirrored(second(values, weights)), rtol=1e-6, atol=1e-9)

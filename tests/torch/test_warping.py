@@ -208,7 +208,7 @@ def test_far_pixels_of_a_wide_picture_lose_nothing() -> None:
     d = supple.Deformation((3, 200_000), border=None, on_fold="damp").grab(
         (199_950.0, 1.0), by=(3.3, 0.1), radius=40, reach=None
     )
-    found = offsets_of(torch.zeros(3, 200_000), d, 1e-4)
+    found = offsets_of(torch.zeros(3, 200_000), d.space, 1e-4)
     columns = np.arange(199_900, 200_000)
     grid = np.stack([columns, np.ones(100)], -1)
     exact = d.inverse(grid).points - grid

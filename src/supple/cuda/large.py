@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 
 import numpy as np
 
@@ -60,25 +60,32 @@ def sample(
     SuppleError
         If the GPU cannot be used or fails, or a plane, and the frames that it needs, exceed its memory.
     """
-    gpu = open_device()
-    try:
-        certificate = _in_slabs(gpu, work, source, target, tell, room)
-    except FAILURES as error:
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise SuppleError(f"{gpu.name} failed ({reason}): {argument('device', 'cpu')} does without it") from error
+    gpu, certificate = open_device(), Certificate(0.0, 0.0)
+    with contextlib.closing(_in_slabs(gpu, work, source, target, room)) as slabs:
+        while True:
+            try:
+                done, known = next(slabs)
+            except StopIteration:
+                break
+            except FAILURES as error:
+                reason = " ".join(str(error).split())[:120] or type(error).__name__
+                without = f"{argument('device', 'cpu')} does without it"
+                raise SuppleError(f"{gpu.name} failed ({reason}): {without}") from error
+            certificate |= known
+            tell("warp", done, len(target))  # whose errors are the caller's
     note(gpu.name)
     return certificate
 
 
-def _in_slabs(gpu: CudaDevice, work: Work, source: Array, target: Array, tell: Tell, room: int | None) -> Certificate:
-    certificate = Certificate(0.0, 0.0)
+def _in_slabs(
+    gpu: CudaDevice, work: Work, source: Array, target: Array, room: int | None
+) -> Generator[tuple[int, Certificate], None, None]:
+    """Yield the number of finished planes, and the certificate of the last ones, slab by slab."""
     under_way: list[tuple[int, Iterator[Certificate]]] = []
 
-    def finish() -> Certificate:
+    def finish() -> tuple[int, Certificate]:
         done, slab = under_way.pop(0)
-        known = next(slab)
-        tell("warp", done, len(target))
-        return known
+        return done, next(slab)
 
     with _working, gpu.current():
         most = int(ROOM * gpu.free) if room is None else room
@@ -86,17 +93,16 @@ def _in_slabs(gpu: CudaDevice, work: Work, source: Array, target: Array, tell: T
         try:
             for k, (planes, frames) in enumerate(_slabs(gpu, work, source, target, most)):
                 if len(under_way) == len(streams):
-                    certificate |= finish()
+                    yield finish()
                 slab = _slab(gpu, streams[k % 2], work, source, target, planes, frames)
                 next(slab)
                 under_way.append((planes[1], slab))
             while under_way:
-                certificate |= finish()
+                yield finish()
         finally:
             for stream in streams:  # until then, kernels write to memory that is about to be freed
                 with contextlib.suppress(*FAILURES):
                     stream.synchronize()
-    return certificate
 
 
 def _slabs(gpu: CudaDevice, work: Work, source: Array, target: Array, room: int) -> Iterator[tuple[Range, Range]]:

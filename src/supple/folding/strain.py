@@ -78,7 +78,7 @@ def _free(poisson: float, scales: int, reach: float) -> tuple[float, float, floa
 
 
 class Mask(_core.Freeze):
-    """A freeze mask as the core takes it, and what it is made of, for other engines.
+    """A freeze mask as the core takes it, and what it is made of, for shaders and CUDA.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def _mask(freeze: Freeze, spacing: tuple[float, ...], origin: tuple[float, ...])
 
 
 def mask_of(domain: Domain, origin: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Mask | None:
-    """Return a domain's freeze mask as engines take it, or None if nothing is frozen.
+    """Return a domain's freeze mask as the core takes it, or None if nothing is frozen.
 
     Points are from the origin, in physical units.
     """

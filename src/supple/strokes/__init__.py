@@ -1,4 +1,4 @@
-"""Strokes and recipes: immutable values, their JSON, their scaling to other sizes, and the packed table of engines."""
+"""Strokes and recipes: immutable values, their JSON, their scaling to other sizes, and the packed table of the core."""
 
 from supple.strokes.paths import legs
 from supple.strokes.recipe import CoordinateSpace, FoldPolicy, Recipe, fit_recipe

@@ -19,9 +19,10 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from supple.arrays import warp_array
-from supple.deformation import Deformation
+from supple.deformation import Deformation, place_of
 from supple.engine import core
-from supple.engine.sampling import Sampling, warn_of
+from supple.engine.sampling import Certificate, Sampling, warn_of
+from supple.engine.work import Space
 from supple.errors import SuppleError, ToleranceWarning, caller
 from supple.space.domain import refuse
 from supple.torch.strokes import Given, Strokes, items, strokes_of
@@ -30,6 +31,7 @@ from supple.torch.taps import Taps, adjoint, around, count
 _SMOOTH = ("nearest", "linear", "cubic")
 _FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 _ROOM = 1 << 23  # the numbers in memory for points processed at once, mostly for gradients of T
+_SOLVED = 1 << 18  # points that are solved at a time
 _OF_MASKS = 8  # as many terms of a stroke need as much room as the freeze mask's
 
 
@@ -186,20 +188,23 @@ def _check(tensor: object, shape: tuple[int, ...], count: int | None) -> None:
 
 def _warped(tensor: torch.Tensor, d: Deformation, given: Given, sampling: Sampling) -> torch.Tensor:
     """Return one warped item, of shape (K, *shape)."""
+    space = d.space
+    if not given and space.is_identity:
+        return tensor.clone()
     if not given and not (torch.is_grad_enabled() and tensor.requires_grad):
-        return _values(tensor, d, sampling)
+        return _values(tensor, space, sampling)
     if not given:
-        return _Warp.apply(tensor, None, d, sampling, None)
+        return _Warp.apply(tensor, None, space, sampling, None)
     strokes = strokes_of(d, given, tensor, _working(tensor))
-    return _Warp.apply(tensor, strokes.numbers, d, sampling, replace(strokes, numbers=strokes.numbers.detach()))
+    return _Warp.apply(tensor, strokes.numbers, space, sampling, replace(strokes, numbers=strokes.numbers.detach()))
 
 
 def _working(tensor: torch.Tensor) -> torch.dtype:
-    """Return the type for work on a tensor outside of the engines."""
+    """Return the type for work on a tensor outside of the core and CUDA."""
     return torch.float64 if tensor.dtype == torch.float64 else torch.float32
 
 
-def _values(tensor: torch.Tensor, d: Deformation, sampling: Sampling) -> torch.Tensor:
+def _values(tensor: torch.Tensor, space: Space, sampling: Sampling) -> torch.Tensor:
     """Return a warped tensor (K, *shape), by the engine of its device, without gradients."""
     source: Any = tensor.detach()
     # NumPy has no bfloat16, and the core processes half precision in single precision.
@@ -208,59 +213,66 @@ def _values(tensor: torch.Tensor, d: Deformation, sampling: Sampling) -> torch.T
     source = source.movedim(0, -1)
     if not tensor.is_cuda:
         source = np.ascontiguousarray(source.numpy(force=True))
-    result, certificate = warp_array(source, d.space, sampling, alpha=False)
+    result, certificate = warp_array(source, space, sampling, alpha=False)
     warn_of(certificate, sampling.tolerance, caller() + 1)
     return torch.as_tensor(result).movedim(-1, 0).contiguous().to(tensor)
 
 
-def _pixels(index: torch.Tensor, d: Deformation) -> torch.Tensor:
+def _pixels(index: torch.Tensor, space: Space) -> torch.Tensor:
     """Return the pixels (D, P), x first, with flat indices (P,)."""
-    return torch.stack(torch.unravel_index(index, d.shape)[::-1])
+    return torch.stack(torch.unravel_index(index, space.whole)[::-1])
 
 
-def offsets_of(like: torch.Tensor, d: Deformation, tolerance: float) -> torch.Tensor:
+def offsets_of(like: torch.Tensor, space: Space, tolerance: float) -> torch.Tensor:
     """Return T⁻¹(q) - q of all M pixels q, (D, M), which float32 holds to their accuracy for images of any size.
 
     They are on the device of ``like``, in its working type, and 0 where T moves nothing.
     """
-    dtype, total = _working(like), math.prod(d.shape)
-    if d.space.is_identity:
-        return torch.zeros(d.ndim, total, dtype=dtype, device=like.device)
+    dtype, total = _working(like), math.prod(space.whole)
+    if space.is_identity:
+        return torch.zeros(space.ndim, total, dtype=dtype, device=like.device)
     if like.is_cuda and dtype == torch.float32:
         from supple.cuda.points import inverse_map
 
-        offsets, certificate = inverse_map(d.space, tolerance, like.detach(), offsets=True)
+        offsets, certificate = inverse_map(space, tolerance, like.detach(), offsets=True)
         warn_of(certificate, tolerance, caller() + 1)
-        return torch.as_tensor(offsets).reshape(total, d.ndim).T
-    pixels = _pixels(torch.arange(total, device=like.device if like.is_cuda else "cpu"), d)
+        return torch.as_tensor(offsets).reshape(total, space.ndim).T
+    pixels = _pixels(torch.arange(total, device=like.device if like.is_cuda else "cpu"), space)
     if dtype == torch.float32:
-        points, certificate = core.inverse_map(d.space, tolerance, dtype=np.float64)
+        points, certificate = core.inverse_map(space, tolerance, dtype=np.float64)
         warn_of(certificate, tolerance, caller() + 1)
+        solved = [torch.as_tensor(points).reshape(total, space.ndim)]
     else:
-        solution = d.inverse(pixels.double().T)
-        points, lost = solution.points, total - int(solution.converged.sum())
+        certificate, lost, solved = Certificate(0.0, 0.0), total, []
+        for some in pixels.split(_SOLVED, 1):
+            (points, _, _, converged), own = place_of(pixels).inverse(space, some.double().T)
+            certificate |= own
+            lost -= int(converged.sum())
+            solved.append(torch.as_tensor(points))
+        warn_of(certificate, 1.0, caller() + 1)
         if lost:
             text = f"{lost} of {total} source points did not converge: what is shown there is a guess"
             warnings.warn(text, ToleranceWarning, stacklevel=caller())
-    offsets = torch.as_tensor(points).reshape(total, d.ndim).T - pixels
+    offsets = torch.cat(solved).T - pixels
     return offsets.to(dtype).to(like.device)  # not every device has float64
 
 
 def _parts(
-    offsets: torch.Tensor, d: Deformation, sampling: Sampling, strokes: Strokes | None
+    offsets: torch.Tensor, space: Space, sampling: Sampling, strokes: Strokes | None
 ) -> Iterator[tuple[slice, torch.Tensor, Taps]]:
     """Yield pixels, some at a time: which these are, their source points (D, P), and the samples around these."""
     between = "catmull-rom" if sampling.between == "cubic" else sampling.between
-    kinds, terms = [sampling.filter, sampling.filter, between][: d.ndim], 0
+    kinds, terms = [sampling.filter, sampling.filter, between][: space.ndim], 0
     if strokes is not None:
         table = strokes.table
         terms = int(table["terms"].sum()) + (0 if strokes.mask is None else _OF_MASKS * len(table))
     size = max(1, _ROOM // (np.size(sampling.fill) * count(kinds) + 16 * (terms + 1)))
-    for index in torch.arange(offsets.shape[1], device=offsets.device).split(size):
-        some = slice(int(index[0]), int(index[0]) + len(index))
-        pixels, own = _pixels(index, d), offsets[:, some]
+    for start in range(0, offsets.shape[1], size):
+        some = slice(start, min(start + size, offsets.shape[1]))
+        pixels = _pixels(torch.arange(some.start, some.stop, device=offsets.device), space)
+        own = offsets[:, some]
         lower = own.floor()
-        taps = around(pixels + lower.long(), own - lower, d.shape[::-1], kinds, sampling.outside)
+        taps = around(pixels + lower.long(), own - lower, space.whole[::-1], kinds, sampling.outside)
         yield some, pixels + own, taps
 
 
@@ -269,12 +281,12 @@ class _Warp(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, tensor: torch.Tensor, numbers: torch.Tensor | None, *job: Any) -> torch.Tensor:
-        d, sampling, strokes = ctx.job = job
+        space, sampling, strokes = ctx.job = job
         offsets = None
         if tensor.dtype != torch.float64:
-            result = _values(tensor, d, sampling)
+            result = _values(tensor, space, sampling)
         else:  # as exactly as gradients are
-            offsets, flat = offsets_of(tensor, d, sampling.tolerance), tensor.reshape(len(tensor), -1)
+            offsets, flat = offsets_of(tensor, space, sampling.tolerance), tensor.reshape(len(tensor), -1)
             parts = [taps.between(taps.samples(flat, sampling.fill)) for _, _, taps in _parts(offsets, *ctx.job)]
             # Unchanged pixels are copied, so that no NaN of a neighbour reaches them.
             result = torch.where(offsets.any(0), torch.cat(parts, 1), flat).reshape(tensor.shape)
@@ -285,9 +297,9 @@ class _Warp(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         tensor, offsets = ctx.saved_tensors
-        d, sampling, strokes = ctx.job
+        space, sampling, strokes = ctx.job
         if offsets is None:
-            offsets = offsets_of(gradient, d, sampling.tolerance)
+            offsets = offsets_of(gradient, space, sampling.tolerance)
         flat = gradient.reshape(len(gradient), -1)
         image = torch.zeros_like(flat, dtype=offsets.dtype) if ctx.needs_input_grad[0] else None
         numbers = None if strokes is None else torch.zeros_like(strokes.numbers)
@@ -298,7 +310,8 @@ class _Warp(torch.autograd.Function):
             if strokes is not None:
                 samples = taps.samples(tensor.reshape(len(tensor), -1), sampling.fill)
                 slopes = taps.slopes((own[:, None] * samples).sum(0))
-                matrices = torch.as_tensor(d.jacobian(points.T if points.is_cuda else points.T.cpu()))
+                where = points.T if points.is_cuda else points.T.cpu()
+                matrices = torch.as_tensor(place_of(where).forward(space, where, matrices=True)[0])
                 matrices = matrices.to(points.dtype).to(points.device)  # not every device has float64
                 numbers += strokes.gradient(points, adjoint(matrices.movedim(0, -1), slopes))
         image = None if image is None else image.to(gradient.dtype).reshape(gradient.shape)

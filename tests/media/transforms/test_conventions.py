@@ -215,10 +215,10 @@ def test_a_file_that_is_cut_short(name: str, part: float, tmp_path: Path) -> Non
 
 def test_a_tag_of_an_mgz_that_is_too_short(tmp_path: Path) -> None:
     whole = gzip.decompress((DATA / "freesurfer_0_abs_ras.mgz").read_bytes())
-    tag = struct.pack(">iq", 13, 4)  # the format of the warp
+    tag = struct.pack(">iq", 13, 12)  # the format of the warp
     assert whole.count(tag) == 1
     at = whole.index(tag)
-    (tmp_path / "a.mgz").write_bytes(gzip.compress(whole[:at] + struct.pack(">iq", 13, 0) + whole[at + 16 :]))
+    (tmp_path / "a.mgz").write_bytes(gzip.compress(whole[:at] + struct.pack(">iq", 13, 0) + whole[at + 24 :]))
     with pytest.raises(SuppleError) as caught:
         read(tmp_path / "a.mgz")
     check(caught.value, ["a.mgz", "cut short or damaged"])
