@@ -123,7 +123,12 @@ def is_store(address: PathLike) -> bool:
     text = os.fspath(address)
     if protocol_of(text) or text.rstrip("/").lower().endswith(".zarr"):
         return True
-    return any(os.path.isfile(os.path.join(text, name)) for name in ROOTS)
+    return is_zarr(text)
+
+
+def is_zarr(path: PathLike) -> bool:
+    """Return whether a folder is a Zarr store."""
+    return any(os.path.isfile(os.path.join(path, name)) for name in ROOTS)
 
 
 def protocol_of(address: str) -> str:
@@ -145,7 +150,7 @@ def check_store(path: PathLike, *, force: bool = False) -> Path:
         return check_output(path)
     if not force:
         raise _exists(path)
-    if not any((target / name).is_file() for name in ROOTS):
+    if not is_zarr(target):
         raise unwritable(path, "what is there is no Zarr store", "give another name")
     return target
 

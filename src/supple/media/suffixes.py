@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from supple.errors import SuppleError
-from supple.media.files import ROOTS, PathLike, head_of
+from supple.media.files import PathLike, head_of, is_zarr
 
 CLIPS = frozenset(
     {".3gp", ".asf", ".avi", ".flv", ".h264", ".h265", ".hevc", ".ivf", ".m2ts", ".m2v", ".m4v", ".mj2", ".mkv"}
@@ -30,11 +30,6 @@ def suffix_of(path: PathLike) -> str:
     """Return the suffix that identifies the format, in lower case: ``.nii.gz``, ``.mha``, ... or nothing."""
     name = Path(path).name.lower()
     return ".nii.gz" if name.endswith(".nii.gz") else Path(name).suffix
-
-
-def is_zarr(path: PathLike) -> bool:
-    """Return whether a folder is a Zarr store."""
-    return any(os.path.isfile(os.path.join(path, name)) for name in ROOTS)
 
 
 def is_volume(path: PathLike) -> bool:

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from supple.media.files import PathLike, check_output, check_suffix, head_of, unreadable, unwritable
-from supple.media.suffixes import FORMATS, is_volume, is_zarr, suffix_of
+from supple.media.files import PathLike, check_output, check_suffix, head_of, is_zarr, unreadable, unwritable
+from supple.media.suffixes import FORMATS, is_volume, suffix_of
 from supple.media.suffixes import VOLUMES as SUFFIXES
 from supple.media.suffixes import VOLUMES_OUT as SUFFIXES_OUT
 from supple.media.volume import derived, raw
