@@ -91,25 +91,39 @@ def warp_array(
     SuppleError
         If an argument does not fit, or the device cannot be used, or fails.
     """
-    if is_on_device(source):
-        return _on_device(source, (space,), sampling, alpha, clamp, device, out)
-    held = array_of(source, "source")
+    held = source
+    if type(source) is not np.ndarray:
+        if is_on_device(source):
+            return _on_device(source, (space,), sampling, alpha, clamp, device, out)
+        held = array_of(source, "source")
     work = work_of(held.shape, held.dtype, space, sampling, alpha, finite=False)
     fills = np.asarray(work.sampling.fill)
     constant = sampling.outside == "constant"
     if endless := not np.isfinite(fills).all():  # averages take the edge's values, and what is beyond is filled later
         sampling = replace(sampling, outside="edge" if constant else sampling.outside, fill=0.0)
         work = work_of(held.shape, held.dtype, space, sampling, alpha)
-    check_device(device)
-    tail = held.shape[len(space.whole) :]
-    result = result_of(out, held, held.shape if space.grid is None else (*space.out, *tail))
+    if device != "cpu":
+        check_device(device)
+    shape = held.shape if space.grid is None else (*space.out, *held.shape[len(space.whole) :])
+    result = np.empty(shape, held.dtype) if out is None else checked_out(out, held, shape)
     if space.is_identity:
         result[...] = held
         return result, Certificate(0.0, 0.0)
     own = held
     if gaps := sampling.filter != "nearest" and held.dtype.kind == "f" and _has_gaps(held):
         own = np.where(np.isfinite(held), held, held.dtype.type(0))
-    certificate = _sampled(own, result, work, device, tell)
+    axes = len(space.whole)
+    frames, planes = (a if a.ndim > axes else a[..., None] for a in (own, result))
+    frames, planes = (a if axes == 3 else a[None] for a in (frames, planes))
+    given, made = core.view(frames), core.view(planes)
+    if device == "cuda":
+        from supple.cuda import large
+
+        certificate = large.sample(work, frames, planes, tell)
+    elif given is not None and made is not None:
+        certificate = core.sample(work, [given], [made], tell)
+    else:
+        certificate = _converted(work, frames, planes, tell)
     if clamp:
         clamp_to(held, result, work.sampling)
 
@@ -129,18 +143,8 @@ def warp_array(
     return result, certificate
 
 
-def _sampled(source: Array, result: Array, work: Work, device: str, tell: Tell) -> Certificate:
-    """Sample a host array on a device; on the CPU, one that the core cannot take as it is, a few frames at a time."""
-    axes = len(work.space.whole)
-    frames, planes = (a if a.ndim > axes else a[..., None] for a in (source, result))
-    frames, planes = (a if axes == 3 else a[None] for a in (frames, planes))
-    if device == "cuda":
-        from supple.cuda.large import sample
-
-        return sample(work, frames, planes, tell)
-    given, made = core.view(frames), core.view(planes)
-    if given is not None and made is not None:
-        return core.sample(work, [given], [made], tell)
+def _converted(work: Work, frames: Array, planes: Array, tell: Tell) -> Certificate:
+    """Sample frames that the core cannot take as they are, a few at a time."""
     kind = core.working_dtype(work.layout.dtype)
     work = replace(work, layout=replace(work.layout, dtype=kind))
     if not work.space.is_plain:  # a composite map may need any frame at any time
@@ -237,8 +241,6 @@ def warp_picture(
 
 def array_of(value: object, name: str) -> Array:
     """Return a value as a NumPy array; SuppleError if it is not an array, with what to give."""
-    if type(value) is np.ndarray:
-        return value
     check_gradients(value, name)
     first = value[0] if isinstance(value, list | tuple) and value else value
     library, mode = type(first).__module__.partition(".")[0], getattr(first, "mode", None)
@@ -257,10 +259,8 @@ def array_of(value: object, name: str) -> Array:
         refuse(name, "an array of numbers", value)
 
 
-def result_of(out: object, held: Array, shape: tuple[int, ...]) -> Array:
-    """Return the array for a result, of the source's dtype: ``out``, or a new one; SuppleError if it does not fit."""
-    if out is None:
-        return np.empty_like(held, order="C") if shape == held.shape else np.empty(shape, held.dtype)
+def checked_out(out: object, held: Array, shape: tuple[int, ...]) -> Array:
+    """Return a given array for a result of a shape and the source's dtype; SuppleError if it does not fit."""
     wanted = f"an array of {held.dtype} of shape {shape}, as the {'source' if shape == held.shape else 'grid'} is"
     if not isinstance(out, np.ndarray):
         refuse("out", wanted, out)
@@ -368,7 +368,7 @@ def warp_batch(
         sizes = ", ".join(map(str, shape))
         refuse("sources", f"of shape (N, {sizes}) or (N, {sizes}, channels)", told=f"shape {held.shape}")
     check_count(spaces, len(held))
-    result = result_of(out, held, held.shape)
+    result = np.empty(held.shape, held.dtype) if out is None else checked_out(out, held, held.shape)
     for k, item in enumerate(held):
         try:
             space = spaces[k % len(spaces)]
@@ -469,7 +469,8 @@ def warp_function(
         square = values.reshape(len(y) // samples, samples, width, samples, *values.shape[1:]).mean(axis=(1, 3))
         if result is None:
             shape = (height, width, *values.shape[1:])
-            result = result_of(out, np.empty(shape, values.dtype), shape)
+            result = np.empty(shape, values.dtype)
+            result = result if out is None else checked_out(out, result, shape)
         result[top : top + len(square)] = square
     warn_of(certificate, 1.0, 4)
     assert result is not None

@@ -38,7 +38,7 @@ from supple.space.domain import (
 )
 from supple.space.freezing import Freeze
 from supple.space.geometry import Grid
-from supple.strokes import PAINTINGS, REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
+from supple.strokes import PAINTINGS, REACH, ROW, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
 
 _HIT = 1e-6  # samples: a point of a pull that is as near as this has arrived
 _FREE, _TAKEN = -1, -2  # of a point that no later stroke carries away, or one on purpose
@@ -207,8 +207,7 @@ class Deformation:
     on_fold: FoldPolicy
     strokes: tuple[Stroke, ...]
     _resolved: tuple[Resolved, ...] = field(repr=False)
-    _axes: Floats = field(repr=False)
-    _table: npt.NDArray[np.void] = field(repr=False)
+    _space: Space = field(repr=False)  # of the strokes alone
     grid: Grid = field(repr=False)
     maps: tuple[Placed, ...] = field(repr=False)
     # Of each point of each stroke, in physical units: where it arrived, where maps have it since then, where it is now.
@@ -244,13 +243,14 @@ class Deformation:
         axes = domain.packed()
         if domain.ndim == 2:
             axes[2, 2] = 0.0  # nothing leaves the plane of an image, so that the field off it does not matter
+        height, width = domain.shape[-2:]
+        count = domain.shape[0] if domain.ndim == 3 else 1
         values = {
             "domain": domain,
             "on_fold": on_fold,
             "strokes": (),
             "_resolved": (),
-            "_axes": axes,
-            "_table": np.zeros(0, STROKE_DTYPE),
+            "_space": Space(np.zeros((0, ROW)), axes, domain.ndim, count, (height, width), freeze=mask_of(domain)),
             "grid": grid,
             "maps": (),
             "_points": np.zeros((0, 3, 3)),
@@ -396,14 +396,17 @@ class Deformation:
         SuppleError
             If a field lies apart from that grid, or from what the maps before it lead to.
         """
+        plain = self._space
+        if grid is None and source is None and not self.maps:
+            return plain
         if check and self.maps:
             check_path(reversed(self.maps), grid or source or self.grid)
         own = self.grid if source is None else source
-        count = own.shape[0] if self.ndim == 3 else 1
-        shape = (own.shape[-2], own.shape[-1])
         leans = own != self.grid
+        if leans:
+            plain = replace(plain, count=own.shape[0] if self.ndim == 3 else 1, shape=(own.shape[-2], own.shape[-1]))
         if grid is None and not self.maps and (not leans or self.is_identity):
-            return Space(self._table, self._axes, self.ndim, count, shape, freeze=mask_of(self.domain))
+            return plain
         frame = _frame(self.grid)
         parts: list[_core.Part] = []
         if leans:
@@ -411,7 +414,7 @@ class Deformation:
         done = 0
         for placed in self.maps:
             if placed.row > done:
-                parts.append(("strokes", numbers(self._table[done : placed.row]), False))
+                parts.append(("strokes", plain.rows[done : placed.row], False))
             done = placed.row
             kind, held, inverse = placed.packed(frame)
             parts.append((kind, held, not inverse))  # T is the push map
@@ -422,20 +425,20 @@ class Deformation:
         if grid is not None and not moved and grid.shape == own.shape:
             grid = None
         if not self.maps and regrid is None:
-            return Space(self._table, self._axes, self.ndim, count, shape, grid=grid, freeze=mask_of(self.domain))
-        if done < len(self._table):
-            parts.append(("strokes", numbers(self._table[done:]), False))
+            return replace(plain, grid=grid)
+        if done < len(plain.rows):
+            parts.append(("strokes", plain.rows[done:], False))
         if regrid is not None:
             parts.append(("affine", matrix_rows(regrid), False))
-        axes = Domain(own.shape, own.spacing).packed() if leans else self._axes.copy()
+        axes = Domain(own.shape, own.spacing).packed() if leans else plain.axes.copy()
         axes[:, 2] = -1.0  # the border is that of the strokes
-        composite = _core.Composite(self.ndim, self._axes, parts, mask_of(self.domain))
-        return Space(self._table, axes, self.ndim, count, shape, composite, grid, mask_of(self.domain))
+        composite = _core.Composite(self.ndim, plain.axes, parts, plain.freeze)
+        return replace(plain, axes=axes, composite=composite, grid=grid)
 
     @property
     def is_identity(self) -> bool:
         """True if the map is the identity: no maps, and no strokes, or none with any force."""
-        return self._table.size == 0 and not self.maps
+        return self._space.rows.size == 0 and not self.maps
 
     def grab(
         self,
@@ -812,13 +815,11 @@ class Deformation:
             )
         stroke = reduced(stroke, 1.0, self, self)
         resolved = resolve(stroke, self.domain, self.on_fold)
-        count = self._table.size
-        table = np.empty(count + resolved.substrokes, STROKE_DTYPE)
-        table[:count], table[count:] = self._table, resolved.rows
+        rows = np.concatenate([self._space.rows, numbers(resolved.rows)])
         made = self._changed(
             strokes=(*self.strokes, stroke),
             _resolved=(*self._resolved, resolved),
-            _table=table,
+            _space=replace(self._space, rows=rows),
             **self._after(stroke, resolved),
         )
         if warn:
@@ -832,7 +833,7 @@ class Deformation:
         own = padded([at for at, _ in stroke.handles], self.domain)
         points = np.concatenate([self._points[:, 2], own])
         if resolved.substrokes:
-            points, _ = _core.forward(numbers(resolved.rows), self._axes, points, False, mask_of(self.domain))
+            points, _ = _core.forward(numbers(resolved.rows), self._space.axes, points, False, self._space.freeze)
         points[len(self._points)] = padded(resolved.arrived, self.domain)
         known, carriers, now = self._points.copy(), self._carriers.copy(), points[: len(self._points)]
         off = np.linalg.norm((now - known[:, 1])[:, : self.ndim] / self.domain.spacing, axis=1)
@@ -929,7 +930,7 @@ class Deformation:
             raise SuppleError(f"the {what} has {placed.map.ndim} axes, and the shape {self.shape} has {self.ndim}")
         if warn:
             warn_of(Certificate(0.0, 0.0), math.inf, 4, folds_of([placed]))
-        here, points = replace(placed, after=len(self.strokes), row=len(self._table)), self._points.copy()
+        here, points = replace(placed, after=len(self.strokes), row=len(self._space.rows)), self._points.copy()
         if len(points):
             points[:, 1:] = self._moved(placed, points[:, 1:].reshape(-1, 3)).reshape(-1, 2, 3)
         return self._changed(maps=(*self.maps, here), _points=points)
@@ -1088,7 +1089,7 @@ class Deformation:
         # Imported here to keep `import supple` fast.
         from supple.arrays import check_device, warp_array, warp_function, warp_picture
 
-        sampling = Sampling.of(sampling, options, self.ndim)
+        sampling = Sampling.of(sampling, options, self._space.ndim)
         clamp = flag("clamp", clamp)
         if grid is not None:
             if not isinstance(grid, Grid):
@@ -1157,7 +1158,7 @@ class Deformation:
         """Return the effect of the strokes, as in `Report`, without measuring the map."""
         return {
             "strokes": len(self.strokes),
-            "applied": len(self._table),
+            "applied": len(self._space.rows),
             "damping": tuple(r.alpha for r in self._resolved),
             "arrivals": self.arrivals,
             "margin": min((r.margin for r in self._resolved), default=1.0),

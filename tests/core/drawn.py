@@ -18,7 +18,7 @@ from supple import Deformation, _core
 from supple.engine.core import plan_of, samplings_of
 from supple.engine.sampling import Sampling
 from supple.engine.work import Group, Layout, Space, Work
-from supple.strokes import STROKE_DTYPE, Stroke, numbers
+from supple.strokes import Stroke, numbers
 from tests.children import ROOT
 
 Floats = npt.NDArray[np.float64]
@@ -114,7 +114,7 @@ def sampling(frames: Array, out: Array, **how: Any) -> _core.Sampling:
         between=options["between"],
         time_filter=options["average"],
     )
-    space = Space(np.zeros(0, STROKE_DTYPE), np.zeros((3, 5)), 3, len(frames), group.shape)
+    space = Space(np.zeros((0, 35)), np.zeros((3, 5)), 3, len(frames), group.shape)
     work = Work(space, Layout((group,), frames.dtype, float(white)), known)
     return samplings_of(work, [frames], [out], len(frames))[0]
 

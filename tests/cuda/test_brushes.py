@@ -10,6 +10,7 @@ import pytest
 import supple
 from supple.cuda import points
 from supple.engine.work import Space
+from supple.strokes import numbers
 from tests import reference
 from tests.cuda.driver import on_host, sent
 from tests.turns import AFFINE, at_once
@@ -30,7 +31,7 @@ def test_points(shape: tuple[int, ...], border: float | None) -> None:
 def test_strokes_that_act_at_once(shape: tuple[int, ...]) -> None:
     d = supple.Deformation(shape, border=3.0)
     table, steps = at_once(d.domain)
-    _agrees(replace(d.space, table=table), steps, d)
+    _agrees(replace(d.space, rows=numbers(table)), steps, d)
 
 
 def test_points_beyond_the_reach_keep_every_bit() -> None:

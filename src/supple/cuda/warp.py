@@ -22,7 +22,6 @@ from supple.cuda.layout import JOB, TOLD, record
 from supple.cuda.programs import THREADS, Program, launch, prepare
 from supple.engine.sampling import BETWEEN, FILTERS, OUTSIDE, Certificate
 from supple.engine.work import Space, Work
-from supple.strokes import numbers
 
 Samples = tuple[int, ...]
 """The address of the first sample, and the steps to the next plane, row, column and channel, in samples."""
@@ -76,9 +75,10 @@ def size_of(space: Space, tolerance: float) -> int:
     over other lengths than radii (fields, masks) gets the smallest. Borders along other axes than the planes' do not
     count: in a plane, their factors vary no faster than the map does.
     """
-    if space.composite is not None or space.freeze is not None or not space.table.size:
+    if space.composite is not None or space.freeze is not None or not space.rows.size:
         return SIZES[0]
-    radius, reach = np.sqrt(space.table["radius2"][:, 0].min()), space.table["reach"].min()
+    table = space.table
+    radius, reach = np.sqrt(table["radius2"][:, 0].min()), table["reach"].min()
     widths = [length / space.axes[:2, 3].max() for length in (radius, reach / 3)]  # over which a stroke ends, in pixels
     widths += [sigma / spacing for sigma, spacing in space.axes[:2, 2:4] if sigma > 0]
     return max([SIZES[0], *(h for h in SIZES if 0.15 * h**4 <= tolerance * min(widths) ** 3)])
@@ -102,7 +102,7 @@ def positions(first: int, n: int, axis: npt.NDArray[np.float64], size: int) -> n
 def lattice_of(gpu: CudaDevice, spaces: Sequence[Space], tolerance: float = 0.01) -> Lattice:
     """Return the maps of deformations of one shape on a GPU, the current device; the last ones are kept there."""
     # Their arrays are immutable, and kept alive with the lattice, so that their ids stay unique.
-    parts = [(s.shape, id(s.table), id(s.axes), id(s.composite), id(s.freeze), s.grid) for s in spaces]
+    parts = [(s.shape, id(s.rows), id(s.axes), id(s.composite), id(s.freeze), s.grid) for s in spaces]
     key = (gpu.number, tolerance, *parts)
     with _lock:
         found = _lattices.get(key)
@@ -116,7 +116,7 @@ def lattice_of(gpu: CudaDevice, spaces: Sequence[Space], tolerance: float = 0.01
 
 def _uploaded(gpu: CudaDevice, spaces: tuple[Space, ...], tolerance: float) -> Lattice:
     stream = gpu.stream()  # it does not wait for other work of the GPU
-    maps = [(numbers(s.table), s.axes, s.composite, s.freeze) for s in spaces]
+    maps = [(s.rows, s.axes, s.composite, s.freeze) for s in spaces]
     memory = Memory(len(_core.flatten(maps, 0)), stream)
     memory.upload(np.frombuffer(_core.flatten(maps, memory.pointer), np.uint8))
     one, axes = spaces[0], spaces[0].axes

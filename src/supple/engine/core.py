@@ -13,7 +13,6 @@ from supple.engine.sampling import BETWEEN, FILTERS, OUTSIDE, Certificate, Sampl
 from supple.engine.work import Array, Space, Tell, Work, silent
 from supple.errors import SuppleError
 from supple.space.domain import refuse
-from supple.strokes import numbers
 
 Floats = npt.NDArray[np.float64]
 Box = tuple[int, int, int, int]
@@ -44,7 +43,7 @@ def plan_of(space: Space, z: float, tolerance: float, step: tuple[int, int] = (1
     """
     first, shape, box = _laid(space, step)
     return _core.Plan(
-        numbers(space.table), space.axes, space.ndim, *shape, float(first + z), tolerance, space.composite, box,
+        space.rows, space.axes, space.ndim, *shape, float(first + z), tolerance, space.composite, box,
         space.freeze,
     )  # fmt: skip
 
@@ -61,13 +60,9 @@ def _laid(space: Space, step: tuple[int, int]) -> tuple[int, tuple[int, int], Bo
 
 
 def certificate_of(plan: _core.Plan, space: Space) -> Certificate:
-    """Return the certificate of a plan from the checks of its cells, with their reserve."""
-    return _certificate(space, plan.error, plan.evaluations, (plan.unsolved, plan.folds, plan.outside))
-
-
-def _certificate(space: Space, error: float, evaluations: float, counts: tuple[int, int, int]) -> Certificate:
-    """Return a certificate; points that are not solved, fold, and lie outside are those of fields alone."""
-    return Certificate(error, evaluations, *((0, 0, 0) if space.composite is None else counts))
+    """Return the certificate of a plan from the checks of its cells; what it counts is of fields alone."""
+    counts = () if space.composite is None else (plan.unsolved, plan.folds, plan.outside)
+    return Certificate(plan.error, plan.evaluations, *counts)
 
 
 def measured(plan: _core.Plan, tolerance: float) -> Certificate:
@@ -92,7 +87,7 @@ def needed(
     """
     (count, rows, columns), (first, (height, width), box) = space.planes, _laid(space, (1, 1))
     part, moved, error, counts = _core.needed(
-        numbers(space.table),
+        space.rows,
         space.axes,
         space.ndim,
         height,
@@ -109,7 +104,7 @@ def needed(
         box or (0, columns, 0, rows),
         space.freeze,
     )
-    return part, moved, _certificate(space, error, 0.0, counts)
+    return part, moved, Certificate(error, 0.0, *(() if space.composite is None else counts))
 
 
 def working_dtype(dtype: np.dtype[Any]) -> np.dtype[Any]:
@@ -199,10 +194,9 @@ def sample(
         for k in range(planes):  # each frame is an image of its own
             for each in samplings_of(work, [f[k : k + 1] for f in frames], [out[k] for out in outs], 1, corner):
                 plan.sample(each)
-        tell("warp", planes, planes)
         return certificate_of(plan, space)
     first, shape, box = _laid(space, work.layout.step)
-    table, together, certificate = numbers(space.table), _TOGETHER * _core.threads(), Certificate(0.0, 0.0)
+    table, together, certificate = space.rows, _TOGETHER * _core.threads(), Certificate(0.0, 0.0)
     for start in range(0, planes, together):
         some = slice(start, min(start + together, planes))
         numbered = list(range(first + some.start, first + some.stop))
@@ -211,7 +205,7 @@ def sample(
             table, space.axes, *shape, numbered, tolerance, jobs, space.composite,
             box, None if copied is None else list(copied[some]), space.freeze,
         )  # fmt: skip
-        certificate |= _certificate(space, error, steps, (unknown, folded, outside))
+        certificate |= Certificate(error, steps, *(() if space.composite is None else (unknown, folded, outside)))
         tell("warp", some.stop, planes)
     return certificate
 
@@ -232,7 +226,7 @@ def forward(space: Space, points: npt.ArrayLike, *, matrices: bool = False) -> t
     rows, given = _rows(space, points)
     certificate = Certificate(0.0, 0.0)
     if space.composite is None:
-        result, slopes = _core.forward(numbers(space.table), space.axes, rows, matrices, space.freeze)
+        result, slopes = _core.forward(space.rows, space.axes, rows, matrices, space.freeze)
     else:
         status = np.zeros(len(rows), np.uint8)
         result, slopes, _ = space.composite.through(rows, False, matrices, status)
@@ -256,7 +250,7 @@ def inverse(
     status = np.zeros(len(targets), np.uint8)
     if space.composite is None:
         result, residual, steps = _core.inverse(
-            numbers(space.table), space.axes, targets, space.ndim, 1e-9 * finest, space.freeze
+            space.rows, space.axes, targets, space.ndim, 1e-9 * finest, space.freeze
         )
     else:
         result, _, steps = space.composite.through(targets, True, False, status)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -63,6 +63,9 @@ class Sampling:
     linear_light: bool = False
     between: str | None = None
     time_filter: bool = False
+    # What is in effect: the interpolation between frames, and whether pixels are averaged over time.
+    between_frames: str = field(init=False, repr=False, compare=False)
+    averages_frames: bool = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.filter in ("antialias", "ewa"):
@@ -89,18 +92,10 @@ class Sampling:
         if fill.ndim > 1:
             refuse("fill", "a number, or one for each channel", self.fill)
         checked["fill"] = tuple(fill.tolist()) if fill.ndim else float(fill)
+        between = self.between or ("nearest" if self.filter == "nearest" else "linear")
+        checked |= {"between_frames": between, "averages_frames": bool(self.time_filter) and between != "nearest"}
         for name, value in checked.items():
             object.__setattr__(self, name, value)
-
-    @property
-    def between_frames(self) -> str:
-        """The interpolation between frames in effect."""
-        return self.between or ("nearest" if self.filter == "nearest" else "linear")
-
-    @property
-    def averages_frames(self) -> bool:
-        """Whether pixels are averaged over time, which nearest frames are not."""
-        return self.time_filter and self.between_frames != "nearest"
 
     @classmethod
     def of(cls, sampling: object, options: Mapping[str, Any], ndim: int) -> Sampling:
@@ -174,12 +169,12 @@ def certificate_of_status(status: npt.NDArray[np.uint8]) -> Certificate:
 
 
 def warn_of(
-    certificate: Certificate, tolerance: float, stacklevel: int, folds: str = "", field: str = "a field"
+    certificate: Certificate, tolerance: float, stacklevel: int, folds: str = "", field_name: str = "a field"
 ) -> None:
     """Warn if a map may be less accurate than the tolerance, or has folds or gaps.
 
     ``folds`` says which of the fields that are inverted fold, if any: all that is known of folds is one warning.
-    ``field`` is the name of the only field, if there is only one.
+    ``field_name`` is that of the only field, if there is only one.
     """
     told = [f"{folds}: where they are mapped to, the inverse is one of several points"] if folds else []
     if certificate.unknown or certificate.folded:
@@ -190,7 +185,7 @@ def warn_of(
             )
         if certificate.unknown:
             found.append(f"for {certificate.unknown} {'' if found else 'points '}no solution was found")
-        told.append(f"{'' if folds else f'{field} folds: '}{', and '.join(found)}")
+        told.append(f"{'' if folds else f'{field_name} folds: '}{', and '.join(found)}")
         told.append(f"what is shown there is one of several points{', or a guess' if certificate.unknown else ''}")
     if told:
         warnings.warn(f"{'; '.join(told)} (supple check shows where)", FoldWarning, stacklevel=stacklevel)

@@ -15,6 +15,7 @@ from supple.errors import SuppleError, argument, none
 from supple.folding.strain import Mask
 from supple.space.domain import colours_hint, refuse
 from supple.space.geometry import Grid
+from supple.strokes import STROKE_DTYPE
 
 Array = npt.NDArray[Any]
 Tell = Callable[[str, int, int], None]
@@ -31,8 +32,8 @@ class Space:
 
     Parameters
     ----------
-    table : ndarray of STROKE_DTYPE
-        Strokes, each one-to-one.
+    rows : float64 array, shape (n, ROW)
+        Strokes, each one-to-one (`supple.strokes.numbers`).
     axes : float64 array, shape (3, 5)
         The packed domain: a row (first, last, sigma, spacing, profile) for each axis, x first (`Domain.packed`).
     ndim : int
@@ -49,7 +50,7 @@ class Space:
         The freeze mask that the strokes are subject to; that of a composite map's is its own, too.
     """
 
-    table: npt.NDArray[np.void]
+    rows: npt.NDArray[np.float64]
     axes: npt.NDArray[np.float64]
     ndim: int
     count: int
@@ -59,6 +60,11 @@ class Space:
     freeze: Mask | None = None
 
     @property
+    def table(self) -> npt.NDArray[np.void]:
+        """The strokes, with named columns."""
+        return self.rows.view(STROKE_DTYPE)[:, 0]
+
+    @property
     def whole(self) -> tuple[int, ...]:
         """The shape of the arrays: of one image, or of all frames."""
         return self.shape if self.ndim == 2 and self.count == 1 else (self.count, *self.shape)
@@ -66,7 +72,7 @@ class Space:
     @property
     def is_identity(self) -> bool:
         """Return whether the map is the identity: no strokes, or none with any force."""
-        return self.table.size == 0 and self.is_plain
+        return self.rows.size == 0 and self.is_plain
 
     @property
     def is_plain(self) -> bool:

@@ -150,8 +150,8 @@ def iterations(deformation: Deformation, frame: int | None = None) -> Iterations
     every, q = _pixels(deformation, frame)
     height, width = deformation.shape[-2:]
     z = None if frame is None else float(frame)
-    table, axes = deformation._table, deformation._axes
-    points, counts, residuals = paper.inverse_map(table, axes, (height, width), z=z, every=every)
+    space = deformation.space
+    points, counts, residuals = paper.inverse_map(space.table, space.axes, (height, width), z=z, every=every)
     exact = deformation.inverse(q)
     used = 0.0
     if not deformation.is_identity:

@@ -44,7 +44,6 @@ from supple.render.shadows import NEAR, Shade, arriving, shade_of
 from supple.render.transfer import Transfer
 from supple.space.domain import choice, integer, number, point, refuse
 from supple.space.geometry import Geometry
-from supple.strokes import numbers
 
 MODES = ("buffered", "exact", "hybrid")
 _STORAGE = 0x08  # wgpu.TextureUsage.STORAGE_BINDING
@@ -529,7 +528,7 @@ class Scene:
         strokes = None
         if self.deformation is not None and self.samples is self._original:
             space = self.deformation.space
-            strokes = _core.Strokes(numbers(space.table), np.ascontiguousarray(space.axes), space.freeze)
+            strokes = _core.Strokes(space.rows, np.ascontiguousarray(space.axes), space.freeze)
         xs, ys = columns - (view.size[1] - 1) / 2, rows - (view.size[0] - 1) / 2  # from the centre
         _core.draw(self.samples, self._colours, look.core, strokes, xs, ys, *into, ends)
 

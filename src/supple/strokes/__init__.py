@@ -13,7 +13,7 @@ from supple.strokes.stroke import (
     Point,
     Stroke,
 )
-from supple.strokes.table import POISSON, STROKE_DTYPE, matrix_of, numbers, pack, poisson_of
+from supple.strokes.table import POISSON, ROW, STROKE_DTYPE, matrix_of, numbers, pack, poisson_of
 
 __all__ = [
     "LARGEST_ANGLE",
@@ -22,6 +22,7 @@ __all__ = [
     "PAINTINGS",
     "POISSON",
     "REACH",
+    "ROW",
     "STROKE_DTYPE",
     "Brush",
     "CoordinateSpace",

@@ -32,6 +32,8 @@ STROKE_DTYPE = np.dtype(
     ],
     align=True,
 )
+ROW = STROKE_DTYPE.itemsize // 8
+"""The numbers of a row of the table."""
 
 # The radii are ε, 1.1ε and 1.21ε. The weights that cancel the far field, divided by their sum at the pivot, are
 # exactly these fractions; computed in floats they would lose digits.
@@ -164,5 +166,5 @@ def _terms(radius: float, poisson: float, scales: int, brush: Brush) -> npt.NDAr
 
 
 def numbers(table: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
-    """Return a table's rows in the layout of the native core: float64 (n, 35), with the bits of the integers."""
-    return np.ascontiguousarray(table).view(np.float64).reshape(len(table), STROKE_DTYPE.itemsize // 8)
+    """Return a table's rows in the layout of the native core: float64 (n, `ROW`), with the bits of the integers."""
+    return np.ascontiguousarray(table).view(np.float64).reshape(len(table), ROW)

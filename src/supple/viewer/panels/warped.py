@@ -94,7 +94,7 @@ def changed(before: Space, after: Space) -> tuple[Floats, Floats]:
     """Return a box around all points where two maps of strokes differ: the least and the largest x and y, in pixels."""
     if (before.axes != after.axes).any() or before.freeze is not after.freeze:
         return np.full(2, -math.inf), np.full(2, math.inf)
-    one, other = numbers(before.table), numbers(after.table)
+    one, other = before.rows, after.rows
     most = min(len(one), len(other))
     same = _alike(one[:most], other[:most])
     last = _alike(one[::-1][: most - same], other[::-1][: most - same])
@@ -141,7 +141,7 @@ def _reduced(deformation: Deformation, k: int, shape: tuple[int, ...]) -> Space:
     axes[:, :2] -= inset[:, None]
     axes[:2, 3] *= 2**k
     freeze = mask_of(deformation.domain, tuple(inset.tolist()))
-    return replace(space, table=table, axes=axes, shape=(shape[0], shape[1]), freeze=freeze)
+    return replace(space, rows=numbers(table), axes=axes, shape=(shape[0], shape[1]), freeze=freeze)
 
 
 def _visible(sight: Sight, k: int, shape: tuple[int, ...]) -> Box:
