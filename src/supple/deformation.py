@@ -194,6 +194,21 @@ class Deformation:
     SuppleError
         If an argument is invalid.
 
+    Notes
+    -----
+    The brushes (`grab`, `pull`, `twist`, `scale`, `pinch`) share these parameters: ``at``, their point, in pixels, x
+    first (the pivot of a twist, a scale or a pinch stays where it is); ``radius``, that of the brush, in physical units
+    (ε of the regularized Kelvinlet); ``reach``, in radii, from 1, beyond which samples keep every bit (the default of 4
+    looks as natural as no limit, None); ``strength``, the applied part of the movement, from 0 to 1; and ``poisson``,
+    the Poisson ratio ν of the material, at most 0.5 (incompressible; 0.4 by default; and -inf, by default for a drag
+    along time alone, has no displacement across the drag).
+
+    They raise `SuppleError` if an argument is invalid, if the stroke cannot reach its target, or if no sample is within
+    its reach, and `FoldError` if it would fold, or be held back, under ``on_fold="error"``. They warn if it starts
+    outside the samples (`OutsideWarning`), if it was damped, under ``on_fold="damp"`` (`FoldWarning`), and if it ends
+    more than half a pixel from its target, as what is frozen, or a border, holds it back, or carries the point of an
+    earlier stroke that far away, and does not begin within a tenth of its radius of that point (`MissWarning`).
+
     Examples
     --------
     >>> import numpy as np
@@ -458,43 +473,16 @@ class Deformation:
         Parameters
         ----------
         at : sequence of float
-            The grabbed point, in pixels, x first.
+            The grabbed point.
         to, by : sequence of float
             The target or the drag; one of the two. Near a fixed border, a stroke that does not flow falls short by the
             border's factor β there.
         path : sequence of points, optional
             The points through which it is dragged on its way; without ``to`` and ``by``, the last one is the target.
-        radius : float
-            The radius of the brush, in physical units (ε of the regularized Kelvinlet).
-        poisson : float, optional
-            Poisson's ratio ν of the material, at most 0.5. At higher values, 3-D volumes change less; areas of an image
-            change at any value. 0.5 is incompressible: without reach and border, a short drag keeps 3-D volumes. -inf
-            has no displacement across the drag. By default 0.4; but -inf for a drag along time alone.
         scales : int
             1: a wide effect, fading as 1/r. 2 and 3: more local, as 1/r³ and 1/r⁵.
-        reach : float or None
-            The reach in radii, from 1; the default of 4 looks as natural as no limit. Farther than that from the way of
-            the point, from its start (through the ``path``) to its target, samples keep every bit. None: unlimited, as
-            in the paper.
-        strength : float
-            The applied part of the drag, from 0 to 1.
-
-        Raises
-        ------
-        SuppleError
-            If an argument is invalid; `FoldError` if the stroke would fold, or be held back, under ``on_fold="error"``;
-            if it cannot reach its target; or if no sample is within its reach.
-
-        Warns
-        -----
-        OutsideWarning
-            If it starts outside the samples.
-        FoldWarning
-            If it was damped, under ``on_fold="damp"``.
-        MissWarning
-            If it ends more than half a pixel from its target: what is frozen holds it back, or the border, under
-            ``on_fold="damp"``; or if it carries the point of an earlier stroke more than half a pixel away, and does
-            not begin within a tenth of its radius of that point.
+        radius, poisson, reach, strength
+            As for all brushes (`Deformation`). The reach is measured from the whole way of the point.
         """
         if len(point("at", at)) != self.ndim:
             refuse("at", f"{self._coordinates}, as a point of {self._kind} has{colours_hint(self.shape)}", at)
@@ -530,24 +518,10 @@ class Deformation:
         pins : array_like, shape (M, D), optional
             Points that stay where they are.
         radius : float
-            The radius of the brush at each point, in physical units: about the distance between the points, or more.
+            About the distance between the points, or more.
         poisson, reach, strength
-            As in `grab`.
-
-        Raises
-        ------
-        SuppleError
-            If an argument is invalid, or two points pull against each other so that they cannot arrive without a fold:
-            the message names them; `FoldError` if it would fold, or points are frozen, under ``on_fold="error"``.
-
-        Warns
-        -----
-        OutsideWarning
-            If its first point starts outside the samples.
-        FoldWarning
-            If it was damped, under ``on_fold="damp"``.
-        MissWarning
-            If some of the points are frozen, and are let go.
+            As for all brushes. Points that are frozen are released, with a warning; of two that pull against each
+            other so that they cannot arrive without a fold, an error names both.
 
         Examples
         --------
@@ -565,23 +539,8 @@ class Deformation:
         """Return the deformation with one more stroke, which brings the material around a point back to its origin.
 
         The stroke is a pull of the point and some around it, from where they are to where they came from; it moves
-        nothing beyond two radii of their way.
-
-        Parameters
-        ----------
-        at : sequence of float
-            A point of the output, in pixels, x first.
-        radius : float
-            The radius of the brush, in physical units.
-        strength : float
-            The part of the way back, from 0 to 1.
-        warn : bool
-            Whether to warn of a fold, as in `add`.
-
-        Raises
-        ------
-        SuppleError
-            If an argument is invalid, or the points cannot arrive.
+        nothing beyond two radii of their way. ``at`` is a point of the output, ``strength`` the part of the way back,
+        and ``warn`` as in `add`; errors are those of all brushes.
         """
         return self._led(at, radius, strength, "restore", self._displaced, warn)
 
@@ -589,17 +548,7 @@ class Deformation:
         """Return the deformation with one more stroke, which relaxes the displacement around a point.
 
         The stroke is a pull of the point and some around it, each to the mean displacement of its surroundings, at one
-        radius from it; it moves nothing beyond two radii of their way.
-
-        Parameters
-        ----------
-        at, radius, strength, warn
-            As in `restore`.
-
-        Raises
-        ------
-        SuppleError
-            If an argument is invalid, or the points cannot arrive.
+        radius from it; it moves nothing beyond two radii of their way. The arguments are those of `restore`.
         """
 
         def rough(points: Floats) -> Floats:
@@ -671,32 +620,13 @@ class Deformation:
 
         Parameters
         ----------
-        at : sequence of float
-            The pivot, in pixels, x first. It stays where it is.
         angle : float
             In degrees, from x towards y: clockwise on a screen. In a volume, right-handed about the axis. Any number of
             turns, up to ten.
-        radius : float
-            The radius of the brush, in physical units.
         axis : sequence of float, optional
             In a volume or a clip, the direction of the axis, in samples; by default, that of z or of time.
-        reach : float or None
-            As in `grab`.
-        strength : float
-            The applied part of the angle, from 0 to 1.
-
-        Raises
-        ------
-        SuppleError
-            If an argument is invalid, no sample is within its reach, or the stroke would fold under
-            ``on_fold="error"`` (`FoldError`).
-
-        Warns
-        -----
-        OutsideWarning, MissWarning
-            If its pivot is outside the samples, or frozen.
-        FoldWarning
-            If it was damped, under ``on_fold="damp"``, beside a border or a freeze mask.
+        at, radius, reach, strength
+            As for all brushes.
         """
         return self.add(Stroke.twist(at, angle=angle, axis=axis, radius=radius, reach=reach, strength=strength))
 
@@ -710,26 +640,12 @@ class Deformation:
 
         Parameters
         ----------
-        at : sequence of float
-            The pivot, in pixels, x first. It stays where it is.
         factor : float
             Above 1 it bloats, below 1 it puckers; from 0.01 to 100.
-        radius : float
-            The radius of the brush, in physical units.
-        reach : float or None
-            As in `grab`.
         strength : float
-            The applied part of the factor's logarithm, from 0 to 1: half of a scale by 4 is one by 2.
-
-        Raises
-        ------
-        SuppleError
-            As in `twist`.
-
-        Warns
-        -----
-        OutsideWarning, MissWarning, FoldWarning
-            As in `twist`.
+            The applied part of the factor's logarithm: half of a scale by 4 is one by 2.
+        at, radius, reach
+            As for all brushes.
         """
         return self.add(Stroke.scale(at, factor=factor, radius=radius, reach=reach, strength=strength))
 
@@ -751,28 +667,12 @@ class Deformation:
 
         Parameters
         ----------
-        at : sequence of float
-            The pivot, in pixels, x first. It stays where it is.
         factor : float
             Below 1 it squeezes along the axis, above 1 it stretches; from 0.01 to 100.
-        radius : float
-            The radius of the brush, in physical units.
         axis : sequence of float, optional
             A direction, in samples; by default, that of x.
-        poisson, reach : float or None
-            As in `grab`.
-        strength : float
-            As in `scale`.
-
-        Raises
-        ------
-        SuppleError
-            As in `twist`.
-
-        Warns
-        -----
-        OutsideWarning, MissWarning, FoldWarning
-            As in `twist`.
+        at, radius, poisson, reach, strength
+            As for all brushes; the strength is a part of the factor's logarithm.
         """
         return self.add(
             Stroke.pinch(at, factor=factor, axis=axis, radius=radius, poisson=poisson, reach=reach, strength=strength)
@@ -788,17 +688,7 @@ class Deformation:
             fraction of the drag is applied and recorded.
         warn : bool
             Whether to warn if it starts outside the samples or misses its target, and to refuse it if it reaches no
-            sample; `warnings` has the text of a miss too.
-
-        Raises
-        ------
-        SuppleError
-            As in `grab`.
-
-        Warns
-        -----
-        OutsideWarning, FoldWarning, MissWarning
-            As in `grab`.
+            sample; `warnings` has the text of a miss too. Errors and warnings are those of all brushes.
         """
         if not isinstance(stroke, Stroke):
             refuse("a stroke", "a Stroke", stroke)
@@ -892,11 +782,6 @@ class Deformation:
             that is seen there (pull), as resampling tools take it.
         inverse : bool
             Whether to apply the inverse: a point of the input goes where the matrix says (push).
-
-        Raises
-        ------
-        SuppleError
-            If the matrix is no affine map of as many axes.
         """
         return self._with(Placed(matrix if isinstance(matrix, Affine) else Affine(matrix), inverse))
 
@@ -909,11 +794,6 @@ class Deformation:
             From a point of the output to the point of the input that is seen there (pull), as resampling tools take it.
         inverse : bool
             Whether to apply the inverse: a point x of the input goes to x + u(x) (push). It is solved at every pixel.
-
-        Raises
-        ------
-        SuppleError
-            If the field has another number of axes.
 
         Warns
         -----
@@ -958,12 +838,7 @@ class Deformation:
         return found  # type: ignore[no-any-return]
 
     def jacobian(self, points: npt.ArrayLike) -> Floats:
-        """Return ∂T/∂p = I + J of all strokes together.
-
-        Parameters
-        ----------
-        points : array_like, shape (..., D)
-            In pixels, x first; on a CUDA device, of float32 or float64, and the result is there too.
+        """Return ∂T/∂p = I + J of all strokes together, at points as `forward` takes them.
 
         Returns
         -------
@@ -1247,15 +1122,9 @@ def _freeze_of(mask: npt.ArrayLike, domain: Domain) -> Freeze:
 
 
 def reduced(stroke: Stroke, amount: float, whole: Deformation, now: Deformation) -> Stroke:
-    """Return the applied part of a recipe's stroke.
+    """Return the applied part of a recipe's stroke, by the recipe's amount and the stroke's strength.
 
-    Parameters
-    ----------
-    stroke : Stroke
-    amount : float
-        The recipe's amount; the stroke's strength is a factor, too.
-    whole, now : Deformation
-        The strokes before it, at full strength and as applied; the same object if these are equal.
+    ``whole`` and ``now`` are the strokes before it, at full strength and as applied: the same object if equal.
     """
     part = amount * stroke.strength
     if part == 1 and whole is now:
@@ -1272,13 +1141,7 @@ def after(stroke: Stroke, amount: float, whole: Deformation, before: Deformation
 
 
 def last_outside(made: Deformation) -> str | None:
-    """Return the warning if the last stroke starts outside the samples.
-
-    Raises
-    ------
-    SuppleError
-        If no sample is within its reach.
-    """
+    """Return the warning if the last stroke starts outside the samples; SuppleError if it reaches none of them."""
     stroke, rows, domain = made.strokes[-1], made._resolved[-1].rows, made.domain
     sizes = np.array(made.shape[::-1])
     if np.all((np.array(stroke.at) >= -0.5) & (np.array(stroke.at) <= sizes - 0.5)):
