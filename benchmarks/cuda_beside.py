@@ -57,8 +57,7 @@ def handed_over(b: Bench) -> Iterator[Line]:
     """How long the host is kept, and how evenly another stream's small kernels run meanwhile."""
     import supple.cuda
     from supple.cuda.device import open_device
-    from supple.cuda.layout import SOME
-    from supple.cuda.programs import Program, launch, prepare
+    from supple.cuda.programs import SOME, Program, launch, prepare
 
     place, shape = b.place, (b.side,) * 3
     d = stroke(*shape)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from supple import Deformation, Recipe, _core
 from supple.errors import FoldError, FoldWarning, SuppleError
-from supple.folding import pulls, strain
+from supple.folding import limits, strain
 from supple.strokes import MOST_HANDLES, Stroke, numbers, pack
 from tests import reference
 from tests.strokes import refusal
@@ -117,7 +117,7 @@ def test_what_cannot_arrive_is_refused_before_anything_is_proven(monkeypatch: py
     def late(*given: object) -> NoReturn:
         raise AssertionError("a bound was asked for")
 
-    monkeypatch.setattr(pulls, "weakest", late)
+    monkeypatch.setattr(limits, "weakest", late)
     points = np.random.default_rng(0).uniform((60, 40), (540, 360), (200, 2))
     by = np.random.default_rng(1).normal(size=points.shape) * 20
     message = refusal(lambda: Deformation((400, 600)).pull(points, by=by, radius=30))

@@ -65,31 +65,12 @@ def warp_array(
     out: Any = None,
     tell: Tell = silent,
 ) -> tuple[Any, Certificate]:
-    """Sample an image, or frames, plane by plane, so that neither the source nor ``out`` need be in memory.
+    """Return an image or frames, warped, and the certificate of the map.
 
-    Parameters
-    ----------
-    source : array of shape (H, W[, C]) or (T, H, W[, C])
-        A NumPy array, or one on a CUDA device. Several images may share one map: (N, H, W[, C]), if ``space.count``
-        is their number.
-    space, sampling
-        The deformation, and the sampling options.
-    alpha, clamp, device, out
-        As in `supple.Deformation.warp`.
-    tell : function
-        Called at intervals with ``"warp"``, the number of finished planes and their total.
-
-    Returns
-    -------
-    array
-        Of the source's shape and type.
-    Certificate
-        The accuracy of the map.
-
-    Raises
-    ------
-    SuppleError
-        If an argument does not fit, or the device cannot be used, or fails.
+    Neither the source nor ``out`` need be in memory; a source on a CUDA device stays there. Several images may share
+    one map: (N, H, W[, C]), if ``space.count`` is their number. The other arguments are those of
+    `supple.Deformation.warp`; of stacks, ``tell`` is called at intervals with ``"warp"``, the number of finished
+    planes, and their total.
     """
     held = source
     if type(source) is not np.ndarray:
@@ -203,24 +184,10 @@ def _mark(source: Array, result: Array, weights: Callable[[Array], Array], alpha
 def warp_picture(
     picture: Any, space: Space, sampling: Sampling, *, clamp: bool, device: str, regridded: bool, name: str = ""
 ) -> tuple[Any, Certificate]:
-    """Sample all pages of a picture, a `supple.media.image.Picture`, each channel as what it is.
+    """Return a picture, all pages of which are sampled, each channel as what it is; and the certificate of the map.
 
-    Parameters
-    ----------
-    picture : Picture
-    space, sampling, clamp, device
-        As in `warp_array`; the space is of all pages.
-    regridded : bool
-        Whether the grid of the output is another one.
-    name : str
-        The name of the picture, for warnings.
-
-    Returns
-    -------
-    Picture
-        With new pixels.
-    Certificate
-        The accuracy of the map.
+    The space is of all pages. ``regridded`` says whether the grid of the output is another one; ``name`` is that of the
+    picture, for warnings.
     """
     found, count = Certificate(0.0, 0.0), picture.pixels.shape[2] if picture.pixels.ndim == 3 else 1
     fill = np.asarray(sampling.filled(count, picture.pixels.dtype, finite=False).fill)
@@ -345,11 +312,6 @@ def warp_batch(
     -------
     array
         The result, of the sources' shape and type, in an array of the same library.
-
-    Raises
-    ------
-    SuppleError
-        If an argument does not fit.
 
     Warns
     -----

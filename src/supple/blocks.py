@@ -35,16 +35,9 @@ _PACKING = threading.Lock()
 class Block:
     """A block of an output.
 
-    Parameters
-    ----------
-    box : Box
-        Its place in the output.
-    part : Box
-        The part of the source that it reads, for the filter and the boundary mode too.
-    copied : tuple of bool
-        For each plane of the block, whether it is a copy: nothing in the whole plane moves by more than the tolerance.
-    identity : bool
-        Whether the block is a copy of the source, since no stroke reaches it.
+    ``box`` is its place there, and ``part`` that of the source which it reads, for the filter and the boundary mode
+    too. ``copied`` says of each of its planes whether nothing in the whole plane moves by more than the tolerance,
+    ``identity`` whether no stroke reaches the block.
     """
 
     box: Box
@@ -64,17 +57,7 @@ def _here(warp: Warp, parts: Sequence[Sequence[Box]]) -> list[list[Read]]:
 
 @dataclass(frozen=True, slots=True)
 class Warp:
-    """A warp that is computed in blocks.
-
-    Parameters
-    ----------
-    deformation : Deformation
-    sampling : Sampling
-    grid : Grid, optional
-        The grid of the output; by default, that of the input.
-    alpha : bool, optional
-        As in `Deformation.warp`.
-    """
+    """A warp of `Deformation.warp` that is computed in blocks, on a grid of the output (None: that of the input)."""
 
     deformation: Deformation
     sampling: Sampling
@@ -123,22 +106,10 @@ class Warp:
             return self._packed[0]
 
     def plan(self, boxes: Sequence[Box], each: Each = _here) -> tuple[list[Block], Certificate]:
-        """Find the part of the source that each block reads, and the blocks that are copies.
+        """Return the blocks at some boxes, and the certificate of the map.
 
-        Parameters
-        ----------
-        boxes : sequence of Box
-            The places of all blocks, which together are the whole output, or whole layers of it.
-        each : function, optional
-            `all_reads` of a warp and of each of some lists of boxes, perhaps on other machines. By default, one block
-            after the other: each uses all threads.
-
-        Returns
-        -------
-        list of Block
-            In the order of ``boxes``.
-        Certificate
-            The accuracy of the map.
+        The boxes together are the whole output, or whole layers of it. ``each`` returns `all_reads` of a warp and each
+        of some lists of boxes, perhaps on other machines; by default, one block after the other: each uses all threads.
         """
         found = self._all(boxes, each)
         certificate = Certificate(0.0, 0.0)
@@ -186,20 +157,9 @@ class Warp:
         return list(itertools.chain.from_iterable(each(self, parts)))
 
     def block(self, part: Array, block: Block, carried: int = 1) -> Array:
-        """Sample a block from the part of the source that it reads.
+        """Return the samples of a block from `Block.part` of the source, perhaps with channels last.
 
-        Parameters
-        ----------
-        part : array
-            `Block.part`, perhaps with channels last, of each item: along the first ``carried`` axes, items are warped
-            alike.
-        block : Block
-        carried : int
-
-        Returns
-        -------
-        array
-            Of the shape of the block along the axes that are bent, and of the type of the source.
+        Along the first ``carried`` axes, items are warped alike.
         """
         if block.identity:
             return part.copy()

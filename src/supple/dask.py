@@ -73,11 +73,6 @@ def warp(
         attributes and its coordinates. On another grid, bent axes have the grid's positions, if its axes are those of
         space; on a part of the deformation's own grid, their own ones.
 
-    Raises
-    ------
-    SuppleError
-        If an argument does not fit.
-
     Warns
     -----
     ToleranceWarning, FoldWarning, OutsideWarning

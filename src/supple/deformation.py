@@ -189,11 +189,6 @@ class Deformation:
         The freeze mask: an array of the shape, True (or white) where strokes shall move nothing; or one that
         `Freeze.of` made, with a fade of another width. For a clip, it may be that of a frame.
 
-    Raises
-    ------
-    SuppleError
-        If an argument is invalid.
-
     Notes
     -----
     The brushes (`grab`, `pull`, `twist`, `scale`, `pinch`) share these parameters: ``at``, their point, in pixels, x
@@ -522,6 +517,11 @@ class Deformation:
         poisson, reach, strength
             As for all brushes. Points that are frozen are released, with a warning; of two that pull against each
             other so that they cannot arrive without a fold, an error names both.
+
+        Warns
+        -----
+        OutsideWarning, FoldWarning, MissWarning
+            As all brushes do; of its first point.
 
         Examples
         --------

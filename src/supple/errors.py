@@ -74,7 +74,10 @@ def none() -> str:
 
 
 class SuppleError(ValueError):
-    """An invalid request; the message says in one sentence what was given and what is possible."""
+    """An invalid request; the message says in one sentence what was given and what is possible.
+
+    All functions raise it for arguments that are invalid, or do not fit each other.
+    """
 
 
 def need(extra: str, what: str, *modules: str) -> None:

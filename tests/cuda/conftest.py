@@ -20,8 +20,7 @@ import pytest
 
 from supple.cuda import arrays, device, programs, warp
 from supple.cuda.device import CudaDevice
-from supple.cuda.layout import JOB, SOME
-from supple.cuda.programs import UNITS, Program
+from supple.cuda.programs import JOB, SOME, UNITS, Program
 from tests.cuda.driver import REAL, Driver
 from tools.core import machine_compiler
 

@@ -13,7 +13,7 @@ import supple
 import supple.cuda
 from supple.cuda import device, programs, warp
 from supple.cuda.device import CudaDevice, CudaError, Memory
-from supple.cuda.layout import JOB, SOME, TOLD
+from supple.cuda.programs import JOB, SOME, TOLD
 from supple.errors import SuppleError
 from tests.cuda.driver import Driver, on_host, sent
 

@@ -10,7 +10,7 @@ import pytest
 
 from supple import Deformation, Field, FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
 from tests import reference
-from tests.engine.pictures import SHAPE, Floats, bent, exact
+from tests.engine.arrays import IMAGE, Floats, bent, exact
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
@@ -21,17 +21,17 @@ def ripples(points: Floats) -> Floats:
 
 def test_functions_are_evaluated_at_the_exact_inverse() -> None:
     d = bent()
-    expected = ripples(exact(d).reshape(-1, 2)).reshape(SHAPE)
+    expected = ripples(exact(d).reshape(-1, 2)).reshape(IMAGE)
     out = d.warp(ripples)
     assert out.dtype == np.float64
     np.testing.assert_allclose(out, expected, atol=1e-6)
     colours = d.warp(lambda p: np.stack([ripples(p), p[:, 0], p[:, 1]], axis=-1).astype(np.float32))
-    assert colours.shape == (*SHAPE, 3)
+    assert colours.shape == (*IMAGE, 3)
     assert colours.dtype == np.float32
     np.testing.assert_allclose(colours[..., 0], expected, atol=1e-6)
     assert (d.warp(lambda p: p[:, 0] > 20) == (exact(d)[..., 0] > 20)).mean() > 0.999
-    still = Deformation(SHAPE, border=64, on_fold="damp")
-    np.testing.assert_array_equal(still.warp(lambda p: p), reference.grid(SHAPE))
+    still = Deformation(IMAGE, border=64, on_fold="damp")
+    np.testing.assert_array_equal(still.warp(lambda p: p), reference.grid(IMAGE))
 
 
 @pytest.mark.parametrize("samples", [1, 2, 3, 8])

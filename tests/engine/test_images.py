@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import re
 from pathlib import Path
 from typing import Any
 
 import nibabel
 import numpy as np
-import numpy.typing as npt
 import pydicom
 import pytest
 import pyvips
@@ -19,56 +17,15 @@ from PIL import Image
 from supple import Deformation, SuppleError
 from supple.media.volume import Volume
 from supple.space.geometry import Geometry
-from tests import effort, reference
-from tests.engine.pictures import FILTERS, SHAPE, Array, Floats, bent, exact, noise
+from tests import reference
+from tests.engine.arrays import FILTERS, IMAGE, RULES, bent, exact, noise, same, top_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 DTYPES = ["bool", "u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8"]
 CHANNELS = [1, 2, 3, 4, 5, 9]
 PRINTED = ["linear", "cubic"]
 AVERAGES = ["auto"]
-RULES = ["edge", "constant", "reflect"]
 FINE = 1e-5
-
-
-def top_of(dtype: npt.DTypeLike) -> float:
-    kind = np.dtype(dtype)
-    return float(np.iinfo(kind).max) if kind.kind in "iu" else 1.0
-
-
-def fills(dtype: npt.DTypeLike, channels: int) -> list[float]:
-    return [1.0] * channels if np.dtype(dtype) == np.bool_ else [3.0 + 9 * c for c in range(channels)]
-
-
-def same(out: Array, values: Floats, span: float, leeway: float = 2e-4) -> None:
-    """Whether ``out`` holds ``values``, bounded and rounded as its type does, up to a part of their span."""
-    off = leeway * span
-    if out.dtype == np.bool_:
-        clear = np.abs(values - 0.5) > leeway
-        assert (out == (values >= 0.5))[clear].all()
-        return
-    found = out.astype(np.float64)
-    if out.dtype.kind in "iu":
-        limits = np.iinfo(out.dtype)
-        values, off = np.clip(values, float(limits.min), float(limits.max)), off + 0.5
-    elif out.dtype == np.float16:
-        off += 2**-11 * np.abs(values).max()
-    assert np.abs(found - values).max() <= off
-
-
-@pytest.mark.parametrize("rule", RULES)
-@pytest.mark.parametrize("dtype", DTYPES)
-def test_averages_are_those_of_float64(dtype: str, rule: str) -> None:
-    """Filters are linear: what a type holds is the rounded result of its numbers as float64, channel by channel."""
-    source, fill = noise(dtype, 9), fills(dtype, 9)
-    numbers = source.astype(np.float64)
-    span = 2 * float(np.abs(numbers).max())
-    for name in AVERAGES:
-        how: dict[str, Any] = {"filter": name, "outside": rule, "alpha": False}
-        values = np.dstack([bent().warp(numbers[..., c], fill=fill[c], **how) for c in range(9)])
-        for channels in CHANNELS:
-            part = np.ascontiguousarray(source[..., :channels])
-            same(bent().warp(part, fill=fill[:channels], **how), values[..., :channels], span, 1e-5)
 
 
 def test_the_last_of_four_channels_of_8_or_16_bits_is_opacity_unless_told() -> None:
@@ -86,8 +43,8 @@ def test_the_last_of_four_channels_of_8_or_16_bits_is_opacity_unless_told() -> N
 @pytest.mark.parametrize("dtype", ["u1", "u2", "f4", "f8"])
 def test_an_opaque_picture_is_as_one_without_opacity(dtype: str) -> None:
     top = top_of(dtype)
-    colours = (np.random.default_rng(1).uniform(0, top, (*SHAPE, 3))).astype(dtype)
-    opaque = np.dstack([colours, np.full(SHAPE, top, dtype)])
+    colours = (np.random.default_rng(1).uniform(0, top, (*IMAGE, 3))).astype(dtype)
+    opaque = np.dstack([colours, np.full(IMAGE, top, dtype)])
     for name in FILTERS:
         for rule in ("edge", "reflect"):
             plain = bent().warp(colours, filter=name, outside=rule)
@@ -103,7 +60,7 @@ def test_an_opaque_picture_is_as_one_without_opacity(dtype: str) -> None:
 def test_what_is_clear_colours_nothing(dtype: str, filter: str) -> None:
     """A red shape on clear green has no green fringe."""
     top = top_of(dtype)
-    source = np.zeros((*SHAPE, 4), dtype)
+    source = np.zeros((*IMAGE, 4), dtype)
     source[:, :35], source[:, 35:] = (top, 0, 0, top), (0, top, 0, 0)
     out = bent().warp(source, filter=filter, alpha=True).astype(np.float64) / top
     assert (out >= 0).all()
@@ -117,7 +74,7 @@ def test_what_is_clear_colours_nothing(dtype: str, filter: str) -> None:
 def test_an_edge_of_opacity_has_no_halo() -> None:
     """Where opacity overshoots, the colours that it weighs do as well."""
     for dtype, grey in (("u1", 100), ("u2", 30_000), ("f8", 0.4)):
-        source = np.full((*SHAPE, 4), grey, dtype)
+        source = np.full((*IMAGE, 4), grey, dtype)
         source[:, :35, 3], source[:, 35:, 3] = top_of(dtype), 0
         for name in FILTERS:
             out = bent().warp(source, filter=name)
@@ -127,7 +84,7 @@ def test_an_edge_of_opacity_has_no_halo() -> None:
 
 @pytest.mark.parametrize("dtype", ["i8", "u8"])
 def test_opacity_of_64_bits(dtype: str) -> None:
-    source = np.full((*SHAPE, 3), np.iinfo(dtype).max, dtype)
+    source = np.full((*IMAGE, 3), np.iinfo(dtype).max, dtype)
     for name in FILTERS:
         out = bent().warp(source, filter=name, alpha=True).astype(np.float64)
         assert np.abs(out / top_of(dtype) - 1).max() < (1e-6 if name == "auto" else 1e-9)  # weights are of float32
@@ -144,7 +101,7 @@ def test_constants_stay_constant(dtype: str) -> None:
         values = [limits.min, limits.max, 0, 77]
     for value in values:
         for channels in (1, 3, 5):
-            source = np.full((*SHAPE, channels), value, kind)
+            source = np.full((*IMAGE, channels), value, kind)
             for name in FILTERS:
                 for alpha in {False, channels > 1 and kind.kind != "i" and kind.itemsize < 8}:
                     out = bent().warp(source, filter=name, alpha=alpha)
@@ -162,47 +119,10 @@ def test_constants_stay_constant(dtype: str) -> None:
                         assert np.abs(visible - float(value)).max() <= leeway * abs(float(value))
 
 
-def strange(dtype: str, channels: int) -> Array:
-    """Any bits at all: NaNs of all kinds, infinities, subnormal numbers, zeros of both signs."""
-    kind = np.dtype(dtype)
-    raw = np.random.default_rng(2).integers(0, 256, (math.prod(SHAPE) * channels * kind.itemsize,), np.uint8)
-    if kind == np.bool_:
-        raw &= 1
-    values = raw.view(kind).reshape(*SHAPE, channels)
-    if kind.kind == "f":
-        values[0, :5, 0] = [np.nan, -np.inf, np.inf, -0.0, np.finfo(kind).smallest_subnormal]
-    return values
-
-
-@pytest.mark.parametrize("dtype", [*DTYPES, ">u2", ">i4", ">f4", ">f8"])
-def test_without_a_stroke_or_force_no_bit_changes(dtype: str) -> None:
-    still = [
-        Deformation(SHAPE, border=64, on_fold="damp"),
-        Deformation(SHAPE, border=None, on_fold="damp").grab((3, 3), by=(0, 0), radius=5, reach=None),
-        Deformation(SHAPE, on_fold="flow", border=64)
-        .grab((3, 3), to=(3, 3), radius=5, reach=None)
-        .grab((9, 9), by=(-0.0, 0), radius=1, reach=None),
-    ]
-    for channels in (1, 4):
-        source = strange(dtype, channels)
-        before = source.tobytes()
-        for d in still:
-            assert d.is_identity
-            for name in FILTERS:
-                for rule in RULES:
-                    out = d.warp(source, filter=name, outside=rule)
-                    assert out.dtype == source.dtype
-                    assert out.tobytes() == before
-                    assert not np.may_share_memory(out, source)
-        flipped = source[::-1, ::-1]
-        assert still[0].warp(flipped).tobytes() == flipped.tobytes()
-        assert source.tobytes() == before
-
-
 @pytest.mark.parametrize("dtype", ["f2", "f4", "f8"])
 @pytest.mark.parametrize("filter", FILTERS)
 def test_what_is_not_a_number_stays_where_it_is(dtype: str, filter: str) -> None:
-    clean = np.random.default_rng(3).uniform(size=(*SHAPE, 3)).astype(dtype)
+    clean = np.random.default_rng(3).uniform(size=(*IMAGE, 3)).astype(dtype)
     source = clean.copy()
     source[20, 30, 0], source[33, 50, 1], source[10, 60, 1] = np.nan, np.inf, -np.inf
     out, expected = bent().warp(source, filter=filter), bent().warp(clean, filter=filter)
@@ -215,52 +135,11 @@ def test_what_is_not_a_number_stays_where_it_is(dtype: str, filter: str) -> None
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-def test_arrays_of_any_layout(filter: str, tmp_path: Path) -> None:
-    wide = np.random.default_rng(4).uniform(size=(90, 140, 6)).astype(np.float32)
-    base = np.ascontiguousarray(wide[::2, ::2, ::2])
-    expected = bent().warp(base, filter=filter)
-    frozen = base.copy()
-    frozen.flags.writeable = False
-    mapped = np.memmap(tmp_path / "source", np.float32, "w+", shape=base.shape)
-    mapped[:] = base
-    layouts = {
-        "strided": wide[::2, ::2, ::2],
-        "reversed": np.ascontiguousarray(base[::-1, ::-1])[::-1, ::-1],
-        "Fortran": np.asfortranarray(base),
-        "transposed": np.ascontiguousarray(base.transpose(2, 1, 0)).transpose(2, 1, 0),
-        "big-endian": base.astype(">f4"),
-        "frozen": frozen,
-        "mapped": mapped,
-    }
-    for name, source in layouts.items():
-        before = source.tobytes()
-        out = bent().warp(source, filter=filter)
-        assert out.dtype == source.dtype, name
-        assert out.flags.c_contiguous, name
-        np.testing.assert_array_equal(out, expected, err_msg=name)
-        assert source.tobytes() == before, name
-        for order in ("C", "F"):
-            given = np.full(source.shape, 7, source.dtype, order=order)
-            assert bent().warp(source, filter=filter, out=given) is given
-            np.testing.assert_array_equal(given, expected, err_msg=name)
-    whole = np.full((90, 140, 6), 7, np.float32)
-    bent().warp(base, filter=filter, out=whole[::2, ::2, ::2])
-    np.testing.assert_array_equal(whole[::2, ::2, ::2], expected)
-    assert (whole[1::2] == 7).all()
-    written = np.memmap(tmp_path / "out", np.float32, "w+", shape=base.shape)
-    bent().warp(base, filter=filter, out=written)
-    np.testing.assert_array_equal(written, expected)
-    grey = bent().warp(base[..., 0], filter=filter)
-    assert grey.shape == SHAPE
-    np.testing.assert_array_equal(grey, bent().warp(base[..., :1], filter=filter)[..., 0])
-
-
-@pytest.mark.parametrize("filter", FILTERS)
 def test_light_of_one_colour_is_that_colour(filter: str) -> None:
     ramp = np.broadcast_to(np.arange(256, dtype=np.uint8)[:, None, None], (256, 20, 3))
     d = Deformation((256, 20), border=64, on_fold="damp").grab((10, 128), by=(3, 0), radius=40, reach=None)
     for value in (0, 1, 10, 100, 254, 255):
-        flat = np.full((*SHAPE, 3), value, np.uint8)
+        flat = np.full((*IMAGE, 3), value, np.uint8)
         np.testing.assert_array_equal(bent().warp(flat, filter=filter, linear_light=True), flat)
     assert np.abs(d.warp(ramp, filter=filter, linear_light=True).astype(int) - ramp).max() < 40
     # Fine black and white lines are as bright as half their light, not as half their values.
@@ -313,23 +192,6 @@ def test_very_far_outside(rule: str) -> None:
             )
 
 
-@pytest.mark.filterwarnings("ignore::supple.ToleranceWarning")  # float32 does not count so far
-@pytest.mark.parametrize("size", [1e9, 1e20, 1e30])
-def test_as_far_outside_as_numbers_go(size: float) -> None:
-    d = Deformation((3, 280), border=None, on_fold="damp").grab(
-        (150, 1), by=(size, size / 3), radius=size / 2, reach=None
-    )
-    for channels, dtype, name in effort.pairs([1, 3], ["u1", "f4"], FILTERS):
-        source = noise(dtype, channels, d.shape)
-        how: dict[str, Any] = {"filter": name, "alpha": False}
-        made = d.warp(source, outside="edge", **how).astype(float)
-        np.testing.assert_allclose(made, np.broadcast_to(source[0, 0], made.shape), rtol=1e-5, atol=1e-4)
-        np.testing.assert_allclose(d.warp(source, outside="constant", fill=7, **how), 7, rtol=1e-5)
-        made = d.warp(source, outside="reflect", **how).astype(float)
-        assert np.isfinite(made).all()
-        assert np.abs(made).max() <= 1.6 * np.abs(source.astype(float)).max()
-
-
 SIZES = [(1, 1), (1, 2), (1, 50), (50, 1), (2, 2), (3, 33), (32, 32), (33, 33), (5, 257), (4, 300)]
 
 
@@ -365,96 +227,10 @@ def test_a_tolerance_is_kept_to_when_sampling() -> None:
         assert off.max() <= tolerance
 
 
-@pytest.mark.parametrize(
-    ("asked", "message"),
-    [
-        ({"linear_light": 1}, "linear_light must be True or False, found 1"),
-        ({"time_filter": True}, "time_filter must be left out for an image"),
-        ({"between": "linear"}, "between must be left out for an image"),
-    ],
-)
-def test_what_an_image_does_not_take(asked: dict[str, Any], message: str) -> None:
-    image = np.zeros((20, 20, 3), np.uint8)
-    with pytest.raises(SuppleError, match=message):
-        bent().warp(image, **asked)
-
-
 def test_a_bool_of_numpy_is_one() -> None:
     image = np.random.default_rng(0).integers(0, 256, (*bent().shape, 3), dtype=np.uint8)
     light = np.array([True])[0]
     np.testing.assert_array_equal(bent().warp(image, linear_light=light), bent().warp(image, linear_light=True))
-
-
-GOOD = np.zeros((*SHAPE, 3), np.uint8)
-REFUSED: list[tuple[dict[str, Any], str]] = [
-    ({"source": np.zeros((45, 71, 3), np.uint8)}, "source"),
-    ({"source": np.zeros((70, 45), np.uint8)}, "source"),
-    ({"source": np.zeros(SHAPE[0], np.uint8)}, "source"),
-    ({"source": np.zeros((*SHAPE, 3, 1), np.uint8)}, "source"),
-    ({"source": np.zeros((*SHAPE, 0), np.uint8)}, "source"),
-    ({"source": np.zeros(SHAPE, complex)}, "dtype complex128"),
-    ({"source": np.zeros(SHAPE, object)}, "dtype object"),
-    ({"source": np.zeros(SHAPE, "U3")}, "dtype <U3"),
-    ({"source": np.zeros(SHAPE, "M8[s]")}, "dtype datetime64"),
-    ({"source": np.zeros(SHAPE, [("r", "u1")])}, "dtype"),
-    ({"source": None}, "dtype object"),
-    ({"source": "photo.png"}, "the name of a file"),
-    ({"source": [[1, 2], [3]]}, "source must be an array"),
-    ({"source": 3}, "shape"),
-    ({"filter": "lanczos"}, "filter must be"),
-    ({"filter": None}, "filter must be"),
-    ({"outside": "wrap"}, "outside must be"),
-    ({"tolerance": 0}, "tolerance"),
-    ({"tolerance": -1.0}, "tolerance"),
-    ({"tolerance": math.nan}, "tolerance"),
-    ({"tolerance": math.inf}, "tolerance"),
-    ({"tolerance": "0.1"}, "tolerance"),
-    ({"fill": (1, 2)}, "fill"),
-    ({"fill": math.nan}, "fill"),
-    ({"fill": [1, math.inf, 3]}, "fill"),
-    ({"fill": "black"}, "fill"),
-    ({"fill": [[1, 2, 3]]}, "fill"),
-    ({"source": np.zeros(SHAPE, np.uint8), "alpha": True}, "alpha"),
-    ({"source": np.zeros((*SHAPE, 1), np.uint8), "alpha": True}, "alpha"),
-    ({"source": np.zeros(SHAPE, bool), "linear_light": True}, "linear_light"),
-    ({"source": np.zeros(SHAPE, np.int16), "linear_light": True}, "linear_light"),
-    ({"source": np.zeros(SHAPE, np.uint32), "linear_light": True}, "linear_light"),
-    ({"out": np.zeros(SHAPE, np.uint8)}, "out must be"),
-    ({"out": np.zeros((*SHAPE, 3), np.uint16)}, "out must be"),
-    ({"out": np.zeros((*SHAPE, 3), np.int8)}, "out must be"),
-    ({"out": [[0]]}, "out must be"),
-    ({"out": GOOD}, "overlap"),
-    ({"out": GOOD[::-1]}, "overlap"),
-]
-
-
-@pytest.mark.parametrize(("how", "message"), REFUSED)
-def test_refusals(how: dict[str, Any], message: str) -> None:
-    for d in (bent(), Deformation(SHAPE, border=64, on_fold="damp")):
-        with pytest.raises(SuppleError, match=message):
-            d.warp(**{"source": GOOD, **how})
-    assert not GOOD.any()
-
-
-def test_more_refusals() -> None:
-    frozen = np.zeros_like(GOOD)
-    frozen.flags.writeable = False
-    with pytest.raises(SuppleError, match="read-only"):
-        bent().warp(GOOD, out=frozen)
-    with pytest.raises(SuppleError, match="three axes"):
-        Deformation((3, *SHAPE), border=64, on_fold="damp").warp(lambda points: points[:, 0])
-    np.testing.assert_array_equal(bent().warp(GOOD.tolist()), 0)  # what NumPy makes an array of will do
-
-
-def test_threads_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
-    d = Deformation((150, 600), border=64, on_fold="damp").grab((300, 70), by=(40, 30), radius=60, reach=None)
-    source = np.random.default_rng(12).integers(0, 255, (150, 600, 3), np.uint8)
-    for name in FILTERS:
-        results = []
-        for threads in ("1", "3"):
-            monkeypatch.setenv("SUPPLE_THREADS", threads)
-            results.append(d.warp(source, filter=name))
-        np.testing.assert_array_equal(*results)
 
 
 def test_what_holds_an_array_is_no_array(tmp_path: Path) -> None:

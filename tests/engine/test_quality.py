@@ -7,7 +7,7 @@ import pytest
 
 from supple import Deformation
 from tests import reference
-from tests.engine.pictures import FILTERS, Array, Floats, bent, exact
+from tests.engine.arrays import FILTERS, Array, Floats, bent, exact
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 

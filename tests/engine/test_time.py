@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from supple import Deformation, Stroke
 from tests import effort, reference
-from tests.engine.frames import BETWEEN, FILTERS, RULES, Floats, exact, hurried, noise, top_of
+from tests.engine.arrays import BETWEEN, FILTERS, RULES, Floats, exact, hurried, noise, top_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 

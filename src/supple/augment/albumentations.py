@@ -82,11 +82,6 @@ class RandomElastic(_Elastic):
         The boundary mode, where the border is free: ``"edge"``, ``"reflect"``, or ``"constant"`` for 0.
     p : float
         The probability.
-
-    Raises
-    ------
-    SuppleError
-        If an argument is invalid.
     """
 
     _targets = ALL_TARGETS
@@ -165,11 +160,6 @@ class RandomElastic3D(_Elastic, Transform3D):
         As in `RandomElastic`; lengths are in voxels, or in millimetres if there is a spacing.
     spacing : (float, float, float)
         Millimetres per voxel, along x, y and z.
-
-    Raises
-    ------
-    SuppleError
-        If an argument is invalid.
     """
 
     _targets = (Targets.VOLUME, Targets.MASK3D, Targets.KEYPOINTS)

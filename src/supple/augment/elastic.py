@@ -80,11 +80,6 @@ class RandomElastic:
         The width of the fixed border, as in `Deformation`: nothing leaves the picture, and nothing comes in. None: the
         border is free.
 
-    Raises
-    ------
-    SuppleError
-        If an argument is invalid.
-
     Examples
     --------
     >>> import numpy as np
@@ -138,11 +133,6 @@ class RandomElastic:
         -------
         Deformation
             Its ``recipe`` applies it again: by `Deformation.from_recipe`, or ``supple warp --recipe``.
-
-        Raises
-        ------
-        SuppleError
-            If an argument is invalid.
         """
         one_thread_in_workers()
         rng = _generator(seed)
@@ -242,11 +232,6 @@ def apply(
         As in `moved_boxes`.
     filter, outside, fill
         Of the image, as in `Deformation.warp`; labels have the same boundary mode.
-
-    Raises
-    ------
-    SuppleError
-        If an argument does not fit.
     """
     one_thread_in_workers()
     if not isinstance(deformation, Deformation):
@@ -283,11 +268,6 @@ def moved_boxes(deformation: Deformation, boxes: npt.ArrayLike) -> Floats:
     Returns
     -------
     float64 array, shape (N, 2 D)
-
-    Raises
-    ------
-    SuppleError
-        If an argument does not fit.
     """
     n = deformation.ndim
     given = _rows("boxes", boxes, 2 * n)

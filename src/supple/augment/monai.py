@@ -42,11 +42,6 @@ class RandElastic(RandomizableTransform):
         ``"bilinear"`` (in a volume, trilinear), ``"bicubic"`` or ``"nearest"``.
     padding_mode : str
         The boundary mode, where the border is free: ``"border"``, ``"reflection"`` or ``"zeros"``.
-
-    Raises
-    ------
-    SuppleError
-        If an argument is invalid.
     """
 
     backend = [TransformBackends.TORCH]  # noqa: RUF012
@@ -102,11 +97,6 @@ class RandElasticd(RandomizableTransform, MapTransform):
         is from 0 to 1.
     allow_missing_keys : bool
         Whether keys may be missing.
-
-    Raises
-    ------
-    SuppleError
-        If an argument is invalid.
     """
 
     backend = RandElastic.backend

@@ -40,11 +40,6 @@ class RandomElastic(RandomTransform, SpatialTransform):
         The boundary mode, where the border is free: ``"edge"``, ``"reflect"``, or ``"constant"`` for 0.
     **kwargs
         As of any transform of TorchIO: ``p``, ``include``, ``exclude``, …
-
-    Raises
-    ------
-    SuppleError
-        If an argument is invalid.
     """
 
     def __init__(

@@ -52,11 +52,6 @@ def start(
     Warping
         The warp, to wait for or to poll. Neither the source nor the result may be used before it is done, unless their
         stream waits for it (`Warping.join`).
-
-    Raises
-    ------
-    SuppleError
-        If an argument does not fit, or the GPU cannot be used.
     """
     spaces = spaces_of(deformations)
     sampling = Sampling.of(sampling, options, spaces[0].ndim)

@@ -19,16 +19,7 @@ from supple.space.domain import refuse
 
 
 class CudaArray:
-    """A result on a GPU for arrays of libraries that Supple does not know, with the interfaces that all of them take.
-
-    Parameters
-    ----------
-    shape : tuple of int
-    dtype : numpy.dtype
-    gpu : CudaDevice
-    stream : Stream
-        The stream that its memory belongs to.
-    """
+    """A result on a GPU for libraries that Supple does not know, with the interfaces that all of them take."""
 
     def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any], gpu: CudaDevice, stream: Stream) -> None:
         self.shape, self.dtype, self._gpu = shape, dtype, gpu
@@ -60,23 +51,10 @@ class CudaArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviceArray:
-    """An array on a GPU.
+    """An array on a GPU, as ``given`` by a library: "torch", "cupy", "numba" or "other", that of new arrays.
 
-    Parameters
-    ----------
-    given : object
-        The library's array.
-    kind : str
-        "torch", "cupy", "numba" or "other": the library of new arrays.
-    shape, strides : tuple of int
-        In samples.
-    dtype : numpy.dtype
-    pointer : int
-        The address of the first sample.
-    gpu : CudaDevice
-    stream : Stream
-        The current stream of the library.
-    writable : bool
+    Strides are in samples, ``pointer`` is the address of the first sample, and ``stream`` the current one of the
+    library.
     """
 
     given: Any

@@ -57,17 +57,9 @@ def call(name: str, *arguments: Any) -> Any:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CudaDevice:
-    """A GPU that is ready.
+    """A GPU that is ready, by its number in CUDA; ``arch`` is its compute capability (90 for 9.0).
 
-    Parameters
-    ----------
-    number : int
-        The number of the device in CUDA.
-    name : str
-    arch : int
-        Its compute capability: 90 for 9.0.
-    context : object
-        The driver's primary context, which other libraries use, too.
+    ``context`` is the driver's primary context, which other libraries use, too.
     """
 
     number: int
@@ -142,14 +134,7 @@ class Event:
 
 
 class Memory:
-    """Memory of a device, which belongs to a stream: it is freed after the work that is on the stream by then.
-
-    Parameters
-    ----------
-    size : int
-        Bytes.
-    stream : Stream
-    """
+    """Memory of a device, which belongs to a stream: it is freed after the work that is on the stream by then."""
 
     def __init__(self, size: int, stream: Stream) -> None:
         self.size, self.stream = size, stream
@@ -172,17 +157,7 @@ class Memory:
 
 
 class Pinned:
-    """Host memory that a device copies from and to by itself.
-
-    Parameters
-    ----------
-    size : int
-        Bytes.
-
-    Attributes
-    ----------
-    bytes : uint8 array
-    """
+    """Host memory of some bytes that a device copies from and to by itself: ``bytes`` is the array."""
 
     def __init__(self, size: int) -> None:
         import ctypes

@@ -76,13 +76,7 @@ class Warping:
 def prepared(
     source: Any, spaces: tuple[Space, ...], sampling: Sampling, alpha: bool | None, out: Any, *, batch: bool
 ) -> tuple[Work, DeviceArray, DeviceArray]:
-    """Return the work on an array of a GPU, or on a batch (N, ...), the array, and that of the result.
-
-    Raises
-    ------
-    SuppleError
-        If an argument does not fit, or the GPU cannot be used.
-    """
+    """Return the work on an array of a GPU, or on a batch (N, ...), the array, and that of the result."""
     held = taken(source, "source")
     if batch:
         check_count(spaces, held.shape[0] if held.ndim else 0)

@@ -37,28 +37,12 @@ def sample(
     *,
     room: int | None = None,
 ) -> Certificate:
-    """Warp an image, or a stack of frames, in host memory or mapped to it, on the first GPU.
+    """Warp an image, or a stack of frames, in host memory or mapped to it, on the first GPU; return the certificate.
 
-    Parameters
-    ----------
-    work : Work
-        The deformation and the sampling options.
-    source, target : array, shape (frames, H, W, C) and (planes, h, w, C)
-        Of bool, integers or floats of 16 to 64 bits, in any byte order, with any strides; not overlapping.
-    tell : function
-        Called at intervals with ``"warp"``, the number of finished planes, and their total.
-    room : int, optional
-        The bytes of GPU memory for each of two slabs; by default, most of the free memory.
-
-    Returns
-    -------
-    Certificate
-        The accuracy of the map of all planes.
-
-    Raises
-    ------
-    SuppleError
-        If the GPU cannot be used or fails, or a plane, and the frames that it needs, exceed its memory.
+    ``source`` (frames, H, W, C) and ``target`` (planes, h, w, C) are of bool, integers or floats of 16 to 64 bits, in
+    any byte order, with any strides, and do not overlap. ``tell`` is called with ``"warp"``, the number of finished
+    planes, and their total. ``room`` is the bytes of GPU memory for each of two slabs; by default, most of the free
+    memory. SuppleError if the GPU cannot be used or fails, or a plane, and the frames that it needs, exceed its memory.
     """
     gpu, certificate = open_device(), Certificate(0.0, 0.0)
     with contextlib.closing(_in_slabs(gpu, work, source, target, room)) as slabs:

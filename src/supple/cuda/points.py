@@ -8,8 +8,7 @@ import numpy as np
 
 from supple.cuda.arrays import DeviceArray, contiguous, made_like, plain, taken
 from supple.cuda.device import keep
-from supple.cuda.layout import SOME, record
-from supple.cuda.programs import Program, launch, prepare
+from supple.cuda.programs import SOME, Program, launch, prepare, record
 from supple.cuda.warp import Told, lattice_of, paint
 from supple.engine.core import CONVERGED
 from supple.engine.sampling import Certificate

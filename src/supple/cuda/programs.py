@@ -18,12 +18,44 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from supple.cuda.device import CudaDevice, CudaError, Stream, bindings, call
-from supple.cuda.layout import JOB, SOME
 
 UNITS = ("points", "nodes", "cells", "fill", "rough")
 THREADS = 128  # of a block
+
+# The records that kernels take, in the layout of kernels/job.hpp and kernels/points.hpp, which check their sizes.
+_SAMPLES = np.dtype([("first", "u8"), ("plane", "i8"), ("row", "i8"), ("column", "i8"), ("channel", "i8")])
+
+JOB = np.dtype(
+    [(name, "u8") for name in ("maps", "xs", "ys", "nodes", "leaves", "states", "rough", "told")]
+    + [("source", _SAMPLES), ("out", _SAMPLES), ("fill", "u8"), ("top", "u8")]
+    + [(name, "f8") for name in ("tolerance", "white", "high")]
+    + [
+        (name, "i4")
+        for name in (
+            "map_count", "planes", "first", "shared", "width", "height", "nx", "ny", "from_x", "from_y", "w", "h",
+            "count", "held_from", "channels", "between", "rule", "average", "alpha", "light",
+        )
+    ]
+)  # fmt: skip
+
+SOME = np.dtype(
+    [(name, "u8") for name in ("map", "points", "to", "matrices", "residual", "steps", "done", "told")]
+    + [("count", "i8"), ("tolerance", "f8"), ("wide", "i4"), ("back", "i4")]
+)
+
+TOLD = np.dtype([("worst", "f4"), ("rough", "i4"), ("unsolved", "i4"), ("folded", "i4"), ("outside", "i4")])
+
+
+def record(kind: np.dtype[Any], **values: Any) -> npt.NDArray[Any]:
+    """Return an array of one record; fields that are not given are 0."""
+    made = np.zeros(1, kind)
+    for name, value in values.items():
+        made[name] = value
+    return made
+
 
 _HERE = Path(__file__).parent / "kernels"
 _CORE = Path(__file__).parents[1] / "_core"
@@ -36,20 +68,9 @@ _compilers = ThreadPoolExecutor(len(UNITS), "supple-nvrtc")
 class Program:
     """A kernel, and what it is compiled for.
 
-    Parameters
-    ----------
-    unit : str
-        The kernel: one of `UNITS`.
-    dimensions : int
-        2 or 3.
-    composed : bool, optional
-        Whether the map is a composite, and not of strokes alone; None: of both kinds.
-    sample, number : str
-        The types, in C++, of samples, and of their sums; for ``fill`` and ``rough`` alone.
-    together : int
-        How many channels are summed together: 1 or 4.
-    filter, between, average, light : int
-        As in the job.
+    The ``unit`` is one of `UNITS`; ``composed`` says whether the map is a composite, and not of strokes alone (None: of
+    both kinds). For ``fill`` and ``rough`` alone: the types, in C++, of samples and of their sums, how many channels
+    are summed together, 1 or 4, and options as in the job.
     """
 
     unit: str
@@ -168,16 +189,10 @@ def _load(gpu: CudaDevice, program: Program) -> Any:
 
 
 def launch(kernel: Future[Any], job: np.ndarray[Any, Any], stream: Stream, x: int, y: int = 1, z: int = 1) -> None:
-    """Launch a kernel on a stream of the current device, with one argument: a record, which is copied.
+    """Launch a kernel of `prepare` on a stream of the current device, with one argument: a record, which is copied.
 
-    Parameters
-    ----------
-    kernel : Future
-        From `prepare`.
-    job : array of one record
-    stream : Stream
-    x, y, z : int
-        The number of threads that there is work for, which go in blocks of `THREADS`; and of rows and layers of blocks.
+    ``x`` is the number of threads that there is work for, which go in blocks of `THREADS`; ``y`` and ``z``, of rows and
+    layers of blocks.
     """
     argument = np.array([job.ctypes.data], np.uintp)  # the driver takes an array of pointers to arguments
     blocks = max(1, -(-x // THREADS))

@@ -18,8 +18,7 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.cuda.device import CudaDevice, Memory, Pinned, Stream
-from supple.cuda.layout import JOB, TOLD, record
-from supple.cuda.programs import THREADS, Program, launch, prepare
+from supple.cuda.programs import JOB, THREADS, TOLD, Program, launch, prepare, record
 from supple.engine.sampling import BETWEEN, FILTERS, OUTSIDE, Certificate
 from supple.engine.work import Space, Work
 
@@ -43,18 +42,10 @@ _TYPES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
-    """Maps of one shape on a GPU, and the nodes at which they are solved.
+    """Maps of one shape on a GPU (one, or one for each plane), and the nodes at which they are solved.
 
-    Parameters
-    ----------
-    spaces : tuple of Space
-        The maps: one, or one for each plane.
-    memory : Memory
-        The maps (`_core.flatten`).
-    places : Memory
-        The positions of nodes along x, and then along y, int32, in pixels.
-    nodes : (int, int)
-        Their numbers along x and y.
+    ``memory`` has the maps (`_core.flatten`); ``places``, the positions of nodes along x, and then along y, int32, in
+    pixels; ``nodes`` are their numbers along x and y.
     """
 
     spaces: tuple[Space, ...]
@@ -173,31 +164,13 @@ def paint(
     slab: int | None = None,
     **values: Any,
 ) -> Lattice:
-    """Launch the kernels for some planes in the order of the stream of ``told``, slab by slab.
+    """Launch the kernels for some planes (from, to) in the order of the stream of ``told``, slab by slab.
 
-    Parameters
-    ----------
-    gpu : CudaDevice
-        The current device.
-    spaces : sequence of Space
-        One map, or one for each plane. Images of one map share its nodes; slices have nodes of their own.
-    dtype : numpy.dtype
-    told : Told
-    source, out : Samples
-        From the first frame that is there on, and from the first of the planes on.
-    planes : (int, int)
-        From, to.
-    together, filter : int
-        As in `Program`.
-    slab : int, optional
-        The number of planes in one launch, at most; by default, as many as scratch memory has room for.
-    **values
-        Other fields of the job.
-
-    Returns
-    -------
-    Lattice
-        What must be kept until the kernels are done.
+    There is one map, or one for each plane; images of one map share its nodes, slices have nodes of their own.
+    ``source`` and ``out`` begin with the first frame that is there, and with the first of the planes. ``together`` and
+    ``filter`` are those of `Program`, and ``values`` other fields of the job. At most ``slab`` planes are in one
+    launch; by default, as many as scratch memory has room for. What is returned must be kept until the kernels are
+    done.
     """
     stream, lattice, space = told.there.stream, lattice_of(gpu, spaces, values["tolerance"]), spaces[0]
     kinds = {each.composite is not None for each in spaces}

@@ -29,18 +29,7 @@ _KINDS: dict[np.dtype[Any], np.dtype[Any]] = {
 
 
 def plan_of(space: Space, z: float, tolerance: float, step: tuple[int, int] = (1, 1)) -> _core.Plan:
-    """Solve for T⁻¹ on a plane.
-
-    Parameters
-    ----------
-    space : Space
-    z : float
-        The index of the plane, in samples.
-    tolerance : float
-        The largest distance of a source point from T⁻¹(q), in pixels.
-    step : (int, int)
-        The largest spacing of samples, in pixels, x first.
-    """
+    """Solve for T⁻¹ on the plane of index z, within a tolerance in pixels, for samples up to ``step`` (x, y) apart."""
     first, shape, box = _laid(space, step)
     return _core.Plan(
         space.rows, space.axes, space.ndim, *shape, float(first + z), tolerance, space.composite, box,
@@ -76,14 +65,8 @@ def needed(
 ) -> tuple[tuple[int, ...], list[float], Certificate]:
     """Return the part of the source that the output reads, or some of its planes.
 
-    Returns
-    -------
-    tuple of int
-        Its bounds x0, x1, y0, y1, and the first frame and that after the last.
-    list of float
-        How far each plane of the output moves, in pixels; -1 where no stroke reaches it.
-    Certificate
-        The accuracy of the map there.
+    Its bounds are x0, x1, y0, y1, and the first frame and that after the last. The list has how far each plane of the
+    output moves, in pixels; -1 where no stroke reaches it. The certificate is that of the map there.
     """
     (count, rows, columns), (first, (height, width), box) = space.planes, _laid(space, (1, 1))
     part, moved, error, counts = _core.needed(
@@ -124,20 +107,11 @@ def view(array: Array) -> Array | None:
 def samplings_of(
     work: Work, frames: Sequence[Array], outs: Sequence[Array], count: int, corner: tuple[int, int, int] | None = None
 ) -> list[_core.Sampling]:
-    """Return the core's sampling jobs for some frames.
+    """Return the core's sampling jobs for some frames of a clip of ``count``.
 
-    Parameters
-    ----------
-    work : Work
-    frames : sequence of arrays
-        For each group, the frames (slots, h, w, channels); frame k is in slot k modulo the number of slots:
-        contiguous, in native byte order.
-    outs : sequence of arrays
-        For each group, the destination: (h, w, channels) or (planes, h, w, channels), contiguous.
-    count : int
-        The number of frames of the clip.
-    corner : (int, int, int), optional
-        If ``frames`` are a part of those of the layout: the position x, y, and the frame, of their first sample.
+    ``frames`` and ``outs`` are arrays of each group: frame k is in slot k modulo the number of slots (slots, h, w,
+    channels), contiguous and in native byte order; the destination is (h, w, channels), or that of several planes. If
+    frames are a part of those of the layout, ``corner`` is the position x, y, and the frame, of their first sample.
     """
     sampling, rule = work.sampling, OUTSIDE[work.sampling.outside]
     chosen = FILTERS[sampling.filter], BETWEEN[sampling.between_frames], rule, sampling.averages_frames
@@ -165,26 +139,13 @@ def sample(
     corner: tuple[int, int, int] | None = None,
     copied: Sequence[bool] | None = None,
 ) -> Certificate:
-    """Sample frames that are in memory, planes side by side, on all threads.
+    """Sample frames that are in memory, planes side by side, on all threads, and return the certificate of the map.
 
-    Parameters
-    ----------
-    work : Work
-    frames, outs : sequence of arrays
-        For each group, all frames, and the destination of all planes: arrays (count, h, w, channels), as `view`
-        returns them; with a ``corner``, frames may have any order of bytes and axes.
-    tell : function
-        Called at intervals with ``"warp"``, the number of finished planes, and their total.
-    corner : (int, int, int), optional
-        If ``frames`` are a part of those of the layout (`needed`), the position x, y, and the frame, of its first
-        sample.
-    copied : sequence of bool, optional
-        Which planes are copied, since all of them moves by less than the tolerance.
-
-    Returns
-    -------
-    Certificate
-        The accuracy of the map of all planes.
+    ``frames`` and ``outs`` are, for each group, all frames, and the destination of all planes: arrays (count, h, w,
+    channels), as `view` returns them. With a ``corner``, frames are a part of those of the layout (`needed`), in any
+    order of bytes and axes: it is the position x, y, and the frame, of its first sample. Planes that are ``copied``
+    move by less than the tolerance as a whole. Of stacks, ``tell`` is called with ``"warp"``, the finished planes, and
+    their total.
     """
     space, tolerance, planes = work.space, work.sampling.tolerance, len(outs[0])
     if corner is not None:

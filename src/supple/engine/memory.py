@@ -22,23 +22,9 @@ Full = Callable[[str, str, str], str]
 def buffers(
     shapes: Sequence[tuple[int, ...]], dtype: npt.DTypeLike, memory: float, full: Full, folder: str | None = None
 ) -> Iterator[list[Array]]:
-    """Open arrays of some shapes.
+    """Open arrays of some shapes in memory or, beyond so many bytes, in a temporary file in a folder (the system's).
 
-    Parameters
-    ----------
-    shapes, dtype
-        The shapes and the type of the arrays.
-    memory : float
-        The bytes of memory that the arrays may take together.
-    full : function of (str, str, str)
-        Makes the error message for a full disk of the size, the folder and the system's reason.
-    folder : str, optional
-        The folder of the temporary file; by default, the system's.
-
-    Raises
-    ------
-    SuppleError
-        If there is no room on the disk.
+    ``full`` makes the message for a full disk from the size, the folder and the system's reason: a SuppleError.
     """
     kind = np.dtype(dtype)
     sizes = [math.prod(shape) * kind.itemsize for shape in shapes]

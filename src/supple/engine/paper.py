@@ -26,26 +26,10 @@ def inverse_map(
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64], Floats]:
     """Return the source points of an image's pixels by the published method.
 
-    Parameters
-    ----------
-    table : ndarray of STROKE_DTYPE
-        Strokes, each inverted by itself, the last one first.
-    axes : float64 array, shape (3, 5)
-        The packed domain.
-    shape : (int, int)
-        Rows and columns of the image, or of a plane.
-    z : float, optional
-        The plane of a video or a volume, in samples.
-    mu : float
-        The relaxation factor of each step.
-    tolerance : float
-        Iterations end where |T(p) - q| is below this, in pixels.
-    limit : int
-        The largest number of iterations for one stroke.
-    corrected : bool
-        Whether A is the Gauss–Newton matrix.
-    every : int
-        The stride of rows and columns that are computed, from the first on.
+    Each stroke is inverted by itself, the last one first. ``axes`` is the packed domain, ``z`` the plane of a video or
+    a volume, in samples, and ``every`` the stride of the rows and columns that are computed. ``mu`` is the relaxation
+    factor of each step; iterations end where |T(p) - q| is below the tolerance, in pixels, or at their ``limit`` for
+    one stroke. If ``corrected``, A is the Gauss–Newton matrix.
 
     Returns
     -------
@@ -56,11 +40,6 @@ def inverse_map(
     residual : float64 array, shape (H, W)
         |T(p) - q| of all strokes together, in pixels. A value above the tolerance means that the method has not
         converged, or that the errors of the strokes have added up.
-
-    Raises
-    ------
-    SuppleError
-        If a stroke is not a grab, or acts at once with another one.
     """
     if (table["power"] != 1).any() or table["joined"].any():
         raise SuppleError("the published method is for grabs alone, one after the other, found another brush")

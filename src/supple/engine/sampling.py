@@ -49,11 +49,6 @@ class Sampling:
     time_filter : bool
         Whether to average each pixel over the frames that it covers, where the map compresses time: jagged edges
         become motion blur.
-
-    Raises
-    ------
-    SuppleError
-        If an option is invalid, or does not go with the filter.
     """
 
     filter: str = "auto"

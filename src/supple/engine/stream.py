@@ -55,17 +55,7 @@ class Sink(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """The result of a run.
-
-    Parameters
-    ----------
-    certificate : Certificate
-        The accuracy of the map of all planes.
-    still : int
-        The number of unchanged planes, copied from their frame.
-    held : int
-        The number of frames held at once.
-    """
+    """The result of a run: the map's certificate, and the numbers of copied planes and of frames held at once."""
 
     certificate: Certificate
     still: int = 0
@@ -80,22 +70,11 @@ def run(
     memory: float = math.inf,
     tell: Tell = silent,
 ) -> Done:
-    """Warp all frames of a source.
+    """Warp all frames of a source into a sink.
 
-    Parameters
-    ----------
-    source : Source
-    sink : Sink
-    work : Work
-    memory : float
-        The bytes of memory for frames; frames beyond that go to a temporary file.
-    tell : function
-        Called with ``"plan"`` or ``"warp"``, the number of finished planes and their total; its exceptions end the run.
-
-    Raises
-    ------
-    SuppleError
-        If the source ends too early, there is no room for the temporary file, or the sink refuses a plane.
+    Frames beyond ``memory`` bytes go to a temporary file. ``tell`` is called with ``"plan"`` or ``"warp"``, the number
+    of finished planes and their total; its exceptions end the run. SuppleError if the source ends too early, there is
+    no room for the temporary file, or the sink refuses a plane.
     """
     count = work.space.count
     plan = make_plan(work, range(count), tell)
@@ -114,18 +93,10 @@ def run(
 class Plan:
     """The frames needed for each plane of the output, computed before any is read.
 
-    Parameters
-    ----------
-    planes : tuple of int
-        The planes of the output to compute, in ascending order.
-    first, last : int64 array
-        The range of frames that each plane samples, some perhaps outside the clip.
-    still : bool array
-        Whether a plane is unchanged: all displacements are within the tolerance.
-    keep, read : int64 array
-        When a plane is computed, frames before ``keep`` are no longer needed, and all up to ``read`` have been read.
-    capacity : int
-        The number of frames held at once.
+    ``planes`` are those to compute, in ascending order. Each samples the frames from ``first`` to ``last``, some
+    perhaps outside the clip, and is ``still`` if all displacements are within the tolerance. When it is computed,
+    frames before ``keep`` are no longer needed, and all up to ``read`` have been read; ``capacity`` frames are held at
+    once.
     """
 
     planes: tuple[int, ...]
@@ -195,33 +166,12 @@ def stream(
     memory: float = math.inf,
     buffered: int = 1,
 ) -> Generator[tuple[int, list[Array], Certificate], None, None]:
-    """Warp frames in the order in which they are read.
+    """Yield planes of the output: the index of each, its samples, and the certificate of its map.
 
-    Parameters
-    ----------
-    work : Work
-    plan : Plan
-    frames : iterable of Frame
-        All frames of the source in order, read to the end.
-    memory : float
-        The bytes of memory for frames; frames beyond that go to a temporary file.
-    buffered : int
-        The number of planes whose samples are kept.
-
-    Yields
-    ------
-    int
-        The index of a plane of the output.
-    list of arrays
-        Its samples, one array (h, w, channels) for each group. The arrays are reused for the next plane, or for a later
-        one if more are buffered.
-    Certificate
-        The accuracy of its map.
-
-    Raises
-    ------
-    SuppleError
-        If there are fewer frames than the plan needs, or no room for the temporary file.
+    Frames are read in order, to the end, into a window of those that the plan needs at once: in memory, or beyond so
+    many bytes in a temporary file. The samples are one array (h, w, channels) for each group, reused for the next
+    plane, or for a later one if more are ``buffered``. SuppleError if there are fewer frames than the plan needs, or no
+    room for the file.
     """
     layout = work.layout
     with contextlib.ExitStack() as stack:

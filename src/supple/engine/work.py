@@ -28,26 +28,13 @@ def silent(step: str, done: int, total: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Space:
-    """The packed strokes and domain, as the core takes them, and the number of frames.
+    """The map as the core takes it, and the number and shape of frames.
 
-    Parameters
-    ----------
-    rows : float64 array, shape (n, ROW)
-        Strokes, each one-to-one (`supple.strokes.numbers`).
-    axes : float64 array, shape (3, 5)
-        The packed domain: a row (first, last, sigma, spacing, profile) for each axis, x first (`Domain.packed`).
-    ndim : int
-        2: one map, of an image or of each frame alike; 3: a map through a clip or a volume.
-    count : int
-        The number of frames or slices.
-    shape : (int, int)
-        Rows and columns of each frame.
-    composite : _core.Composite, optional
-        The whole map, if there is more to it than strokes: affine maps, fields, or another grid of the output.
-    grid : Grid, optional
-        The grid of the output, if it is not that of the input.
-    freeze : Mask, optional
-        The freeze mask that the strokes are subject to; that of a composite map's is its own, too.
+    ``rows`` are the strokes, each one-to-one (`supple.strokes.numbers`), and ``axes`` the packed domain: a row (first,
+    last, sigma, spacing, profile) for each axis, x first (`Domain.packed`). ``ndim`` is 2 for one map of an image, or
+    of each of ``count`` frames of a ``shape`` (rows, columns) alike; 3 for a map through a clip or a volume.
+    ``composite`` is the whole map, if there is more to it than strokes: affine maps, fields, or another ``grid`` of the
+    output. ``freeze`` is the mask of the strokes.
     """
 
     rows: npt.NDArray[np.float64]
@@ -97,22 +84,11 @@ class Space:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """The components of a frame that share a grid of samples.
+    """The components of a frame that share a grid of samples: arrays of shape (rows, samples, channels).
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns of samples.
-    channels : int
-        The number of components. Their samples are arrays of shape (rows, samples, channels).
-    step : (int, int)
-        Pixels of the frame from one sample to the next, x first: (2, 2) for the chroma of 4:2:0.
-    offset : (float, float)
-        The position of the first sample, in pixels of the frame, x first: the chroma siting.
-    alpha : bool
-        Whether the last channel is opacity.
-    exact : bool
-        Whether samples are those of the nearest pixel and frame, whatever the filter is.
+    ``step`` and ``offset`` are the pixels of the frame from one sample to the next, and the position of the first one,
+    x first: (2, 2) and the siting for the chroma of 4:2:0. ``alpha`` says whether the last channel is opacity,
+    ``exact`` whether samples are those of the nearest pixel and frame, whatever the filter is.
     """
 
     shape: tuple[int, int]
@@ -125,18 +101,10 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The layout of a frame.
+    """The layout of a frame: its groups, the first of which has a sample for every pixel, and the type of samples.
 
-    Parameters
-    ----------
-    groups : tuple of Group
-        The first has a sample for every pixel of the frame.
-    dtype : numpy.dtype
-        The type of all samples.
-    white : float
-        The largest sample value, which is also that of full opacity: 255, 1023, …
-    black : tuple of float
-        The components of black: one value for all, or one for each in the order of the groups.
+    ``white`` is the largest sample value, which is also that of full opacity: 255, 1023, …; ``black``, the components
+    of black: one value for all, or one for each in the order of the groups.
     """
 
     groups: tuple[Group, ...]
@@ -157,16 +125,10 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """What is sampled: a deformation, the layout of the frames, and the sampling options.
+    """One job: a map, the layout of the frames, and how they are sampled.
 
-    Parameters
-    ----------
-    space : Space
-    layout : Layout
-    sampling : Sampling
-    items : tuple of Space, optional
-        Of a batch along the first axis: one deformation for all items, or one for each. Of a clip whose frames are each
-        bent by a map of their own: one for each.
+    ``items`` are the maps of a batch along the first axis, one for all items or one for each; or of a clip each of
+    whose frames has its own.
     """
 
     space: Space
@@ -194,24 +156,10 @@ def work_of(
     *,
     finite: bool = True,
 ) -> Work:
-    """Return the work on an array: an image or frames, perhaps with channels last.
+    """Return the work on an array of a shape and type: an image or frames, perhaps with channels last.
 
-    Parameters
-    ----------
-    shape, dtype
-        The shape and the type of the array.
-    space : Space
-    sampling : Sampling
-        Its fill value gets one number for each channel (`Sampling.filled`).
-    alpha : bool, optional
-        Whether the last channel is opacity; guessed if None.
-    finite : bool
-        Whether the fill value must be finite.
-
-    Raises
-    ------
-    SuppleError
-        If the array or the fill value does not fit the deformation, or the array's type is not supported.
+    ``alpha`` says whether the last channel is opacity; it is guessed if None. The fill value gets one number for each
+    channel, which must be ``finite`` unless that is False. SuppleError if the array, or the fill value, does not fit.
     """
     if dtype.kind not in "biuf" or dtype.itemsize > 8:
         refuse("source", "an array of bool, integers or floats of up to 64 bits", told=f"dtype {dtype}")

@@ -549,16 +549,8 @@ def check_path(
 ) -> None:
     """Raise SuppleError for fields, up to the first affine map, that no point of the output comes near.
 
-    Parameters
-    ----------
-    maps : iterable of Placed
-        A point of the output goes through the first one first.
-    output : Grid
-        The grid of the output; of a part, the whole counts.
-    where, name : str
-        What has the grids of the output and of the source, for the message.
-    source : Grid, optional
-        The grid that the last field shall lead to; by default, it may lead anywhere.
+    A point of the output goes through the first map first; of a part of a grid, the whole counts. If ``source`` is
+    given, the last field shall lead there; else it may lead anywhere. ``where`` and ``name`` are what has these grids.
     """
     box = output.uncropped().box
     given = list(maps)

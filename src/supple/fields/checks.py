@@ -173,14 +173,8 @@ def distances(
 ) -> npt.NDArray[np.float32]:
     """Return |second(first(x)) − x| at each sample x of a grid; NaN where first(x) is not within another grid.
 
-    Parameters
-    ----------
-    first, second : Sampled
-        Packed in positions.
-    grid, within : Grid
-        The samples x, and the grid of the second field.
-    margin : float
-        How far the second field goes beyond its outermost samples, in samples.
+    The fields are packed in positions. ``within`` is the grid of the second one, and ``margin`` how far that goes
+    beyond its outermost samples, in samples.
     """
     made = np.empty(grid.shape, np.float32)
     last = np.array(within.sizes) - 1 + margin + _WITHIN

@@ -43,22 +43,11 @@ def all_the_way(also: str = "") -> str:
 class Resolved:
     """The rows of a stroke, chosen so that the map does not fold.
 
-    Parameters
-    ----------
-    rows : ndarray of STROKE_DTYPE
-        The packed strokes to apply, one after the other; none for the identity.
-    alpha : float
-        The applied fraction of the drag: 1, unless it was damped.
-    margin : float
-        A proven lower bound of λ_min(sym(I + J_β)), for every row and at every point; of a twist that neither a border
-        nor a mask changes, the smallest singular value of I + J.
-    arrived : tuple of float
-        The position of the stroke's point after it, in samples.
-    cause : str or None
-        The cause of a miss: ``"fold"``, ``"border"``, ``"freeze"`` for what is frozen, ``"fold and border"``, ``"fold
-        and freeze"``; ``"outside"`` if the stroke starts outside a fixed border, where it moves nothing; or None.
-    warning : str or None
-        The text of the warning if it was damped, or if its point ends more than half a sample from its target.
+    ``rows`` are applied one after the other; there are none for the identity. ``arrived`` is where the stroke's point
+    is after them, in samples, and ``alpha`` the applied fraction of the drag. ``margin`` is a proven lower bound of
+    λ_min(sym(I + J_β)), for every row and at every point; of a twist that neither a border nor a mask changes, the
+    smallest singular value of I + J. ``cause`` is that of `Arrival`; ``warning``, the text if it was damped, or misses
+    its target.
     """
 
     rows: Table

@@ -39,12 +39,7 @@ _BEYOND = 5e-6
 def limit(poisson: float, scales: int, reach: float | None = None) -> float:
     """Return the largest |f|/ε of a stroke with a free border: there, λ_min(sym(I + J)) reaches 0.
 
-    Parameters
-    ----------
-    poisson : float
-    scales : int
-    reach : float or None
-        The reach in radii. With one, the value returned is smaller by a factor of 1 - 10⁻⁹ at most.
+    With a reach, in radii, the value is smaller by a factor of 1 - 10⁻⁹ at most.
     """
     return -1 / _free(poisson, scales, math.inf if reach is None else reach)[0]
 
@@ -78,14 +73,7 @@ def _free(poisson: float, scales: int, reach: float) -> tuple[float, float, floa
 
 
 class Mask(_core.Freeze):
-    """A freeze mask as the core takes it, and what it is made of, for shaders and CUDA.
-
-    Parameters
-    ----------
-    freeze : Freeze
-    spacing, origin : tuple of float
-        Physical units per sample, and the point, in these, that positions are from; x first.
-    """
+    """A freeze mask as the core takes it, and what it is made of, for shaders and CUDA; from an origin on."""
 
     def __init__(self, freeze: Freeze, spacing: tuple[float, ...], origin: tuple[float, ...]) -> None:
         values, first, self.step = freeze.packed(spacing)
@@ -114,20 +102,11 @@ def weakest(
     gap: float = GAP,
     mask: _core.Freeze | None = None,
 ) -> tuple[float, float]:
-    """Return lower and upper bounds of μ for rows that act at once.
+    """Return lower and upper bounds of μ for rows that act at once; for all of space, where the domain is free.
 
-    Parameters
-    ----------
-    rows : ndarray of STROKE_DTYPE
-    axes : ndarray, shape (3, 5)
-        The packed domain. Where it is free, the bounds hold for all of space.
-    target : float
-        The value above which the lower bound need not be close to the upper one; 0 for a close one always.
-    gap : float
-        The relative gap of the bounds. Rounding and the limited number of boxes can leave a larger one, if |μ| is very
-        small or the volume very anisotropic.
-    mask : _core.Freeze, optional
-        The freeze mask; with one, the gap is three times as large.
+    Above the ``target``, the lower bound need not be close to the upper one (0: it always is). Otherwise, they are
+    apart by the relative ``gap``, or three times that with a mask; rounding and the limited number of boxes can leave
+    more, if |μ| is very small or the volume very anisotropic.
     """
     if len(rows) > 1 or rows["power"][0] != 1 or mask is not None:
         around, beyond = _around(rows, axes)
@@ -164,11 +143,6 @@ def sampled(rows: Table, axes: Floats, mask: _core.Freeze | None = None) -> floa
 
     Points are around the pivots of the strongest strokes, between them and their neighbours, and on a lattice; then,
     closer and closer, around those with the lowest values.
-
-    Parameters
-    ----------
-    rows, axes, mask
-        As in `weakest`.
     """
     around, _ = _around(rows, axes)
     low, high = around[:, 0], around[:, 1]

@@ -58,22 +58,7 @@ def refuse(name: str, wanted: str, found: object = None, *, told: str = "") -> N
 
 
 def number(name: str, value: object, wanted: str, low: float, high: float) -> float:
-    """Return ``value`` as a float from ``low`` to ``high``.
-
-    Parameters
-    ----------
-    name, wanted : str
-        The name of the argument and its valid values, for the message.
-    value : object
-        Any real number, but no bool.
-    low, high : float
-        The inclusive bounds. NaN is never within them.
-
-    Raises
-    ------
-    SuppleError
-        For other values.
-    """
+    """Return a real number (no bool) from ``low`` to ``high`` as a float; SuppleError with what is ``wanted``."""
     # A protocol check is slow.
     if type(value) is not float and (isinstance(value, bool) or not isinstance(value, Real)):
         refuse(name, wanted, value)

@@ -138,11 +138,6 @@ class Grid:
         The position of the first sample; by default 0.
     direction : array_like, shape (D, D), optional
         Its columns are the directions of the axes: of unit length. By default, those of space.
-
-    Raises
-    ------
-    SuppleError
-        If an argument is invalid.
     """
 
     shape: tuple[int, ...]

@@ -1,6 +1,5 @@
 """Strokes and recipes: immutable values, their JSON, their scaling to other sizes, and the packed table of the core."""
 
-from supple.strokes.paths import legs
 from supple.strokes.recipe import CoordinateSpace, FoldPolicy, Recipe, fit_recipe
 from supple.strokes.scaling import Fit, Scaling, scaling_of, spoken
 from supple.strokes.stroke import (
@@ -13,7 +12,7 @@ from supple.strokes.stroke import (
     Point,
     Stroke,
 )
-from supple.strokes.table import POISSON, ROW, STROKE_DTYPE, matrix_of, numbers, pack, poisson_of
+from supple.strokes.table import POISSON, ROW, STROKE_DTYPE, legs, matrix_of, numbers, pack, poisson_of
 
 __all__ = [
     "LARGEST_ANGLE",

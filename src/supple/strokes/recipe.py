@@ -213,20 +213,7 @@ class Recipe:
 
 
 def fit_recipe(recipe: Recipe, size: Sequence[int], how: Fit | None, name: str, *, time: bool = False) -> Recipe:
-    """Return a recipe scaled to a file's size by `Recipe.fitted`, and warn if ``how`` is not given.
-
-    Parameters
-    ----------
-    recipe : Recipe
-    size : sequence of int
-        Samples along each axis, x first.
-    how : str or None
-        As in `Recipe.fitted`.
-    name : str
-        The name of the file, for messages.
-    time : bool
-        Whether a third axis is time.
-    """
+    """Return a recipe scaled to a file's size by `Recipe.fitted`, and warn if ``how`` is not given."""
     made = recipe.fitted(size, how, time=time, name=name)
     if how is None and recipe.size is not None and made.strokes != recipe.strokes:
         warnings.warn(

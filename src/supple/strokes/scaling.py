@@ -52,25 +52,9 @@ class Scaling:
 def scaling_of(
     made: Sequence[int], size: Sequence[int], how: Fit | None = None, *, time: bool = False, name: str = "this"
 ) -> Scaling | None:
-    """Return the map of coordinates from one size to another; None for the identity.
+    """Return the map of coordinates from the size ``made`` to another, as in `Recipe.fitted`; None for the identity.
 
-    Parameters
-    ----------
-    made, size : sequence of int
-        Samples along each axis, x first, in equal numbers: width and height; and frames, or slices.
-    how : str, optional
-        Without it, only images of the same proportions fit, within half a pixel, and clips with as many frames.
-        ``"pixels"``: unchanged coordinates; ``"stretch"``: each axis by a factor of its own, and lengths by the
-        geometric mean of those of x and y; ``"inside"``: x and y at the same scale, the largest that fits, centred.
-    time : bool
-        Whether the third axis is time.
-    name : str
-        The owner of the size, for the message.
-
-    Raises
-    ------
-    SuppleError
-        If the sizes do not fit.
+    SuppleError if the sizes do not fit, in which ``name`` owns the second one.
     """
     if how is not None:
         choice("fit", how, FITS)

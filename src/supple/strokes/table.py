@@ -1,10 +1,12 @@
-"""The packed table of strokes that the core reads."""
+"""The packed table of strokes that the core reads; and the straight grabs that make up one along a path."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -85,16 +87,7 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = Fa
 
 
 def matrix_of(stroke: Stroke, spacing: Sequence[float], *, time: bool = False) -> npt.NDArray[np.float64]:
-    """Return ∂K/∂p at the pivot, in physical units, shape (3, 3): R - I of a rotation R, for instance.
-
-    Parameters
-    ----------
-    stroke : Stroke
-    spacing : sequence of float
-        Physical units per sample, x first.
-    time : bool
-        Whether the third axis is time.
-    """
+    """Return ∂K/∂p at the pivot, in physical units, shape (3, 3): R - I of a rotation R, for instance."""
     made, plane = np.zeros((3, 3)), time or stroke.ndim == 2
     axis = _axis_of(stroke, spacing)
     if stroke.angle is not None:
@@ -168,3 +161,43 @@ def _terms(radius: float, poisson: float, scales: int, brush: Brush) -> npt.NDAr
 def numbers(table: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
     """Return a table's rows in the layout of the native core: float64 (n, `ROW`), with the bits of the integers."""
     return np.ascontiguousarray(table).view(np.float64).reshape(len(table), ROW)
+
+
+def legs(stroke: Stroke, spacing: Sequence[float]) -> tuple[Stroke, ...]:
+    """Return the straight grabs, one after the other, that make up a grab along a path.
+
+    Points within a twentieth of the radius of the straight line between others are left out; of crooked paths,
+    more, so that a path has at most four legs for each radius of its length. ``spacing`` is in physical units per
+    sample, as the radius is.
+    """
+    end = tuple(a + b for a, b in zip(stroke.at, stroke.by, strict=True))
+    points = np.array([stroke.at, *stroke.path, end])
+    places = points * spacing
+    length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+    tolerance, kept = 0.05 * stroke.radius, [0, len(points) - 1]
+    while True:
+        kept = [0, *_corners(places, 0, len(points) - 1, tolerance), len(points) - 1]
+        if len(kept) - 1 <= 4 * max(1.0, length / stroke.radius):
+            break
+        tolerance *= 2
+    ways = pairwise(kept)
+    return tuple(
+        replace(stroke, at=tuple(points[i].tolist()), by=tuple((points[j] - points[i]).tolist()), path=())
+        for i, j in ways
+    )
+
+
+def _corners(points: npt.NDArray[np.float64], first: int, last: int, tolerance: float) -> list[int]:
+    """Return the points of a line between two of it that are needed to stay within a tolerance (Douglas-Peucker)."""
+    if last - first < 2:
+        return []
+    way, offs = points[last] - points[first], points[first + 1 : last] - points[first]
+    length2 = float(way @ way)
+    along = np.clip(offs @ way / length2, 0, 1) if length2 > 0 else np.zeros(len(offs))
+    away = np.linalg.norm(offs - along[:, None] * way, axis=1)
+    worst = int(np.argmax(away))
+    if away[worst] <= tolerance:
+        return []
+    middle = first + 1 + worst
+    before, behind = _corners(points, first, middle, tolerance), _corners(points, middle, last, tolerance)
+    return [*before, middle, *behind]

@@ -27,14 +27,7 @@ _NEWER = ("chord",)  # and after version 2
 
 
 def written(members: Mapping[str, object], strokes: Iterable[Stroke]) -> str:
-    """Return the text of a recipe; members that are None are left out, but for the border.
-
-    Parameters
-    ----------
-    members : dict
-        The fields of the recipe, but for its strokes.
-    strokes : iterable of Stroke
-    """
+    """Return the text of a recipe of some fields and strokes; fields that are None are left out, but for the border."""
     strokes = list(strokes)
     # Twists alone differ from those of version 2.
     version = VERSION if any(stroke.brush == "twist" for stroke in strokes) else 2
@@ -46,19 +39,7 @@ def written(members: Mapping[str, object], strokes: Iterable[Stroke]) -> str:
 
 
 def read(text: str, names: Sequence[str]) -> dict[str, Any]:
-    """Return the fields of a recipe from its text; `Recipe` checks all but the strokes.
-
-    Parameters
-    ----------
-    text : str
-    names : sequence of str
-        The fields of recipes.
-
-    Raises
-    ------
-    SuppleError
-        If it is not a recipe.
-    """
+    """Return the fields of a recipe from its text, by their names; `Recipe` checks all but the strokes."""
     data = _parse(text)
     if not isinstance(data, dict):
         refuse("a recipe", "a JSON object", data)

@@ -160,15 +160,10 @@ def _tensor(values: npt.ArrayLike, like: torch.Tensor) -> torch.Tensor:
 def items(
     deformation: Deformation | Sequence[Deformation], tensors: dict[str, torch.Tensor | None]
 ) -> tuple[list[tuple[Deformation, Given]], tuple[int, ...], bool]:
-    """Return the deformations of the items of a batch, whose shape is the second value, with strokes as tensors say.
+    """Return the deformations of the items of a batch, with strokes as tensors say, their shape, and if it is a batch.
 
-    Beside each are the tensors (at, by, radius) if gradients of them are wanted, or none. The flag is whether there is
-    a batch: else, the only deformation is for all of a tensor.
-
-    Raises
-    ------
-    SuppleError
-        If the arguments do not fit each other.
+    Without one, the only deformation is for all of a tensor. Beside each are the tensors (at, by, radius) if gradients
+    of them are wanted, or none. SuppleError if the arguments do not fit each other.
     """
     many: Any = [deformation] if isinstance(deformation, Deformation) else deformation
     if not isinstance(many, Sequence) or not many or not all(isinstance(d, Deformation) for d in many):

@@ -127,11 +127,6 @@ def forward(
     tensor of shape (..., D)
         The positions, of the same type and device.
 
-    Raises
-    ------
-    SuppleError
-        If an argument does not fit.
-
     Warns
     -----
     FoldWarning
