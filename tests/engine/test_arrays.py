@@ -118,7 +118,7 @@ def test_without_a_stroke_or_force_no_bit_changes(shape: Shape, dtype: str) -> N
     """Any bits at all: NaNs of all kinds, infinities, subnormal numbers, zeros of both signs."""
     kind, n = np.dtype(dtype), len(shape)
     free, held = (Deformation(shape, border=border, on_fold="damp") for border in (None, 64))
-    none = held.grab([3] * n, to=[3] * n, radius=5, reach=None).grab([9] * n, by=[-0.0] * n, radius=1, reach=None)
+    none = held.grab([3] * n, to=[3] * n, radius=5, reach=None).grab([5] * n, by=[-0.0] * n, radius=1, reach=None)
     still = [held, free.grab([3] * n, by=[0] * n, radius=5, reach=None), none]
     for channels in (1, 4):
         raw = np.random.default_rng(2).integers(0, 256, math.prod(shape) * channels * kind.itemsize, np.uint8)
