@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.deformation import Deformation
+from supple.engine.sampling import Sampling
 from supple.folding.resolved import FLOW_GAP, FLOW_MARGIN, Table, beta_at
 from supple.folding.strain import weakest
 from supple.space.domain import Border, checked_border, integer, items, length, number, refuse
@@ -30,6 +31,7 @@ Floats = npt.NDArray[np.float64]
 Seed = int | np.random.Generator | None
 
 MOST_STROKES = 1000
+_LINEAR = Sampling("linear")
 SLACK = 0.85  # of max_displacement: the most where it is measured; between these points it may be more
 _EDGE, _FACE = 16, 8  # parts of a radius, at which the edges of boxes are followed, and the faces of those in volumes
 _CHANNELS = 4  # the most that the last of three axes has, to be taken for channels
@@ -177,16 +179,15 @@ class RandomElastic:
         seed: Seed = None,
         shape: Sequence[int] | Grid | None = None,
         spacing: float | Sequence[float] = 1.0,
-        filter: str = "linear",
-        outside: str = "edge",
-        fill: float | Sequence[float] = 0.0,
+        sampling: Sampling = _LINEAR,
+        **options: Any,
     ) -> Sample:
         """Draw a deformation, and apply it to an image and to what belongs to it.
 
         Parameters
         ----------
         image : array of shape (H, W[, C]) or (Z, H, W[, C])
-        labels, points, boxes, filter, outside, fill
+        labels, points, boxes, sampling, **options
             As in `apply`.
         seed, spacing
             As in `draw`.
@@ -203,7 +204,7 @@ class RandomElastic:
         if shape is None:
             shape = _shape_of(array)
         d = self.draw(shape, seed, spacing=spacing)
-        return apply(d, array, labels=labels, points=points, boxes=boxes, filter=filter, outside=outside, fill=fill)
+        return apply(d, array, labels=labels, points=points, boxes=boxes, sampling=sampling, **options)
 
 
 def apply(
@@ -213,9 +214,8 @@ def apply(
     labels: npt.ArrayLike | None = None,
     points: npt.ArrayLike | None = None,
     boxes: npt.ArrayLike | None = None,
-    filter: str = "linear",
-    outside: str = "edge",
-    fill: float | Sequence[float] = 0.0,
+    sampling: Sampling = _LINEAR,
+    **options: Any,
 ) -> Sample:
     """Apply a deformation to an image and to what belongs to it.
 
@@ -230,22 +230,22 @@ def apply(
         In samples, x first: the first sample is at 0.
     boxes : array_like, shape (N, 2 D), optional
         As in `moved_boxes`.
-    filter, outside, fill
-        Of the image, as in `Deformation.warp`; labels have the same boundary mode.
+    sampling : Sampling, optional
+        How the image is sampled, by ``filter="linear"`` by default; further keywords replace its fields. Labels have
+        the same boundary mode.
     """
     one_thread_in_workers()
     if not isinstance(deformation, Deformation):
         refuse("deformation", "a Deformation (RandomElastic.draw returns one)", deformation)
+    sampling = Sampling.of(sampling, options, deformation.ndim)
     if labels is not None and (found := np.shape(labels))[: deformation.ndim] != deformation.shape:
         refuse("labels", f"of shape {deformation.shape}, with or without channels", told=f"shape {found}")
     return Sample(
         # Of four channels, the last need not be opacity.
-        None
-        if image is None
-        else deformation.warp(np.asarray(image), filter=filter, outside=outside, fill=fill, alpha=False),
+        None if image is None else deformation.warp(np.asarray(image), sampling=sampling, alpha=False),
         None
         if labels is None
-        else deformation.warp(np.asarray(labels), filter="nearest", outside=outside, alpha=False),
+        else deformation.warp(np.asarray(labels), filter="nearest", outside=sampling.outside, alpha=False),
         None if points is None else deformation.forward(_rows("points", points, deformation.ndim)),
         None if boxes is None else moved_boxes(deformation, boxes),
         deformation,
