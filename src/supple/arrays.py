@@ -274,7 +274,7 @@ def _on_device(
     batch: bool = False,
 ) -> tuple[Any, Certificate]:
     """Warp an array on its CUDA device."""
-    from supple.cuda.job import sample
+    from supple.cuda import sample
 
     if clamp:
         refuse("clamp", "False for an array on a CUDA device: clip the result there", clamp)

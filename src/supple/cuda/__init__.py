@@ -3,15 +3,78 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
-from supple.cuda import job
-from supple.cuda.job import Warping
-from supple.engine.sampling import DEFAULT, Sampling
-from supple.engine.work import Deforming, spaces_of
-from supple.space.domain import integer
+from supple.cuda.arrays import DeviceArray, as_stream, checked_out, made_like, stream_of, taken
+from supple.cuda.device import Event, Stream, keep, release_passed
+from supple.cuda.warp import Told
+from supple.cuda.warp import warp as warp_planes
+from supple.engine.devices import note
+from supple.engine.sampling import DEFAULT, Certificate, Sampling, warn_of
+from supple.engine.work import Deforming, Space, Work, check_count, spaces_of, work_of
+from supple.space.domain import integer, refuse
 
-__all__ = ["start"]
+__all__ = ["Warping", "sample", "start"]
+
+
+class Warping:
+    """An asynchronous warp on a GPU, returned by `start`.
+
+    Attributes
+    ----------
+    array : array
+        The result, of the source's library; complete when the warp is done.
+    stream : Stream
+        The stream of the warp; ``stream.handle`` is CUDA's.
+    """
+
+    def __init__(self, work: Work, source: DeviceArray, result: Any, stream: Stream, told: Told, event: Event) -> None:
+        self.array, self.stream = result, stream
+        self._work, self._source, self._told, self._event = work, source, told, event
+        self._certificate: Certificate | None = None
+
+    def done(self) -> bool:
+        """Return whether the warp is done, without waiting."""
+        with self._source.gpu.current():
+            return self._event.done()
+
+    def wait(self) -> Any:
+        """Wait for the warp; return the result.
+
+        Warns
+        -----
+        ToleranceWarning
+            If the map may be less accurate than the tolerance.
+        """
+        if self._certificate is None:
+            warn_of(self._known(), self._work.sampling.tolerance, 3)
+        return self.array
+
+    def _known(self) -> Certificate:
+        """Wait for the warp; return how accurate it is."""
+        with self._source.gpu.current():
+            self._event.synchronize()
+            release_passed()
+        self._certificate = self._told.certificate(self._work.space)
+        return self._certificate
+
+    def join(self, stream: Any = None) -> None:
+        """Make a stream, by default the current one of the source's library, wait for the warp."""
+        source = self._source
+        with source.gpu.current():
+            where = stream_of(source.given, source.kind) if stream is None else as_stream(stream)
+            where.wait(self._event)
+
+    def __repr__(self) -> str:
+        return f"<Warping of {self._source.shape}, {'done' if self.done() else 'going on'}>"
+
+    @property
+    def error(self) -> float:
+        """Return a bound on the error of source points by the checks, in pixels; it waits."""
+        self.wait()
+        assert self._certificate is not None
+        return self._certificate.error
 
 
 def start(
@@ -57,5 +120,62 @@ def start(
     sampling = Sampling.of(sampling, options, spaces[0].ndim)
     if slab is not None:
         slab = integer("slab", slab, "a number of planes from 1 on", 1, 1 << 30)
-    work, held, result = job.prepared(source, spaces, sampling, alpha, out, batch=isinstance(deformations, Sequence))
-    return job.start(work, held, result, slab=slab, stream=stream)
+    work, held, result = _prepared(source, spaces, sampling, alpha, out, batch=isinstance(deformations, Sequence))
+    return _started(work, held, result, slab=slab, stream=stream)
+
+
+def _prepared(
+    source: Any, spaces: tuple[Space, ...], sampling: Sampling, alpha: bool | None, out: Any, *, batch: bool
+) -> tuple[Work, DeviceArray, DeviceArray]:
+    """Return the work on an array of a GPU, or on a batch (N, ...), the array, and that of the result."""
+    held = taken(source, "source")
+    if batch:
+        check_count(spaces, held.shape[0] if held.ndim else 0)
+    work = work_of(held.shape[1:] if batch else held.shape, held.dtype, spaces[0], sampling, alpha)
+    if batch:
+        work = replace(work, items=spaces)
+    shape, space = held.shape, work.space
+    if space.grid is not None:
+        shape = (*shape[:batch], *space.out, *shape[batch + len(space.whole) :])
+    if out is not None:
+        return work, held, checked_out(out, held, shape)
+    return work, held, made_like(held, shape, held.dtype, as_it_lies=shape == held.shape)
+
+
+def _started(
+    work: Work, source: DeviceArray, out: DeviceArray, *, slab: int | None = None, stream: Any = None
+) -> Warping:
+    """Start a warp on a stream, by default one of its own; it begins after earlier work of the arrays' streams."""
+    if source.size == 0:
+        refuse("source", "a batch of one item or more", told=f"shape {source.shape}")
+    space, layout, sampling, batch = work.space, work.layout, work.sampling, work.items is not None
+    coloured = source.ndim > len(space.whole) + batch
+    # Images are the planes of one launch; of stacks, each is painted by itself.
+    if space.ndim == 2:
+        parts = [(work, source.shape[0] if batch else space.count)]
+    else:
+        stacks = [work.spaces[k % len(work.spaces)] for k in range(source.shape[0] if batch else 1)]
+        parts = [(Work(own, layout, sampling), own.planes[0]) for own in stacks]
+    with source.gpu.current():
+        where = source.gpu.stream() if stream is None else as_stream(stream)
+        for array in (source, out):
+            if array.stream != where:
+                where.wait(array.stream.record())
+        told, lattices = Told(where), []
+        for k, (part, count) in enumerate(parts):
+            given, made = (array.samples(k, coloured) for array in (source, out))
+            lattices.append(warp_planes(source.gpu, part, source.dtype, told, given, made, (0, count), slab=slab))
+        told.send()
+        event = keep(where, source, out, told, lattices)
+    note(source.gpu.name)
+    return Warping(work, source, out.given, where, told, event)
+
+
+def sample(
+    source: Any, spaces: tuple[Space, ...], sampling: Sampling, alpha: bool | None, out: Any, *, batch: bool = False
+) -> tuple[Any, Certificate]:
+    """Return an array of a GPU, or a batch, warped on the current stream of its library; with the certificate."""
+    work, held, result = _prepared(source, spaces, sampling, alpha, out, batch=batch)
+    if held.size == 0:  # an empty batch
+        return result.given, Certificate(0.0, 0.0)
+    return result.given, _started(work, held, result, stream=held.stream)._known()
