@@ -13,6 +13,7 @@ import supple.cuda
 from supple.cuda import warp
 from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
 from tests import reference
+from tests.cuda.at_size import typed
 from tests.cuda.driver import on_host, sent
 from tests.cuda.expected import expected, sources, untouched
 from tests.engine.table import Limits, Row, rows
@@ -73,18 +74,6 @@ def waves(shape: tuple[int, ...], channels: int = 0) -> np.ndarray:
     along = sum(s * p for s, p in zip(slopes, places, strict=True))
     out = 0.5 + 0.5 * np.sin(np.asarray(along)[..., None] + phases)
     return out if channels else out[..., 0]
-
-
-def typed(values: np.ndarray, dtype: Any) -> np.ndarray:
-    """Values from 0 to 1 in the numbers of a type."""
-    kind = np.dtype(dtype)
-    if kind == np.bool_:
-        return values > 0.5
-    if kind.kind == "f":
-        return values.astype(kind)
-    top = min(np.iinfo(kind).max, 1 << 50)
-    low = 0 if kind.kind == "u" else -top / 3
-    return np.rint(low + values * (top - low)).astype(kind)
 
 
 def range_of(source: np.ndarray) -> float:
@@ -301,19 +290,6 @@ def test_the_certificate_holds() -> None:
     far = supple.Deformation((9, 9), border=None, on_fold="damp").grab((4, 4), by=(1e9, 0), radius=1e9, reach=None)
     with pytest.warns(ToleranceWarning, match="more than the tolerance 1e-09"):
         far.warp(sent(np.zeros((9, 9), np.float32)), tolerance=1e-9)
-
-
-def test_warps_that_are_not_waited_for() -> None:
-    d = gentle(STACK)
-    source = waves(STACK).astype(np.float32)
-    wanted = expected(d, source, filter="linear")
-    out = sent(np.zeros_like(source))
-    warping = supple.cuda.start(sent(source), d, filter="linear", tolerance=TIGHT, slab=2, out=out)
-    warping.join()
-    assert warping.wait() is out
-    assert warping.done()
-    close(on_host(out), wanted, source)
-    assert 0 < warping.error <= TIGHT
 
 
 def test_what_cannot_be_done_is_said() -> None:
