@@ -20,7 +20,7 @@ import numpy as np
 from supple.errors import SuppleError, VolumeWarning, said
 from supple.media.files import PathLike
 from supple.media.stores.places import Place, quiet
-from supple.media.transforms.omezarr import Json, ome_of, space_matrix
+from supple.media.transforms.ngff import Json, ome_of, space_matrix
 from supple.space.geometry import Grid
 
 LABELS = "labels"

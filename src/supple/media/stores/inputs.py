@@ -14,7 +14,7 @@ from supple.media.files import PathLike
 from supple.media.stores.image import StoredImage, described
 from supple.media.stores.places import Place, quiet
 from supple.media.stores.samples import Samples
-from supple.media.transforms.omezarr import ORIENTATIONS
+from supple.media.transforms.ngff import ORIENTATIONS
 from supple.space.geometry import Geometry
 
 _CHUNK = {2: 512, 3: 64}

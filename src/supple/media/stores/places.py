@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from supple.errors import SuppleError, need, said
 from supple.media.files import PathLike, _refused, is_store, protocol_of, unreadable, unwritable
-from supple.media.transforms.omezarr import imported
+from supple.media.transforms.ngff import imported
 
 MARKER = "supple.json"
 """The file in the root of an output that is being written."""

@@ -13,7 +13,7 @@ import numpy as np
 from supple.media.stores.image import Level, StoredImage
 from supple.media.stores.places import Place
 from supple.media.stores.pyramid import Step, step_of
-from supple.media.transforms.omezarr import ome_of
+from supple.media.transforms.ngff import ome_of
 
 
 class Plan(NamedTuple):
