@@ -19,7 +19,7 @@ from supple.files import fields as verbs
 from supple.files.fields import Input, check_file, compose_files, convert_file, invert_file
 from supple.files.maps import grid_of, read_file
 from supple.media import transforms, volume
-from supple.media.transforms.conventions import CONVENTIONS, PULL, PUSH
+from supple.media.transforms import CONVENTIONS, PULL, PUSH
 from supple.space.geometry import Geometry
 from tests.sampled_fields import GRID, moved, positions, sine, smooth
 
