@@ -37,7 +37,7 @@ from supple.files.plans import chunks_of, plan_boxes, plan_file, task_shape  # n
 from supple.files.stores import WarpedStore, warp_store  # noqa: E402
 from supple.files.tasks import Running, runner_of  # noqa: E402
 from supple.media.stores import Target, open_image  # noqa: E402
-from supple.media.stores.pyramid import reduced  # noqa: E402
+from supple.media.stores.levels import reduced  # noqa: E402
 from tests.children import ROOT, SOURCE  # noqa: E402
 from tests.media.stores.images import image  # noqa: E402
 

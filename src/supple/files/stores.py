@@ -39,7 +39,7 @@ from supple.media.stores import (
     create,
     holding,
 )
-from supple.media.stores.pyramid import Mode
+from supple.media.stores.levels import Mode
 from supple.media.transforms.ngff import Placement
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import Fit, Recipe

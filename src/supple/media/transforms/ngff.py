@@ -46,6 +46,8 @@ _LINEAR = ("identity", *_PARAMETERS, "byDimension")
 _TYPES = (*_LINEAR, "sequence", "bijection", *_KINDS)
 
 Json = Mapping[str, Any]
+Refusal = Callable[[str, str], SuppleError]
+"""It returns an error from what was found and what would do."""
 
 
 def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
@@ -212,11 +214,11 @@ def imported(what: str = "transformations of OME-Zarr") -> Any:
     return zarr
 
 
-def space_matrix(axes: Sequence[Json], units: Sequence[str | None], error: Callable[[str, str], SuppleError]) -> Matrix:
+def space_matrix(axes: Sequence[Json], units: Sequence[str | None], error: Refusal) -> Matrix:
     """Return the matrix from coordinates along axes, as stored, to millimetres in LPS, x first.
 
     ``axes`` are the descriptions of two or three axes: names, and types and orientations if they have any. Coordinates
-    along an axis without a unit are left as they are. ``error`` makes an error of what was found and what would do.
+    along an axis without a unit are left as they are. ``error`` returns the error to raise.
     """
     names = [str(axis["name"]) for axis in axes]
     n, listed = len(axes), ", ".join(names)
@@ -248,6 +250,18 @@ def ome_of(attributes: Json) -> Json:
     return ome if isinstance(ome, Mapping) else {}
 
 
+@contextlib.contextmanager
+def parsing(refused: Refusal) -> Iterator[None]:
+    """Convert errors of metadata whose parts are missing, or of another type, to one sentence."""
+    try:
+        yield
+    except SuppleError:
+        raise
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        what = f"its metadata are incomplete or malformed ({type(error).__name__}: {error})"
+        raise refused(what, "see the specification of OME-Zarr") from error
+
+
 class Store:
     """A Zarr store whose transformation is read."""
 
@@ -273,20 +287,9 @@ class Store:
         except Exception as error:  # zarr's codecs raise any of them
             raise self.error(f"{what} ({said(error)})") from error
 
-    @contextlib.contextmanager
-    def parsing(self) -> Iterator[None]:
-        """Convert errors of metadata whose parts are missing, or of another type, to one sentence."""
-        try:
-            yield
-        except SuppleError:
-            raise
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-            what = f"its metadata are incomplete or malformed ({type(error).__name__}: {error})"
-            raise self.error(what, "see the specification of OME-Zarr 0.6") from error
-
     def contents(self) -> tuple[Content, ...]:
         """Return what the store holds, in millimetres in LPS, x first."""
-        with self.parsing():
+        with parsing(self.error):
             found, holder = self._only()
             before, after = self._systems(found, holder)
             made = self._parts(found, len(before) - 1)
