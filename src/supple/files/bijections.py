@@ -39,31 +39,15 @@ _PACKING = threading.Lock()
 
 @dataclass(frozen=True, slots=True)
 class SavedField:
-    """The map of a job, that was written beside its output.
-
-    Parameters
-    ----------
-    address : str
-        The file, folder or address.
-    tolerance : float
-        The largest distance of T⁻¹(q) from where it is, in samples of the input.
-    forward : float
-        The error estimate from the checks of T⁻¹, before it is rounded to float32: in samples of the input; infinite if
-        it is not known everywhere.
-    inverse : float or None
-        That of T: 0 without fields, since T is explicit then. None if T was not written.
-    blocks, stored, done : int
-        The number of chunks; of those that are stored, since something moves there; and of those that were there
-        already, from a job that was interrupted.
-    """
+    """The map of a job, that was written beside its output."""
 
     address: str
-    tolerance: float
-    forward: float
-    inverse: float | None = None
-    blocks: int = 0
-    stored: int = 0
-    done: int = 0
+    tolerance: float  # the largest distance of T⁻¹(q) from where it is, in samples of the input
+    forward: float  # the error estimate of T⁻¹, in samples of the input; infinite if it is not known everywhere
+    inverse: float | None = None  # that of T: 0 without fields, since T is explicit then; None if T was not written
+    blocks: int = 0  # the number of chunks
+    stored: int = 0  # of those that are stored, since something moves there
+    done: int = 0  # of those that were there already, from a job that was interrupted
 
 
 class Begun(NamedTuple):
@@ -114,18 +98,9 @@ def is_scene(address: PathLike | None) -> bool:
 
 
 def check_field(address: PathLike, others: Sequence[PathLike], *, flat: bool, force: bool) -> None:
-    """Raise SuppleError, before any work, for a field that cannot be written.
+    """Raise SuppleError, before any work, for a field that cannot be written, or is one of the ``others``.
 
-    Parameters
-    ----------
-    address : str or os.PathLike
-        That of the field.
-    others : sequence of str or os.PathLike
-        The input and the output, which it must not be, or lie in.
-    flat : bool
-        Whether the map is that of a picture, of which OME-Zarr alone holds fields.
-    force : bool
-        Whether an existing file may be replaced; `check_free` asks that of a scene.
+    These are the input and the output; ``flat`` says that the map is of a picture, whose fields OME-Zarr alone holds.
     """
     if any(overlap(address, other) for other in others):
         raise SuppleError(f"{shown(address)} cannot be the field and an image too: give it a place of its own")
@@ -142,22 +117,9 @@ def check_field(address: PathLike, others: Sequence[PathLike], *, flat: bool, fo
 def begin_field(
     address: PathLike, image: StoredImage, warp: Warp, samples: ngff.Placement, job: str, *, force: bool
 ) -> Begun:
-    """Plan a scene; SuppleError if it cannot be written.
+    """Plan a scene of a map, along the axes of an input and in its units; SuppleError if it cannot be written.
 
-    Parameters
-    ----------
-    address : str or os.PathLike
-        Where it is written.
-    image : StoredImage
-        The input, along whose axes displacements are written, in its units.
-    warp : Warp
-        The map.
-    samples : Placement
-        Where the samples of the output lie.
-    job : str
-        That of the output, beside which it is written.
-    force : bool
-        Whether an existing store may be replaced.
+    ``samples`` is where those of the output lie, and ``job`` that of the output, beside which it is written.
     """
     first, axes = image.levels[0], list(image.spatial)
     scale, translation = ([values[axis] for axis in axes] for values in (first.scale, first.translation))

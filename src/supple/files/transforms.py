@@ -43,7 +43,7 @@ def displacement_of(
     deformation : Deformation
         A deformation of a volume.
     geometry : Geometry
-        The geometry of the volume; of the output, if it has another grid.
+        Of the volume; of the output, if it has another grid.
     tolerance : float
         The largest distance of a source point from T⁻¹(q), in voxels.
     out : float32 array, optional
@@ -51,22 +51,12 @@ def displacement_of(
     grid : Grid, optional
         The grid of the output, if it is not that of the input; the deformation must then know its place in space.
     warn : bool
-        Whether to warn.
+        Whether to give a ToleranceWarning if the checks of the map's cells do not promise the tolerance everywhere.
 
     Returns
     -------
     float32 array, shape (Z, H, W, 3)
         The position of T⁻¹(q) minus that of q, in millimetres along the axes of LPS, x first.
-
-    Raises
-    ------
-    SuppleError
-        If the deformation is of an image, or the tolerance is not a number above 0.
-
-    Warns
-    -----
-    ToleranceWarning
-        If the checks of the map's cells do not promise the tolerance everywhere.
     """
     _check(deformation)
     tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
@@ -98,24 +88,9 @@ def pull_of(
 ) -> Certificate:
     """Write T⁻¹(q) - q for all samples q of the output, or of the part of it that the map's grid is.
 
-    Parameters
-    ----------
-    space : Space
-        The map.
-    matrix : float64 array, shape (D, D)
-        From a vector in samples of the input, x first, to what is written.
-    tolerance : float
-        In samples.
-    out : float32 array, shape (H, W, D) or (Z, H, W, D)
-        The array for the result.
-    turned : (float64 array, float64 array), optional
-        The matrix and the shift from an index of the output's whole grid to one of the input; by default, they are the
-        same.
-
-    Returns
-    -------
-    Certificate
-        The accuracy of T⁻¹, before it is rounded to float32.
+    ``matrix`` leads from a vector in samples of the input, x first, to what is written, and ``turned``, a matrix and a
+    shift, from an index of the output's whole grid to one of the input, if they differ. The certificate is of T⁻¹, in
+    samples, before it is rounded to float32.
     """
     planes = out if space.ndim == 3 else out[None]
     first = (0,) * space.ndim if space.grid is None else space.grid.first
@@ -149,21 +124,8 @@ def write_transform(
 ) -> None:
     """Write a deformation of a volume as a displacement field for ITK, ANTs and 3D Slicer.
 
-    Parameters
-    ----------
-    target : str or os.PathLike
-        ``.nii``, ``.nii.gz``, ``.nrrd``, ``.mha`` or ``.h5``; see `supple.media.transforms.write_field`.
-    deformation, geometry, tolerance, grid
-        As in `displacement_of`.
-    force : bool
-        Whether to replace an existing file.
-    warn : bool
-        Whether to warn as `displacement_of` does.
-
-    Raises
-    ------
-    SuppleError
-        As in `displacement_of`, or if the file cannot be written (checked before any work, if possible).
+    The target is ``.nii``, ``.nii.gz``, ``.nrrd``, ``.mha`` or ``.h5``; an existing file is replaced with ``force``.
+    Other arguments are those of `displacement_of`.
     """
     check_target(target)
     check_output(target, force=force)

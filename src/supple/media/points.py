@@ -15,7 +15,7 @@ import numpy.typing as npt
 from supple.errors import SuppleError, shown
 from supple.media import meshes
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable
-from supple.media.meshes.base import Ints, Mesh, Part
+from supple.media.meshes import Ints, Mesh, Part
 from supple.media.tables import Table, parsed
 from supple.media.volume import Volume
 from supple.space.domain import LARGEST, value_shown

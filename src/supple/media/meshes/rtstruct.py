@@ -16,7 +16,7 @@ import numpy as np
 
 from supple.errors import SuppleError, VolumeWarning, said, shown
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes.base import Floats, Mesh, Part, checked, joined, part_of
+from supple.media.meshes import Floats, Mesh, Part, checked, joined, part_of
 from supple.media.volume import Volume
 from supple.media.volume.derived import WARNING, ended, imported, series_number
 from supple.media.volume.frames import frames_of

@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes.base import Floats, Mesh, checked, edited, in_rows, in_text, part_of, space_of
+from supple.media.meshes import Floats, Mesh, checked, edited, in_rows, in_text, part_of, space_of
 
 _FACET = [("numbers", "<f4", 12), ("attribute", "<u2")]  # a normal and three vertices
 _HEAD = 84

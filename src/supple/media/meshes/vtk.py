@@ -8,7 +8,7 @@ import numpy as np
 
 from supple.errors import shown
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes.base import (
+from supple.media.meshes import (
     NO_RUNS,
     Floats,
     Ints,

@@ -58,22 +58,21 @@ def check(path: PathLike, like: Volume | None = None, *, force: bool = False) ->
     """
     imported()
     many, single = like is not None and isinstance(like.header, str), Path(path).suffix != ""
-    if like is not None and single and not many:
+    if like is not None and not many and single:
         raise unwritable(path, f"{like.name} is of slices", "give a folder for slices, which is a name without suffix")
     if like is not None and many:
-        if not single:
-            what = f"{like.name} is one DICOM file of many frames, and so is what is derived from it"
-            raise unwritable(path, what, "use .dcm, .nii.gz, .nrrd or .mha")
         known = _source(path, like)
-        if known.head.get("BitsAllocated") not in (8, 16, 32):
-            what = f"{like.name} has {known.head.get('BitsAllocated')} bits to a pixel, which are not written"
-            raise unwritable(path, what, "use .nii.gz, .nrrd or .mha")
-        if known.places is None and (like.regridded or known.head.get(_GROUPS)):
-            what = f"{like.name} does not tell where each frame lies, in millimetres"
-            raise unwritable(path, what, "use .nii.gz, .nrrd or .mha")
-        if like.geometry.shear and not known.head.get(_GROUPS):
-            what = f"frames of {like.name} lie along their normal, and not at an angle"
-            raise unwritable(path, what, "use .nii.gz, .nrrd or .mha")
+        what, bits, groups = "", known.head.get("BitsAllocated"), known.head.get(_GROUPS)
+        if not single:
+            what = "is one DICOM file of many frames, and so is what is derived from it: name it .dcm"
+        elif bits not in (8, 16, 32):
+            what = f"has {bits} bits to a pixel, which are not written"
+        elif known.places is None and (like.regridded or groups):
+            what = "does not tell where each frame lies, in millimetres"
+        elif like.geometry.shear and not groups:
+            what = "has frames along their normal, and not at an angle"
+        if what:
+            raise unwritable(path, f"{like.name} {what}", "use .nii.gz, .nrrd or .mha")
     if single or not os.path.isdir(path):
         check_output(path, force=force)
     elif os.listdir(path):
@@ -84,11 +83,7 @@ def _source(path: PathLike, like: Volume) -> Frames:
     try:
         return frames_of(like.header)
     except SuppleError as error:
-        raise _gone(path, like) from error
-
-
-def _gone(path: PathLike, like: Volume) -> SuppleError:
-    return unwritable(path, f"{like.name} is not readable any more", "bring it back")
+        raise unwritable(path, f"{like.name} is not readable any more", "bring it back") from error
 
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
@@ -101,21 +96,8 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     stored in 16 bits. Frames are as slices, and have one slope; the image type of those with functional groups is
     ``DERIVED\PRIMARY``, since their classes have no other.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        The folder, if the source is of slices; else the file.
-    samples : ndarray, shape (Z, H, W) or (Z, H, W, 3)
-        In the units of the files (Hounsfield's, for CT); of doses, as they are stored.
-    like : Volume
-        The source, with the paths of its slices, or its own, as the header, and the geometry to write.
-    force : bool
-        Whether to replace an existing file.
-
-    Raises
-    ------
-    SuppleError
-        As in `check`; if a slice of the source cannot be read any more; or what is written cannot be.
+    Samples (Z, H, W) or (Z, H, W, 3) are in the units of the files (Hounsfield's, for CT); of doses, as they are
+    stored. ``like`` is the source, with the paths of its slices, or its own, as the header, and the geometry to write.
     """
     pydicom = imported()
     check(path, like, force=force)
@@ -147,7 +129,7 @@ def _write_slices(pydicom: Any, path: PathLike, samples: Array, like: Volume, _:
     try:
         heads = [pydicom.dcmread(name, stop_before_pixels=True) for name in like.header]
     except Exception as error:  # pydicom has many
-        raise _gone(path, like) from error
+        raise unwritable(path, f"{like.name} is not readable any more", "bring it back") from error
     places, stamp = np.array([_place_of(head) for head in heads]), _stamp(pydicom)
     common = {_scale_of(head) for head in heads}
     with replacing_all(Path(path)) as folder:
