@@ -143,7 +143,7 @@ def warp(
     if len(paths) < 2:
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
     console.started(**options.asked(), file=paths[0] if len(paths) == 2 else "")
-    Sampling.checked(filter=filter)
+    Sampling(filter)
     grid = output.to_grid()
     recipe = strokes.to_recipe(
         world=volume.world, empty=maps.any or maps.dangling or grid is not None, others=OTHERS,

@@ -76,10 +76,7 @@ def sampling_of(
     """Return the checked sampling options for a clip's frames."""
     layout: Layout = clip.layout
     name: str = clip.name
-    sampling = Sampling.checked(
-        filter=filter, outside=outside, tolerance=tolerance, linear_light=light, between=between,
-        time_filter=time_filter,
-    )  # fmt: skip
+    sampling = Sampling(filter, tolerance, outside, 0.0, light, between, time_filter)
     if light and (len(layout.groups) > 1 or layout.dtype.kind == "f" or not _is_rgb(layout)):
         raise SuppleError(
             f"{argument('linear_light')} needs frames of RGB or grey of 8 or 16 bits, and {name} has others: leave it "

@@ -113,9 +113,7 @@ def warp_picture_file(
             with replacing(target, force=force) as place:
                 shutil.copyfile(source, place)
             return Warped(Path(source), Path(target), deformation, tolerance)
-        sampling = Sampling.checked(
-            2, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light
-        )
+        sampling = Sampling(filter, tolerance, outside, fill, linear_light)
         bounded = picture.pixels.dtype.kind == "f" if clamp is None else clamp
         nearest, groups = replace(sampling, filter="nearest"), () if layers is None else layers.groups
         options: dict[str, Any] = {"clamp": bounded, "device": device, "name": shown(source)}

@@ -270,10 +270,8 @@ def sampling_of(
     tolerance: float = 0.01,
 ) -> Sampling:
     """Return the sampling options of a volume, equal along all three axes."""
-    return Sampling.checked(
-        filter=filter, tolerance=tolerance, outside=outside, fill=fill, unit="voxels",
-        between="cubic" if filter in ("auto", "cubic") else None, time_filter=filter == "auto",
-    )  # fmt: skip
+    between = "cubic" if filter in ("auto", "cubic") else None
+    return Sampling(filter, tolerance, outside, fill, between=between, time_filter=filter == "auto")
 
 
 def warp_volume(
