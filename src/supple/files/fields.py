@@ -298,9 +298,10 @@ def compose_files(
         here = wanted  # the grid of the image on the side of the output, as far as it is known
         for each in inputs:
             there = None if each.source is None else grid_of(each.source)
-            file = _read_among(inputs, len(read), there or (here if each.inverse else None), here)
+            source = there or (here if each.inverse else None)
+            file = read_file(each.path, each.convention, source=source, reference=None if each.inverse else here)
             check_reference(file, wanted, reference)
-            _warn_of_size(file.path, file.convention, there or (here if each.inverse else None), file.grid)
+            _warn_of_size(file.path, file.convention, source, file.grid)
             read.append(replace(file, inverse=each.inverse))
             moving.append(there)
             here = file.grid if each.inverse else there
@@ -365,21 +366,6 @@ def convert_file(
             _warn_of_size(target, known, moving, wanted or read.grid)
         write_maps(place, maps, known, source=moving, reference=wanted)
     return Written((read,), MapFile(Path(target), known, how, maps, written=True), time.perf_counter() - began)
-
-
-def _read_among(inputs: Sequence[Input], k: int, source: Grid | None, reference: Grid | None) -> MapFile:
-    """Read one of several files that a point goes through in turn; an inverse leads away from its source."""
-    each = inputs[k]
-    try:
-        return read_file(each.path, each.convention, source=source, reference=None if each.inverse else reference)
-    except transforms.MissingGridError as error:
-        if source is None or (k == 0 and not each.inverse):
-            raise
-        before = inputs[k - 1]
-        advice = f"give --source of {shown(before.path)}, which leads to it"
-        if each.inverse or before.inverse:
-            advice = "convert it by itself first (supple convert)"
-        raise SuppleError(f"{str(error).rpartition(': ')[0]}: {advice}") from None
 
 
 def _warn_of_size(path: PathLike, convention: str, source: object, grid: Grid | None) -> None:

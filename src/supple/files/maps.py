@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Field, Map, Placed, own_grid, read_maps, told
+from supple.files.grids import picture_grid
 from supple.media import transforms, volume
 from supple.media.files import unwritable
 from supple.media.volume import is_volume, suffix_of
@@ -101,10 +102,7 @@ def _lifted(flat: Map, grid: Grid) -> Map:
 def grid_of(path: PathLike) -> Grid:
     """Return the grid of a volume, a field in the file of a volume, or a picture."""
     if not is_volume(path):
-        from supple.media.image import info
-
-        facts = info(path)
-        return Grid((int(str(facts["height"])), int(str(facts["width"]))))
+        return picture_grid(path)
     outline = volume.outline_of(path)
     if outline.geometry.convention == "array":
         raise SuppleError(f"{shown(path)} does not say where its voxels lie in space: give an image that does")

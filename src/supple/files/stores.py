@@ -53,66 +53,28 @@ _AT_ONCE = 4096  # tasks that wait at a time, each of which takes a few kilobyte
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WarpedStore:
-    """A Zarr store that was written.
-
-    Parameters
-    ----------
-    source, target : str
-        The addresses of the input and the output.
-    deformation : Deformation
-        The strokes, on the shape along the axes of space.
-    geometry : Geometry or None
-        The place of the voxels in space; None of a picture.
-    tolerance : float
-        The largest distance of a source point from T⁻¹(q), in samples.
-    error : float
-        The error estimate from the checks of the map.
-    shape : tuple of int
-        The shape of the output, of all axes.
-    levels : int
-        The number of its levels.
-    labels : tuple of str
-        The label images that were bent with it.
-    blocks : int
-        The number of blocks of the finest level.
-    done : int
-        Blocks that were there already, from a job that was interrupted.
-    copied : int
-        Blocks whose chunks were copied as they were compressed.
-    read : int
-        Bytes of the samples that were read, uncompressed, without copies: whole chunks, as often as they are read.
-    copied_bytes : int
-        Bytes of the chunks that were copied, compressed.
-    grid : Grid, optional
-        The grid of the output, if it is not that of the input.
-    folded, outside, unsolved : int
-        As in `supple.files.Warped`.
-    field : SavedField, optional
-        The field that was saved beside it.
-    background : float, optional
-        The value of what lies outside of the input, where none was asked for.
-    """
+    """A Zarr store that was written."""
 
     source: str
     target: str
-    deformation: Deformation
-    geometry: Geometry | None
-    tolerance: float
-    error: float
-    shape: tuple[int, ...]
+    deformation: Deformation  # the strokes, on the shape along the axes of space
+    geometry: Geometry | None  # the place of the voxels in space; None of a picture
+    tolerance: float  # the largest distance of a source point from T⁻¹(q), in samples
+    error: float  # the error estimate from the checks of the map
+    shape: tuple[int, ...]  # of the output, of all axes
     levels: int
-    labels: tuple[str, ...]
-    blocks: int
-    done: int
-    copied: int
-    read: int
-    copied_bytes: int
-    grid: Grid | None = None
-    folded: int = 0
+    labels: tuple[str, ...]  # the label images that were bent with it
+    blocks: int  # of the finest level
+    done: int  # blocks that were there already, from a job that was interrupted
+    copied: int  # blocks whose chunks were copied as they were compressed
+    read: int  # bytes that were read, uncompressed, without copies: whole chunks, as often as they are read
+    copied_bytes: int  # of the chunks that were copied, compressed
+    grid: Grid | None = None  # of the output, if it is not that of the input
+    folded: int = 0  # as in `supple.files.Warped`
     outside: int = 0
     unsolved: int = 0
-    field: SavedField | None = None
-    background: float | None = None
+    field: SavedField | None = None  # that was saved beside it
+    background: float | None = None  # the value of what lies outside of the input, where none was asked for
 
     def report(self) -> Report:
         """Return the report on the strokes and the certified error, measured at every sample; this is slow."""
@@ -133,8 +95,6 @@ class Work:
 
 @dataclass(slots=True)
 class _Counts:
-    """What was done: numbers of blocks, and bytes."""
-
     blocks: int = 0
     done: int = 0
     copied: int = 0
@@ -187,10 +147,6 @@ def warp_store(
     tell : function of (str, int, int)
         Called with ``"field"``, ``"plan"``, ``"warp"`` and ``"reduce"``, and the finished and the total number of
         blocks.
-
-    Returns
-    -------
-    WarpedStore
 
     Raises
     ------

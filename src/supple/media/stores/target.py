@@ -66,28 +66,12 @@ def create(
 ) -> Target:
     """Create an output like a stored image, or go on with one that was interrupted.
 
-    It has the same Zarr format, axes, units, chunks, shards, codecs, fill value, attributes and levels.
-
-    Parameters
-    ----------
-    address : str or os.PathLike
-        The folder or address of the output.
-    like : StoredImage
-        The image that it is made from.
-    shape, scale, translation : sequence, optional
-        Of the finest level: its shape along the axes of space; its scale and translation, for all axes. By default,
-        those of ``like``. Coarser levels have the same factors, as long as they become smaller, and the same convention
-        of translations: those of the means, or the same as that of the finest.
-    force : bool
-        Whether to replace an existing Zarr store, and an unfinished output of another job. Where an output is a folder,
-        the old one stays until the new one is finished.
-    job : str
-        What identifies the work: an unfinished output of the same job is continued, with `force` too.
-
-    Raises
-    ------
-    SuppleError
-        If there is something else already, it would overwrite ``like``, or nothing can be written there.
+    It has the same Zarr format, axes, units, chunks, shards, codecs, fill value, attributes and levels as ``like``. The
+    finest level has its shape along the axes of space, and its scale and translation for all axes, unless others are
+    given; coarser levels have the same factors, as long as they become smaller, and the same convention of translations
+    (those of the means, or that of the finest). ``job`` identifies the work: an unfinished output of the same job is
+    continued, with ``force`` too, which replaces an existing Zarr store, and an unfinished output of another job; where
+    an output is a folder, the old one stays until the new one is finished.
     """
     place = Place(address)
     relation = overlap(address, like.address)

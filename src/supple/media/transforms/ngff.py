@@ -127,25 +127,11 @@ def bijection(
 ) -> tuple[dict[str, bytes], tuple[str, str]]:
     """Return the metadata of a scene that holds both directions of a map, as fields without samples yet.
 
-    Parameters
-    ----------
-    axes : sequence of mapping
-        The descriptions of the axes of space, of both images.
-    forward : Placement
-        Of the field from the output image to the input image, on the grid of the output.
-    inverse : Placement
-        Of that from the input to the output, on the grid of the input.
-    name : str
-        Of the transformation.
-
-    Returns
-    -------
-    dict of bytes
-        All files of metadata, by their keys in the store.
-    tuple of str
-        The paths of the arrays of ``forward`` and ``inverse``: float32, of shape (components, ...), the components in
-        the order of the axes. The fill value is 0; chunks hold all components, of 64 samples along each axis of a
-        volume and 512 of a picture: two or three megabytes, a good size for an object, and whole patches of the map.
+    ``forward`` leads from the output image to the input image, on the grid of the output; ``inverse`` back, on the grid
+    of the input. ``axes`` describe the axes of space of both images, and ``name`` is that of the transformation. All
+    files of metadata are returned by their keys in the store, and the paths of both arrays: float32, of shape
+    (components, ...), the components in the order of the axes. The fill value is 0; chunks hold all components, of 64
+    samples along each axis of a volume and 512 of a picture: two or three megabytes, and whole patches of the map.
     """
     from zarr.storage import MemoryStore
 

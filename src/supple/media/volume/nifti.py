@@ -112,7 +112,8 @@ def _pair(path: PathLike) -> tuple[Path, Path]:
     return first, data
 
 
-def _opened(path: PathLike) -> IO[bytes]:
+def opened(path: PathLike) -> IO[bytes]:
+    """Open a file for reading, unpacked if it is compressed by gzip."""
     packed = head_of(path, 2) == _GZIP  # independent of the name
     return cast("IO[bytes]", gzip.open(path)) if packed else open(path, "rb")
 
@@ -123,7 +124,7 @@ def _header(path: Path) -> tuple[Any, bool]:
     from nibabel.spatialimages import HeaderDataError
     from nibabel.wrapstruct import WrapStructError
 
-    with reading(path), _opened(path) as file:
+    with reading(path), opened(path) as file:
         head = file.read(348)
         sizes = {int.from_bytes(head[:4], order) for order in _ORDERS}
         magic = head[4:8] if 540 in sizes else head[344:348]
@@ -180,7 +181,7 @@ def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offse
     sizes = tuple(reversed(shape[:3]))
     wanted = offset + dtype.itemsize * math.prod(shape)
     row = dtype.itemsize * (math.prod(shape[-2:]) if colours else shape[-1])
-    with _opened(path) as file:
+    with opened(path) as file:
         if not isinstance(file, gzip.GzipFile):
             found = os.stat(path).st_size
             if found < wanted:
