@@ -221,27 +221,22 @@ def _labels(source: Source, recipe: Recipe, maps: Sequence[Placed], grid: GridOp
     names = []
     for name in source.image.labels:
         why = ""
-        try:
-            if not name or {*name} & {"/", "\\", ":"} or name.startswith("."):
-                why = "it has no plain name"
-            else:
-                address = f"{source.image.address.rstrip('/')}/{LABELS}/{name}"
-                own = open_source(address, recipe, maps=maps, grid=grid)
+        if not name or {*name} & {*"/\\:"} or name.startswith("."):
+            why = "it has no plain name"
+        else:
+            try:
+                own = open_source(f"{source.image.address.rstrip('/')}/{LABELS}/{name}", recipe, maps=maps, grid=grid)
                 if own.space != source.space or not own.grid.is_same_space(source.grid):
                     why = "it is on another grid"
                 elif own.image.dtype.kind not in "iub":
                     why = f"it holds {own.image.dtype}"
-        except SuppleError as error:
-            why = str(error)
-        if not why:
+            except SuppleError as error:
+                why = str(error)
+        if why:
+            text = f"the label image {shown(name)} of {source.name} is not carried over ({why})"
+            warnings.warn(f"{text}: bend it by itself, with --labels", VolumeWarning, stacklevel=3)
+        else:
             names.append(name)
-            continue
-        warnings.warn(
-            f"the label image {shown(name)} of {source.name} is not carried over ({why}): bend it by itself, "
-            "with --labels",
-            VolumeWarning,
-            stacklevel=3,
-        )
     return tuple(names)
 
 

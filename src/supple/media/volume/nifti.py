@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any, Literal, cast
+from typing import IO, Any, cast
 
 import numpy as np
 
@@ -38,7 +38,6 @@ LONGEST = 32_767  # an axis in the first version of the format
 _CHUNK = 1 << 22
 _SAME = 0.01  # of a voxel: the largest difference of qform and sform by rounding
 _TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])  # from LPS
-_ORDERS: tuple[Literal["little", "big"], ...] = ("little", "big")
 
 
 def imported() -> Any:
@@ -125,14 +124,13 @@ def _header(path: Path) -> tuple[Any, bool]:
     from nibabel.wrapstruct import WrapStructError
 
     with reading(path), opened(path) as file:
-        head = file.read(348)
-        sizes = {int.from_bytes(head[:4], order) for order in _ORDERS}
-        magic = head[4:8] if 540 in sizes else head[344:348]
-        if not sizes & {348, 540} or magic not in (b"n+1\0", b"ni1\0", b"n+2\0", b"ni2\0"):
-            old = magic == bytes(4) and 348 in sizes
+        head = file.read(540)
+        kinds: list[Any] = [nibabel.Nifti2Header, nibabel.Nifti1Header]
+        kind = next((each for each in kinds if each.may_contain_header(head)), None)
+        if kind is None:
+            old = nibabel.AnalyzeHeader.may_contain_header(head) and head[344:348] == bytes(4)
             what = "it is an Analyze file, which does not tell left from right" if old else "it is no NIfTI file"
             raise unreadable(path, what, "convert it to NIfTI" if old else "check its name")
-        kind: Any = nibabel.Nifti2Header if 540 in sizes else nibabel.Nifti1Header
         file.seek(0)
         try:
             with warnings.catch_warnings():
@@ -140,7 +138,7 @@ def _header(path: Path) -> tuple[Any, bool]:
                 header = kind.from_fileobj(file, check=False)
         except (HeaderDataError, WrapStructError, ValueError) as error:
             raise unreadable(path, f"its header is damaged ({error})") from error
-        return header, magic[:2] == b"n+"
+        return header, header["magic"] == kind.single_magic
 
 
 def _axes(path: PathLike, header: Any) -> tuple[tuple[int, ...], int, bool]:
