@@ -27,13 +27,13 @@ zarr = pytest.importorskip("zarr")
 pytest.importorskip("dask")
 
 from supple import Affine, Deformation, Recipe, Stroke, SuppleError  # noqa: E402
-from supple.blocks import Warp, boxes_of  # noqa: E402
+from supple.blocks import Warp, boxes_of, chunks_of  # noqa: E402
 from supple.engine.sampling import Sampling  # noqa: E402
 from supple.errors import VolumeWarning  # noqa: E402
 from supple.fields import Placed  # noqa: E402
 from supple.files import plans, tasks  # noqa: E402
 from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
-from supple.files.plans import chunks_of, plan_boxes, plan_file, task_shape  # noqa: E402
+from supple.files.plans import plan_boxes, plan_file, task_shape  # noqa: E402
 from supple.files.stores import WarpedStore, warp_store  # noqa: E402
 from supple.files.tasks import Running, runner_of  # noqa: E402
 from supple.media.stores import Target, open_image  # noqa: E402

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from supple._core import threads
-from supple.blocks import Block, Box, Warp, boxes_of
+from supple.blocks import Block, Box, Warp, boxes_of, chunks_of
 from supple.deformation import Deformation
 from supple.engine.sampling import Certificate, Sampling, warn_of
 from supple.engine.work import Tell, work_of
@@ -320,11 +320,6 @@ def task_shape(
                 break
             sizes[k] = wider
     return tuple(sizes)
-
-
-def chunks_of(task: Sequence[int], shape: Sequence[int]) -> list[tuple[int, ...]]:
-    """Return the sizes along each axis of tasks of a shape, of which the last may be smaller."""
-    return [(n,) * (size // n) + ((size % n,) if size % n else ()) for n, size in zip(task, shape, strict=True)]
 
 
 def portions(chunks: Sequence[Sequence[int]]) -> Iterator[list[Box]]:

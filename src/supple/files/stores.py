@@ -16,18 +16,17 @@ from typing import Any, Literal
 
 import numpy as np
 
-from supple.blocks import Block, Box, Warp, boxes_of
+from supple.blocks import Block, Box, Warp, boxes_of, chunks_of
 from supple.deformation import Deformation, Report
 from supple.engine.sampling import Certificate, warn_of
 from supple.engine.work import Tell
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Field, Placed, folds_of, only_name
 from supple.files import plans
-from supple.files.bijections import SavedField, begin_field, check_field, is_scene, write_field
 from supple.files.options import GridOptions, VolumeOptions
-from supple.files.plans import Source, chunks_of, open_source, plan_boxes, task_shape, warp_on, whole_chunks
+from supple.files.plans import Source, open_source, plan_boxes, task_shape, warp_on, whole_chunks
 from supple.files.tasks import Runner, Running, check_seen, check_shared, runner_of
-from supple.files.transforms import write_transform
+from supple.files.transforms import SavedField, begin_field, check_field, is_scene, write_field, write_transform
 from supple.files.volumes import least_of, warn_of_labels
 from supple.media.files import ROOTS, check_store, is_store, replacing, unwritable
 from supple.media.stores import (
@@ -185,7 +184,7 @@ def warp_store(
         other["scale"], other["translation"] = _located(opened, warp.grid, target)
     with runner_of(where) as runner:
         output = create(target, image, force=force, job=job, **other)
-        mapping = None if field is None else field.claimed(force)
+        mapping = None if field is None else field()
         level = None if opened.is_file else image.levels[0]
         work = Work(Place(image.address), opened.samples, level, opened.carried, output, warp)
         saved = None if mapping is None else write_field(mapping, runner, tell, maps)
@@ -241,7 +240,6 @@ def _labels(source: Source, recipe: Recipe, maps: Sequence[Placed], grid: GridOp
 
 
 def _warn_of_labels(source: Source, warp: Warp) -> None:
-    """Warn of labels that are mixed."""
     image, n = source.image, len(source.space)
     if warp.sampling.filter == "nearest" or warp.deformation.is_identity or (n == 2 and not image.is_labels):
         return
@@ -364,7 +362,6 @@ def _write_blocks(
 
 
 def _advancing(tell: Tell, step: str, total: int) -> Callable[[], None]:
-    """Return what is called whenever one of some tasks is done."""
     ready = itertools.count(1)
     tell(step, 0, total)
     return lambda: tell(step, next(ready), total)
@@ -395,7 +392,6 @@ def _check_seen(source: Place, target: Target) -> None:
 
 
 def _write_levels(work: Work, runner: Runner, tell: Tell, mode: Mode) -> None:
-    """Write the coarser levels, one after the other."""
     target = work.target
     levels = []
     for level in range(1, len(target.arrays)):

@@ -141,7 +141,12 @@ REFUSED: list[tuple[str, Callable[[Path], object], str | None, list[str]]] = [
     ("a.lta", lambda p: p.write_text("type = 14\nnxforms = 1\n1 4 4\n"), None, ["type 14", "lta_convert"]),
     ("a.lta", lambda p: p.write_text("type = 1\nnxforms = 2\n"), None, ["2 maps"]),
     ("a.m3z", lambda p: p.write_bytes(b"x"), None, ["mri_warp_convert"]),
-    ("a.mgz", lambda p: nibabel.save(nibabel.MGHImage(NOISE.astype("f4"), np.eye(4)), p), None, ["names no two images"]),
+    (
+        "a.mgz",
+        lambda p: nibabel.save(nibabel.MGHImage(NOISE.astype("f4"), np.eye(4)), p),
+        None,
+        ["no two images"],
+    ),
     ("a.mgz", lambda p: p.write_bytes(b"x"), None, ["no .mgz"]),
     ("a.mif", lambda p: p.write_bytes(b"mrtrix image\nEND\n"), "mrtrix", ["no .mif file of x, y, z", "mrconvert"]),
     ("a.mif", lambda p: p.write_bytes((DATA / "mrtrix_0.mif").read_bytes()), None, ["mrtrix, mrtrix-displacement"]),

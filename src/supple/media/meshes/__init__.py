@@ -109,7 +109,6 @@ def in_rows(
 
 
 def _width(dtype: np.dtype[Any], name: str) -> int:
-    """Return how many numbers a field of a dtype holds."""
     return math.prod(dtype[name].shape)
 
 

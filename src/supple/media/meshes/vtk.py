@@ -102,7 +102,6 @@ def _runs(path: PathLike, data: bytes, found: re.Match[bytes], binary: bool) -> 
 
 
 def _whole(path: PathLike, data: bytes, start: int, count: int, kind: bytes, binary: bool) -> tuple[Ints, int]:
-    """Return whole numbers, and where they end."""
     if kind.lower() not in _WHOLE:
         raise unreadable(path, f"its cells are of type {shown(kind.decode(errors='replace'))}")
     if binary:

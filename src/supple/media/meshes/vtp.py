@@ -191,7 +191,6 @@ def _read(file: _File, xml: bytes) -> Mesh:
 
 
 def _part(file: _File, pieces: list[re.Match[bytes]], counts: list[int]) -> Part:
-    """Return the cells of all pieces, of so many points each."""
     runs = []
     for kind in ("Polys", "Lines", "Strips"):
         corners: list[Ints] = []
@@ -216,7 +215,6 @@ def _attributes(text: bytes) -> dict[str, str]:
 
 
 def _vectors(file: _File, array: _Array, section: str) -> tuple[_Array, Floats]:
-    """Return an array and its vectors, (N, 3)."""
     if array.values.dtype.kind != "f" or array.known.get("NumberOfComponents") != "3":
         raise unreadable(file.path, f"{section} are not three floats each", "save it with Float32 or Float64")
     return array, array.values.reshape(-1, 3).astype(np.float64)

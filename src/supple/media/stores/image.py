@@ -164,7 +164,6 @@ def _plain(place: Place, array: Any, attributes: Json, ndim: int | None) -> Stor
 
 
 def _multiscale(place: Place, group: Any, attributes: Json, ndim: int | None) -> StoredImage:
-    """Return the first image of a group; SuppleError, or an error of a missing key or a wrong type."""
     ome = ome_of(attributes)
     image = ome["multiscales"][0]
     stated = str(ome.get("version") or image.get("version") or ("0.5" if "ome" in attributes else "0.4"))
@@ -235,7 +234,6 @@ def _axes(image: Json, error: Refusal) -> tuple[StoredAxis, ...]:
 
 
 def _moved(steps: Sequence[Json], n: int, where: str, error: Refusal) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the scale and the translation of all axes after some steps."""
     scale, translation = np.ones(n), np.zeros(n)
     for step in steps:
         kind = step["type"]
@@ -258,7 +256,6 @@ def _moved(steps: Sequence[Json], n: int, where: str, error: Refusal) -> tuple[t
 
 
 def _array(place: Place, group: Any, path: str) -> Any:
-    """Return the array of a level."""
     try:
         with place.reading(f"its array {path} is damaged"), quiet():
             array = group[path]
@@ -273,7 +270,6 @@ def _array(place: Place, group: Any, path: str) -> Any:
 
 
 def _check_samples(place: Place, array: Any, name: str) -> None:
-    """Raise SuppleError for an array whose samples are no real numbers, or which has none."""
     if np.dtype(array.dtype).kind not in "biuf":
         raise place.unreadable(f"its array{name} is of {array.dtype}", "give one of integers or real numbers")
     if 0 in array.shape:
@@ -281,7 +277,6 @@ def _check_samples(place: Place, array: Any, name: str) -> None:
 
 
 def _labels(place: Place, group: Any) -> tuple[str, ...]:
-    """Return the names of label images, as the group of labels lists them."""
     try:
         with quiet():
             attributes = dict(group[LABELS].attrs)

@@ -218,7 +218,6 @@ def like_file(path: PathLike, samples: Samples, *, ndim: int | None = None) -> S
 
 
 def _placed(path: PathLike, samples: Samples) -> tuple[list[dict[str, Any]], list[float], list[float]]:
-    """Return the axes, the scale and the translation of the finest level."""
     geometry = samples.geometry or Geometry()
     placed = geometry.convention != "array"
     unit, size = None, 1.0

@@ -154,7 +154,6 @@ def group_files(path: str, zarr_format: int, attributes: dict[str, Any]) -> dict
 
 
 def _array(metadata: Any, path: str, shape: tuple[int, ...]) -> dict[str, bytes]:
-    """Return the metadata of an array like another one, of another shape."""
     from zarr.core.buffer import default_buffer_prototype
 
     files = dataclasses.replace(metadata, shape=shape).to_buffer_dict(default_buffer_prototype())

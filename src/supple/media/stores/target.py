@@ -114,7 +114,6 @@ def check_free(address: PathLike, files: dict[str, bytes], job: str, force: bool
 
 
 def _named(job: str, files: dict[str, bytes]) -> str:
-    """Return the name of a job that writes these metadata."""
     digest = hashlib.sha256(repr(sorted(files.items())).encode()).hexdigest()
     return f"{job}, {digest}"
 
@@ -197,8 +196,6 @@ def _hold(place: Place, folder: Path) -> None:
 
 
 def _clear(site: Place, store: Any) -> None:
-    """Remove all but the marker and the lock."""
-
     async def clear() -> None:  # a client removes many objects of a folder at a time
         for name in [name.strip("/") async for name in store.list_dir("")]:
             if name not in ("", MARKER):
@@ -353,14 +350,12 @@ class Target:
                     run(each.site.store(read_only=False).delete(MARKER))
 
     def _keys(self, level: int, box: Box, array: Any) -> Iterator[str]:
-        """Return the keys of the blocks of an aligned box, in the store of an array."""
         prefix = f"{array.path}/" if array.path else ""
         ranges = [range(a // n, -(-b // n)) for (a, b), n in zip(box, self.blocks[level], strict=True)]
         return (prefix + array.metadata.encode_chunk_key(place) for place in product(*ranges))
 
 
 def _writable(array: Any) -> Any:
-    """Return an array that stores each chunk that is written."""
     import zarr
 
     settings: Any = {"order": "C", "write_empty_chunks": True}

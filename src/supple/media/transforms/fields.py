@@ -245,7 +245,6 @@ def _nifti(path: PathLike, convention: str) -> tuple[Array, Grid, Vectors]:
 
 
 def _dataset(path: PathLike) -> tuple[Array, Grid]:
-    """Return the vectors of a .HEAD and .BRIK dataset, and their grid."""
     nibabel = nifti.imported()
     head_of(path, 4)
     with reading(path):
@@ -263,7 +262,6 @@ def _dataset(path: PathLike) -> tuple[Array, Grid]:
 
 
 def _voxels(path: PathLike, file: IO[bytes], dtype: npt.DTypeLike, shape: Sequence[int]) -> Array:
-    """Return the array that follows in a file."""
     count = np.dtype(dtype).itemsize * math.prod(shape)
     try:
         data = file.read(count)
@@ -276,7 +274,6 @@ def _voxels(path: PathLike, file: IO[bytes], dtype: npt.DTypeLike, shape: Sequen
 
 # Kept: neither nibabel nor SimpleITK reads .mif.
 def _mif(path: PathLike) -> tuple[Array, Grid]:
-    """Return the vectors of a .mif file, and their grid."""
     with reading(path), nifti.opened(path) as file:
         start = file.read(_HEADER)
         header, end, _ = start.partition(b"\nEND")

@@ -158,7 +158,6 @@ def _contents(path: PathLike, sitk: Any, transform: Any) -> list[Content]:
 
 
 def _matrix(transform: Any) -> Matrix:
-    """Return the matrix of a linear transform of any parameters and centre."""
     n = transform.GetDimension()
     made, origin = np.eye(n + 1), (0.0,) * n
     made[:n, n] = transform.TransformPoint(origin)
@@ -192,7 +191,6 @@ def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: b
 
 
 def _made(path: PathLike, content: Content) -> Any:
-    """Return a map as a transform of ITK."""
     sitk = itk.imported()
     if not isinstance(content, Displacements):
         return sitk.AffineTransform(content[:3, :3].ravel().tolist(), content[:3, 3].tolist())

@@ -109,7 +109,6 @@ def _axes(n: int) -> list[dict[str, Any]]:
 
 
 def _affine(matrix: Matrix) -> dict[str, Any]:
-    """Return an affine map as a transformation, z first."""
     n = len(matrix) - 1
     return {"type": "affine", "affine": matrix[:-1][::-1][:, [*range(n)[::-1], n]].tolist()}
 
@@ -289,7 +288,6 @@ class Store:
         return tuple(shortened(turned))
 
     def _only(self) -> tuple[Json, Json]:
-        """Return the only transformation, and the object that it is listed in."""
         ome = ome_of(self.root.attrs)
         holders = [ome.get("scene"), ome, *ome.get("multiscales", [])[:1]]
         for holder in holders:
@@ -337,7 +335,6 @@ class Store:
         return [self._matrix(found, n)]
 
     def _matrix(self, found: Json, n: int) -> Matrix:
-        """Return the homogeneous matrix of a linear transformation of ``n`` axes."""
         kind, made = found["type"], np.eye(n + 1)
         if kind == "identity":
             return made

@@ -101,7 +101,6 @@ def write_remap(path: PathLike, contents: Sequence[Content], grids: Grids, *, fo
 
 
 def _arrays(path: PathLike) -> dict[str, Array]:
-    """Return the array of a .npy file, or those of a .npz archive."""
     head_of(path, 1)
     kind = "array" if Path(path).suffix.lower() == ".npy" else "archive"
     try:
@@ -141,7 +140,6 @@ def _matrices(path: PathLike) -> dict[str, Array]:
 
 
 def _chosen(path: PathLike, named: dict[str, Array]) -> list[Array]:
-    """Return the arrays of x and of y by their names; or the only one."""
     filled = {name: array for name, array in named.items() if array.size or not name}  # remap takes an empty map2
     if len(filled) == 1:
         return list(filled.values())
@@ -239,7 +237,6 @@ def _size(
 
 
 def _of_picture(path: PathLike) -> _Planes:
-    """Return s, t, the opacity, the first pixel and the size of a picture."""
     found = image.read(path)
     pixels = found.pixels
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
@@ -251,7 +248,6 @@ def _of_picture(path: PathLike) -> _Planes:
 
 
 def _of_exr(path: PathLike) -> _Planes:
-    """Return s, t, the opacity, the first pixel and the size of an EXR."""
     with exr.opened(path) as file:
         names, header = dict(file.channels()), file.header()
         windows = [np.array(header[key], np.int64) for key in ("dataWindow", "displayWindow")]

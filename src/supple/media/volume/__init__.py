@@ -245,7 +245,6 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
 
 
 def _orientation(direction: Array) -> str:
-    """Return the directions of the axes as letters, from directions in LPS."""
     letters = []
     for column in direction.T:
         axis = int(np.abs(column).argmax())

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import SuppleError, need, said
+from supple.errors import SuppleError, said
 from supple.media.files import PathLike, check_output, replacing, replacing_all, unwritable
 from supple.media.volume.data import Array, Volume
-from supple.media.volume.frames import Frames, frames_of, item_of, quiet
+from supple.media.volume.frames import Frames, frames_of, imported, item_of, quiet
 
 SUFFIXES = ("", ".dcm")
 """The suffixes of what is derived: a folder of slices, and a file of many frames."""
@@ -43,20 +43,12 @@ _ALONG = (0x00209057, 0x00200032)  # InStackPositionNumber, ImagePositionPatient
 _OVERLAYS, _CURVES = range(0x6000, 0x6020, 2), range(0x5000, 0x5020, 2)
 
 
-def imported() -> Any:
-    """Return pydicom."""
-    need("volume", "DICOM files that are written", "pydicom")
-    import pydicom
-
-    return pydicom
-
-
 def check(path: PathLike, like: Volume | None = None, *, force: bool = False) -> None:
     """Raise SuppleError, before any work, for a place that cannot get DICOM, or a source whose kind is not written.
 
     Nothing that is in a folder is ever replaced: it must be new, or empty. A file may be, with ``force``.
     """
-    imported()
+    imported("DICOM files that are written")
     many, single = like is not None and isinstance(like.header, str), Path(path).suffix != ""
     if like is not None and not many and single:
         raise unwritable(path, f"{like.name} is of slices", "give a folder for slices, which is a name without suffix")
@@ -99,14 +91,13 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     Samples (Z, H, W) or (Z, H, W, 3) are in the units of the files (Hounsfield's, for CT); of doses, as they are
     stored. ``like`` is the source, with the paths of its slices, or its own, as the header, and the geometry to write.
     """
-    pydicom = imported()
+    pydicom = imported("DICOM files that are written")
     check(path, like, force=force)
     with quiet():
         (_write_frames if isinstance(like.header, str) else _write_slices)(pydicom, path, samples, like, force)
 
 
 def _stamp(pydicom: Any) -> tuple[Any, datetime.datetime]:
-    """Return the UID of a new series, and the time."""
     return pydicom.uid.generate_uid(prefix=None), datetime.datetime.now()
 
 
@@ -167,7 +158,6 @@ def _place_of(head: Any) -> tuple[float, float, float]:
 
 
 def _scale_of(head: Any) -> tuple[float, float]:
-    """Return the rescale slope and intercept."""
     if head.get(_GROUPS):
         head = item_of(head, 0, "PixelValueTransformationSequence") or {}
     return float(head.get("RescaleSlope") or 1), float(head.get("RescaleIntercept") or 0)
@@ -352,7 +342,6 @@ def _fits(values: Array, bits: int, kind: str) -> bool:
 
 
 def _stored(made: Any, slab: Array, scale: tuple[float, float] | None) -> tuple[Array, tuple[float, float]]:
-    """Return the integers to store, and their slope and intercept."""
     if scale is not None:
         values = np.rint((slab.astype(np.float64) - scale[1]) / scale[0])
         kind = "i" if made.get("PixelRepresentation") else "u"

@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import VolumeWarning, argument, need, shown
+from supple.errors import VolumeWarning, argument, shown
 from supple.media.files import PathLike, head_of, unreadable
 from supple.media.volume.data import Array, Volume, check_spacing, located
 from supple.media.volume.frames import frames_of
+from supple.media.volume.frames import imported as with_pydicom
 from supple.media.volume.itk import check_voxels, failing, geometry_of, imported, silence
 
 _UID, _NUMBER, _TEXT, _PIXEL_SPACING = "0020|000e", "0020|0011", "0008|103e", "0028|0030"
@@ -146,9 +147,7 @@ def _kind_beside(path: str) -> str:
 
 def _head(path: str, what: str) -> Any:
     """Return what pydicom reads of a file before its pixels; nothing of one that it cannot read, as others tell."""
-    need("volume", what, "pydicom")
-    import pydicom
-
+    pydicom = with_pydicom(what)
     try:
         return pydicom.dcmread(path, stop_before_pixels=True)
     except Exception:  # pydicom has many
@@ -367,7 +366,6 @@ def _ordered(
 
 
 def _require_alike(path: PathLike, first: tuple[str, Any], other: tuple[str, Any]) -> None:
-    """Raise SuppleError for slices of several sizes, kinds or directions in one series."""
     (a, one), (b, two) = first, other
     for what, get in (
         ("sizes", lambda r: (*r.GetSize()[:3], r.GetNumberOfComponents())),
@@ -380,7 +378,6 @@ def _require_alike(path: PathLike, first: tuple[str, Any], other: tuple[str, Any
 
 
 def _check_steps(path: PathLike, names: list[str], along: Array) -> float:
-    """Return the step between slices; SuppleError if it varies."""
     steps = np.diff(along)
     usual = float(np.sort(steps)[(len(steps) - 1) // 2])  # the median, or the smaller one of the two
     even = float((along[-1] - along[0]) / len(steps))

@@ -47,6 +47,14 @@ class Frames:
         return made
 
 
+def imported(what: str) -> Any:
+    """Return pydicom, imported at the first use; ``what`` says in an error what needs it."""
+    need("volume", what, "pydicom")
+    import pydicom
+
+    return pydicom
+
+
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
     """Suppress pydicom's warnings on odd values, which are not of use here, or are copied as they are."""
@@ -63,9 +71,7 @@ def item_of(head: Any, k: int, name: str) -> Any | None:
 
 def frames_of(path: PathLike) -> Frames:
     """Return the frames of a file; SuppleError if they differ in direction or spacing, or it is damaged."""
-    need("volume", "DICOM files of many frames", "pydicom")
-    import pydicom
-
+    pydicom = imported("DICOM files of many frames")
     try:
         with quiet():
             head = pydicom.dcmread(path, stop_before_pixels=True)

@@ -162,7 +162,6 @@ def _axes(path: PathLike, header: Any) -> tuple[tuple[int, ...], int, bool]:
 
 
 def _dtype(path: PathLike, header: Any) -> np.dtype[Any]:
-    """Return the type of a value in the file, in its own byte order."""
     from nibabel.nifti1 import data_type_codes
 
     code = int(header["datatype"])
@@ -220,57 +219,50 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
     if sform is None and qform is None:
         check_spacing(path, steps)
         return located(path, steps, [0.0] * 3, np.eye(3), "array")
-    known = sform if sform is not None else qform
+    known, text = sform if sform is not None else qform, ""
     assert known is not None
-    known[:3] *= unit
+    for form in (sform, qform):
+        if form is not None:
+            form[:3] *= unit
+    geometry = placed(path, known, "RAS")
     if sform is None or qform is None:
-        geometry = placed(path, known, "RAS")
         alike = geometry.shear or np.allclose(geometry.spacing, steps, rtol=_SAME, atol=0.0)  # ITK opens no sheared one
         if sform is not None and not alike:
             told = ["×".join(f"{x:.4g}" for x in sizes) for sizes in (geometry.spacing, steps)]
-            warnings.warn(
-                f"the sform of {shown(path)} has voxels of {told[0]} mm and its pixdim {told[1]} mm: the sform is "
-                "used; SimpleITK, ANTs and 3D Slicer use pixdim",
-                VolumeWarning,
-                stacklevel=6,
+            text = (
+                f"the sform of {shown(path)} has voxels of {told[0]} mm and its pixdim {told[1]} mm: the sform is used"
             )
-        return geometry
-    qform[:3] *= unit
-    corners = np.array([(*corner, 1.0) for corner in np.ndindex(2, 2, 2)]) * [*(np.array(sizes) - 1), 1]
+            text += "; SimpleITK, ANTs and 3D Slicer use pixdim"
+    else:
+        corners = np.array([(*corner, 1.0) for corner in np.ndindex(2, 2, 2)]) * [*(np.array(sizes) - 1), 1]
 
-    def apart(a: Array, b: Array) -> float:
-        return float(np.linalg.norm(corners @ (a - b).T, axis=1).max())
+        def apart(a: Array, b: Array) -> float:
+            return float(np.linalg.norm(corners @ (a - b).T, axis=1).max())
 
-    far = apart(sform, qform)
-    if not far > _SAME * min(steps):
-        return placed(path, sform, "RAS")
-    sheared = placed(path, sform, "RAS")
-    if sheared.shear:
-        warnings.warn(
-            f"the axes of {shown(path)} miss right angles by {sheared.shear:.3g}°, which its sform holds, and no qform "
-            f"can: the sform is used; SimpleITK, ANTs and 3D Slicer use the qform, up to {far:.3g} mm off",
-            VolumeWarning,
-            stacklevel=6,
-        )
-        return sheared
-    # Programs that share fields and landmarks read the file by ITK, whose choice depends on the codes.
-    from supple.media.volume import itk
+        far = apart(sform, qform)
+        if far > _SAME * min(steps) and geometry.shear:
+            text = (
+                f"the axes of {shown(path)} miss right angles by {geometry.shear:.3g}°, which its sform holds, and no "
+            )
+            text += f"qform can: the sform is used; SimpleITK, ANTs and 3D Slicer use the qform, up to {far:.3g} mm off"
+        elif far > _SAME * min(steps):
+            # Programs that share fields and landmarks read the file by ITK, whose choice depends on the codes.
+            from supple.media.volume import itk
 
-    reader = itk.imported().ImageFileReader()
-    reader.SetImageIO("NiftiImageIO")
-    reader.SetFileName(os.fspath(first))
-    with itk.failing(path, "NIfTI"):
-        reader.ReadImageInformation()
-    geometry = itk.geometry_of(path, reader, "RAS")
-    by_itk = _TO_RAS @ geometry.matrix
-    to_sform, to_qform = apart(by_itk, sform), apart(by_itk, qform)
-    used = "sform" if to_sform <= to_qform else "qform"
-    warnings.warn(
-        f"the qform and the sform of {shown(path)} disagree, by up to {far:.3g} mm: the {used} is used, as by "
-        "SimpleITK, ANTs and 3D Slicer",
-        VolumeWarning,
-        stacklevel=6,
-    )
+            reader = itk.imported().ImageFileReader()
+            reader.SetImageIO("NiftiImageIO")
+            reader.SetFileName(os.fspath(first))
+            with itk.failing(path, "NIfTI"):
+                reader.ReadImageInformation()
+            geometry = itk.geometry_of(path, reader, "RAS")
+            by_itk = _TO_RAS @ geometry.matrix
+            used = "sform" if apart(by_itk, sform) <= apart(by_itk, qform) else "qform"
+            text = (
+                f"the qform and the sform of {shown(path)} disagree, by up to {far:.3g} mm: the {used} is used, as by "
+            )
+            text += "SimpleITK, ANTs and 3D Slicer"
+    if text:
+        warnings.warn(text, VolumeWarning, stacklevel=6)
     return geometry
 
 
