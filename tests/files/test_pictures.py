@@ -16,7 +16,7 @@ import pyvips
 
 import supple
 from supple.errors import ScaleWarning
-from supple.files import check_job, warp_file
+from supple.files import Job, warp_file
 from supple.files.recipes import read_recipe, write_recipe
 from supple.media import image
 from tests.children import SOURCE

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from supple.errors import SuppleError, shown
-from supple.files.clip_work import displayed
+from supple.files.clips import displayed
 from supple.media.numbering import is_sequence
 from supple.media.suffixes import CLIPS
 from supple.strokes import Recipe, Stroke, spoken

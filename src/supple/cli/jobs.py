@@ -16,10 +16,10 @@ from pathlib import Path
 from supple.cli.console import FAULT, REFUSED, STREAM, Console, deaf, fault
 from supple.engine.memory import machine_memory
 from supple.errors import SuppleError, shown
-from supple.files.kinds import ONE_FILE
 from supple.files.recipes import check_recipe_name, is_media_name
 from supple.media.files import check_output
 from supple.media.image.formats import SUFFIXES as PICTURES
+from supple.media.medium import ONE_FILE
 from supple.media.suffixes import CLIPS, suffix_of
 
 Job = tuple[Path, Path]

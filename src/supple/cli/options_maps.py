@@ -6,7 +6,7 @@ import re
 import threading
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
@@ -17,6 +17,7 @@ from supple.errors import OutsideWarning, SuppleError, shown
 if TYPE_CHECKING:
     from supple.cli.console import Console
     from supple.fields import Placed
+    from supple.files.jobs import Job
     from supple.files.options import GridOptions
     from supple.space.affine import Affine
     from supple.space.geometry import Grid
@@ -301,6 +302,19 @@ class Maps:
                     raise
                 self._known = source, [(maps.lifted(some, form, source), form) for some, form in read]
             return self._known[1]
+
+    def placed(self, console: "Console", job: "Job") -> "Job":
+        """Return a job with the maps, on the grid of its file; tell of each."""
+        from supple.files.clips import refuse_maps
+
+        if not self._entries:
+            return job
+        if (own := job.medium.grid) is not None:
+            job = replace(job, maps=self.read(own))  # by which pages may become a volume
+            own = job.medium.grid
+        if own is None:
+            refuse_maps(job.source)
+        return replace(job, maps=self.on(console, own, job.medium.name, job.grid))
 
     def on(
         self, console: "Console", source: "Grid", name: str, grid: "GridOptions | None" = None

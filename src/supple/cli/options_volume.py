@@ -67,8 +67,8 @@ class VolumeArguments:
 
         Of several files, it is that of the first one; of standard input, which cannot be read twice, that of DICOM.
         """
-        from supple.files.kinds import ONE_FILE, holds_volumes
         from supple.files.volumes import place_of
+        from supple.media.medium import ONE_FILE, holds_volumes
         from supple.media.suffixes import suffix_of
 
         if path == STREAM:

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from supple.cli.console import STREAM, current, say_convention, told, warn_of_software
+from supple.cli.console import STREAM, current, naming, say_convention, told, warn_of_software
 from supple.cli.options import RunOptions, VideoOptions
 from supple.cli.options_maps import MapOptions, Maps
 from supple.cli.options_render import CameraOptions, LookOptions
 from supple.cli.options_strokes import StrokeOptions
 from supple.cli.options_volume import VolumeArguments
 from supple.engine.devices import workers
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, spelling
 
 if TYPE_CHECKING:
     from supple.deformation import Deformation
@@ -53,7 +53,7 @@ def render(
     console = current()
     from supple.engine.progress import counted
     from supple.files.renders import render_file
-    from supple.media.volume import outline_of
+    from supple.media.medium import Medium
     from supple.render.camera import Camera
 
     console.started(**options.asked(), file=source)
@@ -64,17 +64,15 @@ def render(
     recipe, fit = strokes.to_recipe(**given) if strokes.any else None, strokes.to_fit()
     before = 0 if recipe is None else len(recipe.strokes) - strokes.count
     elements = maps.to_maps(console.arguments, before, strokes.given)
-    render, reading = look.to_render(Camera(**vars(camera)), convention), volume.to_reading()
+    with spelling(naming(rate="--rate")):
+        render, reading = look.to_render(Camera(**vars(camera)), convention), volume.to_reading()
     if convention is not None and not (strokes.pull or look.mesh):
         raise SuppleError("--convention is of tables of --pull and of meshes, and there are none: leave it out")
     if reading.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
-    placed = (
-        elements.on(console, outline_of(source, raw=reading.layout, series=reading.series).grid, shown(source))
-        if elements
-        else ()
-    )
-    with counted(console.terminal) as tell, workers() as who:
+    medium = Medium(source, "volume", reading.layout, reading.series)
+    placed = elements.on(console, medium.outline.grid, medium.name) if elements else ()
+    with spelling(naming(rate="--rate")), counted(console.terminal) as tell, workers() as who:
         scene = render_file(
             source, target, recipe, options=render, volume=reading, force=options.force, tell=tell, fit=fit, maps=placed
         )
@@ -170,46 +168,35 @@ def _deformation(
 ) -> tuple[Deformation, Geometry | None]:
     """Strokes and maps on a volume, a picture or a clip; and where a volume's voxels lie."""
     from supple.deformation import Deformation
-    from supple.files import grid_of
-    from supple.files.clip_work import deformation_of as on_clip
-    from supple.files.clips import open_clip, refuse_maps
-    from supple.files.kinds import kind_of, refuse_places
+    from supple.errors import argument
+    from supple.files.clips import deformation_of as on_clip
+    from supple.files.clips import open_clip
+    from supple.files.jobs import Job, refuse_places
     from supple.files.landmarks import warn_of_frame
     from supple.files.volumes import deformation_of as on_volume
     from supple.files.volumes import open_volume
     from supple.media.files import is_store
     from supple.strokes import fit_recipe
 
+    moving = Path(on).with_suffix(".mp4") if recipe.strokes and recipe.strokes[0].ndim == 3 else on
+    job = Job(on, moving, recipe, volume=reading)
     if is_store(on):
         from supple.cli.stores import refer
         from supple.files.plans import open_source, warp_on
 
-        own = refer(current(), on, recipe, elements, {"volume": reading, "grid": None})
-        maps = elements.read(own) if elements else ()
+        maps = elements.read(refer(current(), on, job, elements))
         source = open_source(on, recipe, reading, maps=maps)
         return warp_on(source, recipe, options=reading, fit=fit, maps=maps).deformation, source.geometry
-    moving = Path(on).with_suffix(".mp4") if recipe.strokes and recipe.strokes[0].ndim == 3 else on
-    maps = ()
-    if elements and (own := grid_of(on, moving, recipe, volume=reading)) is not None:
-        # pages are a volume, if maps say so
-        own = grid_of(on, moving, recipe, volume=reading, maps=elements.read(own))
-        assert own is not None
-        maps = elements.on(current(), own, shown(on))
-    kind = kind_of(on, moving, recipe, reading, maps=maps)
-    if kind == "volume":
+    job = elements.placed(current(), job)
+    if job.medium.kind == "volume":
         volume = open_volume(on, reading)
         warn_of_frame(points, volume)
-        return on_volume(recipe, volume, world=reading.world, fit=fit, maps=maps), volume.geometry
+        return on_volume(recipe, volume, world=reading.world, fit=fit, maps=job.maps), volume.geometry
     if reading.world:
-        raise SuppleError(f"--world is for volumes, and {on} is none: leave it out")
+        raise SuppleError(f"{argument('world')} is for volumes, and {on} is none: leave it out")
     refuse_places(recipe, on)
-    if kind == "clip":
-        if elements:
-            refuse_maps(on)
+    if (own := job.medium.grid) is None:
         known = video.to_clip()
         with open_clip(on, rate=known.rate) as clip:
             return on_clip(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name, fit), None
-    from supple.files.grids import picture_grid
-
-    own = picture_grid(on)
-    return Deformation.from_recipe(fit_recipe(recipe, own.sizes, fit, on), own, maps=maps), None
+    return Deformation.from_recipe(fit_recipe(recipe, own.sizes, fit, on), own, maps=job.maps), None

@@ -7,12 +7,12 @@ import os
 import warnings
 from collections.abc import Sequence
 
-from supple.deformation import Arrival
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Placed, check_path
 from supple.files.options import GridOptions, PathLike
 from supple.media.files import is_store
-from supple.media.image import SUFFIXES, info
+from supple.media.image.formats import SUFFIXES
+from supple.media.medium import picture_grid
 from supple.media.suffixes import CLIPS, is_volume, suffix_of
 from supple.space.domain import refuse
 from supple.space.geometry import Geometry, Grid
@@ -111,12 +111,6 @@ def warn_of_place(geometry: Geometry, name: str) -> None:
         )
 
 
-def picture_grid(path: PathLike) -> Grid:
-    """Return the grid of a picture, in pixels."""
-    facts = info(path)
-    return Grid((int(str(facts["height"])), int(str(facts["width"]))))
-
-
 def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[Placed]) -> Grid | None:
     """Return the grid of the output of a file, with maps; None if it is that of the input.
 
@@ -140,11 +134,6 @@ def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[P
     else:  # what is seen of the input itself may lead out of it, as one wishes
         check_path(reversed(maps), made, name)
     return None if made == grid else made
-
-
-def arrivals_on(own: Grid | None, grid: Grid, arrivals: tuple[Arrival, ...]) -> tuple[Arrival, ...]:
-    """Return the arrivals of strokes on ``grid`` in samples of the grid of the input, if it is another one."""
-    return arrivals if own is None else tuple(arrival.on(own, grid) for arrival in arrivals)
 
 
 def listed(numbers: object) -> str:

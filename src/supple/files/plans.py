@@ -19,7 +19,7 @@ from supple.engine.work import Tell, work_of
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.grids import grid_on
-from supple.files.kinds import kind_of
+from supple.files.jobs import Job
 from supple.files.options import GridOptions, VolumeOptions
 from supple.files.tasks import Runner, Running, runner_of
 from supple.files.volumes import deformation_of, sampling_of
@@ -202,7 +202,7 @@ def open_source(
     """
     known = options or VolumeOptions()
     if not is_store(source):
-        if kind_of(source, source, recipe, known, maps=maps, grid=grid) == "clip":
+        if Job(source, source, recipe, volume=known, maps=maps, grid=grid).medium.kind == "clip":
             kind = "folder without a volume" if os.path.isdir(source) else "clip"
             raise SuppleError(
                 f"{shown(source)} is a {kind}, and blocks are of pictures, volumes and Zarr stores: give one of these"

@@ -14,11 +14,21 @@ from supple.engine.progress import counted
 from supple.engine.sampling import Sampling
 from supple.engine.stream import make_plan
 from supple.engine.work import Array, Tell
-from supple.errors import SuppleError, argument, shown
+from supple.errors import SuppleError, shown
 from supple.fields import Placed
-from supple.files.clip_work import deformations_of, frames_of, sampling_of, warn_of_frames, work_on
-from supple.files.clips import fickle, open_clip, refuse_maps, refuse_picture
-from supple.files.kinds import kind_of, refuse_places
+from supple.files.clips import (
+    deformations_of,
+    fickle,
+    frames_of,
+    open_clip,
+    refuse_encoding,
+    refuse_maps,
+    refuse_picture,
+    sampling_of,
+    warn_of_frames,
+    work_on,
+)
+from supple.files.jobs import Job, refuse_places
 from supple.files.options import ClipOptions, PathLike
 from supple.media.base import CountError
 from supple.media.files import check_output
@@ -85,14 +95,12 @@ def plot_file(
     """
     choice("what", what, (*WHATS, "slice", "sheet"))
     options = clip or ClipOptions()
-    for option in ("codec", "crf", "preset", "pixel_format"):
-        if getattr(options, option) is not None:
-            raise SuppleError(f"{argument(option)} is for videos, and {shown(target)} is a plot: leave it out")
+    refuse_encoding(options, target, "a plot")
     if what != "slice" and (x is not None or y is not None):
         raise SuppleError(f"--x and --y are for slices, and {what} shows whole frames: leave them out")
     check_output(target, force=force)
     check_plot(target, force=force)
-    kind = kind_of(source, "", recipe)
+    kind = Job(source, "", recipe).medium.kind
     if kind == "volume":
         raise SuppleError(f"plots are of pictures and videos, and {shown(source)} is a volume: supple render shows it")
     refuse_places(recipe, source)
