@@ -117,7 +117,7 @@ def reads(sizes: Sizes, here: Path) -> Iterator[Row]:
         array[...] = Made(side, block)[:, :, :] | 1  # no chunk is empty, and left out
         source = zarr.open_array(Counting(LocalStore(path, read_only=True)), mode="r")
         made = warp(source, deformation, chunks=block)
-        planned, _ = Warp(deformation, Sampling.checked()).plan(list(boxes_of(made.chunks)))
+        planned, _ = Warp(deformation, Sampling()).plan(list(boxes_of(made.chunks)))
         parts = sum(2 * int(np.prod([b - a for a, b in one.part])) for one in planned)
         met = sum(
             2 * int(np.prod([min(-(-b // chunk) * chunk, side) - a // chunk * chunk for a, b in one.part]))
@@ -217,7 +217,7 @@ def model(sizes: Sizes, here: Path) -> Iterator[Row]:
     """Rows of the parameters of the model, on one thread."""
     side, block = sizes.reads, sizes.block
     deformation = stroke(side)
-    job = Warp(deformation, Sampling.checked())
+    job = Warp(deformation, Sampling())
     boxes = list(boxes_of([(block,) * (side // block)] * 3))[:4]
     start = time.perf_counter()
     planned, _ = job.plan(list(boxes_of([(block,) * (side // block)] * 3)))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from supple.arrays import warp_batch
     from supple.deformation import Arrival, Deformation, Inverse, Report
+    from supple.engine.sampling import Sampling
     from supple.errors import (
         DeviceWarning,
         FoldError,
@@ -51,6 +52,7 @@ __all__ = [
     "Placed",
     "Recipe",
     "Report",
+    "Sampling",
     "Stroke",
     "SuppleError",
     "ToleranceWarning",
@@ -84,6 +86,7 @@ _HOMES = {
     "Placed": "fields",
     "Recipe": "strokes",
     "Report": "deformation",
+    "Sampling": "engine.sampling",
     "Stroke": "strokes",
     "SuppleError": "errors",
     "ToleranceWarning": "errors",

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from supple import _core
 from supple.engine import core
 from supple.engine.devices import check_gradients, is_on_device
-from supple.engine.sampling import Certificate, Sampling, warn_of
+from supple.engine.sampling import DEFAULT, Certificate, Sampling, warn_of
 from supple.engine.stream import make_plan, stream
 from supple.engine.work import Array, Deforming, Space, Tell, Work, check_count, silent, spaces_of, work_of
 from supple.errors import SuppleError, ToleranceWarning, argument
@@ -114,7 +114,7 @@ def warp_array(
         clamp_to(held, result, work.sampling)
 
     def weights(marks: Array, outside: str) -> Array:
-        plain = replace(sampling, light=False, outside=outside, fill=0.0)
+        plain = replace(sampling, linear_light=False, outside=outside, fill=0.0)
         return np.asarray(warp_array(marks.astype(np.float32), space, plain, alpha=False, device=device)[0])
 
     if gaps:
@@ -320,16 +320,11 @@ def warp_batch(
     sources: Any,
     deformations: Deforming | Sequence[Deforming],
     *,
-    filter: str = "auto",
-    tolerance: float = 0.01,
-    outside: str = "edge",
-    fill: float | Sequence[float] = 0.0,
+    sampling: Sampling = DEFAULT,
     alpha: bool | None = None,
-    linear_light: bool = False,
-    between: str | None = None,
-    time_filter: bool = False,
     device: str = "cpu",
     out: Any = None,
+    **options: Any,
 ) -> Any:
     """Deform a batch of images, of volumes or of clips.
 
@@ -339,7 +334,9 @@ def warp_batch(
         A NumPy array, or one on an NVIDIA GPU, which warps a batch of images at once.
     deformations : Deformation or sequence of Deformation
         One for all items, or one for each, all of the same shape.
-    filter, tolerance, outside, fill, alpha, linear_light, between, time_filter, device
+    sampling : Sampling, optional
+        How the arrays are sampled; further keywords replace its fields: ``filter="linear"``.
+    alpha, device
         As in `supple.Deformation.warp`.
     out : array, optional
         The array for the result, of its shape and type, and not overlapping ``sources``.
@@ -360,10 +357,7 @@ def warp_batch(
         If the checks of a map's cells do not promise the tolerance everywhere.
     """
     spaces = spaces_of(deformations)
-    sampling = Sampling.checked(
-        spaces[0].ndim, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light,
-        between=between, time_filter=time_filter,
-    )  # fmt: skip
+    sampling = Sampling.of(sampling, options, spaces[0].ndim)
     if is_on_device(sources):
         result, certificate = _on_device(sources, spaces, sampling, alpha, False, device, out, batch=True)
         warn_of(certificate, sampling.tolerance, 3)
@@ -390,7 +384,8 @@ def clamp_to(source: Array, result: Array, sampling: Sampling) -> None:
 
     NaN and infinities are unchanged.
     """
-    if result.dtype.kind not in "iuf" or "cubic" not in (sampling.filter.replace("auto", "cubic"), sampling.between):
+    cubic = sampling.filter in ("auto", "cubic") or sampling.between_frames == "cubic"
+    if result.dtype.kind not in "iuf" or not cubic:
         return
     low, high, infinite = _finite_range(source)
     if low > high:  # no finite value

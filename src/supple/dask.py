@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from supple.blocks import Block, Box, Read, Warp, boxes_of
 from supple.deformation import Deformation
-from supple.engine.sampling import Sampling, warn_of
+from supple.engine.sampling import DEFAULT, Sampling, warn_of
 from supple.engine.work import work_of
 from supple.errors import SuppleError, need
 from supple.space.domain import refuse
@@ -36,14 +36,9 @@ def warp(
     chunks: Any = None,
     *,
     axes: Sequence[int] | None = None,
-    filter: str = "auto",
-    tolerance: float = 0.01,
-    outside: str = "edge",
-    fill: float | Sequence[float] = 0.0,
+    sampling: Sampling = DEFAULT,
     alpha: bool | None = None,
-    linear_light: bool = False,
-    between: str | None = None,
-    time_filter: bool = False,
+    **options: Any,
 ) -> Any:
     """Warp an array lazily: block by block, on threads, processes or a cluster.
 
@@ -66,7 +61,9 @@ def warp(
         The axes that are bent, in ascending order, side by side. By default the last ones, if they have the shape of
         the deformation, and the first ones otherwise, as of images with channels. Axes before them are carried along:
         times, channels, positions. An axis after them holds channels, the last of which may be opacity.
-    filter, tolerance, outside, fill, alpha, linear_light, between, time_filter
+    sampling : Sampling, optional
+        How the arrays are sampled; further keywords replace its fields: ``filter="linear"``.
+    alpha
         As in `Deformation.warp`.
 
     Returns
@@ -90,10 +87,7 @@ def warp(
         refuse("deformation", "a Deformation", deformation)
     if getattr(grid, "ndim", deformation.ndim) != deformation.ndim or not isinstance(grid, Grid | None):
         refuse("grid", f"a Grid of {deformation.ndim} axes", grid)
-    sampling = Sampling.checked(
-        deformation.ndim, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light,
-        between=between, time_filter=time_filter,
-    )  # fmt: skip
+    sampling = Sampling.of(sampling, options, deformation.ndim)
     job = Warp(deformation, sampling, grid, alpha)
     if type(array).__module__.partition(".")[0] == "xarray":
         return _of_xarray(array, job, chunks, axes)

@@ -16,7 +16,7 @@ from supple import _core
 from supple.engine import core
 from supple.engine.core import measured, plan_of
 from supple.engine.devices import is_on_device
-from supple.engine.sampling import Certificate, Sampling, warn_of
+from supple.engine.sampling import DEFAULT, Certificate, Sampling, warn_of
 from supple.engine.work import Space
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, caller
 from supple.fields import Field, Placed, check_path, folds_of
@@ -1025,19 +1025,14 @@ class Deformation:
         self,
         source: Any,
         *,
-        filter: str = "auto",
-        tolerance: float = 0.01,
-        outside: str = "edge",
-        fill: float | Sequence[float] = 0.0,
+        sampling: Sampling = DEFAULT,
         alpha: bool | None = None,
-        linear_light: bool = False,
-        between: str | None = None,
-        time_filter: bool = False,
         samples: int = 1,
         clamp: bool = False,
         device: str = "cpu",
         out: npt.NDArray[Any] | None = None,
         grid: Grid | None = None,
+        **options: Any,
     ) -> Any:
         """Warp an image, a stack of frames, or a function of points.
 
@@ -1050,29 +1045,12 @@ class Deformation:
             Numba's, or any with DLPack or
             ``__cuda_array_interface__``) is warped there, on its library's current stream. A function takes points
             (N, 2), x first, and returns (N,) or (N, C).
-        filter : str
-            ``"auto"`` (cubic, averaged over the residual footprint where the map shrinks), ``"cubic"`` (Keys' with a =
-            -0.75), ``"linear"`` or ``"nearest"`` (unchanged values, for labels).
-        tolerance : float
-            The largest distance of a source point from T⁻¹(q), in pixels. Points are float32: values below about 3e-4
-            exceed their accuracy.
-        outside : str
-            Boundary mode: the ``"edge"`` of the source, a ``"constant"``, or its mirror image (``"reflect"``: about the
-            outer edge of the border's pixels, as in scipy.ndimage).
-        fill : float or sequence of float
-            The fill value, in the units of the source; one for all channels, or one for each.
+        sampling : Sampling, optional
+            How the source is sampled: the filter, the tolerance, the boundary mode and fill value, and so on.
         alpha : bool, optional
             Whether the last channel is opacity, by which the others are weighted while they are filtered; full opacity
             is the largest value of an integer type, and 1 of floats. By default, the last of exactly four channels of 8
             or 16 bits is opacity.
-        linear_light : bool
-            Whether to average in linear light rather than in sRGB values, which darkens fine detail.
-        between : str, optional
-            The interpolation between frames: ``"linear"``, ``"cubic"`` or ``"nearest"``; linear by default, and nearest
-            under ``filter="nearest"``.
-        time_filter : bool
-            Whether to average each pixel over the frames that it covers, where the map compresses time: jagged edges
-            become motion blur.
         samples : int
             For a function: samples along each side of an output pixel, which are averaged.
         clamp : bool
@@ -1087,6 +1065,8 @@ class Deformation:
             The grid of the output; by default, that of the input. `supple.grid_of` reads that of another image. Of
             ``d.grid.crop(…)``, a part of the grid, the result equals that part of the whole, bit for bit, at a
             cost in proportion.
+        **options
+            Fields of the sampling to replace, by name: ``d.warp(image, filter="linear", outside="reflect")``.
 
         Returns
         -------
@@ -1108,10 +1088,7 @@ class Deformation:
         # Imported here to keep `import supple` fast.
         from supple.arrays import check_device, warp_array, warp_function, warp_picture
 
-        sampling = Sampling.checked(
-            self.ndim, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light,
-            between=between, time_filter=time_filter,
-        )  # fmt: skip
+        sampling = Sampling.of(sampling, options, self.ndim)
         clamp = flag("clamp", clamp)
         if grid is not None:
             if not isinstance(grid, Grid):

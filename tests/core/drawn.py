@@ -99,7 +99,7 @@ def plan(d: Deformation, tolerance: float = 0.01, z: float = 0.0, shape: tuple[i
 
 def sampling(frames: Array, out: Array, **how: Any) -> _core.Sampling:
     """Return a sampling of frames (slots, h, w, C) into (h, w, C), plain but for what is said."""
-    options = {"filter": "auto", "between": "linear", "outside": "edge", "average": False, "light": False}
+    options = {"filter": "auto", "between": None, "outside": "edge", "average": False, "light": False}
     options |= {"fill": [0.0] * frames.shape[-1], "alpha": False, "step": (1, 1), "offset": (0.0, 0.0)} | how
     if frames.dtype == np.bool_:
         frames, out = frames.view(np.uint8), out.view(np.uint8)
@@ -107,7 +107,12 @@ def sampling(frames: Array, out: Array, **how: Any) -> _core.Sampling:
     white = options.get("white", np.iinfo(frames.dtype).max if frames.dtype.kind in "iu" else 1.0)
     group = Group(frames.shape[1:3], frames.shape[-1], options["step"], options["offset"], alpha=options["alpha"])
     known = Sampling(
-        options["filter"], options["between"], options["average"], options["outside"], options["fill"], options["light"]
+        options["filter"],
+        outside=options["outside"],
+        fill=options["fill"],
+        linear_light=options["light"],
+        between=options["between"],
+        time_filter=options["average"],
     )
     space = Space(np.zeros(0, STROKE_DTYPE), np.zeros((3, 5)), 3, len(frames), group.shape)
     work = Work(space, Layout((group,), frames.dtype, float(white)), known)

@@ -39,7 +39,7 @@ def noise(shape: tuple[int, ...] = STACK, dtype: Any = np.float32) -> np.ndarray
 def by_device(
     gpu: CudaDevice, d: supple.Deformation, source: np.ndarray, room: int | None = None, **options: Any
 ) -> tuple[np.ndarray, Certificate, list[int]]:
-    sampling = Sampling.checked(d.ndim, **{"filter": "linear", "tolerance": 1e-3, **options})
+    sampling = Sampling(**{"filter": "linear", "tolerance": 1e-3, **options})
     work = work_of(source.shape, source.dtype, d.space, sampling)
     made, told = np.empty_like(source), []
     given, out = (a if a.ndim > len(d.shape) else a[..., None] for a in (source, made))
@@ -109,7 +109,7 @@ def test_what_does_not_fit_is_refused(gpu: CudaDevice) -> None:
 
 def test_an_end_on_the_way_is_the_caller_s(gpu: CudaDevice) -> None:
     d, source = bent(), noise()
-    work = work_of(source.shape, source.dtype, d.space, Sampling.checked(3, filter="linear"))
+    work = work_of(source.shape, source.dtype, d.space, Sampling(filter="linear"))
 
     def end(step: str, done: int, total: int) -> None:
         raise KeyboardInterrupt
@@ -152,7 +152,7 @@ def test_volumes_from_file_to_file(gpu: CudaDevice, folder: Path, capfd: pytest.
 
 def test_an_error_of_the_caller_is_not_one_of_the_gpu(gpu: CudaDevice) -> None:
     d, source = bent(), noise()
-    work = work_of(source.shape, source.dtype, d.space, Sampling.checked(3, filter="linear"))
+    work = work_of(source.shape, source.dtype, d.space, Sampling(filter="linear"))
 
     def tell(step: str, done: int, total: int) -> None:
         raise BrokenPipeError("nobody reads")

@@ -57,7 +57,7 @@ def test_every_plane_is_bent_in_its_own_coordinates(
         for x in (0.2, 0.5, 0.7)[: sum(g.channels for g in layout.groups)]
     )
     d = bent(border=border)
-    sampling = Sampling(name, between, outside=rule, fill=fill, tolerance=FINE)
+    sampling = Sampling(name, between=between, outside=rule, fill=fill, tolerance=FINE)
     found, plan, _ = streamed(d.space, layout, arrays, sampling)
     at = 0
     for group, source, out in zip(layout.groups, arrays, found, strict=True):
@@ -98,7 +98,7 @@ def test_streams_and_arrays_are_one(rule: str) -> None:
     for name in ("nearest", "linear", "auto"):
         for averaged in (False, True):
             between = "nearest" if name == "nearest" else "linear"
-            sampling = Sampling(name, between, averaged, rule, (50.0,))
+            sampling = Sampling(name, outside=rule, fill=50.0, between=between, time_filter=averaged)
             found, _, _ = streamed(d.space, layout, arrays, sampling)
             outs = [np.empty_like(a) for a in arrays]
             certificate = sample(Work(d.space, layout, sampling), arrays, outs)
@@ -144,7 +144,7 @@ def test_a_plan_holds_all_that_is_needed_and_little_more(seed: int) -> None:
     early, late = exact_times(d, layout, planes)
     rule = RULES[seed % 3]
     for between, support in (("linear", 1), ("cubic", 2)):
-        sampling = Sampling("linear", between, outside=rule)
+        sampling = Sampling("linear", between=between, outside=rule)
         plan = make_plan(Work(d.space, layout, sampling), planes)
         assert plan.planes == tuple(planes)
         for k, z in enumerate(planes):
@@ -203,7 +203,9 @@ def test_what_flickers_becomes_grey_in_every_plane(between: str) -> None:
     for array in arrays:
         array[::2] = 255
     for name in ("linear", "auto"):
-        sharp, soft = (streamed(d.space, layout, arrays, Sampling(name, between, f))[0] for f in (False, True))
+        sharp, soft = (
+            streamed(d.space, layout, arrays, Sampling(name, between=between, time_filter=f))[0] for f in (False, True)
+        )
         for group, a, b in zip(layout.groups, sharp, soft, strict=True):
             points = source_points(d, group, range(60))
             durations = reference.durations(d, source_points(d, replace(group, step=(1, 1), offset=(0, 0)), range(60)))
@@ -215,7 +217,7 @@ def test_what_flickers_becomes_grey_in_every_plane(between: str) -> None:
             assert np.abs(b.astype(float) - 127.5).mean() < np.abs(a.astype(float) - 127.5).mean()
     for value in (0, 77, 255):
         flat = [np.full_like(array, value) for array in arrays]
-        for part in streamed(d.space, layout, flat, Sampling("auto", between, True))[0]:
+        for part in streamed(d.space, layout, flat, Sampling("auto", between=between, time_filter=True))[0]:
             assert (part == value).all()
 
 
@@ -260,7 +262,7 @@ def test_still_planes_are_passed_on_bit_for_bit(layout: Layout) -> None:
     ]
     for light in (False, layout.dtype.kind == "u"):
         for averaged in (False, True):
-            sampling = Sampling("auto", time_filter=averaged, light=light)
+            sampling = Sampling("auto", time_filter=averaged, linear_light=light)
             found, plan, _ = streamed(d.space, layout, arrays, sampling)
             assert plan.still[:5].all()
             assert not plan.still[18:23].any()
@@ -292,7 +294,7 @@ def test_all_of_a_clip_outside_itself(shift: int, rule: str) -> None:
     for name in ("nearest", "linear", "cubic", "auto"):
         for averaged in (False, True):
             between = "nearest" if name == "nearest" else "linear"
-            sampling = Sampling(name, between, averaged, rule, (16.0, 128.0, 90.0))
+            sampling = Sampling(name, outside=rule, fill=(16.0, 128.0, 90.0), between=between, time_filter=averaged)
             found, plan, _ = streamed(d.space, layout, arrays, sampling)
             assert plan.capacity <= COUNT
             for part, source, fill in zip(found, arrays, ([16], [128, 90]), strict=True):
@@ -307,7 +309,7 @@ def test_reflected_through_several_lengths_of_the_clip() -> None:
     early, late = exact_times(d, layout, range(4))
     assert late.max() - early.min() > 12
     for between in ("linear", "cubic"):
-        sampling = Sampling("linear", between, outside="reflect", tolerance=FINE)
+        sampling = Sampling("linear", between=between, outside="reflect", tolerance=FINE)
         found, plan, _ = streamed(d.space, layout, arrays, sampling)
         assert plan.capacity <= 4
         for group, source, out in zip(layout.groups, arrays, found, strict=True):
@@ -346,7 +348,7 @@ def test_values_stay_below_white() -> None:
     layout = LAYOUTS["4:2:2 of 10 bits"]
     arrays = [np.where(a > 511, 1023, 0).astype(np.uint16) for a in noise(layout)]
     for name in ("cubic", "auto", "linear"):
-        found, _, _ = streamed(bent().space, layout, arrays, Sampling(name, "cubic"))
+        found, _, _ = streamed(bent().space, layout, arrays, Sampling(name, between="cubic"))
         for part in found:
             assert part.max() == 1023
             assert part.min() == 0

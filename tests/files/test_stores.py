@@ -370,7 +370,7 @@ def test_what_happens_to_a_cluster_is_one_sentence(error: BaseException, told: s
 def test_planes_of_a_crop_that_hardly_move_are_asked_of_the_whole() -> None:
     """By a runner, as the command does: what reads a whole plane is not what reads the crop."""
     d = Deformation((17, 10, 14)).grab((4.8, 6.2, 4.8), by=(-3.7, -0.11, -5.27), radius=3.07)
-    warp = Warp(d, Sampling.checked(filter="linear"), d.grid.crop((8, 3, 0), (6, 5, 17)))
+    warp = Warp(d, Sampling(filter="linear"), d.grid.crop((8, 3, 0), (6, 5, 17)))
     boxes = list(boxes_of([[17], [5], [6]]))
     with runner_of(Running()) as runner:
         assert plan_boxes(warp, boxes, runner) == warp.plan(boxes)

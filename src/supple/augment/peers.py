@@ -52,9 +52,7 @@ def bent_stack(d: Deformation, images: npt.NDArray[Any], filter: str, outside: s
         return images.copy()
     if len(images) == 1:
         return np.asarray(d.warp(images[0], filter=filter, outside=outside, alpha=False))[None]
-    sampling = Sampling.checked(
-        2, filter=filter, tolerance=0.01, outside=outside, fill=0.0, linear_light=False, between=None, time_filter=False
-    )
+    sampling = Sampling(filter, outside=outside)
     made, certificate = warp_array(images, replace(d.space, count=len(images)), sampling, alpha=False)
     warn_of(certificate, sampling.tolerance, 2)
     return np.asarray(made)

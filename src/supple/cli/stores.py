@@ -86,7 +86,8 @@ def warp_stored(
 
     source, target = _pair(paths)
     _check(job, paths)
-    given = {key: getattr(job, key) for key in ("filter", "tolerance", "outside", "fill", "fit", "grid", "force")}
+    given = {key: getattr(job.sampling, key) for key in ("filter", "tolerance", "fill")}
+    given |= {key: getattr(job, key) for key in ("outside", "fit", "grid", "force")}
     blocks: dict[str, tuple[int, int]] = {}
 
     def tell(step: str, done: int, total: int) -> None:
@@ -165,7 +166,9 @@ def _check(job: Job, paths: Sequence[str]) -> None:
     from supple.media.files import is_store
 
     names = [argument(name) for name in ("linear_light", "quality", "lossless") if getattr(job, name)]
-    names += [argument("clamp", job.clamp)] * (job.clamp is not None) + [asked("clip", job.clip)] * (job.clip != ClipOptions())
+    names += [argument("clamp", job.clamp)] * (job.clamp is not None) + [asked("clip", job.clip)] * (
+        job.clip != ClipOptions()
+    )
     if is_store(paths[0]):
         names += [argument(name) for name in ("series", "layout") if getattr(job.volume, name) is not None]
     if job.device not in ("cpu", "auto"):

@@ -138,7 +138,6 @@ def warp(
     if len(paths) < 2:
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
     console.started(**options.asked(), file=paths[0] if len(paths) == 2 else "")
-    Sampling.checked(filter=filter)
     grid = output.to_grid()
     recipe = strokes.to_recipe(
         world=volume.world, empty=maps.any or maps.dangling or grid is not None, others=OTHERS,
@@ -156,10 +155,10 @@ def warp(
         )
     reading = volume.to_reading(labels=labels, save_field=save_field)
     values = parse_fill("0" if fill is None else fill)
+    outside = check_fill(fill, outside, elements, output)
     template = Job(
-        paths[0], paths[-1], recipe, filter, tolerance, check_fill(fill, outside, elements, output),
-        values, linear_light, clamp, quality, lossless, device, options.force, video.to_clip(), reading,
-        strokes.to_fit(), grid=grid,
+        paths[0], paths[-1], recipe, Sampling(filter, tolerance, outside or "edge", values, linear_light), outside,
+        clamp, quality, lossless, device, options.force, video.to_clip(), reading, strokes.to_fit(), grid=grid,
     )  # fmt: skip
     if options.json and paths[-1] == STREAM:
         raise SuppleError("--json and the picture cannot both go to standard output: leave --json out, or name a file")

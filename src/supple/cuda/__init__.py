@@ -7,7 +7,7 @@ from typing import Any
 
 from supple.cuda import job
 from supple.cuda.job import Warping
-from supple.engine.sampling import Sampling
+from supple.engine.sampling import DEFAULT, Sampling
 from supple.engine.work import Deforming, spaces_of
 from supple.space.domain import integer
 
@@ -18,17 +18,12 @@ def start(
     source: Any,
     deformations: Deforming | Sequence[Deforming],
     *,
-    filter: str = "auto",
-    tolerance: float = 0.01,
-    outside: str = "edge",
-    fill: float | Sequence[float] = 0.0,
+    sampling: Sampling = DEFAULT,
     alpha: bool | None = None,
-    linear_light: bool = False,
-    between: str | None = None,
-    time_filter: bool = False,
     slab: int | None = None,
     stream: Any = None,
     out: Any = None,
+    **options: Any,
 ) -> Warping:
     """Start a warp on a GPU, and return at once.
 
@@ -40,7 +35,9 @@ def start(
         As in `supple.Deformation.warp`; or a batch (N, …).
     deformations : Deformation or sequence of Deformation
         One; or a sequence for a batch, of one for all, or of N.
-    filter, tolerance, outside, fill, alpha, linear_light, between, time_filter
+    sampling : Sampling, optional
+        How the arrays are sampled; further keywords replace its fields: ``filter="linear"``.
+    alpha
         As in `supple.Deformation.warp`.
     slab : int, optional
         The number of planes of a stack in one launch: between slabs, kernels of other streams can run.
@@ -62,10 +59,7 @@ def start(
         If an argument does not fit, or the GPU cannot be used.
     """
     spaces = spaces_of(deformations)
-    sampling = Sampling.checked(
-        spaces[0].ndim, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light,
-        between=between, time_filter=time_filter,
-    )  # fmt: skip
+    sampling = Sampling.of(sampling, options, spaces[0].ndim)
     if slab is not None:
         slab = integer("slab", slab, "a number of planes from 1 on", 1, 1 << 30)
     work, held, result = job.prepared(source, spaces, sampling, alpha, out, batch=isinstance(deformations, Sequence))

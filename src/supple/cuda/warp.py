@@ -263,9 +263,9 @@ def warp(
         fill=held.pointer, white=white, high=high, top=int(high),
         w=space.shape[1], h=space.shape[0], count=space.count if space.ndim == 3 else 1,
         held_from=held_from, channels=group.channels,
-        between=BETWEEN[sampling.between] if timed else 0,
+        between=BETWEEN[sampling.between_frames] if timed else 0,
         rule=OUTSIDE[sampling.outside],
-        average=timed and sampling.time_filter and sampling.between != "nearest",
+        average=timed and sampling.averages_frames,
         alpha=group.channels - 1 if group.alpha and not nearest else -1,
-        light=sampling.light and not nearest,
+        light=sampling.linear_light and not nearest,
     )  # fmt: skip

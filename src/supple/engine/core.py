@@ -102,9 +102,9 @@ def needed(
         space.count,
         space.shape,
         FILTERS[sampling.filter],
-        BETWEEN[sampling.between],
+        BETWEEN[sampling.between_frames],
         OUTSIDE[sampling.outside],
-        sampling.time_filter and sampling.between != "nearest",
+        sampling.averages_frames,
         space.composite,
         box or (0, columns, 0, rows),
         space.freeze,
@@ -145,8 +145,7 @@ def samplings_of(
         If ``frames`` are a part of those of the layout: the position x, y, and the frame, of their first sample.
     """
     sampling, rule = work.sampling, OUTSIDE[work.sampling.outside]
-    timed = sampling.time_filter and sampling.between != "nearest"
-    chosen = FILTERS[sampling.filter], BETWEEN[sampling.between], rule, timed
+    chosen = FILTERS[sampling.filter], BETWEEN[sampling.between_frames], rule, sampling.averages_frames
     nearest = FILTERS["nearest"], BETWEEN["nearest"], rule, False
     fills = np.broadcast_to(sampling.fill, sum(group.channels for group in work.layout.groups)).tolist()
     made, done = [], 0
@@ -155,7 +154,7 @@ def samplings_of(
         done += group.channels
         job = _core.Sampling(
             held, out, count, group.step, group.offset, *(nearest if group.exact else chosen), fill,
-            group.channels - 1 if group.alpha else -1, sampling.light, work.layout.white, corner,
+            group.channels - 1 if group.alpha else -1, sampling.linear_light, work.layout.white, corner,
             None if corner is None else group.shape,
         )  # fmt: skip
         made.append(job)

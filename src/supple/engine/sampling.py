@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,75 +26,99 @@ FINEST = 3e-4
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """Sampling options; see `supple.Deformation.warp`. `checked` builds them from user input."""
+    """How images, frames and volumes are sampled.
+
+    Parameters
+    ----------
+    filter : str
+        ``"auto"`` (cubic, averaged over the residual footprint where the map shrinks), ``"cubic"`` (Keys' with a =
+        -0.75), ``"linear"`` or ``"nearest"`` (unchanged values, for labels).
+    tolerance : float
+        The largest distance of a source point from T⁻¹(q), in pixels. Points are float32: values below about 3e-4
+        exceed their accuracy.
+    outside : str
+        Boundary mode: the ``"edge"`` of the source, a ``"constant"``, or its mirror image (``"reflect"``: about the
+        outer edge of the border's pixels, as in scipy.ndimage).
+    fill : float or sequence of float
+        The fill value, in the units of the source; one for all channels, or one for each.
+    linear_light : bool
+        Whether to average in linear light rather than in sRGB values, which darkens fine detail.
+    between : str, optional
+        The interpolation between frames or slices: ``"linear"``, ``"cubic"`` or ``"nearest"``; linear by default, and
+        nearest under ``filter="nearest"``. An image, which is one frame, has none.
+    time_filter : bool
+        Whether to average each pixel over the frames that it covers, where the map compresses time: jagged edges
+        become motion blur.
+
+    Raises
+    ------
+    SuppleError
+        If an option is invalid, or does not go with the filter.
+    """
 
     filter: str = "auto"
-    between: str = "linear"
-    time_filter: bool = False
-    outside: str = "edge"
-    fill: float | Sequence[float] = (0.0,)
-    light: bool = False
     tolerance: float = 0.01
+    outside: str = "edge"
+    fill: float | Sequence[float] = 0.0
+    linear_light: bool = False
+    between: str | None = None
+    time_filter: bool = False
 
-    @classmethod
-    def checked(
-        cls,
-        ndim: int = 3,
-        *,
-        filter: str = "auto",
-        tolerance: float = 0.01,
-        outside: str = "edge",
-        fill: float | Sequence[float] = 0.0,
-        linear_light: bool = False,
-        between: str | None = None,
-        time_filter: bool = False,
-        unit: str = "pixels",
-    ) -> Sampling:
-        """Return checked sampling options, with the arguments of `supple.Deformation.warp`.
-
-        ``ndim`` is 2 for an image, which has no frames to interpolate between; ``unit`` is the unit of the tolerance.
-
-        Raises
-        ------
-        SuppleError
-            If an option is unknown, or does not go with the filter.
-        """
-        if filter in ("antialias", "ewa"):
+    def __post_init__(self) -> None:
+        if self.filter in ("antialias", "ewa"):
             raise SuppleError(
-                f'{argument("filter", filter)} is gone: "auto", the default, averages just what the map shrinks '
+                f'{argument("filter", self.filter)} is gone: "auto", the default, averages just what the map shrinks '
                 "(docs/sampling.md)"
             )
-        choice("filter", filter, tuple(FILTERS))
-        choice("outside", outside, tuple(OUTSIDE))
-        tolerance = number("tolerance", tolerance, f"a number of {unit} above 0", 1e-9, 1e9)
-        if between is not None and ndim == 2:
-            refuse("between", "left out for an image, which is one frame", between)
-        if time_filter and ndim == 2:
-            refuse("time_filter", "left out for an image, which is one frame", time_filter)
-        light, averaged = flag("linear_light", linear_light), flag("time_filter", time_filter)
-        if between is None:
-            between = "nearest" if filter == "nearest" else "linear"
-        choice("between", between, tuple(BETWEEN))
-        if filter == "nearest" and between != "nearest":
-            refuse(
-                "between", f'"nearest" under {argument("filter", "nearest")}, which keeps values as they are', between
-            )
-        return cls(filter, between, averaged, outside, fill, light, tolerance)
+        choice("filter", self.filter, tuple(FILTERS))
+        choice("outside", self.outside, tuple(OUTSIDE))
+        checked: dict[str, object] = {
+            "tolerance": number("tolerance", self.tolerance, "a number of pixels above 0", 1e-9, 1e9),
+            "linear_light": flag("linear_light", self.linear_light),
+            "time_filter": flag("time_filter", self.time_filter),
+        }
+        if self.between is not None:
+            choice("between", self.between, tuple(BETWEEN))
+            if self.filter == "nearest" and self.between != "nearest":
+                keeps = f'"nearest" under {argument("filter", "nearest")}, which keeps values as they are'
+                refuse("between", keeps, self.between)
+        try:
+            fill = np.asarray(self.fill, np.float64)
+        except (TypeError, ValueError):
+            fill = np.empty((0, 0))
+        if fill.ndim > 1:
+            refuse("fill", "a number, or one for each channel", self.fill)
+        checked["fill"] = tuple(fill.tolist()) if fill.ndim else float(fill)
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def between_frames(self) -> str:
+        """The interpolation between frames in effect."""
+        return self.between or ("nearest" if self.filter == "nearest" else "linear")
+
+    @property
+    def averages_frames(self) -> bool:
+        """Whether pixels are averaged over time, which nearest frames are not."""
+        return self.time_filter and self.between_frames != "nearest"
+
+    @classmethod
+    def of(cls, sampling: object, options: Mapping[str, Any], ndim: int) -> Sampling:
+        """Return the sampling of an array of ``ndim`` axes, with ``options`` in place of fields of the given one."""
+        if not isinstance(sampling, Sampling):
+            refuse("sampling", "a Sampling", sampling)
+        chosen = replace(sampling, **options)
+        if ndim == 2 and (chosen.between is not None or chosen.time_filter):
+            name = "time_filter" if chosen.between is None else "between"
+            refuse(name, "left out for an image, which is one frame", getattr(chosen, name))
+        return chosen
 
     def filled(self, channels: int, dtype: np.dtype[Any], *, finite: bool = True) -> Sampling:
-        """Return a copy with one fill value for each channel, rounded to the sample type.
+        """Return a copy with one fill value for each channel, in the range of the sample type.
 
         Averages take finite ones only; `supple.arrays.warp_array` fills with others afterwards.
-
-        Raises
-        ------
-        SuppleError
-            If a fill value is not a number, or their count differs from that of the channels.
         """
-        try:
-            values = np.asarray(self.fill, np.float64)
-        except (TypeError, ValueError):
-            refuse("fill", "a number, or one for each channel", self.fill)
+        values = np.asarray(self.fill)
         if values.shape not in ((), (1,), (channels,)):
             refuse("fill", f"a number, or {channels} of them, one for each channel", self.fill)
         if (finite or dtype.kind != "f") and not np.isfinite(values).all():
@@ -103,6 +127,9 @@ class Sampling:
         if dtype.kind in "iu":
             values = np.clip(values, np.iinfo(dtype).min, np.iinfo(dtype).max)
         return replace(self, fill=tuple(np.broadcast_to(values, (channels,)).tolist()))
+
+
+DEFAULT = Sampling()
 
 
 @dataclass(frozen=True, slots=True)

@@ -147,8 +147,8 @@ def make_plan(work: Work, planes: Sequence[int], tell: Tell = silent) -> Plan:
     first, last = np.array(planes, np.int64), np.array(planes, np.int64)
     still = np.array([space.is_identity if work.items is None else work.items[z].is_identity for z in planes], bool)
     if space.ndim == 3 and not space.is_identity:
-        support = SUPPORT[sampling.between]
-        earliest, latest = _times_seen(sampling.outside, count, sampling.time_filter)
+        support = SUPPORT[sampling.between_frames]
+        earliest, latest = _times_seen(sampling.outside, count, sampling.averages_frames)
         step = work.layout.step
         for k, z in enumerate(planes):
             plan = plan_of(space, z, sampling.tolerance, step)
@@ -157,7 +157,7 @@ def make_plan(work: Work, planes: Sequence[int], tell: Tell = silent) -> Plan:
             if not still[k]:
                 # A chroma sample covers several pixels; and derivatives between nodes may be larger.
                 wide = 1.5 * rate * math.hypot(*step, 1)
-                beyond = min(wide, LONGEST) / 2 + 1 if sampling.time_filter else 0.0
+                beyond = min(wide, LONGEST) / 2 + 1 if sampling.averages_frames else 0.0
                 early, late = (min(max(t, earliest), latest) for t in (low[2] - _SLACK, high[2] + _SLACK))
                 first[k] = math.floor(early - beyond) - support + 1
                 last[k] = math.floor(late + beyond) + support

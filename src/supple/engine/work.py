@@ -221,7 +221,7 @@ def work_of(
     straight = bool(alpha) if alpha is not None else channels == 4 and dtype.str[1:] in ("u1", "u2")
     if straight and channels < 2:
         raise SuppleError(f"alpha=True needs a last channel beside the colours, found shape {shape}")
-    if sampling.light and (dtype.kind == "b" or (dtype.kind in "iu" and dtype.str[1:] not in ("u1", "u2"))):
+    if sampling.linear_light and (dtype.kind == "b" or (dtype.kind in "iu" and dtype.str[1:] not in ("u1", "u2"))):
         raise SuppleError(f"{argument('linear_light')} needs 8 or 16 bit colours or floats, found {dtype}")
     white = float(np.iinfo(dtype).max) if dtype.kind in "iu" else 1.0
     layout = Layout((Group(space.shape, channels, alpha=straight),), dtype.newbyteorder("="), white)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from supple.engine.sampling import Sampling
 from supple.fields import Placed
 from supple.files.jobs import Job, Warped
 from supple.files.options import ClipOptions, GridOptions, PathLike, VolumeOptions
@@ -56,9 +57,9 @@ def warp_file(
         without one warp each frame alike, and each page of a TIFF; those with keys move from frame to frame. In
         volumes, points are voxels, x, y and z, and lengths millimetres.
     filter, tolerance, fill, linear_light
-        As in `Deformation.warp`.
+        As in `supple.Sampling`.
     outside : str, optional
-        As in `Deformation.warp`; by default ``"edge"``. Of volumes on the grid of a reference, it is
+        As in `supple.Sampling`; by default ``"edge"``. Of volumes on the grid of a reference, it is
         ``"constant"``, with what `supple.files.volumes.background_of` returns as the fill value.
     clamp : bool, optional
         Whether to clamp to the range of the source; by default, for volumes and images of floats.
@@ -106,6 +107,6 @@ def warp_file(
     >>> warp_file("photo.jpg", "bent.jpg", recipe).report().error  # doctest: +SKIP
     """
     return Job(
-        source, target, recipe, filter, tolerance, outside, fill, linear_light, clamp, quality, lossless, device, force,
-        clip or ClipOptions(), volume or VolumeOptions(), fit, maps, grid,
+        source, target, recipe, Sampling(filter, tolerance, outside or "edge", fill, linear_light), outside, clamp,
+        quality, lossless, device, force, clip or ClipOptions(), volume or VolumeOptions(), fit, maps, grid,
     ).warp(progress, tell)  # fmt: skip

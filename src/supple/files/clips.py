@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 
 from supple.deformation import Deformation
-from supple.engine.sampling import Certificate, Sampling, warn_of
+from supple.engine.sampling import DEFAULT, Certificate, Sampling, warn_of
 from supple.engine.stream import Done, make_plan, run, stream
 from supple.engine.work import Array, Layout, Tell, Work
 from supple.errors import OutsideWarning, SuppleError, argument, caller, shown
@@ -110,10 +110,7 @@ def warp(job: Job, tell: Tell) -> Warped:
 def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], tell: Tell) -> Warped:
     """Write an open clip, bent by the deformations of its frames."""
     source, target, known = job.source, job.target, job.clip
-    sampling = sampling_of(
-        clip, filter=job.filter, outside=job.outside or "edge", fill=job.fill, tolerance=job.tolerance,
-        light=job.linear_light, between=known.between, time_filter=known.time_filter,
-    )  # fmt: skip
+    sampling = sampling_of(clip, replace(job.sampling, between=known.between, time_filter=known.time_filter))
     work = work_on(clip, deformations, sampling)
     untouched = work.is_identity and not job.lossless and known == ClipOptions(memory=known.memory)
     if untouched and os.path.isfile(source) and suffix_of(source) == suffix_of(target):
@@ -127,7 +124,7 @@ def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], tell: 
         # The writer first: its errors come before any work.
         with _writer(clip, job) as sink:
             done = run(clip, sink, work, memory=known.memory, tell=tell)
-            warn_of(done.certificate, job.tolerance, 3)  # before the target is renamed
+            warn_of(done.certificate, sampling.tolerance, 3)  # before the target is renamed
             if done.still == clip.count:
                 _warn_of_none(job.recipe, clip)
         copied = getattr(sink, "copied", 0)
@@ -136,8 +133,8 @@ def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], tell: 
         grid, (width, height) = deformations[0].grid, clip.display[2:]
         own = Grid((*grid.shape[:-2], height, width), grid.spacing)
     return Warped(
-        Path(source), Path(target), "clip", deformations, job.tolerance, done.certificate.error, clip.count, done.still,
-        copied, done.held, own=own,
+        Path(source), Path(target), "clip", deformations, sampling.tolerance, done.certificate.error, clip.count,
+        done.still, copied, done.held, own=own,
     )  # fmt: skip
 
 
@@ -251,30 +248,15 @@ def deformations_of(
     return motion_of(fit_recipe(recipe, size, fit, name).placed((x, y), shape[::-1]), count, shape, tell)
 
 
-def sampling_of(
-    clip: Clip,
-    *,
-    filter: str,
-    outside: str,
-    fill: float | Sequence[float],
-    tolerance: float,
-    light: bool,
-    between: str | None = None,
-    time_filter: bool = False,
-) -> Sampling:
-    """Return the checked sampling options for a clip's frames."""
-    layout: Layout = clip.layout
-    name: str = clip.name
-    sampling = Sampling.checked(
-        filter=filter, outside=outside, tolerance=tolerance, linear_light=light, between=between,
-        time_filter=time_filter,
-    )  # fmt: skip
-    if light and (len(layout.groups) > 1 or layout.dtype.kind == "f" or not _is_rgb(layout)):
+def sampling_of(clip: Clip, sampling: Sampling = DEFAULT) -> Sampling:
+    """Return sampling options for a clip's frames, with the fill value in its components."""
+    layout = clip.layout
+    if sampling.linear_light and (len(layout.groups) > 1 or layout.dtype.kind == "f" or any(layout.black)):
         raise SuppleError(
-            f"{argument('linear_light')} needs frames of RGB or grey of 8 or 16 bits, and {name} has others: leave it "
-            "out"
+            f"{argument('linear_light')} needs frames of RGB or grey of 8 or 16 bits, and {clip.name} has others: "
+            "leave it out"
         )
-    return replace(sampling, fill=_filled(clip, fill))
+    return replace(sampling, fill=_filled(clip, sampling.fill))
 
 
 def _filled(clip: Clip, fill: float | Sequence[float]) -> tuple[float, ...]:
@@ -298,10 +280,6 @@ def _filled(clip: Clip, fill: float | Sequence[float]) -> tuple[float, ...]:
     if not paint:
         return (*values, *(0.0 for group in layout.groups[1:] for _ in range(group.channels)))
     return tuple(paint([*values, layout.white] if alpha and len(values) < full else values))
-
-
-def _is_rgb(layout: Layout) -> bool:
-    return all(value == 0 for value in layout.black)
 
 
 def frames_of(

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from supple import media
 from supple.arrays import check_device
 from supple.deformation import Arrival, Deformation, Report
 from supple.engine.progress import counted, staged
+from supple.engine.sampling import DEFAULT, Sampling
 from supple.engine.work import Tell
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
@@ -26,29 +26,29 @@ from supple.strokes import Fit, Recipe
 
 # The module of a kind checks and warps it; it is loaded for such files alone, since readers take time.
 _ROOMS = {"picture": "supple.files.pictures", "clip": "supple.files.clips", "volume": "supple.files.volumes"}
-_FOR: dict[str, tuple[Kind, ...]] = {
-    "quality": ("picture", "clip"),
-    "lossless": ("picture", "clip"),
-    "linear_light": ("picture", "clip"),
-    "clamp": ("picture", "volume"),
-    "clip": ("clip",),
-    "volume": ("volume",),
+_FOR: dict[str, tuple[object, str, str]] = {
+    "quality": (None, "picture", "clip"),
+    "lossless": (False, "picture", "clip"),
+    "linear_light": (False, "picture", "clip"),
+    "clamp": (None, "picture", "volume"),
+    "clip": (ClipOptions(), "clip", ""),
+    "volume": (VolumeOptions(), "volume", ""),
 }
-"""Options that are not for all kinds."""
+"""Options that are not for all kinds: their defaults, and the kinds that they are for."""
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """A file to warp to another one; parameters as in `supple.files.warp_file`."""
+    """A file to warp to another one; parameters as in `supple.files.warp_file`.
+
+    ``outside`` is the boundary mode of ``sampling`` if it was asked for, and None otherwise.
+    """
 
     source: PathLike
     target: PathLike
     recipe: Recipe
-    filter: str = "auto"
-    tolerance: float = 0.01
+    sampling: Sampling = DEFAULT
     outside: str | None = None
-    fill: float | Sequence[float] = 0.0
-    linear_light: bool = False
     clamp: bool | None = None
     quality: int | None = None
     lossless: bool = False
@@ -67,6 +67,11 @@ class Job:
         if self.grid is not None and not isinstance(self.grid, GridOptions):
             refuse("grid", "GridOptions, or left out", self.grid)
 
+    @property
+    def linear_light(self) -> bool:
+        """Whether to average in linear light."""
+        return self.sampling.linear_light
+
     @cached_property
     def medium(self) -> Medium:
         """What the source is taken for."""
@@ -82,12 +87,12 @@ class Job:
         medium = self.medium
         if medium.kind != "volume":
             refuse_places(self.recipe, self.source)
-        for option in fields(self):
-            kinds, value = _FOR.get(option.name), getattr(self, option.name)
-            if kinds is not None and medium.kind not in kinds and value != _usual(option):
-                where = " and ".join(f"{kind}s" for kind in kinds)
+        for option, (usual, *kinds) in _FOR.items():
+            value = getattr(self, option)
+            if medium.kind not in kinds and value != usual:
+                where = " and ".join(f"{kind}s" for kind in kinds if kind)
                 raise SuppleError(
-                    f"{asked(option.name, value)} is for {where}, and {medium.name} is a {medium.kind}: leave it out"
+                    f"{asked(option, value)} is for {where}, and {medium.name} is a {medium.kind}: leave it out"
                 )
         if medium.kind == "picture" and self.recipe.moves:
             raise SuppleError(
@@ -122,10 +127,6 @@ class Job:
                     tell(step, done, total)
 
             yield both
-
-
-def _usual(option: Any) -> object:
-    return option.default_factory() if option.name in ("clip", "volume") else option.default
 
 
 def asked(name: str, value: object) -> str:

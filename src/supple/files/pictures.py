@@ -9,7 +9,7 @@ from typing import Any
 
 from supple.arrays import warp_picture
 from supple.deformation import Deformation
-from supple.engine.sampling import Sampling, warn_of
+from supple.engine.sampling import warn_of
 from supple.engine.work import Tell
 from supple.errors import SuppleError, shown
 from supple.fields import folds_of, only_name
@@ -37,7 +37,7 @@ def check(job: Job) -> None:
 
 def warp(job: Job, tell: Tell) -> Warped:
     """Warp an image, as in `supple.warp_file`."""
-    source, target, maps, name = job.source, job.target, job.maps, job.medium.name
+    source, target, maps, name, sampling = job.source, job.target, job.maps, job.medium.name, job.sampling
     tell("read", 0, 3)
     picture = read(source, pages=_format(target) == "TIFF", whole=_format(target) == "OpenEXR")
     tell("warp", 1, 3)
@@ -51,7 +51,7 @@ def warp(job: Job, tell: Tell) -> Warped:
         fitted = fitted.placed([-x for x in layers.corner], held.sizes)
     deformation = Deformation.from_recipe(fitted, held, maps=maps, warn=False)
     warn_of_still(job.recipe.strokes)
-    made = Warped(Path(source), Path(target), "picture", (deformation,), job.tolerance)
+    made = Warped(Path(source), Path(target), "picture", (deformation,), sampling.tolerance)
     space = replace(deformation.space_on(regrid), count=picture.pages)
     if space.is_identity and job.quality is None and not job.lossless and _format(source) == _format(target):
         # Encoding a lossy image again would change it.
@@ -59,10 +59,6 @@ def warp(job: Job, tell: Tell) -> Warped:
         with replacing(target, force=job.force) as place:
             shutil.copyfile(source, place)
         return made
-    sampling = Sampling.checked(
-        2, filter=job.filter, tolerance=job.tolerance, outside=job.outside or "edge", fill=job.fill,
-        linear_light=job.linear_light,
-    )  # fmt: skip
     bounded = picture.pixels.dtype.kind == "f" if job.clamp is None else job.clamp
     nearest, groups = replace(sampling, filter="nearest"), () if layers is None else layers.groups
     options: dict[str, Any] = {"clamp": bounded, "device": job.device, "name": name}
@@ -76,7 +72,7 @@ def warp(job: Job, tell: Tell) -> Warped:
         layers = replace(layers, arrays=(picture.pixels, *arrays))
         picture = replace(picture, _header={**picture._header, "exr": layers})
         warn_of_exact(layers)
-    warn_of(found, job.tolerance, 3, folds_of(maps), only_name(maps))
+    warn_of(found, sampling.tolerance, 3, folds_of(maps), only_name(maps))
     tell("write", 2, 3)
     write(target, picture.pixels, like=picture, quality=job.quality, lossless=job.lossless, force=job.force)
     return replace(

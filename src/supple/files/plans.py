@@ -287,7 +287,7 @@ def warp_on(
     if source.geometry is None:
         if known.world:
             raise SuppleError(f"{argument('world')} is for volumes, and {source.name} is a picture: leave it out")
-        sampling = Sampling.checked(2, filter=name, tolerance=tolerance, outside=outside, fill=fill)
+        sampling = Sampling(name, tolerance, outside, fill)
         height, width = source.space
         regrid = grid_on(grid, source.grid, source.name, maps)
         fitted = fit_recipe(recipe, (width, height), fit, source.name)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -170,7 +169,7 @@ def _plot_clip(
             raise SuppleError(f"--frame is for the pictures of one frame, and {what} shows many: leave it out")
         before = [] if what in WHATS else [rgb[line].copy() for rgb in _shown(clip, planes)]
     with open_clip(source, rate=options.rate, count=clip.count) as clip:
-        sampling = _sampling(clip, options)
+        sampling = sampling_of(clip, Sampling(between=options.between, time_filter=options.time_filter))
         after = []
         for z, arrays in frames_of(clip, deformations, sampling, planes, options.memory):
             after.append(clip.to_rgb(arrays)[line].copy())
@@ -188,16 +187,10 @@ def _plot_clip(
     return deformation
 
 
-def _sampling(clip: Any, options: ClipOptions) -> Sampling:
-    return sampling_of(
-        clip, filter="auto", outside="edge", fill=0.0, tolerance=0.01, light=False,
-        between=options.between, time_filter=options.time_filter,
-    )  # fmt: skip
-
-
 def _seen_best(clip: Any, deformations: Sequence[Deformation], options: ClipOptions) -> list[int]:
     """Return the frames of a sheet: evenly spaced over those with visible displacements."""
-    work = work_on(clip, deformations, replace(_sampling(clip, options), tolerance=_SEEN))
+    sampling = Sampling(tolerance=_SEEN, between=options.between, time_filter=options.time_filter)
+    work = work_on(clip, deformations, sampling_of(clip, sampling))
     moving = np.flatnonzero(~make_plan(work, range(clip.count)).still)
     first, last = (int(moving[0]), int(moving[-1])) if moving.size else (0, clip.count - 1)
     return [first + k for k in evenly(last - first + 1, _COLUMNS)]

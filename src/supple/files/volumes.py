@@ -215,10 +215,8 @@ def sampling_of(
     tolerance: float = 0.01,
 ) -> Sampling:
     """Return the sampling options of a volume, equal along all three axes."""
-    return Sampling.checked(
-        filter=filter, tolerance=tolerance, outside=outside, fill=fill, unit="voxels",
-        between="cubic" if filter in ("auto", "cubic") else None, time_filter=filter == "auto",
-    )  # fmt: skip
+    between = "cubic" if filter in ("auto", "cubic") else None
+    return Sampling(filter, tolerance, outside, fill, between=between, time_filter=filter == "auto")
 
 
 def warp_volume(
@@ -228,6 +226,10 @@ def warp_volume(
     *,
     options: VolumeOptions | None = None,
     tell: Tell = lambda step, done, total: None,
+    filter: str = "auto",
+    tolerance: float = 0.01,
+    outside: str | None = None,
+    fill: float | Sequence[float] = 0.0,
     **given: Any,
 ) -> Warped:
     """Warp a volume, slab by slab: `supple.warp_file`, whose other arguments are ``given``, of a volume alone.
@@ -235,7 +237,8 @@ def warp_volume(
     ``tell`` is called with ``"read"``, then with ``"warp"``, the number of finished slices, and their total, and with
     ``"write"``.
     """
-    job = Job(source, target, recipe, volume=options or VolumeOptions(), **given)
+    sampling = Sampling(filter, tolerance, outside or "edge", fill)
+    job = Job(source, target, recipe, sampling, outside, volume=options or VolumeOptions(), **given)
     check_device(job.device)
     check(job)
     return warp(job, tell)
@@ -244,15 +247,11 @@ def warp_volume(
 def warp(job: Job, tell: Tell) -> Warped:
     """Warp a volume, as in `warp_volume`, whose names and options are checked."""
     source, target, known, grid, maps = job.source, job.target, job.volume, job.grid, job.maps
-    sampling = sampling_of(
-        "nearest" if known.labels and job.filter == "auto" else job.filter,
-        outside=job.outside or "edge",
-        fill=job.fill,
-        tolerance=job.tolerance,
-    )
-    if known.labels and sampling.filter != "nearest":
+    name = "nearest" if known.labels and job.sampling.filter == "auto" else job.sampling.filter
+    sampling = sampling_of(name, outside=job.sampling.outside, fill=job.sampling.fill, tolerance=job.sampling.tolerance)
+    if known.labels and name != "nearest":
         raise SuppleError(
-            f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{job.filter}"'
+            f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{name}"'
         )
     tell("read", 0, 1)
     volume = open_volume(source, known)
@@ -272,8 +271,8 @@ def warp(job: Job, tell: Tell) -> Warped:
     if job.outside is None and grid is not None and grid.reference is not None:  # much may lie outside of the input
         background = background_of(as_read, labels=known.labels)
         sampling = replace(sampling, outside="constant", fill=volume.stored(background))
-    elif job.outside == "constant":
-        sampling = replace(sampling, fill=volume.stored(job.fill))
+    elif sampling.outside == "constant":
+        sampling = replace(sampling, fill=volume.stored(job.sampling.fill))
     like = volume if grid is None or regrid is None else _moved(volume, regrid, grid)
     if grid is not None:
         check_target(target, like, force=job.force)
@@ -291,11 +290,11 @@ def warp(job: Job, tell: Tell) -> Warped:
             on = (regrid or volume.grid).upright()
             where = on.geometry(like.geometry.convention)
             onto = None if on == deformation.grid else on
-            write_transform(place, deformation, where, tolerance=job.tolerance, force=True, grid=onto, warn=False)
+            write_transform(place, deformation, where, tolerance=sampling.tolerance, force=True, grid=onto, warn=False)
         found = _written(volume, like, job, space, sampling, tell)
     _copy_sidecar(source, target)
     return Warped(
-        Path(source), Path(target), "volume", (deformation,), job.tolerance, found.error,
+        Path(source), Path(target), "volume", (deformation,), sampling.tolerance, found.error,
         len(volume.samples) if volume.series else 1, geometry=volume.geometry, grid=regrid,
         own=None if volume.grid == deformation.grid else volume.grid, folded=found.folded, outside=found.outside,
         unsolved=found.unknown, background=background,

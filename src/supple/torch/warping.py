@@ -28,6 +28,7 @@ from supple.space.domain import refuse
 from supple.torch.strokes import Given, Strokes, items, strokes_of
 from supple.torch.taps import Taps, adjoint, around, count
 
+_LINEAR = Sampling("linear")
 _SMOOTH = ("nearest", "linear", "cubic")
 _FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 _ROOM = 1 << 23  # the numbers in memory for points processed at once, mostly for gradients of T
@@ -42,11 +43,8 @@ def warp(
     at: torch.Tensor | None = None,
     by: torch.Tensor | None = None,
     radius: torch.Tensor | None = None,
-    filter: str = "linear",
-    outside: str = "edge",
-    fill: float | Sequence[float] = 0.0,
-    between: str | None = None,
-    tolerance: float = 0.01,
+    sampling: Sampling = _LINEAR,
+    **options: Any,
 ) -> torch.Tensor:
     """Warp a tensor, differentiably with respect to the tensor and the strokes.
 
@@ -61,19 +59,11 @@ def warp(
         brushes other than grabs are 0, and have no gradients.
     radius : tensor of shape (n,), or (N, n), optional
         Replacements of their radii, in physical units.
-    filter : str
-        ``"linear"``, ``"cubic"`` (Keys' with a = -0.75) or ``"nearest"``; without gradients, also ``"auto"``, as in
-        `Deformation.warp`.
-    outside : str
-        Boundary mode: the ``"edge"`` of the tensor, a ``"constant"``, or its mirror image (``"reflect"``).
-    fill : float or sequence of float
-        The fill value; one for all channels, or one for each.
-    between : str, optional
-        The interpolation between slices or frames: ``"linear"``, ``"cubic"`` or ``"nearest"``; linear by default, and
-        nearest under ``filter="nearest"``.
-    tolerance : float
-        The largest distance of a source point from T⁻¹(q), in pixels. For float64 tensors that require gradients, each
-        point is solved.
+    sampling : Sampling, optional
+        How the tensor is sampled: without ``linear_light`` and ``time_filter``, and by ``filter="linear"`` by default.
+        There are gradients for all filters but ``"auto"``. Of float64 tensors that require them, each point is solved.
+    **options
+        Fields of the sampling to replace: ``filter="cubic"``.
 
     Returns
     -------
@@ -95,14 +85,14 @@ def warp(
     given, shape, batch = items(deformation, {"at": at, "by": by, "radius": radius})
     _check(tensor, shape, len(given) if batch else None)
     axes = len(shape)
-    sampling = Sampling.checked(
-        axes, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=False, between=between,
-        time_filter=False,
-    )  # fmt: skip
+    sampling = Sampling.of(sampling, options, axes)
+    for name in ("linear_light", "time_filter"):
+        if getattr(sampling, name):
+            refuse(name, "left out for tensors", True)
     wanted = torch.is_grad_enabled() and tensor.requires_grad
     strokes_wanted = any(own for _, own in given)
-    if (wanted or strokes_wanted) and filter not in _SMOOTH:
-        refuse("filter", '"linear", "cubic" or "nearest" where gradients are needed', filter)
+    if (wanted or strokes_wanted) and sampling.filter not in _SMOOTH:
+        refuse("filter", '"linear", "cubic" or "nearest" where gradients are needed', sampling.filter)
     if strokes_wanted and not tensor.is_floating_point():
         refuse("tensor", "of floats where strokes need gradients", told=str(tensor.dtype))
     channels = tensor.shape[-axes - 1] if tensor.ndim > axes else 1
@@ -261,7 +251,7 @@ def _parts(
     offsets: torch.Tensor, space: Space, sampling: Sampling, strokes: Strokes | None
 ) -> Iterator[tuple[slice, torch.Tensor, Taps]]:
     """Yield pixels, some at a time: which these are, their source points (D, P), and the samples around these."""
-    between = "catmull-rom" if sampling.between == "cubic" else sampling.between
+    between = "catmull-rom" if sampling.between == "cubic" else sampling.between_frames
     kinds, terms = [sampling.filter, sampling.filter, between][: space.ndim], 0
     if strokes is not None:
         table = strokes.table

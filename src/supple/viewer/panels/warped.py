@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from supple.arrays import warp_array
 from supple.deformation import Deformation
-from supple.engine.sampling import Sampling
+from supple.engine.sampling import DEFAULT
 from supple.engine.work import Space
 from supple.folding.strain import mask_of
 from supple.gpu.device import Gpu
@@ -79,7 +79,7 @@ class Warped:
         else:
             part = grid.crop((x0, y0), (x1 - x0, y1 - y0))
             space = replace(_reduced(deformation, k, source.shape), grid=part)
-            made, _ = warp_array(source, space, _SAMPLING, alpha=self._levels.has_alpha)
+            made, _ = warp_array(source, space, DEFAULT, alpha=self._levels.has_alpha)
         self._laid.put((x0, y0), made)
 
     def draw(self, sight: Sight, texture: Any, encoder: Any = None) -> None:
@@ -161,5 +161,4 @@ def _common(one: Box, other: Box) -> Box:
     return max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3])
 
 
-_SAMPLING = Sampling.checked(2)
 _PLAIN = np.zeros(0, STROKE_DTYPE)
