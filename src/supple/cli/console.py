@@ -78,17 +78,7 @@ def one_line(text: object) -> str:
 
 @dataclass(slots=True, eq=False)
 class File:
-    """A file that is worked on, and the warnings about it.
-
-    Parameters
-    ----------
-    source, target : str
-        What is read, and what is written.
-    named : bool
-        Whether each warning begins with the file's name, as one of several.
-    warnings : list of str
-        The warnings so far, as on standard error.
-    """
+    """A file that is worked on, and the warnings about it so far, which begin with its name if it is ``named``."""
 
     source: str = ""
     target: str = ""
@@ -162,16 +152,8 @@ class Console:
     def warn(self, text: object, *, meant: bool = False) -> None:
         """Write a warning, unless it has been written before or is unwanted; with --strict, raise it as an error.
 
-        Parameters
-        ----------
-        text : object
-        meant : bool
-            Whether what it says is what was asked for, and no error with --strict either.
-
-        Raises
-        ------
-        SuppleError
-            If warnings are errors. Files that are being written are removed, as after every error.
+        With ``meant``, it says what was asked for, and is no error with --strict either. Files that are being written
+        are removed, as after every error.
         """
         file, line = self.file, one_line(text)
         names = tuple(one_line(name) for name in (file.source, file.target) if name)
@@ -211,13 +193,7 @@ def current() -> Console:
 
 
 def warn_of_software(console: Console, device: str) -> None:
-    """Warn that the GPU that was asked for is a program.
-
-    Raises
-    ------
-    SuppleError
-        If there is not even such a one.
-    """
+    """Warn that the GPU that was asked for is a program; SuppleError if there is not even such a one."""
     if device != "gpu":
         return
     from supple.gpu.device import open_gpu

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
-from supple.cli.options_volume import COORDINATES
+from supple.cli.options import COORDINATES
 from supple.errors import OutsideWarning, SuppleError, shown
 
 if TYPE_CHECKING:
@@ -96,20 +96,11 @@ class MapOptions:
         *,
         points: bool = False,
     ) -> "Maps":
-        """Return the maps among the strokes.
+        """Return the maps among the strokes of a command line.
 
-        Parameters
-        ----------
-        arguments : sequence of str
-            The command line.
-        recipe : int
-            The number of strokes of the recipe, which come first.
-        strokes : mapping from str to sequence of str
-            The values of the options that are strokes.
-        output : OutputOptions, optional
-            The grid of the output, of a command that writes on another one than the input's.
-        points : bool
-            Whether --inverse before all maps is about points, which are then moved back.
+        ``recipe`` is the number of strokes of the recipe, which come first, and ``strokes`` are the values of the
+        options that are strokes. ``output`` is the grid of the output, of a command that writes on another one than the
+        input's. With ``points``, --inverse before all maps is about points, which are then moved back.
         """
         from supple.cli.options_strokes import in_order
 
@@ -332,16 +323,9 @@ class Maps:
     def check_sizes(self, source: "Grid", name: str) -> None:
         """Refuse maps that have a value for each pixel of a picture, and are not of its size.
 
-        Each map leads from one picture to the next, from the input to the output, and has the size of the one after
-        it, or, if it is inverted, of the one before it. Only the first and the last are known: of another one, a
-        warning is given unless it is of a size that occurs.
-
-        Parameters
-        ----------
-        source : Grid
-            The grid of the input.
-        name : str
-            The name of the input.
+        Each map leads from one picture to the next, from the input to the output, and has the size of the one after it,
+        or, if it is inverted, of the one before it. Only the first and the last are known: of another one, a warning is
+        given unless it is of a size that occurs.
         """
         from supple.fields import Field
         from supple.files.grids import reference_grid

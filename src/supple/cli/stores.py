@@ -6,14 +6,14 @@ import glob
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
 from supple.cli.console import STREAM, Console, File, Terminated, about, current, one_line, say_convention
 from supple.cli.console import told as told_of
-from supple.cli.options import RUNNING, number, parse_fill
+from supple.cli.options import RUNNING, VOLUME, VolumeArguments, WorkerOptions, number, parse_fill
 from supple.cli.options_maps import (
     OTHERS,
     MapOptions,
@@ -25,7 +25,6 @@ from supple.cli.options_maps import (
     say_background,
 )
 from supple.cli.options_strokes import StrokeOptions
-from supple.cli.options_volume import VOLUME, VolumeArguments
 from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
@@ -37,36 +36,6 @@ if TYPE_CHECKING:
 
 Outside = Literal["edge", "constant", "reflect"]
 SAMPLING = Group("Sampling", sort_key=2)
-STORES = Group("Zarr stores", sort_key=4.5)
-
-
-@Parameter(name="*", group=STORES)
-@dataclass(kw_only=True, eq=False, repr=False)
-class WorkerOptions:
-    """Options of outputs that are written block by block.
-
-    Parameters
-    ----------
-    workers
-        Work in so many processes on this machine, which share its cores (default: threads of one process).
-    scheduler
-        Work on a cluster of Dask, which has started already: the address of its scheduler.
-    """
-
-    workers: Annotated[int | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
-    scheduler: Annotated[str | None, Parameter(metavar="tcp://HOST:PORT")] = None
-
-    @property
-    def given(self) -> str | None:
-        """The name of an option that is given; None if none is."""
-        names = {"--workers": self.workers, "--scheduler": self.scheduler}
-        return next((name for name, value in names.items() if value is not None), None)
-
-    def to_running(self) -> Running:
-        """Return the options as the library takes them."""
-        from supple.files.tasks import Running
-
-        return Running(workers=self.workers, scheduler=self.scheduler)
 
 
 _STROKES = StrokeOptions()
@@ -166,9 +135,10 @@ def _check(job: Job, paths: Sequence[str]) -> None:
     from supple.media.files import is_store
 
     names = [argument(name) for name in ("linear_light", "quality", "lossless") if getattr(job, name)]
-    names += [argument("clamp", job.clamp)] * (job.clamp is not None) + [asked("clip", job.clip)] * (
-        job.clip != ClipOptions()
-    )
+    if job.clamp is not None:
+        names.append(argument("clamp", job.clamp))
+    if job.clip != ClipOptions():
+        names.append(asked("clip", job.clip))
     if is_store(paths[0]):
         names += [argument(name) for name in ("series", "layout") if getattr(job.volume, name) is not None]
     if job.device not in ("cpu", "auto"):

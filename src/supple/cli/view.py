@@ -7,10 +7,9 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from supple.cli.console import current
-from supple.cli.options import TimeOptions
+from supple.cli.options import VOLUME, TimeOptions, VolumeArguments
 from supple.cli.options_maps import MapOptions
 from supple.cli.options_strokes import StrokeOptions
-from supple.cli.options_volume import VOLUME, VolumeArguments
 from supple.errors import SuppleError
 
 _STROKES, _MAPS, _TIME, _VOLUME = StrokeOptions(), MapOptions(), TimeOptions(), VolumeArguments()

@@ -21,7 +21,17 @@ from supple.cli.console import (
     say_convention,
     told,
 )
-from supple.cli.options import RUNNING, RunOptions, VideoOptions, number, parse_fill
+from supple.cli.options import (
+    RUNNING,
+    VOLUME,
+    RunOptions,
+    TrackOptions,
+    VideoOptions,
+    VolumeArguments,
+    WorkerOptions,
+    number,
+    parse_fill,
+)
 from supple.cli.options_maps import (
     OTHERS,
     MapOptions,
@@ -32,9 +42,6 @@ from supple.cli.options_maps import (
     say_background,
 )
 from supple.cli.options_strokes import StrokeOptions
-from supple.cli.options_tracks import TrackOptions
-from supple.cli.options_volume import VOLUME, VolumeArguments
-from supple.cli.stores import WorkerOptions
 from supple.engine.devices import workers
 from supple.errors import SuppleError, shown
 

@@ -325,33 +325,12 @@ def warn_of_frames(clip: Clip, deformations: Sequence[Deformation]) -> None:
 def motion_of(
     recipe: Recipe, count: int, shape: tuple[int, int], tell: Tell = lambda step, done, total: None
 ) -> tuple[Deformation, ...]:
-    """Return the deformation of each frame, of a recipe whose strokes have keys.
+    """Return the deformation of each frame, of a recipe whose strokes have keys, and which fits the frames.
 
     Frames that are alike share one. A stroke that moves may leave the picture; what is known of a stroke in many frames
-    is one warning, that of the first of them.
-
-    Parameters
-    ----------
-    recipe : Recipe
-        It fits the frames.
-    count : int
-        The number of frames.
-    shape : (int, int)
-        Rows and columns of a frame.
-    tell : function
-        Called with ``"plan"``, the number of frames that are planned, and ``count``.
-
-    Raises
-    ------
-    SuppleError
-        As `Deformation.from_recipe` does, with the frame.
-
-    Warns
-    -----
-    OutsideWarning
-        If a stroke that moves begins outside the picture in every frame.
-    FoldWarning, MissWarning
-        As `Deformation.from_recipe` does.
+    is one warning, that of the first of them, or an OutsideWarning if it begins outside in every frame. ``shape`` has
+    the rows and columns of a frame; ``tell`` is called with ``"plan"``, the number of frames that are planned, and
+    ``count``. Errors are those of `Deformation.from_recipe`, with the frame.
     """
     roaming = {i for i, stroke in enumerate(recipe.strokes) if any(key.at is not None for key in stroke.keys)}
     frames = [recipe.at_frame(k) for k in range(count)]

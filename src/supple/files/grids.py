@@ -22,18 +22,9 @@ _MOST = 1 << 40
 
 
 def output_grid(options: GridOptions, grid: Grid) -> Grid:
-    """Return the grid of the output.
+    """Return the grid of the output, of an input on ``grid``.
 
-    Parameters
-    ----------
-    options : GridOptions
-    grid : Grid
-        The grid of the input.
-
-    Raises
-    ------
-    SuppleError
-        If the reference cannot be read, or is of another kind; or if the crop is not within the grid.
+    SuppleError if the reference cannot be read, or is of another kind; or if the crop is not within the grid.
     """
     n = grid.ndim
     kind = "picture" if n == 2 else "volume"
@@ -60,13 +51,7 @@ def output_grid(options: GridOptions, grid: Grid) -> Grid:
 
 
 def reference_grid(path: PathLike, ndim: int) -> Grid:
-    """Return the grid of a picture or of a volume, from its header if possible.
-
-    Raises
-    ------
-    SuppleError
-        If it cannot be read, or has another number of axes.
-    """
+    """Return the grid of a picture or of a volume; SuppleError if it has another number of axes than ``ndim``."""
     if is_store(path):
         return _stored_grid(path, ndim)
     from supple.media import volume
@@ -114,11 +99,8 @@ def warn_of_place(geometry: Geometry, name: str) -> None:
 def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[Placed]) -> Grid | None:
     """Return the grid of the output of a file, with maps; None if it is that of the input.
 
-    Raises
-    ------
-    SuppleError
-        As in `GridOptions.of`; or if a map has another number of axes; or if the grid, the fields and the input lie
-        apart, and no map brings them together.
+    SuppleError as in `output_grid`; or if a map has another number of axes; or if the grid, the fields and the input
+    lie apart, and no map brings them together.
     """
     for each in maps:
         n = each.map.ndim

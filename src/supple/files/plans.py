@@ -194,11 +194,8 @@ def open_source(
 ) -> Source:
     """Open an input as a picture or as a volume: as the points of the strokes say, or else as it says itself.
 
-    Raises
-    ------
-    SuppleError
-        If it cannot be read, an option does not apply to it, or it has fewer axes of space than the strokes, the maps
-        or the grid.
+    SuppleError if it cannot be read, an option does not apply to it, or it has fewer axes of space than the strokes,
+    the maps or the grid.
     """
     known = options or VolumeOptions()
     if not is_store(source):
@@ -262,13 +259,7 @@ def warp_on(
     maps: Sequence[Placed] = (),
     grid: GridOptions | None = None,
 ) -> Warp:
-    """Return a recipe on an input, ready to be planned.
-
-    Raises
-    ------
-    SuppleError
-        If an option does not fit the input.
-    """
+    """Return a recipe on an input, ready to be planned; SuppleError if an option does not fit the input."""
     known, dtype = options or VolumeOptions(), source.image.dtype
     if outside is None:
         elsewhere = grid is not None and grid.reference is not None
