@@ -19,9 +19,8 @@ import supple
 from supple.cli import command
 from supple.errors import SuppleError, VolumeWarning
 from supple.fields import Placed
-from supple.files import volumes
+from supple.files import Job, volumes
 from supple.files.freezing import read_freeze
-from supple.files.kinds import kind_of
 from supple.files.options import VolumeOptions
 from supple.files.stores import warp_store
 from supple.files.volumes import deformation_of, sampling_of, warp_volume
@@ -448,7 +447,7 @@ def test_vectors_and_series(here: Path) -> None:
     done = warp_volume("t.nii.gz", "t2.nii.gz", RECIPE, filter="linear")
     out = media.read("t2.nii.gz")
     assert out.series
-    assert done.volumes == 4
+    assert done.frames == 4
     for k in range(4):
         assert np.abs(out.samples[k] - truth(times[k])).max() <= OFF + 0.5
 
@@ -540,13 +539,14 @@ def test_what_is_a_volume(here: Path) -> None:
 
     image.write("one.tif", np.zeros((8, 8), np.uint8))
     flat = supple.Recipe(strokes=[supple.Stroke.grab((5, 5), by=(1, 0), radius=5)])
-    assert kind_of("in.nii", "out.nii", flat) == "volume"
-    assert kind_of("stack.tif", "out.tif", RECIPE) == "volume"
-    assert kind_of("stack.tif", "out.nii", flat) == "volume"
-    assert kind_of("stack.tif", "out.tif", flat) == "picture"
-    assert kind_of("one.tif", "out.tif", RECIPE) == "picture"
-    assert kind_of("photo.jpg", "out.jpg", flat) == "picture"
-    assert kind_of("x.bin", "out.nii", flat, VolumeOptions(layout=media.RawLayout((2, 2, 2), "uint8"))) == "volume"
+    assert Job("in.nii", "out.nii", flat).medium.kind == "volume"
+    assert Job("stack.tif", "out.tif", RECIPE).medium.kind == "volume"
+    assert Job("stack.tif", "out.nii", flat).medium.kind == "volume"
+    assert Job("stack.tif", "out.tif", flat).medium.kind == "picture"
+    assert Job("one.tif", "out.tif", RECIPE).medium.kind == "picture"
+    assert Job("photo.jpg", "out.jpg", flat).medium.kind == "picture"
+    raw = VolumeOptions(layout=media.RawLayout((2, 2, 2), "uint8"))
+    assert Job("x.bin", "out.nii", flat, volume=raw).medium.kind == "volume"
 
 
 def test_raw_files(here: Path) -> None:
@@ -626,8 +626,8 @@ BAD: list[tuple[list[str], str]] = [
     (["warp", "in.nii", "out.jpg", *GRAB], "no format that volumes are written in"),
     (["warp", "in.nii", "in.nii", *GRAB], "is the volume itself: choose another name, or --force"),
     (["warp", "in.nii", "there.nii", *GRAB], "exists already"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--quality", "9"], "is for pictures or videos"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--codec", "h264"], "is for pictures or videos"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--quality", "9"], "is for pictures and clips"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--codec", "h264"], "is for clips"),
     (["warp", "in.nii", "out.nii", *GRAB, "--save-field", "out.txt"], "out.txt"),
     (["warp", "in.nii", "out.nii", *GRAB, "--save-field", "out.nii"], "cannot be the field"),
     (["warp", "in.nii", "out.nii", *GRAB, "--tolerance", "0"], "tolerance"),

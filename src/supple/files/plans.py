@@ -19,7 +19,7 @@ from supple.engine.work import Tell, work_of
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.grids import grid_on
-from supple.files.kinds import kind_of
+from supple.files.jobs import Job
 from supple.files.options import GridOptions, VolumeOptions
 from supple.files.tasks import Runner, Running, runner_of
 from supple.files.volumes import deformation_of, sampling_of
@@ -194,15 +194,12 @@ def open_source(
 ) -> Source:
     """Open an input as a picture or as a volume: as the points of the strokes say, or else as it says itself.
 
-    Raises
-    ------
-    SuppleError
-        If it cannot be read, an option does not apply to it, or it has fewer axes of space than the strokes, the maps
-        or the grid.
+    SuppleError if it cannot be read, an option does not apply to it, or it has fewer axes of space than the strokes,
+    the maps or the grid.
     """
     known = options or VolumeOptions()
     if not is_store(source):
-        if kind_of(source, source, recipe, known, maps=maps, grid=grid) == "clip":
+        if Job(source, source, recipe, volume=known, maps=maps, grid=grid).medium.kind == "clip":
             kind = "folder without a volume" if os.path.isdir(source) else "clip"
             raise SuppleError(
                 f"{shown(source)} is a {kind}, and blocks are of pictures, volumes and Zarr stores: give one of these"
@@ -262,13 +259,7 @@ def warp_on(
     maps: Sequence[Placed] = (),
     grid: GridOptions | None = None,
 ) -> Warp:
-    """Return a recipe on an input, ready to be planned.
-
-    Raises
-    ------
-    SuppleError
-        If an option does not fit the input.
-    """
+    """Return a recipe on an input, ready to be planned; SuppleError if an option does not fit the input."""
     known, dtype = options or VolumeOptions(), source.image.dtype
     if outside is None:
         elsewhere = grid is not None and grid.reference is not None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,11 +13,21 @@ from supple.engine.progress import counted
 from supple.engine.sampling import Sampling
 from supple.engine.stream import make_plan
 from supple.engine.work import Array, Tell
-from supple.errors import SuppleError, argument, shown
+from supple.errors import SuppleError, shown
 from supple.fields import Placed
-from supple.files.clip_work import deformations_of, frames_of, sampling_of, warn_of_frames, work_on
-from supple.files.clips import fickle, open_clip, refuse_maps, refuse_picture
-from supple.files.kinds import kind_of, refuse_places
+from supple.files.clips import (
+    deformations_of,
+    fickle,
+    frames_of,
+    open_clip,
+    refuse_encoding,
+    refuse_maps,
+    refuse_picture,
+    sampling_of,
+    warn_of_frames,
+    work_on,
+)
+from supple.files.jobs import Job, refuse_places
 from supple.files.options import ClipOptions, PathLike
 from supple.media.base import CountError
 from supple.media.files import check_output
@@ -85,14 +94,12 @@ def plot_file(
     """
     choice("what", what, (*WHATS, "slice", "sheet"))
     options = clip or ClipOptions()
-    for option in ("codec", "crf", "preset", "pixel_format"):
-        if getattr(options, option) is not None:
-            raise SuppleError(f"{argument(option)} is for videos, and {shown(target)} is a plot: leave it out")
+    refuse_encoding(options, target, "a plot")
     if what != "slice" and (x is not None or y is not None):
         raise SuppleError(f"--x and --y are for slices, and {what} shows whole frames: leave them out")
     check_output(target, force=force)
     check_plot(target, force=force)
-    kind = kind_of(source, "", recipe)
+    kind = Job(source, "", recipe).medium.kind
     if kind == "volume":
         raise SuppleError(f"plots are of pictures and videos, and {shown(source)} is a volume: supple render shows it")
     refuse_places(recipe, source)
@@ -162,7 +169,7 @@ def _plot_clip(
             raise SuppleError(f"--frame is for the pictures of one frame, and {what} shows many: leave it out")
         before = [] if what in WHATS else [rgb[line].copy() for rgb in _shown(clip, planes)]
     with open_clip(source, rate=options.rate, count=clip.count) as clip:
-        sampling = _sampling(clip, options)
+        sampling = sampling_of(clip, Sampling(between=options.between, time_filter=options.time_filter))
         after = []
         for z, arrays in frames_of(clip, deformations, sampling, planes, options.memory):
             after.append(clip.to_rgb(arrays)[line].copy())
@@ -180,16 +187,10 @@ def _plot_clip(
     return deformation
 
 
-def _sampling(clip: Any, options: ClipOptions) -> Sampling:
-    return sampling_of(
-        clip, filter="auto", outside="edge", fill=0.0, tolerance=0.01, light=False,
-        between=options.between, time_filter=options.time_filter,
-    )  # fmt: skip
-
-
 def _seen_best(clip: Any, deformations: Sequence[Deformation], options: ClipOptions) -> list[int]:
     """Return the frames of a sheet: evenly spaced over those with visible displacements."""
-    work = work_on(clip, deformations, replace(_sampling(clip, options), tolerance=_SEEN))
+    sampling = Sampling(tolerance=_SEEN, between=options.between, time_filter=options.time_filter)
+    work = work_on(clip, deformations, sampling_of(clip, sampling))
     moving = np.flatnonzero(~make_plan(work, range(clip.count)).still)
     first, last = (int(moving[0]), int(moving[-1])) if moving.size else (0, clip.count - 1)
     return [first + k for k in evenly(last - first + 1, _COLUMNS)]

@@ -166,12 +166,7 @@ def default_transfer(volume: Volume) -> Transfer | str:
     """Return the preset for a volume's values: computed tomography is recognized by air at -1000 Hounsfield units.
 
     A label map is recognized by the intent code of a NIfTI file, or by its values: few integers from 0, in large areas.
-    Segments have the colours of their file.
-
-    Raises
-    ------
-    SuppleError
-        If segments are listed wrongly.
+    Segments have the colours of their file; SuppleError if they are listed wrongly.
     """
     if volume.is_segmentation:
         try:
@@ -210,10 +205,7 @@ def scene_of(
 ) -> Scene:
     """Return the scene of a volume, with strokes, fields and affine maps if given: with maps, of the warped volume.
 
-    Raises
-    ------
-    SuppleError
-        If it has several components that are not colours, or an argument does not fit.
+    SuppleError if it has several components that are not colours, or an argument does not fit.
     """
     known = options or RenderOptions()
     samples = volume.rescaled()
