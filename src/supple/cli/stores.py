@@ -6,7 +6,7 @@ import glob
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from supple.files.plans import Planned
     from supple.files.stores import WarpedStore
     from supple.files.tasks import Running
-    from supple.space.geometry import Grid
 
 Outside = Literal["edge", "constant", "reflect"]
 SAMPLING = Group("Sampling", sort_key=2)
@@ -51,6 +50,7 @@ def warp_stored(
 ) -> WarpedStore:
     """Warp one store to another, as `supple warp` was asked to."""
     from supple.engine.progress import counted
+    from supple.files.plans import open_source
     from supple.files.stores import warp_store
 
     source, target = _pair(paths)
@@ -65,9 +65,9 @@ def warp_stored(
 
     try:
         with about(File(source, target)), counted(console.terminal, "blocks") as counts:
-            own = refer(console, source, job, maps)
+            job = refer(console, job, maps)
             stored = warp_store(
-                source, target, job.recipe, **given, options=job.volume, maps=maps.read(own), running=running, tell=tell
+                source, target, job.recipe, **given, options=job.volume, maps=job.maps, running=running, tell=tell
             )
     except (KeyboardInterrupt, Terminated):
         parts, name = ("blocks", target) if "warp" in blocks else ("parts", job.volume.save_field or "")
@@ -80,7 +80,7 @@ def warp_stored(
             console.tell({"input": source, "output": target, "error": one_line(error)})
         raise
     if json:
-        used = {"maps": maps.facts(own)} if maps else {}
+        used = {"maps": maps.facts(open_source(job).grid)} if maps else {}
         console.tell({**_facts(stored), **used})
     if stored.done:
         what = f"{stored.done} of {stored.blocks} blocks were there already"
@@ -95,17 +95,15 @@ def warp_stored(
     return stored
 
 
-def refer(console: Console, source: str, job: Job, maps: Maps) -> Grid | None:
-    """Return the grid of a store, where maps refer to it; tell of them."""
+def refer(console: Console, job: Job, maps: Maps) -> Job:
+    """Return a job on a store, with the maps of the command, on its grid; tell of them."""
     from supple.files.plans import open_source
 
     if not maps:
-        return None
-    own = open_source(source, job.recipe, job.volume, grid=job.grid).grid
-    read = maps.read(own)
-    own = open_source(source, job.recipe, job.volume, maps=read, grid=job.grid).grid
-    maps.on(console, own, shown(source), job.grid)
-    return own
+        return job
+    job = replace(job, maps=maps.read(open_source(job).grid))
+    maps.on(console, open_source(job).grid, shown(job.source), job.grid)
+    return job
 
 
 def _pair(paths: Sequence[str]) -> tuple[str, str]:
@@ -219,6 +217,7 @@ def plan(
         Number of threads (default: all cores).
     """
     from supple.engine.progress import counted
+    from supple.engine.sampling import Sampling
     from supple.files.jobs import Job
     from supple.files.plans import plan_file
 
@@ -231,23 +230,14 @@ def plan(
     )  # fmt: skip
     elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given, output)
     outside = check_fill(fill, outside, elements, output)
-    reading = volume.to_reading(labels=labels)
-    own = refer(console, source, Job(source, source, recipe, volume=reading, grid=grid), elements)
+    values = parse_fill("0" if fill is None else fill)
+    job = Job(
+        source, source, recipe, Sampling(filter, tolerance, outside or "edge", values), outside,
+        volume=volume.to_reading(labels=labels), fit=strokes.to_fit(), grid=grid,
+    )  # fmt: skip
+    job = refer(console, job, elements)
     with counted(console.terminal, "blocks") as tell:
-        found = plan_file(
-            source,
-            recipe,
-            filter=filter,
-            tolerance=tolerance,
-            outside=outside,
-            fill=parse_fill("0" if fill is None else fill),
-            options=reading,
-            fit=strokes.to_fit(),
-            maps=elements.read(own) if elements else (),
-            grid=grid,
-            running=workers.to_running(),
-            tell=tell,
-        )
+        found = plan_file(job, workers.to_running(), tell)
     if json:
         facts = {"file": source, **asdict(found)}
         console.tell({**facts, "error": _finite(found.error)})

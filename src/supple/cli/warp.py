@@ -317,25 +317,23 @@ def _stands_for_several(source: str) -> bool:
 
 def _facts_of(pair: Pair, made: "Warped") -> dict[str, Any]:
     """Return what is told of a file that was warped."""
-    from dataclasses import asdict
-
     grid = made.grid or made.own or made.deformation.grid
     sizes = dict(zip(("width", "height", "depth"), grid.sizes[: 3 if made.kind == "volume" else 2], strict=False))
     if made.kind == "picture":
         facts = picture_facts(pair, made.deformation, made.report()) | sizes
     else:
-        facts = {"input": str(made.source), "output": str(made.target), **sizes, "tolerance": made.tolerance}
-        facts |= {"error": made.error, **told(*made.deformations, own=made.own)}
-    if made.kind == "clip":
-        facts |= {"frames": made.frames, "still": made.still, "copied": made.copied, "held": made.held}
-        facts["moves"] = len(made.deformations) > 1
-    if made.geometry is not None:
-        facts |= {"volumes": made.frames, "spacing": list(grid.spacing), "convention": made.geometry.convention}
-        facts["arrivals"] = [asdict(arrival) for arrival in made.arrivals]
-    if made.grid is not None:
-        facts["grid"] = grid_facts(made.grid)
+        facts = {"input": str(made.source), "output": str(made.target), **sizes}
+        if made.geometry is None:
+            facts |= {"frames": made.frames, "still": made.still, "copied": made.copied, "held": made.held}
+        else:
+            facts |= {"volumes": made.frames, "spacing": list(grid.spacing), "convention": made.geometry.convention}
+        facts |= {"tolerance": made.tolerance, "error": made.error}
+        facts |= {"moves": len(made.deformations) > 1} if made.kind == "clip" else {}
+        facts |= told(*made.deformations, own=made.own)
     if made.background is not None:
         facts["background"] = made.background
+    if made.grid is not None:
+        facts["grid"] = grid_facts(made.grid)
     if made.deformation.maps:
         facts |= {"folded": made.folded, "outside": made.outside, "unsolved": made.unsolved}
     if not math.isfinite(facts["error"]):

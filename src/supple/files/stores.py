@@ -18,11 +18,12 @@ import numpy as np
 
 from supple.blocks import Block, Box, Warp, boxes_of, chunks_of
 from supple.deformation import Deformation, Report
-from supple.engine.sampling import Certificate, warn_of
+from supple.engine.sampling import Certificate, Sampling, warn_of
 from supple.engine.work import Tell
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Field, Placed, folds_of, only_name
 from supple.files import plans
+from supple.files.jobs import Job
 from supple.files.options import GridOptions, VolumeOptions
 from supple.files.plans import Source, open_source, plan_boxes, task_shape, warp_on, whole_chunks
 from supple.files.tasks import Runner, Running, check_seen, check_shared, runner_of
@@ -159,17 +160,16 @@ def warp_store(
     folder = Place(target).folder
     if folder is not None:
         check_store(folder if "://" in os.fspath(target) else target, force=force)  # before workers are started
-    opened = open_source(source, recipe, known, maps=maps, grid=grid)
+    sampling = Sampling(filter, tolerance, outside or "edge", fill)
+    asked = Job(source, target, recipe, sampling, outside, volume=known, fit=fit, maps=maps, grid=grid)
+    opened = open_source(asked)
     image = opened.image
     if outside is None and opened.is_file and opened.geometry is not None and grid is not None and grid.reference:
         least = 0.0 if "c" in opened.samples.axes else least_of(opened.samples)  # as of volumes from file to file
         opened = replace(opened, background=least)
-    warp = warp_on(
-        opened, recipe, filter=filter, tolerance=tolerance, outside=outside, fill=fill, options=known, fit=fit,
-        maps=maps, grid=grid,
-    )  # fmt: skip
+    warp = warp_on(opened, asked)
     _warn_of_labels(opened, warp)
-    labels = _labels(opened, recipe, maps, grid)
+    labels = _labels(opened, asked)
     job = _job(opened, warp, recipe, replace(known, save_field=None))
     field = None
     if known.save_field is not None:
@@ -215,7 +215,7 @@ def warp_store(
     )  # fmt: skip
 
 
-def _labels(source: Source, recipe: Recipe, maps: Sequence[Placed], grid: GridOptions | None) -> tuple[str, ...]:
+def _labels(source: Source, job: Job) -> tuple[str, ...]:
     """Return the names of the label images that are bent with an image, and warn of others: found before any work."""
     names = []
     for name in source.image.labels:
@@ -224,7 +224,8 @@ def _labels(source: Source, recipe: Recipe, maps: Sequence[Placed], grid: GridOp
             why = "it has no plain name"
         else:
             try:
-                own = open_source(f"{source.image.address.rstrip('/')}/{LABELS}/{name}", recipe, maps=maps, grid=grid)
+                address = f"{source.image.address.rstrip('/')}/{LABELS}/{name}"
+                own = open_source(replace(job, source=address, volume=VolumeOptions()))
                 if own.space != source.space or not own.grid.is_same_space(source.grid):
                     why = "it is on another grid"
                 elif own.image.dtype.kind not in "iub":
