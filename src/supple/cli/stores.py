@@ -7,19 +7,18 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 from supple.cli.console import STREAM, Console, File, Terminated, about, current, one_line, say_convention
 from supple.cli.console import told as told_of
-from supple.cli.options import RUNNING, VOLUME, VolumeArguments, WorkerOptions, number, parse_fill
+from supple.cli.options import RUNNING, VOLUME, SamplingOptions, VolumeArguments, WorkerOptions
 from supple.cli.options_maps import (
     OTHERS,
     MapOptions,
     Maps,
     OutputOptions,
-    check_fill,
     describe_grid,
     grid_facts,
     say_background,
@@ -33,10 +32,8 @@ if TYPE_CHECKING:
     from supple.files.stores import WarpedStore
     from supple.files.tasks import Running
 
-Outside = Literal["edge", "constant", "reflect"]
-SAMPLING = Group("Sampling", sort_key=2)
 
-
+_SAMPLING = SamplingOptions()
 _STROKES = StrokeOptions()
 _MAPS = MapOptions()
 _OUTPUT = OutputOptions()
@@ -182,10 +179,7 @@ def plan(
     strokes: StrokeOptions = _STROKES,
     maps: MapOptions = _MAPS,
     output: OutputOptions = _OUTPUT,
-    filter: Annotated[str, Parameter(group=SAMPLING, metavar="auto|cubic|linear|nearest")] = "auto",
-    outside: Annotated[Outside | None, Parameter(group=SAMPLING)] = None,
-    fill: Annotated[str | None, Parameter(group=SAMPLING, metavar="V", allow_leading_hyphen=True)] = None,
-    tolerance: Annotated[float, number("a number of pixels above 0", "PX", group=SAMPLING)] = 0.01,
+    sampling: SamplingOptions = _SAMPLING,
     labels: Annotated[bool, Parameter(group=VOLUME)] = False,
     volume: VolumeArguments = _VOLUME,
     workers: WorkerOptions = _WORKERS,
@@ -199,14 +193,6 @@ def plan(
     ----------
     source
         A Zarr array or an OME-Zarr image, a volume, or a picture.
-    filter
-        Interpolation, as of warp.
-    outside
-        What to show beyond the edges of the input, as of warp.
-    fill
-        Fill value of --outside constant.
-    tolerance
-        Largest allowed error of the inverse map, in pixels.
     labels
         The input is a label map, as of warp.
     json
@@ -217,7 +203,6 @@ def plan(
         Number of threads (default: all cores).
     """
     from supple.engine.progress import counted
-    from supple.engine.sampling import Sampling
     from supple.files.jobs import Job
     from supple.files.plans import plan_file
 
@@ -229,12 +214,9 @@ def plan(
         place=lambda: volume.place_of(source), ordered=maps.conventions,
     )  # fmt: skip
     elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given, output)
-    outside = check_fill(fill, outside, elements, output)
-    values = parse_fill("0" if fill is None else fill)
-    job = Job(
-        source, source, recipe, Sampling(filter, tolerance, outside or "edge", values), outside,
-        volume=volume.to_reading(labels=labels), fit=strokes.to_fit(), grid=grid,
-    )  # fmt: skip
+    known, outside = sampling.to_sampling(bool(elements) or output.reference is not None)
+    reading = volume.to_reading(labels=labels)
+    job = Job(source, source, recipe, known, outside, volume=reading, fit=strokes.to_fit(), grid=grid)
     job = refer(console, job, elements)
     with counted(console.terminal, "blocks") as tell:
         found = plan_file(job, workers.to_running(), tell)
