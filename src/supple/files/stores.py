@@ -234,7 +234,7 @@ def _labels(source: Source, job: Job) -> tuple[str, ...]:
                 why = str(error)
         if why:
             text = f"the label image {shown(name)} of {source.name} is not carried over ({why})"
-            warnings.warn(f"{text}: bend it by itself, with --labels", VolumeWarning, stacklevel=3)
+            warnings.warn(f"{text}: bend it by itself, as labels", VolumeWarning, stacklevel=3)
         else:
             names.append(name)
     return tuple(names)
