@@ -27,7 +27,7 @@ import supple
 from supple.engine.core import plan_of, sample, samplings_of
 from supple.engine.sampling import Sampling
 from supple.engine.work import Group, Layout, Work
-from supple.files.clips import warp_clip
+from supple.files import warp_file
 from supple.space.domain import Border
 
 Array = npt.NDArray[Any]
@@ -162,7 +162,7 @@ def clip_row(
     how = ", ".join(f"{name} {value}" for name, value in options.items()) or said
     return timed(
         f"1080p 4:2:0, H.264, {count} frames, file to file, {how}: ours / decoding and encoding",
-        lambda: warp_clip(source, here / "ours.mp4", made, force=True, **options),
+        lambda: warp_file(source, here / "ours.mp4", made, force=True, **options),
         lambda: transcode(source, here / "theirs.mp4"),
         runs,
         bar,

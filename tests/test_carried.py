@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from supple import Deformation, Key, MissWarning, Recipe, Stroke
-from supple.files.motion import motion_of
+from supple.files.clips import motion_of
 from supple.viewer.document.editing import Document
 
 ONE, OTHER = Stroke.grab((60, 60), by=(20, 0), radius=25), Stroke.grab((80, 85), by=(0, 20), radius=25)

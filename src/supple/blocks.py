@@ -189,6 +189,11 @@ class Warp:
         return result.reshape(*lead, *block.shape, *tail)
 
 
+def chunks_of(task: Sequence[int], shape: Sequence[int]) -> list[tuple[int, ...]]:
+    """Return the sizes along each axis of tasks of a shape, of which the last may be smaller."""
+    return [(n,) * (size // n) + ((size % n,) if size % n else ()) for n, size in zip(task, shape, strict=True)]
+
+
 def boxes_of(chunks: Chunks) -> Iterator[Box]:
     """Yield the places of blocks, the last axis first."""
     ends = [list(itertools.accumulate(sizes)) for sizes in chunks]

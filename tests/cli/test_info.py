@@ -131,7 +131,7 @@ def test_a_fault_of_ours_is_one_line(run: Run, monkeypatch: pytest.MonkeyPatch) 
         raise RuntimeError("two\nlines")
 
     monkeypatch.delenv("SUPPLE_DEBUG", raising=False)
-    monkeypatch.setattr("supple.files.warp_file", fail)
+    monkeypatch.setattr("supple.files.jobs.Job.warp", fail)
     status, out, err = run("warp", "in.png", "out.png", *GRAB)
     assert (status, out) == (1, "")
     assert "report it" in one_line(err)

@@ -37,7 +37,7 @@ def picture(tmp_path: Path) -> Path:
     [
         (("--time-filter",), "--time-filter is for clips"),
         (("--memory", "0"), "--memory is for clips"),
-        (("--codec", "h264", "--crf", "20"), "--codec and --crf is for clips"),
+        (("--codec", "h264", "--crf", "20"), "--codec is for clips"),
         (("--fps", "25"), "--fps is for clips"),
         (("--labels",), "--labels is for volumes"),
         (("--world",), "--world is for volumes"),
@@ -50,7 +50,7 @@ def test_options_that_are_not_for_pictures_are_named(
     target = picture.with_name("out.png")
     assert command(["warp", str(picture), str(target), *GRAB, *options]) == 2
     told = capsys.readouterr().err
-    assert name.replace("--crf is", "--crf are") in told
+    assert name in told
     assert told.count("\n") == 1
     assert not target.exists()
 

@@ -18,7 +18,6 @@ from supple.cli import command
 from supple.cuda import device as devices
 from supple.errors import SuppleError
 from supple.examples.gallery import write_gallery
-from supple.files.clips import warp_clip
 from supple.files.renders import RenderOptions
 from supple.files.volumes import warp_volume
 from supple.media import image
@@ -223,7 +222,7 @@ def test_clips_and_views_are_refused_whoever_is_there(capfd: pytest.CaptureFixtu
         (lambda: RenderOptions(device="cuda"), drawing),
         (lambda: Scene(np.zeros((4, 4, 4)), device="cuda"), drawing),
         (lambda: write_gallery("gallery", device="cuda"), drawing),
-        (lambda: warp_clip("clip.mp4", "out.mp4", Recipe(), device="cuda"), '"cpu" or "auto" for clips'),
+        (lambda: supple.warp_file("clip.mp4", "out.mp4", Recipe(), device="cuda"), '"cpu" or "auto" for clips'),
     ):
         with pytest.raises(SuppleError, match=f"device must be {known}"):
             ask()

@@ -20,10 +20,10 @@ from supple import Affine, Field, FoldWarning, OutsideWarning, Recipe, Stroke, S
 from supple.engine.sampling import Certificate  # noqa: E402
 from supple.fields import Placed  # noqa: E402
 from supple.files import plans, transforms  # noqa: E402
-from supple.files.bijections import SavedField  # noqa: E402
 from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
 from supple.files.stores import WarpedStore, warp_store  # noqa: E402
 from supple.files.tasks import Running  # noqa: E402
+from supple.files.transforms import SavedField  # noqa: E402
 from supple.media.stores import Target, open_image  # noqa: E402
 from supple.media.transforms import ngff  # noqa: E402
 from tests.effort import soak  # noqa: E402

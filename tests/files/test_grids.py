@@ -29,7 +29,7 @@ from supple import (
     Stroke,
     SuppleError,
 )
-from supple.files import check_job, warp_file
+from supple.files import Job, warp_file
 from supple.files.grids import output_grid
 from supple.files.options import VolumeOptions
 from supple.media import image
@@ -189,9 +189,9 @@ class TestMapsOnFiles:
         for page, wanted in zip(made.pixels.reshape(3, 10, 20), pages, strict=True):
             np.testing.assert_array_equal(page, d.warp(wanted)[4:14, 3:23])
         solid = Placed(field(around(Grid((3, 20, 30)))))
-        assert check_job("in.tif", "x.tif", EMPTY, maps=[solid]) == "volume"
-        assert check_job("in.tif", "x.tif", EMPTY, grid=GridOptions(crop=(0, 0, 0, 2, 2, 2))) == "volume"
-        assert check_job("in.tif", "x.tif", EMPTY, maps=[Placed(given)]) == "picture"
+        assert Job("in.tif", "x.tif", EMPTY, maps=[solid]).medium.kind == "volume"
+        assert Job("in.tif", "x.tif", EMPTY, grid=GridOptions(crop=(0, 0, 0, 2, 2, 2))).medium.kind == "volume"
+        assert Job("in.tif", "x.tif", EMPTY, maps=[Placed(given)]).medium.kind == "picture"
 
     def test_warnings_of_folds(self, here: Path) -> None:
         grid = media.outline_of(_named("in.nii")).grid

@@ -16,8 +16,9 @@ import SimpleITK as sitk  # noqa: N813
 import supple
 from supple import Grid, Recipe, Stroke, SuppleError
 from supple.errors import VolumeWarning
+from supple.files import Warped
 from supple.files.options import VolumeOptions
-from supple.files.volumes import WarpedVolume, open_volume
+from supple.files.volumes import open_volume
 from supple.media import volume as media
 from supple.space.domain import Domain
 from tests import reference
@@ -87,15 +88,13 @@ def stroke(by: tuple[float, float, float] = (2.5, -1.5, 2.0), radius: float = 6.
     return Stroke.grab(tuple(MIDDLE.tolist()), by=by, radius=radius, poisson=0.3, reach=2.0)
 
 
-def warped(source: Path, target: Path, made: Stroke, border: Any = None, **options: Any) -> WarpedVolume:
+def warped(source: Path, target: Path, made: Stroke, border: Any = None, **options: Any) -> Warped:
     known = {key: options.pop(key) for key in ("save_field", "labels") if key in options}
     reading = VolumeOptions(world=True, **known)
     recipe = Recipe(strokes=(made,), border=border, space="RAS" if source.suffix == ".nrrd" else None)
     if recipe.space:
         reading = VolumeOptions(**known)
-    found = supple.warp_file(source, target, recipe, volume=reading, clamp=False, **options)
-    assert isinstance(found, WarpedVolume)
-    return found
+    return supple.warp_file(source, target, recipe, volume=reading, clamp=False, **options)
 
 
 @pytest.mark.parametrize("suffix", [".nii", ".nrrd"])
@@ -252,7 +251,6 @@ class TestTiltedGantry:
         made = supple.warp_file(
             folder, here / "bent", Recipe(strokes=(self.DRAG,), border=None), volume=VolumeOptions(world=True)
         )
-        assert isinstance(made, WarpedVolume)
         sources = reference.inverse([self.DRAG], FREE, where)
         found = open_volume(made.target).samples
         inner = (slice(2, -2), slice(4, -4), slice(4, -4))

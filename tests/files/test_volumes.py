@@ -17,11 +17,11 @@ from scipy import ndimage
 
 import supple
 from supple.cli import command
+from supple.engine.sampling import Sampling
 from supple.errors import SuppleError, VolumeWarning
 from supple.fields import Placed
-from supple.files import volumes
+from supple.files import Job, volumes
 from supple.files.freezing import read_freeze
-from supple.files.kinds import kind_of
 from supple.files.options import VolumeOptions
 from supple.files.stores import warp_store
 from supple.files.volumes import deformation_of, sampling_of, warp_volume
@@ -98,7 +98,7 @@ def test_a_filter_samples_all_axes_alike(name: str) -> None:
     found = []
     for values, given in ((samples, strokes), (np.moveaxis(samples, 0, 2), turned)):
         d = supple.Deformation.from_recipe(supple.Recipe(strokes=given, border=None), values.shape)
-        how = sampling_of(name, tolerance=1e-3)
+        how = sampling_of(Sampling(name, 1e-3))
         found.append(d.warp(values, filter=how.filter, between=how.between, tolerance=1e-3))
     off = np.abs(found[0] - np.moveaxis(found[1], 2, 0))
     assert np.quantile(off, 0.99) < 0.1
@@ -110,7 +110,7 @@ def test_cubic_filters_of_volumes_are_those_of_the_reference(name: str) -> None:
     samples = made((18, 22, 20), np.float32)
     strokes = [supple.Stroke.grab((9, 12, 10), by=(4, -3, 2), radius=7)]
     d = supple.Deformation.from_recipe(supple.Recipe(strokes=strokes, border=None), samples.shape)
-    how = sampling_of(name, tolerance=1e-4)
+    how = sampling_of(Sampling(name, 1e-4))
     assert (how.between, how.time_filter) == ("cubic", name == "auto")
     options: dict[str, Any] = {"filter": how.filter, "between": how.between, "time_filter": how.time_filter}
     wanted = reference.warp_frames(samples, strokes, d.domain, **options)
@@ -448,7 +448,7 @@ def test_vectors_and_series(here: Path) -> None:
     done = warp_volume("t.nii.gz", "t2.nii.gz", RECIPE, filter="linear")
     out = media.read("t2.nii.gz")
     assert out.series
-    assert done.volumes == 4
+    assert done.frames == 4
     for k in range(4):
         assert np.abs(out.samples[k] - truth(times[k])).max() <= OFF + 0.5
 
@@ -540,13 +540,14 @@ def test_what_is_a_volume(here: Path) -> None:
 
     image.write("one.tif", np.zeros((8, 8), np.uint8))
     flat = supple.Recipe(strokes=[supple.Stroke.grab((5, 5), by=(1, 0), radius=5)])
-    assert kind_of("in.nii", "out.nii", flat) == "volume"
-    assert kind_of("stack.tif", "out.tif", RECIPE) == "volume"
-    assert kind_of("stack.tif", "out.nii", flat) == "volume"
-    assert kind_of("stack.tif", "out.tif", flat) == "picture"
-    assert kind_of("one.tif", "out.tif", RECIPE) == "picture"
-    assert kind_of("photo.jpg", "out.jpg", flat) == "picture"
-    assert kind_of("x.bin", "out.nii", flat, VolumeOptions(layout=media.RawLayout((2, 2, 2), "uint8"))) == "volume"
+    assert Job("in.nii", "out.nii", flat).medium.kind == "volume"
+    assert Job("stack.tif", "out.tif", RECIPE).medium.kind == "volume"
+    assert Job("stack.tif", "out.nii", flat).medium.kind == "volume"
+    assert Job("stack.tif", "out.tif", flat).medium.kind == "picture"
+    assert Job("one.tif", "out.tif", RECIPE).medium.kind == "picture"
+    assert Job("photo.jpg", "out.jpg", flat).medium.kind == "picture"
+    raw = VolumeOptions(layout=media.RawLayout((2, 2, 2), "uint8"))
+    assert Job("x.bin", "out.nii", flat, volume=raw).medium.kind == "volume"
 
 
 def test_raw_files(here: Path) -> None:
@@ -626,8 +627,8 @@ BAD: list[tuple[list[str], str]] = [
     (["warp", "in.nii", "out.jpg", *GRAB], "no format that volumes are written in"),
     (["warp", "in.nii", "in.nii", *GRAB], "is the volume itself: choose another name, or --force"),
     (["warp", "in.nii", "there.nii", *GRAB], "exists already"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--quality", "9"], "is for pictures or videos"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--codec", "h264"], "is for pictures or videos"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--quality", "9"], "is for pictures and clips"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--codec", "h264"], "is for clips"),
     (["warp", "in.nii", "out.nii", *GRAB, "--save-field", "out.txt"], "out.txt"),
     (["warp", "in.nii", "out.nii", *GRAB, "--save-field", "out.nii"], "cannot be the field"),
     (["warp", "in.nii", "out.nii", *GRAB, "--tolerance", "0"], "tolerance"),

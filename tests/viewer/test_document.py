@@ -17,7 +17,7 @@ import pytest
 from supple.deformation import Deformation
 from supple.errors import FoldError, FoldWarning, SuppleError
 from supple.files import warp_file
-from supple.files.clip_work import deformation_of as on_clip
+from supple.files.clips import deformation_of as on_clip
 from supple.files.recipes import read_recipe, write_recipe
 from supple.media.image import read, write
 from supple.space.geometry import Geometry

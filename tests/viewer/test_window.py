@@ -196,12 +196,10 @@ def test_a_clip_plays_and_is_bent_in_time(gpu: Gpu, state: Path) -> None:
     seen = view.pixels()
     left, top = (round(v) for v in view.tools.view.to_canvas(0, 0))
     with video.open_clip(DATA / "bunny.mp4") as clip:
-        from supple.files.clip_work import deformation_of, frames_of, sampling_of
+        from supple.files.clips import deformation_of, frames_of, sampling_of
 
         d = deformation_of(view.recipe, clip.count, clip.layout.shape, 1.0, clip.name)
-        common: dict[str, Any] = {"outside": "edge", "fill": 0.0, "tolerance": 0.01, "light": False}
-        sampling = sampling_of(clip, filter="auto", **common)
-        ((_, arrays),) = frames_of(clip, (d,), sampling, [5], 2e9)
+        ((_, arrays),) = frames_of(clip, (d,), sampling_of(clip), [5], 2e9)
         wanted = clip.to_rgb(arrays)
     y, x = max(top, 0), max(left, 0)
     height, width = (
@@ -295,7 +293,7 @@ def test_voxels_without_a_header_are_shown_and_exported(gpu: Gpu, state: Path) -
     for source in (small_photo(state), samples):
         with pytest.raises(supple.SuppleError, match=r"is no file of a volume, .*: leave that out"):
             opened(source, volume=VolumeOptions(labels=True))
-    with pytest.raises(supple.SuppleError, match="--series is for DICOM folders"):
+    with pytest.raises(supple.SuppleError, match="series is for DICOM folders"):
         opened(DATA / "head.nii.gz", volume=VolumeOptions(series="1"))
 
 

@@ -32,25 +32,29 @@ PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 _NAMES = (
     "annotate between border border_profile clamp clip codec convention crf crop density device distance elevation "
     "error field_of_view fill filter fit force frame freeze freeze_width from labels linear_light lossless map memory "
-    "mode on_fold outside pixel_format poisson preset quality radius rate reach refer_to reference resample roll "
-    "save_field scales scheduler series shape size source spacing status step target time_filter time_scale to "
-    "tolerance transfer turntable up workers world"
+    "mode on_fold outside pixel_format poisson preset quality radius reach refer_to reference resample roll "
+    "save_field scales scheduler series shape size source spacing status step target time time_filter time_scale to "
+    "tolerance transfer turntable up workers world x y"
 )
-_OPTIONS = frozenset(_NAMES.split())
-_OTHER = {"supersampling": "--smooth", "layout": "--shape, --dtype and --spacing"}
+_OPTIONS = {name: f"--{name.replace('_', '-')}" for name in _NAMES.split()}
+_OPTIONS |= {"supersampling": "--smooth", "layout": "--shape, --dtype and --spacing", "rate": "--fps"}
 
 
-def _option(name: str, value: object) -> str:
-    """Return an argument of the library as an option: ``--on-fold flow`` for ``on_fold='flow'``."""
-    if name not in _OPTIONS:
-        return _OTHER.get(name, name)
-    option = f"--{name.replace('_', '-')}"
-    if value is Spelling.ANY or value is True:
-        return option
-    return f"{option} {'none' if value is None else value}"
+def naming(**others: str) -> Spelling:
+    """Return how messages name arguments: as options, ``--on-fold flow`` for ``on_fold='flow'``, or as ``others``."""
+    known = _OPTIONS | others
+
+    def option(name: str, value: object) -> str:
+        if name not in known or value is Spelling.ANY or value is True:
+            return known.get(name, name)
+        if value is False:
+            return known[name].replace("--", "--no-", 1)
+        return f"{known[name]} {'none' if value is None else value}"
+
+    return Spelling(option, "none")
 
 
-COMMAND = Spelling(_option, "none")
+COMMAND = naming()
 """How messages name arguments while a command runs."""
 
 
@@ -74,17 +78,7 @@ def one_line(text: object) -> str:
 
 @dataclass(slots=True, eq=False)
 class File:
-    """A file that is worked on, and the warnings about it.
-
-    Parameters
-    ----------
-    source, target : str
-        What is read, and what is written.
-    named : bool
-        Whether each warning begins with the file's name, as one of several.
-    warnings : list of str
-        The warnings so far, as on standard error.
-    """
+    """A file that is worked on, and the warnings about it so far, which begin with its name if it is ``named``."""
 
     source: str = ""
     target: str = ""
@@ -158,16 +152,8 @@ class Console:
     def warn(self, text: object, *, meant: bool = False) -> None:
         """Write a warning, unless it has been written before or is unwanted; with --strict, raise it as an error.
 
-        Parameters
-        ----------
-        text : object
-        meant : bool
-            Whether what it says is what was asked for, and no error with --strict either.
-
-        Raises
-        ------
-        SuppleError
-            If warnings are errors. Files that are being written are removed, as after every error.
+        With ``meant``, it says what was asked for, and is no error with --strict either. Files that are being written
+        are removed, as after every error.
         """
         file, line = self.file, one_line(text)
         names = tuple(one_line(name) for name in (file.source, file.target) if name)
@@ -207,13 +193,7 @@ def current() -> Console:
 
 
 def warn_of_software(console: Console, device: str) -> None:
-    """Warn that the GPU that was asked for is a program.
-
-    Raises
-    ------
-    SuppleError
-        If there is not even such a one.
-    """
+    """Warn that the GPU that was asked for is a program; SuppleError if there is not even such a one."""
     if device != "gpu":
         return
     from supple.gpu.device import open_gpu
@@ -234,7 +214,7 @@ def told(*deformations: Deformation, own: Grid | None = None) -> dict[str, Any]:
 
     ``own`` is the grid of the input, if it is not that of the deformations.
     """
-    from supple.files.grids import arrivals_on
+    from supple.files.jobs import arrivals_on
 
     each = [deformation.resolution() for deformation in dict.fromkeys(deformations)]
     arrivals = zip(*(arrivals_on(own, deformations[0].grid, made["arrivals"]) for made in each), strict=True)

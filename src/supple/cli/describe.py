@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from supple.errors import SuppleError, shown
-from supple.files.clip_work import displayed
+from supple.files.clips import displayed
 from supple.media.numbering import is_sequence
 from supple.media.suffixes import CLIPS
 from supple.strokes import Recipe, Stroke, spoken
@@ -30,27 +30,10 @@ _TAGS = {"primaries": _PRIMARIES, "transfer": _TRANSFERS, "matrix": _MATRICES}
 
 
 def describe(name: str, *, layout: RawLayout | None = None, series: str | None = None) -> tuple[dict[str, Any], str]:
-    """Describe a picture, a video, an image sequence, a volume, a Zarr store, or a recipe.
+    """Return the facts on a file, ready for JSON, and the same for people, on several lines.
 
-    Parameters
-    ----------
-    name : str
-        A picture, a video, a volume or a Zarr store; a pattern or a folder of pictures; or a recipe, whose name ends in
-        .json.
-    layout, series
-        As `supple.media.volume.read` takes them.
-
-    Returns
-    -------
-    dict
-        The facts, ready for JSON.
-    str
-        The same for people, on several lines.
-
-    Raises
-    ------
-    SuppleError
-        If it is none of these.
+    ``layout`` and ``series`` are as in `supple.media.volume.read`. SuppleError if it is no picture, video, image
+    sequence, volume, Zarr store or recipe (.json).
     """
     suffix = Path(name).suffix.lower()
     if suffix == ".json":

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
-from supple.cli.console import COMMAND, Console, current
+from supple.cli.console import Console, current, naming
 from supple.cli.options import RunOptions, number
-from supple.errors import Spelling, SuppleError, shown, spelling
+from supple.errors import SuppleError, shown, spelling
 
 if TYPE_CHECKING:
     from supple.fields import Map
@@ -189,7 +189,7 @@ def convert(
     console = _started(options, source_file)
     from supple.files.fields import convert_file
 
-    with spelling(_FROM):
+    with spelling(naming(convention="--from")):
         made = convert_file(
             source_file, target, convention=convention, to=to, image=source, reference=reference, force=options.force
         )
@@ -225,14 +225,6 @@ def parse_maps(words: Sequence[str]) -> list[Input]:
             raise SuppleError(f"{name} is given twice for {shown(last.path)}: leave one out")
         made[-1] = last._replace(convention=given) if key == "convention" else last._replace(source=given)
     return made
-
-
-def _from_option(name: str, value: object) -> str:
-    """Return the convention of IN as its option, --from, and other arguments as any command does."""
-    return COMMAND.argument("from" if name == "convention" else name, value)
-
-
-_FROM = Spelling(_from_option, COMMAND.none)
 
 
 def _started(options: RunOptions, file: str) -> Console:

@@ -7,7 +7,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from supple.cli.console import REFUSED, STREAM, File, SomeFailedError, about, current, one_line
-from supple.cli.options_volume import VolumeArguments
+from supple.cli.options import VolumeArguments
 from supple.errors import SuppleError
 
 _VOLUME = VolumeArguments()

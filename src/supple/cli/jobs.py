@@ -16,10 +16,10 @@ from pathlib import Path
 from supple.cli.console import FAULT, REFUSED, STREAM, Console, deaf, fault
 from supple.engine.memory import machine_memory
 from supple.errors import SuppleError, shown
-from supple.files.kinds import ONE_FILE
 from supple.files.recipes import check_recipe_name, is_media_name
 from supple.media.files import check_output
 from supple.media.image.formats import SUFFIXES as PICTURES
+from supple.media.medium import ONE_FILE
 from supple.media.suffixes import CLIPS, suffix_of
 
 Job = tuple[Path, Path]
@@ -29,21 +29,9 @@ PathLike = str | os.PathLike[str]
 def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool, list[Path]]:
     """Find the pictures, and name what each becomes.
 
-    Parameters
-    ----------
-    given : sequence of str
-        Files, folders and patterns.
-    target : str
-        A file; or a folder, if it is one, ends in a slash, or there may be several pictures.
-
-    Returns
-    -------
-    list of pairs of pathlib.Path
-        Sources and targets, in order.
-    bool
-        Whether the target is a folder.
-    list of pathlib.Path
-        Folders within those that are given, or that match a pattern, which are not entered.
+    ``given`` are files, folders and patterns; ``target`` is a file, or a folder, if it is one, ends in a slash, or
+    there may be several pictures. Returns sources and targets, in order; whether the target is a folder; and folders
+    within those that are given, or that match a pattern, which are not entered.
     """
     left: list[Path] = []
     found: list[tuple[Path, Path]] = []  # with the name below the target
@@ -237,13 +225,7 @@ class Crew:
         console: Console,
         failed: Callable[[Job, str], None],
     ) -> int:
-        """Do all jobs; report those that fail, and go on with the others.
-
-        Returns
-        -------
-        int
-            The exit status: 0 if none failed.
-        """
+        """Do all jobs; report those that fail, and go on with the others; return the exit status."""
         status = 0
         pool = ThreadPoolExecutor(self._workers, "supple-file")
         try:
@@ -299,10 +281,7 @@ class Crew:
 
 
 def _ended(futures: Iterable[Future[None]]) -> Iterator[Future[None]]:
-    """The futures, one by one as they end.
-
-    A signal that the system gives to another thread does not wake this one, which would hear of it when a future ends.
-    """
+    """Yield futures as they end; waiting in steps, as a signal that another thread gets does not wake this one."""
     waiting = set(futures)
     while waiting:
         ended, waiting = wait(waiting, timeout=0.2, return_when=FIRST_COMPLETED)

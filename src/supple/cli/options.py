@@ -1,6 +1,8 @@
 """Options that several commands have, and how numbers are read."""
 
+import glob
 import math
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -8,15 +10,25 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter, Token
 
+from supple.cli.console import STREAM
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
     from fractions import Fraction
 
+    from supple.engine.sampling import Sampling
     from supple.files.options import ClipOptions
+    from supple.files.options import VolumeOptions as Reading
+    from supple.files.tasks import Running
+    from supple.strokes import Recipe
 
 VIDEO = Group("Videos and image sequences", sort_key=4)
 RUNNING = Group("Running", sort_key=5)
+SAMPLING = Group("Sampling", sort_key=2)
+STORES = Group("Zarr stores", sort_key=4.5)
+VOLUME = Group("Volumes", sort_key=5)
+COORDINATES = {"lps": "LPS", "ras": "RAS", "index": "index"}
+"""The names of coordinates of points, by how they are spelt in lower case."""
 
 
 def parse_number(name: str, text: str, wanted: str) -> float:
@@ -168,6 +180,201 @@ class VideoOptions(TimeOptions):
         return ClipOptions(**{name: value for name, value in vars(self).items() if value is not None})
 
 
-def parse_fill(text: str) -> list[float]:
-    """Read a colour from the command line."""
-    return [parse_number("--fill", part, "a number, or one for each channel: 255,0,0") for part in text.split(",")]
+def parse_numbers(name: str, text: str, count: int, wanted: str) -> tuple[float, ...]:
+    """Read so many numbers from the command line."""
+    parts = text.split(",")
+    if len(parts) != count:
+        raise SuppleError(f"{name} must be {wanted}, found {text!r}")
+    return tuple(parse_number(name, part, wanted) for part in parts)
+
+
+def parse_three(name: str, text: str) -> tuple[float, float, float]:
+    """Read a number for each axis from the command line."""
+    x, y, z = parse_numbers(name, text, 3, "three numbers X,Y,Z")
+    return x, y, z
+
+
+_whole = partial(parse_integer, wanted="a whole number")
+
+
+@Parameter(name="*", group=VIDEO)
+@dataclass(kw_only=True, eq=False, repr=False)
+class TrackOptions:
+    """Options for strokes that follow tracked points.
+
+    Parameters
+    ----------
+    track
+        Move the strokes of the command line, of points X,Y, along with tracked points: a table frame,x,y (CSV, with a
+        column name for several tracks), a script of Nuke, or keyframes copied from After Effects.
+    track_name
+        Name of the track to follow: once for all strokes, or once for each, in order.
+    track_frame
+        Frame, counted from 0, in which the strokes are where --grab has them (default: the first of the track).
+    track_from
+        How a table without a header counts: pixels (from the centre of the top left one), nuke or ae.
+    track_first
+        Number that the track gives to the first frame of the clip, if not 0, or in Nuke 1: often 1001.
+    """
+
+    track: Annotated[str | None, Parameter(metavar="FILE")] = None
+    track_name: Annotated[list[str], Parameter(metavar="NAME", allow_leading_hyphen=True, show_default=False)] = ()  # type: ignore[assignment]
+    track_frame: Annotated[int | None, read(_whole, "K")] = None
+    track_from: Annotated[
+        Literal["pixels", "nuke", "ae"] | None, Parameter(metavar="pixels|nuke|ae", show_choices=False)
+    ] = None
+    track_first: Annotated[int | None, read(_whole, "N")] = None
+
+    def followed(self, recipe: "Recipe", count: int, clip: str) -> "Recipe":
+        """Return a recipe whose last ``count`` strokes, those of the command line, follow the tracks."""
+        if self.track is None:
+            for name in ("track_name", "track_frame", "track_from", "track_first"):
+                if getattr(self, name) not in (None, (), []):
+                    raise SuppleError(f"--{name.replace('_', '-')} is for a --track, and there is none: leave it out")
+            return recipe
+        if not count:
+            raise SuppleError("--track moves strokes of the command line, and there are none: give a --grab")
+        from supple.files.tracks import follow_tracks
+
+        total = len(recipe.strokes)
+        return follow_tracks(
+            recipe,
+            self.track,
+            clip,
+            names=self.track_name,
+            frame=self.track_frame,
+            strokes=range(total - count, total),
+            convention=self.track_from,
+            first=self.track_first,
+        )
+
+
+@Parameter(name="*", group=VOLUME)
+@dataclass(kw_only=True, eq=False, repr=False)
+class VolumeArguments:
+    """Options for volumes.
+
+    Parameters
+    ----------
+    world
+        Points of strokes are in millimetres in the file's coordinate system (NIfTI: RAS; DICOM, NRRD and
+        MetaImage: LPS) instead of voxels.
+    series
+        Which series to read from a DICOM folder with several: its number in the list, or its UID.
+    shape
+        Number of voxels along x, y and z, for a file without a header; needs --dtype.
+    dtype
+        Data type of a file without a header: uint8, int16, <i2 (little-endian), >f4 (big-endian), …
+    spacing
+        Distance between voxels along x, y and z in millimetres, for a file without a header (default 1,1,1).
+    """
+
+    world: bool = False
+    series: Annotated[str | None, Parameter(metavar="N|UID")] = None
+    shape: Annotated[str | None, Parameter(metavar="X,Y,Z", allow_leading_hyphen=True)] = None
+    dtype: Annotated[str | None, Parameter(metavar="TYPE")] = None
+    spacing: Annotated[str | None, Parameter(metavar="X,Y,Z", allow_leading_hyphen=True)] = None
+
+    def to_reading(self, *, labels: bool = False, save_field: str | None = None) -> "Reading":
+        """Return the options as the library takes them."""
+        from supple.files.options import VolumeOptions as Reading
+
+        layout = None
+        if self.shape is not None or self.dtype is not None or self.spacing is not None:
+            from supple.media.volume import RawLayout
+
+            if self.shape is None or self.dtype is None:
+                raise SuppleError(
+                    "a file without a header needs both --shape X,Y,Z and --dtype: give the other one too"
+                )
+            sizes = tuple(int(n) if n.is_integer() else n for n in parse_three("--shape", self.shape))
+            spacing = (1.0, 1.0, 1.0) if self.spacing is None else parse_three("--spacing", self.spacing)
+            layout = RawLayout(sizes, self.dtype, spacing)  # type: ignore[arg-type]
+        return Reading(world=self.world, labels=labels, save_field=save_field, layout=layout, series=self.series)
+
+    def place_of(self, path: str) -> str | None:
+        """Return the convention of a volume, as `Geometry` has it; None of anything else.
+
+        Of several files, it is that of the first one; of standard input, which cannot be read twice, that of DICOM.
+        """
+        from supple.files.volumes import place_of
+        from supple.media.medium import ONE_FILE, holds_volumes
+        from supple.media.suffixes import suffix_of
+
+        if path == STREAM:
+            return "LPS"
+        if glob.has_magic(path) and not os.path.exists(path):
+            path = min(glob.glob(path, recursive=True), default=path)
+        elif holds_volumes(path):
+            path = os.path.join(path, min(name for name in os.listdir(path) if suffix_of(name) in ONE_FILE))
+        return place_of(path, self.to_reading())
+
+
+@Parameter(name="*", group=STORES)
+@dataclass(kw_only=True, eq=False, repr=False)
+class WorkerOptions:
+    """Options of outputs that are written block by block.
+
+    Parameters
+    ----------
+    workers
+        Work in so many processes on this machine, which share its cores (default: threads of one process).
+    scheduler
+        Work on a cluster of Dask, which has started already: the address of its scheduler.
+    """
+
+    workers: Annotated[int | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
+    scheduler: Annotated[str | None, Parameter(metavar="tcp://HOST:PORT")] = None
+
+    @property
+    def given(self) -> str | None:
+        """The name of an option that is given; None if none is."""
+        names = {"--workers": self.workers, "--scheduler": self.scheduler}
+        return next((name for name, value in names.items() if value is not None), None)
+
+    def to_running(self) -> "Running":
+        """Return the options as the library takes them."""
+        from supple.files.tasks import Running
+
+        return Running(workers=self.workers, scheduler=self.scheduler)
+
+
+@Parameter(name="*", group=SAMPLING)
+@dataclass(kw_only=True, eq=False, repr=False)
+class SamplingOptions:
+    """How the input is sampled.
+
+    Parameters
+    ----------
+    filter
+        Interpolation: auto (cubic, averaged where the picture shrinks), cubic, linear or nearest.
+    outside
+        What to show beyond the edges of the input: its edge pixels, a constant (--fill), or its mirror image (default:
+        edge; of volumes with --reference, constant: the least value, the padding of DICOM, or 0 of labels).
+    fill
+        Fill value of --outside constant, in the picture's own values (0): one for all channels, or one for each.
+    tolerance
+        Largest allowed error of the inverse map, in pixels.
+    """
+
+    filter: Annotated[str, Parameter(metavar="auto|cubic|linear|nearest")] = "auto"
+    outside: Literal["edge", "constant", "reflect"] | None = None
+    fill: Annotated[str | None, Parameter(metavar="V|V,V,V", allow_leading_hyphen=True)] = None
+    tolerance: Annotated[float, number("a number of pixels above 0", "PX")] = 0.01
+
+    def to_sampling(self, elsewhere: bool, linear_light: bool = False) -> "tuple[Sampling, str | None]":
+        """Return the options as the library takes them, and the boundary mode that was asked for.
+
+        If maps or a reference may lead ``elsewhere``, a fill value says by itself that it is a constant.
+        """
+        from supple.engine.sampling import Sampling
+
+        wanted = "a number, or one for each channel: 255,0,0"
+        values = [parse_number("--fill", part, wanted) for part in (self.fill or "0").split(",")]
+        outside: str | None = self.outside
+        if self.fill is not None and outside is None and elsewhere:
+            outside = "constant"
+        if self.fill is not None and outside != "constant":
+            told = outside or "edge"
+            raise SuppleError(f"--fill is the constant of --outside constant, and --outside is {told}: give both")
+        return Sampling(self.filter, self.tolerance, outside or "edge", values, linear_light), outside

@@ -6,17 +6,18 @@ import re
 import threading
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
-from supple.cli.options_volume import COORDINATES
+from supple.cli.options import COORDINATES
 from supple.errors import OutsideWarning, SuppleError, shown
 
 if TYPE_CHECKING:
     from supple.cli.console import Console
     from supple.fields import Placed
+    from supple.files.jobs import Job
     from supple.files.options import GridOptions
     from supple.space.affine import Affine
     from supple.space.geometry import Grid
@@ -95,20 +96,11 @@ class MapOptions:
         *,
         points: bool = False,
     ) -> "Maps":
-        """Return the maps among the strokes.
+        """Return the maps among the strokes of a command line.
 
-        Parameters
-        ----------
-        arguments : sequence of str
-            The command line.
-        recipe : int
-            The number of strokes of the recipe, which come first.
-        strokes : mapping from str to sequence of str
-            The values of the options that are strokes.
-        output : OutputOptions, optional
-            The grid of the output, of a command that writes on another one than the input's.
-        points : bool
-            Whether --inverse before all maps is about points, which are then moved back.
+        ``recipe`` is the number of strokes of the recipe, which come first, and ``strokes`` are the values of the
+        options that are strokes. ``output`` is the grid of the output, of a command that writes on another one than the
+        input's. With ``points``, --inverse before all maps is about points, which are then moved back.
         """
         from supple.cli.options_strokes import in_order
 
@@ -302,6 +294,19 @@ class Maps:
                 self._known = source, [(maps.lifted(some, form, source), form) for some, form in read]
             return self._known[1]
 
+    def placed(self, console: "Console", job: "Job") -> "Job":
+        """Return a job with the maps, on the grid of its file; tell of each."""
+        from supple.files.clips import refuse_maps
+
+        if not self._entries:
+            return job
+        if (own := job.medium.grid) is not None:
+            job = replace(job, maps=self.read(own))  # by which pages may become a volume
+            own = job.medium.grid
+        if own is None:
+            refuse_maps(job.source)
+        return replace(job, maps=self.on(console, own, job.medium.name, job.grid))
+
     def on(
         self, console: "Console", source: "Grid", name: str, grid: "GridOptions | None" = None
     ) -> "tuple[Placed, ...]":
@@ -318,16 +323,9 @@ class Maps:
     def check_sizes(self, source: "Grid", name: str) -> None:
         """Refuse maps that have a value for each pixel of a picture, and are not of its size.
 
-        Each map leads from one picture to the next, from the input to the output, and has the size of the one after
-        it, or, if it is inverted, of the one before it. Only the first and the last are known: of another one, a
-        warning is given unless it is of a size that occurs.
-
-        Parameters
-        ----------
-        source : Grid
-            The grid of the input.
-        name : str
-            The name of the input.
+        Each map leads from one picture to the next, from the input to the output, and has the size of the one after it,
+        or, if it is inverted, of the one before it. Only the first and the last are known: of another one, a warning is
+        given unless it is of a size that occurs.
         """
         from supple.fields import Field
         from supple.files.grids import reference_grid
@@ -426,16 +424,6 @@ def describe_grid(facts: dict[str, Any], units: str) -> str:
     """Return what is told of a grid, in words."""
     sizes, steps, origin = (" x ".join(f"{x + 0.0:g}" for x in facts[name]) for name in ("size", "spacing", "origin"))
     return f"{sizes} samples, spacing {steps} {units}, from ({origin.replace(' x ', ', ')})"
-
-
-def check_fill(fill: str | None, outside: str | None, maps: Maps, output: OutputOptions) -> Any:
-    """Return --outside, where --fill says it by itself; refuse one that does not go with it."""
-    if fill is None or outside == "constant":
-        return outside
-    if outside is None and (maps or output.reference is not None):
-        return "constant"
-    told = outside or "edge"
-    raise SuppleError(f"--fill is the constant of --outside constant, and --outside is {told}: give both")
 
 
 def say_background(

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Group, Parameter
 
 from supple.cli.console import current
-from supple.cli.options import parse_number
-from supple.cli.options_volume import COORDINATES
+from supple.cli.options import COORDINATES, parse_number
 from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
@@ -42,17 +41,8 @@ _WANTED = {
 def in_order(arguments: Sequence[str], given: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
     """Return the options of a command line that have an order, with their values.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-        The command line.
-    given : mapping from str to sequence of str
-        The values of each of these options, as the parser found them.
-
-    Raises
-    ------
-    SuppleError
-        If what is found in the arguments is something else.
+    ``given`` has the values of each of these options, as the parser found them: SuppleError if they differ from what is
+    found in the arguments.
     """
     found, rest = [], iter(arguments)
     for argument in rest:
@@ -199,21 +189,11 @@ class StrokeOptions:
     ) -> "Recipe":
         """Read the recipe file, if one is given, and add the strokes.
 
-        Parameters
-        ----------
-        world : bool
-            Whether the strokes are in millimetres.
-        empty : bool
-            Whether there is something to do without strokes.
-        others : str
-            The options that would do, too.
-        place : function
-            Returns the convention of the volume that the strokes are for, as `Geometry` has it; None without one.
-        convention : str, optional
-            That of tables of points that do not say it.
-        ordered : mapping from str to sequence of str, optional
-            Instead, the values of --convention, each of which is about what stands before it, and of the other
-            options that it may be about.
+        With ``world``, strokes are in millimetres. With ``empty``, there is something to do without strokes; ``others``
+        are the options that would do, too. ``place`` returns the convention of the volume that the strokes are for, as
+        `Geometry` has it; None without one. ``convention`` is that of tables of points that do not say it; instead,
+        ``ordered`` has the values of --convention, each of which is about what stands before it, and of the other
+        options that it may be about.
         """
         from supple.strokes import Recipe
 

@@ -11,7 +11,7 @@ from supple.cli.console import current, told, warn_of_software
 from supple.cli.options import RUNNING, RunOptions, VideoOptions, parse_integer
 from supple.cli.options_maps import MapOptions
 from supple.cli.options_strokes import StrokeOptions
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError
 
 What = Literal["grid", "stretch", "axes", "residual", "iterations", "slice", "sheet"]
 Device = Literal["auto", "cpu", "gpu"]
@@ -63,13 +63,9 @@ def plot(
     recipe = strokes.to_recipe(empty=maps.any, others="--field FILE, --affine FILE or ", convention=convention)
     elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given)
     from supple.cli.warp import picture_facts
-    from supple.files import grid_of
-    from supple.files.clips import refuse_maps
+    from supple.files.jobs import Job
     from supple.files.plots import plot_file
 
-    own = grid_of(source, "", recipe) if elements else None
-    if elements and own is None:
-        refuse_maps(source)
     deformation = plot_file(
         source,
         target,
@@ -82,7 +78,7 @@ def plot(
         force=options.force,
         progress=console.terminal,
         fit=strokes.to_fit(),
-        maps=() if own is None else elements.on(console, own, shown(source)),
+        maps=elements.placed(console, Job(source, "", recipe)).maps,
     )
     if options.json:
         job = (Path(source), Path(target))

@@ -5,70 +5,35 @@ from __future__ import annotations
 import glob
 import math
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 from supple.cli.console import STREAM, Console, File, Terminated, about, current, one_line, say_convention
 from supple.cli.console import told as told_of
-from supple.cli.options import RUNNING, number, parse_fill
+from supple.cli.options import RUNNING, VOLUME, SamplingOptions, VolumeArguments, WorkerOptions
 from supple.cli.options_maps import (
     OTHERS,
     MapOptions,
     Maps,
     OutputOptions,
-    check_fill,
     describe_grid,
     grid_facts,
     say_background,
 )
 from supple.cli.options_strokes import StrokeOptions
-from supple.cli.options_volume import VOLUME, VolumeArguments
 from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
+    from supple.files.jobs import Job
     from supple.files.plans import Planned
     from supple.files.stores import WarpedStore
     from supple.files.tasks import Running
-    from supple.space.geometry import Grid
-    from supple.strokes import Recipe
-
-Outside = Literal["edge", "constant", "reflect"]
-SAMPLING = Group("Sampling", sort_key=2)
-STORES = Group("Zarr stores", sort_key=4.5)
 
 
-@Parameter(name="*", group=STORES)
-@dataclass(kw_only=True, eq=False, repr=False)
-class WorkerOptions:
-    """Options of outputs that are written block by block.
-
-    Parameters
-    ----------
-    workers
-        Work in so many processes on this machine, which share its cores (default: threads of one process).
-    scheduler
-        Work on a cluster of Dask, which has started already: the address of its scheduler.
-    """
-
-    workers: Annotated[int | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
-    scheduler: Annotated[str | None, Parameter(metavar="tcp://HOST:PORT")] = None
-
-    @property
-    def given(self) -> str | None:
-        """The name of an option that is given; None if none is."""
-        names = {"--workers": self.workers, "--scheduler": self.scheduler}
-        return next((name for name, value in names.items() if value is not None), None)
-
-    def to_running(self) -> Running:
-        """Return the options as the library takes them."""
-        from supple.files.tasks import Running
-
-        return Running(workers=self.workers, scheduler=self.scheduler)
-
-
+_SAMPLING = SamplingOptions()
 _STROKES = StrokeOptions()
 _MAPS = MapOptions()
 _OUTPUT = OutputOptions()
@@ -78,16 +43,17 @@ _UNITS = ("bytes", "kB", "MB", "GB", "TB", "PB")
 
 
 def warp_stored(
-    console: Console, paths: Sequence[str], recipe: Recipe, maps: Maps, known: Mapping[str, Any], running: Running,
-    *, json: bool,
-) -> WarpedStore:  # fmt: skip
-    """Warp one store to another, as `supple warp` was asked to; ``known`` are the options of `warp_file`."""
+    console: Console, paths: Sequence[str], job: Job, maps: Maps, running: Running, *, json: bool
+) -> WarpedStore:
+    """Warp one store to another, as `supple warp` was asked to."""
     from supple.engine.progress import counted
+    from supple.files.plans import open_source
     from supple.files.stores import warp_store
 
     source, target = _pair(paths)
-    check_known((source, target), known)
-    given = {key: known[key] for key in ("filter", "tolerance", "outside", "fill", "fit", "grid", "force")}
+    _check(job, paths)
+    given = {key: getattr(job.sampling, key) for key in ("filter", "tolerance", "fill")}
+    given |= {key: getattr(job, key) for key in ("outside", "fit", "grid", "force")}
     blocks: dict[str, tuple[int, int]] = {}
 
     def tell(step: str, done: int, total: int) -> None:
@@ -96,13 +62,12 @@ def warp_stored(
 
     try:
         with about(File(source, target)), counted(console.terminal, "blocks") as counts:
-            own = refer(console, source, recipe, maps, known)
+            job = refer(console, job, maps)
             stored = warp_store(
-                source, target, recipe, **given, options=known["volume"], maps=maps.read(own), running=running,
-                tell=tell,
-            )  # fmt: skip
+                source, target, job.recipe, **given, options=job.volume, maps=job.maps, running=running, tell=tell
+            )
     except (KeyboardInterrupt, Terminated):
-        parts, name = ("blocks", target) if "warp" in blocks else ("parts", known["volume"].save_field)
+        parts, name = ("blocks", target) if "warp" in blocks else ("parts", job.volume.save_field or "")
         if blocks:
             done, total = blocks.get("warp") or blocks["field"]
             console.goes_on = f"{done} of {total} {parts} of {shown(name)} are written, the same command goes on"
@@ -112,7 +77,7 @@ def warp_stored(
             console.tell({"input": source, "output": target, "error": one_line(error)})
         raise
     if json:
-        used = {"maps": maps.facts(own)} if maps else {}
+        used = {"maps": maps.facts(open_source(job).grid)} if maps else {}
         console.tell({**_facts(stored), **used})
     if stored.done:
         what = f"{stored.done} of {stored.blocks} blocks were there already"
@@ -123,21 +88,19 @@ def warp_stored(
         units = "mm" if stored.geometry is not None and stored.geometry.convention != "array" else "pixels"
         console.note(f"{shown(target)} is written on {describe_grid(grid_facts(stored.grid), units)}")
     say_background(console, target, source, stored.background)
-    say_convention(console, known["volume"].world, stored.geometry, source)
+    say_convention(console, job.volume.world, stored.geometry, source)
     return stored
 
 
-def refer(console: Console, source: str, recipe: Recipe, maps: Maps, known: Mapping[str, Any]) -> Grid | None:
-    """Return the grid of a store, where maps refer to it; tell of them."""
+def refer(console: Console, job: Job, maps: Maps) -> Job:
+    """Return a job on a store, with the maps of the command, on its grid; tell of them."""
     from supple.files.plans import open_source
 
     if not maps:
-        return None
-    own = open_source(source, recipe, known["volume"], grid=known["grid"]).grid
-    read = maps.read(own)
-    own = open_source(source, recipe, known["volume"], maps=read, grid=known["grid"]).grid
-    maps.on(console, own, shown(source), known["grid"])
-    return own
+        return job
+    job = replace(job, maps=maps.read(open_source(job).grid))
+    maps.on(console, open_source(job).grid, shown(job.source), job.grid)
+    return job
 
 
 def _pair(paths: Sequence[str]) -> tuple[str, str]:
@@ -159,28 +122,25 @@ def _pair(paths: Sequence[str]) -> tuple[str, str]:
     return sources[0], target
 
 
-def check_known(paths: Sequence[str], known: Mapping[str, Any]) -> None:
+def _check(job: Job, paths: Sequence[str]) -> None:
     """Raise SuppleError for an option that does not apply to stores; the message names it."""
-    from dataclasses import fields
-
+    from supple.errors import argument
+    from supple.files.jobs import asked
     from supple.files.options import ClipOptions
     from supple.media.files import is_store
 
-    wrong = [f"--{name.replace('_', '-')}" for name in ("linear_light", "quality", "lossless") if known.get(name)]
-    if known.get("clamp") is not None:
-        wrong.append("--clamp" if known["clamp"] else "--no-clamp")
-    clip, usual = known.get("clip") or ClipOptions(), ClipOptions()
-    names = [each.name for each in fields(clip) if getattr(clip, each.name) != getattr(usual, each.name)]
-    wrong += ["--" + {"rate": "fps"}.get(name, name).replace("_", "-") for name in names]
-    volume = known["volume"]
-    own = (("--series", volume.series), ("--shape", volume.layout)) if is_store(paths[0]) else ()
-    for option, value in own:
-        wrong += [option] if value is not None else []
-    if known.get("device", "cpu") not in ("cpu", "auto"):
-        wrong.append(f"--device {known['device']}")
-    if wrong:
+    names = [argument(name) for name in ("linear_light", "quality", "lossless") if getattr(job, name)]
+    if job.clamp is not None:
+        names.append(argument("clamp", job.clamp))
+    if job.clip != ClipOptions():
+        names.append(asked("clip", job.clip))
+    if is_store(paths[0]):
+        names += [argument(name) for name in ("series", "layout") if getattr(job.volume, name) is not None]
+    if job.device not in ("cpu", "auto"):
+        names.append(argument("device", job.device))
+    if names:
         stored = next(path for path in paths if is_store(path))
-        raise SuppleError(f"{wrong[0]} is not for Zarr stores, and {shown(stored)} is one: leave it out")
+        raise SuppleError(f"{names[0]} is not for Zarr stores, and {shown(stored)} is one: leave it out")
 
 
 def _facts(stored: WarpedStore) -> dict[str, Any]:
@@ -219,10 +179,7 @@ def plan(
     strokes: StrokeOptions = _STROKES,
     maps: MapOptions = _MAPS,
     output: OutputOptions = _OUTPUT,
-    filter: Annotated[str, Parameter(group=SAMPLING, metavar="auto|cubic|linear|nearest")] = "auto",
-    outside: Annotated[Outside | None, Parameter(group=SAMPLING)] = None,
-    fill: Annotated[str | None, Parameter(group=SAMPLING, metavar="V", allow_leading_hyphen=True)] = None,
-    tolerance: Annotated[float, number("a number of pixels above 0", "PX", group=SAMPLING)] = 0.01,
+    sampling: SamplingOptions = _SAMPLING,
     labels: Annotated[bool, Parameter(group=VOLUME)] = False,
     volume: VolumeArguments = _VOLUME,
     workers: WorkerOptions = _WORKERS,
@@ -236,14 +193,6 @@ def plan(
     ----------
     source
         A Zarr array or an OME-Zarr image, a volume, or a picture.
-    filter
-        Interpolation, as of warp.
-    outside
-        What to show beyond the edges of the input, as of warp.
-    fill
-        Fill value of --outside constant.
-    tolerance
-        Largest allowed error of the inverse map, in pixels.
     labels
         The input is a label map, as of warp.
     json
@@ -254,6 +203,7 @@ def plan(
         Number of threads (default: all cores).
     """
     from supple.engine.progress import counted
+    from supple.files.jobs import Job
     from supple.files.plans import plan_file
 
     console = current()
@@ -264,24 +214,12 @@ def plan(
         place=lambda: volume.place_of(source), ordered=maps.conventions,
     )  # fmt: skip
     elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given, output)
-    outside = check_fill(fill, outside, elements, output)
-    known: dict[str, Any] = {"volume": volume.to_reading(labels=labels), "grid": grid}
-    own = refer(console, source, recipe, elements, known)
+    known, outside = sampling.to_sampling(bool(elements) or output.reference is not None)
+    reading = volume.to_reading(labels=labels)
+    job = Job(source, source, recipe, known, outside, volume=reading, fit=strokes.to_fit(), grid=grid)
+    job = refer(console, job, elements)
     with counted(console.terminal, "blocks") as tell:
-        found = plan_file(
-            source,
-            recipe,
-            filter=filter,
-            tolerance=tolerance,
-            outside=outside,
-            fill=parse_fill("0" if fill is None else fill),
-            options=known["volume"],
-            fit=strokes.to_fit(),
-            maps=elements.read(own) if elements else (),
-            grid=grid,
-            running=workers.to_running(),
-            tell=tell,
-        )
+        found = plan_file(job, workers.to_running(), tell)
     if json:
         facts = {"file": source, **asdict(found)}
         console.tell({**facts, "error": _finite(found.error)})

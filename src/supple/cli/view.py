@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from supple.cli.console import current
-from supple.cli.options import TimeOptions
+from supple.cli.options import VOLUME, TimeOptions, VolumeArguments
 from supple.cli.options_maps import MapOptions
 from supple.cli.options_strokes import StrokeOptions
-from supple.cli.options_volume import VOLUME, VolumeArguments
-from supple.errors import SuppleError, shown
-
-if TYPE_CHECKING:
-    from supple.fields import Placed
+from supple.errors import SuppleError
 
 _STROKES, _MAPS, _TIME, _VOLUME = StrokeOptions(), MapOptions(), TimeOptions(), VolumeArguments()
 
@@ -62,20 +58,15 @@ def view(
     before = 0 if recipe is None else len(recipe.strokes) - strokes.count
     elements = maps.to_maps(current().arguments, before, strokes.given)
     reading = volume.to_reading(labels=labels)
-    placed: tuple[Placed, ...] = ()
-    if elements:
-        from supple.files import grid_of
-        from supple.files.clips import refuse_maps
-        from supple.strokes import Recipe
+    from supple.files.jobs import Job
+    from supple.strokes import Recipe
 
-        if (own := grid_of(source, "", Recipe(), volume=reading)) is None:
-            refuse_maps(source)
-        placed = elements.on(current(), own, shown(source))
+    placed = elements.placed(current(), Job(source, "", Recipe(), volume=reading)).maps
     scale = time.time_scale or (recipe and recipe.time_scale) or 1.0
     options = ViewOptions(
         time_scale=scale,
         volume=reading,
-        maps=placed,
+        maps=tuple(placed),
         fit=strokes.to_fit(),
         points=points,
         convention=convention,

@@ -1,29 +1,223 @@
-"""The commands on volumes: render, and points."""
+"""The commands on volumes: render, with its options, and points."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
-from supple.cli.console import STREAM, current, say_convention, told, warn_of_software
-from supple.cli.options import RunOptions, VideoOptions
+from supple.cli.console import STREAM, current, naming, say_convention, told, warn_of_software
+from supple.cli.options import (
+    RunOptions,
+    VideoOptions,
+    VolumeArguments,
+    number,
+    parse_number,
+    parse_numbers,
+    parse_three,
+    read,
+)
 from supple.cli.options_maps import MapOptions, Maps
-from supple.cli.options_render import CameraOptions, LookOptions
 from supple.cli.options_strokes import StrokeOptions
-from supple.cli.options_volume import VolumeArguments
 from supple.engine.devices import workers
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, spelling
 
 if TYPE_CHECKING:
     from supple.deformation import Deformation
+    from supple.files.meshes import MeshFile
     from supple.files.options import VolumeOptions as Reading
+    from supple.files.renders import RenderOptions
+    from supple.render.box import Clip, Plane
+    from supple.render.camera import Camera
     from supple.space.geometry import Geometry
     from supple.strokes import Fit, Recipe
+
+CAMERA = Group("Camera", sort_key=2)
+LOOK = Group("Look", sort_key=3)
+_DEGREES = "a number of degrees"
+
+
+def _range(option: str, text: str) -> tuple[float, ...]:
+    return parse_numbers(option, text, 2, "two values LO,HI")
+
+
+def _box(option: str, text: str) -> Clip:
+    """A box; None where an end is left out."""
+    wanted = "X0:X1,Y0:Y1,Z0:Z1 in voxels, with ends left out where nothing is cut away"
+    ranges = [part.split(":") for part in text.split(",")]
+    if len(ranges) != 3 or any(len(ends) != 2 for ends in ranges):
+        raise SuppleError(f"{option} must be {wanted}, found {text!r}")
+    ends = [[parse_number(option, end, wanted) if end.strip() else None for end in pair] for pair in ranges]
+    return [(low, high) for low, high in ends]
+
+
+def _plane(option: str, text: str) -> Plane:
+    voxel, colon, way = text.partition(":")
+    if not colon:
+        raise SuppleError(f"{option} must be a voxel and a direction, X,Y,Z:DX,DY,DZ, found {text!r}")
+    return parse_three(option, voxel), parse_three(option, way)
+
+
+def _size(option: str, text: str) -> tuple[int, int]:
+    """Rows and columns."""
+    width, _, height = text.lower().replace("×", "x").partition("x")
+    if not (width.isdecimal() and height.isdecimal() and len(text) < 20):
+        raise SuppleError(f"{option} must be a width and a height in pixels, such as 512x512, found {text!r}")
+    return int(height), int(width)
+
+
+def _colour(option: str, text: str, verb: str = "must be") -> tuple[float, float, float]:
+    digits = text.removeprefix("#")
+    try:
+        if len(digits) != 6:
+            raise ValueError
+        red, green, blue = bytes.fromhex(digits)
+    except ValueError:
+        raise SuppleError(f"{option} {verb} a colour such as #1a1a1e, found {text!r}") from None
+    return red / 255, green / 255, blue / 255
+
+
+@Parameter(name="*", group=CAMERA)
+@dataclass(kw_only=True, eq=False, repr=False)
+class CameraOptions:
+    """Where the camera stands.
+
+    Parameters
+    ----------
+    azimuth
+        Angle around the head, in degrees: 0 faces the patient, 90 sees the patient's left, 180 the back.
+    elevation
+        Angle above the horizon in degrees, from -90 to 90.
+    distance
+        Distance from the target in millimetres (default: all that is shown is in view).
+    field_of_view
+        Angle of view across the shorter side of the picture, in degrees.
+    roll
+        Turn the camera clockwise, in degrees.
+    target
+        Voxel at which the camera looks (default: the centre of what is shown).
+    up
+        Direction that is up in the picture, in LPS coordinates; 0,0,1 points to the head.
+    """
+
+    azimuth: Annotated[float, number(_DEGREES, "DEG")] = 0
+    elevation: Annotated[float, number(_DEGREES, "DEG")] = 0
+    distance: Annotated[float | None, number("a number of millimetres", "MM")] = None
+    field_of_view: Annotated[float, number(_DEGREES, "DEG")] = 30
+    roll: Annotated[float, number(_DEGREES, "DEG")] = 0
+    target: Annotated[Any, read(parse_three, "X,Y,Z")] = None
+    up: Annotated[Any, read(parse_three, "X,Y,Z", show_default="0,0,1")] = (0.0, 0.0, 1.0)
+
+
+@Parameter(name="*", group=LOOK)
+@dataclass(kw_only=True, eq=False, repr=False)
+class LookOptions:
+    """Options for the look of the volume.
+
+    Parameters
+    ----------
+    transfer
+        Transfer function (colours and opacity): ct-bone, ct-skin, ct-muscle, ct-lung, ct-vessels, mr-head, mr-brain,
+        grey, or a file: JSON, or a volume property of 3D Slicer (.vp); for a label map, labels, or a colour table of 3D
+        Slicer, FreeSurfer or ITK-SNAP (.ctbl, .txt) (default: chosen by the values).
+    save_transfer
+        Write the transfer function that is used to this file: JSON, or .vp for 3D Slicer; of labels, .ctbl.
+    density
+        Show only values, or labels, from LO to HI.
+    clip
+        Show only a box of the deformed volume, from voxel X0 to voxel X1 and so on, and cut the rest away. Ends may be
+        left out: --clip :,60:,: leaves what is from y = 60 on.
+    crop
+        The same of the volume before it is deformed: the box moves with the strokes.
+    plane
+        Cut away what lies beyond a plane of the deformed volume: a voxel on it, and the direction in which all is cut
+        away, in LPS. --plane 45,60,45:0,-1,0 cuts away what is in front of y = 60.
+    mesh
+        Draw a mesh or contours with the volume, moved by its deformation: STL, OBJ, PLY, VTK PolyData (.vtk, .vtp), or
+        a structure set of DICOM (.dcm); in a colour, if one follows: --mesh skull.stl:#ffcc00. Repeatable.
+    largest
+        Of what is visible, show only the largest part that is connected: without the head holder of a CT, or specks.
+    projection
+        Instead of surfaces, the maximum, minimum or average value along each ray, in grey: black at the lower end of
+        --density and white at the upper one (default: the smallest and the largest value).
+    silhouettes
+        By how much surfaces darken towards where they are seen from the side, from 0 to 1.
+    shadows
+        By how much surfaces darken where something keeps the light away: soft shadows, and dark folds, from 0 to 1.
+    size
+        Width and height of the picture in pixels.
+    step
+        Distance between samples along a ray, in millimetres (default: 0.75 of the smallest spacing; half of
+        that spacing in projections, and of labels).
+    mode
+        How the deformed volume is sampled. buffered: the volume is warped first. exact: inverse solved at each sample.
+        hybrid: as buffered; only windows do not wait for it.
+    flat
+        Render without shading.
+    annotate
+        Draw a scale bar, for what is as far away as the target, and letters for the patient's sides.
+    background
+        Background colour (default: transparent; black in formats and videos without opacity).
+    smooth
+        Antialiasing: rays along each side of a pixel.
+    turntable
+        Number of pictures on a circle around the volume. OUT is then a video (MP4, MOV, MKV, WebM, GIF), or a name
+        with a number such as turn-%03d.png.
+    rate
+        Frames per second of a turntable video (default: 24).
+    what
+        Render the picture, or plot how many inversions each ray needed.
+    time
+        Which volume of a time series to show, counted from 0.
+    device
+        Where to render: cpu, gpu, or auto (the GPU if there is one).
+    """
+
+    transfer: Annotated[str | None, Parameter(metavar="NAME|FILE")] = None
+    save_transfer: Annotated[str | None, Parameter(metavar="FILE")] = None
+    density: Annotated[Any, read(_range, "LO,HI")] = None
+    clip: Annotated[Any, read(_box, "X0:X1,Y0:Y1,Z0:Z1")] = None
+    crop: Annotated[Any, read(_box, "X0:X1,Y0:Y1,Z0:Z1")] = None
+    plane: Annotated[Any, read(_plane, "X,Y,Z:DX,DY,DZ")] = None
+    mesh: Annotated[list[str], Parameter(metavar="FILE[:#RRGGBB]", show_default=False)] = ()  # type: ignore[assignment]
+    largest: bool = False
+    projection: Literal["none", "maximum", "minimum", "average"] = "none"
+    silhouettes: Annotated[float, number("a number from 0 to 1", "S")] = 0
+    shadows: Annotated[float, number("a number from 0 to 1", "S")] = 0
+    size: Annotated[Any, read(_size, "WxH", show_default="512x512")] = (512, 512)
+    step: Annotated[float | None, number("a number of millimetres", "MM")] = None
+    mode: Annotated[str, Parameter(metavar="buffered|exact|hybrid")] = "buffered"
+    flat: bool = False
+    annotate: bool = False
+    background: Annotated[Any, read(_colour, "#RRGGBB")] = None
+    smooth: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 1
+    turntable: Annotated[int | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
+    rate: Annotated[float | None, number("a number of pictures a second", "N")] = None
+    what: Literal["picture", "inversions"] = "picture"
+    time: Annotated[int, Parameter(metavar="K", allow_leading_hyphen=True)] = 0
+    device: Literal["auto", "cpu", "gpu"] = "cpu"
+
+    def to_render(self, camera: Camera, convention: str | None = None) -> RenderOptions:
+        """Return the options as the library takes them."""
+        from supple.files.renders import RenderOptions
+
+        given = dict(vars(self))
+        meshes, flat, smooth = [_mesh(text) for text in given.pop("mesh")], given.pop("flat"), given.pop("smooth")
+        return RenderOptions(
+            **given, meshes=meshes, shaded=not flat, supersampling=smooth, camera=camera, convention=convention
+        )
+
+
+def _mesh(text: str) -> MeshFile:
+    from supple.files.meshes import MeshFile
+
+    path, _, digits = text.rpartition(":#")
+    return MeshFile(path, _colour("--mesh", digits, "must end in")) if path else MeshFile(text)
+
 
 _STROKES, _RUN, _VOLUME, _VIDEO = StrokeOptions(), RunOptions(), VolumeArguments(), VideoOptions()
 _CAMERA, _LOOK, _MAPS = CameraOptions(), LookOptions(), MapOptions()
@@ -53,7 +247,7 @@ def render(
     console = current()
     from supple.engine.progress import counted
     from supple.files.renders import render_file
-    from supple.media.volume import outline_of
+    from supple.media.medium import Medium
     from supple.render.camera import Camera
 
     console.started(**options.asked(), file=source)
@@ -64,17 +258,15 @@ def render(
     recipe, fit = strokes.to_recipe(**given) if strokes.any else None, strokes.to_fit()
     before = 0 if recipe is None else len(recipe.strokes) - strokes.count
     elements = maps.to_maps(console.arguments, before, strokes.given)
-    render, reading = look.to_render(Camera(**vars(camera)), convention), volume.to_reading()
+    with spelling(naming(rate="--rate")):
+        render, reading = look.to_render(Camera(**vars(camera)), convention), volume.to_reading()
     if convention is not None and not (strokes.pull or look.mesh):
         raise SuppleError("--convention is of tables of --pull and of meshes, and there are none: leave it out")
     if reading.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
-    placed = (
-        elements.on(console, outline_of(source, raw=reading.layout, series=reading.series).grid, shown(source))
-        if elements
-        else ()
-    )
-    with counted(console.terminal) as tell, workers() as who:
+    medium = Medium(source, "volume", reading.layout, reading.series)
+    placed = elements.on(console, medium.outline.grid, medium.name) if elements else ()
+    with spelling(naming(rate="--rate")), counted(console.terminal) as tell, workers() as who:
         scene = render_file(
             source, target, recipe, options=render, volume=reading, force=options.force, tell=tell, fit=fit, maps=placed
         )
@@ -170,46 +362,35 @@ def _deformation(
 ) -> tuple[Deformation, Geometry | None]:
     """Strokes and maps on a volume, a picture or a clip; and where a volume's voxels lie."""
     from supple.deformation import Deformation
-    from supple.files import grid_of
-    from supple.files.clip_work import deformation_of as on_clip
-    from supple.files.clips import open_clip, refuse_maps
-    from supple.files.kinds import kind_of, refuse_places
+    from supple.errors import argument
+    from supple.files.clips import deformation_of as on_clip
+    from supple.files.clips import open_clip
+    from supple.files.jobs import Job, refuse_places
     from supple.files.landmarks import warn_of_frame
     from supple.files.volumes import deformation_of as on_volume
     from supple.files.volumes import open_volume
     from supple.media.files import is_store
     from supple.strokes import fit_recipe
 
+    moving = Path(on).with_suffix(".mp4") if recipe.strokes and recipe.strokes[0].ndim == 3 else on
+    job = Job(on, moving, recipe, volume=reading)
     if is_store(on):
         from supple.cli.stores import refer
         from supple.files.plans import open_source, warp_on
 
-        own = refer(current(), on, recipe, elements, {"volume": reading, "grid": None})
-        maps = elements.read(own) if elements else ()
-        source = open_source(on, recipe, reading, maps=maps)
-        return warp_on(source, recipe, options=reading, fit=fit, maps=maps).deformation, source.geometry
-    moving = Path(on).with_suffix(".mp4") if recipe.strokes and recipe.strokes[0].ndim == 3 else on
-    maps = ()
-    if elements and (own := grid_of(on, moving, recipe, volume=reading)) is not None:
-        # pages are a volume, if maps say so
-        own = grid_of(on, moving, recipe, volume=reading, maps=elements.read(own))
-        assert own is not None
-        maps = elements.on(current(), own, shown(on))
-    kind = kind_of(on, moving, recipe, reading, maps=maps)
-    if kind == "volume":
+        job = refer(current(), replace(job, fit=fit), elements)
+        source = open_source(job)
+        return warp_on(source, job).deformation, source.geometry
+    job = elements.placed(current(), job)
+    if job.medium.kind == "volume":
         volume = open_volume(on, reading)
         warn_of_frame(points, volume)
-        return on_volume(recipe, volume, world=reading.world, fit=fit, maps=maps), volume.geometry
+        return on_volume(recipe, volume, world=reading.world, fit=fit, maps=job.maps), volume.geometry
     if reading.world:
-        raise SuppleError(f"--world is for volumes, and {on} is none: leave it out")
+        raise SuppleError(f"{argument('world')} is for volumes, and {on} is none: leave it out")
     refuse_places(recipe, on)
-    if kind == "clip":
-        if elements:
-            refuse_maps(on)
+    if (own := job.medium.grid) is None:
         known = video.to_clip()
         with open_clip(on, rate=known.rate) as clip:
             return on_clip(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name, fit), None
-    from supple.files.grids import picture_grid
-
-    own = picture_grid(on)
-    return Deformation.from_recipe(fit_recipe(recipe, own.sizes, fit, on), own, maps=maps), None
+    return Deformation.from_recipe(fit_recipe(recipe, own.sizes, fit, on), own, maps=job.maps), None

@@ -13,7 +13,6 @@ from cyclopts import Group, Parameter
 
 from supple.cli.console import (
     STREAM,
-    Console,
     File,
     SomeFailedError,
     about,
@@ -22,42 +21,43 @@ from supple.cli.console import (
     say_convention,
     told,
 )
-from supple.cli.options import RUNNING, RunOptions, VideoOptions, number, parse_fill
+from supple.cli.options import (
+    RUNNING,
+    SAMPLING,
+    VOLUME,
+    RunOptions,
+    SamplingOptions,
+    TrackOptions,
+    VideoOptions,
+    VolumeArguments,
+    WorkerOptions,
+)
 from supple.cli.options_maps import (
     OTHERS,
     MapOptions,
     OutputOptions,
-    check_fill,
     describe_grid,
     grid_facts,
     say_background,
 )
 from supple.cli.options_strokes import StrokeOptions
-from supple.cli.options_tracks import TrackOptions
-from supple.cli.options_volume import VOLUME, VolumeArguments
-from supple.cli.stores import WorkerOptions
 from supple.engine.devices import workers
 from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
-    from supple.cli.jobs import Job
     from supple.deformation import Deformation, Report
-    from supple.files.clips import WarpedClip
-    from supple.files.pictures import Warped
+    from supple.files.jobs import Warped
     from supple.files.stores import WarpedStore
-    from supple.files.volumes import WarpedVolume
-    from supple.space.geometry import Grid
     from supple.strokes import Recipe
 
-Outside = Literal["edge", "constant", "reflect"]
 Warper = Literal["auto", "cpu", "cuda"]
 Tell = Callable[[str], None]
-PathLike = str | os.PathLike[str]
+Pair = tuple[Path, Path]
 
-SAMPLING = Group("Sampling", sort_key=2)
 WRITING = Group("Writing", sort_key=3)
 
 _RUN = RunOptions()
+_SAMPLING = SamplingOptions()
 _STROKES = StrokeOptions()
 _VIDEO = VideoOptions()
 _TRACKS = TrackOptions()
@@ -72,10 +72,7 @@ def warp(
     strokes: StrokeOptions = _STROKES,
     maps: MapOptions = _MAPS,
     output: OutputOptions = _OUTPUT,
-    filter: Annotated[str, Parameter(group=SAMPLING, metavar="auto|cubic|linear|nearest")] = "auto",
-    outside: Annotated[Outside | None, Parameter(group=SAMPLING)] = None,
-    fill: Annotated[str | None, Parameter(group=SAMPLING, metavar="V|V,V,V", allow_leading_hyphen=True)] = None,
-    tolerance: Annotated[float, number("a number of pixels above 0", "PX", group=SAMPLING)] = 0.01,
+    sampling: SamplingOptions = _SAMPLING,
     linear_light: Annotated[bool, Parameter(group=SAMPLING)] = False,
     clamp: Annotated[bool | None, Parameter(group=SAMPLING, negative="--no-clamp")] = None,
     quality: Annotated[int | None, Parameter(group=WRITING, metavar="1..100", allow_leading_hyphen=True)] = None,
@@ -103,15 +100,6 @@ def warp(
         Files to read, and last the file or folder to write. The suffix of OUT is its format: PNG, JPEG, TIFF,
         WebP, AVIF, OpenEXR, DPX and others; MP4, MOV, MKV, WebM, AVI, GIF; NIfTI, NRRD, MHA; Zarr, of pictures and
         volumes. A dash, -, is standard input or output, in the input's format.
-    filter
-        Interpolation: auto (cubic, averaged where the picture shrinks), cubic, linear or nearest.
-    outside
-        What to show beyond the edges of the input: its edge pixels, a constant (--fill), or its mirror image (default:
-        edge; of volumes with --reference, constant: the least value, the padding of DICOM, or 0 of labels).
-    fill
-        Fill value of --outside constant, in the picture's own values (0): one for all channels, or one for each.
-    tolerance
-        Largest allowed error of the inverse map, in pixels.
     linear_light
         Average in linear light instead of sRGB values, so that fine detail does not darken.
     clamp
@@ -134,16 +122,15 @@ def warp(
     console = current()
     from supple.arrays import check_device
     from supple.cli.jobs import Crew, check_recipe_file, make_folders, pair, piped, summary
-    from supple.engine.sampling import FINEST, Sampling
-    from supple.files import check_job, grid_of, warp_file
-    from supple.files.kinds import holds_volumes, is_derived, kind_of
+    from supple.engine.sampling import FINEST
+    from supple.files.jobs import Job
     from supple.files.recipes import write_recipe
     from supple.media.files import is_store
+    from supple.media.medium import holds_volumes
 
     if len(paths) < 2:
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
     console.started(**options.asked(), file=paths[0] if len(paths) == 2 else "")
-    Sampling(filter)
     grid = output.to_grid()
     recipe = strokes.to_recipe(
         world=volume.world, empty=maps.any or maps.dangling or grid is not None, others=OTHERS,
@@ -153,41 +140,30 @@ def warp(
     elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given, output)
     if elements and save_recipe is not None:
         raise SuppleError("--save-recipe is for strokes alone, which --field and --affine are not: leave it out")
-    if 1e-9 <= tolerance < FINEST:
-        written = f"{tolerance:g}".replace("e-0", "e-")
+    if 1e-9 <= sampling.tolerance < FINEST:
+        written = f"{sampling.tolerance:g}".replace("e-0", "e-")
         console.warn(
             f"--tolerance {written} is not reached everywhere: source points are float32, and exact to about "
             f"{FINEST:g} pixels"
         )
-    sampling: dict[str, Any] = {
-        "filter": filter,
-        "fill": parse_fill("0" if fill is None else fill),
-        "tolerance": tolerance,
-        "linear_light": linear_light,
-        "clamp": clamp,
-        "quality": quality,
-        "lossless": lossless,
-        "device": device,
-        "force": options.force,
-        "clip": video.to_clip(),
-        "volume": volume.to_reading(labels=labels, save_field=save_field),
-        "fit": strokes.to_fit(),
-        "grid": grid,
-    }
-    sampling["outside"] = check_fill(fill, outside, elements, output)
+    reading = volume.to_reading(labels=labels, save_field=save_field)
+    known, outside = sampling.to_sampling(bool(elements) or output.reference is not None, linear_light)
+    template = Job(
+        paths[0], paths[-1], recipe, known, outside, clamp, quality, lossless, device, options.force, video.to_clip(),
+        reading, strokes.to_fit(), grid=grid,
+    )  # fmt: skip
     if options.json and paths[-1] == STREAM:
         raise SuppleError("--json and the picture cannot both go to standard output: leave --json out, or name a file")
     if not paths[-1]:
         raise SuppleError("cannot write '': name a file, or a folder, last")
     if save_recipe and save_field and os.path.realpath(save_recipe) == os.path.realpath(save_field):
         raise SuppleError(f"{save_recipe} cannot be both the recipe and the field: give one another name")
-    reading = sampling["volume"]
     if any(map(is_store, paths)):
         from supple.cli.stores import warp_stored
 
         if save_recipe is not None:
             check_recipe_file(save_recipe, [(Path(paths[0]), Path(paths[-1]))], options.force)
-        stored = warp_stored(console, paths, recipe, elements, sampling, running.to_running(), json=options.json)
+        stored = warp_stored(console, paths, template, elements, running.to_running(), json=options.json)
         if save_recipe is not None:
             write_recipe(save_recipe, _kept(recipe, stored, reading.world), force=options.force)
         return
@@ -197,10 +173,10 @@ def warp(
     left: list[Path] = []
     single = len(paths) == 2 and not _stands_for_several(paths[0]) and not holds_volumes(paths[0])
     into = os.path.isdir(paths[-1]) or paths[-1].endswith(("/", os.sep))
-    if single and (kind := kind_of(paths[0], paths[1], recipe, reading, grid=grid)) == "volume":
-        single = not into or is_derived(paths[0], reading)  # others go into a folder as pictures do
-    elif single:
-        single = kind == "clip"
+    if single:
+        medium = replace(template, source=paths[0], target=paths[1]).medium
+        # slices of DICOM go into a folder as one volume; others, as pictures do
+        single = medium.kind == "clip" or (medium.kind == "volume" and (not into or medium.is_dicom))
     if single:
         jobs, many = [(Path(paths[0]), Path(paths[1]))], False
     else:
@@ -211,46 +187,36 @@ def warp(
     kept: set[Recipe] = set()
     files = {job: File(shown(job[0]), shown(job[1]), many) for job in jobs}
 
-    def refer(source: PathLike, target: PathLike) -> "Grid | None":
-        """Return the grid of an input, where maps refer to it; refuse what can be refused before they are read."""
-        if not elements:
-            return None
-        known = {key: sampling[key] for key in ("linear_light", "clamp", "quality", "lossless", "force", "clip")}
-        if check_job(source, target, recipe, volume=reading, grid=grid, **known) == "clip":
-            return None  # which warp_file refuses, of any maps
-        known = {"volume": reading, "grid": grid}
-        own = grid_of(source, target, recipe, **known)
-        own = grid_of(source, target, recipe, maps=elements.read(own), **known)  # pages are a volume, if maps say so
-        if own is not None:  # what is refused is not told of before
-            elements.on(console, own, shown(source), grid)
-        return own
-
-    def do(job: "Job", tell: bool | Tell) -> None:
-        with about(files[job]):
-            with workers() as who, piped(job, console) as (source, target):
-                own = refer(source, target)
-                made = warp_file(source, target, recipe, progress=tell, maps=elements.read(own), **sampling)
+    def do(pair: Pair, tell: bool | Tell) -> None:
+        with about(files[pair]):
+            with workers() as who, piped(pair, console) as (source, target):
+                job = replace(template, source=source, target=target)
+                if elements:
+                    job.check()  # what is refused is not told of before
+                    job = elements.placed(console, job)
+                made = job.warp(tell)
             kept.add(_kept(recipe, made, reading.world))
             if options.json:
-                known = {"input": "-"} if str(job[0]) == STREAM else {}
-                used = {"maps": elements.facts(own)} if elements else {}
-                console.tell({**_facts_of(job, made), **used, **known, "device": str(who)})
-            if (grid := getattr(made, "grid", None)) is not None:
-                units = "mm" if grid.ndim == 3 else "pixels"
-                console.note(f"{shown(job[1])} is written on {describe_grid(grid_facts(grid), units)}")
-            say_background(console, job[1], job[0], getattr(made, "background", None))
-            say_convention(console, reading.world, getattr(made, "geometry", None), job[0])
+                known = {"input": "-"} if str(pair[0]) == STREAM else {}
+                used = {"maps": elements.facts(job.medium.grid)} if elements else {}
+                console.tell({**_facts_of(pair, made), **used, **known, "device": str(who)})
+            if made.grid is not None:
+                units = "mm" if made.grid.ndim == 3 else "pixels"
+                console.note(f"{shown(pair[1])} is written on {describe_grid(grid_facts(made.grid), units)}")
+            say_background(console, pair[1], pair[0], made.background)
+            say_convention(console, reading.world, made.geometry, pair[0])
 
-    lost: set[Job] = set()
+    lost: set[Pair] = set()
 
-    def failed(job: "Job", message: str) -> None:
-        lost.add(job)
+    def failed(pair: Pair, message: str) -> None:
+        lost.add(pair)
         if options.json:
-            with about(files[job]):
+            with about(files[pair]):
                 error = one_line(message)
-                console.tell({"input": str(job[0]), "output": str(job[1]), "error": error})
+                console.tell({"input": str(pair[0]), "output": str(pair[1]), "error": error})
 
-    kinds = {kind_of(*job, recipe, reading, grid=grid) for job in jobs}
+    media = [replace(template, source=source, target=target).medium for source, target in jobs]
+    kinds = {medium.kind for medium in media}
     if kinds != {"clip"}:  # clips raise an error of their own
         check_device(device)
     if many:
@@ -258,7 +224,7 @@ def warp(
 
         if elements:
             try:
-                first = grid_of(*jobs[0], recipe, volume=reading, grid=grid)
+                first = media[0].grid
             except SuppleError:
                 pass  # it is reported as one of the jobs
             else:
@@ -271,29 +237,23 @@ def warp(
             console.note(summary(jobs, len(lost), paths[-1], left))
     else:
         failures = 0
-        _alone(console, jobs[0], do, failed)
+        try:
+            do(jobs[0], console.terminal)
+        except SuppleError as error:
+            failed(jobs[0], str(error))
+            raise
     if save_recipe is not None:
         write_recipe(save_recipe, _shared(recipe, kept), force=options.force)
     if failures:
         raise SomeFailedError(failures)
 
 
-def _alone(
-    console: Console, job: "Job", do: "Callable[[Job, bool], None]", failed: "Callable[[Job, str], None]"
-) -> None:
-    try:
-        do(job, console.terminal)
-    except SuppleError as error:
-        failed(job, str(error))
-        raise
-
-
-def _kept(recipe: "Recipe", made: "Warped | WarpedClip | WarpedVolume | WarpedStore", world: bool) -> "Recipe":
+def _kept(recipe: "Recipe", made: "Warped | WarpedStore", world: bool) -> "Recipe":
     """Return a recipe as it is saved: with the size that it is for, and what its points are."""
     own = getattr(made, "own", None) or made.deformation.grid
     size, space = recipe.size or own.sizes, recipe.space or "pixels"
-    if world:
-        space = getattr(made, "geometry").convention  # noqa: B009
+    if world and made.geometry is not None:
+        space = made.geometry.convention  # type: ignore[assignment]
     scale, shape = recipe.time_scale, own.shape
     if made.deformation.domain.time and (recipe.size is None or recipe.size == shape[::-1]):
         scale = made.deformation.domain.spacing[2]
@@ -340,73 +300,33 @@ def _stands_for_several(source: str) -> bool:
     return glob.has_magic(source) and not has_number(source) and not os.path.exists(source)
 
 
-def _facts_of(job: "Job", made: "Warped | WarpedClip | WarpedVolume") -> dict[str, Any]:
-    from supple.files.clips import WarpedClip
-    from supple.files.volumes import WarpedVolume
-
-    if isinstance(made, WarpedClip):
-        return _clip_facts(made)
-    if isinstance(made, WarpedVolume):
-        return _volume_facts(made)
-    report = made.report()
-    facts = picture_facts(job, made.deformation, report) | _map_facts(made)
-    if not math.isfinite(report.error):
-        facts["error"] = None
-    if (grid := made.grid or made.own) is not None:
-        facts["width"], facts["height"] = grid.sizes
-    return facts
-
-
-def _map_facts(made: "Warped | WarpedVolume") -> dict[str, Any]:
-    """Return what is told of other grids, and of maps that may fold."""
-    facts: dict[str, Any] = {} if made.grid is None else {"grid": grid_facts(made.grid)}
+def _facts_of(pair: Pair, made: "Warped") -> dict[str, Any]:
+    """Return what is told of a file that was warped."""
+    grid = made.grid or made.own or made.deformation.grid
+    sizes = dict(zip(("width", "height", "depth"), grid.sizes[: 3 if made.kind == "volume" else 2], strict=False))
+    if made.kind == "picture":
+        facts = picture_facts(pair, made.deformation, made.report()) | sizes
+    else:
+        facts = {"input": str(made.source), "output": str(made.target), **sizes}
+        if made.geometry is None:
+            facts |= {"frames": made.frames, "still": made.still, "copied": made.copied, "held": made.held}
+        else:
+            facts |= {"volumes": made.frames, "spacing": list(grid.spacing), "convention": made.geometry.convention}
+        facts |= {"tolerance": made.tolerance, "error": made.error}
+        facts |= {"moves": len(made.deformations) > 1} if made.kind == "clip" else {}
+        facts |= told(*made.deformations, own=made.own)
+    if made.background is not None:
+        facts["background"] = made.background
+    if made.grid is not None:
+        facts["grid"] = grid_facts(made.grid)
     if made.deformation.maps:
         facts |= {"folded": made.folded, "outside": made.outside, "unsolved": made.unsolved}
+    if not math.isfinite(facts["error"]):
+        facts["error"] = None
     return facts
 
 
-def _volume_facts(made: "WarpedVolume") -> dict[str, Any]:
-    from dataclasses import asdict
-
-    grid = made.grid or made.own or made.deformation.grid
-    depth, height, width = grid.shape
-    return {
-        "input": str(made.source),
-        "output": str(made.target),
-        "width": width,
-        "height": height,
-        "depth": depth,
-        "volumes": made.volumes,
-        "spacing": list(grid.spacing),
-        "convention": made.geometry.convention,
-        "tolerance": made.tolerance,
-        "error": made.error if math.isfinite(made.error) else None,
-        **told(made.deformation),
-        "arrivals": [asdict(arrival) for arrival in made.arrivals],
-        **({} if made.background is None else {"background": made.background}),
-        **_map_facts(made),
-    }
-
-
-def _clip_facts(made: "WarpedClip") -> dict[str, Any]:
-    width, height = (made.own or made.deformation.grid).sizes[:2]
-    return {
-        "input": str(made.source),
-        "output": str(made.target),
-        "width": width,
-        "height": height,
-        "frames": made.frames,
-        "still": made.still,
-        "copied": made.copied,
-        "held": made.held,
-        "tolerance": made.tolerance,
-        "error": made.error,
-        "moves": len(made.deformations) > 1,
-        **told(*made.deformations, own=made.own),
-    }
-
-
-def picture_facts(job: "Job", deformation: "Deformation", report: "Report") -> dict[str, Any]:
+def picture_facts(job: Pair, deformation: "Deformation", report: "Report") -> dict[str, Any]:
     """Return what is told of a picture that was warped or drawn."""
     from dataclasses import asdict
 

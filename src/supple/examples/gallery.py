@@ -17,9 +17,8 @@ import numpy.typing as npt
 from supple.errors import MissWarning, SuppleError, argument, shown
 from supple.examples.scenes import BACKGROUND, DISTANCE, HEAD, INSIDE, SCENES, Look, Scene, Shot, Take
 from supple.files import warp_file
-from supple.files.clips import WarpedClip, open_clip
+from supple.files.clips import open_clip
 from supple.files.options import ClipOptions
-from supple.files.pictures import Warped
 from supple.files.renders import RenderOptions, render_file
 from supple.gpu.device import gpu_of
 from supple.media.files import replacing
@@ -131,7 +130,6 @@ def _shot(place: Path, shot: Shot) -> str:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", MissWarning)
         made = warp_file(place / shot.source, place / shot.target, shot.recipe, outside=shot.outside, force=True)
-    assert isinstance(made, Warped)
     said = [str(w.message).partition(" (on_fold")[0] for w in caught if issubclass(w.category, MissWarning)]
     image = read(place / shot.source).pixels
     plots = []
@@ -153,7 +151,6 @@ def _take(place: Path, take: Take) -> str:
     source, target = place / take.source, place / take.target
     options = ClipOptions(time_scale=take.time_scale)
     made = warp_file(source, target, take.recipe, clip=options, force=True)
-    assert isinstance(made, WarpedClip)
     before, after = _frames(source), _frames(target)
     x, y, width, height = take.area
     parts = ([(k, clip[k][y : y + height, x : x + width]) for k in take.frames] for clip in (before, after))

@@ -1,92 +1,43 @@
-"""Clips warped to clips: videos and image sequences, streamed through a deformation."""
+"""Clips: videos and image sequences, opened, and streamed through the deformations of a recipe."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shutil
 import warnings
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from supple.arrays import check_device
-from supple.deformation import Deformation, Report
-from supple.engine.sampling import Certificate, warn_of
-from supple.engine.stream import Done, run
-from supple.engine.work import Tell
+import numpy as np
+
+from supple.deformation import Deformation
+from supple.engine.sampling import DEFAULT, Certificate, Sampling, warn_of
+from supple.engine.stream import Done, make_plan, run, stream
+from supple.engine.work import Array, Layout, Tell, Work
 from supple.errors import OutsideWarning, SuppleError, argument, caller, shown
-from supple.files.clip_work import deformations_of, sampling_of, warn_of_frames, work_on
-from supple.files.kinds import VIDEOS_OUT, is_animated
-from supple.files.options import ClipOptions, PathLike
+from supple.files.jobs import Job, Warped
+from supple.files.options import ClipOptions, GridOptions, PathLike
 from supple.folding.resolved import warn_of_still
-from supple.media.base import Clip, CountError
+from supple.media.base import Clip, ClipWarning, CountError
 from supple.media.files import check_output, replacing
 from supple.media.image import check_quality, check_target
 from supple.media.image.formats import SUFFIXES as SUFFIXES_IN
 from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
+from supple.media.medium import VIDEOS_OUT, is_animated
 from supple.media.numbering import has_number, is_sequence
 from supple.media.suffixes import suffix_of
-from supple.space.domain import integer, number
+from supple.space.domain import length, number, refuse
 from supple.space.geometry import Grid
-from supple.strokes import Fit, Recipe
+from supple.strokes import Fit, Recipe, Stroke, fit_recipe, scaling_of
 
 if TYPE_CHECKING:
     from fractions import Fraction
 
-
-@dataclass(frozen=True, slots=True)
-class WarpedClip:
-    """A clip that was written.
-
-    Parameters
-    ----------
-    source, target : pathlib.Path
-        The input and the output file.
-    deformations : tuple of Deformation
-        One: the strokes, on the clip's shape; or on a frame's, if they have no time and warp every frame. Of strokes
-        that move with the frames, one for each frame.
-    tolerance : float
-        The largest distance of a source point from T⁻¹(q), in pixels and frames.
-    frames : int
-        The number of frames.
-    still : int
-        The number of unchanged frames, which were copied.
-    held : int
-        The number of frames held at once.
-    error : float
-        The error estimate from the checks of the map, in pixels and frames; `report` measures it.
-    copied : int
-        The number of unchanged frames that were not encoded again: their packets are those of the source.
-    own : Grid, optional
-        The grid of the frames as they are shown, if it is not that of the deformation: OpenEXR may have pixels beyond.
-    """
-
-    source: Path
-    target: Path
-    deformations: tuple[Deformation, ...]
-    tolerance: float
-    frames: int
-    still: int
-    held: int
-    error: float
-    copied: int = 0
-    own: Grid | None = None
-
-    @property
-    def deformation(self) -> Deformation:
-        """The first of `deformations`."""
-        return self.deformations[0]
-
-    def report(self, frame: int = 0) -> Report:
-        """Return the report on the strokes and the certified error, measured at every pixel; this is slow.
-
-        Of strokes that move with the frames, ``frame`` is the one that is measured.
-        """
-        many = len(self.deformations)
-        k = integer("frame", frame, f"from 0 to {self.frames - 1}", 0, self.frames - 1) if many > 1 else 0
-        return self.deformations[k].report(tolerance=self.tolerance)
+_STROKE = re.compile(r"stroke \d+ of \d+: ")
 
 
 @contextlib.contextmanager
@@ -98,22 +49,17 @@ def open_clip(
     target: PathLike | None = None,
 ) -> Iterator[Clip]:
     """Open a video file, or an image sequence by its pattern or folder; ``target`` is what is written of it, if any."""
-    if is_sequence(source) and not os.path.isfile(source):
+    pictures = is_sequence(source) and not os.path.isfile(source)
+    if pictures or (rate is None and suffix_of(source) == ".webp" and is_animated(source)):
         from supple.media import sequence
 
-        with sequence.open_clip(source, rate=24 if rate is None else rate, target=target) as pictures:
-            yield pictures
-        return
-    if rate is None and suffix_of(source) == ".webp" and is_animated(source):
-        from supple.media import sequence
-
-        with sequence.open_clip(source) as animation:
-            yield animation
+        with sequence.open_clip(source, rate=24 if rate is None else rate, target=target) as opened:
+            yield opened
         return
     from supple.media import video
 
     if rate is not None:
-        raise SuppleError(f"a rate (--fps) is for image sequences, and {shown(source)} has its own: leave it out")
+        raise SuppleError(f"{argument('rate')} is for image sequences, and {shown(source)} has its own: leave it out")
     with video.open_clip(source, count=count) as clip:
         yield clip
 
@@ -140,84 +86,56 @@ def refuse_maps(source: PathLike) -> NoReturn:
     )
 
 
-def warp_clip(
-    source: PathLike,
-    target: PathLike,
-    recipe: Recipe,
-    *,
-    filter: str = "auto",
-    tolerance: float = 0.01,
-    outside: str = "edge",
-    fill: float | Sequence[float] = 0.0,
-    linear_light: bool = False,
-    quality: int | None = None,
-    lossless: bool = False,
-    device: str = "cpu",
-    force: bool = False,
-    options: ClipOptions | None = None,
-    tell: Tell = lambda step, done, total: None,
-    fit: Fit | None = None,
-) -> WarpedClip:
+def warp(job: Job, tell: Tell) -> Warped:
     """Warp a video or an image sequence, frame by frame, as in `supple.warp_file`.
 
     ``tell`` is called with ``"write"`` when the target is opened, and then with ``"plan"`` or ``"warp"``, the number of
     finished frames, and their total. Strokes that move are planned before the target is opened.
     """
-    known = options or ClipOptions()
-    check_device(device, "clips")
-    check_clip_target(source, target, known, quality=quality, force=force)
-    number("memory", known.memory, "a number of bytes from 0", 0.0, 1e30)
     count: int | None = None
     while True:  # twice at most: what a container says of the number of frames may be wrong
         try:
-            with open_clip(source, rate=known.rate, count=count, target=target) as clip:
-                deformations = deformations_of(recipe, clip, known.time_scale, fit, tell)
+            with open_clip(job.source, rate=job.clip.rate, count=count, target=job.target) as clip:
+                deformations = deformations_of(job.recipe, clip, job.clip.time_scale, job.fit, tell)
                 if count is None:
-                    warn_of_still(recipe.strokes)
+                    warn_of_still(job.recipe.strokes)
                     warn_of_frames(clip, deformations)
-                sampling = sampling_of(
-                    clip,
-                    filter=filter,
-                    outside=outside,
-                    fill=fill,
-                    tolerance=tolerance,
-                    light=linear_light,
-                    between=known.between,
-                    time_filter=known.time_filter,
-                )
-                work = work_on(clip, deformations, sampling)
-                untouched = work.is_identity and known == replace(ClipOptions(), memory=known.memory)
-                if untouched and not lossless and os.path.isfile(source) and suffix_of(source) == suffix_of(target):
-                    # Encoding a clip again would change it.
-                    check_output(target, force=force)
-                    _warn_of_none(recipe, clip)
-                    with replacing(target, force=force) as place:
-                        shutil.copyfile(source, place)
-                    done, copied = Done(Certificate(0.0, 0.0), still=clip.count), clip.count
-                else:
-                    tell("write", 0, clip.count)
-                    # The writer first: its errors come before any work.
-                    with _writer(clip, target, known, quality, lossless, force) as sink:
-                        done = run(clip, sink, work, memory=known.memory, tell=tell)
-                        warn_of(done.certificate, tolerance, 3)  # before the target is renamed
-                        if done.still == clip.count:
-                            _warn_of_none(recipe, clip)
-                    copied = getattr(sink, "copied", 0)
-                return WarpedClip(
-                    Path(source), Path(target), deformations, tolerance, clip.count, done.still, done.held,
-                    done.certificate.error, copied, _own(clip, deformations[0]),
-                )  # fmt: skip
+                return _written(job, clip, deformations, tell)
         except CountError as miscounted:
             if count is not None:
-                raise fickle(source) from None
+                raise fickle(job.source) from None
             count = miscounted.found
 
 
-def _own(clip: Clip, deformation: Deformation) -> Grid | None:
-    if clip.display is None:
-        return None
-    grid, (width, height) = deformation.grid, clip.display[2:]
-    return Grid((*grid.shape[:-2], height, width), grid.spacing)
+def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], tell: Tell) -> Warped:
+    """Write an open clip, bent by the deformations of its frames."""
+    source, target, known = job.source, job.target, job.clip
+    sampling = sampling_of(clip, replace(job.sampling, between=known.between, time_filter=known.time_filter))
+    work = work_on(clip, deformations, sampling)
+    untouched = work.is_identity and not job.lossless and known == ClipOptions(memory=known.memory)
+    if untouched and os.path.isfile(source) and suffix_of(source) == suffix_of(target):
+        # Encoding a clip again would change it.
+        _warn_of_none(job.recipe, clip)
+        with replacing(target, force=job.force) as place:
+            shutil.copyfile(source, place)
+        done, copied = Done(Certificate(0.0, 0.0), still=clip.count), clip.count
+    else:
+        tell("write", 0, clip.count)
+        # The writer first: its errors come before any work.
+        with _writer(clip, job) as sink:
+            done = run(clip, sink, work, memory=known.memory, tell=tell)
+            warn_of(done.certificate, sampling.tolerance, 3)  # before the target is renamed
+            if done.still == clip.count:
+                _warn_of_none(job.recipe, clip)
+        copied = getattr(sink, "copied", 0)
+    own = None
+    if clip.display is not None:
+        grid, (width, height) = deformations[0].grid, clip.display[2:]
+        own = Grid((*grid.shape[:-2], height, width), grid.spacing)
+    return Warped(
+        Path(source), Path(target), "clip", deformations, sampling.tolerance, done.certificate.error, clip.count,
+        done.still, copied, done.held, own=own,
+    )  # fmt: skip
 
 
 def _warn_of_none(recipe: Recipe, clip: Clip) -> None:
@@ -233,19 +151,13 @@ def fickle(source: PathLike) -> SuppleError:
     return SuppleError(f"{shown(source)} gives another number of frames each time: repair it")
 
 
-def check_clip_target(
-    source: PathLike, target: PathLike, options: ClipOptions, *, quality: int | None = None, force: bool = False
-) -> None:
-    """Raise SuppleError for an invalid target or option, before a clip is read.
-
-    Raises
-    ------
-    SuppleError
-        If the source is an image, the target has a suffix of no clip, or cannot be written; or if an option is not
-        supported for such a target.
-    """
-    refuse_picture(source)
-    name = shown(target)
+def check(job: Job) -> None:
+    """Raise SuppleError for an invalid target or option, before a clip is read."""
+    target, name = job.target, shown(job.target)
+    if job.maps or job.grid not in (None, GridOptions()):
+        refuse_maps(job.source)
+    refuse_picture(job.source)
+    number("memory", job.clip.memory, "a number of bytes from 0", 0.0, 1e30)
     if not os.fspath(target):
         raise SuppleError("cannot write '': no file can have that name: choose another")
     if not is_picture_target(target):
@@ -254,44 +166,217 @@ def check_clip_target(
             raise SuppleError(
                 f"{name} is one picture, and a clip is many: name a pattern, such as {stem}-%05d{suffix}, or a folder"
             )
-        if quality is not None:
+        if job.quality is not None:
             raise SuppleError(f"{argument('quality')} is for pictures, and {name} is a video: give a crf")
         from supple.media import video
 
         video.check_target(target)
-        check_output(target, force=force)
+        check_output(target, force=job.force)
         return
     if has_number(target):
         check_target(target)
+    refuse_encoding(job.clip, target, "pictures")
+    check_quality(target, job.quality)
+
+
+def refuse_encoding(options: ClipOptions, target: PathLike, what: str) -> None:
+    """Raise SuppleError for options of encoders, where no video is written."""
     for option in ("codec", "crf", "preset", "pixel_format"):
         if getattr(options, option) is not None:
-            raise SuppleError(f"{argument(option)} is for videos, and {name} is pictures: leave it out")
-    check_quality(target, quality)
+            raise SuppleError(f"{argument(option)} is for videos, and {shown(target)} is {what}: leave it out")
 
 
-def _writer(
-    clip: Any, target: PathLike, options: ClipOptions, quality: int | None, lossless: bool, force: bool
-) -> contextlib.AbstractContextManager[Any]:
+def _writer(clip: Any, job: Job) -> contextlib.AbstractContextManager[Any]:
     """Return the writer for a target: a video file, or an image sequence."""
-    if is_picture_target(target):
+    shared: dict[str, Any] = {"force": job.force, "lossless": job.lossless}
+    if is_picture_target(job.target):
         from supple.media import sequence
 
-        return sequence.writer(clip, target, force=force, quality=quality, lossless=lossless)
+        return sequence.writer(clip, job.target, quality=job.quality, **shared)
     from supple.media import video
 
-    return video.writer(
-        clip,
-        target,
-        codec=options.codec,
-        crf=options.crf,
-        preset=options.preset,
-        pixel_format=options.pixel_format,
-        force=force,
-        lossless=lossless,
-    )
+    known = job.clip
+    shared |= {"codec": known.codec, "crf": known.crf, "preset": known.preset, "pixel_format": known.pixel_format}
+    return video.writer(clip, job.target, **shared)
 
 
 def is_picture_target(target: PathLike) -> bool:
     """Return whether a name is a sequence: a pattern, a folder, or a name without a suffix."""
     suffix = suffix_of(target)
     return not suffix or (is_sequence(target) and not (has_number(target) and suffix in VIDEOS_OUT))
+
+
+def deformation_of(
+    recipe: Recipe,
+    count: int,
+    shape: tuple[int, int],
+    time_scale: float | None,
+    name: str,
+    fit: Fit | None = None,
+    display: tuple[int, int, int, int] | None = None,
+) -> Deformation:
+    """Return a recipe on a clip: strokes with a time warp the clip, those without one warp each of its frames.
+
+    Points count in the part ``display`` of frames, as in `supple.media.base.Clip`.
+    """
+    known = recipe.time_scale if time_scale is None else length("time_scale", time_scale)
+    worth = 1.0 if known is None else known
+    x, y, width, height = display or (0, 0, *shape[::-1])
+    if not recipe.strokes or recipe.strokes[0].ndim == 2:
+        made = fit_recipe(recipe, (width, height), fit, name)
+        return Deformation.from_recipe(made.placed((x, y), shape[::-1]), Grid(shape, origin=(-x, -y)))
+    size = (width, height, count)
+    scaling = None if recipe.size is None else scaling_of(recipe.size, size, fit, time=True, name=name)
+    if scaling is not None:
+        worth *= scaling.frame  # so that the brush covers the same part of the clip
+    recipe = fit_recipe(recipe, size, fit, name, time=True).placed((x, y, 0), (*shape[::-1], count))
+    return Deformation.from_recipe(recipe, Grid((count, *shape), (1.0, 1.0, worth), (-x, -y, 0)), time=True)
+
+
+def deformations_of(
+    recipe: Recipe,
+    clip: Clip,
+    time_scale: float | None,
+    fit: Fit | None = None,
+    tell: Tell = lambda step, done, total: None,
+) -> tuple[Deformation, ...]:
+    """Return a recipe on a clip: one deformation, or, if its strokes move, one for each frame."""
+    count, shape, name = clip.count, clip.layout.shape, clip.name
+    if not recipe.moves:
+        return (deformation_of(recipe, count, shape, time_scale, name, fit, clip.display),)
+    x, y, *size = clip.display or (0, 0, *shape[::-1])
+    return motion_of(fit_recipe(recipe, size, fit, name).placed((x, y), shape[::-1]), count, shape, tell)
+
+
+def sampling_of(clip: Clip, sampling: Sampling = DEFAULT) -> Sampling:
+    """Return sampling options for a clip's frames, with the fill value in its components."""
+    layout = clip.layout
+    if sampling.linear_light and (len(layout.groups) > 1 or layout.dtype.kind == "f" or any(layout.black)):
+        raise SuppleError(
+            f"{argument('linear_light')} needs frames of RGB or grey of 8 or 16 bits, and {clip.name} has others: "
+            "leave it out"
+        )
+    return replace(sampling, fill=_filled(clip, sampling.fill))
+
+
+def _filled(clip: Clip, fill: float | Sequence[float]) -> tuple[float, ...]:
+    """Return the fill value as the components of a clip."""
+    layout: Layout = clip.layout
+    values = [float(value) for value in np.asarray(fill, np.float64).ravel()]
+    paint = getattr(clip, "painted", None)  # only videos, whose planes may not be RGB
+    alpha = layout.groups[0].alpha
+    grey = (len(layout.groups) == 1 or not paint) and layout.groups[0].channels - alpha == 1
+    full = (1 if grey else 3) + alpha if paint else layout.groups[0].channels
+    allowed = {1, full, 3} if paint and not grey else {1, full}
+    if not np.isfinite(values).all():
+        refuse("fill", f"finite for the frames of {clip.name}", fill)
+    if len(values) not in allowed:
+        colours = "grey" if grey else "red, green and blue"
+        refuse("fill", f"a number, or {full} of them ({colours}{', opacity' if alpha else ''}) for {clip.name}", fill)
+    if values == [0.0]:
+        return tuple(layout.black)
+    if len(values) == 1:
+        values *= full
+    if not paint:
+        return (*values, *(0.0 for group in layout.groups[1:] for _ in range(group.channels)))
+    return tuple(paint([*values, layout.white] if alpha and len(values) < full else values))
+
+
+def frames_of(
+    clip: Clip, deformations: Sequence[Deformation], sampling: Sampling, planes: Sequence[int], memory: float
+) -> Iterator[tuple[int, list[Array]]]:
+    """Yield some frames of a warped clip, in order, as arrays that are reused for the next one."""
+    work = work_on(clip, deformations, sampling)
+    for z, arrays, _ in stream(work, make_plan(work, planes), clip.frames(), memory=memory):
+        yield z, arrays
+
+
+def work_on(clip: Clip, deformations: Sequence[Deformation], sampling: Sampling) -> Work:
+    """Return the work on the frames of a clip: of one deformation, or of one for each."""
+    space = replace(deformations[0].space, count=clip.count)
+    if len(deformations) == 1:
+        return Work(space, clip.layout, sampling)
+    each = {id(deformation): deformation.space for deformation in deformations}
+    return Work(space, clip.layout, sampling, tuple(each[id(deformation)] for deformation in deformations))
+
+
+def displayed(rotation: float, mirrored: bool) -> str:
+    """Return what players do to the frames of a video; empty if nothing."""
+    turn = f"turned by {abs(rotation):g}° {'clockwise' if rotation < 0 else 'counterclockwise'}" if rotation else ""
+    return " and ".join(filter(None, ("mirrored" if mirrored else "", turn)))
+
+
+def warn_of_frames(clip: Clip, deformations: Sequence[Deformation]) -> None:
+    """Warn that points are those of stored frames, if players turn these; and that fields are bent together."""
+    if all(each.is_identity for each in deformations):
+        return
+    if how := displayed(clip.rotation, clip.mirrored):
+        height, width = clip.layout.shape
+        what = f"is {how} when it is played: points are in the frame as it is stored, {width} x {height}"
+        warnings.warn(f"{clip.name} {what}", ClipWarning, stacklevel=4)
+    if clip.fields:
+        what = (
+            f"is interlaced, {clip.fields} field first, and the two fields of a frame are bent as one picture, which "
+            "mixes them: deinterlace it first, with FFmpeg's filter bwdif for instance"
+        )
+        warnings.warn(f"{clip.name} {what}", ClipWarning, stacklevel=4)
+
+
+def motion_of(
+    recipe: Recipe, count: int, shape: tuple[int, int], tell: Tell = lambda step, done, total: None
+) -> tuple[Deformation, ...]:
+    """Return the deformation of each frame, of a recipe whose strokes have keys, and which fits the frames.
+
+    Frames that are alike share one. A stroke that moves may leave the picture; what is known of a stroke in many frames
+    is one warning, that of the first of them, or an OutsideWarning if it begins outside in every frame. ``shape`` has
+    the rows and columns of a frame; ``tell`` is called with ``"plan"``, the number of frames that are planned, and
+    ``count``. Errors are those of `Deformation.from_recipe`, with the frame.
+    """
+    roaming = {i for i, stroke in enumerate(recipe.strokes) if any(key.at is not None for key in stroke.keys)}
+    frames = [recipe.at_frame(k) for k in range(count)]
+    known: dict[Recipe, Deformation] = {}
+    told: dict[tuple[type[Warning], str], tuple[str, set[Recipe]]] = {}
+    for k, now in enumerate(frames):
+
+        def say(text: str, kind: type[Warning], now: Recipe = now) -> None:
+            about = _STROKE.match(text)
+            told.setdefault((kind, about[0] if about else ""), (text, set()))[1].add(now)
+
+        if now not in known:
+            try:
+                known[now] = Deformation.from_recipe(now, shape, roaming=roaming, say=say)
+            except SuppleError as error:
+                raise type(error)(f"frame {k}: {error}") from None
+        tell("plan", k + 1, count)
+    _check_places(recipe, roaming, {now.strokes for now in known}, count, shape)
+    for (kind, _), (text, some) in told.items():
+        at = [k for k, now in enumerate(frames) if now in some]
+        more = f" (and in {len(at) - 1} more)" if len(at) > 1 else ""
+        warnings.warn(f"frame {at[0]}{more}: {text}", kind, stacklevel=4)
+    return tuple(known[now] for now in frames)
+
+
+def _check_places(
+    recipe: Recipe, moving: Iterable[int], seen: Iterable[Sequence[Stroke]], count: int, shape: tuple[int, int]
+) -> None:
+    """Warn of strokes that do not move in this clip, or are never in the picture."""
+    (height, width), seen = shape, list(seen)
+    for i in sorted(moving):
+        stroke, which = recipe.strokes[i], f"stroke {i + 1}"
+        if stroke.hidden:
+            continue
+        frames = [key.frame for key in stroke.keys if key.at is not None]
+        if len(frames) > 1 and (frames[-1] < 0 or frames[0] >= count):
+            warnings.warn(
+                f"{which} has positions in frames {frames[0]} to {frames[-1]}, and the clip has {count}, from 0: it "
+                "stands still (does the track give another number to the first?)",
+                OutsideWarning,
+                stacklevel=5,
+            )
+        places = [strokes[i].at for strokes in seen]
+        if not any(-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5 for x, y in places):
+            warnings.warn(
+                f"{which} starts outside the picture, which has {width} x {height} pixels, in every frame",
+                OutsideWarning,
+                stacklevel=5,
+            )

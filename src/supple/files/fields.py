@@ -1,4 +1,10 @@
-"""Files of displacement fields and affine maps: inverted, checked, composed, and converted between conventions."""
+"""Files of displacement fields and affine maps: inverted, checked, composed, and converted between conventions.
+
+What is read has a ``convention``, by default what the file leaves no doubt about; what is written has that named
+``to``. ``image`` is the input (moving) image, which some conventions count in, and ``reference`` an image or a field
+whose grid the result gets. All outputs of a call appear together or not at all; existing ones are replaced with
+``force``. SuppleError if a file cannot be read, or an output cannot be written.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import FoldWarning, OutsideWarning, SuppleError, shown
+from supple.errors import FoldWarning, OutsideWarning, SuppleError, argument, shown
 from supple.fields import OK, Field, Map, Placed, check_path, compose, own_grid, told, write_maps
 from supple.fields.checks import FieldReport
 from supple.files.maps import (
@@ -45,36 +51,17 @@ _UNKNOWN_ERROR, _NO_LOGARITHM = float(np.finfo(np.float32).max), float(np.finfo(
 
 
 class Input(NamedTuple):
-    """A file among those that are composed.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-    inverse : bool
-        Whether its inverse is applied.
-    convention : str, optional
-        As in `Field.read`.
-    source : str or os.PathLike, optional
-        The image that it leads to, whose grid some conventions need.
-    """
+    """A file among those that are composed."""
 
     path: PathLike
-    inverse: bool = False
+    inverse: bool = False  # whether its inverse is applied
     convention: str | None = None
-    source: PathLike | None = None
+    source: PathLike | None = None  # the image that it leads to, whose grid some conventions need
 
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What was written, and what it was made of.
-
-    Parameters
-    ----------
-    sources : tuple of MapFile
-    target : MapFile
-    seconds : float
-        How long reading, computing and writing took.
-    """
+    """What was written, and what it was made of."""
 
     sources: tuple[MapFile, ...]
     target: MapFile
@@ -88,21 +75,11 @@ class Written:
 
 @dataclass(frozen=True, slots=True)
 class InvertedFile(Written):
-    """An inverse that was written.
+    """An inverse that was written."""
 
-    Parameters
-    ----------
-    counts : dict, optional
-        The number of samples of each status, if one field was inverted.
-    error : float, optional
-        The largest error among those that are ok, in millimetres; None if there are none, or as `counts`.
-    tolerance : float
-        In samples of the field.
-    """
-
-    counts: Mapping[str, int] | None
-    error: float | None
-    tolerance: float
+    counts: Mapping[str, int] | None  # of samples of each status, if one field was inverted
+    error: float | None  # the largest among those that are ok, in millimetres, if there are any
+    tolerance: float  # in samples of the field
 
     def facts(self) -> dict[str, Any]:
         """Return what is known, ready for JSON."""
@@ -112,15 +89,7 @@ class InvertedFile(Written):
 
 @dataclass(frozen=True, slots=True)
 class CheckedFile:
-    """A field that was checked.
-
-    Parameters
-    ----------
-    source : MapFile
-    inverse : MapFile, optional
-    report : FieldReport
-    seconds : float
-    """
+    """A field that was checked, and the field that shall undo it."""
 
     source: MapFile
     inverse: MapFile | None
@@ -134,21 +103,13 @@ class CheckedFile:
         # JSON has no NaN
         if report.consistency is not None and not report.consistency.count:
             known["consistency"] |= dict.fromkeys(("largest", "percentile", "mean"))
-        other = (
-            {} if self.inverse is None else {"inverse": str(self.inverse.path), "inverse_read": self.inverse.facts()}
-        )
+        other = {"inverse": str(self.inverse.path), "inverse_read": self.inverse.facts()} if self.inverse else {}
+        space = "LPS" if report.grid.ndim == 3 else "the picture"
         return {
-            "input": str(self.source.path),
-            "read": self.source.facts(),
-            **other,
-            "size": list(report.grid.sizes),
-            "spacing": list(report.grid.spacing),
-            "space": "LPS" if report.grid.ndim == 3 else "the picture",
-            "samples": report.samples,
-            **known,
-            "folds": report.folds,
-            "seconds": self.seconds,
-        }
+            "input": str(self.source.path), "read": self.source.facts(), **other, "size": list(report.grid.sizes),
+            "spacing": list(report.grid.spacing), "space": space, "samples": report.samples, **known,
+            "folds": report.folds, "seconds": self.seconds,
+        }  # fmt: skip
 
 
 def invert_file(
@@ -167,22 +128,14 @@ def invert_file(
 ) -> InvertedFile:
     """Invert a file of a field, of affine maps, or of several of these.
 
-    All outputs appear together or not at all. One field is inverted as `Field.invert` does; several maps, as their
-    inverses in reverse order, sampled as one field; affine maps alone, exactly.
+    One field is inverted as `Field.invert` does, on its own grid or on that of the reference, which a B-spline needs;
+    several maps, as their inverses in reverse order, sampled as one field; affine maps alone, exactly. The inverse has
+    the convention of the source by default.
 
     Parameters
     ----------
-    source, target : str or os.PathLike
-        What is read, and the inverse.
-    convention : str, optional
-        That of the source, as in `Field.read`.
-    to : str, optional
-        That of the target; by default, that of the source.
-    reference : str or os.PathLike, optional
-        An image or a field whose grid the inverse gets; by default, it is that of the (first) field. A B-spline, whose
-        grid is coarse, needs it. For an affine map of FSL, the output image.
-    image : str or os.PathLike, optional
-        The input (moving) image of the source, which FSL's conventions need.
+    source, target, convention, to, reference, image, force
+        See above; for an affine map of FSL, the reference is the output image.
     tolerance : float
         As in `Field.invert`.
     error, status : str or os.PathLike, optional
@@ -190,13 +143,6 @@ def invert_file(
         NIfTI, the largest float32 (3.4028235e38) stands in place of inf, which ITK reads there as 0.
     report : str or os.PathLike, optional
         A JSON file of the figures.
-    force : bool
-        Whether existing files may be replaced.
-
-    Raises
-    ------
-    SuppleError
-        If a file cannot be read, or an output cannot be written.
 
     Warns
     -----
@@ -219,8 +165,8 @@ def invert_file(
     fields = [each for each in read.maps if isinstance(each, Field)]
     if (len(read.maps) != 1 or not fields) and (error is not None or status is not None):
         raise SuppleError(
-            f"{shown(source)} holds {told(read.maps)}: --error and --status are of the inverse of one field alone: "
-            "leave them out"
+            f"{shown(source)} holds {told(read.maps)}: {argument('error')} and {argument('status')} are of the "
+            "inverse of one field alone: leave them out"
         )
     grid = wanted or read.grid if fields else None
     if wanted is None and fields and fields[0].interpolation == "bspline":
@@ -268,7 +214,7 @@ def check_beside(path: PathLike, *sources: PathLike | None, force: bool) -> None
     """Raise SuppleError if an output beside the main one cannot be written, or is one of the files that are read."""
     for source in sources:
         if source is not None and same_file(path, source):
-            raise SuppleError(f"{shown(path)} is read: --force does not replace it, so choose another name")
+            raise SuppleError(f"{shown(path)} is read, and not replaced: choose another name")
     check_output(path, force=force)
 
 
@@ -286,26 +232,15 @@ def check_file(
 
     Parameters
     ----------
-    source : str or os.PathLike
-        A file of one field.
+    source, convention, image, force
+        See above; the convention is that of both files.
     inverse : str or os.PathLike, optional
         A file of a field that shall undo it.
-    convention : str, optional
-        That of both, as in `Field.read`.
-    image : str or os.PathLike, optional
-        The input (moving) image of the source, which FSL's conventions need.
     map : str or os.PathLike, optional
         The image for the logarithm of the Jacobian determinant, float32, as `Field.log_jacobian` returns it. In NIfTI,
         the most negative float32 (-3.4028235e38) stands in place of NaN, which ITK reads there as 0.
     picture : str or os.PathLike, optional
         A PNG, SVG or PDF file for `supple.plot.fields.draw_check`.
-    force : bool
-        Whether existing files may be replaced.
-
-    Raises
-    ------
-    SuppleError
-        If a file cannot be read, holds anything but one field, or an output cannot be written.
     """
     began = time.perf_counter()
     outputs = [path for path in (map, picture) if path is not None]
@@ -348,29 +283,10 @@ def compose_files(
     reference: PathLike | None = None,
     force: bool = False,
 ) -> Written:
-    """Write one field of several maps, as `compose` makes it.
+    """Write one field of several maps, as `compose` makes it; a point of the output goes through the first one first.
 
-    Parameters
-    ----------
-    inputs : sequence of Input
-        A point of the output goes through the first one first.
-    target : str or os.PathLike
-    to : str, optional
-        The convention of the target; by default, that of all inputs if it is one, or the only one of the suffix.
-    reference : str or os.PathLike, optional
-        An image or a field whose grid the result gets; by default, it is that of the first field.
-    force : bool
-        Whether an existing file may be replaced.
-
-    Raises
-    ------
-    SuppleError
-        If there is no input, a file cannot be read, there is no grid, or the target cannot be written.
-
-    Warns
-    -----
-    FoldWarning, OutsideWarning
-        As `compose` does.
+    By default, the convention is that of all inputs if it is one, or the only one of the suffix; the grid is that of
+    the first field. Warnings are those of `compose`.
     """
     began = time.perf_counter()
     if not inputs:
@@ -382,9 +298,10 @@ def compose_files(
         here = wanted  # the grid of the image on the side of the output, as far as it is known
         for each in inputs:
             there = None if each.source is None else grid_of(each.source)
-            file = _read_among(inputs, len(read), there or (here if each.inverse else None), here)
+            source = there or (here if each.inverse else None)
+            file = read_file(each.path, each.convention, source=source, reference=None if each.inverse else here)
             check_reference(file, wanted, reference)
-            _warn_of_size(file.path, file.convention, there or (here if each.inverse else None), file.grid)
+            _warn_of_size(file.path, file.convention, source, file.grid)
             read.append(replace(file, inverse=each.inverse))
             moving.append(there)
             here = file.grid if each.inverse else there
@@ -403,7 +320,11 @@ def compose_files(
         made = compose(parts, grid)
         there = read[-1].grid if inputs[-1].inverse else moving[-1]
         _warn_of_size(target, known, there, grid)
-        write_maps(place, (made,), known, source=there, reference=wanted)
+        try:
+            write_maps(place, (made,), known, source=there, reference=wanted)
+        except transforms.MissingGridError as error:
+            last = f"give the image that {shown(inputs[-1].path)} leads to, as its {argument('source')}"
+            raise SuppleError(f"{str(error).rpartition(': ')[0]}: {last}") from None
     written = MapFile(Path(target), known, how, (made,), written=True)
     return Written(tuple(read), written, time.perf_counter() - began)
 
@@ -418,30 +339,10 @@ def convert_file(
     reference: PathLike | None = None,
     force: bool = False,
 ) -> Written:
-    """Write the maps of a file in another convention or format.
+    """Write the maps of a file in another convention or format; by default, that which the target's suffix tells.
 
-    Parameters
-    ----------
-    source, target : str or os.PathLike
-    convention, to : str, optional
-        That of the source, and of the target; by default, what the file, and the target's suffix, leave no doubt about.
-    image : str or os.PathLike, optional
-        The input (moving) image, whose grid FSL's and FreeSurfer's conventions need. STMaps count in its size: by
-        default, it has that of the map.
-    reference : str or os.PathLike, optional
-        The output (fixed) image. What is more than one affine map, or is written as an image, is sampled on its grid.
-    force : bool
-        Whether an existing file may be replaced.
-
-    Raises
-    ------
-    SuppleError
-        If the source cannot be read, or the convention of the target cannot hold it.
-
-    Warns
-    -----
-    OutsideWarning
-        If an STMap is read or written, and the image is not given.
+    What is more than one affine map, or is written as an image, is sampled on the grid of the reference, if it is
+    given. STMaps count in the size of the image: by default, it is that of the map, with an OutsideWarning.
     """
     began = time.perf_counter()
     if to is not None:
@@ -471,21 +372,6 @@ def convert_file(
     return Written((read,), MapFile(Path(target), known, how, maps, written=True), time.perf_counter() - began)
 
 
-def _read_among(inputs: Sequence[Input], k: int, source: Grid | None, reference: Grid | None) -> MapFile:
-    """Read one of several files that a point goes through in turn; an inverse leads away from its source."""
-    each = inputs[k]
-    try:
-        return read_file(each.path, each.convention, source=source, reference=None if each.inverse else reference)
-    except transforms.MissingGridError as error:
-        if source is None or (k == 0 and not each.inverse):
-            raise
-        before = inputs[k - 1]
-        advice = f"give --source of {shown(before.path)}, which leads to it"
-        if each.inverse or before.inverse:
-            advice = "convert it by itself first (supple convert)"
-        raise SuppleError(f"{str(error).rpartition(': ')[0]}: {advice}") from None
-
-
 def _warn_of_size(path: PathLike, convention: str, source: object, grid: Grid | None) -> None:
     """Warn of a size that is taken for granted: that of the picture that an STMap leads to, if it is not given."""
     if convention != "stmap" or source is not None or grid is None:
@@ -493,7 +379,7 @@ def _warn_of_size(path: PathLike, convention: str, source: object, grid: Grid | 
     width, height = grid.sizes[:2]
     warnings.warn(
         f"{shown(path)} counts in the size of the picture that it leads to, which is not given: it is taken to have "
-        f"{width} x {height} pixels, as the map has: --source names that picture",
+        f"{width} x {height} pixels, as the map has: give that picture by {argument('source')}",
         OutsideWarning,
         stacklevel=3,
     )
@@ -503,7 +389,7 @@ def doubt_of(read: MapFile, folded: int, cells: int) -> str:
     """Return what a file may be instead, if it folds in more than a quarter of its cells; "" otherwise."""
     if 4 * folded <= cells:
         return ""
-    return f"is it of the convention {read.convention}, {read.known}? --convention says another"
+    return f"is it of the convention {read.convention}, {read.known}? {argument('convention')} says another"
 
 
 def _warn_of(counts: Mapping[str, int], read: MapFile) -> None:
@@ -517,8 +403,8 @@ def _warn_of(counts: Mapping[str, int], read: MapFile) -> None:
                 doubt = f"; the field folds in {folded:,} of its {cells.size:,} cells: {hint}"
         warnings.warn(
             f"{shown(read.path)}: of {whole:,} {'pixel' if field.ndim == 2 else 'voxel'}s of the inverse, "
-            f"{', '.join(found)}: they hold the nearest that was found; nothing was smoothed or set to zero (--status "
-            f"shows where){doubt}",
+            f"{', '.join(found)}: they hold the nearest that was found; nothing was smoothed or set to zero "
+            f"({argument('status')} shows where){doubt}",
             FoldWarning,
             stacklevel=3,
         )

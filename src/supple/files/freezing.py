@@ -19,26 +19,10 @@ PathLike = str | os.PathLike[str]
 def read_freeze(path: PathLike, *, label: int | None = None, width: float | None = None) -> Freeze:
     """Read a freeze mask.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        A grey picture, in which white is frozen, and grey in part; or a volume, of which all but 0 is frozen. If a
-        file of whole numbers has but two values, the larger one is frozen.
-    label : int, optional
-        The label that is frozen, in a label map.
-    width : float, optional
-        The width of the fade beside what is frozen, in pixels, or in millimetres of a volume; `Freeze.of` has a
-        default.
-
-    Raises
-    ------
-    SuppleError
-        If it cannot be read, has colours, or does not hold the label.
-
-    Warns
-    -----
-    FreezeWarning
-        If nothing is frozen in it.
+    It is a grey picture, in which white is frozen, and grey in part; or a volume, of which all but 0 is frozen; or, in
+    a label map, one ``label``. ``width`` is that of the fade beside what is frozen, in pixels, or in millimetres of a
+    volume; `Freeze.of` has a default. SuppleError if it cannot be read, has colours, or does not hold the label; a
+    FreezeWarning if nothing is frozen in it.
     """
     if volume.is_volume(path):
         held = volume.read(path)

@@ -7,12 +7,12 @@ import os
 import warnings
 from collections.abc import Sequence
 
-from supple.deformation import Arrival
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Placed, check_path
 from supple.files.options import GridOptions, PathLike
 from supple.media.files import is_store
-from supple.media.image import SUFFIXES, info
+from supple.media.image.formats import SUFFIXES
+from supple.media.medium import picture_grid
 from supple.media.suffixes import CLIPS, is_volume, suffix_of
 from supple.space.domain import refuse
 from supple.space.geometry import Geometry, Grid
@@ -22,18 +22,9 @@ _MOST = 1 << 40
 
 
 def output_grid(options: GridOptions, grid: Grid) -> Grid:
-    """Return the grid of the output.
+    """Return the grid of the output, of an input on ``grid``.
 
-    Parameters
-    ----------
-    options : GridOptions
-    grid : Grid
-        The grid of the input.
-
-    Raises
-    ------
-    SuppleError
-        If the reference cannot be read, or is of another kind; or if the crop is not within the grid.
+    SuppleError if the reference cannot be read, or is of another kind; or if the crop is not within the grid.
     """
     n = grid.ndim
     kind = "picture" if n == 2 else "volume"
@@ -60,13 +51,7 @@ def output_grid(options: GridOptions, grid: Grid) -> Grid:
 
 
 def reference_grid(path: PathLike, ndim: int) -> Grid:
-    """Return the grid of a picture or of a volume, from its header if possible.
-
-    Raises
-    ------
-    SuppleError
-        If it cannot be read, or has another number of axes.
-    """
+    """Return the grid of a picture or of a volume; SuppleError if it has another number of axes than ``ndim``."""
     if is_store(path):
         return _stored_grid(path, ndim)
     from supple.media import volume
@@ -111,20 +96,11 @@ def warn_of_place(geometry: Geometry, name: str) -> None:
         )
 
 
-def picture_grid(path: PathLike) -> Grid:
-    """Return the grid of a picture, in pixels."""
-    facts = info(path)
-    return Grid((int(str(facts["height"])), int(str(facts["width"]))))
-
-
 def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[Placed]) -> Grid | None:
     """Return the grid of the output of a file, with maps; None if it is that of the input.
 
-    Raises
-    ------
-    SuppleError
-        As in `GridOptions.of`; or if a map has another number of axes; or if the grid, the fields and the input lie
-        apart, and no map brings them together.
+    SuppleError as in `output_grid`; or if a map has another number of axes; or if the grid, the fields and the input
+    lie apart, and no map brings them together.
     """
     for each in maps:
         n = each.map.ndim
@@ -140,11 +116,6 @@ def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[P
     else:  # what is seen of the input itself may lead out of it, as one wishes
         check_path(reversed(maps), made, name)
     return None if made == grid else made
-
-
-def arrivals_on(own: Grid | None, grid: Grid, arrivals: tuple[Arrival, ...]) -> tuple[Arrival, ...]:
-    """Return the arrivals of strokes on ``grid`` in samples of the grid of the input, if it is another one."""
-    return arrivals if own is None else tuple(arrival.on(own, grid) for arrival in arrivals)
 
 
 def listed(numbers: object) -> str:

@@ -219,19 +219,8 @@ def read_landmarks(
 ) -> tuple[tuple[str, ...], Floats]:
     """Return the names of the points of a file, or their numbers from 1, and their voxels in a volume, (N, 3).
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        As `move_points` reads it.
-    geometry : Geometry
-        The geometry of the volume.
-    convention : str, optional
-        As in `move_points`.
-
-    Raises
-    ------
-    SuppleError
-        If the file cannot be read, or its coordinates do not fit the volume.
+    ``convention`` is as in `move_points`. SuppleError if the file cannot be read, or its coordinates do not fit the
+    volume.
     """
     read = read_points(path)
     known = convention_of(read, convention, geometry.convention)
@@ -254,24 +243,11 @@ def read_pull(
 ) -> tuple[Stroke, CoordinateSpace | None]:
     """Return the stroke that pulls the points of a file to those of another, and their space if it is of millimetres.
 
-    Parameters
-    ----------
-    source, target : str or os.PathLike
-        As `move_points` reads them. If all points of both have different labels, they are matched by these; otherwise
-        in order. If one is in LPS and the other in RAS, the stroke is in the first one's.
-    radius, poisson, reach
-        As in `supple.Deformation.pull`. A point that is the same in both files is a pin.
-    convention : str, optional
-        As in `move_points`; it is for those of the files that do not say it.
-    place : str, optional
-        The convention of the volume that the points are for, as in `Geometry`; None for images and clips.
-    world : bool
-        Whether all strokes are in millimetres: a table that does not say of which convention is then refused.
-
-    Raises
-    ------
-    SuppleError
-        If a file cannot be read, or the two do not fit each other.
+    If all points of both files have different labels, they are matched by these; otherwise in order. A point that is
+    the same in both is a pin. If one is in LPS and the other in RAS, the stroke is in the first one's. ``convention``
+    is for those of the files that do not say it, and ``place`` is that of the volume that the points are for, as in
+    `Geometry`; None for images and clips. With ``world``, all strokes are in millimetres: a table that does not say of
+    which convention is then refused.
     """
     start, end = read_points(source), read_points(target)
     if start.points.shape[1] != end.points.shape[1]:
@@ -317,7 +293,9 @@ def _space(read: PointFile, asked: str | None, place: str | None, world: bool) -
         read = replace(read, told="world")
     space = convention_of(read, asked, place)
     if world and space == "index":
-        raise SuppleError(f"{read.name} is in voxels, and --world is for points in millimetres: leave it out")
+        raise SuppleError(
+            f"{read.name} is in voxels, and {argument('world')} is for points in millimetres: leave it out"
+        )
     return space
 
 
@@ -355,10 +333,12 @@ def convention_of(read: PointFile, asked: str | None, place: str | None) -> str:
     if asked is None and place not in (None, "array"):
         if read.told == "names":
             text = f"x, y and z of {read.name} are taken for voxels, counted from 0"
-            warnings.warn(f"{text}: --convention LPS or RAS takes them for millimetres", VolumeWarning, stacklevel=4)
+            warnings.warn(
+                f"{text}: {argument('convention')} LPS or RAS takes them for millimetres", VolumeWarning, stacklevel=4
+            )
         elif read.told in _UNSAID:
             what, advice = _UNSAID[read.told]
-            raise SuppleError(f"cannot place {read.name}: {what}: give --convention {advice}")
+            raise SuppleError(f"cannot place {read.name}: {what}: give {argument('convention')} {advice}")
     if known != "index" and place in (None, "array"):
         what = "only volumes have a place in space: give pixels in a table with x and y"
         if place is not None:

@@ -16,6 +16,7 @@ from supple.errors import SuppleError, argument, shown
 from supple.fields import Field, Map, Placed, own_grid, read_maps, told
 from supple.media import transforms, volume
 from supple.media.files import unwritable
+from supple.media.medium import picture_grid
 from supple.media.volume import is_volume, suffix_of
 from supple.space.affine import Affine
 from supple.space.geometry import Grid, check_upright
@@ -26,28 +27,13 @@ PathLike = str | os.PathLike[str]
 
 @dataclass(frozen=True, slots=True)
 class MapFile:
-    """A file of maps, as it was read or is written.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    convention : str
-        One of `supple.media.transforms.CONVENTIONS`.
-    known : str
-        How the convention is known: ``"as given"``, ``"from its intent code"``, ...
-    maps : tuple of Field or Affine
-        In the order in which a point of the output goes through them.
-    inverse : bool
-        Whether their inverse is taken, among those that are composed.
-    written : bool
-        Whether the file is one that is written.
-    """
+    """A file of maps, as it was read or is written."""
 
     path: Path
-    convention: str
-    known: str
-    maps: tuple[Map, ...]
-    inverse: bool = False
+    convention: str  # one of `supple.media.transforms.CONVENTIONS`
+    known: str  # how the convention is known: "as given", "from its intent code", ...
+    maps: tuple[Map, ...]  # in the order in which a point of the output goes through them
+    inverse: bool = False  # whether their inverse is taken, among those that are composed
     written: bool = False
 
     @property
@@ -84,14 +70,9 @@ def read_file(
     """Read a file of maps, and how its convention is known."""
     known = transforms.convention_in(path) if convention is None else convention
     maps = read_maps(path, known, source=source, reference=reference)
-    if convention is not None:
-        how = "as given"
-    elif suffix_of(path) in (".nii", ".nii.gz"):
-        how = "from its intent code"
-    elif suffix_of(path) in (".txt", ".mat"):
-        how = "from its content"
-    else:
-        how = f"from its suffix {suffix_of(path)}"
+    suffix = suffix_of(path)
+    sources = {".nii": "intent code", ".nii.gz": "intent code", ".txt": "content", ".mat": "content"}
+    how = f"from its {sources.get(suffix, f'suffix {suffix}')}" if convention is None else "as given"
     return MapFile(Path(path), known, how, maps)
 
 
@@ -121,10 +102,7 @@ def _lifted(flat: Map, grid: Grid) -> Map:
 def grid_of(path: PathLike) -> Grid:
     """Return the grid of a volume, a field in the file of a volume, or a picture."""
     if not is_volume(path):
-        from supple.media.image import info
-
-        facts = info(path)
-        return Grid((int(str(facts["height"])), int(str(facts["width"]))))
+        return picture_grid(path)
     outline = volume.outline_of(path)
     if outline.geometry.convention == "array":
         raise SuppleError(f"{shown(path)} does not say where its voxels lie in space: give an image that does")
@@ -231,17 +209,12 @@ def _facts_of(maps: Sequence[Map]) -> list[dict[str, Any]]:
         if isinstance(each, Affine):
             made.append({"kind": "affine", "matrix": each.matrix.tolist()})
             continue
-        grid = each.grid
-        made.append(
-            {
-                "kind": "field",
-                "interpolation": each.interpolation,
-                "size": list(grid.sizes),
-                "spacing": list(grid.spacing),
-                "origin": list(grid.origin),
-                "direction": [list(row) for row in grid.direction],
-                "units": "mm" if grid.ndim == 3 else "pixels",
-                "space": "LPS" if grid.ndim == 3 else "the picture",
-            }
-        )
+        grid, units = each.grid, ("mm", "LPS") if each.ndim == 3 else ("pixels", "the picture")
+        place = {
+            "spacing": list(grid.spacing),
+            "origin": list(grid.origin),
+            "direction": list(map(list, grid.direction)),
+        }
+        head = {"kind": "field", "interpolation": each.interpolation, "size": list(grid.sizes)}
+        made.append({**head, **place, "units": units[0], "space": units[1]})
     return made

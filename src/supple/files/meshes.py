@@ -22,13 +22,9 @@ PathLike = str | os.PathLike[str]
 Colour = tuple[float, float, float]
 
 COLOURS = (
-    (0.31, 0.66, 0.87),
-    (0.95, 0.76, 0.31),
-    (0.42, 0.75, 0.41),
-    (0.82, 0.42, 0.65),
-    (0.94, 0.54, 0.29),
+    (0.31, 0.66, 0.87), (0.95, 0.76, 0.31), (0.42, 0.75, 0.41), (0.82, 0.42, 0.65), (0.94, 0.54, 0.29),
     (0.56, 0.49, 0.76),
-)
+)  # fmt: skip
 """sRGB of meshes that have none, in turn."""
 _FARTHEST = 1e7  # voxels
 

@@ -6,28 +6,27 @@ import contextlib
 import math
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from supple._core import threads
-from supple.blocks import Block, Box, Warp, boxes_of
+from supple.blocks import Block, Box, Warp, boxes_of, chunks_of
 from supple.deformation import Deformation
-from supple.engine.sampling import Certificate, Sampling, warn_of
+from supple.engine.sampling import Certificate, warn_of
 from supple.engine.work import Tell, work_of
 from supple.errors import SuppleError, argument, shown
-from supple.fields import Placed, folds_of, only_name
+from supple.fields import folds_of, only_name
 from supple.files.grids import grid_on
-from supple.files.kinds import kind_of
-from supple.files.options import GridOptions, VolumeOptions
+from supple.files.jobs import Job
 from supple.files.tasks import Runner, Running, runner_of
 from supple.files.volumes import deformation_of, sampling_of
 from supple.media.files import is_store, unreadable
 from supple.media.stores import Samples, StoredImage, like_file, open_image
 from supple.media.volume import Volume
 from supple.space.geometry import Geometry, Grid
-from supple.strokes import Fit, Recipe, fit_recipe
+from supple.strokes import fit_recipe
 
 PathLike = str | os.PathLike[str]
 
@@ -126,31 +125,11 @@ class Planned:
     error: float
 
 
-def plan_file(
-    source: PathLike,
-    recipe: Recipe,
-    *,
-    filter: str = "auto",
-    tolerance: float = 0.01,
-    outside: str | None = None,
-    fill: float | Sequence[float] = 0.0,
-    options: VolumeOptions | None = None,
-    fit: Fit | None = None,
-    maps: Sequence[Placed] = (),
-    grid: GridOptions | None = None,
-    running: Running | None = None,
-    tell: Tell = lambda step, done, total: None,
-) -> Planned:
-    """Plan the warp of a store, a volume or a picture to a store; if possible, its header alone is read.
-
-    Parameters and errors are those of `warp_store`.
-    """
-    opened = open_source(source, recipe, options, maps=maps, grid=grid)
+def plan_file(job: Job, running: Running | None = None, tell: Tell = lambda step, done, total: None) -> Planned:
+    """Plan the warp of a store, a volume or a picture to a store; if possible, its header alone is read."""
+    opened = open_source(job)
     image, carried, item, chunks = opened.image, opened.carried, opened.image.dtype.itemsize, opened.samples.chunks
-    warp = warp_on(
-        opened, recipe, filter=filter, tolerance=tolerance, outside=outside, fill=fill, options=options, fit=fit,
-        maps=maps, grid=grid,
-    )  # fmt: skip
+    warp = warp_on(opened, job)
     shape = (*image.shape[:carried], *warp.shape)
     workers = (running or Running()).workers
     slots = threads() if workers is None else max(1, round(threads() / workers))
@@ -176,7 +155,7 @@ def plan_file(
                 read += part * positions
                 own = math.prod(b - a for a, b in one.part) * item
                 most = max(most, (part + own + 2 * count) * math.prod(task[:carried]))
-    warn_of(certificate, warp.sampling.tolerance, 3, folds_of(maps), only_name(maps))
+    warn_of(certificate, warp.sampling.tolerance, 3, folds_of(job.maps), only_name(job.maps))
     levels = sum(math.prod(level.array.shape) / math.prod(image.shape) for level in image.levels)
     return Planned(
         shape, str(image.dtype), task, total * leads, copied, read, copied_bytes, slots, most * slots,
@@ -184,38 +163,28 @@ def plan_file(
     )  # fmt: skip
 
 
-def open_source(
-    source: PathLike,
-    recipe: Recipe,
-    options: VolumeOptions | None = None,
-    *,
-    maps: Sequence[Placed] = (),
-    grid: GridOptions | None = None,
-) -> Source:
+def open_source(job: Job) -> Source:
     """Open an input as a picture or as a volume: as the points of the strokes say, or else as it says itself.
 
-    Raises
-    ------
-    SuppleError
-        If it cannot be read, an option does not apply to it, or it has fewer axes of space than the strokes, the maps
-        or the grid.
+    SuppleError if it cannot be read, an option does not apply to it, or it has fewer axes of space than the strokes,
+    the maps or the grid.
     """
-    known = options or VolumeOptions()
+    known, source = job.volume, job.source
     if not is_store(source):
-        if kind_of(source, source, recipe, known, maps=maps, grid=grid) == "clip":
+        if replace(job, target=source).medium.kind == "clip":
             kind = "folder without a volume" if os.path.isdir(source) else "clip"
             raise SuppleError(
                 f"{shown(source)} is a {kind}, and blocks are of pictures, volumes and Zarr stores: give one of these"
             )
         samples = Samples(source, raw=known.layout, series=known.series)
-        n = _axes_of_space(source, 3 if "z" in samples.axes else 2, recipe, maps, grid)
+        n = _axes_of_space(job, 3 if "z" in samples.axes else 2)
         geometry = samples.geometry if n == 3 else None
         return Source(shown(source), like_file(source, samples, ndim=n), samples, geometry)
     for name, given in (("series", known.series), ("shape", known.layout)):
         if given is not None:
             raise SuppleError(f"{name} is not for Zarr stores: leave it out")
     image = open_image(source)
-    n = _axes_of_space(source, len(image.spatial), recipe, maps, grid)
+    n = _axes_of_space(job, len(image.spatial))
     image = image if n == len(image.spatial) else open_image(source, ndim=n)
     names, usual = [image.axes[axis].name.lower() for axis in image.spatial], list("zyx"[-n:])
     if sorted(names) == sorted(usual) and names != usual:  # points are meant with x along the last axis
@@ -235,68 +204,48 @@ def open_source(
     return Source(shown(image.address), image, array, geometry, scaling, background)
 
 
-def _axes_of_space(
-    source: PathLike, found: int, recipe: Recipe, maps: Sequence[Placed], grid: GridOptions | None
-) -> int:
-    """Return the number of axes that are bent."""
-    stated = [stroke.ndim for stroke in recipe.strokes[:1]] + [each.map.ndim for each in maps[:1]]
-    n = stated[0] if stated else grid.ndim if grid is not None else None
+def _axes_of_space(job: Job, found: int) -> int:
+    stated = [stroke.ndim for stroke in job.recipe.strokes[:1]] + [each.map.ndim for each in job.maps[:1]]
+    n = stated[0] if stated else job.grid.ndim if job.grid is not None else None
     if n is not None and n > found:
         raise SuppleError(
-            f"{shown(source)} is a picture, with {found} axes of space, and strokes, maps or the crop have {n}: give "
-            "points of two numbers, x and y"
+            f"{shown(job.source)} is a picture, with {found} axes of space, and strokes, maps or the crop have {n}: "
+            "give points of two numbers, x and y"
         )
     return n or found
 
 
-def warp_on(
-    source: Source,
-    recipe: Recipe,
-    *,
-    filter: str = "auto",
-    tolerance: float = 0.01,
-    outside: str | None = None,
-    fill: float | Sequence[float] = 0.0,
-    options: VolumeOptions | None = None,
-    fit: Fit | None = None,
-    maps: Sequence[Placed] = (),
-    grid: GridOptions | None = None,
-) -> Warp:
-    """Return a recipe on an input, ready to be planned.
-
-    Raises
-    ------
-    SuppleError
-        If an option does not fit the input.
-    """
-    known, dtype = options or VolumeOptions(), source.image.dtype
-    if outside is None:
-        elsewhere = grid is not None and grid.reference is not None
+def warp_on(source: Source, job: Job) -> Warp:
+    """Return a recipe on an input, ready to be planned; SuppleError if an option does not fit the input."""
+    known, dtype, maps, sampling = job.volume, source.image.dtype, job.maps, job.sampling
+    if job.outside is None:
+        elsewhere = job.grid is not None and job.grid.reference is not None
         outside = "constant" if source.geometry is not None and elsewhere else "edge"
-        fill = 0.0 if known.labels else source.background
-    if known.labels and filter not in ("auto", "nearest"):
+        sampling = replace(sampling, outside=outside, fill=0.0 if known.labels else source.background)
+    if known.labels and sampling.filter not in ("auto", "nearest"):
         raise SuppleError(
-            f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{filter}"'
+            f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{sampling.filter}"'
         )
     if known.labels and dtype.kind == "f":
         raise SuppleError(f"{argument('labels')} is for whole numbers, and {source.name} holds {dtype}: leave it out")
-    name = "nearest" if known.labels else filter
+    if known.labels:
+        sampling = replace(sampling, filter="nearest")
     whole = np.broadcast_to(np.zeros((), dtype), source.space)  # which takes no memory
-    if outside == "constant":
-        fill = Volume(whole, Geometry(), source.name, scaling=source.scaling).stored(fill)
+    if sampling.outside == "constant":
+        volume = Volume(whole, Geometry(), source.name, scaling=source.scaling)
+        sampling = replace(sampling, fill=volume.stored(sampling.fill))
     if source.geometry is None:
         if known.world:
             raise SuppleError(f"{argument('world')} is for volumes, and {source.name} is a picture: leave it out")
-        sampling = Sampling(name, tolerance, outside, fill)
         height, width = source.space
-        regrid = grid_on(grid, source.grid, source.name, maps)
-        fitted = fit_recipe(recipe, (width, height), fit, source.name)
+        regrid = grid_on(job.grid, source.grid, source.name, maps)
+        fitted = fit_recipe(job.recipe, (width, height), job.fit, source.name)
         deformation = Deformation.from_recipe(fitted, source.grid, maps=maps, warn=False)
     else:
-        sampling = sampling_of(name, outside=outside, fill=fill, tolerance=tolerance)
-        regrid = grid_on(grid, source.grid, source.name, maps)
+        sampling = sampling_of(sampling)
+        regrid = grid_on(job.grid, source.grid, source.name, maps)
         volume = Volume(whole, source.geometry, source.name)
-        deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
+        deformation = deformation_of(job.recipe, volume, world=known.world, fit=job.fit, maps=maps)
     work_of(whole.shape, whole.dtype, deformation.space_on(regrid), sampling, alpha=False)  # raise its errors now
     return Warp(deformation, sampling, regrid)
 
@@ -320,11 +269,6 @@ def task_shape(
                 break
             sizes[k] = wider
     return tuple(sizes)
-
-
-def chunks_of(task: Sequence[int], shape: Sequence[int]) -> list[tuple[int, ...]]:
-    """Return the sizes along each axis of tasks of a shape, of which the last may be smaller."""
-    return [(n,) * (size // n) + ((size % n,) if size % n else ()) for n, size in zip(task, shape, strict=True)]
 
 
 def portions(chunks: Sequence[Sequence[int]]) -> Iterator[list[Box]]:

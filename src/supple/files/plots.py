@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,9 +15,19 @@ from supple.engine.stream import make_plan
 from supple.engine.work import Array, Tell
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
-from supple.files.clip_work import deformations_of, frames_of, sampling_of, warn_of_frames, work_on
-from supple.files.clips import fickle, open_clip, refuse_maps, refuse_picture
-from supple.files.kinds import kind_of, refuse_places
+from supple.files.clips import (
+    deformations_of,
+    fickle,
+    frames_of,
+    open_clip,
+    refuse_encoding,
+    refuse_maps,
+    refuse_picture,
+    sampling_of,
+    warn_of_frames,
+    work_on,
+)
+from supple.files.jobs import Job, refuse_places
 from supple.files.options import ClipOptions, PathLike
 from supple.media.base import CountError
 from supple.media.files import check_output
@@ -85,14 +94,14 @@ def plot_file(
     """
     choice("what", what, (*WHATS, "slice", "sheet"))
     options = clip or ClipOptions()
-    for option in ("codec", "crf", "preset", "pixel_format"):
-        if getattr(options, option) is not None:
-            raise SuppleError(f"{argument(option)} is for videos, and {shown(target)} is a plot: leave it out")
+    refuse_encoding(options, target, "a plot")
     if what != "slice" and (x is not None or y is not None):
-        raise SuppleError(f"--x and --y are for slices, and {what} shows whole frames: leave them out")
+        raise SuppleError(
+            f"{argument('x')} and {argument('y')} are for slices, and {what} shows whole frames: leave them out"
+        )
     check_output(target, force=force)
     check_plot(target, force=force)
-    kind = kind_of(source, "", recipe)
+    kind = Job(source, "", recipe).medium.kind
     if kind == "volume":
         raise SuppleError(f"plots are of pictures and videos, and {shown(source)} is a volume: supple render shows it")
     refuse_places(recipe, source)
@@ -145,9 +154,11 @@ def _plot_clip(
             warn_of_frames(clip, deformations)
         if what == "slice":
             if (x is None) == (y is None):
-                raise SuppleError("a slice shows one column or one row over time: give --x or --y")
+                raise SuppleError(
+                    f"a slice shows one column or one row over time: give {argument('x')} or {argument('y')}"
+                )
             axis, given, most = ("x", x, width) if x is not None else ("y", y, height)
-            at = integer(f"--{axis}", given, f"from 0 to {most - 1}, as the frame is {width} x {height}", 0, most - 1)
+            at = integer(axis, given, f"from 0 to {most - 1}, as the frame is {width} x {height}", 0, most - 1)
             line: tuple[Any, ...] = (slice(None), at) if axis == "x" else (at,)
             planes: Sequence[int] = range(clip.count)
         else:
@@ -155,14 +166,16 @@ def _plot_clip(
             planes = _seen_best(clip, deformations, options) if what == "sheet" else ()
         if what in WHATS:
             if frame is None:
-                raise SuppleError(f"{clip.name} is a video: say which frame, from 0 to {clip.count - 1} (--frame)")
+                raise SuppleError(f"{clip.name} is a video: give {argument('frame')}, from 0 to {clip.count - 1}")
             planes = [integer("frame", frame, f"from 0 to {clip.count - 1}", 0, clip.count - 1)]
             deformation = deformations[planes[0]] if len(deformations) > 1 else deformation
         elif frame is not None:
-            raise SuppleError(f"--frame is for the pictures of one frame, and {what} shows many: leave it out")
+            raise SuppleError(
+                f"{argument('frame')} is for the pictures of one frame, and {what} shows many: leave it out"
+            )
         before = [] if what in WHATS else [rgb[line].copy() for rgb in _shown(clip, planes)]
     with open_clip(source, rate=options.rate, count=clip.count) as clip:
-        sampling = _sampling(clip, options)
+        sampling = sampling_of(clip, Sampling(between=options.between, time_filter=options.time_filter))
         after = []
         for z, arrays in frames_of(clip, deformations, sampling, planes, options.memory):
             after.append(clip.to_rgb(arrays)[line].copy())
@@ -180,16 +193,10 @@ def _plot_clip(
     return deformation
 
 
-def _sampling(clip: Any, options: ClipOptions) -> Sampling:
-    return sampling_of(
-        clip, filter="auto", outside="edge", fill=0.0, tolerance=0.01, light=False,
-        between=options.between, time_filter=options.time_filter,
-    )  # fmt: skip
-
-
 def _seen_best(clip: Any, deformations: Sequence[Deformation], options: ClipOptions) -> list[int]:
     """Return the frames of a sheet: evenly spaced over those with visible displacements."""
-    work = work_on(clip, deformations, replace(_sampling(clip, options), tolerance=_SEEN))
+    sampling = Sampling(tolerance=_SEEN, between=options.between, time_filter=options.time_filter)
+    work = work_on(clip, deformations, sampling_of(clip, sampling))
     moving = np.flatnonzero(~make_plan(work, range(clip.count)).still)
     first, last = (int(moving[0]), int(moving[-1])) if moving.size else (0, clip.count - 1)
     return [first + k for k in evenly(last - first + 1, _COLUMNS)]

@@ -21,13 +21,7 @@ def is_media_name(path: PathLike) -> bool:
 
 
 def read_recipe(path: PathLike) -> Recipe:
-    """Read a recipe from a JSON file.
-
-    Raises
-    ------
-    SuppleError
-        If the file cannot be read, or is not a recipe; the message names the file and the fault.
-    """
+    """Read a recipe from a JSON file; SuppleError, with the file and the fault, if it is none."""
     name = shown(path)
     try:
         text = Path(path).read_bytes().decode("utf-8-sig")
@@ -45,13 +39,7 @@ def read_recipe(path: PathLike) -> Recipe:
 
 
 def check_recipe_name(path: PathLike, *, force: bool = False) -> None:
-    """Raise SuppleError for a file name that is not fit for a recipe.
-
-    Raises
-    ------
-    SuppleError
-        If it has the suffix of an image, a video or a volume, exists and `force` is false, or cannot be written.
-    """
+    """Raise SuppleError for a name that is one of an image, a video or a volume, or that cannot be written."""
     if is_media_name(path):
         name, suffix = shown(path), suffix_of(path)
         stem = name[: len(name) - len(suffix)]
@@ -60,13 +48,7 @@ def check_recipe_name(path: PathLike, *, force: bool = False) -> None:
 
 
 def write_recipe(path: PathLike, recipe: Recipe, *, force: bool = False) -> None:
-    """Write a recipe as JSON; the file appears whole or not at all.
-
-    Raises
-    ------
-    SuppleError
-        As in `check_recipe_name`.
-    """
+    """Write a recipe as JSON; the file appears whole or not at all."""
     check_recipe_name(path, force=force)
     with replacing(path, force=force) as temporary:
         temporary.write_text(recipe.to_json(), encoding="utf-8")

@@ -166,12 +166,7 @@ def default_transfer(volume: Volume) -> Transfer | str:
     """Return the preset for a volume's values: computed tomography is recognized by air at -1000 Hounsfield units.
 
     A label map is recognized by the intent code of a NIfTI file, or by its values: few integers from 0, in large areas.
-    Segments have the colours of their file.
-
-    Raises
-    ------
-    SuppleError
-        If segments are listed wrongly.
+    Segments have the colours of their file; SuppleError if they are listed wrongly.
     """
     if volume.is_segmentation:
         try:
@@ -210,10 +205,7 @@ def scene_of(
 ) -> Scene:
     """Return the scene of a volume, with strokes, fields and affine maps if given: with maps, of the warped volume.
 
-    Raises
-    ------
-    SuppleError
-        If it has several components that are not colours, or an argument does not fit.
+    SuppleError if it has several components that are not colours, or an argument does not fit.
     """
     known = options or RenderOptions()
     samples = volume.rescaled()
@@ -223,7 +215,7 @@ def scene_of(
             integer("time", known.time, f"the number of a volume of {volume.name}, from 0 to {last}", 0, last)
         ]
     elif known.time:
-        raise SuppleError(f"{volume.name} is one volume, and --time is for series: leave it out")
+        raise SuppleError(f"{volume.name} is one volume, and {argument('time')} is for series: leave it out")
     elif volume.is_segmentation and volume.components > 1:
         raise SuppleError(
             f"{volume.name} is a segmentation in {volume.components} layers, and a picture is of one label for each "
@@ -474,9 +466,11 @@ def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bo
     if many and known.rate is not None:
         raise SuppleError(f"rate is that of a video, and {name} names pictures: leave it out")
     if not many and has_number(target):
-        raise SuppleError(f"{name} names many pictures: give --turntable with their number, or a name without one")
+        raise SuppleError(
+            f"{name} names many pictures: give {argument('turntable')} with their number, or a name without one"
+        )
     if not many and suffix in turntable.SUFFIXES:
-        raise SuppleError(f"{name} is a video: give --turntable with the number of its pictures")
+        raise SuppleError(f"{name} is a video: give {argument('turntable')} with the number of its pictures")
     if known.what == "inversions":
         from supple.plot.frame import check_plot
 

@@ -16,18 +16,18 @@ from typing import Any, Literal
 
 import numpy as np
 
-from supple.blocks import Block, Box, Warp, boxes_of
+from supple.blocks import Block, Box, Warp, boxes_of, chunks_of
 from supple.deformation import Deformation, Report
-from supple.engine.sampling import Certificate, warn_of
+from supple.engine.sampling import Certificate, Sampling, warn_of
 from supple.engine.work import Tell
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Field, Placed, folds_of, only_name
 from supple.files import plans
-from supple.files.bijections import SavedField, begin_field, check_field, is_scene, write_field
+from supple.files.jobs import Job
 from supple.files.options import GridOptions, VolumeOptions
-from supple.files.plans import Source, chunks_of, open_source, plan_boxes, task_shape, warp_on, whole_chunks
+from supple.files.plans import Source, open_source, plan_boxes, task_shape, warp_on, whole_chunks
 from supple.files.tasks import Runner, Running, check_seen, check_shared, runner_of
-from supple.files.transforms import write_transform
+from supple.files.transforms import SavedField, begin_field, check_field, is_scene, write_field, write_transform
 from supple.files.volumes import least_of, warn_of_labels
 from supple.media.files import ROOTS, check_store, is_store, replacing, unwritable
 from supple.media.stores import (
@@ -39,7 +39,7 @@ from supple.media.stores import (
     create,
     holding,
 )
-from supple.media.stores.pyramid import Mode
+from supple.media.stores.levels import Mode
 from supple.media.transforms.ngff import Placement
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import Fit, Recipe
@@ -53,66 +53,28 @@ _AT_ONCE = 4096  # tasks that wait at a time, each of which takes a few kilobyte
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WarpedStore:
-    """A Zarr store that was written.
-
-    Parameters
-    ----------
-    source, target : str
-        The addresses of the input and the output.
-    deformation : Deformation
-        The strokes, on the shape along the axes of space.
-    geometry : Geometry or None
-        The place of the voxels in space; None of a picture.
-    tolerance : float
-        The largest distance of a source point from T⁻¹(q), in samples.
-    error : float
-        The error estimate from the checks of the map.
-    shape : tuple of int
-        The shape of the output, of all axes.
-    levels : int
-        The number of its levels.
-    labels : tuple of str
-        The label images that were bent with it.
-    blocks : int
-        The number of blocks of the finest level.
-    done : int
-        Blocks that were there already, from a job that was interrupted.
-    copied : int
-        Blocks whose chunks were copied as they were compressed.
-    read : int
-        Bytes of the samples that were read, uncompressed, without copies: whole chunks, as often as they are read.
-    copied_bytes : int
-        Bytes of the chunks that were copied, compressed.
-    grid : Grid, optional
-        The grid of the output, if it is not that of the input.
-    folded, outside, unsolved : int
-        As in `supple.files.Warped`.
-    field : SavedField, optional
-        The field that was saved beside it.
-    background : float, optional
-        The value of what lies outside of the input, where none was asked for.
-    """
+    """A Zarr store that was written."""
 
     source: str
     target: str
-    deformation: Deformation
-    geometry: Geometry | None
-    tolerance: float
-    error: float
-    shape: tuple[int, ...]
+    deformation: Deformation  # the strokes, on the shape along the axes of space
+    geometry: Geometry | None  # the place of the voxels in space; None of a picture
+    tolerance: float  # the largest distance of a source point from T⁻¹(q), in samples
+    error: float  # the error estimate from the checks of the map
+    shape: tuple[int, ...]  # of the output, of all axes
     levels: int
-    labels: tuple[str, ...]
-    blocks: int
-    done: int
-    copied: int
-    read: int
-    copied_bytes: int
-    grid: Grid | None = None
-    folded: int = 0
+    labels: tuple[str, ...]  # the label images that were bent with it
+    blocks: int  # of the finest level
+    done: int  # blocks that were there already, from a job that was interrupted
+    copied: int  # blocks whose chunks were copied as they were compressed
+    read: int  # bytes that were read, uncompressed, without copies: whole chunks, as often as they are read
+    copied_bytes: int  # of the chunks that were copied, compressed
+    grid: Grid | None = None  # of the output, if it is not that of the input
+    folded: int = 0  # as in `supple.files.Warped`
     outside: int = 0
     unsolved: int = 0
-    field: SavedField | None = None
-    background: float | None = None
+    field: SavedField | None = None  # that was saved beside it
+    background: float | None = None  # the value of what lies outside of the input, where none was asked for
 
     def report(self) -> Report:
         """Return the report on the strokes and the certified error, measured at every sample; this is slow."""
@@ -133,8 +95,6 @@ class Work:
 
 @dataclass(slots=True)
 class _Counts:
-    """What was done: numbers of blocks, and bytes."""
-
     blocks: int = 0
     done: int = 0
     copied: int = 0
@@ -188,10 +148,6 @@ def warp_store(
         Called with ``"field"``, ``"plan"``, ``"warp"`` and ``"reduce"``, and the finished and the total number of
         blocks.
 
-    Returns
-    -------
-    WarpedStore
-
     Raises
     ------
     SuppleError
@@ -204,17 +160,16 @@ def warp_store(
     folder = Place(target).folder
     if folder is not None:
         check_store(folder if "://" in os.fspath(target) else target, force=force)  # before workers are started
-    opened = open_source(source, recipe, known, maps=maps, grid=grid)
+    sampling = Sampling(filter, tolerance, outside or "edge", fill)
+    asked = Job(source, target, recipe, sampling, outside, volume=known, fit=fit, maps=maps, grid=grid)
+    opened = open_source(asked)
     image = opened.image
     if outside is None and opened.is_file and opened.geometry is not None and grid is not None and grid.reference:
         least = 0.0 if "c" in opened.samples.axes else least_of(opened.samples)  # as of volumes from file to file
         opened = replace(opened, background=least)
-    warp = warp_on(
-        opened, recipe, filter=filter, tolerance=tolerance, outside=outside, fill=fill, options=known, fit=fit,
-        maps=maps, grid=grid,
-    )  # fmt: skip
+    warp = warp_on(opened, asked)
     _warn_of_labels(opened, warp)
-    labels = _labels(opened, recipe, maps, grid)
+    labels = _labels(opened, asked)
     job = _job(opened, warp, recipe, replace(known, save_field=None))
     field = None
     if known.save_field is not None:
@@ -229,7 +184,7 @@ def warp_store(
         other["scale"], other["translation"] = _located(opened, warp.grid, target)
     with runner_of(where) as runner:
         output = create(target, image, force=force, job=job, **other)
-        mapping = None if field is None else field.claimed(force)
+        mapping = None if field is None else field()
         level = None if opened.is_file else image.levels[0]
         work = Work(Place(image.address), opened.samples, level, opened.carried, output, warp)
         saved = None if mapping is None else write_field(mapping, runner, tell, maps)
@@ -260,37 +215,32 @@ def warp_store(
     )  # fmt: skip
 
 
-def _labels(source: Source, recipe: Recipe, maps: Sequence[Placed], grid: GridOptions | None) -> tuple[str, ...]:
+def _labels(source: Source, job: Job) -> tuple[str, ...]:
     """Return the names of the label images that are bent with an image, and warn of others: found before any work."""
     names = []
     for name in source.image.labels:
         why = ""
-        try:
-            if not name or {*name} & {"/", "\\", ":"} or name.startswith("."):
-                why = "it has no plain name"
-            else:
+        if not name or {*name} & {*"/\\:"} or name.startswith("."):
+            why = "it has no plain name"
+        else:
+            try:
                 address = f"{source.image.address.rstrip('/')}/{LABELS}/{name}"
-                own = open_source(address, recipe, maps=maps, grid=grid)
+                own = open_source(replace(job, source=address, volume=VolumeOptions()))
                 if own.space != source.space or not own.grid.is_same_space(source.grid):
                     why = "it is on another grid"
                 elif own.image.dtype.kind not in "iub":
                     why = f"it holds {own.image.dtype}"
-        except SuppleError as error:
-            why = str(error)
-        if not why:
+            except SuppleError as error:
+                why = str(error)
+        if why:
+            text = f"the label image {shown(name)} of {source.name} is not carried over ({why})"
+            warnings.warn(f"{text}: bend it by itself, as labels", VolumeWarning, stacklevel=3)
+        else:
             names.append(name)
-            continue
-        warnings.warn(
-            f"the label image {shown(name)} of {source.name} is not carried over ({why}): bend it by itself, "
-            "with --labels",
-            VolumeWarning,
-            stacklevel=3,
-        )
     return tuple(names)
 
 
 def _warn_of_labels(source: Source, warp: Warp) -> None:
-    """Warn of labels that are mixed."""
     image, n = source.image, len(source.space)
     if warp.sampling.filter == "nearest" or warp.deformation.is_identity or (n == 2 and not image.is_labels):
         return
@@ -413,7 +363,6 @@ def _write_blocks(
 
 
 def _advancing(tell: Tell, step: str, total: int) -> Callable[[], None]:
-    """Return what is called whenever one of some tasks is done."""
     ready = itertools.count(1)
     tell(step, 0, total)
     return lambda: tell(step, next(ready), total)
@@ -444,7 +393,6 @@ def _check_seen(source: Place, target: Target) -> None:
 
 
 def _write_levels(work: Work, runner: Runner, tell: Tell, mode: Mode) -> None:
-    """Write the coarser levels, one after the other."""
     target = work.target
     levels = []
     for level in range(1, len(target.arrays)):

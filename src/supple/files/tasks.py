@@ -79,13 +79,7 @@ class Runner(Protocol):
 
 @contextlib.contextmanager
 def runner_of(running: Running) -> Iterator[Runner]:
-    """Return what does the tasks of a job.
-
-    Raises
-    ------
-    SuppleError
-        If Dask is not installed, or the scheduler does not answer.
-    """
+    """Return what does the tasks of a job; SuppleError if Dask is not installed, or the scheduler does not answer."""
     need("zarr", "outputs that are written block by block", "dask")
     if not running.elsewhere:
         yield _Threads()

@@ -1,30 +1,50 @@
-"""Deformations of volumes as displacement-field files, for other resampling tools."""
+"""Deformations written as displacement fields: of volumes for other tools, and of stored images as OME-Zarr scenes.
+
+A scene holds fields of both directions of the map, written block by block.
+"""
 
 from __future__ import annotations
 
+import itertools
+import math
 import os
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from supple.blocks import Box, Warp, boxes_of, chunks_of
 from supple.deformation import Deformation
-from supple.engine.core import certificate_of, plan_of
+from supple.engine.core import certificate_of, forward, plan_of
 from supple.engine.memory import beside
 from supple.engine.sampling import Certificate, warn_of
-from supple.engine.work import Space
-from supple.errors import SuppleError
-from supple.media.files import check_output
-from supple.media.transforms import check_target, write_field
+from supple.engine.work import Space, Tell
+from supple.errors import SuppleError, shown
+from supple.fields import Placed, folds_of, only_name
+from supple.files.tasks import Runner, check_seen
+from supple.media.files import check_output, is_store
+from supple.media.stores import StoredImage, Target, check_free, create_arrays, overlap
+from supple.media.transforms import check_target, ngff
+from supple.media.transforms import write_field as write_displacements
 from supple.space.domain import number
 from supple.space.geometry import Geometry, Grid
 
-Floats = npt.NDArray[np.float64]
 PathLike = str | os.PathLike[str]
+Floats = npt.NDArray[np.float64]
 
 MOST = 1 << 27
 """The bytes of a field that are held in memory: it is larger than its volume."""
 ROUNDING = 2.0**-22
 """Samples: to that, source points are known, as the core holds their fractions as float32."""
+PULL, PUSH = range(2)
+_WAYS = ("forward", "inverse")  # as the format calls them
+_TOGETHER = 4  # chunks of a task, each of some megabytes
+_AT_ONCE = 4096  # tasks that wait at a time
+_SOLVED = 1e-9  # samples: to that, T is solved where it is not explicit
+_PACKING = threading.Lock()
 
 
 def displacement_of(
@@ -43,7 +63,7 @@ def displacement_of(
     deformation : Deformation
         A deformation of a volume.
     geometry : Geometry
-        The geometry of the volume; of the output, if it has another grid.
+        Of the volume; of the output, if it has another grid.
     tolerance : float
         The largest distance of a source point from T⁻¹(q), in voxels.
     out : float32 array, optional
@@ -51,22 +71,12 @@ def displacement_of(
     grid : Grid, optional
         The grid of the output, if it is not that of the input; the deformation must then know its place in space.
     warn : bool
-        Whether to warn.
+        Whether to give a ToleranceWarning if the checks of the map's cells do not promise the tolerance everywhere.
 
     Returns
     -------
     float32 array, shape (Z, H, W, 3)
         The position of T⁻¹(q) minus that of q, in millimetres along the axes of LPS, x first.
-
-    Raises
-    ------
-    SuppleError
-        If the deformation is of an image, or the tolerance is not a number above 0.
-
-    Warns
-    -----
-    ToleranceWarning
-        If the checks of the map's cells do not promise the tolerance everywhere.
     """
     _check(deformation)
     tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
@@ -98,24 +108,9 @@ def pull_of(
 ) -> Certificate:
     """Write T⁻¹(q) - q for all samples q of the output, or of the part of it that the map's grid is.
 
-    Parameters
-    ----------
-    space : Space
-        The map.
-    matrix : float64 array, shape (D, D)
-        From a vector in samples of the input, x first, to what is written.
-    tolerance : float
-        In samples.
-    out : float32 array, shape (H, W, D) or (Z, H, W, D)
-        The array for the result.
-    turned : (float64 array, float64 array), optional
-        The matrix and the shift from an index of the output's whole grid to one of the input; by default, they are the
-        same.
-
-    Returns
-    -------
-    Certificate
-        The accuracy of T⁻¹, before it is rounded to float32.
+    ``matrix`` leads from a vector in samples of the input, x first, to what is written, and ``turned``, a matrix and a
+    shift, from an index of the output's whole grid to one of the input, if they differ. The certificate is of T⁻¹, in
+    samples, before it is rounded to float32.
     """
     planes = out if space.ndim == 3 else out[None]
     first = (0,) * space.ndim if space.grid is None else space.grid.first
@@ -149,21 +144,8 @@ def write_transform(
 ) -> None:
     """Write a deformation of a volume as a displacement field for ITK, ANTs and 3D Slicer.
 
-    Parameters
-    ----------
-    target : str or os.PathLike
-        ``.nii``, ``.nii.gz``, ``.nrrd``, ``.mha`` or ``.h5``; see `supple.media.transforms.write_field`.
-    deformation, geometry, tolerance, grid
-        As in `displacement_of`.
-    force : bool
-        Whether to replace an existing file.
-    warn : bool
-        Whether to warn as `displacement_of` does.
-
-    Raises
-    ------
-    SuppleError
-        As in `displacement_of`, or if the file cannot be written (checked before any work, if possible).
+    The target is ``.nii``, ``.nii.gz``, ``.nrrd``, ``.mha`` or ``.h5``; an existing file is replaced with ``force``.
+    Other arguments are those of `displacement_of`.
     """
     check_target(target)
     check_output(target, force=force)
@@ -171,9 +153,226 @@ def write_transform(
     shape = deformation.shape if grid is None else grid.shape
     with beside(target, (*shape, 3), np.float32, MOST) as out:
         made = displacement_of(deformation, geometry, tolerance=tolerance, out=out, grid=grid, warn=warn)
-        write_field(target, made, geometry, force=force)
+        write_displacements(target, made, geometry, force=force)
 
 
 def _check(deformation: Deformation) -> None:
     if deformation.ndim != 3:
         raise SuppleError(f"a displacement field is of a volume, and shape {deformation.shape} has two axes")
+
+
+@dataclass(frozen=True, slots=True)
+class SavedField:
+    """The map of a job, that was written beside its output."""
+
+    address: str
+    tolerance: float  # the largest distance of T⁻¹(q) from where it is, in samples of the input
+    forward: float  # the error estimate of T⁻¹, in samples of the input; infinite if it is not known everywhere
+    inverse: float | None = None  # that of T: 0 without fields, since T is explicit then; None if T was not written
+    blocks: int = 0  # the number of chunks
+    stored: int = 0  # of those that are stored, since something moves there
+    done: int = 0  # of those that were there already, from a job that was interrupted
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What all tasks share."""
+
+    target: Target
+    warp: Warp
+    scale: tuple[float, ...]
+    _packed: list[Space] = field(default_factory=list, init=False, repr=False, compare=False)
+
+    def __reduce__(self) -> tuple[type[Work], tuple[Any, ...]]:
+        """Leave out what is packed: the core's maps stay in their process."""
+        return Work, (self.target, self.warp, self.scale)
+
+    @property
+    def matrix(self) -> Floats:
+        """From a vector in samples of the input, x first, to one along the stored axes, in their units."""
+        return np.ascontiguousarray(np.diag(self.scale)[:, ::-1])
+
+    def push(self) -> Space:
+        """Return the map from the input, which all blocks share."""
+        with _PACKING:
+            if not self._packed:
+                self._packed.append(self.warp.deformation.space)
+            return self._packed[0]
+
+
+def is_scene(address: PathLike | None) -> bool:
+    """Return whether a field is to be written as a scene of OME-Zarr: to a folder ``.zarr``, or to an address."""
+    return address is not None and is_store(address)
+
+
+def check_field(address: PathLike, others: Sequence[PathLike], *, flat: bool, force: bool) -> None:
+    """Raise SuppleError, before any work, for a field that cannot be written, or is one of the ``others``.
+
+    These are the input and the output; ``flat`` says that the map is of a picture, whose fields OME-Zarr alone holds.
+    """
+    if any(overlap(address, other) for other in others):
+        raise SuppleError(f"{shown(address)} cannot be the field and an image too: give it a place of its own")
+    if is_scene(address):
+        return
+    if flat:
+        raise SuppleError(
+            f"the field of a picture is written as OME-Zarr, which {shown(address)} is not: name it .zarr"
+        )
+    check_target(address)
+    check_output(address, force=force)
+
+
+def begin_field(
+    address: PathLike, image: StoredImage, warp: Warp, samples: ngff.Placement, job: str, *, force: bool
+) -> Callable[[], Work]:
+    """Plan a scene of a map, along the axes of an input and in its units; return what takes its place.
+
+    ``samples`` is where those of the output lie, and ``job`` that of the output, beside which it is written.
+    """
+    first, axes = image.levels[0], list(image.spatial)
+    scale, translation = ([values[axis] for axis in axes] for values in (first.scale, first.translation))
+    own = ngff.Placement(warp.deformation.shape, scale, translation)
+    files, paths = ngff.bijection(_axes(image), samples, own, "warp")
+    job = f"field of {job}"
+    check_free(address, files, job, force)
+    return lambda: Work(create_arrays(address, files, paths, force=force, job=job), warp, tuple(scale))
+
+
+def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) -> SavedField:
+    """Write both directions of a map, all but the last step, `Target.finish`.
+
+    ``tell`` is called with ``"field"`` and the finished and the total number of tasks.
+
+    Warns
+    -----
+    ToleranceWarning, FoldWarning, OutsideWarning
+        As `Deformation.warp` does of T⁻¹, and as `Deformation.forward` of T.
+    """
+    target, tolerance = work.target, work.warp.sampling.tolerance
+    sizes = [chunks_of(block, array.shape) for block, array in zip(target.blocks, target.arrays, strict=True)]
+    counts = [math.prod(map(len, each)) for each in sizes]
+    blocks, ready = sum(counts), 0
+    total = sum(-(-count // _TOGETHER) for count in counts)
+
+    def advance() -> None:
+        nonlocal ready
+        ready += 1
+        tell("field", ready, total)
+
+    tell("field", 0, total)
+    items = itertools.chain.from_iterable(_batches(way, each) for way, each in enumerate(sizes))
+    certificates, stored, done = [Certificate(0.0, 0.0)] * 2, 0, 0
+    while some := list(itertools.islice(items, _AT_ONCE)):
+        made = runner.each(_write_chunks, work, some, advance)
+        for (way, _), (certificate, new, there) in zip(some, made, strict=True):
+            certificates[way] |= certificate
+            stored += new + there
+            done += there
+    pull, push = certificates
+    warn_of(pull, tolerance, 4, folds_of(maps), only_name(maps))
+    warn_of(push, tolerance, 4, "", f"{only_name(maps)}, as it is solved for {shown(target.address)},")
+    target.note(
+        {**{way: _told(one, tolerance) for way, one in zip(_WAYS, certificates, strict=True)}, "chunks": stored}
+    )
+    return SavedField(target.address, tolerance, _error(pull), _error(push), blocks, stored, done)
+
+
+def _batches(way: int, sizes: Sequence[Sequence[int]]) -> Iterator[tuple[int, list[Box]]]:
+    boxes = boxes_of(sizes)
+    while some := list(itertools.islice(boxes, _TOGETHER)):
+        yield way, some
+
+
+def _write_chunks(work: Work, item: tuple[int, list[Box]]) -> tuple[Certificate, int, int]:
+    """Write chunks of one direction; return what is known of them, and how many are new and were there already.
+
+    Where nothing moves, nothing is stored. What is there already is solved again, so that what is told of the map is
+    true of all of it, but is not written again.
+    """
+    way, boxes = item
+    target = work.target
+    check_seen(target.address, target.site.folder)
+    certificate, new, there = Certificate(0.0, 0.0), 0, 0
+    for box in boxes:
+        done = target.begun and target.is_done(way, box)
+        values, found = (_pulled if way == PULL else _pushed)(work, box[1:], done)
+        certificate |= found
+        there += done
+        if values is not None and values.any():
+            target.write(way, box, np.moveaxis(values, -1, 0))
+            new += 1
+    return certificate, new, there
+
+
+def _pulled(work: Work, box: Box, done: bool) -> tuple[npt.NDArray[np.float32] | None, Certificate]:
+    """Return T⁻¹(q) - q for the samples of a part of the output; no values if it is stored already."""
+    warp, space, tolerance = work.warp, work.warp.space(box), work.warp.sampling.tolerance
+    if done:
+        certificate = Certificate(0.0, 0.0)
+        for k in _planes(box):
+            certificate |= certificate_of(plan_of(space, k, tolerance), space)
+        return None, certificate
+    own, grid = warp.deformation.grid, warp.grid
+    turned = None if grid is None or grid.uncropped().is_same_space(own) else between(own, grid)
+    out = np.empty((*_shape(box), len(box)), np.float32)
+    return out, pull_of(space, work.matrix, tolerance, out, turned)
+
+
+def _pushed(work: Work, box: Box, done: bool) -> tuple[npt.NDArray[np.float32] | None, Certificate]:
+    """Return T(p) - p for the samples of a part of the input; no values if it is stored already."""
+    space, certificate = work.push(), Certificate(0.0, 0.0)
+    if done and space.composite is None:
+        return None, certificate
+    first, end = np.array(box)[::-1].T
+    part = replace(space, grid=work.warp.deformation.grid.crop(first.tolist(), (end - first).tolist()))
+    out = np.zeros((*_shape(box), len(box)), np.float32)
+    rows, columns = np.indices(_shape(box)[-2:])
+    points = np.empty((*rows.shape, len(box)))
+    points[..., 0], points[..., 1] = columns + first[0], rows + first[1]
+    for k, plane in zip(_planes(box), out if len(box) == 3 else out[None], strict=True):
+        # T leaves alone what T⁻¹ leaves alone: the plan knows where no stroke reaches.
+        if space.composite is None and plan_of(part, k, work.warp.sampling.tolerance).identity:
+            continue
+        if len(box) == 3:
+            points[..., 2] = first[2] + k
+        moved, found = forward(space, points)
+        certificate |= found
+        moved -= points
+        if space.composite is not None:
+            moved[np.abs(moved) < _SOLVED] = 0
+        np.matmul(moved, work.matrix.T, out=plane, casting="same_kind")
+    return None if done else out, certificate
+
+
+def _planes(box: Box) -> range:
+    return range(_shape(box)[0]) if len(box) == 3 else range(1)
+
+
+def _shape(box: Box) -> tuple[int, ...]:
+    return tuple(stop - start for start, stop in box)
+
+
+def _error(certificate: Certificate) -> float:
+    return math.inf if certificate.unknown else certificate.error
+
+
+def _told(certificate: Certificate, tolerance: float) -> dict[str, Any]:
+    """Return what the attributes of the scene say of one direction, in samples of the input."""
+    error = _error(certificate)
+    told: dict[str, Any] = {"tolerance": tolerance, "error": error if math.isfinite(error) else None}
+    bad = {"unsolved": certificate.unknown, "folded": certificate.folded, "outside": certificate.outside}
+    return {**told, **{key: count for key, count in bad.items() if count}}
+
+
+def _axes(image: StoredImage) -> list[Mapping[str, Any]]:
+    """Return the descriptions of the axes of space, as `StoredImage.grid` takes them."""
+    axes = [image.axes[axis] for axis in image.spatial]
+    if not image.version:
+        return [{"name": name, "type": "space", "discrete": False} for name in "zyx"[-len(axes) :]]
+    whole = len(axes) == sum(axis.kind == "space" for axis in image.axes)
+    made: list[Mapping[str, Any]] = []
+    for axis in axes:
+        told = {"unit": axis.unit if image.placed else None, "orientation": axis.orientation if whole else None}
+        known = {key: one for key, one in told.items() if one}
+        made.append({"name": axis.name, "type": "space", "discrete": False, **known})
+    return made

@@ -8,7 +8,7 @@ import os
 import shutil
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.arrays import check_device, clamp_to, warp_array
-from supple.deformation import Arrival, Deformation, Report
+from supple.deformation import Deformation
 from supple.engine.memory import beside, machine_memory
 from supple.engine.sampling import Certificate, Sampling, warn_of
 from supple.engine.work import Space, Tell, work_of
 from supple.errors import GapWarning, SuppleError, VolumeWarning, argument, shown
 from supple.fields import Placed, folds_of, only_name
-from supple.files.grids import arrivals_on, grid_on, warn_of_place
-from supple.files.kinds import is_derived, kind_of
+from supple.files.grids import grid_on, warn_of_place
+from supple.files.jobs import Job, Warped
 from supple.files.options import GridOptions, PathLike, VolumeOptions
 from supple.files.transforms import write_transform
 from supple.folding.resolved import warn_of_still
@@ -33,7 +33,6 @@ from supple.media.volume import (
     Volume,
     check_target,
     derived,
-    outline_of,
     read,
     suffix_of,
     write,
@@ -50,64 +49,14 @@ _BETWEEN = 0.2  # of the changes from voxel to voxel: so many values between two
 _HUGE, _TINY = 2, 1  # radii, in the size of a volume and in the distance of its samples, that are in another unit
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WarpedVolume:
-    """A volume that was written.
-
-    Parameters
-    ----------
-    source, target : pathlib.Path
-        The input and the output file.
-    deformation : Deformation
-        The strokes, on the volume's grid; if that is sheared, on the upright grid around it (`Grid.upright`).
-    geometry : Geometry
-        The geometry of the voxels.
-    tolerance : float
-        The largest distance of a source point from T⁻¹(q), in voxels.
-    error : float
-        The error estimate from the checks of the map, in voxels; `report` measures it.
-    volumes : int
-        The number of volumes: the time points of a series.
-    grid : Grid, optional
-        The grid of the output, if it is not that of the input.
-    folded, outside, unsolved : int
-        As in `supple.files.Warped`, over all volumes.
-    own : Grid, optional
-        The grid of the input, if it is not that of the deformation.
-    background : float, optional
-        The value, scaled, of what lies outside of the input, where none was asked for.
-    """
-
-    source: Path
-    target: Path
-    deformation: Deformation
-    geometry: Geometry
-    tolerance: float
-    error: float
-    volumes: int = 1
-    grid: Grid | None = None
-    folded: int = 0
-    outside: int = 0
-    unsolved: int = 0
-    own: Grid | None = None
-    background: float | None = None
-
-    def report(self) -> Report:
-        """Return the report on the strokes and the certified error, measured at every voxel; this is slow."""
-        return self.deformation.report(tolerance=self.tolerance, grid=self.grid or self.own)
-
-    @property
-    def arrivals(self) -> tuple[Arrival, ...]:
-        """For each stroke, the target of its point, and its position, in voxels of the input."""
-        return arrivals_on(self.own, self.deformation.grid, self.deformation.arrivals)
-
-
 def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volume:
     """Return a volume with the samples as they are stored: `Volume.rescaled` has the true values."""
     known = options or VolumeOptions()
     volume = read(source, raw=known.layout, series=known.series)
     if known.series is not None and volume.format != "DICOM":
-        raise SuppleError(f"{volume.name} is {volume.format}, and --series is for DICOM folders: leave it out")
+        raise SuppleError(
+            f"{volume.name} is {volume.format}, and {argument('series')} is for DICOM folders: leave it out"
+        )
     return volume
 
 
@@ -124,11 +73,9 @@ def place_of(path: PathLike, options: VolumeOptions | None = None) -> str | None
 
         image = open_image(path)
         return None if len(image.spatial) < 3 else "LPS" if image.placed else "array"
-    known = options or VolumeOptions()
     solid = Recipe(strokes=(Stroke(at=(0, 0, 0), by=(0, 0, 0), radius=1),))
-    if kind_of(path, "", solid, known) != "volume":
-        return None
-    return outline_of(path, raw=known.layout, series=known.series).geometry.convention
+    medium = Job(path, "", solid, volume=options or VolumeOptions()).medium
+    return medium.outline.geometry.convention if medium.kind == "volume" else None
 
 
 def deformation_of(
@@ -155,7 +102,7 @@ def deformation_of(
         made_for = " x ".join(map(str, located.size or ()))
         warnings.warn(
             f"the recipe is of a volume of {made_for} voxels, and its border, a tenth of each axis, is elsewhere in "
-            f"{volume.name}: the map is another one; the field of the first volume (--save-field, --field) is the same",
+            f"{volume.name}: the map is another one; the field of the first volume is the same",
             VolumeWarning,
             stacklevel=4,
         )
@@ -201,13 +148,17 @@ def in_space(recipe: Recipe, geometry: Geometry, name: str, world: bool) -> Reci
         return recipe
     convention = geometry.convention
     if recipe.space == "pixels":
-        raise SuppleError("--world is for points in millimetres, and the recipe is in pixels: leave it out")
+        raise SuppleError(
+            f"{argument('world')} is for points in millimetres, and the recipe is in pixels: leave it out"
+        )
     if convention == "array":
-        raise SuppleError(f"{name} does not know where it lies in space: leave --world out, and give indices")
+        raise SuppleError(
+            f"{name} does not know where it lies in space: leave {argument('world')} out, and give indices"
+        )
     if recipe.is_world and recipe.space != convention:
         raise SuppleError(
-            f"the recipe is in {recipe.space} millimetres, and --world means {convention}, as {name} has them: "
-            "leave --world out"
+            f"the recipe is in {recipe.space} millimetres, and {argument('world')} means {convention}, as {name} has "
+            "them: leave it out"
         )
     return replace(recipe, space=convention)  # type: ignore[arg-type]
 
@@ -262,16 +213,10 @@ def _mapped(stroke: Stroke, there: Callable[[Floats], Floats], geometry: Geometr
     return replace(made, axis=along(tuple(np.multiply(axis, way / np.abs(axis).max()).tolist())))
 
 
-def sampling_of(
-    filter: str,
-    *,
-    outside: str = "edge",
-    fill: float | Sequence[float] = 0.0,
-    tolerance: float = 0.01,
-) -> Sampling:
+def sampling_of(sampling: Sampling) -> Sampling:
     """Return the sampling options of a volume, equal along all three axes."""
-    between = "cubic" if filter in ("auto", "cubic") else None
-    return Sampling(filter, tolerance, outside, fill, between=between, time_filter=filter == "auto")
+    between = "cubic" if sampling.filter in ("auto", "cubic") else None
+    return replace(sampling, between=between, time_filter=sampling.filter == "auto")
 
 
 def warp_volume(
@@ -279,41 +224,39 @@ def warp_volume(
     target: PathLike,
     recipe: Recipe,
     *,
+    options: VolumeOptions | None = None,
+    tell: Tell = lambda step, done, total: None,
     filter: str = "auto",
     tolerance: float = 0.01,
     outside: str | None = None,
     fill: float | Sequence[float] = 0.0,
-    clamp: bool = True,
-    device: str = "cpu",
-    force: bool = False,
-    options: VolumeOptions | None = None,
-    tell: Tell = lambda step, done, total: None,
-    fit: Fit | None = None,
-    maps: Sequence[Placed] = (),
-    grid: GridOptions | None = None,
-) -> WarpedVolume:
-    """Warp a volume, slab by slab, as in `supple.warp_file`.
+    **given: Any,
+) -> Warped:
+    """Warp a volume, slab by slab: `supple.warp_file`, whose other arguments are ``given``, of a volume alone.
 
     ``tell`` is called with ``"read"``, then with ``"warp"``, the number of finished slices, and their total, and with
     ``"write"``.
     """
-    known = options or VolumeOptions()
-    check_device(device)
-    sampling = sampling_of(
-        "nearest" if known.labels and filter == "auto" else filter,
-        outside=outside or "edge",
-        fill=fill,
-        tolerance=tolerance,
-    )
-    if known.labels and sampling.filter != "nearest":
+    sampling = Sampling(filter, tolerance, outside or "edge", fill)
+    job = Job(source, target, recipe, sampling, outside, volume=options or VolumeOptions(), **given)
+    check_device(job.device)
+    check(job)
+    return warp(job, tell)
+
+
+def warp(job: Job, tell: Tell) -> Warped:
+    """Warp a volume, as in `warp_volume`, whose names and options are checked."""
+    source, target, known, grid, maps = job.source, job.target, job.volume, job.grid, job.maps
+    name = "nearest" if known.labels and job.sampling.filter == "auto" else job.sampling.filter
+    sampling = sampling_of(replace(job.sampling, filter=name))
+    if known.labels and name != "nearest":
         raise SuppleError(
-            f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{filter}"'
+            f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{name}"'
         )
-    check_volume_target(source, target, known, force=force)
     tell("read", 0, 1)
     volume = open_volume(source, known)
     if grid is None:
-        check_target(target, volume, force=force)
+        check_target(target, volume, force=job.force)
     if known.labels and (broken := _first_fraction(volume.samples)) is not None:
         raise SuppleError(
             f"{argument('labels')} is for whole numbers, and {volume.name} holds {broken:g}: leave it out"
@@ -322,17 +265,17 @@ def warp_volume(
     if not (suffix_of(target).startswith(".nii") or suffix_of(target) in derived.SUFFIXES):  # others hold no scaling
         volume = replace(volume, samples=volume.rescaled(), scaling=(1.0, 0.0))
     regrid = grid_on(grid, volume.grid, volume.name, maps)
-    deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
-    warn_of_still(recipe.strokes)
+    deformation = deformation_of(job.recipe, volume, world=known.world, fit=job.fit, maps=maps)
+    warn_of_still(job.recipe.strokes)
     background = None
-    if outside is None and grid is not None and grid.reference is not None:  # much may lie outside of the input
+    if job.outside is None and grid is not None and grid.reference is not None:  # much may lie outside of the input
         background = background_of(as_read, labels=known.labels)
         sampling = replace(sampling, outside="constant", fill=volume.stored(background))
-    elif outside == "constant":
-        sampling = replace(sampling, fill=volume.stored(fill))
+    elif sampling.outside == "constant":
+        sampling = replace(sampling, fill=volume.stored(job.sampling.fill))
     like = volume if grid is None or regrid is None else _moved(volume, regrid, grid)
     if grid is not None:
-        check_target(target, like, force=force)
+        check_target(target, like, force=job.force)
     space = deformation.space_on(regrid, volume.grid)
     frames = volume.samples[0] if volume.series else volume.samples
     work_of(frames.shape, frames.dtype, space, sampling, alpha=False, finite=False)  # raise its errors now
@@ -343,17 +286,19 @@ def warp_volume(
     with contextlib.ExitStack() as stack:
         if known.save_field is not None:
             # It is renamed together with the volume: if either cannot be written, neither is.
-            place = stack.enter_context(replacing(known.save_field, force=force))
+            place = stack.enter_context(replacing(known.save_field, force=job.force))
             on = (regrid or volume.grid).upright()
             where = on.geometry(like.geometry.convention)
             onto = None if on == deformation.grid else on
-            write_transform(place, deformation, where, tolerance=tolerance, force=True, grid=onto, warn=False)
-        found = _written(volume, like, source, target, space, sampling, clamp, device, force, tell, maps)
+            write_transform(place, deformation, where, tolerance=sampling.tolerance, force=True, grid=onto, warn=False)
+        found = _written(volume, like, job, space, sampling, tell)
     _copy_sidecar(source, target)
-    count = len(volume.samples) if volume.series else 1
-    own = None if volume.grid == deformation.grid else volume.grid
-    made = Path(source), Path(target), deformation, volume.geometry, tolerance, found.error, count, regrid
-    return WarpedVolume(*made, found.folded, found.outside, found.unknown, own, background)
+    return Warped(
+        Path(source), Path(target), "volume", (deformation,), sampling.tolerance, found.error,
+        len(volume.samples) if volume.series else 1, geometry=volume.geometry, grid=regrid,
+        own=None if volume.grid == deformation.grid else volume.grid, folded=found.folded, outside=found.outside,
+        unsolved=found.unknown, background=background,
+    )  # fmt: skip
 
 
 def background_of(volume: Volume, *, labels: bool = False) -> float:
@@ -387,17 +332,12 @@ def _moved(volume: Volume, grid: Grid, options: GridOptions) -> Volume:
     return volume.moved(np.broadcast_to(np.zeros((), volume.samples.dtype), shape), grid, convention)
 
 
-def check_volume_target(source: PathLike, target: PathLike, options: VolumeOptions, *, force: bool = False) -> None:
-    """Raise SuppleError, before reading, for invalid names of a volume and its field.
-
-    Raises
-    ------
-    SuppleError
-        If one of them has a wrong suffix, or cannot be written; or if two are the same.
-    """
+def check(job: Job) -> None:
+    """Raise SuppleError, before reading, for invalid names of a volume and its field."""
+    source, target, options, force = job.source, job.target, job.volume, job.force
     if os.path.isdir(source) and Path(os.path.realpath(source)) in Path(os.path.realpath(target)).parents:
         raise SuppleError(f"{shown(target)} is within {shown(source)}, and would be read with it: write elsewhere")
-    if suffix_of(target) in derived.SUFFIXES and is_derived(source, options):
+    if suffix_of(target) in derived.SUFFIXES and job.medium.is_dicom:
         derived.check(target, force=force)
     else:
         check_output(target, force=force)
@@ -467,7 +407,7 @@ def warn_of_labels(some: Array, name: str, *, known: bool = False) -> None:
         return
     told = "is a label map" if known else f"looks like a label map, of {len(np.unique(some))} values"
     warnings.warn(
-        f"{name} {told}, and its labels are mixed where they meet: --labels or --filter nearest keeps them",
+        f"{name} {told}, and its labels are mixed where they meet: {argument('labels', True)} keeps them",
         VolumeWarning,
         stacklevel=4,
     )
@@ -491,20 +431,9 @@ def _is_of_labels(some: Array) -> bool:
     return count <= _MOST_LABELS and (count <= _FEW or float(np.median(steps)) > 1)
 
 
-def _written(
-    volume: Volume,
-    like: Volume,
-    source: PathLike,
-    target: PathLike,
-    space: Space,
-    sampling: Sampling,
-    clamp: bool,
-    device: str,
-    force: bool,
-    tell: Tell,
-    maps: Sequence[Placed],
-) -> Certificate:
+def _written(volume: Volume, like: Volume, job: Job, space: Space, sampling: Sampling, tell: Tell) -> Certificate:
     """Warp and write a volume, of the sizes and with the header of another one; return the accuracy of the map."""
+    source, target, force = job.source, job.target, job.force
     series = volume.samples if volume.series else volume.samples[None]
     count, certificate = len(series), Certificate(0.0, 0.0)
     if space.is_identity and os.path.isfile(source) and _alone(source, target):
@@ -520,12 +449,14 @@ def _written(
                 def further(step: str, done: int, total: int, begun: int = t * space.out[0]) -> None:
                     tell(step, begun + done, count * total)
 
-                _, known = warp_array(series[t], space, sampling, alpha=False, device=device, out=out[t], tell=further)
+                _, known = warp_array(
+                    series[t], space, sampling, alpha=False, device=job.device, out=out[t], tell=further
+                )
                 certificate |= known
-            if clamp and not space.is_identity:
+            if job.clamp is not False and not space.is_identity:
                 clamp_to(series, out, sampling)
             # before the target is renamed
-            warn_of(certificate, sampling.tolerance, 4, folds_of(maps), only_name(maps))
+            warn_of(certificate, sampling.tolerance, 4, folds_of(job.maps), only_name(job.maps))
             tell("write", 0, 1)
             write(target, out if volume.series else out[0], like, force=force)
     return certificate

@@ -71,13 +71,7 @@ class ClipWarning(UserWarning):
 
 
 class CountError(Exception):
-    """The number of decoded frames differs from that of the packets: open the clip again with ``found``.
-
-    Parameters
-    ----------
-    found : int
-        The number of frames.
-    """
+    """The number of decoded frames differs from that of the packets: open the clip again with ``found``."""
 
     def __init__(self, found: int) -> None:
         super().__init__(f"decoding gives {found} frames")

@@ -76,25 +76,10 @@ def check_suffix(
 
 
 def check_output(path: PathLike, *, force: bool = False) -> Path:
-    """Raise SuppleError, before any work, for an output file that cannot be written.
+    """Return the path of an output file, absolute and without links; raise SuppleError if it cannot be written.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        The file to write. A link is followed.
-    force : bool
-        Whether an existing file may be replaced.
-
-    Returns
-    -------
-    pathlib.Path
-        The path that is written: absolute, without links.
-
-    Raises
-    ------
-    SuppleError
-        The file exists and `force` is false; it is a folder or a special file; its folder is missing or read-only; or
-        the name is invalid.
+    It exists and `force` is false; it is a folder or a special file; its folder is missing or read-only; or its name is
+    invalid.
     """
     name = shown(path)
     try:
@@ -159,24 +144,10 @@ def check_store(path: PathLike, *, force: bool = False) -> Path:
 def replacing(path: PathLike, *, force: bool = False) -> Iterator[Path]:
     """Write a temporary file beside its target, and rename it when it is complete.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        The file to write. A link is kept, and its target is replaced.
-    force : bool
-        Whether an existing file may be replaced. Its permission bits are kept.
-
-    Yields
-    ------
-    pathlib.Path
-        A new, empty, hidden file in the folder of the target, with its suffix. If the block ends early, by an interrupt
-        too, it is removed and the target is unchanged.
-
-    Raises
-    ------
-    SuppleError
-        As in `check_output`; if a file of that name has appeared meanwhile and `force` is false; and for every
-        `OSError` of the block, such as a full disk.
+    Yields a new, empty, hidden file in the folder of the target, with its suffix; if the block ends early, by an
+    interrupt too, it is removed. A link is kept, and its target replaced, with its permission bits. SuppleError as in
+    `check_output`, if a file of that name has appeared meanwhile, and for every `OSError` of the block, such as a full
+    disk.
     """
     target = check_output(path, force=force)
     # the end of the name keeps the suffixes, and a long name within what the file system takes
@@ -321,26 +292,11 @@ def replacing_all(folder: Path, *, force: bool = False) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def replacing_together(paths: Sequence[PathLike], *, force: bool = False) -> Iterator[list[Path]]:
-    """Write several files, in any folders, which appear together or not at all.
+    """Write several files or folders (.zarr), in any folders, which appear together or not at all.
 
-    Parameters
-    ----------
-    paths : sequence of str or os.PathLike
-        The files to write, or folders that are written as files are (.zarr).
-    force : bool
-        Whether existing ones may be replaced.
-
-    Yields
-    ------
-    list of pathlib.Path
-        For each, a name of its own in a hidden folder beside its place, where the block is to write it. If the block
-        ends early, by an interrupt too, all are removed and nothing else changes. SuppleErrors that name these are
-        raised with the names of the files.
-
-    Raises
-    ------
-    SuppleError
-        As in `check_output`; if two paths are of one file; and for every `OSError`.
+    Yields, for each, a name in a hidden folder beside its place, where the block is to write it; if the block ends
+    early, by an interrupt too, all are removed. SuppleErrors that name these are raised with the names of the files.
+    Others are as in `check_output`, and for two paths of one file.
     """
     targets = [_check_place(path, force) for path in paths]
     for i, target in enumerate(targets):

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from supple.errors import SuppleError, shown
 from supple.media import meshes
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable
-from supple.media.meshes.base import Ints, Mesh, Part
+from supple.media.meshes import Ints, Mesh, Part
 from supple.media.tables import Table, parsed
 from supple.media.volume import Volume
 from supple.space.domain import LARGEST, value_shown
@@ -98,34 +98,17 @@ def check_target(path: PathLike, source: PathLike) -> None:
 
 
 def read_points(path: PathLike, *, mesh: bool = False, series: Volume | None = None) -> PointFile:
-    """Read a file of points.
+    """Read a file of points: a table, ``.fcsv`` or ``.mrk.json``; with ``mesh``, also a mesh or contours.
 
     A table (.csv, .tsv, .txt) is separated by commas, semicolons or tabs. A header, which may be a comment, names its
     columns: x, y, and z, t or frame if there is one; or r, a, s or l, p, s for positions in millimetres, or i, j, k.
     Without a header, the first three columns of numbers are the coordinates, or both where there are two. Comments
     begin with #.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        A .csv, .tsv, .txt, .fcsv or .mrk.json file.
-    mesh : bool
-        Whether shapes are read: it may be a mesh as well (.stl, .obj, .ply, .vtk, .vtp), whose vertices are the points,
-        and a region (ROI) of a .mrk.json has seven points more, its centre and those of its faces.
-    series : Volume, optional
-        Of DICOM: what a structure set refers to when its points are written.
-
-    Returns
-    -------
-    PointFile
-        The control points of all markups in a .mrk.json, in order, without those that are not placed; in the convention
-        of the first, if they have several.
-
-    Raises
-    ------
-    SuppleError
-        If the file cannot be read, is damaged, or holds no points; a coordinate is not a finite number; a row has more
-        or fewer cells than the first; or the coordinate system is unknown.
+    Of a .mrk.json, these are the control points of all markups that are placed, in the convention of the first; with
+    ``mesh``, a region (ROI) has seven points more, its centre and those of its faces. ``series`` is what a structure
+    set of DICOM refers to when its points are written. SuppleError, with the line, for a file that is damaged or holds
+    no points.
     """
     name, kind = shown(path), _kind("read", path, mesh=mesh)
     if kind in meshes.KINDS.values():
@@ -155,25 +138,8 @@ def write_points(
     the centres of its faces best. What Slicer measures (lengths, angles) is left out of a markup that moves, and so is
     what it derives from the points of a plane.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        With a suffix of the same kind.
-    points : array_like, shape as ``like.points``
-        In the convention of ``like``.
-    like : PointFile
-        The points that were read.
-    residual : array_like, shape (N,), optional
-        For a CSV: the last column of the file, or an existing column ``residual``.
-    normals : float64 array, shape as ``like.normals``, optional
-        For a mesh; by default, those of ``like``.
-    force : bool
-        Whether to replace an existing file.
-
-    Raises
-    ------
-    SuppleError
-        If the points are not finite or not as many, the suffix is of another kind, or the file cannot be written.
+    The suffix, and the shape and convention of the points, are those of ``like``. ``residual`` becomes the last column
+    of a CSV, or its column ``residual``; ``normals`` are those of a mesh, by default those of ``like``.
     """
     check_target(path, f"x{next(suffix for suffix, kind in _FORMATS.items() if kind == like.kind)}")
     made = np.asarray(points, np.float64)

@@ -18,7 +18,7 @@ import pyvips
 
 from supple.engine.stream import Frame
 from supple.engine.work import Array, Group, Layout
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, argument, shown
 from supple.media import image as pictures
 from supple.media.base import Clip, ClipWarning
 from supple.media.files import PathLike, check_outputs, replacing_all
@@ -259,25 +259,12 @@ def is_animated(path: PathLike) -> bool:
 def open_clip(path: PathLike, *, rate: float | Fraction = 24, target: PathLike | None = None) -> Iterator[Pictures]:
     """Open an image sequence as a clip.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        A pattern such as ``frames/%05d.png`` or ``frames/#####.png`` for consecutively numbered images, from any first
-        number. Or a folder, for all its images, the 9th before the 10th. Or an animated WebP, which has times of its
-        own.
-    rate : float or Fraction
-        Frames a second. 23.976, 29.97 and the like are rounded to 24000/1001 and 30000/1001.
-    target : str or os.PathLike, optional
-        What is written of it. Only a sequence of OpenEXR takes over all channels and windows of another.
+    ``path`` is a pattern such as ``frames/%05d.png`` or ``frames/#####.png`` for consecutively numbered images, from
+    any first number; a folder, for all its images, the 9th before the 10th; or an animated WebP, which has times of its
+    own. Frames a second of 23.976, 29.97 and the like are rounded to 24000/1001 and 30000/1001. ``target`` is what is
+    written of it: only a sequence of OpenEXR takes over all channels and windows of another.
 
-    Yields
-    ------
-    Pictures
-
-    Raises
-    ------
-    SuppleError
-        If there are no such images, or one is missing, unreadable, or of another size or type than the first.
+    SuppleError if there are no such images, or one is missing, unreadable, or of another size or type than the first.
     """
     text, known = os.fspath(path), _rate(rate)
     if text.lower().endswith(".webp") and os.path.isfile(text):
@@ -311,7 +298,9 @@ def _rate(rate: float | Fraction) -> Fraction:
     except (TypeError, ValueError, OverflowError):
         known = Fraction(0)
     if not Fraction(1, 10_000) <= known <= 100_000:
-        raise SuppleError(f"frames a second (--fps) must be a number from 0.0001 to 100000, found {rate!r}")
+        raise SuppleError(
+            f"{argument('rate')} must be a number of frames a second from 0.0001 to 100000, found {rate!r}"
+        )
     ntsc = Fraction(round(known * 1001 / 1000) * 1000, 1001)
     if known > 1 and known.denominator > 2 and abs(known - ntsc) < Fraction(1, 200):
         return ntsc
@@ -415,27 +404,13 @@ def writer(
 ) -> Iterator[PictureSink]:
     """Write a clip's frames as images, which appear all together or not at all.
 
-    Parameters
-    ----------
-    clip : Pictures, or any `Clip`
-        The source of the frames: each image gets the profile, the EXIF and the like of its source. A video's frames
-        become RGB or RGBA of 8 bits, or of 16 if it has more than 8 and they can be converted; and are turned upright.
-    target : str or os.PathLike
-        A pattern such as ``out/%05d.png``, or a folder, which is created if it is missing. Numbers are those of the
-        source's images; a video's start at 1. In a folder, the names are the source's; a video's are ``%05d.png``.
-    force : bool
-        Whether existing images may be replaced.
-    quality, lossless
-        As in `supple.media.image.write`.
+    Each image gets the profile, the EXIF and the like of its source. A video's frames become RGB or RGBA of 8 bits, or
+    of 16 if it has more than 8 and they can be converted; and are turned upright. ``target`` is a pattern such as
+    ``out/%05d.png``, or a folder, which is created if it is missing. Numbers, and names in a folder, are those of the
+    source's images; a video's start at 1, and are ``%05d.png``. ``quality`` and ``lossless`` are as in
+    `supple.media.image.write`.
 
-    Yields
-    ------
-    PictureSink
-
-    Raises
-    ------
-    SuppleError
-        If an image exists already, the format cannot hold these pixels, or nothing can be written there.
+    SuppleError if an image exists already, the format cannot hold these pixels, or nothing can be written there.
     """
     text = os.fspath(target)
     check_target(text)

@@ -29,15 +29,10 @@ _KEYED = re.compile(rf"x({_NUMBER.pattern})")
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """Where a point is in some frames of a clip.
+    """Where a point is in some frames of a clip: its name in the file, which may be empty, and its keys.
 
-    Parameters
-    ----------
-    name : str
-        Its name in the file; may be empty.
-    keys : tuple of (int, (float, float))
-        Frames, counted from 0 in ascending order, and positions, x and y: pixel centres are at whole numbers, from the
-        top left one, which is (0, 0).
+    Keys are frames, counted from 0 in ascending order, with x and y: pixel centres are at whole numbers, from the top
+    left one, which is (0, 0).
     """
 
     name: str
@@ -63,29 +58,19 @@ def read_tracks(
     height: int | Callable[[], int] | None = None,
     first: int | None = None,
 ) -> tuple[Track, ...]:
-    """Read the tracks of a file.
+    """Return the tracks of a table, of a script of Nuke, or of keyframes copied from After Effects.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        A table whose rows are frame, x, y and, if there are several tracks, their name, with or without a header,
-        separated by commas, semicolons, tabs or spaces. Or a script of Nuke with curves of points: of a tracker, of a
-        corner pin, or copied. Or keyframes that were copied from After Effects: positions, corner pins, trackers.
-    convention : str, optional
-        How it counts: ``"pixels"``: from the top left pixel, whose centre is (0, 0), and frames from 0; ``"nuke"``:
-        from the lower left corner, y upwards, with pixel centres at halves, and frames from 1; ``"ae"``: from the top
-        left corner, with pixel centres at halves, and frames from 0. Scripts and keyframes have their own. A table with
-        a header is in pixels by default; one without must be told.
-    height : int or function, optional
-        The height of the frames in pixels, for ``"nuke"``.
-    first : int, optional
-        The number that the file gives to the first frame of the clip, if it is another one: 1001, for instance.
+    The rows of a table are frame, x, y and, if there are several tracks, their name, with or without a header,
+    separated by commas, semicolons, tabs or spaces. Scripts hold curves of points, of a tracker or a corner pin;
+    keyframes are positions, corner pins and trackers.
 
-    Raises
-    ------
-    SuppleError
-        If the file cannot be read or holds no tracks, or its convention is not known; the message names the line or the
-        track at fault.
+    ``convention`` says how a table counts: ``"pixels"``: from the top left pixel, whose centre is (0, 0), and frames
+    from 0; ``"nuke"``: from the lower left corner, y upwards, with pixel centres at halves, and frames from 1; for it,
+    ``height`` is that of the frames; ``"ae"``: from the top left corner, with pixel centres at halves, and frames from
+    0. Scripts and keyframes have their own; a table with a header is in pixels by default. ``first`` is the number that
+    the file gives to the first frame of the clip, if it is another one: 1001, for instance.
+
+    SuppleError, with the line or the track, if it cannot be read or holds no tracks, or its convention is not known.
     """
     if convention is not None:
         choice("convention", convention, CONVENTIONS)

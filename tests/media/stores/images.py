@@ -16,7 +16,7 @@ import numpy.typing as npt
 import zarr
 
 from supple.media.stores import StoredImage, Target, open_image
-from supple.media.stores.pyramid import reduced
+from supple.media.stores.levels import reduced
 from tests.children import SOURCE
 
 Array = npt.NDArray[Any]

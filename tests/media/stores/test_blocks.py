@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from supple import SuppleError
 from supple.media.stores import Target, create, open_image
-from supple.media.stores.pyramid import Step, reduced, step_of
+from supple.media.stores.levels import Step, reduced, step_of
 from tests.media.stores.images import (
     RNG,
     boxes,

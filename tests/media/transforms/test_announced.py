@@ -80,11 +80,11 @@ def test_fields_of_spm_whose_header_other_programs_left_out(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"name": "NREG_TRANS", "kind": 2}, "control points of a cubic B-spline of NiftyReg"),
-        ({"name": "NREG_TRANS", "kind": 3}, "a velocity field of NiftyReg"),
-        ({"name": "NREG_TRANS", "kind": 4}, "a velocity field of NiftyReg"),
-        ({"name": "NREG_TRANS", "kind": 5}, "control points of a velocity of NiftyReg"),
-        ({"name": "NREG_TRANS", "kind": 6}, "control points of a spline of NiftyReg"),
+        ({"name": "NREG_TRANS", "kind": 2}, "control points or velocities of NiftyReg"),
+        ({"name": "NREG_TRANS", "kind": 3}, "control points or velocities of NiftyReg"),
+        ({"name": "NREG_TRANS", "kind": 4}, "control points or velocities of NiftyReg"),
+        ({"name": "NREG_TRANS", "kind": 5}, "control points or velocities of NiftyReg"),
+        ({"name": "NREG_TRANS", "kind": 6}, "control points or velocities of NiftyReg"),
         ({"note": "Flow Field", "code": 0}, "its header says 'Flow Field'"),
         ({"note": "Velocity"}, "its header says Velocity"),
         ({"name": "Velocity"}, "its header says Velocity"),

@@ -42,14 +42,12 @@ def scene(path: Path, transformation: Json, before: list[Json], after: list[Json
     return path
 
 
-def field_of(path: Path, name: str, array: Array, axes: list[Json], steps: list[Json]) -> None:
-    """Add an array that describes itself, as in drafts of RFC-5."""
-    made = zarr.open_group(str(path)).create_array(name, shape=array.shape, dtype=array.dtype)
-    made[...] = array
-    made.attrs["ome"] = {
-        "coordinateSystems": [{"name": "own", "axes": axes}],
-        "coordinateTransformations": [step | {"input": name, "output": "own"} for step in steps],
-    }
+def field_of(path: Path, name: str, array: Array, axes: list[Json], step: Json) -> None:
+    """Add a field, as a multiscale image of one level."""
+    dataset = {"path": "s0", "coordinateTransformations": [step | {"input": {"path": "s0"}, "output": {"name": "own"}}]}
+    image = {"coordinateSystems": [{"name": "own", "axes": axes}], "datasets": [dataset]}
+    group = zarr.open_group(str(path)).create_group(name, attributes={"ome": {"multiscales": [image]}})
+    group.create_array("s0", shape=array.shape, dtype=array.dtype)[...] = array
 
 
 @pytest.mark.parametrize("n", [2, 3])
@@ -265,8 +263,8 @@ def test_units_and_orders_of_axes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", [2, 3])
 @pytest.mark.parametrize("kind", ["displacements", "coordinates"])
-def test_fields_that_are_arrays(kind: str, form: int, tmp_path: Path) -> None:
-    """As in the drafts of RFC-5, whose vectors are along the last axis; and in coordinates of both kinds."""
+def test_fields_along_the_last_axis(kind: str, form: int, tmp_path: Path) -> None:
+    """Of displacements and of positions, in Zarr of both formats."""
     vectors = RNG.normal(size=(4, 5, 6, 3))  # z first
     at = np.stack(np.indices((4, 5, 6)), -1) * [2, 3, 4] + [10, 20, 30]
     stored = vectors if kind == "displacements" else vectors + at
@@ -279,7 +277,7 @@ def test_fields_that_are_arrays(kind: str, form: int, tmp_path: Path) -> None:
         ],
     }
     path = scene(tmp_path / "a.zarr", {"type": kind, "path": "a/field"}, axes("zyx"), axes("zyx"), form)
-    field_of(path, "a/field", stored, own, [step])
+    field_of(path, "a/field", stored, own, step)
     (field,) = read(path)
     assert isinstance(field, Displacements)
     np.testing.assert_allclose(field.values, vectors[..., ::-1] / 1000, atol=1e-12)
@@ -291,7 +289,7 @@ def test_a_field_with_x_first(tmp_path: Path) -> None:
     vectors = RNG.normal(size=(3, 6, 5, 4))
     own = [{"name": "d", "type": "displacement"}, *axes("xyz", "millimeter")]
     path = scene(tmp_path / "a.zarr", {"type": "displacements", "path": "f"}, own[1:], own[1:])
-    field_of(path, "f", vectors, own, [{"type": "scale", "scale": [1, 4, 3, 2]}])
+    field_of(path, "f", vectors, own, {"type": "scale", "scale": [1, 4, 3, 2]})
     (field,) = read(path)
     assert isinstance(field, Displacements)
     assert field.grid.shape == (4, 5, 6)
@@ -338,17 +336,18 @@ def test_what_is_refused(tmp_path: Path) -> None:
     good = RNG.normal(size=(4, 5, 2))
     holes = good.copy()
     holes[1, 1] = np.nan
+    turn = [[1, 1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]
     for match, array, listed, steps, kind, how in [
         ("has the shape", good[..., :1], own, step, "displacements", None),
         ("axes of the types space, space, displacement", good, own, step, "coordinates", None),
         ("is of complex128", good * 1j, own, step, "displacements", None),
         ("holds NaN", holes, own, step, "displacements", None),
         ("do not fit its axes", good, own, {"type": "scale", "scale": [0, 1, 1]}, "displacements", None),
-        ("at right angles", good, own, {"type": "affine", "affine": [[1, 1, 0], [0, 1, 0]]}, "displacements", None),
+        ("at right angles", good, own, {"type": "affine", "affine": turn}, "displacements", None),
         ("interpolated by 'nearest'", good, own, step, "displacements", "nearest"),
     ]:
         scene(path, {"type": kind, "path": "f", **({"interpolation": how} if how else {})}, plain, plain)
-        field_of(path, "f", array, listed, [steps])
+        field_of(path, "f", array, listed, steps)
         refused(match)
 
     group = zarr.open_group(str(path))

@@ -122,24 +122,11 @@ class Picture:
     ) -> Picture:
         """Return a picture with new pixels, which `supple.Deformation.warp` returns of this one.
 
-        Parameters
-        ----------
-        warp : function of (ndarray, bool, list of int)
-            Returns new samples for those of shape (H, W[, C]), or (pages, H, W[, C]) of several pages, of which the
-            last channel is opacity or not; and which channels of the picture they are.
-        regridded : bool
-            Whether the new grid is another one, for which a georeference does not hold.
-        averaged : bool
-            Whether samples are averages of several: where one of these has no value, the average has none.
-        name : str
-            The name of the picture, for warnings.
-
-        Warns
-        -----
-        GapWarning
-            Samples are NaN, infinite, or marked as no data.
-        MetadataWarning
-            A georeference is left out.
+        ``warp`` returns new samples for those of shape (H, W[, C]), or (pages, H, W[, C]) of several pages, of which
+        the last channel is opacity or not; its third argument is which channels of the picture they are. With
+        ``regridded``, the new grid is another one, for which a georeference does not hold: it is left out, with a
+        MetadataWarning. With ``averaged``, samples are averages of several: where one of these has no value (NaN,
+        infinite, or marked as no data, of which a GapWarning tells), the average has none.
         """
         name, tiff, pixels = name or "the picture", self._header.get("tiff"), self.pixels
         if self.pages > 1:
@@ -192,13 +179,7 @@ def check_target(path: PathLike) -> None:
 
 
 def check_quality(path: PathLike, quality: int | None) -> None:
-    """Raise SuppleError for an invalid quality; warn if the format of an image has none.
-
-    Warns
-    -----
-    ImageWarning
-        If the format is lossless, so that the quality has no effect.
-    """
+    """Raise SuppleError for an invalid quality; warn if the format is lossless, so that it has no effect."""
     if quality is None:
         return
     name, form = shown(path), OUT.get(Path(path).suffix.lower())

@@ -16,12 +16,8 @@ def in_srgb(picture: Picture) -> Picture:
     """Return a picture in grey or RGB, through its profile if it has one, without channels of data.
 
     CMYK and Lab, which have no other way, become RGB of 8 bits, CMYK without a profile by a usual one; and so does what
-    has a profile. Other floats and integers stay as they are.
-
-    Returns
-    -------
-    Picture
-        `pixels` of shape (H, W) or (H, W, 1 to 4); the last channel is opacity, not multiplied, if `alpha` is true.
+    has a profile. Other floats and integers stay as they are. `pixels` have shape (H, W, 1 to 4), and the last channel
+    is opacity, not multiplied, if `alpha` is true.
     """
     pixels = picture.pixels if picture.pixels.ndim == 3 else picture.pixels[..., None]
     extra = picture.extra or ((2,) if picture.alpha else ())

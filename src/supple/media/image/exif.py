@@ -199,13 +199,8 @@ def for_tiff(block: bytes, width: int, height: int) -> Folder:
 def into_tiff(path: PathLike, added: Folder, changed: Folder, dropped: Collection[int] = ()) -> None:
     """Lay the folders of a TIFF's pages out anew, at its end.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-    added : dict
-        Tags for the first page, unless it has them.
-    changed, dropped
-        Tags that every page has, with new values, and tags that no page has.
+    ``added`` are tags for the first page, unless it has them; ``changed`` are new values for every page, which loses
+    ``dropped``.
     """
     if not added and not changed and not dropped:
         return

@@ -234,14 +234,7 @@ def _of_headers(headers: tuple[dict[str, Any], ...]) -> Exr:
 
 
 def read(path: PathLike, box: Box | None = None) -> Exr:
-    """Read an OpenEXR.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-    box : Box, optional
-        What the arrays shall cover; by default, all windows.
-    """
+    """Read an OpenEXR; the arrays cover a box, by default that around all windows."""
     with opened(path) as file:
         headers = tuple(dict(part.header) for part in file.parts)
         planes = {

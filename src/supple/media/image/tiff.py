@@ -104,15 +104,7 @@ class Tiff:
 
 
 class Page:
-    """A page of a TIFF, whose tags can be changed before libvips reads it; the file stays as it is.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-        The file.
-    number : int
-        The page, from 0.
-    """
+    """A page of a TIFF, counted from 0, whose tags can be changed before libvips reads it; the file stays as it is."""
 
     def __init__(self, path: PathLike, number: int = 0) -> None:
         self._path, self._number = path, number
@@ -193,12 +185,8 @@ class Page:
     def decoded(self, read: Callable[[Any, int], Array]) -> tuple[Array, int]:
         """Return all samples, of shape (H, W) or (H, W, C), in grey, RGB, CMYK or Lab, and their bits.
 
-        In Lab of integers, a* and b* are 0 in the middle of the range, as in ICC's encoding.
-
-        Parameters
-        ----------
-        read : function
-            Decodes a page of a file in memory by libvips, given its number.
+        In Lab of integers, a* and b* are 0 in the middle of the range, as in ICC's encoding. ``read`` decodes a page of
+        a file in memory by libvips, given its number.
         """
         if not self.bits or (self.bits == 64 and self._kind != 3) or self._kind not in (1, 2, 3):
             self._refuse("its samples are of different types, complex, or integers of 64 bits")

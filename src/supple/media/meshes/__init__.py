@@ -7,15 +7,187 @@ Structure sets of DICOM are written by pydicom.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 from importlib import import_module
+from itertools import islice
+from typing import Any
 
-from supple.media.files import PathLike, head_of
-from supple.media.meshes.base import Mesh
+import numpy as np
+import numpy.typing as npt
+
+from supple.media.files import PathLike, head_of, unreadable
 from supple.media.volume import Volume
+from supple.space.domain import LARGEST
 
 KINDS = {".stl": "STL", ".obj": "OBJ", ".ply": "PLY", ".vtk": "VTK", ".vtp": "VTP", ".dcm": "RTSTRUCT"}
 """Kinds of files by their suffix."""
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
+Spans = Sequence[tuple[int, int]]
+Edit = tuple[int, int, bytes]
+"""The bytes that replace those from a place to another."""
+Runs = tuple[npt.ArrayLike, npt.ArrayLike]
+"""The vertices of polygons or polylines, one after the other, and how many each has."""
+NO_RUNS: Runs = ((), ())
+TOKEN = re.compile(rb"\S+")
+_SPACE = re.compile(rb"SPACE\s*=\s*(LPS|RAS)\b")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """A part of a mesh, by indices of vertices."""
+
+    triangles: Ints  # shape (T, 3)
+    lines: Ints  # shape (L, 2)
+    colour: tuple[float, float, float] | None = None  # sRGB from 0 to 1, if the file says it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """The vertices of a mesh, and its normals."""
+
+    points: Floats  # the vertices, shape (N, 3), in the order of the file
+    convention: str  # "LPS" or "RAS" if the file says it, as those of 3D Slicer do; otherwise empty
+    rewritten: Callable[[Floats, Floats], bytes]  # returns the file with other points (N, 3) and normals (M, 3)
+    parts: Callable[[], list[Part]]  # returns what joins the points, which is read only then
+    normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))  # at vertices, not of facets; shape (M, 3)
+    at: Ints = field(default_factory=lambda: np.zeros(0, np.intp))  # the vertex of each normal
+
+
+@dataclass(frozen=True, slots=True)
+class Numbers:
+    """Numbers in a file, as rows (N, K) of float64, and their place: spans of text, or the start of rows of a dtype."""
+
+    values: Floats
+    spans: Spans = ()
+    start: int = 0
+    rows: npt.NDArray[Any] | None = None
+    columns: Sequence[str] = ()
+
+    @property
+    def end(self) -> int:
+        """The place behind the last."""
+        if self.rows is not None:
+            return self.start + self.rows.nbytes
+        return self.spans[-1][1] if len(self.spans) else self.start
+
+    def edits(self, new: Floats) -> list[Edit]:
+        """Return the edits that put other values there: of text, where they have changed."""
+        if self.rows is None:
+            old, after = self.values.ravel(), new.ravel()
+            return [(*self.spans[k], repr(float(after[k])).encode()) for k in np.flatnonzero(old != after).tolist()]
+        made, first = self.rows.copy(), 0
+        for name in self.columns:
+            width = _width(made.dtype, name)
+            made[name] = new[:, first : first + width].reshape(made[name].shape)
+            first += width
+        return [(self.start, self.end, made.tobytes())]
+
+
+def in_text(path: PathLike, data: bytes, spans: Spans, width: int, start: int = 0) -> Numbers:
+    """Return the numbers at spans of text, in rows of so many; SuppleError for what is none."""
+    try:
+        values = np.array([float(data[a:b]) for a, b in spans])
+    except ValueError as error:
+        raise unreadable(path, f"{str(error).rpartition(': ')[2].removeprefix('b')} is no number") from error
+    return Numbers(values.reshape(-1, width), spans, start)
+
+
+def in_rows(
+    path: PathLike, data: bytes, start: int, count: int, fields: Sequence[Any], columns: Sequence[str], what: str
+) -> Numbers:
+    """Return columns of binary rows, whose dtype has these fields; SuppleError if they end early."""
+    dtype = np.dtype(list(fields))
+    if start + count * dtype.itemsize > len(data):
+        raise unreadable(path, f"it ends before its {count} {what} do")
+    rows = np.frombuffer(data, dtype, count, start)
+    values = np.hstack([rows[name].reshape(count, _width(dtype, name)).astype(np.float64) for name in columns])
+    return Numbers(values, start=start, rows=rows, columns=columns)
+
+
+def _width(dtype: np.dtype[Any], name: str) -> int:
+    return math.prod(dtype[name].shape)
+
+
+def tokens(path: PathLike, data: bytes, start: int, count: int, what: str) -> Spans:
+    """Return the spans of the words that follow in text; SuppleError if there are fewer."""
+    spans = [match.span() for match in islice(TOKEN.finditer(data, start), count)]
+    if len(spans) < count:
+        raise unreadable(path, f"it ends before its {what} do")
+    return spans
+
+
+def edited(data: bytes, edits: Iterable[Edit]) -> bytes:
+    """Return data with some of its bytes replaced."""
+    parts, last = [], 0
+    for start, end, new in sorted(edits):
+        parts += [data[last:start], new]
+        last = end
+    return b"".join([*parts, data[last:]])
+
+
+def space_of(head: bytes) -> str:
+    """Return the convention that a header says as 3D Slicer does, ``SPACE=LPS``, or nothing."""
+    found = _SPACE.search(head)
+    return found[1].decode() if found else ""
+
+
+def checked(path: PathLike, points: npt.ArrayLike) -> Floats:
+    """Return vertices (N, 3) as float64; SuppleError if there are none, or one is not finite."""
+    made = np.asarray(points, np.float64).reshape(-1, 3)
+    if not len(made):
+        raise unreadable(path, "it holds no vertices", "give a mesh")
+    wrong = np.flatnonzero(~(np.abs(made) <= LARGEST).all(axis=1))
+    if len(wrong):
+        found = f"vertex {wrong[0] + 1} is ({', '.join(f'{x:g}' for x in made[wrong[0]])})"
+        raise unreadable(path, found, f"a coordinate is a number from {-LARGEST:g} to {LARGEST:g}")
+    return made
+
+
+def part_of(
+    path: PathLike,
+    count: int,
+    polygons: Runs = NO_RUNS,
+    lines: Runs = NO_RUNS,
+    strips: Runs = NO_RUNS,
+    colour: tuple[float, float, float] | None = None,
+) -> Part:
+    """Return a part of a mesh of ``count`` vertices; SuppleError if one has another index.
+
+    Polygons are divided into triangles that share their first corner, which is exact for convex ones.
+    """
+    first, k, corners = _steps(path, count, polygons, 2)
+    triangles = np.stack([corners[first], corners[first + k + 1], corners[first + k + 2]], axis=-1)
+    first, k, corners = _steps(path, count, strips, 2)
+    odd = k % 2  # every second triangle of a strip is turned
+    stripped = np.stack([corners[first + k], corners[first + k + 1 + odd], corners[first + k + 2 - odd]], axis=-1)
+    first, k, corners = _steps(path, count, lines, 1)
+    pairs = np.stack([corners[first + k], corners[first + k + 1]], axis=-1)
+    return Part(np.concatenate([triangles, stripped]), pairs, colour)
+
+
+def joined(runs: Sequence[Sequence[int]]) -> Runs:
+    """Return polygons or polylines of a list for each."""
+    return [corner for run in runs for corner in run], [len(run) for run in runs]
+
+
+def _steps(path: PathLike, count: int, runs: Runs, less: int) -> tuple[Ints, Ints, Ints]:
+    """Return where each run begins, and the steps from there, for each of its corners but the last ``less``."""
+    try:
+        corners, many = (np.asarray(each, np.intp).ravel() for each in runs)
+    except OverflowError:
+        raise unreadable(path, f"a face or line has a vertex beyond the last of {count}") from None
+    if (many < 0).any() or many.sum() != len(corners):
+        raise unreadable(path, "its faces or lines do not have as many corners as it says")
+    wrong = corners[(corners < 0) | (corners >= count)]
+    if len(wrong):
+        raise unreadable(path, f"a face or line has vertex {wrong[0] + 1} of {count}")
+    each = np.maximum(many - less, 0)
+    first = np.repeat(np.cumsum(many) - many, each)
+    return first, np.arange(each.sum()) - np.repeat(np.cumsum(each) - each, each), corners
 
 
 def read_mesh(path: PathLike, kind: str, series: Volume | None = None) -> Mesh:

@@ -9,7 +9,7 @@ import numpy as np
 
 from supple.errors import SuppleError, shown
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes.base import TOKEN, Floats, Mesh, Part, checked, edited, in_text, joined, part_of, space_of
+from supple.media.meshes import TOKEN, Floats, Mesh, Part, checked, edited, in_text, joined, part_of, space_of
 
 # A line, and those that continue it, without a comment at its end.
 _STATEMENT = re.compile(rb"((?:[^\r\n#\\]+|\\(?:\r\n?|\n)?)*)(?:#[^\r\n]*)?(?:\r\n?|\n|\Z)")

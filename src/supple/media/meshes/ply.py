@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes.base import (
+from supple.media.meshes import (
     NO_RUNS,
     TOKEN,
     Floats,

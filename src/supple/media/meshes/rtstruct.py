@@ -16,10 +16,10 @@ import numpy as np
 
 from supple.errors import SuppleError, VolumeWarning, said, shown
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes.base import Floats, Mesh, Part, checked, joined, part_of
+from supple.media.meshes import Floats, Mesh, Part, checked, joined, part_of
 from supple.media.volume import Volume
-from supple.media.volume.derived import WARNING, ended, imported, series_number
-from supple.media.volume.frames import frames_of
+from supple.media.volume.derived import WARNING, ended, series_number
+from supple.media.volume.frames import frames_of, imported
 
 _STRUCTURES = "1.2.840.10008.5.1.4.1.1.481.3"
 _STUDY = "1.2.840.10008.3.1.2.3.1"  # the class of studies, which is retired, and still what is given here
@@ -41,7 +41,7 @@ def parsed(path: PathLike, data: bytes, series: Volume | None = None) -> Mesh:
 
     With a ``series`` of DICOM, what is written refers to it, and each contour to its slice.
     """
-    pydicom = imported()
+    pydicom = imported("structure sets of DICOM")
     try:
         dataset = pydicom.dcmread(io.BytesIO(data))
         whole = all(_is_whole(dataset.get_item(tag)) for tag in dataset.keys())  # noqa: SIM118, not a dict
@@ -92,7 +92,6 @@ def _is_whole(raw: Any) -> bool:
 
 
 def _contours(dataset: Any) -> list[Any]:
-    """Return the contours with points of all regions, in order."""
     regions = dataset.get("ROIContourSequence") or []
     every = (contour for region in regions for contour in region.get("ContourSequence") or [])
     return [contour for contour in every if contour.get("ContourData")]
@@ -141,7 +140,6 @@ def _move(contour: Any, new: Floats, old: Floats, decimal: Any) -> float:
 
 
 def _off_plane(points: Floats) -> float:
-    """Return the largest distance of points from the plane that fits them best."""
     if len(points) < 4:
         return 0.0
     centred = points - points.mean(axis=0)

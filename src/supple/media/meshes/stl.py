@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes.base import Floats, Mesh, checked, edited, in_rows, in_text, part_of, space_of
+from supple.media.meshes import Floats, Mesh, checked, edited, in_rows, in_text, part_of, space_of
 
 _FACET = [("numbers", "<f4", 12), ("attribute", "<u2")]  # a normal and three vertices
 _HEAD = 84
@@ -59,7 +59,6 @@ def _distinct(corners: Floats) -> tuple[Floats, np.typing.NDArray[np.intp]]:
 
 
 def _normals(triangles: Floats) -> Floats:
-    """Return the unit normals of triangles (N, 3, 3), by the right hand; 0 for those without area."""
     made = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     length = np.linalg.norm(made, axis=1, keepdims=True)
     return np.asarray(np.divide(made, length, out=np.zeros_like(made), where=length > 0))

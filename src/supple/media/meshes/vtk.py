@@ -8,7 +8,7 @@ import numpy as np
 
 from supple.errors import shown
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes.base import (
+from supple.media.meshes import (
     NO_RUNS,
     Floats,
     Ints,
@@ -102,7 +102,6 @@ def _runs(path: PathLike, data: bytes, found: re.Match[bytes], binary: bool) -> 
 
 
 def _whole(path: PathLike, data: bytes, start: int, count: int, kind: bytes, binary: bool) -> tuple[Ints, int]:
-    """Return whole numbers, and where they end."""
     if kind.lower() not in _WHOLE:
         raise unreadable(path, f"its cells are of type {shown(kind.decode(errors='replace'))}")
     if binary:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError, shown
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes.base import (
+from supple.media.meshes import (
     NO_RUNS,
     TOKEN,
     Edit,
@@ -36,9 +36,8 @@ _ROOT = re.compile(rb"<VTKFile\b([^>]*)>")
 _PIECE = re.compile(rb"<Piece\b.*?</Piece\s*>", re.DOTALL)
 _ARRAY = re.compile(rb"<(DataArray|Array)\b([^>]*?)(/>|>(.*?)</\1\s*>)", re.DOTALL)
 _KEY = re.compile(rb"\s*<InformationKey\b.*?</InformationKey\s*>", re.DOTALL)
-_NOTED = rb'name="L2_NORM(?:_FINITE)?_RANGE"[^>]*>\s*<Value index="0">\s*'
-_LEAST = re.compile(rb'(?:RangeMin="|%b)([^"<\s]+)' % _NOTED)
-_MOST = re.compile(rb'(?:RangeMax="|%b[^<]+</Value>\s*<Value index="1">\s*)([^"<\s]+)' % _NOTED)
+_NOTED = rb'\s+Range(?:Min|Max)="[^"]*"|\s*<InformationKey name="L2_NORM(?:_FINITE)?_RANGE".*?</InformationKey\s*>'
+_RANGE = re.compile(_NOTED, re.DOTALL)
 _APPENDED = re.compile(rb'<AppendedData\s+encoding="(raw|base64)"\s*>\s*_')
 _OFFSET = re.compile(rb'(<(?:DataArray|Array)\b[^>]*?\boffset=")(\d+)(")')
 _TYPES = {
@@ -113,16 +112,13 @@ class _Array:
     text: Numbers | None = None
 
     def edits(self, file: _File, new: Floats) -> list[Edit]:
-        """Return the edits that put other numbers there, and their range, where it is noted."""
+        """Return the edits that put other numbers there, and remove their range, where it is noted."""
         if self.text is not None:
             edits = self.text.edits(new)
         else:
             raw = self.known["format"] == "appended" and file.raw
             edits = [(self.start, self.end, file.encode(new.astype(self.values.dtype).tobytes(), self.block, raw))]
-        length = np.linalg.norm(new, axis=1)
-        for pattern, value in ((_LEAST, length.min()), (_MOST, length.max())):
-            edits += [(*found.span(1), f"{value:.17g}".encode()) for found in pattern.finditer(file.data, *self.tag)]
-        return edits
+        return edits + [(*found.span(), b"") for found in _RANGE.finditer(file.data, *self.tag)]
 
 
 def parsed(path: PathLike, data: bytes) -> Mesh:
@@ -195,7 +191,6 @@ def _read(file: _File, xml: bytes) -> Mesh:
 
 
 def _part(file: _File, pieces: list[re.Match[bytes]], counts: list[int]) -> Part:
-    """Return the cells of all pieces, of so many points each."""
     runs = []
     for kind in ("Polys", "Lines", "Strips"):
         corners: list[Ints] = []
@@ -220,7 +215,6 @@ def _attributes(text: bytes) -> dict[str, str]:
 
 
 def _vectors(file: _File, array: _Array, section: str) -> tuple[_Array, Floats]:
-    """Return an array and its vectors, (N, 3)."""
     if array.values.dtype.kind != "f" or array.known.get("NumberOfComponents") != "3":
         raise unreadable(file.path, f"{section} are not three floats each", "save it with Float32 or Float64")
     return array, array.values.reshape(-1, 3).astype(np.float64)

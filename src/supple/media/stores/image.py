@@ -11,7 +11,7 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ import numpy as np
 from supple.errors import SuppleError, VolumeWarning, said
 from supple.media.files import PathLike
 from supple.media.stores.places import Place, quiet
-from supple.media.transforms.omezarr import Json, ome_of, space_matrix
+from supple.media.transforms.ngff import Json, Refusal, ome_of, parsing, space_matrix
 from supple.space.geometry import Grid
 
 LABELS = "labels"
@@ -28,18 +28,9 @@ LABELS = "labels"
 _PIXELS = ("", "pixel", "pixels", "voxel", "voxels")  # of programs, not of the specification
 _KINDS = ("time", "channel", "space")
 _GUESSED = {"t": "time", "c": "channel", "z": "space", "y": "space", "x": "space"}
-_CARRIED: tuple[list[str], ...] = (
-    [],
-    ["time"],
-    ["channel"],
-    [""],
-    ["time", "channel"],
-    ["time", ""],
-)  # the kinds of axes before space
+_CARRIED = re.compile("(time )?(channel |other )?(space ){2,3}")  # the kinds of axes
 _MEND = "mend its metadata"
 _MOST = 8  # names in a message
-Refusal = Callable[[str, str], SuppleError]
-"""It returns an error from what was found and what would do."""
 
 
 class StoredAxis(NamedTuple):
@@ -62,36 +53,16 @@ class Level(NamedTuple):
 
 @dataclass(frozen=True)
 class StoredImage:
-    """An image in a Zarr store: a plain array, or levels of an OME-Zarr image.
+    """An image in a Zarr store: a plain array, or levels of an OME-Zarr image."""
 
-    Parameters
-    ----------
-    address : str
-        The folder or address.
-    version : {"", "0.4", "0.5", "0.6"}
-        That of the OME-Zarr metadata; empty for a plain array.
-    axes : tuple of StoredAxis
-        In array order.
-    levels : tuple of Level
-        The finest first.
-    spatial : tuple of int
-        The axes that are positions in space, in array order: the last two or three. Those before are carried along.
-    name : str
-        As the metadata have it.
-    attributes : mapping
-        Those of the group or the array, with all metadata of OME-Zarr.
-    labels : tuple of str
-        The names of the label images that lie in its group.
-    """
-
-    address: str
-    version: str
-    axes: tuple[StoredAxis, ...]
-    levels: tuple[Level, ...]
-    spatial: tuple[int, ...]
+    address: str  # the folder or address
+    version: str  # of the OME-Zarr metadata: "0.4", "0.5" or "0.6"; empty for a plain array
+    axes: tuple[StoredAxis, ...]  # in array order
+    levels: tuple[Level, ...]  # the finest first
+    spatial: tuple[int, ...]  # the axes of space: the last two or three; those before are carried along
     name: str = ""
-    attributes: Mapping[str, Any] = field(default_factory=dict)
-    labels: tuple[str, ...] = ()
+    attributes: Mapping[str, Any] = field(default_factory=dict)  # of the group or the array, with all of OME-Zarr's
+    labels: tuple[str, ...] = ()  # the names of the label images that lie in its group
 
     @property
     def is_labels(self) -> bool:
@@ -140,26 +111,12 @@ class StoredImage:
 
 
 def open_image(address: PathLike, *, ndim: int | None = None) -> StoredImage:
-    """Open a Zarr array, or an OME-Zarr image of version 0.4, 0.5 or 0.6, for reading.
+    """Open a Zarr array, or the first OME-Zarr image of version 0.4, 0.5 or 0.6 in a group, for reading.
 
-    Parameters
-    ----------
-    address : str or os.PathLike
-        A folder, or an address that fsspec knows (``s3://``, ``gs://``, ``https://``, ``memory://``, ``file://``), of
-        Zarr format 2 or 3: an array, also one in a group (``image.zarr/0``), or a group with an image.
-    ndim : {2, 3}, optional
-        The number of axes that are positions in space, the last ones. By default, those that an OME-Zarr image
-        describes; of a plain array, all up to three.
-
-    Returns
-    -------
-    StoredImage
-        The first image, if the group describes several.
-
-    Raises
-    ------
-    SuppleError
-        If there is no such store; it holds no image, or one that cannot be read; or it is an unfinished output.
+    The address is a folder, or one that fsspec knows (``s3://``, ``gs://``, ``https://``, ``memory://``, ``file://``),
+    of Zarr format 2 or 3. ``ndim`` is the number of axes of space, the last ones: by default, those that an OME-Zarr
+    image describes; of a plain array, all up to three. SuppleError if there is no such store, it holds no image, or one
+    that cannot be read, or it is an unfinished output.
     """
     place = Place(address)
     place.check_finished()
@@ -187,13 +144,8 @@ def described(place: Place, node: Any, ndim: int | None) -> StoredImage:
         what = f"it is a group without an image, and holds {listed}"
         raise place.unreadable(what, f"give one of them, as {place.address.rstrip('/')}/{names[0]}")
     else:
-        try:
+        with parsing(place.unreadable):
             image = _multiscale(place, node, attributes, ndim)
-        except SuppleError:
-            raise
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-            what = f"its metadata are incomplete or malformed ({type(error).__name__}: {error})"
-            raise place.unreadable(what, "see the specification of OME-Zarr") from error
     _ = image.grid  # it raises for units that are no lengths
     return image
 
@@ -212,7 +164,6 @@ def _plain(place: Place, array: Any, attributes: Json, ndim: int | None) -> Stor
 
 
 def _multiscale(place: Place, group: Any, attributes: Json, ndim: int | None) -> StoredImage:
-    """Return the first image of a group; SuppleError, or an error of a missing key or a wrong type."""
     ome = ome_of(attributes)
     image = ome["multiscales"][0]
     stated = str(ome.get("version") or image.get("version") or ("0.5" if "ome" in attributes else "0.4"))
@@ -259,12 +210,10 @@ def _multiscale(place: Place, group: Any, attributes: Json, ndim: int | None) ->
 def _axes(image: Json, error: Refusal) -> tuple[StoredAxis, ...]:
     """Return the axes: times and channels, if any, before two or three axes of space."""
     if systems := image.get("coordinateSystems"):
-        end = image["datasets"][0]["coordinateTransformations"][0].get("output")
-        name = end.get("name") if isinstance(end, Mapping) else end
-        fitting = [system["axes"] for system in systems if name in (None, system["name"])]
-        if not fitting:
+        name = image["datasets"][0]["coordinateTransformations"][0]["output"]["name"]
+        listed = {system["name"]: system["axes"] for system in systems}.get(name)
+        if listed is None:
             raise error(f"it does not describe the coordinate system {name!r} of its levels", _MEND)
-        listed = fitting[0]
     else:
         listed = image["axes"]
     axes = []
@@ -277,8 +226,7 @@ def _axes(image: Json, error: Refusal) -> tuple[StoredAxis, ...]:
     names, kinds = [axis.name for axis in axes], [axis.kind for axis in axes]
     if len(set(names)) < len(names):
         raise error(f"its axes are named {', '.join(names)}", "give each a name of its own")
-    space = kinds.count("space")
-    if space not in (2, 3) or kinds[len(kinds) - space :] != ["space"] * space or kinds[:-space] not in _CARRIED:
+    if not _CARRIED.fullmatch("".join(f"{kind or 'other'} " for kind in kinds)):
         described = ", ".join(f"{axis.name} ({axis.kind or 'no type'})" for axis in axes)
         what = f"its axes are {described}"
         raise error(what, "store them in the order time, channels, and two or three axes of space")
@@ -286,7 +234,6 @@ def _axes(image: Json, error: Refusal) -> tuple[StoredAxis, ...]:
 
 
 def _moved(steps: Sequence[Json], n: int, where: str, error: Refusal) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the scale and the translation of all axes after some steps."""
     scale, translation = np.ones(n), np.zeros(n)
     for step in steps:
         kind = step["type"]
@@ -309,7 +256,6 @@ def _moved(steps: Sequence[Json], n: int, where: str, error: Refusal) -> tuple[t
 
 
 def _array(place: Place, group: Any, path: str) -> Any:
-    """Return the array of a level."""
     try:
         with place.reading(f"its array {path} is damaged"), quiet():
             array = group[path]
@@ -324,7 +270,6 @@ def _array(place: Place, group: Any, path: str) -> Any:
 
 
 def _check_samples(place: Place, array: Any, name: str) -> None:
-    """Raise SuppleError for an array whose samples are no real numbers, or which has none."""
     if np.dtype(array.dtype).kind not in "biuf":
         raise place.unreadable(f"its array{name} is of {array.dtype}", "give one of integers or real numbers")
     if 0 in array.shape:
@@ -332,7 +277,6 @@ def _check_samples(place: Place, array: Any, name: str) -> None:
 
 
 def _labels(place: Place, group: Any) -> tuple[str, ...]:
-    """Return the names of label images, as the group of labels lists them."""
     try:
         with quiet():
             attributes = dict(group[LABELS].attrs)

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from supple.errors import SuppleError, need, said
 from supple.media.files import PathLike, _refused, is_store, protocol_of, unreadable, unwritable
-from supple.media.transforms.omezarr import imported
+from supple.media.transforms.ngff import imported
 
 MARKER = "supple.json"
 """The file in the root of an output that is being written."""
@@ -31,16 +31,9 @@ _SETTLING = "supple waits for zarr"  # by this name, two that wait do not wait f
 class Place:
     """A folder, or an address of fsspec, that holds a Zarr store or will.
 
-    Attributes
-    ----------
-    address : str
-        As it was given.
-    folder : pathlib.Path or None
-        Where it lies in the local file system; None elsewhere.
-    parts : tuple of str
-        Where it lies, from the root on, without links: the same for all spellings of an address.
-    atomic : bool
-        Whether what is written there appears whole or not at all.
+    ``folder`` is where it lies in the local file system, None elsewhere; ``parts`` where it lies, from the root on,
+    without links: the same for all spellings of an address. ``atomic`` is whether what is written there appears whole
+    or not at all.
     """
 
     def __init__(self, address: PathLike) -> None:

@@ -26,9 +26,8 @@ import numpy.typing as npt
 from supple.errors import SuppleError, argument, shown
 from supple.media.files import ROOTS, PathLike, check_store, locked, publish_all
 from supple.media.stores.image import LABELS, Level, StoredImage
+from supple.media.stores.levels import Mode, Step, group_files, planned, reduced
 from supple.media.stores.places import MARKER, Place, overlap, put, quiet, read, refresh, run
-from supple.media.stores.plans import group_files, planned
-from supple.media.stores.pyramid import Mode, Step, reduced
 
 Box = Sequence[tuple[int, int]]
 """The first sample and the one after the last, along each axis."""
@@ -45,8 +44,7 @@ _HOLDS: ContextVar[contextlib.ExitStack | None] = ContextVar("holds", default=No
 def holding() -> Iterator[None]:
     """Keep other processes from the folders of outputs that are created within, until it ends.
 
-    Where the process ends before, the folders are free too. There are no locks at addresses, on Windows, and on disks
-    without them.
+    There are no locks at addresses, on Windows, and on disks without them.
     """
     with contextlib.ExitStack() as stack:
         token = _HOLDS.set(stack)
@@ -68,30 +66,12 @@ def create(
 ) -> Target:
     """Create an output like a stored image, or go on with one that was interrupted.
 
-    It has the same Zarr format, axes, units, chunks, shards, codecs, fill value, attributes and levels.
-
-    Parameters
-    ----------
-    address : str or os.PathLike
-        The folder or address of the output.
-    like : StoredImage
-        The image that it is made from.
-    shape : sequence of int, optional
-        The shape of the finest level along the axes of space; by default, that of ``like``. Coarser levels have the
-        same factors, as long as they become smaller.
-    scale, translation : sequence of float, optional
-        Of the finest level, for all axes. By default, those of ``like``. Coarser levels follow by the convention of
-        ``like``: their translations are those of the means, or the same as that of the finest.
-    force : bool
-        Whether to replace an existing Zarr store, and an unfinished output of another job. Where an output is a folder,
-        the old one stays until the new one is finished.
-    job : str
-        What identifies the work: an unfinished output of the same job is continued, with `force` too.
-
-    Raises
-    ------
-    SuppleError
-        If there is something else already, it would overwrite ``like``, or nothing can be written there.
+    It has the same Zarr format, axes, units, chunks, shards, codecs, fill value, attributes and levels as ``like``. The
+    finest level has its shape along the axes of space, and its scale and translation for all axes, unless others are
+    given; coarser levels have the same factors, as long as they become smaller, and the same convention of translations
+    (those of the means, or that of the finest). ``job`` identifies the work: an unfinished output of the same job is
+    continued, with ``force`` too, which replaces an existing Zarr store, and an unfinished output of another job; where
+    an output is a folder, the old one stays until the new one is finished.
     """
     place = Place(address)
     relation = overlap(address, like.address)
@@ -108,18 +88,8 @@ def create_arrays(
 ) -> Target:  # fmt: skip
     """Create an output of prepared metadata, or go on with one that was interrupted, as `create` does.
 
-    Parameters
-    ----------
-    address, force, job
-        As in `create`.
-    files : dict of bytes
-        All metadata, by their keys in the store.
-    paths : sequence of str
-        The arrays in it, which become the levels of the target.
-    steps : sequence
-        For each level but the first, how each axis comes from the level before; empty if none does.
-    carried : int
-        The number of axes before those of space.
+    ``files`` are all metadata, by their keys; ``paths`` the arrays, which become the levels; ``steps`` how each level
+    but the first comes from the one before, if it does; ``carried`` the number of axes before those of space.
     """
     import zarr
 
@@ -144,7 +114,6 @@ def check_free(address: PathLike, files: dict[str, bytes], job: str, force: bool
 
 
 def _named(job: str, files: dict[str, bytes]) -> str:
-    """Return the name of a job that writes these metadata."""
     digest = hashlib.sha256(repr(sorted(files.items())).encode()).hexdigest()
     return f"{job}, {digest}"
 
@@ -227,8 +196,6 @@ def _hold(place: Place, folder: Path) -> None:
 
 
 def _clear(site: Place, store: Any) -> None:
-    """Remove all but the marker and the lock."""
-
     async def clear() -> None:  # a client removes many objects of a folder at a time
         for name in [name.strip("/") async for name in store.list_dir("")]:
             if name not in ("", MARKER):
@@ -245,9 +212,7 @@ def _clear(site: Place, store: Any) -> None:
 
 
 class Target:
-    """An output that is being written.
-
-    It can be sent to other processes, unless it lies in memory; each writes blocks of its own.
+    """An output that is being written: each process writes blocks of its own.
 
     Attributes
     ----------
@@ -257,11 +222,9 @@ class Target:
         Where it is written until it is finished.
     arrays : tuple of zarr.Array
         The levels, the finest first. Each chunk that is written is stored, also if it holds nothing but the fill value.
-    blocks : tuple of tuple of int
-        For each level, the shape of the smallest region that processes may write independently: of a shard, or of a
-        chunk without shards.
-    factors : tuple of tuple of int
-        For each level, by how much each axis is smaller than that of the level before; 1 for the finest.
+    blocks, factors : tuple of tuple of int
+        For each level, the shape of a shard, or of a chunk without shards, which processes may write independently; and
+        by how much each axis is smaller than that of the level before.
     begun : bool
         Whether some of it may have been there: else no block has to be looked for.
     """
@@ -282,22 +245,24 @@ class Target:
         folder = self.site.folder
         if folder is not None:
             # a file without content is what some file systems leave after a power failure
-            return all(_size(folder / key) > 0 for key in keys)
+            try:
+                return all(os.stat(folder / key).st_size > 0 for key in keys)
+            except OSError:
+                return False
         with self._place.reading("its chunks cannot be found"):
             refresh(array.store)
             return all(run(_each(array.store.exists, keys)))
 
     def write(self, level: int, box: Box, values: npt.ArrayLike) -> None:
         """Write the samples of an aligned box; SuppleError if they cannot be stored."""
-        with self.writing():
+        with self._place.writing():
             self.arrays[level][tuple(slice(a, b) for a, b in box)] = values
 
     def copy(self, level: int, box: Box, source: Level, address: PathLike) -> int | None:
-        """Copy an aligned box of a level of another store, at ``address``, as it is compressed.
+        """Copy an aligned box of a level of another store, at ``address``, as it is compressed; return its bytes.
 
-        Returns the number of bytes; blocks that the source does not store are left out, as they hold its fill value.
-        None if chunks, codecs, types, fill values or formats differ: then the samples must be written. SuppleError if
-        the source cannot be read, or the output not be written.
+        Blocks that the source does not store are left out, as they hold its fill value. None if chunks, codecs, types,
+        fill values or formats differ: then the samples must be written.
         """
         from zarr.core.buffer import default_buffer_prototype
 
@@ -313,16 +278,12 @@ class Target:
             get = functools.partial(source.array.store.get, prototype=default_buffer_prototype())
             found = run(_each(get, self._keys(level, box, source.array)))
         pairs = [(name, data) for name, data in zip(names, found, strict=True) if data is not None]
-        with self.writing():
+        with self._place.writing():
             run(_each(lambda pair: array.store.set(*pair), pairs))
         return sum(len(data) for _, data in pairs)
 
     def reduce(self, level: int, box: Box, mode: Mode = "mean") -> None:
-        """Compute an aligned box of a level, from 1 on, from the level before, and write it.
-
-        Samples are means, rounded half to even for integers, of as many as there are at the edges; or, with "nearest",
-        the first of them, for labels.
-        """
+        """Compute an aligned box of a level, from 1 on, from the level before, as `reduced` does, and write it."""
         source, factors = self.arrays[level - 1], self.factors[level]
         ends = zip(box, factors, source.shape, strict=True)
         region = [(a * factor, min(b * factor, size)) for (a, b), factor, size in ends]
@@ -342,21 +303,17 @@ class Target:
                 values[(slice(None),) * k + (slice(at + plane, at + plane + 1),)] = reduced(slab[some], factors, mode)
         self.write(level, box, values)
 
-    def writing(self) -> contextlib.AbstractContextManager[None]:
-        """Return a context in which errors of the file system become one sentence that names the output."""
-        return self._place.writing()
-
     def put_labels(self, names: Sequence[str], version: str) -> None:
         """Write the group of label images of an OME-Zarr image: its metadata alone."""
         listed = {LABELS: list(names)}
         attributes = listed if version == "0.4" else {"ome": {"version": version, **listed}}
-        with self.writing():
+        with self._place.writing():
             for key, data in group_files(LABELS, self.arrays[0].metadata.zarr_format, attributes).items():
                 put(self.site.store(read_only=False), key, data)
 
     def note(self, facts: dict[str, Any]) -> None:
         """Add facts on the output, of Zarr format 3, to the attributes of its root, as ``supple``."""
-        with self.writing():
+        with self._place.writing():
             store = self.site.store(read_only=False)
             root = json.loads(read(store, "zarr.json") or b"{}")
             root["attributes"] = {**root.get("attributes", {}), "supple": facts}
@@ -370,7 +327,7 @@ class Target:
         """
         moves: list[tuple[Path, Path, PathLike, Path]] = []
         for each in (self, *others):
-            with each.writing():
+            with each._place.writing():
                 if each.site.marker().get("job") != each._job:
                     what = "what was written is there no more, since another process has finished or replaced it"
                     raise each._place.unwritable(what, "look at what is there, or choose another name")
@@ -380,7 +337,7 @@ class Target:
                     _mark(each.site.store(read_only=False), each._job, "complete")  # until the marker is removed
                     target = check_store(folder.with_name(folder.name.removesuffix(".partial")), force=each._force)
                     moves.append((folder, target, each.address, target.with_name(f".{os.urandom(6).hex()}-old")))
-        with self.writing():
+        with self._place.writing():
             publish_all(moves, self._force)
         for _, target, _, aside in moves:
             for name in (LOCK, MARKER):
@@ -389,18 +346,16 @@ class Target:
             shutil.rmtree(aside, ignore_errors=True)
         for each in (self, *others):
             if each.site.folder is None:
-                with each.writing():
+                with each._place.writing():
                     run(each.site.store(read_only=False).delete(MARKER))
 
     def _keys(self, level: int, box: Box, array: Any) -> Iterator[str]:
-        """Return the keys of the blocks of an aligned box, in the store of an array."""
         prefix = f"{array.path}/" if array.path else ""
         ranges = [range(a // n, -(-b // n)) for (a, b), n in zip(box, self.blocks[level], strict=True)]
         return (prefix + array.metadata.encode_chunk_key(place) for place in product(*ranges))
 
 
 def _writable(array: Any) -> Any:
-    """Return an array that stores each chunk that is written."""
     import zarr
 
     settings: Any = {"order": "C", "write_empty_chunks": True}
@@ -413,13 +368,6 @@ def _encoding(array: Any) -> str:
     for name in ("shape", "attributes", "chunk_key_encoding", "dimension_separator", "dimension_names"):
         metadata.pop(name, None)
     return json.dumps(metadata, sort_keys=True, default=repr)
-
-
-def _size(path: Path) -> int:
-    try:
-        return os.stat(path).st_size
-    except OSError:
-        return 0
 
 
 async def _each(act: Callable[[Item], Awaitable[Any]], items: Iterable[Item]) -> list[Any]:

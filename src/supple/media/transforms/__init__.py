@@ -6,25 +6,35 @@ displacements of volumes are in millimetres in LPS, those of pictures in pixels.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
+from functools import partial
+from types import ModuleType
+from typing import NamedTuple
 
-from supple.media.files import PathLike, unreadable
-from supple.media.transforms.base import Content, Displacements, Grids, MissingGridError
-from supple.media.transforms.conventions import (
-    CONVENTIONS,
-    PULL,
-    Convention,
-    check_convention,
-    convention_in,
-    convention_of,
-    form_of,
+from supple.errors import SuppleError, argument, shown
+from supple.media import image
+from supple.media.files import PathLike, head_of, unreadable, unwritable
+from supple.media.suffixes import CLIPS
+from supple.media.transforms import affines, fields, itk, ngff, pictures
+from supple.media.transforms.base import (
+    TEXT,
+    Content,
+    Displacements,
+    Grids,
+    MissingGridError,
+    check_count,
+    check_text,
+    suffix_of,
 )
 from supple.media.transforms.itk import SUFFIXES_OUT, check_target, write_field
+from supple.media.volume import nifti
 from supple.space.geometry import Grid
 
 __all__ = [
     "CONVENTIONS",
     "PULL",
+    "PUSH",
     "SUFFIXES_OUT",
     "Content",
     "Convention",
@@ -39,32 +49,190 @@ __all__ = [
     "write_field",
 ]
 
+PULL = "output point -> input point"
+PUSH = "input point -> output point"
+
+
+class Form(NamedTuple):
+    """A kind of file of some programs: its suffixes, and how it is read and written."""
+
+    suffixes: tuple[str, ...]
+    read: Callable[[PathLike, Grids], tuple[Content, ...]]
+    write: Callable[..., None]
+
+
+class Convention(NamedTuple):
+    """What the numbers in files of some programs are, and the kinds of their files.
+
+    ``affine`` is the direction in which affine maps lead; fields are pull maps. ``forms`` are in order: the first is
+    that of files of other suffixes. ``written`` are ``holds``, ``space`` and ``units`` as written, if others.
+    """
+
+    label: str
+    holds: str
+    space: str
+    units: str
+    forms: tuple[Form, ...]
+    affine: str = PULL
+    written: tuple[str, str, str] | None = None
+
+
+def _form(module: ModuleType, name: str, suffixes: tuple[str, ...]) -> Form:
+    return Form(suffixes, partial(module.read, convention=name), partial(module.write, convention=name))
+
+
+def _field(name: str, label: str, holds: str, space: str, *more: str) -> Convention:
+    """Return a convention of fields in millimetres, in NIfTI files and those of more suffixes."""
+    return Convention(label, holds, space, "mm", (_form(fields, name, (*fields.NIFTI, *more)),))
+
+
+_FSL = "FSL coordinates of the input image"
+_BOTH = "positions or displacements"
+_LTA = _form(affines, "freesurfer", (".lta",))
+_AFNI = _field("afni", "AFNI", "displacements", "LPS", *fields.DATASETS)
+CONVENTIONS = {
+    "itk": Convention(
+        "ITK", "displacements", "LPS", "mm", (Form((*itk.TRANSFORMS, *itk.IMAGES), itk.read, itk.write),)
+    ),
+    "fsl-relative": _field("fsl-relative", "FSL, relative", "displacements", _FSL),
+    "fsl-absolute": _field("fsl-absolute", "FSL, absolute", "positions", _FSL),
+    "fsl-affine": Convention(
+        "FSL's FLIRT", "positions", "FSL coordinates of both images", "mm",
+        (_form(affines, "fsl-affine", affines.SUFFIXES),), PUSH,
+    ),
+    "afni": _AFNI._replace(forms=(*_AFNI.forms, _form(affines, "afni", (".aff12.1d", ".1d")))),
+    "mrtrix": _field("mrtrix", "MRtrix, deformation", "positions", "RAS", *fields.MIF),
+    "mrtrix-displacement": _field(
+        "mrtrix-displacement", "MRtrix, displacement", "displacements", "RAS", *fields.MIF
+    ),
+    "freesurfer": Convention(
+        "FreeSurfer", _BOTH, "RAS", "mm",
+        # warps are only read
+        (_LTA, _form(fields, "freesurfer", (*fields.MGZ, *fields.MORPHS))._replace(write=_LTA.write)), PUSH,
+        ("positions", "RAS", "mm"),
+    ),
+    "niftyreg": _field("niftyreg", "NiftyReg", _BOTH, "RAS")._replace(written=("positions", "RAS", "mm")),
+    "spm-deformation": _field("spm-deformation", "SPM", "positions", "RAS"),
+    "ngff": Convention(
+        "OME-Zarr", "displacements or positions", "LPS, or as its axes say", "mm, or as its axes say",
+        (Form(ngff.SUFFIXES, ngff.read, ngff.write),), PULL, ("displacements", "LPS", "mm"),
+    ),
+    "opencv": Convention(
+        "OpenCV's remap", "positions", "the picture", "pixels",
+        (Form(pictures.REMAP, pictures.read_remap, pictures.write_remap),),
+    ),
+    "stmap": Convention(
+        "STMap", "positions", "the picture, from its bottom left corner", "of its width and height",
+        (Form(pictures.STMAP, pictures.read_stmap, pictures.write_stmap),),
+    ),
+}  # fmt: skip
+"""By their names: in memory, all are displacements in millimetres in LPS, or in pixels."""
+_SUFFIXES = tuple({suffix for row in CONVENTIONS.values() for form in row.forms for suffix in form.suffixes})
+_NUMBERS = "its numbers may be positions, as of OpenCV's maps, or displacements", "if they are positions"
+_PICTURE = "it may be an STMap, or any other picture", "if it is one"
+_DOUBTFUL = {**dict.fromkeys((".npy", ".npz"), _NUMBERS), **dict.fromkeys((".tif", ".tiff", ".png"), _PICTURE)}
+"""What holds maps of one convention, and as often something else: the convention is given."""
+_WARPS = (2006, 2018)  # intent codes of FNIRT and topup
+_COLOURS = (128, 2304)  # the datatypes RGB24 and RGBA32 of NIfTI
+
+
+def form_of(path: PathLike, convention: str) -> Form:
+    """Return the kind of a file in a convention; SuppleError if there is no such convention."""
+    check_convention(convention)
+    forms = CONVENTIONS[convention].forms
+    suffix = suffix_of(path, _SUFFIXES)
+    return next((form for form in forms if suffix in form.suffixes), forms[0])
+
+
+def check_convention(convention: str, name: str = "convention") -> None:
+    """Raise SuppleError for an unknown convention; ``name`` is that of the argument."""
+    if convention not in CONVENTIONS:
+        raise SuppleError(f"{argument(name)} must be one of {', '.join(CONVENTIONS)}, found {shown(str(convention))}")
+
+
+def convention_of(path: PathLike) -> str:
+    """Return the convention of a file to write; SuppleError if its suffix is of more than one, or of none."""
+    return _only(path, _candidates(path, "write"), "its suffix does not say in which convention to write", "write")
+
+
+def convention_in(path: PathLike) -> str:
+    """Return the convention of a file; SuppleError if it may have more than one."""
+    names, what = _candidates(path, "read"), ""
+    suffix = suffix_of(path, _SUFFIXES)
+    if suffix in fields.NIFTI:
+        names, what = _in_nifti(path)
+    elif suffix in affines.SUFFIXES:
+        names, what = _in_text(path, suffix, names)
+    elif len(names) > 1:
+        what = "it may hold positions or displacements"
+    return _only(path, names, what, "read")
+
+
+def _candidates(path: PathLike, verb: str) -> tuple[str, ...]:
+    suffix = suffix_of(path, _SUFFIXES)
+    refused = unreadable if verb == "read" else unwritable
+    names = tuple(name for name, row in CONVENTIONS.items() if any(suffix in form.suffixes for form in row.forms))
+    doubtful = suffix in _DOUBTFUL and (verb == "read" or suffix in image.SUFFIXES)
+    if (doubtful or not names) and verb == "read" and not os.path.exists(path):
+        raise unreadable(path, "No such file or directory", "check the name and its rights")
+    if doubtful and verb == "read":
+        what, fits = _DOUBTFUL[suffix]
+        raise unreadable(path, what, f"give {argument('convention', names[0])} {fits}")
+    if doubtful:
+        raise unwritable(path, "a picture is not always an STMap", f"give the convention: {names[0]}")
+    if not names and (suffix in CLIPS or suffix in image.SUFFIXES):
+        what = f"the suffix {suffix} is of a {'clip' if suffix in CLIPS else 'picture'}, and of no field"
+        raise refused(path, what, "name a file of a field or of an affine map")
+    if not names:
+        found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
+        raise refused(path, f"{found} tells no convention", "give the convention, or another name")
+    return names
+
+
+def _only(path: PathLike, names: tuple[str, ...], what: str, verb: str) -> str:
+    if len(names) > 1:
+        raise SuppleError(f"cannot {verb} {shown(path)}: {what}: give the convention: {', '.join(names)}")
+    return names[0]
+
+
+def _in_nifti(path: PathLike) -> tuple[tuple[str, ...], str]:
+    header, sizes, components, series = nifti.outline(path)
+    code, five = int(header["intent_code"]), components > 1
+    name = fields.announced(path, header)
+    if five and (code == fields.VECTOR or (name and not code)):
+        return (name or "itk",), ""
+    if int(header["datatype"]) in _COLOURS:
+        raise unreadable(path, "its voxels are colours (RGB), as of a picture", "give a field of float32 or float64")
+    count = sizes[3] if series else components
+    check_count(path, count)
+    if code == itk.DISPLACEMENT:
+        return ("itk",), ""
+    what = f"it holds {count} values for each voxel, of the intent code {code}"
+    if code in _WARPS:
+        return ("fsl-relative", "fsl-absolute"), what
+    what = f"{what}, which several programs write"
+    if five:
+        return ("afni", "spm-deformation"), what
+    return ("fsl-relative", "fsl-absolute", "mrtrix", "mrtrix-displacement", "afni"), what
+
+
+def _in_text(path: PathLike, suffix: str, names: tuple[str, ...]) -> tuple[tuple[str, ...], str]:
+    head = head_of(path, TEXT)
+    check_text(path, head)
+    if b"#Insight Transform File" in head or b"Transform_" in head:
+        return ("itk",), ""
+    return ("fsl-affine",) if suffix == ".mat" and b"\0" not in head else names, "its text does not tell what it is"
+
 
 def read(
     path: PathLike, convention: str | None = None, *, source: Grid | None = None, reference: Grid | None = None
 ) -> tuple[Content, ...]:
-    """Read the maps of a file.
+    """Return the matrices and fields of a file, to apply in order to a point of the output.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        The file.
-    convention : str, optional
-        One of `CONVENTIONS`; by default, what the name and the content of the file leave no doubt about.
-    source : Grid, optional
-        The grid of the input (moving) image, which FSL counts in.
-    reference : Grid, optional
-        The grid of the output (fixed) image, which affine maps of FSL count in.
-
-    Returns
-    -------
-    tuple of Content
-        Matrices and fields, to apply in order to a point of the output.
-
-    Raises
-    ------
-    SuppleError
-        If the convention is unknown or in doubt, a grid that it needs is not given, or the file holds no such map.
+    The convention is one of `CONVENTIONS`; by default, what the name and the content of the file leave no doubt about.
+    FSL counts in the grid of the input (moving) image, the source; its affine maps also in that of the output (fixed)
+    image, the reference. SuppleError if the convention is unknown or in doubt, a grid that it needs is not given, or
+    the file holds no such map.
     """
     name = convention_in(path) if convention is None else convention
     contents = form_of(path, name).read(path, Grids(source, reference))
@@ -84,28 +252,9 @@ def write(
 ) -> None:
     """Write maps to a file, which appears whole or not at all.
 
-    What a field does beyond its grid is not written: the program that reads it decides.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-        The file.
-    contents : sequence of Content
-        Matrices and fields, to apply in order to a point of the output. Only ``.h5``, ``.tfm`` and ``.zarr`` hold more
-        than one.
-    convention : str, optional
-        One of `CONVENTIONS`; by default, that of the suffix, if only one has it.
-    source : Grid, optional
-        The grid of the input (moving) image, which FSL and FreeSurfer need.
-    reference : Grid, optional
-        The grid of the output (fixed) image, which affine maps of FSL and FreeSurfer need.
-    force : bool
-        Whether to replace an existing file.
-
-    Raises
-    ------
-    SuppleError
-        If the convention is unknown or in doubt, or cannot hold these maps; or the file cannot be written.
+    Arguments are as in `read`; by default, the convention is that of the suffix, if only one has it. Only ``.h5``,
+    ``.tfm`` and ``.zarr`` hold more than one map. What a field does beyond its grid is not written: the program that
+    reads it decides. SuppleError if the convention cannot hold these maps, or the file cannot be written.
     """
     name = convention_of(path) if convention is None else convention
     form_of(path, name).write(path, contents, Grids(source, reference), force=force)

@@ -90,7 +90,6 @@ def spelled(numbers: npt.ArrayLike) -> str:
 
 
 def _numbers(path: PathLike, lines: Sequence[str], rows: int, convention: str) -> Matrix:
-    """Return the numbers of some lines as a homogeneous matrix; SuppleError for another number of them."""
     try:
         found = np.array([float(word) for word in " ".join(lines).split()], np.float64)
     except ValueError as error:
@@ -105,7 +104,6 @@ def _numbers(path: PathLike, lines: Sequence[str], rows: int, convention: str) -
 
 
 def _lta(path: PathLike, lines: Sequence[str]) -> Matrix:
-    """Return the matrix of a .lta file, from the source to the destination in RAS."""
     told = {key: text.strip() for key, _, text in (line.replace(" ", "").partition("=") for line in lines)}
     starts = [i for i, line in enumerate(lines) if re.fullmatch(r"1\s+4\s+4", line)]
     if told.get("nxforms") != "1" or len(starts) != 1:

@@ -8,14 +8,13 @@ continues a warp with the mean slope at its faces; here, as all of these, it kee
 
 from __future__ import annotations
 
-import gzip
 import math
 import re
 import struct
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any, Literal, NamedTuple, cast
+from typing import IO, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -33,7 +32,6 @@ from supple.media.transforms.base import (
     Matrix,
     Space,
     centred,
-    check_count,
     check_finite,
     check_plumb,
     coordinates,
@@ -87,20 +85,15 @@ _FREESURFER = (Vectors("voxels", True), Vectors("voxels", False), Vectors("RAS",
 
 _POSITIONS, _DISPLACEMENTS = 0, 1  # what fields of NiftyReg hold, in intent_p1
 _COEFFICIENTS = (2007, 2008, 2009, 2016, 2017)  # of FNIRT and topup
-_NO_FIELDS = {
-    2: "control points of a cubic B-spline",
-    5: "control points of a velocity",
-    6: "control points of a spline",
-}
 _FOREIGN = re.compile("veloc|flow field|coefficient|b-?spline", re.IGNORECASE)
 _OF_SPM = re.compile("((inverse|forward) )?deformation( field.*)?", re.IGNORECASE)  # Segment writes no intent
 _LABELS = ["x_delta", "y_delta", "z_delta"]  # some warps of AFNI hold other volumes after these
 _HEADER = 1 << 16  # bytes that hold the header of any .mif
-_PLACES, _SHEARED, _FORMAT = 10, 15, 13  # tags of .mgz; of others, these have no size
-_UNSIZED = {1: "a table of colours", 2: "old coordinates", 11: "labels", 12: "labels", 20: "a surface", 30: "a matrix"}
+_PLACES, _SHEARED, _FORMAT = 10, 15, 13  # tags of .mgz
+_UNSIZED = (1, 2, 11, 12, 20, 30)  # those without a size: tables, labels, surfaces, matrices
 _PLACE = 76 + 512  # bytes of the place of an image, and of the name of its file
 _LEAN = 1e-4  # the largest shear by rounding
-_CONVERT = "run mrconvert, and give its .nii.gz"
+_CONVERT = "run mrconvert (of a full warp, warpconvert with warpfull2deformation), and give its .nii.gz"
 _CONVERT_WARP = "run mri_warp_convert with --outitk, and read that"
 
 
@@ -198,7 +191,7 @@ def announced(path: PathLike, header: Any) -> str:
     if name == VECTORS["niftyreg"].name:
         form = int(header["intent_p1"])
         if form not in (_POSITIONS, _DISPLACEMENTS):
-            what = f"it holds {_NO_FIELDS.get(form, 'a velocity field')} of NiftyReg (kind {form})"
+            what = f"it holds control points or velocities of NiftyReg (kind {form})"
             raise unreadable(path, what, "let its transform program write a deformation field (-def, with -ref)")
         return "niftyreg"
     if found := _FOREIGN.search(name) or _FOREIGN.search(note):
@@ -252,7 +245,6 @@ def _nifti(path: PathLike, convention: str) -> tuple[Array, Grid, Vectors]:
 
 
 def _dataset(path: PathLike) -> tuple[Array, Grid]:
-    """Return the vectors of a .HEAD and .BRIK dataset, and their grid."""
     nibabel = nifti.imported()
     head_of(path, 4)
     with reading(path):
@@ -269,13 +261,7 @@ def _dataset(path: PathLike) -> tuple[Array, Grid]:
     return native(data[..., :3].transpose(2, 1, 0, 3)), grid_of(path, affine, data.shape[:3])
 
 
-def _opened(path: PathLike) -> IO[bytes]:
-    packed = head_of(path, 2) == b"\x1f\x8b"  # whatever its name
-    return cast("IO[bytes]", gzip.open(path)) if packed else open(path, "rb")
-
-
 def _voxels(path: PathLike, file: IO[bytes], dtype: npt.DTypeLike, shape: Sequence[int]) -> Array:
-    """Return the array that follows in a file."""
     count = np.dtype(dtype).itemsize * math.prod(shape)
     try:
         data = file.read(count)
@@ -288,99 +274,82 @@ def _voxels(path: PathLike, file: IO[bytes], dtype: npt.DTypeLike, shape: Sequen
 
 # Kept: neither nibabel nor SimpleITK reads .mif.
 def _mif(path: PathLike) -> tuple[Array, Grid]:
-    """Return the vectors of a .mif file, and their grid."""
-    with reading(path), _opened(path) as file:
+    with reading(path), nifti.opened(path) as file:
         start = file.read(_HEADER)
-        if not start.startswith(b"mrtrix image"):
-            raise unreadable(path, "it is no .mif file of MRtrix", "check its name")
         header, end, _ = start.partition(b"\nEND")
         told: dict[str, list[str]] = {}
         for key, text in re.findall(r"(?m)^([\w ]+?):[ \t]*(.*?)[ \t]*$", header.decode("utf-8", "replace")):
             told.setdefault(key.lower(), []).append(text)
         try:
-            sizes = [int(x) for x in told["dim"][0].split(",")]
-            steps = np.array([float(x) for x in told["vox"][0].split(",")[:3]])
+            x, y, z, count = (int(size) for size in told["dim"][0].split(","))
+            steps = np.array([float(step) for step in told["vox"][0].split(",")[:3]])
             layout = told["layout"][0].split(",")
-            order = [int(x[1:]) for x in layout]
-            matrix = np.array([[float(x) for x in line.split(",")] for line in told["transform"]])
+            order = [int(axis[1:]) for axis in layout]
+            matrix = np.array([[float(number) for number in line.split(",")] for line in told["transform"]])
             name, _, offset = told["file"][0].partition(" ")
-            begin = int(offset or 0)
-            if not end or matrix.shape != (3, 4) or sorted(order) != list(range(len(sizes))):
+            begin, kind = int(offset or 0), re.fullmatch(r"float(32|64)(le|be)?", told["datatype"][0].lower())
+            good = (
+                end and start.startswith(b"mrtrix image") and matrix.shape == (3, 4) and sorted(order) == [0, 1, 2, 3]
+            )
+            if kind is None or not good or count != 3 or name != "." or "scaling" in told:
                 raise ValueError
         except (KeyError, ValueError, IndexError) as error:
-            raise unreadable(path, "its header is damaged, or of another version", _CONVERT) from error
-        words = told.get("datatype", [""])[0]
-        kind = re.fullmatch(r"float(32|64)(le|be)?", words.lower())
-        if kind is None:
-            raise unreadable(path, f"its voxels are {words or 'of no type'}, and those of a warp are Float32", _CONVERT)
-        if "scaling" in told or name != ".":
-            what = "its values are scaled" if "scaling" in told else "its voxels are in another file"
-            raise unreadable(path, what, _CONVERT)
-        if len(sizes) != 4 or sizes[3] != 3:
-            what = f"it holds {' x '.join(map(str, sizes))} values, and a warp has x, y, z and three volumes"
-            how = "run warpconvert with warpfull2deformation" if len(sizes) == 5 else "give a warp"
-            raise unreadable(path, what, how)
+            what = "it is damaged, or no .mif file of x, y, z and three volumes of floats, as a warp is"
+            raise unreadable(path, what, _CONVERT) from error
         file.seek(begin)
         dtype = f"{ {'le': '<', 'be': '>', None: '='}[kind[2]] }f{int(kind[1]) // 8}"
         # axes in the order of the file, the fastest last; then x, y, z and component, each forwards
         kept = sorted(range(4), key=lambda axis: -order[axis])
-        whole = _voxels(path, file, dtype, [sizes[axis] for axis in kept])
+        whole = _voxels(path, file, dtype, [(x, y, z, count)[axis] for axis in kept])
     whole = whole.transpose([kept.index(axis) for axis in (2, 1, 0, 3)])
     whole = whole[tuple(slice(None, None, -1 if layout[axis].startswith("-") else 1) for axis in (2, 1, 0, 3))]
     full = np.vstack([matrix, np.eye(4)[3]])
     full[:3, :3] *= steps
-    return native(whole), grid_of(path, full, sizes[:3])
+    return native(whole), grid_of(path, full, (x, y, z))
 
 
 # Kept: nibabel leaves out the tags behind the voxels, which say between which images a warp leads.
 def _mgz(path: PathLike) -> tuple[Array, Grid, Vectors, Grid]:
     """Return the vectors of a warp that mri_warp_convert writes, their grid, what they are, and the source's grid."""
-    with reading(path), _opened(path) as file:
+    with reading(path), nifti.opened(path) as file:
         start = file.read(284)
         if len(start) < 284 or struct.unpack_from(">i", start)[0] & 0xFF != 1:
             raise unreadable(path, "it is no .mgz or .mgh file", "check its name")
         width, height, depth, frames, kind = struct.unpack_from(">5i", start, 4)
-        if min(width, height, depth, frames) < 1:
-            raise unreadable(path, f"its header says {width} x {height} x {depth} voxels", "correct its header")
-        check_count(path, frames)
-        if kind != 3:
-            raise unreadable(path, f"its voxels are of type {kind}, and those of a warp are floats (3)", _CONVERT_WARP)
+        if min(width, height, depth) < 1 or frames != 3 or kind != 3:
+            what = (
+                f"it holds {width} x {height} x {depth} x {frames} voxels of type {kind}, and a warp three floats each"
+            )
+            raise unreadable(path, what, _CONVERT_WARP)
         values = native(np.moveaxis(_voxels(path, file, ">f4", (frames, depth, height, width)), 0, -1))
         tags = file.read()[20:]  # behind the parameters of the scan
     try:
-        found = dict(_tags(path, tags))
-        if not {_PLACES, _FORMAT} <= set(found):
-            raise unreadable(path, "it does not say between which images it leads, as a warp does", _CONVERT_WARP)
-        (form,) = struct.unpack_from(">i", found[_FORMAT])
-        if form not in range(len(_FREESURFER)):
-            raise unreadable(path, f"it is of format {form}, and {len(_FREESURFER)} formats are known", _CONVERT_WARP)
-        places = found[_PLACES]
+        found = dict(_tags(tags))
+        (form,), places = struct.unpack_from(">i", found[_FORMAT]), found[_PLACES]
         half = len(places) // 2
         source, grid = _place(path, places[:half]), _place(path, places[half:])
-    except struct.error as error:
-        raise unreadable(path, "what follows its voxels is cut short or damaged") from error
-    if grid.shape != values.shape[:3]:
-        sizes = [" x ".join(map(str, sizes)) for sizes in (values.shape[2::-1], grid.sizes)]
-        raise unreadable(path, f"it has {sizes[0]} voxels, and the image that it is of has {sizes[1]}", _CONVERT_WARP)
+        if form not in range(len(_FREESURFER)) or grid.shape != values.shape[:3]:
+            raise KeyError(form)
+    except (struct.error, KeyError) as error:
+        what = "what follows its voxels is cut short or damaged, or names no two images, as that of a warp does"
+        raise unreadable(path, what, _CONVERT_WARP) from error
     return values, grid, _FREESURFER[form], source
 
 
-def _tags(path: PathLike, tags: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield the tags behind the voxels of a .mgz and their contents."""
+def _tags(tags: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield the tags behind the voxels of a .mgz and their contents; struct.error for what no warp has."""
     at = 0
     while at + 4 <= len(tags):
         (tag,) = struct.unpack_from(">i", tags, at)
         at += 4
         if tag == 0:
             return
-        if tag in _UNSIZED:
-            raise unreadable(path, f"it holds {_UNSIZED[tag]} (tag {tag}), which no warp does", _CONVERT_WARP)
         if tag == _PLACES:
             size = 2 * _PLACE
         else:
             (size,) = struct.unpack_from(">q", tags, at)
             at += 8
-        if not 0 <= size <= len(tags) - at:
+        if tag in _UNSIZED or not 0 <= size <= len(tags) - at:
             raise struct.error
         yield (_PLACES if tag == _SHEARED else tag), tags[at : at + size]
         at += size

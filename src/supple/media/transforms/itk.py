@@ -49,7 +49,6 @@ _TYPES = {np.dtype(np.float32): ("float", "MET_FLOAT"), np.dtype(np.float64): ("
 DISPLACEMENT = 1006
 _KIND = re.compile(rb"Transform(?:Base)?_(?:double|float)_\d_\d")
 _FLOWS = (b"VelocityFieldTransform_", b"ExponentialDiffeomorphicTransform_")
-_SIZES = {0: 8, 1: 4}  # bytes of a number in a file of MATLAB
 
 
 def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
@@ -113,21 +112,14 @@ def _transforms(path: PathLike, suffix: str) -> tuple[Content, ...]:
     return tuple(_contents(path, sitk, whole))
 
 
-# Kept: ITK fills what is missing (test_a_file_that_is_cut_short).
 def _check_matlab(path: PathLike) -> None:
-    """Raise SuppleError for a file of MATLAB's fourth version that is cut short."""
-    data = head_of(path, 1 << 16)
-    at = 0
-    while at < len(data):
-        order = "<" if len(data) >= at + 4 and int.from_bytes(data[at : at + 4], "little") < 5000 else ">"
-        try:
-            kind, rows, columns, _, name = struct.unpack_from(f"{order}5i", data, at)
-        except struct.error:
-            at = len(data) + 1
-            break
-        at += 20 + name + rows * columns * _SIZES.get(kind // 10 % 10, 8)
-    if at > len(data):
-        raise unreadable(path, f"it has {len(data)} bytes, and its header promises more")
+    """Raise SuppleError for matrices of MATLAB 4 that are cut short, as ITK would fill what is missing."""
+    data, at = head_of(path, 1 << 16), 0
+    while at + 20 <= len(data):
+        kind, rows, columns, _, name = struct.unpack_from("<5i", data, at)
+        at += 20 + name + rows * columns * (4 if kind // 10 % 10 == 1 else 8)
+    if at != len(data):
+        raise unreadable(path, "it is cut short, or no file of ITK's on little-endian machines")
 
 
 def _contents(path: PathLike, sitk: Any, transform: Any) -> list[Content]:
@@ -166,7 +158,6 @@ def _contents(path: PathLike, sitk: Any, transform: Any) -> list[Content]:
 
 
 def _matrix(transform: Any) -> Matrix:
-    """Return the matrix of a linear transform of any parameters and centre."""
     n = transform.GetDimension()
     made, origin = np.eye(n + 1), (0.0,) * n
     made[:n, n] = transform.TransformPoint(origin)
@@ -200,7 +191,6 @@ def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: b
 
 
 def _made(path: PathLike, content: Content) -> Any:
-    """Return a map as a transform of ITK."""
     sitk = itk.imported()
     if not isinstance(content, Displacements):
         return sitk.AffineTransform(content[:3, :3].ravel().tolist(), content[:3, 3].tolist())
@@ -252,29 +242,13 @@ def check_target(path: PathLike) -> None:
 def write_field(
     path: PathLike, displacement: npt.NDArray[np.floating[Any]], geometry: Geometry, *, force: bool = False
 ) -> None:
-    """Write a displacement field for resampling a volume onto the field's grid by ITK, ANTs and 3D Slicer.
+    """Write a displacement field (Z, H, W, 3) for resampling a volume onto the field's grid by ITK, ANTs and 3D Slicer.
 
-    Each voxel of the output holds the displacement to its source point in the input. The file appears whole or not at
-    all.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-        ``.nii`` and ``.nii.gz`` (a vector for each voxel, intent 1007, as ANTs writes it), ``.nrrd`` and ``.mha`` (a
-        vector image), or ``.h5`` (a transform of ITK's, in float64).
-    displacement : float32 or float64 array, shape (Z, H, W, 3)
-        In millimetres along the axes of LPS, x first, for any convention of ``geometry``. It is read plane by plane,
-        except for NIfTI, which takes one component of the whole at a time.
-    geometry : Geometry
-        The geometry of the voxels.
-    force : bool
-        Whether to replace an existing file.
-
-    Raises
-    ------
-    SuppleError
-        If the array has another shape or type, holds NaN or infinity, or is too large for the format; or the file
-        cannot be written.
+    Each voxel of the output holds the displacement to its source point in the input, in float32 or float64, in
+    millimetres along the axes of LPS, x first, for any convention of ``geometry``. It is read plane by plane, except
+    for NIfTI (intent 1007, as ANTs writes it), which takes a component at a time. ``.nrrd`` and ``.mha`` are vector
+    images, ``.h5`` a transform of ITK's, in float64. SuppleError if the array has another shape or type, holds NaN or
+    infinity, or is too large for the format; or the file cannot be written.
     """
     check_target(path)
     name, suffix = shown(path), suffix_of(path, SUFFIXES_OUT)

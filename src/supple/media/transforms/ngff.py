@@ -1,4 +1,4 @@
-"""Coordinate transformations of OME-Zarr (OME-NGFF), from RFC-5 and version 0.6 on: a folder, a Zarr store.
+"""Coordinate transformations of OME-Zarr (OME-NGFF) 0.6: a folder, a Zarr store.
 
 A transformation leads from its input to its output: as a pull map, its input is the space of the resampled image, its
 output that of the image that is resampled. Axes stand in the order of arrays, z first.
@@ -6,30 +6,56 @@ output that of the image that is resampled. Axes stand in the order of arrays, z
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import contextlib
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from supple.media.files import PathLike, check_suffix, replacing_together, unwritable
-from supple.media.transforms.base import Content, Displacements, Grids, Matrix, check_content, inverse
-from supple.media.transforms.omezarr import Store, imported
+from supple.errors import SuppleError, need, said
+from supple.media.files import PathLike, check_suffix, replacing_together, unreadable, unwritable
+from supple.media.transforms.base import Array, Content, Displacements, Grids, Matrix, check_content, inverse
+from supple.space.geometry import Grid
 
 SUFFIXES = (".zarr",)
 VERSION = "0.6"
 _FIELDS = "coordinateTransformations"
 _ARRAY = "s0"
 _SIDES = {2: 512, 3: 64}  # of chunks
+_PREFIXES = {
+    "": 0, "yocto": -24, "zepto": -21, "atto": -18, "femto": -15, "pico": -12, "nano": -9, "micro": -6, "milli": -3,
+    "centi": -2, "deci": -1, "hecto": 2, "kilo": 3, "mega": 6, "giga": 9, "tera": 12, "peta": 15, "exa": 18,
+    "zetta": 21, "yotta": 24,
+}  # fmt: skip
+_UNITS = {f"{prefix}meter": float(f"1e{power + 3}") for prefix, power in _PREFIXES.items()}
+_UNITS |= {"angstrom": 1e-7, "inch": 25.4, "foot": 304.8, "yard": 914.4, "mile": 1_609_344.0}
+# Not of the specification, but of many files.
+_UNITS |= {**dict.fromkeys(("um", "\u00b5m", "\u03bcm", "micron", "microns"), 1e-3), "nm": 1e-6, "mm": 1.0, "cm": 10.0}
+"""Millimetres."""
+ORIENTATIONS = {
+    "right-to-left": (0, 1.0), "left-to-right": (0, -1.0), "anterior-to-posterior": (1, 1.0),
+    "posterior-to-anterior": (1, -1.0), "inferior-to-superior": (2, 1.0), "superior-to-inferior": (2, -1.0),
+}  # fmt: skip
+_KINDS = {"displacements": "displacement", "coordinates": "coordinate"}
+_INTERPOLATION: dict[str, Literal["linear", "cubic"]] = {"linear": "linear", "cubic": "cubic"}
+_EXACT = 1e-6  # of a voxel
+_PARAMETERS = ("scale", "translation", "affine", "rotation", "mapAxis")
+_LINEAR = ("identity", *_PARAMETERS, "byDimension")
+_TYPES = (*_LINEAR, "sequence", "bijection", *_KINDS)
+
+Json = Mapping[str, Any]
+Refusal = Callable[[str, str], SuppleError]
+"""It returns an error from what was found and what would do."""
 
 
 def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
     """Read the coordinate transformation of an OME-Zarr store, of Zarr format 2 or 3, as parts that apply in order.
 
-    The folder is a scene, a multiscale image or a transformation by itself, with one transformation of two or three
-    space axes: identity, scale, translation, rotation, affine, mapAxis, byDimension of these; displacements or
-    coordinates, whose field is a multiscale group or, as in drafts of RFC-5, an array; a sequence of these; or a
-    bijection, of which the forward part is read.
+    The folder is a scene or a multiscale image, with one transformation of two or three space axes: identity, scale,
+    translation, rotation, affine, mapAxis, byDimension of these; displacements or coordinates; a sequence of these; or
+    a bijection, of which the forward part is read.
 
     Parts are x first. Lengths that have a unit are in millimetres, those without are left as they are; axes that have
     an anatomical orientation are turned to LPS, others are left as they are. A field between an affine map and its
@@ -83,7 +109,6 @@ def _axes(n: int) -> list[dict[str, Any]]:
 
 
 def _affine(matrix: Matrix) -> dict[str, Any]:
-    """Return an affine map as a transformation, z first."""
     n = len(matrix) - 1
     return {"type": "affine", "affine": matrix[:-1][::-1][:, [*range(n)[::-1], n]].tolist()}
 
@@ -101,25 +126,11 @@ def bijection(
 ) -> tuple[dict[str, bytes], tuple[str, str]]:
     """Return the metadata of a scene that holds both directions of a map, as fields without samples yet.
 
-    Parameters
-    ----------
-    axes : sequence of mapping
-        The descriptions of the axes of space, of both images.
-    forward : Placement
-        Of the field from the output image to the input image, on the grid of the output.
-    inverse : Placement
-        Of that from the input to the output, on the grid of the input.
-    name : str
-        Of the transformation.
-
-    Returns
-    -------
-    dict of bytes
-        All files of metadata, by their keys in the store.
-    tuple of str
-        The paths of the arrays of ``forward`` and ``inverse``: float32, of shape (components, ...), the components in
-        the order of the axes. The fill value is 0; chunks hold all components, of 64 samples along each axis of a
-        volume and 512 of a picture: two or three megabytes, a good size for an object, and whole patches of the map.
+    ``forward`` leads from the output image to the input image, on the grid of the output; ``inverse`` back, on the grid
+    of the input. ``axes`` describe the axes of space of both images, and ``name`` is that of the transformation. All
+    files of metadata are returned by their keys in the store, and the paths of both arrays: float32, of shape
+    (components, ...), the components in the order of the axes. The fill value is 0; chunks hold all components, of 64
+    samples along each axis of a volume and 512 of a picture: two or three megabytes, and whole patches of the map.
     """
     from zarr.storage import MemoryStore
 
@@ -178,3 +189,318 @@ def _write_field(root: Any, index: int, field: Displacements, turn: Matrix) -> N
     origin = turn[:-1, :-1] @ grid.origin
     samples = Placement(grid.shape, grid.spacing[::-1], origin[::-1].tolist())
     _field(root, index, _axes(n), samples, dtype)[...] = np.moveaxis(values[..., ::-1], -1, 0).astype(dtype)
+
+
+def imported(what: str = "transformations of OME-Zarr") -> Any:
+    """Return the module zarr, imported at the first use; ``what`` says in an error what needs it."""
+    need("zarr", what, "zarr")
+    import zarr
+
+    return zarr
+
+
+def space_matrix(axes: Sequence[Json], units: Sequence[str | None], error: Refusal) -> Matrix:
+    """Return the matrix from coordinates along axes, as stored, to millimetres in LPS, x first.
+
+    ``axes`` are the descriptions of two or three axes: names, and types and orientations if they have any. Coordinates
+    along an axis without a unit are left as they are. ``error`` returns the error to raise.
+    """
+    names = [str(axis["name"]) for axis in axes]
+    n, listed = len(axes), ", ".join(names)
+    odd = [str(axis.get("type")) for axis in axes if axis.get("type") not in (None, "space", "array")]
+    if n not in (2, 3) or odd:
+        what = f"its axes are {listed}" + (f", of the type {odd[0]} too" if odd else "")
+        raise error(what, "give a transformation of two or three space axes")
+    lower = [name.lower() for name in names]
+    order = ["xyz".index(name) for name in lower] if set(lower) == set("xyz"[:n]) else list(range(n))[::-1]
+    signs = [1.0] * n
+    told = [axis.get("orientation") for axis in axes]
+    if any(told):
+        values = [one.get("value") if isinstance(one, Mapping) else one for one in told]
+        turns = [ORIENTATIONS.get(str(value), (-1, 1.0)) for value in values]
+        if {axis for axis, _ in turns} != set(range(n)):
+            raise error(f"its axes have the orientations {values}", f"use {', '.join(ORIENTATIONS)}")
+        order, signs = [axis for axis, _ in turns], [sign for _, sign in turns]
+    made = np.zeros((n, n))
+    for i, unit in enumerate(units):
+        if unit and unit not in _UNITS:
+            raise error(f"its axis {names[i]} has the unit {unit!r}", "name a length, as micrometer or millimeter")
+        made[order[i], i] = signs[i] * (_UNITS[unit] if unit else 1.0)
+    return made
+
+
+def ome_of(attributes: Json) -> Json:
+    """Return the metadata of OME-Zarr among those of a group; before version 0.5, they had no name of their own."""
+    ome = attributes.get("ome", attributes)
+    return ome if isinstance(ome, Mapping) else {}
+
+
+@contextlib.contextmanager
+def parsing(refused: Refusal) -> Iterator[None]:
+    """Convert errors of metadata whose parts are missing, or of another type, to one sentence."""
+    try:
+        yield
+    except SuppleError:
+        raise
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        what = f"its metadata are incomplete or malformed ({type(error).__name__}: {error})"
+        raise refused(what, "see the specification of OME-Zarr") from error
+
+
+class Store:
+    """A Zarr store whose transformation is read."""
+
+    def __init__(self, path: PathLike) -> None:
+        self.path = path
+        zarr = imported()
+        if not os.path.isdir(path):
+            raise self.error("there is no such folder", "check the name")
+        with self.reading("it is no Zarr group, or damaged"):
+            self.root = zarr.open_group(os.fspath(path), mode="r")
+
+    def error(self, reason: str, advice: str = "give a whole copy of it") -> SuppleError:
+        """Return an error that names the store."""
+        return unreadable(self.path, reason, advice)
+
+    @contextlib.contextmanager
+    def reading(self, what: str) -> Iterator[None]:
+        """Convert all errors of zarr to one sentence."""
+        try:
+            yield
+        except SuppleError:
+            raise
+        except Exception as error:  # zarr's codecs raise any of them
+            raise self.error(f"{what} ({said(error)})") from error
+
+    def contents(self) -> tuple[Content, ...]:
+        """Return what the store holds, in millimetres in LPS, x first."""
+        with parsing(self.error):
+            found, holder = self._only()
+            before, after = self._systems(found, holder)
+            made = self._parts(found, len(before) - 1)
+        try:
+            turned = [_turned(part, before) for part in made]
+        except SuppleError as error:
+            raise self.error(str(error), "resample the field") from error
+        tail = after @ inverse(before)
+        if not np.allclose(tail, np.eye(len(tail)), rtol=0, atol=1e-12):
+            turned.append(tail)
+        return tuple(shortened(turned))
+
+    def _only(self) -> tuple[Json, Json]:
+        ome = ome_of(self.root.attrs)
+        holders = [ome.get("scene"), ome, *ome.get("multiscales", [])[:1]]
+        for holder in holders:
+            listed = holder.get("coordinateTransformations") if holder else None
+            if listed:
+                if len(listed) != 1:
+                    names = ", ".join(str(one.get("name") or one.get("type")) for one in listed)
+                    raise self.error(f"it holds {len(listed)} transformations ({names})", "give a store of one")
+                return listed[0], holder
+        raise self.error("it holds no coordinateTransformations of a scene or an image", "give a store that has one")
+
+    def _systems(self, found: Json, holder: Json) -> tuple[Matrix, Matrix]:
+        """Return the matrices from the coordinates of input and output, as stored, to millimetres in LPS, x first."""
+        ends = [self._axes(found[end], holder) for end in ("input", "output")]
+        n, m = map(len, ends)
+        if n != m:
+            raise self.error(f"its input has {n} axes, its output {m}", "give one of equal spaces")
+        before, after = np.eye(n + 1), np.eye(n + 1)
+        for matrix, own, other in ((before, 0, 1), (after, 1, 0)):
+            # what has no unit is in that of the other end
+            units = [a.get("unit") or b.get("unit") for a, b in zip(ends[own], ends[other], strict=True)]
+            matrix[:-1, :-1] = space_matrix(ends[own], units, self.error)
+        return before, after
+
+    def _axes(self, end: Json, holder: Json) -> list[Json]:
+        """Return the axes of a coordinate system: of the scene or image, or of an image at a path."""
+        name, path = end["name"], end.get("path")
+        ome = ome_of(self._node(path).attrs) if path else {}
+        for one in (ome, *ome.get("multiscales", [])) if path else (holder,):
+            for system in one.get("coordinateSystems", []):
+                if system["name"] == name:
+                    return list(system["axes"])
+        where = f" of {path}" if path else ""
+        raise self.error(f"it does not describe the coordinate system {name!r}{where}", "add it")
+
+    def _parts(self, found: Json, n: int) -> list[Matrix | _Raw]:
+        """Return the parts of a transformation, in coordinates as they are stored."""
+        kind = found["type"]
+        if kind == "sequence":
+            return [part for one in found["transformations"] for part in self._parts(one, n)]
+        if kind == "bijection":
+            return self._parts(found["forward"], n)
+        if kind in _KINDS:
+            return [self._displacements(found, n)]
+        return [self._matrix(found, n)]
+
+    def _matrix(self, found: Json, n: int) -> Matrix:
+        kind, made = found["type"], np.eye(n + 1)
+        if kind == "identity":
+            return made
+        if kind == "sequence":  # of a field's indices
+            for one in found["transformations"]:
+                made = self._matrix(one, n) @ made
+            return made
+        if kind == "byDimension":
+            for one in found["transformations"]:
+                rows, columns = (one.get(f"{end}Axes", one.get(f"{end}_axes")) for end in ("output", "input"))
+                part = self._matrix(one["transformation"], len(columns))
+                made[np.ix_(rows, range(n + 1))] = 0
+                made[np.ix_(rows, [*columns, n])] = part[:-1]
+            return made
+        if kind not in _LINEAR:
+            known = _LINEAR if kind in _TYPES else _TYPES
+            raise self.error(f"it holds a transformation of the type {kind!r} here", f"use {', '.join(known)}")
+        numbers = self._numbers(found, kind)
+        if len(numbers) != n:
+            raise self.error(f"its {kind} has {len(numbers)} rows, and its space {n} axes", "give one of equal spaces")
+        if kind == "scale":
+            made[:-1, :-1] = np.diag(numbers)
+        elif kind == "translation":
+            made[:-1, -1] = numbers
+        elif kind == "mapAxis":
+            made[:-1, :-1] = np.eye(n)[numbers.astype(int)]
+        elif numbers.shape == (n, n + (kind == "affine")):
+            made[:-1, : numbers.shape[1]] = numbers
+        else:
+            raise self.error(f"its {kind} is a matrix of shape {numbers.shape}", "give one of equal spaces")
+        if not np.isfinite(made).all():
+            raise self.error(f"its {kind} holds NaN or infinity", "mend it")
+        return made
+
+    def _numbers(self, found: Json, kind: str) -> Matrix:
+        if kind in found:
+            return np.array(found[kind], np.float64)
+        array = self._node(found["path"])
+        with self.reading(f"{found['path']} cannot be read"):
+            return np.array(array[...], np.float64)
+
+    def _node(self, path: str) -> Any:
+        parts = [part for part in path.split("/") if part not in ("", ".")]
+        if ".." in parts or ":" in path:
+            raise self.error(f"it refers to {path!r}, outside of it", "put all into one store")
+        with self.reading(f"it lacks {path!r}"):
+            return self.root["/".join(parts)] if parts else self.root
+
+    def _field(self, path: str) -> tuple[Any, list[Json], Json]:
+        """Return the array of a field, its axes, and the transformation of its indices.
+
+        The path is of a multiscale image, or of an array that an image in a group above lists.
+        """
+        node, parts = self._node(path), path.strip("/").split("/")
+        listed = (
+            [(parts[:k], parts[k:]) for k in reversed(range(len(parts)))] if hasattr(node, "shape") else [(parts, [])]
+        )
+        for above, rest in listed:
+            for image in ome_of(self._node("/".join(above)).attrs).get("multiscales", []):
+                for dataset in image["datasets"]:
+                    if not rest or dataset["path"].strip("/").split("/") == rest:
+                        (step,) = dataset["coordinateTransformations"]
+                        end = step["output"]["name"]
+                        axes = {one["name"]: one["axes"] for one in image["coordinateSystems"]}[end]
+                        return self._node("/".join([*above, dataset["path"]])), list(axes), step
+        raise self.error(f"its field {path} is no multiscale image", "write it as OME-Zarr 0.6 has it")
+
+    def _displacements(self, found: Json, n: int) -> _Raw:
+        path, kind = found["path"], _KINDS[found["type"]]
+        array, axes, step = self._field(path)
+        types = [axis.get("type") for axis in axes]
+        if types.count(kind) != 1:
+            listed = ", ".join(map(str, types))
+            raise self.error(f"its field {path} has axes of the types {listed}", f"make one of them a {kind}")
+        vector = types.index(kind)
+        if array.ndim != n + 1 or len(axes) != n + 1 or array.shape[vector] != n:
+            what = f"its field {path} has the shape {array.shape}, with {n} components along the axis {vector} expected"
+            raise self.error(what, "give a field of equal spaces")
+        if array.dtype.kind not in "iuf":
+            raise self.error(f"its field {path} is of {array.dtype}", "write float32 or float64")
+        told = found.get("interpolation") or "linear"
+        if told not in _INTERPOLATION:
+            raise self.error(f"its field {path} is to be interpolated by {told!r}", "use linear or cubic")
+        matrix = np.delete(np.delete(self._matrix(step, n + 1), vector, 0), vector, 1)
+        if not abs(np.linalg.det(matrix)) > 0:
+            raise self.error(f"the coordinateTransformations of its field {path} do not fit its axes", "mend them")
+        with self.reading(f"its field {path} is damaged or cut short"):
+            values = np.moveaxis(np.asarray(array[...]), vector, -1)
+        if not all(np.isfinite(part).all() for part in values):
+            raise self.error(f"its field {path} holds NaN or infinity", "fill them first")
+        if kind == "coordinate":
+            indices = np.moveaxis(np.indices(values.shape[:-1], np.float64), 0, -1)
+            values = values - (indices @ matrix[:-1, :-1].T + matrix[:-1, -1])
+        return _Raw(values, matrix, _INTERPOLATION[told])
+
+
+class _Raw(NamedTuple):
+    """A field as it is stored: in the order and the units of the file's axes."""
+
+    values: Array
+    matrix: Matrix  # from an index to its position
+    interpolation: Literal["linear", "cubic"]
+
+
+def _turned(part: Matrix | _Raw, axes: Matrix) -> Content:
+    """Return a part of a transformation in millimetres in LPS, x first, with ``axes`` from stored coordinates."""
+    if not isinstance(part, _Raw):
+        return np.asarray(axes @ part @ inverse(axes))
+    n = len(axes) - 1
+    order = [int(np.flatnonzero(row)[0]) for row in axes[:n]]  # of the array's axes, x first
+    matrix = (axes @ part.matrix)[:n, [*order, n]]
+    spacing = np.linalg.norm(matrix[:, :n], axis=0)
+    shape = [part.values.shape[axis] for axis in order[::-1]]
+    grid = Grid(shape, spacing.tolist(), matrix[:, n].tolist(), matrix[:, :n] / spacing)
+    dtype = np.float64 if part.values.dtype.itemsize == 8 else np.float32
+    values = part.values.transpose([*order[::-1], n]) @ axes[:n, :n].T.astype(dtype)
+    return Displacements(np.ascontiguousarray(values, dtype), grid, part.interpolation)
+
+
+def shortened(parts: Iterable[Content]) -> list[Content]:
+    """Return the same map of fewer parts, the first first: matrices multiplied, and fields on oriented grids.
+
+    Where fields lie along the axes of space, one on a turned grid is written as three maps: M into the axes of the
+    field, the field u, and M⁻¹ back. That is x → M⁻¹ (M x + u(M x)) = x + L u(M x), with L the linear part of M⁻¹: one
+    field of the vectors L u, whose samples lie where M⁻¹ puts those of u. These are found before matrices that follow
+    each other are multiplied, so that a field's own matrices are not lost among others; and after that, since a
+    sequence may spell each of them as several.
+    """
+    made: list[Content] = []
+    for part in _oriented(parts):
+        if made and isinstance(part, np.ndarray) and isinstance(made[-1], np.ndarray):
+            made[-1] = np.asarray(part @ made[-1])
+        else:
+            made.append(part)
+    return _oriented(made)
+
+
+def _oriented(parts: Iterable[Content]) -> list[Content]:
+    """Return the parts with a matrix, a field and the inverse of the matrix as one field."""
+    made: list[Content] = []
+    for part in parts:
+        made.append(part)
+        while len(made) > 2 and (whole := _one_field(*made[-3:])) is not None:
+            made[-3:] = [whole]
+    return made
+
+
+def _one_field(before: Content, field: Content, after: Content) -> Displacements | None:
+    """Return three maps as one field; None if they are no matrix, field and inverse, or their grid is sheared."""
+    if isinstance(before, Displacements) or not isinstance(field, Displacements) or isinstance(after, Displacements):
+        return None
+    matrix = after @ field.grid.matrix
+    if not abs(np.linalg.det(matrix)) > 0:
+        return None
+    # by how many voxels positions are off at most
+    off = np.abs(inverse(matrix) @ (after @ before - np.eye(len(after))) @ matrix)[:-1] @ [*field.grid.sizes, 1]
+    if off.max() > _EXACT:
+        return None
+    spacing = np.linalg.norm(matrix[:-1, :-1], axis=0)
+    try:
+        grid = Grid(field.grid.shape, spacing.tolist(), matrix[:-1, -1].tolist(), matrix[:-1, :-1] / spacing)
+    except SuppleError:  # the axes lie in a plane
+        return None
+    if grid.shear:
+        return None
+    values = np.empty_like(field.values)
+    for k, plane in enumerate(field.values):
+        values[k] = plane @ after[:-1, :-1].T
+    return field._replace(values=values, grid=grid)

@@ -93,14 +93,14 @@ def write_remap(path: PathLike, contents: Sequence[Content], grids: Grids, *, fo
         elif suffix == ".npz":
             np.savez(file, map1=maps["map1"], map2=maps["map2"])
         elif suffix == ".xml":
-            matrices = "".join(_in_xml(name, plane) for name, plane in maps.items())
+            matrices = _in_text(_XML_OUT, " ", "\n", maps)
             file.write(f'<?xml version="1.0"?>\n<opencv_storage>\n{matrices}</opencv_storage>\n'.encode())
         else:
-            file.write(f"%YAML:1.0\n---\n{''.join(_in_yaml(name, plane) for name, plane in maps.items())}".encode())
+            matrices = _in_text(_YAML_OUT, ", ", ",\n       ", maps)
+            file.write(f"%YAML:1.0\n---\n{matrices}".encode())
 
 
 def _arrays(path: PathLike) -> dict[str, Array]:
-    """Return the array of a .npy file, or those of a .npz archive."""
     head_of(path, 1)
     kind = "array" if Path(path).suffix.lower() == ".npy" else "archive"
     try:
@@ -140,7 +140,6 @@ def _matrices(path: PathLike) -> dict[str, Array]:
 
 
 def _chosen(path: PathLike, named: dict[str, Array]) -> list[Array]:
-    """Return the arrays of x and of y by their names; or the only one."""
     filled = {name: array for name, array in named.items() if array.size or not name}  # remap takes an empty map2
     if len(filled) == 1:
         return list(filled.values())
@@ -156,10 +155,8 @@ def _planes(path: PathLike, arrays: list[Array]) -> tuple[Array, Array]:
     """Return the source positions, x and y, of the maps in any of OpenCV's forms."""
     first, second = arrays[0], arrays[-1]
     what = " and ".join(f"{array.dtype} of shape {array.shape}" for array in arrays)
-    if any(array.dtype.kind not in "iuf" or array.dtype.itemsize > 8 for array in arrays):
+    if any(array.dtype.kind not in "iuf" or array.dtype.itemsize > 8 or 0 in array.shape for array in arrays):
         raise unreadable(path, f"it holds {what}", "give real numbers: " + _ADVICE)
-    if any(0 in array.shape for array in arrays):
-        raise unreadable(path, f"it holds {what}", _ADVICE)
     if len(arrays) == 1 and first.ndim == 3 and 2 in (len(first), first.shape[-1]):
         if len(first) == first.shape[-1]:
             raise unreadable(path, f"{what} may be of two rows or of two planes", "give two arrays, map1 and map2")
@@ -174,16 +171,14 @@ def _planes(path: PathLike, arrays: list[Array]) -> tuple[Array, Array]:
     raise unreadable(path, f"it holds {what}", _ADVICE)
 
 
-def _in_xml(name: str, plane: Array) -> str:
-    data = "\n".join(" ".join(map(str, row)) for row in plane)
-    head = f"<rows>{plane.shape[0]}</rows>\n<cols>{plane.shape[1]}</cols>\n<dt>f</dt>"
-    return f'<{name} type_id="opencv-matrix">\n{head}\n<data>\n{data}</data></{name}>\n'
+_XML_OUT = '<{0} type_id="opencv-matrix">\n<rows>{1}</rows>\n<cols>{2}</cols>\n<dt>f</dt>\n<data>\n{3}</data></{0}>\n'
+_YAML_OUT = "{0}: !!opencv-matrix\n   rows: {1}\n   cols: {2}\n   dt: f\n   data: [ {3} ]\n"
 
 
-def _in_yaml(name: str, plane: Array) -> str:
-    data = ",\n       ".join(", ".join(map(str, row)) for row in plane)
-    head = f"   rows: {plane.shape[0]}\n   cols: {plane.shape[1]}\n   dt: f\n"
-    return f"{name}: !!opencv-matrix\n{head}   data: [ {data} ]\n"
+def _in_text(form: str, between: str, end: str, maps: dict[str, Array]) -> str:
+    """Return matrices as ``cv2.FileStorage`` writes them, with what stands between numbers and between rows."""
+    texts = {name: end.join(between.join(map(str, row)) for row in plane) for name, plane in maps.items()}
+    return "".join(form.format(name, *maps[name].shape, text) for name, text in texts.items())
 
 
 def read_stmap(path: PathLike, grids: Grids) -> tuple[Content, ...]:
@@ -242,7 +237,6 @@ def _size(
 
 
 def _of_picture(path: PathLike) -> _Planes:
-    """Return s, t, the opacity, the first pixel and the size of a picture."""
     found = image.read(path)
     pixels = found.pixels
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
@@ -254,7 +248,6 @@ def _of_picture(path: PathLike) -> _Planes:
 
 
 def _of_exr(path: PathLike) -> _Planes:
-    """Return s, t, the opacity, the first pixel and the size of an EXR."""
     with exr.opened(path) as file:
         names, header = dict(file.channels()), file.header()
         windows = [np.array(header[key], np.int64) for key in ("dataWindow", "displayWindow")]
@@ -273,14 +266,11 @@ def _of_exr(path: PathLike) -> _Planes:
 
 
 def _pairs(names: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the channels of s and t: those without a layer, or else those of all layers."""
+    """Return the channels of s and t: red and green, or others without a layer, or else those of all layers."""
     found = []
     for name in names:
         layer, dot, channel = name.rpartition(".")
-        for one, other in _CHANNELS:
-            if channel.upper() == one:
-                mates = [n for n in names if n.upper() == f"{layer}{dot}{other}".upper()]
-                found += [(name, mate) for mate in mates]
+        other = dict(_CHANNELS).get(channel.upper())
+        found += [(name, mate) for mate in names if other and mate.upper() == f"{layer}{dot}{other}".upper()]
     plain = [pair for pair in found if "." not in pair[0]]
-    coloured = [pair for pair in plain if pair[0] == "R"]
-    return coloured or plain or found
+    return [pair for pair in plain if pair[0] == "R"] or plain or found

@@ -215,21 +215,10 @@ class Clip(VideoSource):
         return self._packets.popleft() if self._packets else None
 
     def frames(self) -> Iterator[DecodedFrame]:
-        """Decode all frames in display order, once.
+        """Decode all frames in display order, once; while a writer is open, packets of other streams go to it.
 
-        While a writer is open, packets of the other streams go to it.
-
-        Yields
-        ------
-        DecodedFrame
-            The next frame.
-
-        Raises
-        ------
-        SuppleError
-            If a frame has another size or pixel format than the first.
-        CountError
-            If there are more or fewer than `count`. No frame beyond is yielded.
+        SuppleError if a frame has another size or pixel format than the first; CountError if there are more or fewer
+        than `count`, beyond which none is yielded.
         """
         film = self._rewind()
         others = [self.source.streams[index] for index in self.passage.indices] if self.passage else []
@@ -459,31 +448,10 @@ def check_target(path: PathLike) -> None:
 
 @contextlib.contextmanager
 def open_clip(path: PathLike, *, threads: int | None = None, count: int | None = None) -> Iterator[Clip]:
-    """Open a video file for reading.
+    """Open a video file that FFmpeg reads: its first film, not a cover image; it is closed when the block ends.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        Any file that FFmpeg reads. Its first film is opened, not a cover image.
-    threads : int, optional
-        The threads of the decoder. By default as many as Supple uses.
-    count : int, optional
-        The number of frames, from a `CountError`.
-
-    Yields
-    ------
-    Clip
-        Closed when the block ends.
-
-    Raises
-    ------
-    SuppleError
-        If the file is missing, empty, damaged, or holds no film.
-
-    Warns
-    -----
-    ClipWarning
-        If it is damaged, but partly usable.
+    ``threads`` are those of the decoder, and ``count`` is the number of frames, from a `CountError`. SuppleError if the
+    file is missing, empty, damaged or holds no film; a `ClipWarning` if it is damaged, but partly usable.
     """
     clip = Clip(path, threads, count)
     try:

@@ -19,8 +19,7 @@ from supple.media.files import PathLike, check_output, replacing, unwritable
 from supple.media.sequence import Pictures
 from supple.media.video.colour import Colour, filtered, recast, sited
 from supple.media.video.demux import said, usual_step
-from supple.media.video.pixel_format import Match
-from supple.media.video.plan import WritePlan, container_of, workers
+from supple.media.video.plan import Match, WritePlan, container_of, workers
 from supple.media.video.planes import form, pack
 from supple.media.video.source import Stills, VideoSource
 from supple.media.video.streams import Passage, kept_tags, titled
@@ -138,17 +137,7 @@ class Sink:
         )
 
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
-        """Encode a frame, or copy its packet if possible.
-
-        Parameters
-        ----------
-        arrays : sequence of ndarray
-            Its samples, in the clip's layout. They are copied.
-        k : int
-            Its index: 0, 1, 2, …, in order.
-        still : bool
-            Whether it is an unchanged frame of the source.
-        """
+        """Encode frames in order, of samples in the clip's layout; or copy the packet of an unchanged one."""
         if k != self._written:
             raise ValueError(f"frame {k} comes after {self._written} frames")
         pts, duration = self._video.time(k)
@@ -325,44 +314,15 @@ def writer(
 ) -> Iterator[Sink]:
     """Write a clip with new frames and its other contents; or write images as a film.
 
-    Parameters
-    ----------
-    clip : Clip or Pictures
-        Images have their constant rate. Their opacity is kept if the codec supports it.
-    target : str or os.PathLike
-        The file to write: MP4, MOV, MKV, WebM, AVI or GIF, by its suffix. It appears when it is complete.
-    codec : str, optional
-        A codec or encoder, such as ``"h264"``, ``"libx264"``, ``"ffv1"``. By default that of the source, or the default
-        of the container.
-    crf : float, optional
-        The constant rate factor, if the codec has one: lower is better.
-    preset : str, optional
-        The encoder's preset of speed, if it has presets.
-    pixel_format : str, optional
-        By default that of the source, or the nearest of the codec. Lossy codecs write images as YUV, in 4:2:0 if
-        possible, in the limited range of BT.709.
-    force : bool
-        Whether an existing file may be replaced.
-    threads : int, optional
-        The threads of the encoder. By default as many as Supple uses.
-    lossless : bool
-        Whether to write without loss: by FFV1, unless a lossless codec is named.
+    The sink's ``write(arrays, k)`` takes the frames k = 0, 1, 2, …; each frame of a video after it has been yielded by
+    ``frames``. SuppleError if an option is not supported, or the file cannot be written; a `ClipWarning` if a part of
+    the source cannot be kept. Images have their constant rate; their opacity is kept if the codec supports it.
 
-    Yields
-    ------
-    Sink
-        Its ``write(arrays, k)`` takes the frames k = 0, 1, 2, …; each frame of a video after it has been yielded by
-        ``frames``.
-
-    Raises
-    ------
-    SuppleError
-        If an option is not supported; or the file cannot be written.
-
-    Warns
-    -----
-    ClipWarning
-        If a part of the source cannot be kept.
+    The suffix of ``target`` chooses MP4, MOV, MKV, WebM, AVI or GIF. ``codec`` names a codec or an encoder, such as
+    ``"h264"``, ``"libx264"``, ``"ffv1"``: by default that of the source, or the default of the container; ``crf`` is
+    its constant rate factor (lower is better), and ``preset`` its preset of speed. ``pixel_format`` is by default that
+    of the source, or the nearest of the codec; lossy codecs write images as YUV, in 4:2:0 if possible, in the limited
+    range of BT.709. With ``lossless``, it is FFV1, unless a lossless codec is named.
     """
     container_of(target)
     check_output(target, force=force)

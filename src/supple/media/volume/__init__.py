@@ -64,11 +64,6 @@ def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
     series : str, optional
         The series of a folder with several: its SeriesInstanceUID, or its number in the list, from 1.
 
-    Returns
-    -------
-    Volume
-        `samples` of shape (Z, H, W), (Z, H, W, C) or (T, Z, H, W).
-
     Raises
     ------
     SuppleError
@@ -81,8 +76,7 @@ def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
 def outline_of(path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> Volume:
     """Return a volume from its header alone; its samples have their shape and type, take no memory, and are 0.
 
-    Parameters and errors are those of `read`. DICOM and TIFF are read for it: their slices tell what they hold one by
-    one.
+    DICOM and TIFF are read for it: their slices tell what they hold one by one.
     """
     known = _read(path, raw, series, header_only=True)
     return replace(known, samples=np.broadcast_to(np.zeros((), known.samples.dtype), known.samples.shape))
@@ -126,24 +120,10 @@ def _format(path: PathLike) -> str:
 def check_target(
     path: PathLike, like: Volume | None = None, dtype: npt.DTypeLike | None = None, *, force: bool = False
 ) -> None:
-    """Raise SuppleError, before any work, for a name under which this volume cannot be written.
+    """Raise SuppleError, before any work, for a name under which a volume like this, in another dtype, is not written.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        The file to write; see `check_output`, too. Of DICOM slices, also a folder, without a suffix; of a DICOM file
-        of many frames, also a ``.dcm``.
-    like : Volume, optional
-        A volume of the shape to be written; without it, only the name is checked.
-    dtype : dtype, optional
-        The type to be written, if it differs.
-    force : bool
-        Whether an existing ``.raw`` beside a ``.mhd``, or a ``.dcm``, may be replaced.
-
-    Raises
-    ------
-    SuppleError
-        If the suffix is not in `SUFFIXES_OUT`; a ``.raw`` exists; or the format cannot hold such a volume.
+    Without ``like``, only the name is checked. A ``.raw`` beside a ``.mhd``, and a ``.dcm``, exist only with ``force``.
+    See `check_output`, too.
     """
     suffix = suffix_of(path)
     if suffix in derived.SUFFIXES and like is not None and like.format == "DICOM":
@@ -177,17 +157,12 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
         One of `SUFFIXES_OUT`; or, for a series of DICOM slices, a folder, which gets a derived series; or, for a DICOM
         file of many frames, a ``.dcm``. The data of a ``.mhd`` are written to a ``.raw`` of the same name.
     samples : ndarray
-        An array of the shape of ``like.samples``, with ``like.scaling``. It may be mapped from a file. Formats other
-        than NIfTI have no scaling, and hold scaled values in float32 or float64.
+        Of the shape of ``like.samples``, with ``like.scaling``. Formats other than NIfTI get scaled values, in float32
+        or float64.
     like : Volume
         The source of the geometry; and of the header, if the format is the same.
     force : bool
         Whether to replace an existing file.
-
-    Raises
-    ------
-    SuppleError
-        If the format cannot hold it, or the file cannot be written.
     """
     check_target(path, like, samples.dtype, force=force)
     if suffix_of(path):
@@ -219,19 +194,13 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
     Returns
     -------
     dict
-        ``unit`` (of a dose: that of scaled values),
-        ``format``, ``shape`` (x, y, z), ``dtype``, ``components``, ``times``, ``interval`` (s), ``spacing`` (mm),
-        ``origin`` and ``direction`` (rows; in the file's own ``convention``), ``orientation`` (axis directions:
-        Right or Left, Anterior or Posterior, Superior or Inferior), ``oblique`` (degrees off that), ``shear`` (degrees
-        by which the axes miss right angles to each other), ``scaling`` (slope and intercept), ``minimum``, ``maximum``
-        and ``nan`` (of the samples as stored; None if there are more than 2 GiB), and ``bytes`` (of the samples). Of a
-        folder with several series, if none is named: ``format`` and ``series``, each with ``number``,
-        ``uid``, ``description`` and ``slices``.
-
-    Raises
-    ------
-    SuppleError
-        As in `read`.
+        ``unit`` (of a dose: that of scaled values), ``format``, ``shape`` (x, y, z), ``dtype``, ``components``,
+        ``times``, ``interval`` (s), ``spacing`` (mm), ``origin`` and ``direction`` (rows; in the file's own
+        ``convention``), ``orientation`` (axis directions: Right or Left, Anterior or Posterior, Superior or Inferior),
+        ``oblique`` (degrees off that), ``shear`` (degrees by which the axes miss right angles to each other),
+        ``scaling`` (slope and intercept), ``minimum``, ``maximum`` and ``nan`` (of the samples as stored; None if there
+        are more than 2 GiB), and ``bytes`` (of the samples). Of a folder with several series, if none is named:
+        ``format`` and ``series``, each with ``number``, ``uid``, ``description`` and ``slices``.
     """
     if raw is None and series is None and os.path.isdir(path):
         from supple.media.volume import dicom
@@ -276,7 +245,6 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
 
 
 def _orientation(direction: Array) -> str:
-    """Return the directions of the axes as letters, from directions in LPS."""
     letters = []
     for column in direction.T:
         axis = int(np.abs(column).argmax())

@@ -27,39 +27,21 @@ DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int6
 class Volume:
     """A volume with the contents of its file.
 
-    Parameters
-    ----------
-    samples : ndarray
-        Shape (Z, H, W), or (Z, H, W, C) for colours or vectors, or (T, Z, H, W) of a series in time; in the file's own
-        dtype, in this machine's byte order. It may be mapped from the file, and then is not writable.
-    geometry : Geometry
-        The geometry of the voxels.
-    name : str
-        The name of the file, for messages.
-    format : str
-        ``"NIfTI"``, ``"NRRD"``, ``"MetaImage"``, ``"DICOM"``, ``"TIFF"`` or ``"raw"``.
-    series : bool
-        Whether the first axis is time.
-    header : object
-        The header in the file's own format, for writing the file again; of DICOM, the path of the file of many
-        frames, or those of the slices, in order.
-    scaling : (float, float)
-        Slope and intercept: the values are ``slope * samples + intercept``.
-    interval : float
-        Seconds between the volumes of a series.
-    regridded : bool
-        Whether the samples and the geometry are not those of the header.
+    The samples are in the file's own dtype, in this machine's byte order: of shape (Z, H, W), or (Z, H, W, C) for
+    colours or vectors, or (T, Z, H, W) of a series in time. Mapped from the file, they are not writable.
     """
 
     samples: Array
     geometry: Geometry
-    name: str = "the volume"
-    format: str = ""
-    series: bool = False
-    header: Any = None
-    scaling: tuple[float, float] = (1.0, 0.0)
-    interval: float = 1.0
-    regridded: bool = False
+    name: str = "the volume"  # of the file, for messages
+    format: str = ""  # "NIfTI", "NRRD", "MetaImage", "DICOM", "TIFF" or "raw"
+    series: bool = False  # whether the first axis is time
+    header: Any = (
+        None  # in the file's own format; of DICOM, the path of the file of many frames, or those of the slices
+    )
+    scaling: tuple[float, float] = (1.0, 0.0)  # the values are slope * samples + intercept
+    interval: float = 1.0  # seconds between the volumes of a series
+    regridded: bool = False  # whether the samples and the geometry are not those of the header
 
     @property
     def sizes(self) -> tuple[int, int, int]:

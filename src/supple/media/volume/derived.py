@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import SuppleError, need, said
+from supple.errors import SuppleError, said
 from supple.media.files import PathLike, check_output, replacing, replacing_all, unwritable
 from supple.media.volume.data import Array, Volume
-from supple.media.volume.frames import Frames, frames_of, item_of, quiet
+from supple.media.volume.frames import Frames, frames_of, imported, item_of, quiet
 
 SUFFIXES = ("", ".dcm")
 """The suffixes of what is derived: a folder of slices, and a file of many frames."""
@@ -43,37 +43,28 @@ _ALONG = (0x00209057, 0x00200032)  # InStackPositionNumber, ImagePositionPatient
 _OVERLAYS, _CURVES = range(0x6000, 0x6020, 2), range(0x5000, 0x5020, 2)
 
 
-def imported() -> Any:
-    """Return pydicom."""
-    need("volume", "DICOM files that are written", "pydicom")
-    import pydicom
-
-    return pydicom
-
-
 def check(path: PathLike, like: Volume | None = None, *, force: bool = False) -> None:
     """Raise SuppleError, before any work, for a place that cannot get DICOM, or a source whose kind is not written.
 
     Nothing that is in a folder is ever replaced: it must be new, or empty. A file may be, with ``force``.
     """
-    imported()
+    imported("DICOM files that are written")
     many, single = like is not None and isinstance(like.header, str), Path(path).suffix != ""
-    if like is not None and single and not many:
+    if like is not None and not many and single:
         raise unwritable(path, f"{like.name} is of slices", "give a folder for slices, which is a name without suffix")
     if like is not None and many:
-        if not single:
-            what = f"{like.name} is one DICOM file of many frames, and so is what is derived from it"
-            raise unwritable(path, what, "use .dcm, .nii.gz, .nrrd or .mha")
         known = _source(path, like)
-        if known.head.get("BitsAllocated") not in (8, 16, 32):
-            what = f"{like.name} has {known.head.get('BitsAllocated')} bits to a pixel, which are not written"
-            raise unwritable(path, what, "use .nii.gz, .nrrd or .mha")
-        if known.places is None and (like.regridded or known.head.get(_GROUPS)):
-            what = f"{like.name} does not tell where each frame lies, in millimetres"
-            raise unwritable(path, what, "use .nii.gz, .nrrd or .mha")
-        if like.geometry.shear and not known.head.get(_GROUPS):
-            what = f"frames of {like.name} lie along their normal, and not at an angle"
-            raise unwritable(path, what, "use .nii.gz, .nrrd or .mha")
+        what, bits, groups = "", known.head.get("BitsAllocated"), known.head.get(_GROUPS)
+        if not single:
+            what = "is one DICOM file of many frames, and so is what is derived from it: name it .dcm"
+        elif bits not in (8, 16, 32):
+            what = f"has {bits} bits to a pixel, which are not written"
+        elif known.places is None and (like.regridded or groups):
+            what = "does not tell where each frame lies, in millimetres"
+        elif like.geometry.shear and not groups:
+            what = "has frames along their normal, and not at an angle"
+        if what:
+            raise unwritable(path, f"{like.name} {what}", "use .nii.gz, .nrrd or .mha")
     if single or not os.path.isdir(path):
         check_output(path, force=force)
     elif os.listdir(path):
@@ -84,11 +75,7 @@ def _source(path: PathLike, like: Volume) -> Frames:
     try:
         return frames_of(like.header)
     except SuppleError as error:
-        raise _gone(path, like) from error
-
-
-def _gone(path: PathLike, like: Volume) -> SuppleError:
-    return unwritable(path, f"{like.name} is not readable any more", "bring it back")
+        raise unwritable(path, f"{like.name} is not readable any more", "bring it back") from error
 
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
@@ -101,30 +88,16 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     stored in 16 bits. Frames are as slices, and have one slope; the image type of those with functional groups is
     ``DERIVED\PRIMARY``, since their classes have no other.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        The folder, if the source is of slices; else the file.
-    samples : ndarray, shape (Z, H, W) or (Z, H, W, 3)
-        In the units of the files (Hounsfield's, for CT); of doses, as they are stored.
-    like : Volume
-        The source, with the paths of its slices, or its own, as the header, and the geometry to write.
-    force : bool
-        Whether to replace an existing file.
-
-    Raises
-    ------
-    SuppleError
-        As in `check`; if a slice of the source cannot be read any more; or what is written cannot be.
+    Samples (Z, H, W) or (Z, H, W, 3) are in the units of the files (Hounsfield's, for CT); of doses, as they are
+    stored. ``like`` is the source, with the paths of its slices, or its own, as the header, and the geometry to write.
     """
-    pydicom = imported()
+    pydicom = imported("DICOM files that are written")
     check(path, like, force=force)
     with quiet():
         (_write_frames if isinstance(like.header, str) else _write_slices)(pydicom, path, samples, like, force)
 
 
 def _stamp(pydicom: Any) -> tuple[Any, datetime.datetime]:
-    """Return the UID of a new series, and the time."""
     return pydicom.uid.generate_uid(prefix=None), datetime.datetime.now()
 
 
@@ -147,7 +120,7 @@ def _write_slices(pydicom: Any, path: PathLike, samples: Array, like: Volume, _:
     try:
         heads = [pydicom.dcmread(name, stop_before_pixels=True) for name in like.header]
     except Exception as error:  # pydicom has many
-        raise _gone(path, like) from error
+        raise unwritable(path, f"{like.name} is not readable any more", "bring it back") from error
     places, stamp = np.array([_place_of(head) for head in heads]), _stamp(pydicom)
     common = {_scale_of(head) for head in heads}
     with replacing_all(Path(path)) as folder:
@@ -185,7 +158,6 @@ def _place_of(head: Any) -> tuple[float, float, float]:
 
 
 def _scale_of(head: Any) -> tuple[float, float]:
-    """Return the rescale slope and intercept."""
     if head.get(_GROUPS):
         head = item_of(head, 0, "PixelValueTransformationSequence") or {}
     return float(head.get("RescaleSlope") or 1), float(head.get("RescaleIntercept") or 0)
@@ -370,7 +342,6 @@ def _fits(values: Array, bits: int, kind: str) -> bool:
 
 
 def _stored(made: Any, slab: Array, scale: tuple[float, float] | None) -> tuple[Array, tuple[float, float]]:
-    """Return the integers to store, and their slope and intercept."""
     if scale is not None:
         values = np.rint((slab.astype(np.float64) - scale[1]) / scale[0])
         kind = "i" if made.get("PixelRepresentation") else "u"

@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import VolumeWarning, argument, need, shown
+from supple.errors import VolumeWarning, argument, shown
 from supple.media.files import PathLike, head_of, unreadable
 from supple.media.volume.data import Array, Volume, check_spacing, located
 from supple.media.volume.frames import frames_of
+from supple.media.volume.frames import imported as with_pydicom
 from supple.media.volume.itk import check_voxels, failing, geometry_of, imported, silence
 
 _UID, _NUMBER, _TEXT, _PIXEL_SPACING = "0020|000e", "0020|0011", "0008|103e", "0028|0030"
@@ -29,15 +30,9 @@ _ALONG = 0.1  # of a step: the largest deviation from even steps
 # DICOM objects beside images: the ends of SOP class UIDs, after that of storage.
 _STORAGE = "1.2.840.10008.5.1.4.1.1."
 _BESIDE = {
-    "481.3": "RTSTRUCT",
-    "481.5": "RTPLAN",
-    "481.2": "RTDOSE",
-    "481": "RT",
-    "88": "SR",
-    "11": "PR",
-    "9": "waveform",
-}
-_BESIDE |= {"66.1": "REG", "66.3": "REG", "66.4": "SEG", "66": "raw data", "104": "document", "79": "measurements"}
+    "481.3": "RTSTRUCT", "481.5": "RTPLAN", "481.2": "RTDOSE", "481": "RT", "88": "SR", "11": "PR", "9": "waveform",
+    "66.1": "REG", "66.3": "REG", "66.4": "SEG", "66": "raw data", "104": "document", "79": "measurements",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +47,15 @@ class Series:
 
 def is_slice(path: PathLike) -> bool:
     """Return whether a file is DICOM, by its first bytes."""
+    return _first_bytes(path, 132)[128:] == b"DICM"
+
+
+def _first_bytes(path: PathLike, count: int) -> bytes:
     try:
         with open(path, "rb") as file:
-            return file.read(132)[128:] == b"DICM"
+            return file.read(count)
     except (OSError, ValueError):
-        return False
+        return b""
 
 
 def in_folder(path: PathLike) -> bool:
@@ -95,21 +94,21 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
     Objects that are not images, or are derived from images in the folder (a dose, a segmentation), are left out with a
     warning; files that cannot be read, too, if a slice beside them was named, and not the folder (``nested``).
     """
-    sitk, beside = imported(), []
+    sitk = imported()
+    beside: list[tuple[str, str]] = []
     images: list[tuple[str, Any]] = []
     derived: list[tuple[str, Any]] = []
-    for file in (
-        os.path.join(f, name) for f in (_folders(path) if nested else [os.fspath(path)]) for name in _names(f)
-    ):
+    folders = _folders(path) if nested else [os.fspath(path)]
+    for file in (os.path.join(folder, name) for folder in folders for name in _names(folder)):
         named = os.path.splitext(file)[1].lower() in _SUFFIXES
         if os.path.basename(file).upper() == "DICOMDIR" or not os.path.isfile(file) or not (named or is_slice(file)):
             continue
         reader, kind = _reader(sitk, file), _kind_beside(file)
-        if reader is None and not kind and not nested:
+        if reader is None and not kind:
+            if nested:  # a missing last slice would not be noticed
+                what = "it is damaged, or no slice of any series"
+                raise unreadable(file, what, "give a whole copy of it, or take it out")
             kind = "not readable"
-        if reader is None and not kind:  # a missing last slice would not be noticed
-            advice = "give a whole copy of it, or take it out"
-            raise unreadable(file, "it is damaged, or no slice of any series", advice)
         if kind:
             beside.append((file, kind))
         if reader is not None:
@@ -138,12 +137,7 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
 # GDCM reads no header of what is no image (test_what_is_no_image_is_left_out_and_named).
 def _kind_beside(path: str) -> str:
     """Return the content of a file that is not an image, or is derived from one, by its SOP class."""
-    try:
-        with open(path, "rb") as file:
-            head = file.read(1024)
-    except OSError:
-        return ""
-    named = re.search(rb"\x02\x00\x02\x00UI..([0-9.]+)", head, re.DOTALL)
+    named = re.search(rb"\x02\x00\x02\x00UI..([0-9.]+)", _first_bytes(path, 1024), re.DOTALL)
     uid = named[1].decode() if named else ""
     if not uid.startswith(_STORAGE):
         return ""
@@ -151,31 +145,27 @@ def _kind_beside(path: str) -> str:
     return _BESIDE.get(".".join(parts[:2])) or _BESIDE.get(parts[0], "")
 
 
+def _head(path: str, what: str) -> Any:
+    """Return what pydicom reads of a file before its pixels; nothing of one that it cannot read, as others tell."""
+    pydicom = with_pydicom(what)
+    try:
+        return pydicom.dcmread(path, stop_before_pixels=True)
+    except Exception:  # pydicom has many
+        return pydicom.Dataset()
+
+
 def frame_of_reference(path: str) -> str:
     """Return the UID of the frame of reference of a DICOM file: an image's, or of contours; "" if it says none."""
-    need("volume", "contours of DICOM", "pydicom")
-    import pydicom
-
-    try:
-        head = pydicom.dcmread(path, stop_before_pixels=True)
-    except Exception:  # what is wrong with it is told by who reads it
-        return ""
+    head = _head(path, "contours of DICOM")
     parts = [head, *(head.get("ReferencedFrameOfReferenceSequence") or ())]
     return next((str(part.FrameOfReferenceUID) for part in parts if part.get("FrameOfReferenceUID")), "")
 
 
 def padding_of(volume: Volume) -> float | None:
     """Return the value of voxels that stand for no pixel (PixelPaddingValue), scaled; None if the file says none."""
-    need("volume", "padding of DICOM", "pydicom")
-    import pydicom
-
-    paths = volume.header if isinstance(volume.header, tuple) else (volume.header,)
-    try:
-        head = pydicom.dcmread(paths[0], stop_before_pixels=True)
-        stored = float(head.PixelPaddingValue)
-    except Exception:  # what is wrong with it is told by who reads it
-        return None
-    if head.get("PhotometricInterpretation") == "MONOCHROME1":  # GDCM has inverted its values
+    head = _head(volume.header[0] if isinstance(volume.header, tuple) else volume.header, "padding of DICOM")
+    stored = head.get("PixelPaddingValue")
+    if not isinstance(stored, int) or head.get("PhotometricInterpretation") == "MONOCHROME1":  # which GDCM inverts
         return None
     value = stored * float(head.get("RescaleSlope") or 1) + float(head.get("RescaleIntercept") or 0)
     limits = np.iinfo(volume.samples.dtype) if volume.samples.dtype.kind in "iu" else None
@@ -206,9 +196,8 @@ def read(path: PathLike, series: str | None = None) -> Volume:
         reader = _reader(sitk, os.fspath(path))
         if reader is None:
             if kind := _kind_beside(os.fspath(path)):
-                advice = (
-                    "supple points moves its contours" if kind == "RTSTRUCT" else "give slices, or a file of frames"
-                )
+                other = "give slices, or a file of frames"
+                advice = "supple points moves its contours" if kind == "RTSTRUCT" else other
                 raise unreadable(path, f"it is DICOM without a picture ({kind})", advice)
             with failing(path, "DICOM"):  # which says why
                 reader = _informed(sitk, os.fspath(path))
@@ -290,15 +279,12 @@ def _frames(path: PathLike, sitk: Any, reader: Any, file: PathLike) -> Volume:
 
 def _dose(path: PathLike, reader: Any) -> tuple[float, float]:
     """Return the scaling of a dose to Gy, which GDCM does not apply; that of all else is 1."""
-    text = _tag(reader, _DOSE)
-    try:
-        scale = float(text) if text else 1.0
-    except ValueError:
-        scale = 0.0
+    text, scale = _tag(reader, _DOSE), 0.0
+    with contextlib.suppress(ValueError):
+        scale = float(text or 1)
     if not 0 < scale < np.inf:
-        raise unreadable(
-            path, f"its dose grid scaling is {shown(text)}, and not a number above 0", "correct its header"
-        )
+        what = f"its dose grid scaling is {shown(text)}, and not a number above 0"
+        raise unreadable(path, what, "correct its header")
     return scale, 0.0
 
 
@@ -331,7 +317,6 @@ def _stacked(path: PathLike, sitk: Any, series: Series) -> Volume:
     for name, reader in zip(series.paths, readers, strict=True):
         if reader.GetSize()[2:3] > (1,):
             raise unreadable(path, f"{shown(Path(name).name)} is one of several files of many frames", "name that file")
-    for name, reader in zip(series.paths, readers, strict=True):
         _require_alike(path, (series.paths[0], first), (name, reader))
     direction = np.array(first.GetDirection()).reshape(3, 3)
     places = np.array([reader.GetOrigin() for reader in readers])
@@ -381,7 +366,6 @@ def _ordered(
 
 
 def _require_alike(path: PathLike, first: tuple[str, Any], other: tuple[str, Any]) -> None:
-    """Raise SuppleError for slices of several sizes, kinds or directions in one series."""
     (a, one), (b, two) = first, other
     for what, get in (
         ("sizes", lambda r: (*r.GetSize()[:3], r.GetNumberOfComponents())),
@@ -394,7 +378,6 @@ def _require_alike(path: PathLike, first: tuple[str, Any], other: tuple[str, Any
 
 
 def _check_steps(path: PathLike, names: list[str], along: Array) -> float:
-    """Return the step between slices; SuppleError if it varies."""
     steps = np.diff(along)
     usual = float(np.sort(steps)[(len(steps) - 1) // 2])  # the median, or the smaller one of the two
     even = float((along[-1] - along[0]) / len(steps))

@@ -22,27 +22,13 @@ _ALIKE = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """The frames of a file.
+    """The frames of a file; positions and directions are in LPS, in millimetres."""
 
-    Parameters
-    ----------
-    head : pydicom.Dataset
-        All but the pixels.
-    places : float64 array, shape (N, 3), or None
-        The position of the first pixel of each frame, in LPS, in millimetres; None if the file does not tell.
-    direction : float64 array, shape (3, 3)
-        Its columns are the directions of the rows, of the columns, and of the normal, in LPS.
-    spacing : (float, float)
-        Millimetres from a pixel to the next along a row, and along a column.
-    scales : float64 array, shape (N or 1, 2)
-        The rescale slope and intercept of each frame, or of all.
-    """
-
-    head: Any
-    places: Array | None
-    direction: Array
-    spacing: tuple[float, float]
-    scales: Array
+    head: Any  # a pydicom.Dataset: all but the pixels
+    places: Array | None  # of the first pixel of each frame, shape (N, 3); None if the file does not tell
+    direction: Array  # the columns are the directions of the rows, of the columns, and of the normal
+    spacing: tuple[float, float]  # from a pixel to the next along a row, and along a column
+    scales: Array  # the rescale slope and intercept of each frame, or of all: shape (N or 1, 2)
 
     @property
     def scale(self) -> tuple[float, float] | None:
@@ -61,6 +47,14 @@ class Frames:
         return made
 
 
+def imported(what: str) -> Any:
+    """Return pydicom, imported at the first use; ``what`` says in an error what needs it."""
+    need("volume", what, "pydicom")
+    import pydicom
+
+    return pydicom
+
+
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
     """Suppress pydicom's warnings on odd values, which are not of use here, or are copied as they are."""
@@ -77,9 +71,7 @@ def item_of(head: Any, k: int, name: str) -> Any | None:
 
 def frames_of(path: PathLike) -> Frames:
     """Return the frames of a file; SuppleError if they differ in direction or spacing, or it is damaged."""
-    need("volume", "DICOM files of many frames", "pydicom")
-    import pydicom
-
+    pydicom = imported("DICOM files of many frames")
     try:
         with quiet():
             head = pydicom.dcmread(path, stop_before_pixels=True)
@@ -111,12 +103,9 @@ def frames_of(path: PathLike) -> Frames:
     return Frames(head, places, np.stack([across, down, normal], axis=1), (x, y), scales)
 
 
-def _grouped(head: Any) -> tuple[list[Any], list[Any], list[Any], list[Any]]:
+def _grouped(head: Any) -> tuple[list[Any], ...]:
     """Return the places, directions, spacings and scales of the frames in functional groups; nothing for no places."""
-    places: list[Any] = []
-    directions: list[Any] = []
-    spacings: list[Any] = []
-    scales: list[Any] = []
+    rows: list[tuple[Any, ...]] = []
     for k in range(len(head.PerFrameFunctionalGroupsSequence)):
         place, turned, pixels, values = (
             item_of(head, k, f"{name}Sequence")
@@ -124,14 +113,12 @@ def _grouped(head: Any) -> tuple[list[Any], list[Any], list[Any], list[Any]]:
         )
         if place is None or turned is None or pixels is None:
             return [], [], [], []
-        places.append(place.ImagePositionPatient)
-        directions.append(turned.ImageOrientationPatient)
-        spacings.append(pixels.PixelSpacing)
-        scales.append([1, 0] if values is None else [values.RescaleSlope, values.RescaleIntercept])
-    return places, directions, spacings, scales
+        scale = [1, 0] if values is None else [values.RescaleSlope, values.RescaleIntercept]
+        rows.append((place.ImagePositionPatient, turned.ImageOrientationPatient, pixels.PixelSpacing, scale))
+    return tuple(map(list, zip(*rows, strict=True)))
 
 
-def _dosed(head: Any) -> tuple[list[Any], list[Any], list[Any], list[Any]]:
+def _dosed(head: Any) -> tuple[list[Any], ...]:
     """Return the same for a dose, whose frames have offsets from the first one, or its own coordinate as well."""
     across, down = np.reshape(np.array(head.ImageOrientationPatient, np.float64), (2, 3))
     offsets = np.array(head.GridFrameOffsetVector, np.float64)

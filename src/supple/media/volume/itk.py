@@ -153,7 +153,6 @@ def _fields(path: PathLike, form: str) -> tuple[dict[str, str], int]:
 
 
 def _data_file(path: PathLike, fields: dict[str, str]) -> Path | None:
-    """Return the file of the voxels, if there is only one."""
     name = fields.get("datafile", fields.get("elementdatafile", "local"))
     if name.lower() == "local":
         return Path(path)

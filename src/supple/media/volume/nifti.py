@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any, Literal, cast
+from typing import IO, Any, cast
 
 import numpy as np
 
@@ -38,7 +38,6 @@ LONGEST = 32_767  # an axis in the first version of the format
 _CHUNK = 1 << 22
 _SAME = 0.01  # of a voxel: the largest difference of qform and sform by rounding
 _TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])  # from LPS
-_ORDERS: tuple[Literal["little", "big"], ...] = ("little", "big")
 
 
 def imported() -> Any:
@@ -112,7 +111,8 @@ def _pair(path: PathLike) -> tuple[Path, Path]:
     return first, data
 
 
-def _opened(path: PathLike) -> IO[bytes]:
+def opened(path: PathLike) -> IO[bytes]:
+    """Open a file for reading, unpacked if it is compressed by gzip."""
     packed = head_of(path, 2) == _GZIP  # independent of the name
     return cast("IO[bytes]", gzip.open(path)) if packed else open(path, "rb")
 
@@ -123,15 +123,14 @@ def _header(path: Path) -> tuple[Any, bool]:
     from nibabel.spatialimages import HeaderDataError
     from nibabel.wrapstruct import WrapStructError
 
-    with reading(path), _opened(path) as file:
-        head = file.read(348)
-        sizes = {int.from_bytes(head[:4], order) for order in _ORDERS}
-        magic = head[4:8] if 540 in sizes else head[344:348]
-        if not sizes & {348, 540} or magic not in (b"n+1\0", b"ni1\0", b"n+2\0", b"ni2\0"):
-            old = magic == bytes(4) and 348 in sizes
+    with reading(path), opened(path) as file:
+        head = file.read(540)
+        kinds: list[Any] = [nibabel.Nifti2Header, nibabel.Nifti1Header]
+        kind = next((each for each in kinds if each.may_contain_header(head)), None)
+        if kind is None:
+            old = nibabel.AnalyzeHeader.may_contain_header(head) and head[344:348] == bytes(4)
             what = "it is an Analyze file, which does not tell left from right" if old else "it is no NIfTI file"
             raise unreadable(path, what, "convert it to NIfTI" if old else "check its name")
-        kind: Any = nibabel.Nifti2Header if 540 in sizes else nibabel.Nifti1Header
         file.seek(0)
         try:
             with warnings.catch_warnings():
@@ -139,7 +138,7 @@ def _header(path: Path) -> tuple[Any, bool]:
                 header = kind.from_fileobj(file, check=False)
         except (HeaderDataError, WrapStructError, ValueError) as error:
             raise unreadable(path, f"its header is damaged ({error})") from error
-        return header, magic[:2] == b"n+"
+        return header, header["magic"] == kind.single_magic
 
 
 def _axes(path: PathLike, header: Any) -> tuple[tuple[int, ...], int, bool]:
@@ -163,7 +162,6 @@ def _axes(path: PathLike, header: Any) -> tuple[tuple[int, ...], int, bool]:
 
 
 def _dtype(path: PathLike, header: Any) -> np.dtype[Any]:
-    """Return the type of a value in the file, in its own byte order."""
     from nibabel.nifti1 import data_type_codes
 
     code = int(header["datatype"])
@@ -180,7 +178,7 @@ def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offse
     sizes = tuple(reversed(shape[:3]))
     wanted = offset + dtype.itemsize * math.prod(shape)
     row = dtype.itemsize * (math.prod(shape[-2:]) if colours else shape[-1])
-    with _opened(path) as file:
+    with opened(path) as file:
         if not isinstance(file, gzip.GzipFile):
             found = os.stat(path).st_size
             if found < wanted:
@@ -221,57 +219,50 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
     if sform is None and qform is None:
         check_spacing(path, steps)
         return located(path, steps, [0.0] * 3, np.eye(3), "array")
-    known = sform if sform is not None else qform
+    known, text = sform if sform is not None else qform, ""
     assert known is not None
-    known[:3] *= unit
+    for form in (sform, qform):
+        if form is not None:
+            form[:3] *= unit
+    geometry = placed(path, known, "RAS")
     if sform is None or qform is None:
-        geometry = placed(path, known, "RAS")
         alike = geometry.shear or np.allclose(geometry.spacing, steps, rtol=_SAME, atol=0.0)  # ITK opens no sheared one
         if sform is not None and not alike:
             told = ["×".join(f"{x:.4g}" for x in sizes) for sizes in (geometry.spacing, steps)]
-            warnings.warn(
-                f"the sform of {shown(path)} has voxels of {told[0]} mm and its pixdim {told[1]} mm: the sform is "
-                "used; SimpleITK, ANTs and 3D Slicer use pixdim",
-                VolumeWarning,
-                stacklevel=6,
+            text = (
+                f"the sform of {shown(path)} has voxels of {told[0]} mm and its pixdim {told[1]} mm: the sform is used"
             )
-        return geometry
-    qform[:3] *= unit
-    corners = np.array([(*corner, 1.0) for corner in np.ndindex(2, 2, 2)]) * [*(np.array(sizes) - 1), 1]
+            text += "; SimpleITK, ANTs and 3D Slicer use pixdim"
+    else:
+        corners = np.array([(*corner, 1.0) for corner in np.ndindex(2, 2, 2)]) * [*(np.array(sizes) - 1), 1]
 
-    def apart(a: Array, b: Array) -> float:
-        return float(np.linalg.norm(corners @ (a - b).T, axis=1).max())
+        def apart(a: Array, b: Array) -> float:
+            return float(np.linalg.norm(corners @ (a - b).T, axis=1).max())
 
-    far = apart(sform, qform)
-    if not far > _SAME * min(steps):
-        return placed(path, sform, "RAS")
-    sheared = placed(path, sform, "RAS")
-    if sheared.shear:
-        warnings.warn(
-            f"the axes of {shown(path)} miss right angles by {sheared.shear:.3g}°, which its sform holds, and no qform "
-            f"can: the sform is used; SimpleITK, ANTs and 3D Slicer use the qform, up to {far:.3g} mm off",
-            VolumeWarning,
-            stacklevel=6,
-        )
-        return sheared
-    # Programs that share fields and landmarks read the file by ITK, whose choice depends on the codes.
-    from supple.media.volume import itk
+        far = apart(sform, qform)
+        if far > _SAME * min(steps) and geometry.shear:
+            text = (
+                f"the axes of {shown(path)} miss right angles by {geometry.shear:.3g}°, which its sform holds, and no "
+            )
+            text += f"qform can: the sform is used; SimpleITK, ANTs and 3D Slicer use the qform, up to {far:.3g} mm off"
+        elif far > _SAME * min(steps):
+            # Programs that share fields and landmarks read the file by ITK, whose choice depends on the codes.
+            from supple.media.volume import itk
 
-    reader = itk.imported().ImageFileReader()
-    reader.SetImageIO("NiftiImageIO")
-    reader.SetFileName(os.fspath(first))
-    with itk.failing(path, "NIfTI"):
-        reader.ReadImageInformation()
-    geometry = itk.geometry_of(path, reader, "RAS")
-    by_itk = _TO_RAS @ geometry.matrix
-    to_sform, to_qform = apart(by_itk, sform), apart(by_itk, qform)
-    used = "sform" if to_sform <= to_qform else "qform"
-    warnings.warn(
-        f"the qform and the sform of {shown(path)} disagree, by up to {far:.3g} mm: the {used} is used, as by "
-        "SimpleITK, ANTs and 3D Slicer",
-        VolumeWarning,
-        stacklevel=6,
-    )
+            reader = itk.imported().ImageFileReader()
+            reader.SetImageIO("NiftiImageIO")
+            reader.SetFileName(os.fspath(first))
+            with itk.failing(path, "NIfTI"):
+                reader.ReadImageInformation()
+            geometry = itk.geometry_of(path, reader, "RAS")
+            by_itk = _TO_RAS @ geometry.matrix
+            used = "sform" if apart(by_itk, sform) <= apart(by_itk, qform) else "qform"
+            text = (
+                f"the qform and the sform of {shown(path)} disagree, by up to {far:.3g} mm: the {used} is used, as by "
+            )
+            text += "SimpleITK, ANTs and 3D Slicer"
+    if text:
+        warnings.warn(text, VolumeWarning, stacklevel=6)
     return geometry
 
 

@@ -23,7 +23,6 @@ from supple.space.geometry import Geometry
 SUFFIXES = (".tif", ".tiff")
 _LETTERS = {"T": "t", "C": "c", "S": "c", "Z": "z", "Q": "z", "I": "z", "Y": "y", "X": "x"}  # of tifffile
 _CHANNELS = "channels"  # the header of volumes whose components are pages
-_SPOKEN = {"t": "times", "c": "channels"}
 MILLIMETRES = {
     **dict.fromkeys(("m", "meter", "metre"), 1000.0),
     **dict.fromkeys(("cm", "centimeter"), 10.0),
@@ -76,20 +75,20 @@ def read(path: PathLike) -> Volume:
         raise unreadable(path, f"it is no TIFF, but {form}", "check its name")
     count = facts(image)[0]
     with series_of(path, alike=True) as (file, series), reading(path):
-        names = [(name, series.shape[k]) for k, name in axes_of(path, series).items() if series.axes[k] not in "SYX"]
+        axes = axes_of(path, series).items()
+        sizes = {name: int(series.shape[k]) for k, name in axes if series.axes[k] not in "SYX"}
         kind: str = series.kind
         own = [int(getattr(page, "index", -1)) for page in series.pages if page is None or page.parent is file]
-    description, sizes = _description(image), dict(names)
-    letters, outer = "".join(sizes), list(sizes.values())
-    promised = math.prod(outer)
+    description, letters = _description(image), "".join(sizes)
+    promised = math.prod(sizes.values())
     if kind == "imagej" and promised == count:
         promised = int(description.get("images", count))
     if (kind == "imagej" and promised != count) or len(own) != promised or -1 in own:
         what = f"its description tells of {promised} pages, and it has {count}"
         raise unreadable(path, what, "give all of them, or correct the description")
     if "t" in letters and "c" in letters:
-        content = " and ".join(f"{size} {_SPOKEN[name]}" for name, size in names if name in "tc")
-        raise unreadable(path, f"it holds {content}", "bend it to a Zarr store, or give one of them")
+        what = f"it holds {sizes['t']} times and {sizes['c']} channels"
+        raise unreadable(path, what, "bend it to a Zarr store, or give one of them")
     first, last = min(own), max(own)
     with decoding(path):
         source = pyvips.Source.new_from_file(os.fsencode(path))
@@ -101,7 +100,7 @@ def read(path: PathLike) -> Volume:
     samples = samples.reshape(last - first + 1, -1, *samples.shape[1:])
     if own != list(range(first, last + 1)):
         samples = samples[np.array(own) - first]
-    samples = samples.reshape(*outer, *samples.shape[1:])
+    samples = samples.reshape(*sizes.values(), *samples.shape[1:])
     letters += "yxc"[: samples.ndim - len(letters)]
     if len(set(letters)) < len(letters) or ("t" in letters and "c" in letters):
         raise unreadable(path, "it holds colours of several times or channels", "bend it to a Zarr store")

@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from supple.errors import SuppleError, argument, shown
-from supple.files import check_job
+from supple.files import Job
 from supple.files.clips import is_picture_target
-from supple.files.kinds import VIDEOS_OUT
 from supple.files.options import PathLike
 from supple.files.recipes import read_recipe, write_recipe
 from supple.media.files import check_output, same_file
 from supple.media.image import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.image import check_target
+from supple.media.medium import VIDEOS_OUT
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import suffix_of
 from supple.strokes import spoken
@@ -290,7 +290,7 @@ class FileCommands:
             raise SuppleError("the export needs a name, whose suffix says the format")
         self._spare(path)
         recipe, options = self.document.recipe, self.options
-        check_job(self.source, path, recipe, force=force, **options)
+        Job(self.source, path, recipe, force=force, **options).check()
         self.message = ""
         self.export = Export(self.source, path, recipe, force=force, **options)
 

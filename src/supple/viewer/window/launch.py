@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from supple import media
 from supple.deformation import Deformation
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
 from supple.files.clips import open_clip, refuse_maps
-from supple.files.kinds import kind_of
+from supple.files.jobs import Job
 from supple.files.landmarks import read_landmarks
 from supple.files.options import VolumeOptions
 from supple.files.renders import default_transfer
@@ -100,7 +101,7 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
     """
     if isinstance(source, str | os.PathLike):
         name = shown(source)
-        if kind_of(source, "", Recipe(), options.volume, maps=options.maps) == "volume":
+        if Job(source, "", Recipe(), volume=options.volume, maps=options.maps).medium.kind == "volume":
             _suits(name, options, volume=True)
             volume = open_volume(source, options.volume)
             check_upright(volume.geometry, volume.name, "the window")
@@ -158,7 +159,7 @@ def _moves(source: str | os.PathLike[str]) -> bool:
     if Path(source).suffix.lower() == ".gif" and os.path.isfile(source):
         with contextlib.suppress(SuppleError), open_clip(source) as clip:
             return bool(clip.count > 1)
-    return kind_of(source, "x.mp4" if os.path.isdir(source) else "", Recipe()) == "clip"
+    return media.open(source, "x.mp4" if os.path.isdir(source) else "").kind == "clip"
 
 
 def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool = False) -> None:

@@ -1,0 +1,226 @@
+"""A warp from file to file: what is asked for, what is refused before any work, and the result."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+
+from supple import media
+from supple.arrays import check_device
+from supple.deformation import Arrival, Deformation, Report
+from supple.engine.progress import counted, staged
+from supple.engine.sampling import DEFAULT, Sampling
+from supple.engine.work import Tell
+from supple.errors import SuppleError, argument, shown
+from supple.fields import Placed
+from supple.files.options import ClipOptions, GridOptions, PathLike, VolumeOptions
+from supple.media.files import same_file
+from supple.media.medium import Kind, Medium
+from supple.space.domain import integer, refuse
+from supple.space.geometry import Geometry, Grid
+from supple.strokes import Fit, Recipe
+
+# The module of a kind checks and warps it; it is loaded for such files alone, since readers take time.
+_ROOMS = {"picture": "supple.files.pictures", "clip": "supple.files.clips", "volume": "supple.files.volumes"}
+_FOR: dict[str, tuple[object, str, str]] = {
+    "quality": (None, "picture", "clip"),
+    "lossless": (False, "picture", "clip"),
+    "linear_light": (False, "picture", "clip"),
+    "clamp": (None, "picture", "volume"),
+    "clip": (ClipOptions(), "clip", ""),
+    "volume": (VolumeOptions(), "volume", ""),
+}
+"""Options that are not for all kinds: their defaults, and the kinds that they are for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """A file to warp to another one; parameters as in `supple.files.warp_file`.
+
+    ``outside`` is the boundary mode of ``sampling`` if it was asked for, and None otherwise.
+    """
+
+    source: PathLike
+    target: PathLike
+    recipe: Recipe
+    sampling: Sampling = DEFAULT
+    outside: str | None = None
+    clamp: bool | None = None
+    quality: int | None = None
+    lossless: bool = False
+    device: str = "cpu"
+    force: bool = False
+    clip: ClipOptions = field(default_factory=ClipOptions)
+    volume: VolumeOptions = field(default_factory=VolumeOptions)
+    fit: Fit | None = None
+    maps: Sequence[Placed] = ()
+    grid: GridOptions | None = None
+
+    def __post_init__(self) -> None:
+        given: object = self.maps  # user input of any type
+        if not isinstance(given, Sequence) or not all(isinstance(each, Placed) for each in given):
+            refuse("maps", "a sequence of Placed", given)
+        if self.grid is not None and not isinstance(self.grid, GridOptions):
+            refuse("grid", "GridOptions, or left out", self.grid)
+
+    @property
+    def linear_light(self) -> bool:
+        """Whether to average in linear light."""
+        return self.sampling.linear_light
+
+    @cached_property
+    def medium(self) -> Medium:
+        """What the source is taken for."""
+        axes = [*(each.ndim for each in self.recipe.strokes[:1]), *(each.map.ndim for each in self.maps[:1])]
+        axes += [self.grid.ndim or 2] if self.grid is not None else []
+        known, moves = self.volume, self.recipe.moves
+        return media.open(
+            self.source, self.target, axes=max(axes, default=2), moves=moves, layout=known.layout, series=known.series
+        )
+
+    def check(self) -> Medium:
+        """Return what the source is; raise all errors that can be found before it is read."""
+        medium = self.medium
+        if medium.kind != "volume":
+            refuse_places(self.recipe, self.source)
+        for option, (usual, *kinds) in _FOR.items():
+            value = getattr(self, option)
+            if medium.kind not in kinds and value != usual:
+                where = " and ".join(f"{kind}s" for kind in kinds if kind)
+                raise SuppleError(
+                    f"{asked(option, value)} is for {where}, and {medium.name} is a {medium.kind}: leave it out"
+                )
+        if medium.kind == "picture" and self.recipe.moves:
+            raise SuppleError(
+                f"{medium.name} is taken for a picture, and strokes with keys move from frame to frame: give a clip, "
+                "or the recipe of one frame"
+            )
+        if not self.force and same_file(self.source, self.target):
+            name, instead = shown(self.target), argument("force", True)
+            raise SuppleError(f"{name} is the {medium.kind} itself: choose another name, or {instead}")
+        import_module(_ROOMS[medium.kind]).check(self)
+        check_device(self.device, "clips" if medium.kind == "clip" else "")
+        return medium
+
+    def warp(self, progress: bool | Callable[[str], None] = False, tell: Tell | None = None) -> Warped:
+        """Warp the file; parameters as in `supple.files.warp_file`."""
+        kind = self.check().kind
+        with self._counts(kind, progress, tell) as counts:
+            made: Warped = import_module(_ROOMS[kind]).warp(self, counts)
+        return made
+
+    @contextlib.contextmanager
+    def _counts(self, kind: Kind, progress: bool | Callable[[str], None], tell: Tell | None) -> Iterator[Tell]:
+        if kind != "picture" or callable(progress):
+            with counted(progress, "slices" if kind == "volume" else "frames", tell) as counts:
+                yield counts
+            return
+        with staged(self.source, progress) as show:
+
+            def both(step: str, done: int, total: int) -> None:
+                show(step)
+                if tell is not None:
+                    tell(step, done, total)
+
+            yield both
+
+
+def asked(name: str, value: object) -> str:
+    """Return an option, or the first of several that is not at its default, as the reader gives it."""
+    if not isinstance(value, ClipOptions | VolumeOptions):
+        return argument(name, value) if isinstance(value, bool) else argument(name)
+    usual = type(value)()
+    return argument(next(each.name for each in fields(value) if getattr(value, each.name) != getattr(usual, each.name)))
+
+
+def refuse_places(recipe: Recipe, source: PathLike) -> None:
+    """Raise SuppleError for a recipe in millimetres, unless it is for a volume."""
+    if recipe.is_world:
+        raise SuppleError(
+            f"the recipe is in {recipe.space} millimetres, and {shown(source)} is no volume: give a recipe in pixels"
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Warped:
+    """A file that was written.
+
+    Parameters
+    ----------
+    source, target : pathlib.Path
+        The input and the output file.
+    kind : str
+        ``"picture"``, ``"clip"`` or ``"volume"``.
+    deformations : tuple of Deformation
+        The strokes on the grid of the input; on the upright grid around a sheared volume (`Grid.upright`). Of a clip
+        whose strokes have no time, on the grid of a frame; if they move with the frames, one for each frame.
+    tolerance : float
+        The largest distance of a source point from T⁻¹(q), in pixels, voxels and frames.
+    error : float
+        The error estimate from the checks of the map, in the same unit; `report` measures it.
+    frames : int
+        The number of frames of a clip, or of the volumes of a series.
+    still, copied, held : int
+        Of a clip: unchanged frames; those of them that were not encoded again, as their packets are those of the
+        source; and frames held at once.
+    geometry : Geometry, optional
+        The place of a volume's voxels.
+    grid : Grid, optional
+        The grid of the output, if it is not that of the input.
+    own : Grid, optional
+        The grid of the input as it is shown, if it is not that of the deformation: an OpenEXR may have pixels beyond.
+    folded, outside, unsolved : int
+        The numbers of the points solved at which a field folds, to which no point of a field's grid is mapped, and for
+        which no solution was found.
+    background : float, optional
+        The true value of what lies outside of a volume, where none was asked for.
+    """
+
+    source: Path
+    target: Path
+    kind: Kind
+    deformations: tuple[Deformation, ...]
+    tolerance: float
+    error: float = 0.0
+    frames: int = 1
+    still: int = 0
+    copied: int = 0
+    held: int = 0
+    geometry: Geometry | None = None
+    grid: Grid | None = None
+    own: Grid | None = None
+    folded: int = 0
+    outside: int = 0
+    unsolved: int = 0
+    background: float | None = None
+
+    @property
+    def deformation(self) -> Deformation:
+        """The first of `deformations`."""
+        return self.deformations[0]
+
+    @property
+    def arrivals(self) -> tuple[Arrival, ...]:
+        """For each stroke, the target of its point, and its position, in samples of the input."""
+        return arrivals_on(self.own, self.deformation.grid, self.deformation.arrivals)
+
+    def report(self, frame: int = 0) -> Report:
+        """Return the report on the strokes and the certified error, measured at every sample; this is slow.
+
+        Of strokes that move with the frames, ``frame`` is the one that is measured.
+        """
+        most = len(self.deformations) - 1
+        k = integer("frame", frame, f"from 0 to {most}", 0, most) if most else 0
+        grid = self.own if self.grid is None and self.kind == "volume" else self.grid
+        deformation = self.deformations[k]
+        made = deformation.report(tolerance=self.tolerance, grid=grid)
+        return replace(made, arrivals=arrivals_on(self.own, deformation.grid, made.arrivals))
+
+
+def arrivals_on(own: Grid | None, grid: Grid, arrivals: tuple[Arrival, ...]) -> tuple[Arrival, ...]:
+    """Return the arrivals of strokes on ``grid`` in samples of the grid of the input, if it is another one."""
+    return arrivals if own is None else tuple(arrival.on(own, grid) for arrival in arrivals)

@@ -1,0 +1,164 @@
+"""What a file is: a picture, a clip or a volume; decided once, by its content and name, and by what is asked for."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
+
+from supple.errors import shown
+from supple.media.files import PathLike
+from supple.media.image.formats import SUFFIXES as PICTURES
+from supple.media.numbering import has_number
+from supple.media.suffixes import CLIPS, CLIPS_OUT, VOLUMES_OUT, is_volume, suffix_of
+from supple.space.geometry import Grid
+
+if TYPE_CHECKING:
+    from supple.media.volume import RawLayout, Volume
+
+Kind = Literal["picture", "clip", "volume"]
+
+VIDEOS_OUT = frozenset(CLIPS_OUT) - {".gif"}
+ONE_FILE = frozenset({".nii", ".nii.gz", ".nrrd", ".mha"})
+"""The suffixes of files that are always volumes."""
+_TIFF = (".tif", ".tiff")
+_MAY_MOVE = (".gif", ".webp", ".png", ".apng", "")  # the suffixes of pictures that may be animated
+
+
+@dataclass(frozen=True, eq=False)
+class Medium:
+    """A file, a folder or a pattern of names, and what it is taken for; its header is read when it is asked for.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+    kind : str
+        ``"picture"``, ``"clip"`` or ``"volume"``.
+    layout, series
+        Of volumes, as in `supple.media.volume.read`.
+    """
+
+    path: PathLike
+    kind: Kind
+    layout: RawLayout | None = None
+    series: str | None = None
+
+    @property
+    def name(self) -> str:
+        """The name for messages."""
+        return shown(self.path)
+
+    @cached_property
+    def outline(self) -> Volume:
+        """A volume without its samples, as `supple.media.volume.outline_of` returns it."""
+        from supple.media.volume import outline_of
+
+        return outline_of(self.path, raw=self.layout, series=self.series)
+
+    @cached_property
+    def grid(self) -> Grid | None:
+        """The grid of a picture in pixels, or of a volume in millimetres; None of a clip."""
+        if self.kind == "volume":
+            return self.outline.grid
+        return picture_grid(self.path) if self.kind == "picture" else None
+
+    @property
+    def is_dicom(self) -> bool:
+        """Whether it is a volume in DICOM."""
+        if self.kind != "volume" or self.layout is not None:
+            return False
+        from supple.media.volume import is_dicom
+
+        return is_dicom(self.path)
+
+
+def opened(
+    path: PathLike,
+    target: PathLike = "",
+    *,
+    axes: int = 2,
+    moves: bool = False,
+    layout: RawLayout | None = None,
+    series: str | None = None,
+) -> Medium:
+    """Return what a file, a pattern or a folder is taken for.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+    target : str or os.PathLike
+        What it becomes: several frames or a volume ask for more than a picture.
+    axes : int
+        3 if points, maps or the grid of the output have three: then the pages of a TIFF are a volume, and animated
+        pictures or a folder of pictures are a clip.
+    moves : bool
+        Whether strokes move from frame to frame, for which animated pictures and folders are clips, too.
+    layout, series
+        As in `supple.media.volume.read`; with one of them, it is a volume.
+    """
+    goal = suffix_of(target)
+    if layout is not None or series is not None or _is_volume(path, goal, axes == 3):
+        return Medium(path, "volume", layout, series)
+    return Medium(path, "clip" if _is_clip(path, target, goal, moves or axes == 3) else "picture")
+
+
+def _is_volume(path: PathLike, goal: str, solid: bool) -> bool:
+    wanted = goal in VOLUMES_OUT and goal not in _TIFF
+    if os.path.isdir(path):
+        return is_volume(path) or (wanted and not any(inner or files for _, inner, files in os.walk(path)))
+    if suffix_of(path) not in _TIFF:
+        return is_volume(path)
+    if not (solid or wanted):
+        return False
+    from supple.media.volume.pages import has_pages
+
+    return has_pages(path)
+
+
+def _is_clip(path: PathLike, target: PathLike, goal: str, timed: bool) -> bool:
+    suffix = suffix_of(path)
+    if suffix in CLIPS or goal in VIDEOS_OUT or (has_number(path) and not os.path.isfile(path)):
+        return True
+    if os.path.isdir(path):
+        return timed and not _holds_videos_alone(path)
+    if timed and suffix in (".png", ".apng") and os.path.isfile(path):
+        return is_animated(path)
+    if suffix not in _MAY_MOVE:
+        return False
+    many = goal == ".gif" or has_number(target)
+    return timed or (many and (suffix == ".gif" or is_animated(path)))
+
+
+def is_animated(path: PathLike) -> bool:
+    """Return whether an image has several frames; False for unreadable files."""
+    if not os.path.isfile(path):
+        return False
+    from supple.media import sequence
+
+    return sequence.is_animated(path)
+
+
+def picture_grid(path: PathLike) -> Grid:
+    """Return the grid of a picture, in pixels, from its header."""
+    from supple.media.image import info
+
+    facts = info(path)
+    return Grid((int(str(facts["height"])), int(str(facts["width"]))))
+
+
+def _holds_videos_alone(folder: PathLike) -> bool:
+    suffixes = _suffixes_in(folder)
+    return bool(suffixes & CLIPS) and not suffixes & PICTURES
+
+
+def holds_volumes(path: PathLike) -> bool:
+    """Return whether a folder holds volumes as separate files."""
+    return os.path.isdir(path) and bool(_suffixes_in(path) & ONE_FILE)
+
+
+def _suffixes_in(folder: PathLike) -> set[str]:
+    try:
+        return {suffix_of(name) for name in os.listdir(folder) if not name.startswith(".")}
+    except OSError:
+        return set()

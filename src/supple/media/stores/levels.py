@@ -1,0 +1,206 @@
+"""Levels of an output like a stored image: their shapes, places and metadata, and samples that are made smaller."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from itertools import pairwise, product
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.media.stores.image import StoredImage
+from supple.media.stores.places import Place
+from supple.media.transforms.ngff import ome_of
+
+Array = npt.NDArray[Any]
+Mode = Literal["mean", "nearest"]
+
+
+class Step(NamedTuple):
+    """How an axis of a level comes from that of the level before."""
+
+    factor: int
+    down: bool  # whether an incomplete group of samples at the end is left out
+
+    def size(self, before: int) -> int:
+        """Return the number of samples that come from ``before`` of them."""
+        return max(1, before // self.factor if self.down else -(-before // self.factor))
+
+
+def step_of(before: int, after: int, ratio: float) -> Step | None:
+    """Return the step between two sizes whose scales have a ratio; None if no whole factor explains it.
+
+    The scale is asked first, since the sizes of short axes allow several factors. Some programs write the ratio of the
+    sizes there (2.002), and some the same scale for all levels: then the sizes decide.
+    """
+    steps = (Step(max(1, round(each)), down) for each in (ratio, before / after) for down in (False, True))
+    return next((step for step in steps if step.size(before) == after), None)
+
+
+def planned(
+    place: Place,
+    like: StoredImage,
+    shape: Sequence[int] | None,
+    scale: Sequence[float] | None,
+    translation: Sequence[float] | None,
+) -> tuple[dict[str, bytes], tuple[str, ...], list[tuple[Step, ...]]]:
+    """Return what is to be written for an image, on its grid or on another one.
+
+    That is: all metadata, by their keys in the store; the paths of the arrays, the finest first; and for each level but
+    the finest, how each axis comes from the level before.
+    """
+    finest = like.levels[0]
+    before = tuple(finest.array.shape)
+    whole = before if shape is None else (*before[: len(before) - len(shape)], *shape)
+    scales = finest.scale if scale is None else scale
+    offsets = finest.translation if translation is None else translation
+    steps: list[tuple[Step, ...]] = []
+    shapes = [whole]
+    for fine, coarse in pairwise(like.levels):
+        step = tuple(_step(place, like, k, fine, coarse) for k in range(len(like.axes)))
+        after = tuple(axis.size(size) for axis, size in zip(step, shapes[-1], strict=True))
+        if after == shapes[-1]:
+            break  # the grid is so small that this level would be the one before
+        shapes.append(after)
+        steps.append(step)
+    levels = like.levels[: len(shapes)]
+    files: dict[str, bytes] = {}
+    if like.version:
+        form = finest.array.metadata.zarr_format
+        same = whole == before and tuple(scales) == finest.scale and tuple(offsets) == finest.translation
+        files |= group_files(
+            "", form, _attributes(like, None if same else _placed(like, scales, offsets, steps), len(levels))
+        )
+        for level in levels:
+            parts = level.path.split("/")[:-1]
+            for k in range(len(parts)):
+                files |= group_files("/".join(parts[: k + 1]), form, {})
+    for level, sizes in zip(levels, shapes, strict=True):
+        files |= _array(level.array.metadata, level.path, sizes)
+    return files, tuple(level.path for level in levels), steps
+
+
+def _step(place: Place, like: StoredImage, k: int, fine: Any, coarse: Any) -> Step:
+    before, after = fine.array.shape[k], coarse.array.shape[k]
+    if like.axes[k].kind != "space":
+        return Step(1, False)
+    step = step_of(before, after, coarse.scale[k] / fine.scale[k])
+    if step is None:
+        what = f"levels like {like.address} are not made: {before} samples along {like.axes[k].name} become {after}"
+        raise place.unwritable(what, "give an image whose levels are smaller by whole factors")
+    return step
+
+
+def _placed(
+    like: StoredImage, scale: Sequence[float], translation: Sequence[float], steps: Sequence[Sequence[Step]]
+) -> list[tuple[list[float], list[float]]]:
+    """Return the scales and translations of the levels of another grid, by the convention of the image.
+
+    The mean of f samples lies (f - 1) / 2 of them from the first. Most programs write that in the translation of a
+    level, some the same translation for all of them: what ``like`` does for an axis is done.
+    """
+    first, scales = like.levels[0], np.array(scale, float)
+    factors = np.ones(len(like.axes))
+    placed = [(scales.tolist(), list(map(float, translation)))]
+    for level, step in zip(like.levels[1:], steps, strict=False):
+        factors = factors * [axis.factor for axis in step]
+        offset = (np.array(level.translation) - first.translation) / first.scale
+        centred = (factors - 1) / 2
+        offset = np.where(np.abs(offset - centred) < 0.01 * factors, centred, offset)
+        offset = np.where(np.abs(offset) < 1e-6, 0, offset)
+        placed.append(((scales * factors).tolist(), (np.array(translation) + offset * scales).tolist()))
+    return placed
+
+
+def _attributes(
+    like: StoredImage, placed: Sequence[tuple[list[float], list[float]]] | None, count: int
+) -> dict[str, Any]:
+    """Return the attributes of the group, as those of the input, with the levels where ``placed`` has them."""
+    ome = dict(ome_of(like.attributes))
+    image = dict(ome["multiscales"][0])
+    if count > 1:
+        # they say how the levels of the input were made, and those of the output are made otherwise
+        image.pop("type", None)
+        image.pop("metadata", None)
+    image["datasets"] = [dict(one) for one in image["datasets"][:count]]
+    if placed is not None:
+        if like.version != "0.6":
+            image.pop("coordinateTransformations", None)  # they are part of each level's own
+        for dataset, (scale, translation) in zip(image["datasets"], placed, strict=True):
+            steps: list[dict[str, Any]] = [{"type": "scale", "scale": scale}]
+            if any(translation):
+                steps.append({"type": "translation", "translation": translation})
+            if like.version == "0.6":  # one, which names its ends as the input's does
+                old = dataset["coordinateTransformations"][0]
+                one = steps[0] if len(steps) == 1 else {"type": "sequence", "transformations": steps}
+                steps = [{**one, **{end: old[end] for end in ("input", "output", "name") if end in old}}]
+            dataset["coordinateTransformations"] = steps
+    ome["multiscales"] = [image]
+    return {**like.attributes, "ome": ome} if "ome" in like.attributes else ome
+
+
+def group_files(path: str, zarr_format: int, attributes: dict[str, Any]) -> dict[str, bytes]:
+    """Return the metadata of a group, by their keys."""
+    prefix = f"{path}/" if path else ""
+    files: dict[str, dict[str, Any]]
+    if zarr_format == 2:
+        files = {".zgroup": {"zarr_format": 2}, ".zattrs": attributes}
+    else:
+        files = {"zarr.json": {"zarr_format": 3, "node_type": "group", "attributes": attributes}}
+    return {prefix + name: json.dumps(content, indent=2).encode() for name, content in files.items()}
+
+
+def _array(metadata: Any, path: str, shape: tuple[int, ...]) -> dict[str, bytes]:
+    from zarr.core.buffer import default_buffer_prototype
+
+    files = dataclasses.replace(metadata, shape=shape).to_buffer_dict(default_buffer_prototype())
+    prefix = f"{path}/" if path else ""
+    return {f"{prefix}{key}": bytes(data.to_bytes()) for key, data in files.items()}
+
+
+def reduced(values: Array, factors: Sequence[int], mode: Mode) -> Array:
+    """Return an array made smaller by whole factors, one for each axis, of the same dtype.
+
+    It is the mean of each group, rounded half to even for integers, or with "nearest" its first sample, for labels.
+    Where a factor does not divide the size, the last group has fewer samples.
+    """
+    if mode == "nearest":
+        return np.ascontiguousarray(values[tuple(slice(None, None, factor) for factor in factors)])
+    result = np.empty([-(-size // factor) for size, factor in zip(values.shape, factors, strict=True)], values.dtype)
+    # parts in which all groups have the same number of samples: the whole groups, and the incomplete ones of each axis
+    parts: list[list[tuple[slice, slice, int]]] = []
+    for size, factor in zip(values.shape, factors, strict=True):
+        whole, rest = divmod(size, factor)
+        axis = [(slice(0, whole * factor), slice(0, whole), factor)] if whole else []
+        axis += [(slice(whole * factor, size), slice(whole, whole + 1), rest)] if rest else []
+        parts.append(axis)
+    for chosen in product(*parts):
+        read, written, counts = zip(*chosen, strict=True)
+        result[written] = _mean(values[read], counts)
+    return result
+
+
+def _mean(values: Array, counts: tuple[int, ...]) -> Array:
+    """Return the means of groups of ``counts`` samples, which divide the shape."""
+    # an accumulator of the result's size, and strided views, need no more memory than the result
+    groups = [values[tuple(map(slice, first, [None] * len(first), counts))] for first in np.ndindex(*counts)]
+    n, dtype = len(groups), values.dtype
+    if dtype.kind == "f" or dtype.itemsize < 8:
+        total = np.zeros(groups[0].shape, np.float64)  # which sums integers of 32 bits exactly
+        for one in groups:
+            total += one
+        total /= n
+        return np.asarray((total if dtype.kind == "f" else np.rint(total)).astype(dtype))
+    # sums of 64 bits would overflow: quotients and remainders do not
+    whole, rest = np.zeros(groups[0].shape, dtype), np.zeros(groups[0].shape, dtype)
+    for one in groups:
+        quotient, remainder = np.divmod(one, dtype.type(n))
+        whole += quotient
+        rest += remainder
+    more, rest = np.divmod(rest, dtype.type(n))
+    whole += more
+    up = (rest > n // 2) if n % 2 else (rest > n // 2) | ((rest == n // 2) & (whole % 2 == 1))
+    return np.asarray((whole + up.astype(dtype)).astype(dtype))
