@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -221,3 +223,13 @@ def test_how_far_a_stroke_falls_short(domain: dict[str, Any], by: tuple[float, .
     at = (50, 40, 30)[: len(by)]
     with pytest.warns(MissWarning, match=f"{said}: what is frozen holds it back"):
         Deformation(**domain, freeze=mask).grab(at, by=by, radius=20)
+
+
+def test_a_copy_from_another_process_is_equal() -> None:
+    mask = np.zeros((40, 50), bool)
+    mask[:, :20] = True
+    d = Deformation((40, 50), freeze=mask).grab((30, 20), by=(3, 2), radius=9)
+    image = np.random.default_rng(0).integers(0, 256, (40, 50), np.uint8)
+    for same in (pickle.loads(pickle.dumps(d)), copy.deepcopy(d)):
+        assert same == d
+        np.testing.assert_array_equal(same.warp(image), d.warp(image))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -80,6 +81,11 @@ class Mask(_core.Freeze):
         self.first: Floats = first - origin
         self.coefficients = freeze.coefficients.reshape(values.shape)
         super().__init__(values.astype(np.float32), self.first.tolist(), self.step.tolist())
+        self._made_of = freeze, spacing, origin
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Send what it is made of: the core's objects stay in their process."""
+        return _mask, self._made_of
 
 
 @lru_cache(maxsize=16)
