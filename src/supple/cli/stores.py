@@ -6,7 +6,7 @@ import glob
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
@@ -51,12 +51,10 @@ def warp_stored(
 ) -> WarpedStore:
     """Warp one store to another, as `supple warp` was asked to."""
     from supple.engine.progress import counted
-    from supple.files.stores import warp_store
+    from supple.files.stores import warp
 
     source, target = _pair(paths)
     _check(job, paths)
-    given = {key: getattr(job.sampling, key) for key in ("filter", "tolerance", "fill")}
-    given |= {key: getattr(job, key) for key in ("outside", "fit", "grid", "force")}
     blocks: dict[str, tuple[int, int]] = {}
 
     def tell(step: str, done: int, total: int) -> None:
@@ -66,9 +64,7 @@ def warp_stored(
     try:
         with about(File(source, target)), counted(console.terminal, "blocks") as counts:
             own = refer(console, source, job, maps)
-            stored = warp_store(
-                source, target, job.recipe, **given, options=job.volume, maps=maps.read(own), running=running, tell=tell
-            )
+            stored = warp(replace(job, source=source, target=target, maps=maps.read(own)), running, tell)
     except (KeyboardInterrupt, Terminated):
         parts, name = ("blocks", target) if "warp" in blocks else ("parts", job.volume.save_field or "")
         if blocks:
@@ -101,9 +97,9 @@ def refer(console: Console, source: str, job: Job, maps: Maps) -> Grid | None:
 
     if not maps:
         return None
-    own = open_source(source, job.recipe, job.volume, grid=job.grid).grid
-    read = maps.read(own)
-    own = open_source(source, job.recipe, job.volume, maps=read, grid=job.grid).grid
+    job = replace(job, source=source)
+    own = open_source(job).grid
+    own = open_source(replace(job, maps=maps.read(own))).grid
     maps.on(console, own, shown(source), job.grid)
     return own
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -378,9 +378,9 @@ def _deformation(
         from supple.cli.stores import refer
         from supple.files.plans import open_source, warp_on
 
-        maps = elements.read(refer(current(), on, job, elements))
-        source = open_source(on, recipe, reading, maps=maps)
-        return warp_on(source, recipe, options=reading, fit=fit, maps=maps).deformation, source.geometry
+        job = replace(job, fit=fit, maps=elements.read(refer(current(), on, job, elements)))
+        source = open_source(job)
+        return warp_on(source, job).deformation, source.geometry
     job = elements.placed(current(), job)
     if job.medium.kind == "volume":
         volume = open_volume(on, reading)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from supple import media
 from supple.arrays import check_device
@@ -127,6 +128,23 @@ class Job:
                     tell(step, done, total)
 
             yield both
+
+
+def job_of(
+    source: PathLike,
+    target: PathLike,
+    recipe: Recipe,
+    *,
+    options: VolumeOptions | None = None,
+    filter: str = "auto",
+    tolerance: float = 0.01,
+    outside: str | None = None,
+    fill: float | Sequence[float] = 0.0,
+    **given: Any,
+) -> Job:
+    """Return a job on a volume or a store, whose ``options`` are those of volumes; others are those of `Job`."""
+    sampling = Sampling(filter, tolerance, outside or "edge", fill)
+    return Job(source, target, recipe, sampling, outside, volume=options or VolumeOptions(), **given)
 
 
 def asked(name: str, value: object) -> str:

@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Field, Map, Placed, own_grid, read_maps, told
-from supple.files.grids import picture_grid
 from supple.media import transforms, volume
 from supple.media.files import unwritable
+from supple.media.medium import picture_grid
 from supple.media.volume import is_volume, suffix_of
 from supple.space.affine import Affine
 from supple.space.geometry import Grid, check_upright

@@ -6,7 +6,7 @@ import contextlib
 import math
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,17 +17,16 @@ from supple.deformation import Deformation
 from supple.engine.sampling import Certificate, Sampling, warn_of
 from supple.engine.work import Tell, work_of
 from supple.errors import SuppleError, argument, shown
-from supple.fields import Placed, folds_of, only_name
+from supple.fields import folds_of, only_name
 from supple.files.grids import grid_on
-from supple.files.jobs import Job
-from supple.files.options import GridOptions, VolumeOptions
+from supple.files.jobs import Job, job_of
 from supple.files.tasks import Runner, Running, runner_of
 from supple.files.volumes import deformation_of, sampling_of
 from supple.media.files import is_store, unreadable
 from supple.media.stores import Samples, StoredImage, like_file, open_image
 from supple.media.volume import Volume
 from supple.space.geometry import Geometry, Grid
-from supple.strokes import Fit, Recipe, fit_recipe
+from supple.strokes import Recipe, fit_recipe
 
 PathLike = str | os.PathLike[str]
 
@@ -39,30 +38,14 @@ _PORTION = 1024  # blocks that are planned before they are written: neither wait
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """An input that is warped block by block; no sample is read yet.
+    """An input that is warped block by block; no sample is read yet."""
 
-    Parameters
-    ----------
-    name : str
-        For messages.
-    image : StoredImage
-        What a store is, or what a file becomes.
-    samples : array or Samples
-        It is sliced.
-    geometry : Geometry, optional
-        The place of a volume in space; None of a picture.
-    scaling : (float, float)
-        Slope and intercept of the samples: of a Zarr array, the attributes ``scale_factor`` and ``add_offset``.
-    background : float
-        The true value of what lies outside of a volume, by the scaling.
-    """
-
-    name: str
-    image: StoredImage
-    samples: Any
-    geometry: Geometry | None
-    scaling: tuple[float, float] = (1.0, 0.0)
-    background: float = 0.0
+    name: str  # for messages
+    image: StoredImage  # what a store is, or what a file becomes
+    samples: Any  # an array or `Samples`: it is sliced
+    geometry: Geometry | None  # the place of a volume in space; None of a picture
+    scaling: tuple[float, float] = (1.0, 0.0)  # of a Zarr array, the attributes scale_factor and add_offset
+    background: float = 0.0  # the true value of what lies outside of a volume, by the scaling
 
     @property
     def is_file(self) -> bool:
@@ -87,70 +70,37 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """What a job would do, found without reading a sample.
+    """What a job would do, found without reading a sample; bytes are those of decoded samples."""
 
-    Parameters
-    ----------
-    shape : tuple of int
-        The shape of the output, of all axes.
-    dtype : str
-        The type of its samples.
-    block : tuple of int
-        The shape of what a task writes.
-    blocks, copied : int
-        The number of blocks, and of those that are copies, since no stroke reaches them.
-    read : int
-        Bytes of the samples that are read, decoded, without copies: whole chunks, as often as they are read.
-    copied_bytes : int
-        Bytes of the samples of copies, decoded.
-    tasks : int
-        The number of tasks that a worker does at a time.
-    memory : int
-        Bytes that these take: chunks, the part that is read, and the block.
-    size : int
-        Bytes of the output, with all levels, decoded.
-    error : float
-        The error estimate from the checks of the map, in samples.
-    """
-
-    shape: tuple[int, ...]
+    shape: tuple[int, ...]  # of the output, of all axes
     dtype: str
-    block: tuple[int, ...]
+    block: tuple[int, ...]  # the shape of what a task writes
     blocks: int
-    copied: int
-    read: int
+    copied: int  # blocks that are copies, since no stroke reaches them
+    read: int  # bytes that are read, without copies: whole chunks, as often as they are read
     copied_bytes: int
-    tasks: int
-    memory: int
-    size: int
-    error: float
+    tasks: int  # that a worker does at a time
+    memory: int  # bytes that these take: chunks, the part that is read, and the block
+    size: int  # bytes of the output, with all levels
+    error: float  # the error estimate from the checks of the map, in samples
 
 
 def plan_file(
     source: PathLike,
     recipe: Recipe,
     *,
-    filter: str = "auto",
-    tolerance: float = 0.01,
-    outside: str | None = None,
-    fill: float | Sequence[float] = 0.0,
-    options: VolumeOptions | None = None,
-    fit: Fit | None = None,
-    maps: Sequence[Placed] = (),
-    grid: GridOptions | None = None,
     running: Running | None = None,
     tell: Tell = lambda step, done, total: None,
+    **given: Any,
 ) -> Planned:
     """Plan the warp of a store, a volume or a picture to a store; if possible, its header alone is read.
 
     Parameters and errors are those of `warp_store`.
     """
-    opened = open_source(source, recipe, options, maps=maps, grid=grid)
+    job = job_of(source, source, recipe, **given)
+    opened = open_source(job)
     image, carried, item, chunks = opened.image, opened.carried, opened.image.dtype.itemsize, opened.samples.chunks
-    warp = warp_on(
-        opened, recipe, filter=filter, tolerance=tolerance, outside=outside, fill=fill, options=options, fit=fit,
-        maps=maps, grid=grid,
-    )  # fmt: skip
+    warp = warp_on(opened, job)
     shape = (*image.shape[:carried], *warp.shape)
     workers = (running or Running()).workers
     slots = threads() if workers is None else max(1, round(threads() / workers))
@@ -176,7 +126,7 @@ def plan_file(
                 read += part * positions
                 own = math.prod(b - a for a, b in one.part) * item
                 most = max(most, (part + own + 2 * count) * math.prod(task[:carried]))
-    warn_of(certificate, warp.sampling.tolerance, 3, folds_of(maps), only_name(maps))
+    warn_of(certificate, warp.sampling.tolerance, 3, folds_of(job.maps), only_name(job.maps))
     levels = sum(math.prod(level.array.shape) / math.prod(image.shape) for level in image.levels)
     return Planned(
         shape, str(image.dtype), task, total * leads, copied, read, copied_bytes, slots, most * slots,
@@ -184,35 +134,28 @@ def plan_file(
     )  # fmt: skip
 
 
-def open_source(
-    source: PathLike,
-    recipe: Recipe,
-    options: VolumeOptions | None = None,
-    *,
-    maps: Sequence[Placed] = (),
-    grid: GridOptions | None = None,
-) -> Source:
+def open_source(job: Job) -> Source:
     """Open an input as a picture or as a volume: as the points of the strokes say, or else as it says itself.
 
     SuppleError if it cannot be read, an option does not apply to it, or it has fewer axes of space than the strokes,
     the maps or the grid.
     """
-    known = options or VolumeOptions()
+    source, known = job.source, job.volume
     if not is_store(source):
-        if Job(source, source, recipe, volume=known, maps=maps, grid=grid).medium.kind == "clip":
+        if replace(job, target=source).medium.kind == "clip":
             kind = "folder without a volume" if os.path.isdir(source) else "clip"
             raise SuppleError(
                 f"{shown(source)} is a {kind}, and blocks are of pictures, volumes and Zarr stores: give one of these"
             )
         samples = Samples(source, raw=known.layout, series=known.series)
-        n = _axes_of_space(source, 3 if "z" in samples.axes else 2, recipe, maps, grid)
+        n = _axes_of_space(job, 3 if "z" in samples.axes else 2)
         geometry = samples.geometry if n == 3 else None
         return Source(shown(source), like_file(source, samples, ndim=n), samples, geometry)
     for name, given in (("series", known.series), ("shape", known.layout)):
         if given is not None:
             raise SuppleError(f"{name} is not for Zarr stores: leave it out")
     image = open_image(source)
-    n = _axes_of_space(source, len(image.spatial), recipe, maps, grid)
+    n = _axes_of_space(job, len(image.spatial))
     image = image if n == len(image.spatial) else open_image(source, ndim=n)
     names, usual = [image.axes[axis].name.lower() for axis in image.spatial], list("zyx"[-n:])
     if sorted(names) == sorted(usual) and names != usual:  # points are meant with x along the last axis
@@ -232,47 +175,35 @@ def open_source(
     return Source(shown(image.address), image, array, geometry, scaling, background)
 
 
-def _axes_of_space(
-    source: PathLike, found: int, recipe: Recipe, maps: Sequence[Placed], grid: GridOptions | None
-) -> int:
+def _axes_of_space(job: Job, found: int) -> int:
     """Return the number of axes that are bent."""
-    stated = [stroke.ndim for stroke in recipe.strokes[:1]] + [each.map.ndim for each in maps[:1]]
-    n = stated[0] if stated else grid.ndim if grid is not None else None
+    stated = [stroke.ndim for stroke in job.recipe.strokes[:1]] + [each.map.ndim for each in job.maps[:1]]
+    n = stated[0] if stated else job.grid.ndim if job.grid is not None else None
     if n is not None and n > found:
         raise SuppleError(
-            f"{shown(source)} is a picture, with {found} axes of space, and strokes, maps or the crop have {n}: give "
-            "points of two numbers, x and y"
+            f"{shown(job.source)} is a picture, with {found} axes of space, and strokes, maps or the crop have {n}: "
+            "give points of two numbers, x and y"
         )
     return n or found
 
 
-def warp_on(
-    source: Source,
-    recipe: Recipe,
-    *,
-    filter: str = "auto",
-    tolerance: float = 0.01,
-    outside: str | None = None,
-    fill: float | Sequence[float] = 0.0,
-    options: VolumeOptions | None = None,
-    fit: Fit | None = None,
-    maps: Sequence[Placed] = (),
-    grid: GridOptions | None = None,
-) -> Warp:
+def warp_on(source: Source, job: Job) -> Warp:
     """Return a recipe on an input, ready to be planned; SuppleError if an option does not fit the input."""
-    known, dtype = options or VolumeOptions(), source.image.dtype
+    known, dtype, grid, maps = job.volume, source.image.dtype, job.grid, job.maps
+    outside, fill, name, tolerance = job.outside, job.sampling.fill, job.sampling.filter, job.sampling.tolerance
     if outside is None:
         elsewhere = grid is not None and grid.reference is not None
         outside = "constant" if source.geometry is not None and elsewhere else "edge"
         fill = 0.0 if known.labels else source.background
-    if known.labels and filter not in ("auto", "nearest"):
+    if known.labels and name not in ("auto", "nearest"):
         raise SuppleError(
-            f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{filter}"'
+            f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{name}"'
         )
     if known.labels and dtype.kind == "f":
         raise SuppleError(f"{argument('labels')} is for whole numbers, and {source.name} holds {dtype}: leave it out")
-    name = "nearest" if known.labels else filter
+    name = "nearest" if known.labels else name
     whole = np.broadcast_to(np.zeros((), dtype), source.space)  # which takes no memory
+    regrid = grid_on(grid, source.grid, source.name, maps)
     if outside == "constant":
         fill = Volume(whole, Geometry(), source.name, scaling=source.scaling).stored(fill)
     if source.geometry is None:
@@ -280,14 +211,12 @@ def warp_on(
             raise SuppleError(f"{argument('world')} is for volumes, and {source.name} is a picture: leave it out")
         sampling = Sampling(name, tolerance, outside, fill)
         height, width = source.space
-        regrid = grid_on(grid, source.grid, source.name, maps)
-        fitted = fit_recipe(recipe, (width, height), fit, source.name)
+        fitted = fit_recipe(job.recipe, (width, height), job.fit, source.name)
         deformation = Deformation.from_recipe(fitted, source.grid, maps=maps, warn=False)
     else:
         sampling = sampling_of(name, outside=outside, fill=fill, tolerance=tolerance)
-        regrid = grid_on(grid, source.grid, source.name, maps)
         volume = Volume(whole, source.geometry, source.name)
-        deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
+        deformation = deformation_of(job.recipe, volume, world=known.world, fit=job.fit, maps=maps)
     work_of(whole.shape, whole.dtype, deformation.space_on(regrid), sampling, alpha=False)  # raise its errors now
     return Warp(deformation, sampling, regrid)
 
