@@ -299,7 +299,13 @@ def compose_files(
         for each in inputs:
             there = None if each.source is None else grid_of(each.source)
             source = there or (here if each.inverse else None)
-            file = read_file(each.path, each.convention, source=source, reference=None if each.inverse else here)
+            try:
+                file = read_file(each.path, each.convention, source=source, reference=None if each.inverse else here)
+            except transforms.MissingGridError as error:
+                if source is None or (not read and not each.inverse):
+                    raise
+                advice = "give --source of the file before it, or convert it by itself first (supple convert)"
+                raise SuppleError(f"{str(error).rpartition(': ')[0]}: {advice}") from None
             check_reference(file, wanted, reference)
             _warn_of_size(file.path, file.convention, source, file.grid)
             read.append(replace(file, inverse=each.inverse))
