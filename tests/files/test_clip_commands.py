@@ -173,7 +173,7 @@ def test_plots_show_what_warp_makes(here: Path, monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.parametrize(("what", "grab"), [("grid", GRAB_2D), ("stretch", GRAB), ("iterations", GRAB_2D)])
 def test_maps_of_one_frame(run: Run, what: str, grab: Sequence[str]) -> None:
     noisy("in.mkv", "yuv420p")
-    refused(run("plot", "in.mkv", "out.png", *grab, "--what", what), "from 0 to 11 (--frame)")
+    refused(run("plot", "in.mkv", "out.png", *grab, "--what", what), "give --frame, from 0 to 11")
     assert run("plot", "in.mkv", "out.png", *grab, "--what", what, "--frame", "5") == (0, "", "")
     assert image.info("out.png")["format"] == "PNG"
 

@@ -153,7 +153,7 @@ def test_composites_are_inverted_in_reverse(tmp_path: Path) -> None:
     fine = inside(GRID, affine(there), 1) & inside(GRID, points, 2)
     assert fine.mean() > 0.2
     np.testing.assert_allclose(moved(field, affine(there))[fine], points[fine], atol=2e-3)
-    with pytest.raises(SuppleError, match=r"holds an affine map and a field: --error and --status are of the"):
+    with pytest.raises(SuppleError, match=r"holds an affine map and a field: error and status are of the"):
         invert_file(tmp_path / "both.h5", tmp_path / "w.mha", error=tmp_path / "e.mha")
     assert sorted(os.listdir(tmp_path)) == ["both.h5", "v.mha"]
 

@@ -23,6 +23,7 @@ from PIL import Image  # noqa: E402
 from supple import Deformation, Recipe, Stroke, SuppleError  # noqa: E402
 from supple.errors import VolumeWarning  # noqa: E402
 from supple.files import plans  # noqa: E402
+from supple.files.jobs import Job  # noqa: E402
 from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
 from supple.files.plans import plan_file  # noqa: E402
 from supple.files.stores import warp_store  # noqa: E402
@@ -253,7 +254,7 @@ def test_a_series_of_slices() -> None:
     made = warp_store("ct", "out.zarr", DEEP)
     expected = made.deformation.warp(values, between="cubic", time_filter=True)
     assert np.array_equal(open_image("out.zarr").levels[0].array[...], expected)
-    assert plan_file("ct", DEEP).shape == (11, 32, 40)
+    assert plan_file(Job("ct", "", DEEP)).shape == (11, 32, 40)
 
 
 def test_only_needed_tiles_are_read() -> None:
@@ -307,7 +308,7 @@ def interrupted(*_: object) -> None:
 def test_plans_are_of_what_would_be_written() -> None:
     tifffile.imwrite("in.tif", noise((64, 96), "uint16"), tile=(16, 16), compression="zlib")
     reach = Recipe(strokes=[Stroke.grab((30, 22), to=(34, 25), radius=3, reach=2)])
-    planned = plan_file("in.tif", reach)
+    planned = plan_file(Job("in.tif", "", reach))
     made = warp_store("in.tif", "out.zarr", reach)
     assert (planned.blocks, planned.shape, planned.dtype) == (made.blocks, made.shape, "uint16")
     assert 0 < planned.copied < planned.blocks

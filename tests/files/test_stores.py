@@ -32,6 +32,7 @@ from supple.engine.sampling import Sampling  # noqa: E402
 from supple.errors import VolumeWarning  # noqa: E402
 from supple.fields import Placed  # noqa: E402
 from supple.files import plans, tasks  # noqa: E402
+from supple.files.jobs import Job  # noqa: E402
 from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
 from supple.files.plans import plan_boxes, plan_file, task_shape  # noqa: E402
 from supple.files.stores import WarpedStore, warp_store  # noqa: E402
@@ -325,9 +326,9 @@ def test_tasks_are_whole_blocks_of_some_size() -> None:
 
 def test_a_plan_says_what_the_job_does() -> None:
     plain("in.zarr", RNG.random((64, 96)).astype(np.float32), (16, 16))
-    told = plan_file("in.zarr", FLAT)
+    told = plan_file(Job("in.zarr", "", FLAT))
     shutil.rmtree("in.zarr/c")  # no sample is read
-    assert plan_file("in.zarr", FLAT) == told
+    assert plan_file(Job("in.zarr", "", FLAT)) == told
     plain("in.zarr", RNG.random((64, 96)).astype(np.float32), (16, 16), overwrite=True)
     made = warp_store("in.zarr", "out.zarr", FLAT)
     assert (told.blocks, told.copied) == (made.blocks, made.copied)
@@ -341,10 +342,10 @@ def test_plans_of_files_read_the_header_alone() -> None:
     from supple.media import image as picture
 
     nibabel.save(nibabel.Nifti1Image(np.zeros((30, 28, 9, 2), np.int16), np.eye(4)), "series.nii.gz")
-    told = plan_file("series.nii.gz", DEEP)
+    told = plan_file(Job("series.nii.gz", "", DEEP))
     assert (told.shape, told.dtype) == ((2, 9, 28, 30), "int16")
     picture.write("in.png", RNG.integers(0, 255, (40, 50, 3), np.uint8))
-    told = plan_file("in.png", FLAT)
+    told = plan_file(Job("in.png", "", FLAT))
     assert (told.shape, told.dtype, told.size) == ((3, 40, 50), "uint8", 6000)
 
 
@@ -386,7 +387,7 @@ def test_lengths_in_another_unit_are_told() -> None:
         (5e-5, r"0\.05 times"),
     ):
         with pytest.warns(VolumeWarning, match=words), contextlib.suppress(SuppleError):
-            plan_file("in.zarr", Recipe(strokes=[replace(drag, radius=radius)]))
+            plan_file(Job("in.zarr", "", Recipe(strokes=[replace(drag, radius=radius)])))
 
 
 @pytest.mark.parametrize("unit", ["um", "\u00b5m", "micron"])

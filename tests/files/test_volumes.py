@@ -17,6 +17,7 @@ from scipy import ndimage
 
 import supple
 from supple.cli import command
+from supple.engine.sampling import Sampling
 from supple.errors import SuppleError, VolumeWarning
 from supple.fields import Placed
 from supple.files import Job, volumes
@@ -97,7 +98,7 @@ def test_a_filter_samples_all_axes_alike(name: str) -> None:
     found = []
     for values, given in ((samples, strokes), (np.moveaxis(samples, 0, 2), turned)):
         d = supple.Deformation.from_recipe(supple.Recipe(strokes=given, border=None), values.shape)
-        how = sampling_of(name, tolerance=1e-3)
+        how = sampling_of(Sampling(name, 1e-3))
         found.append(d.warp(values, filter=how.filter, between=how.between, tolerance=1e-3))
     off = np.abs(found[0] - np.moveaxis(found[1], 2, 0))
     assert np.quantile(off, 0.99) < 0.1
@@ -109,7 +110,7 @@ def test_cubic_filters_of_volumes_are_those_of_the_reference(name: str) -> None:
     samples = made((18, 22, 20), np.float32)
     strokes = [supple.Stroke.grab((9, 12, 10), by=(4, -3, 2), radius=7)]
     d = supple.Deformation.from_recipe(supple.Recipe(strokes=strokes, border=None), samples.shape)
-    how = sampling_of(name, tolerance=1e-4)
+    how = sampling_of(Sampling(name, 1e-4))
     assert (how.between, how.time_filter) == ("cubic", name == "auto")
     options: dict[str, Any] = {"filter": how.filter, "between": how.between, "time_filter": how.time_filter}
     wanted = reference.warp_frames(samples, strokes, d.domain, **options)

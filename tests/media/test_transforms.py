@@ -125,7 +125,7 @@ def test_a_nifti_without_a_place_has_none_in_the_world(tmp_path: Path) -> None:
     made.header["sform_code"] = made.header["qform_code"] = 0
     made.to_filename(tmp_path / "in.nii")
     grab = [Stroke.grab((12, 14, 9), to=(16, 17, 11), radius=8)]
-    with pytest.raises(SuppleError, match=r"in.nii does not know where it lies in space: leave --world out"):
+    with pytest.raises(SuppleError, match=r"in.nii does not know where it lies in space: leave world out"):
         warp_volume(tmp_path / "in.nii", tmp_path / "out.nii", Recipe(strokes=grab), options=VolumeOptions(world=True))
 
 

@@ -293,7 +293,7 @@ def test_voxels_without_a_header_are_shown_and_exported(gpu: Gpu, state: Path) -
     for source in (small_photo(state), samples):
         with pytest.raises(supple.SuppleError, match=r"is no file of a volume, .*: leave that out"):
             opened(source, volume=VolumeOptions(labels=True))
-    with pytest.raises(supple.SuppleError, match="--series is for DICOM folders"):
+    with pytest.raises(supple.SuppleError, match="series is for DICOM folders"):
         opened(DATA / "head.nii.gz", volume=VolumeOptions(series="1"))
 
 

@@ -16,6 +16,7 @@ from supple.errors import SuppleError
 if TYPE_CHECKING:
     from fractions import Fraction
 
+    from supple.engine.sampling import Sampling
     from supple.files.options import ClipOptions
     from supple.files.options import VolumeOptions as Reading
     from supple.files.tasks import Running
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 VIDEO = Group("Videos and image sequences", sort_key=4)
 RUNNING = Group("Running", sort_key=5)
+SAMPLING = Group("Sampling", sort_key=2)
 STORES = Group("Zarr stores", sort_key=4.5)
 VOLUME = Group("Volumes", sort_key=5)
 COORDINATES = {"lps": "LPS", "ras": "RAS", "index": "index"}
@@ -176,11 +178,6 @@ class VideoOptions(TimeOptions):
         from supple.files.options import ClipOptions
 
         return ClipOptions(**{name: value for name, value in vars(self).items() if value is not None})
-
-
-def parse_fill(text: str) -> list[float]:
-    """Read a colour from the command line."""
-    return [parse_number("--fill", part, "a number, or one for each channel: 255,0,0") for part in text.split(",")]
 
 
 def parse_numbers(name: str, text: str, count: int, wanted: str) -> tuple[float, ...]:
@@ -340,3 +337,44 @@ class WorkerOptions:
         from supple.files.tasks import Running
 
         return Running(workers=self.workers, scheduler=self.scheduler)
+
+
+@Parameter(name="*", group=SAMPLING)
+@dataclass(kw_only=True, eq=False, repr=False)
+class SamplingOptions:
+    """How the input is sampled.
+
+    Parameters
+    ----------
+    filter
+        Interpolation: auto (cubic, averaged where the picture shrinks), cubic, linear or nearest.
+    outside
+        What to show beyond the edges of the input: its edge pixels, a constant (--fill), or its mirror image (default:
+        edge; of volumes with --reference, constant: the least value, the padding of DICOM, or 0 of labels).
+    fill
+        Fill value of --outside constant, in the picture's own values (0): one for all channels, or one for each.
+    tolerance
+        Largest allowed error of the inverse map, in pixels.
+    """
+
+    filter: Annotated[str, Parameter(metavar="auto|cubic|linear|nearest")] = "auto"
+    outside: Literal["edge", "constant", "reflect"] | None = None
+    fill: Annotated[str | None, Parameter(metavar="V|V,V,V", allow_leading_hyphen=True)] = None
+    tolerance: Annotated[float, number("a number of pixels above 0", "PX")] = 0.01
+
+    def to_sampling(self, elsewhere: bool, linear_light: bool = False) -> "tuple[Sampling, str | None]":
+        """Return the options as the library takes them, and the boundary mode that was asked for.
+
+        If maps or a reference may lead ``elsewhere``, a fill value says by itself that it is a constant.
+        """
+        from supple.engine.sampling import Sampling
+
+        wanted = "a number, or one for each channel: 255,0,0"
+        values = [parse_number("--fill", part, wanted) for part in (self.fill or "0").split(",")]
+        outside: str | None = self.outside
+        if self.fill is not None and outside is None and elsewhere:
+            outside = "constant"
+        if self.fill is not None and outside != "constant":
+            told = outside or "edge"
+            raise SuppleError(f"--fill is the constant of --outside constant, and --outside is {told}: give both")
+        return Sampling(self.filter, self.tolerance, outside or "edge", values, linear_light), outside

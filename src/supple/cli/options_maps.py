@@ -426,16 +426,6 @@ def describe_grid(facts: dict[str, Any], units: str) -> str:
     return f"{sizes} samples, spacing {steps} {units}, from ({origin.replace(' x ', ', ')})"
 
 
-def check_fill(fill: str | None, outside: str | None, maps: Maps, output: OutputOptions) -> Any:
-    """Return --outside, where --fill says it by itself; refuse one that does not go with it."""
-    if fill is None or outside == "constant":
-        return outside
-    if outside is None and (maps or output.reference is not None):
-        return "constant"
-    told = outside or "edge"
-    raise SuppleError(f"--fill is the constant of --outside constant, and --outside is {told}: give both")
-
-
 def say_background(
     console: "Console", target: str | os.PathLike[str], source: str | os.PathLike[str], value: float | None
 ) -> None:

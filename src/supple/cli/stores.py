@@ -7,19 +7,18 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 from supple.cli.console import STREAM, Console, File, Terminated, about, current, one_line, say_convention
 from supple.cli.console import told as told_of
-from supple.cli.options import RUNNING, VOLUME, VolumeArguments, WorkerOptions, number, parse_fill
+from supple.cli.options import RUNNING, VOLUME, SamplingOptions, VolumeArguments, WorkerOptions
 from supple.cli.options_maps import (
     OTHERS,
     MapOptions,
     Maps,
     OutputOptions,
-    check_fill,
     describe_grid,
     grid_facts,
     say_background,
@@ -32,12 +31,9 @@ if TYPE_CHECKING:
     from supple.files.plans import Planned
     from supple.files.stores import WarpedStore
     from supple.files.tasks import Running
-    from supple.space.geometry import Grid
-
-Outside = Literal["edge", "constant", "reflect"]
-SAMPLING = Group("Sampling", sort_key=2)
 
 
+_SAMPLING = SamplingOptions()
 _STROKES = StrokeOptions()
 _MAPS = MapOptions()
 _OUTPUT = OutputOptions()
@@ -51,6 +47,7 @@ def warp_stored(
 ) -> WarpedStore:
     """Warp one store to another, as `supple warp` was asked to."""
     from supple.engine.progress import counted
+    from supple.files.plans import open_source
     from supple.files.stores import warp
 
     source, target = _pair(paths)
@@ -63,8 +60,8 @@ def warp_stored(
 
     try:
         with about(File(source, target)), counted(console.terminal, "blocks") as counts:
-            own = refer(console, source, job, maps)
-            stored = warp(replace(job, source=source, target=target, maps=maps.read(own)), running, tell)
+            job = refer(console, job, maps)
+            stored = warp(replace(job, source=source, target=target), running, tell)
     except (KeyboardInterrupt, Terminated):
         parts, name = ("blocks", target) if "warp" in blocks else ("parts", job.volume.save_field or "")
         if blocks:
@@ -76,7 +73,7 @@ def warp_stored(
             console.tell({"input": source, "output": target, "error": one_line(error)})
         raise
     if json:
-        used = {"maps": maps.facts(own)} if maps else {}
+        used = {"maps": maps.facts(open_source(job).grid)} if maps else {}
         console.tell({**_facts(stored), **used})
     if stored.done:
         what = f"{stored.done} of {stored.blocks} blocks were there already"
@@ -91,17 +88,15 @@ def warp_stored(
     return stored
 
 
-def refer(console: Console, source: str, job: Job, maps: Maps) -> Grid | None:
-    """Return the grid of a store, where maps refer to it; tell of them."""
+def refer(console: Console, job: Job, maps: Maps) -> Job:
+    """Return a job on a store, with the maps of the command, on its grid; tell of them."""
     from supple.files.plans import open_source
 
     if not maps:
-        return None
-    job = replace(job, source=source)
-    own = open_source(job).grid
-    own = open_source(replace(job, maps=maps.read(own))).grid
-    maps.on(console, own, shown(source), job.grid)
-    return own
+        return job
+    job = replace(job, maps=maps.read(open_source(job).grid))
+    maps.on(console, open_source(job).grid, shown(job.source), job.grid)
+    return job
 
 
 def _pair(paths: Sequence[str]) -> tuple[str, str]:
@@ -180,10 +175,7 @@ def plan(
     strokes: StrokeOptions = _STROKES,
     maps: MapOptions = _MAPS,
     output: OutputOptions = _OUTPUT,
-    filter: Annotated[str, Parameter(group=SAMPLING, metavar="auto|cubic|linear|nearest")] = "auto",
-    outside: Annotated[Outside | None, Parameter(group=SAMPLING)] = None,
-    fill: Annotated[str | None, Parameter(group=SAMPLING, metavar="V", allow_leading_hyphen=True)] = None,
-    tolerance: Annotated[float, number("a number of pixels above 0", "PX", group=SAMPLING)] = 0.01,
+    sampling: SamplingOptions = _SAMPLING,
     labels: Annotated[bool, Parameter(group=VOLUME)] = False,
     volume: VolumeArguments = _VOLUME,
     workers: WorkerOptions = _WORKERS,
@@ -197,14 +189,6 @@ def plan(
     ----------
     source
         A Zarr array or an OME-Zarr image, a volume, or a picture.
-    filter
-        Interpolation, as of warp.
-    outside
-        What to show beyond the edges of the input, as of warp.
-    fill
-        Fill value of --outside constant.
-    tolerance
-        Largest allowed error of the inverse map, in pixels.
     labels
         The input is a label map, as of warp.
     json
@@ -226,24 +210,12 @@ def plan(
         place=lambda: volume.place_of(source), ordered=maps.conventions,
     )  # fmt: skip
     elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given, output)
-    outside = check_fill(fill, outside, elements, output)
+    known, outside = sampling.to_sampling(bool(elements) or output.reference is not None)
     reading = volume.to_reading(labels=labels)
-    own = refer(console, source, Job(source, source, recipe, volume=reading, grid=grid), elements)
+    job = Job(source, source, recipe, known, outside, volume=reading, fit=strokes.to_fit(), grid=grid)
+    job = refer(console, job, elements)
     with counted(console.terminal, "blocks") as tell:
-        found = plan_file(
-            source,
-            recipe,
-            filter=filter,
-            tolerance=tolerance,
-            outside=outside,
-            fill=parse_fill("0" if fill is None else fill),
-            options=reading,
-            fit=strokes.to_fit(),
-            maps=elements.read(own) if elements else (),
-            grid=grid,
-            running=workers.to_running(),
-            tell=tell,
-        )
+        found = plan_file(job, workers.to_running(), tell)
     if json:
         facts = {"file": source, **asdict(found)}
         console.tell({**facts, "error": _finite(found.error)})

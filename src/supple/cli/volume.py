@@ -378,7 +378,7 @@ def _deformation(
         from supple.cli.stores import refer
         from supple.files.plans import open_source, warp_on
 
-        job = replace(job, fit=fit, maps=elements.read(refer(current(), on, job, elements)))
+        job = refer(current(), replace(job, fit=fit), elements)
         source = open_source(job)
         return warp_on(source, job).deformation, source.geometry
     job = elements.placed(current(), job)

@@ -23,20 +23,19 @@ from supple.cli.console import (
 )
 from supple.cli.options import (
     RUNNING,
+    SAMPLING,
     VOLUME,
     RunOptions,
+    SamplingOptions,
     TrackOptions,
     VideoOptions,
     VolumeArguments,
     WorkerOptions,
-    number,
-    parse_fill,
 )
 from supple.cli.options_maps import (
     OTHERS,
     MapOptions,
     OutputOptions,
-    check_fill,
     describe_grid,
     grid_facts,
     say_background,
@@ -51,15 +50,14 @@ if TYPE_CHECKING:
     from supple.files.stores import WarpedStore
     from supple.strokes import Recipe
 
-Outside = Literal["edge", "constant", "reflect"]
 Warper = Literal["auto", "cpu", "cuda"]
 Tell = Callable[[str], None]
 Pair = tuple[Path, Path]
 
-SAMPLING = Group("Sampling", sort_key=2)
 WRITING = Group("Writing", sort_key=3)
 
 _RUN = RunOptions()
+_SAMPLING = SamplingOptions()
 _STROKES = StrokeOptions()
 _VIDEO = VideoOptions()
 _TRACKS = TrackOptions()
@@ -74,10 +72,7 @@ def warp(
     strokes: StrokeOptions = _STROKES,
     maps: MapOptions = _MAPS,
     output: OutputOptions = _OUTPUT,
-    filter: Annotated[str, Parameter(group=SAMPLING, metavar="auto|cubic|linear|nearest")] = "auto",
-    outside: Annotated[Outside | None, Parameter(group=SAMPLING)] = None,
-    fill: Annotated[str | None, Parameter(group=SAMPLING, metavar="V|V,V,V", allow_leading_hyphen=True)] = None,
-    tolerance: Annotated[float, number("a number of pixels above 0", "PX", group=SAMPLING)] = 0.01,
+    sampling: SamplingOptions = _SAMPLING,
     linear_light: Annotated[bool, Parameter(group=SAMPLING)] = False,
     clamp: Annotated[bool | None, Parameter(group=SAMPLING, negative="--no-clamp")] = None,
     quality: Annotated[int | None, Parameter(group=WRITING, metavar="1..100", allow_leading_hyphen=True)] = None,
@@ -105,15 +100,6 @@ def warp(
         Files to read, and last the file or folder to write. The suffix of OUT is its format: PNG, JPEG, TIFF,
         WebP, AVIF, OpenEXR, DPX and others; MP4, MOV, MKV, WebM, AVI, GIF; NIfTI, NRRD, MHA; Zarr, of pictures and
         volumes. A dash, -, is standard input or output, in the input's format.
-    filter
-        Interpolation: auto (cubic, averaged where the picture shrinks), cubic, linear or nearest.
-    outside
-        What to show beyond the edges of the input: its edge pixels, a constant (--fill), or its mirror image (default:
-        edge; of volumes with --reference, constant: the least value, the padding of DICOM, or 0 of labels).
-    fill
-        Fill value of --outside constant, in the picture's own values (0): one for all channels, or one for each.
-    tolerance
-        Largest allowed error of the inverse map, in pixels.
     linear_light
         Average in linear light instead of sRGB values, so that fine detail does not darken.
     clamp
@@ -136,7 +122,7 @@ def warp(
     console = current()
     from supple.arrays import check_device
     from supple.cli.jobs import Crew, check_recipe_file, make_folders, pair, piped, summary
-    from supple.engine.sampling import FINEST, Sampling
+    from supple.engine.sampling import FINEST
     from supple.files.jobs import Job
     from supple.files.recipes import write_recipe
     from supple.media.files import is_store
@@ -154,18 +140,17 @@ def warp(
     elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given, output)
     if elements and save_recipe is not None:
         raise SuppleError("--save-recipe is for strokes alone, which --field and --affine are not: leave it out")
-    if 1e-9 <= tolerance < FINEST:
-        written = f"{tolerance:g}".replace("e-0", "e-")
+    if 1e-9 <= sampling.tolerance < FINEST:
+        written = f"{sampling.tolerance:g}".replace("e-0", "e-")
         console.warn(
             f"--tolerance {written} is not reached everywhere: source points are float32, and exact to about "
             f"{FINEST:g} pixels"
         )
     reading = volume.to_reading(labels=labels, save_field=save_field)
-    values = parse_fill("0" if fill is None else fill)
-    outside = check_fill(fill, outside, elements, output)
+    known, outside = sampling.to_sampling(bool(elements) or output.reference is not None, linear_light)
     template = Job(
-        paths[0], paths[-1], recipe, Sampling(filter, tolerance, outside or "edge", values, linear_light), outside,
-        clamp, quality, lossless, device, options.force, video.to_clip(), reading, strokes.to_fit(), grid=grid,
+        paths[0], paths[-1], recipe, known, outside, clamp, quality, lossless, device, options.force, video.to_clip(),
+        reading, strokes.to_fit(), grid=grid,
     )  # fmt: skip
     if options.json and paths[-1] == STREAM:
         raise SuppleError("--json and the picture cannot both go to standard output: leave --json out, or name a file")
@@ -317,25 +302,23 @@ def _stands_for_several(source: str) -> bool:
 
 def _facts_of(pair: Pair, made: "Warped") -> dict[str, Any]:
     """Return what is told of a file that was warped."""
-    from dataclasses import asdict
-
     grid = made.grid or made.own or made.deformation.grid
     sizes = dict(zip(("width", "height", "depth"), grid.sizes[: 3 if made.kind == "volume" else 2], strict=False))
     if made.kind == "picture":
         facts = picture_facts(pair, made.deformation, made.report()) | sizes
     else:
-        facts = {"input": str(made.source), "output": str(made.target), **sizes, "tolerance": made.tolerance}
-        facts |= {"error": made.error, **told(*made.deformations, own=made.own)}
-    if made.kind == "clip":
-        facts |= {"frames": made.frames, "still": made.still, "copied": made.copied, "held": made.held}
-        facts["moves"] = len(made.deformations) > 1
-    if made.geometry is not None:
-        facts |= {"volumes": made.frames, "spacing": list(grid.spacing), "convention": made.geometry.convention}
-        facts["arrivals"] = [asdict(arrival) for arrival in made.arrivals]
-    if made.grid is not None:
-        facts["grid"] = grid_facts(made.grid)
+        facts = {"input": str(made.source), "output": str(made.target), **sizes}
+        if made.geometry is None:
+            facts |= {"frames": made.frames, "still": made.still, "copied": made.copied, "held": made.held}
+        else:
+            facts |= {"volumes": made.frames, "spacing": list(grid.spacing), "convention": made.geometry.convention}
+        facts |= {"tolerance": made.tolerance, "error": made.error}
+        facts |= {"moves": len(made.deformations) > 1} if made.kind == "clip" else {}
+        facts |= told(*made.deformations, own=made.own)
     if made.background is not None:
         facts["background"] = made.background
+    if made.grid is not None:
+        facts["grid"] = grid_facts(made.grid)
     if made.deformation.maps:
         facts |= {"folded": made.folded, "outside": made.outside, "unsolved": made.unsolved}
     if not math.isfinite(facts["error"]):

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import FoldWarning, OutsideWarning, SuppleError, shown
+from supple.errors import FoldWarning, OutsideWarning, SuppleError, argument, shown
 from supple.fields import OK, Field, Map, Placed, check_path, compose, own_grid, told, write_maps
 from supple.fields.checks import FieldReport
 from supple.files.maps import (
@@ -165,8 +165,8 @@ def invert_file(
     fields = [each for each in read.maps if isinstance(each, Field)]
     if (len(read.maps) != 1 or not fields) and (error is not None or status is not None):
         raise SuppleError(
-            f"{shown(source)} holds {told(read.maps)}: --error and --status are of the inverse of one field alone: "
-            "leave them out"
+            f"{shown(source)} holds {told(read.maps)}: {argument('error')} and {argument('status')} are of the "
+            "inverse of one field alone: leave them out"
         )
     grid = wanted or read.grid if fields else None
     if wanted is None and fields and fields[0].interpolation == "bspline":
@@ -214,7 +214,7 @@ def check_beside(path: PathLike, *sources: PathLike | None, force: bool) -> None
     """Raise SuppleError if an output beside the main one cannot be written, or is one of the files that are read."""
     for source in sources:
         if source is not None and same_file(path, source):
-            raise SuppleError(f"{shown(path)} is read: --force does not replace it, so choose another name")
+            raise SuppleError(f"{shown(path)} is read, and not replaced: choose another name")
     check_output(path, force=force)
 
 
@@ -304,7 +304,9 @@ def compose_files(
             except transforms.MissingGridError as error:
                 if source is None or (not read and not each.inverse):
                     raise
-                advice = "give --source of the file before it, or convert it by itself first (supple convert)"
+                advice = "convert it by itself first (supple convert)"
+                if not each.inverse and not read[-1].inverse:
+                    advice = f"give --source of {shown(read[-1].path)}, which leads to it"
                 raise SuppleError(f"{str(error).rpartition(': ')[0]}: {advice}") from None
             check_reference(file, wanted, reference)
             _warn_of_size(file.path, file.convention, source, file.grid)
@@ -326,7 +328,11 @@ def compose_files(
         made = compose(parts, grid)
         there = read[-1].grid if inputs[-1].inverse else moving[-1]
         _warn_of_size(target, known, there, grid)
-        write_maps(place, (made,), known, source=there, reference=wanted)
+        try:
+            write_maps(place, (made,), known, source=there, reference=wanted)
+        except transforms.MissingGridError as error:
+            last = f"give the image that {shown(inputs[-1].path)} leads to, as its {argument('source')}"
+            raise SuppleError(f"{str(error).rpartition(': ')[0]}: {last}") from None
     written = MapFile(Path(target), known, how, (made,), written=True)
     return Written(tuple(read), written, time.perf_counter() - began)
 
@@ -381,7 +387,7 @@ def _warn_of_size(path: PathLike, convention: str, source: object, grid: Grid | 
     width, height = grid.sizes[:2]
     warnings.warn(
         f"{shown(path)} counts in the size of the picture that it leads to, which is not given: it is taken to have "
-        f"{width} x {height} pixels, as the map has: --source names that picture",
+        f"{width} x {height} pixels, as the map has: give that picture by {argument('source')}",
         OutsideWarning,
         stacklevel=3,
     )
@@ -391,7 +397,7 @@ def doubt_of(read: MapFile, folded: int, cells: int) -> str:
     """Return what a file may be instead, if it folds in more than a quarter of its cells; "" otherwise."""
     if 4 * folded <= cells:
         return ""
-    return f"is it of the convention {read.convention}, {read.known}? --convention says another"
+    return f"is it of the convention {read.convention}, {read.known}? {argument('convention')} says another"
 
 
 def _warn_of(counts: Mapping[str, int], read: MapFile) -> None:
@@ -405,8 +411,8 @@ def _warn_of(counts: Mapping[str, int], read: MapFile) -> None:
                 doubt = f"; the field folds in {folded:,} of its {cells.size:,} cells: {hint}"
         warnings.warn(
             f"{shown(read.path)}: of {whole:,} {'pixel' if field.ndim == 2 else 'voxel'}s of the inverse, "
-            f"{', '.join(found)}: they hold the nearest that was found; nothing was smoothed or set to zero (--status "
-            f"shows where){doubt}",
+            f"{', '.join(found)}: they hold the nearest that was found; nothing was smoothed or set to zero "
+            f"({argument('status')} shows where){doubt}",
             FoldWarning,
             stacklevel=3,
         )

@@ -100,7 +100,7 @@ class Job:
                 f"{medium.name} is taken for a picture, and strokes with keys move from frame to frame: give a clip, "
                 "or the recipe of one frame"
             )
-        if not self.force and same_file(self.source, self.target):
+        if not self.force and same_file(self.source, self.target) and not Path(self.source).is_dir():
             name, instead = shown(self.target), argument("force", True)
             raise SuppleError(f"{name} is the {medium.kind} itself: choose another name, or {instead}")
         import_module(_ROOMS[medium.kind]).check(self)

@@ -293,7 +293,9 @@ def _space(read: PointFile, asked: str | None, place: str | None, world: bool) -
         read = replace(read, told="world")
     space = convention_of(read, asked, place)
     if world and space == "index":
-        raise SuppleError(f"{read.name} is in voxels, and --world is for points in millimetres: leave it out")
+        raise SuppleError(
+            f"{read.name} is in voxels, and {argument('world')} is for points in millimetres: leave it out"
+        )
     return space
 
 
@@ -331,10 +333,12 @@ def convention_of(read: PointFile, asked: str | None, place: str | None) -> str:
     if asked is None and place not in (None, "array"):
         if read.told == "names":
             text = f"x, y and z of {read.name} are taken for voxels, counted from 0"
-            warnings.warn(f"{text}: --convention LPS or RAS takes them for millimetres", VolumeWarning, stacklevel=4)
+            warnings.warn(
+                f"{text}: {argument('convention')} LPS or RAS takes them for millimetres", VolumeWarning, stacklevel=4
+            )
         elif read.told in _UNSAID:
             what, advice = _UNSAID[read.told]
-            raise SuppleError(f"cannot place {read.name}: {what}: give --convention {advice}")
+            raise SuppleError(f"cannot place {read.name}: {what}: give {argument('convention')} {advice}")
     if known != "index" and place in (None, "array"):
         what = "only volumes have a place in space: give pixels in a table with x and y"
         if place is not None:

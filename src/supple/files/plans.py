@@ -14,19 +14,19 @@ import numpy as np
 from supple._core import threads
 from supple.blocks import Block, Box, Warp, boxes_of, chunks_of
 from supple.deformation import Deformation
-from supple.engine.sampling import Certificate, Sampling, warn_of
+from supple.engine.sampling import Certificate, warn_of
 from supple.engine.work import Tell, work_of
 from supple.errors import SuppleError, argument, shown
 from supple.fields import folds_of, only_name
 from supple.files.grids import grid_on
-from supple.files.jobs import Job, job_of
+from supple.files.jobs import Job
 from supple.files.tasks import Runner, Running, runner_of
 from supple.files.volumes import deformation_of, sampling_of
 from supple.media.files import is_store, unreadable
 from supple.media.stores import Samples, StoredImage, like_file, open_image
 from supple.media.volume import Volume
 from supple.space.geometry import Geometry, Grid
-from supple.strokes import Recipe, fit_recipe
+from supple.strokes import fit_recipe
 
 PathLike = str | os.PathLike[str]
 
@@ -85,19 +85,8 @@ class Planned:
     error: float  # the error estimate from the checks of the map, in samples
 
 
-def plan_file(
-    source: PathLike,
-    recipe: Recipe,
-    *,
-    running: Running | None = None,
-    tell: Tell = lambda step, done, total: None,
-    **given: Any,
-) -> Planned:
-    """Plan the warp of a store, a volume or a picture to a store; if possible, its header alone is read.
-
-    Parameters and errors are those of `warp_store`.
-    """
-    job = job_of(source, source, recipe, **given)
+def plan_file(job: Job, running: Running | None = None, tell: Tell = lambda step, done, total: None) -> Planned:
+    """Plan the warp of a store, a volume or a picture to a store; if possible, its header alone is read."""
     opened = open_source(job)
     image, carried, item, chunks = opened.image, opened.carried, opened.image.dtype.itemsize, opened.samples.chunks
     warp = warp_on(opened, job)
@@ -140,7 +129,7 @@ def open_source(job: Job) -> Source:
     SuppleError if it cannot be read, an option does not apply to it, or it has fewer axes of space than the strokes,
     the maps or the grid.
     """
-    source, known = job.source, job.volume
+    known, source = job.volume, job.source
     if not is_store(source):
         if replace(job, target=source).medium.kind == "clip":
             kind = "folder without a volume" if os.path.isdir(source) else "clip"
@@ -176,7 +165,6 @@ def open_source(job: Job) -> Source:
 
 
 def _axes_of_space(job: Job, found: int) -> int:
-    """Return the number of axes that are bent."""
     stated = [stroke.ndim for stroke in job.recipe.strokes[:1]] + [each.map.ndim for each in job.maps[:1]]
     n = stated[0] if stated else job.grid.ndim if job.grid is not None else None
     if n is not None and n > found:
@@ -189,32 +177,33 @@ def _axes_of_space(job: Job, found: int) -> int:
 
 def warp_on(source: Source, job: Job) -> Warp:
     """Return a recipe on an input, ready to be planned; SuppleError if an option does not fit the input."""
-    known, dtype, grid, maps = job.volume, source.image.dtype, job.grid, job.maps
-    outside, fill, name, tolerance = job.outside, job.sampling.fill, job.sampling.filter, job.sampling.tolerance
-    if outside is None:
-        elsewhere = grid is not None and grid.reference is not None
+    known, dtype, maps, sampling = job.volume, source.image.dtype, job.maps, job.sampling
+    if job.outside is None:
+        elsewhere = job.grid is not None and job.grid.reference is not None
         outside = "constant" if source.geometry is not None and elsewhere else "edge"
-        fill = 0.0 if known.labels else source.background
-    if known.labels and name not in ("auto", "nearest"):
+        sampling = replace(sampling, outside=outside, fill=0.0 if known.labels else source.background)
+    if known.labels and sampling.filter not in ("auto", "nearest"):
         raise SuppleError(
-            f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{name}"'
+            f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{sampling.filter}"'
         )
     if known.labels and dtype.kind == "f":
         raise SuppleError(f"{argument('labels')} is for whole numbers, and {source.name} holds {dtype}: leave it out")
-    name = "nearest" if known.labels else name
+    if known.labels:
+        sampling = replace(sampling, filter="nearest")
     whole = np.broadcast_to(np.zeros((), dtype), source.space)  # which takes no memory
-    regrid = grid_on(grid, source.grid, source.name, maps)
-    if outside == "constant":
-        fill = Volume(whole, Geometry(), source.name, scaling=source.scaling).stored(fill)
+    if sampling.outside == "constant":
+        volume = Volume(whole, Geometry(), source.name, scaling=source.scaling)
+        sampling = replace(sampling, fill=volume.stored(sampling.fill))
     if source.geometry is None:
         if known.world:
             raise SuppleError(f"{argument('world')} is for volumes, and {source.name} is a picture: leave it out")
-        sampling = Sampling(name, tolerance, outside, fill)
         height, width = source.space
+        regrid = grid_on(job.grid, source.grid, source.name, maps)
         fitted = fit_recipe(job.recipe, (width, height), job.fit, source.name)
         deformation = Deformation.from_recipe(fitted, source.grid, maps=maps, warn=False)
     else:
-        sampling = sampling_of(name, outside=outside, fill=fill, tolerance=tolerance)
+        sampling = sampling_of(sampling)
+        regrid = grid_on(job.grid, source.grid, source.name, maps)
         volume = Volume(whole, source.geometry, source.name)
         deformation = deformation_of(job.recipe, volume, world=known.world, fit=job.fit, maps=maps)
     work_of(whole.shape, whole.dtype, deformation.space_on(regrid), sampling, alpha=False)  # raise its errors now

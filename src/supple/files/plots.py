@@ -13,7 +13,7 @@ from supple.engine.progress import counted
 from supple.engine.sampling import Sampling
 from supple.engine.stream import make_plan
 from supple.engine.work import Array, Tell
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
 from supple.files.clips import (
     deformations_of,
@@ -96,7 +96,9 @@ def plot_file(
     options = clip or ClipOptions()
     refuse_encoding(options, target, "a plot")
     if what != "slice" and (x is not None or y is not None):
-        raise SuppleError(f"--x and --y are for slices, and {what} shows whole frames: leave them out")
+        raise SuppleError(
+            f"{argument('x')} and {argument('y')} are for slices, and {what} shows whole frames: leave them out"
+        )
     check_output(target, force=force)
     check_plot(target, force=force)
     kind = Job(source, "", recipe).medium.kind
@@ -152,9 +154,11 @@ def _plot_clip(
             warn_of_frames(clip, deformations)
         if what == "slice":
             if (x is None) == (y is None):
-                raise SuppleError("a slice shows one column or one row over time: give --x or --y")
+                raise SuppleError(
+                    f"a slice shows one column or one row over time: give {argument('x')} or {argument('y')}"
+                )
             axis, given, most = ("x", x, width) if x is not None else ("y", y, height)
-            at = integer(f"--{axis}", given, f"from 0 to {most - 1}, as the frame is {width} x {height}", 0, most - 1)
+            at = integer(axis, given, f"from 0 to {most - 1}, as the frame is {width} x {height}", 0, most - 1)
             line: tuple[Any, ...] = (slice(None), at) if axis == "x" else (at,)
             planes: Sequence[int] = range(clip.count)
         else:
@@ -162,11 +166,13 @@ def _plot_clip(
             planes = _seen_best(clip, deformations, options) if what == "sheet" else ()
         if what in WHATS:
             if frame is None:
-                raise SuppleError(f"{clip.name} is a video: say which frame, from 0 to {clip.count - 1} (--frame)")
+                raise SuppleError(f"{clip.name} is a video: give {argument('frame')}, from 0 to {clip.count - 1}")
             planes = [integer("frame", frame, f"from 0 to {clip.count - 1}", 0, clip.count - 1)]
             deformation = deformations[planes[0]] if len(deformations) > 1 else deformation
         elif frame is not None:
-            raise SuppleError(f"--frame is for the pictures of one frame, and {what} shows many: leave it out")
+            raise SuppleError(
+                f"{argument('frame')} is for the pictures of one frame, and {what} shows many: leave it out"
+            )
         before = [] if what in WHATS else [rgb[line].copy() for rgb in _shown(clip, planes)]
     with open_clip(source, rate=options.rate, count=clip.count) as clip:
         sampling = sampling_of(clip, Sampling(between=options.between, time_filter=options.time_filter))

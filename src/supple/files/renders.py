@@ -215,7 +215,7 @@ def scene_of(
             integer("time", known.time, f"the number of a volume of {volume.name}, from 0 to {last}", 0, last)
         ]
     elif known.time:
-        raise SuppleError(f"{volume.name} is one volume, and --time is for series: leave it out")
+        raise SuppleError(f"{volume.name} is one volume, and {argument('time')} is for series: leave it out")
     elif volume.is_segmentation and volume.components > 1:
         raise SuppleError(
             f"{volume.name} is a segmentation in {volume.components} layers, and a picture is of one label for each "
@@ -466,9 +466,11 @@ def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bo
     if many and known.rate is not None:
         raise SuppleError(f"rate is that of a video, and {name} names pictures: leave it out")
     if not many and has_number(target):
-        raise SuppleError(f"{name} names many pictures: give --turntable with their number, or a name without one")
+        raise SuppleError(
+            f"{name} names many pictures: give {argument('turntable')} with their number, or a name without one"
+        )
     if not many and suffix in turntable.SUFFIXES:
-        raise SuppleError(f"{name} is a video: give --turntable with the number of its pictures")
+        raise SuppleError(f"{name} is a video: give {argument('turntable')} with the number of its pictures")
     if known.what == "inversions":
         from supple.plot.frame import check_plot
 

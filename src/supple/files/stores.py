@@ -24,6 +24,7 @@ from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Field, Placed, folds_of, only_name
 from supple.files import plans
 from supple.files.jobs import Job, job_of
+from supple.files.options import VolumeOptions
 from supple.files.plans import Source, open_source, plan_boxes, task_shape, warp_on, whole_chunks
 from supple.files.tasks import Runner, Running, check_seen, check_shared, runner_of
 from supple.files.transforms import SavedField, begin_field, check_field, is_scene, write_field, write_transform
@@ -205,14 +206,14 @@ def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
 
 def _labels(source: Source, job: Job) -> tuple[str, ...]:
     """Return the names of the label images that are bent with an image, and warn of others: found before any work."""
-    names = []
+    names, address = [], source.image.address.rstrip("/")
     for name in source.image.labels:
         why = ""
         if not name or {*name} & {*"/\\:"} or name.startswith("."):
             why = "it has no plain name"
         else:
             try:
-                own = open_source(replace(job, source=f"{source.image.address.rstrip('/')}/{LABELS}/{name}"))
+                own = open_source(replace(job, source=f"{address}/{LABELS}/{name}", volume=VolumeOptions()))
                 if own.space != source.space or not own.grid.is_same_space(source.grid):
                     why = "it is on another grid"
                 elif own.image.dtype.kind not in "iub":
@@ -221,7 +222,7 @@ def _labels(source: Source, job: Job) -> tuple[str, ...]:
                 why = str(error)
         if why:
             text = f"the label image {shown(name)} of {source.name} is not carried over ({why})"
-            warnings.warn(f"{text}: bend it by itself, with --labels", VolumeWarning, stacklevel=3)
+            warnings.warn(f"{text}: bend it by itself, as labels", VolumeWarning, stacklevel=3)
         else:
             names.append(name)
     return tuple(names)

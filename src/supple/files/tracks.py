@@ -65,7 +65,7 @@ def follow_tracks(
         many = "1 stroke" if len(which) == 1 else f"{len(which)} strokes"
         raise SuppleError(
             f"{shown(path)} has {len(wanted)} tracks, {_listed([track.name for track in wanted])}, for {many}: name "
-            "one for all, or one for each (--track-name)"
+            "one for all, or one for each"
         )
     made: list[Stroke] = list(recipe.strokes)
     for k, track in zip(which, wanted * len(which) if len(wanted) == 1 else wanted, strict=True):

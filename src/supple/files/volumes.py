@@ -55,7 +55,9 @@ def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volum
     known = options or VolumeOptions()
     volume = read(source, raw=known.layout, series=known.series)
     if known.series is not None and volume.format != "DICOM":
-        raise SuppleError(f"{volume.name} is {volume.format}, and --series is for DICOM folders: leave it out")
+        raise SuppleError(
+            f"{volume.name} is {volume.format}, and {argument('series')} is for DICOM folders: leave it out"
+        )
     return volume
 
 
@@ -90,7 +92,7 @@ def deformation_of(
         made_for = " x ".join(map(str, located.size or ()))
         warnings.warn(
             f"the recipe is of a volume of {made_for} voxels, and its border, a tenth of each axis, is elsewhere in "
-            f"{volume.name}: the map is another one; the field of the first volume (--save-field, --field) is the same",
+            f"{volume.name}: the map is another one; the field of the first volume is the same",
             VolumeWarning,
             stacklevel=4,
         )
@@ -133,13 +135,17 @@ def in_space(recipe: Recipe, geometry: Geometry, name: str, world: bool) -> Reci
         return recipe
     convention = geometry.convention
     if recipe.space == "pixels":
-        raise SuppleError("--world is for points in millimetres, and the recipe is in pixels: leave it out")
+        raise SuppleError(
+            f"{argument('world')} is for points in millimetres, and the recipe is in pixels: leave it out"
+        )
     if convention == "array":
-        raise SuppleError(f"{name} does not know where it lies in space: leave --world out, and give indices")
+        raise SuppleError(
+            f"{name} does not know where it lies in space: leave {argument('world')} out, and give indices"
+        )
     if recipe.is_world and recipe.space != convention:
         raise SuppleError(
-            f"the recipe is in {recipe.space} millimetres, and --world means {convention}, as {name} has them: "
-            "leave --world out"
+            f"the recipe is in {recipe.space} millimetres, and {argument('world')} means {convention}, as {name} has "
+            "them: leave it out"
         )
     return replace(recipe, space=convention)  # type: ignore[arg-type]
 
@@ -181,16 +187,10 @@ def _mapped(stroke: Stroke, there: Callable[[Floats], Floats], geometry: Geometr
     return replace(made, axis=along(tuple(np.multiply(axis, way / np.abs(axis).max()).tolist())))
 
 
-def sampling_of(
-    filter: str,
-    *,
-    outside: str = "edge",
-    fill: float | Sequence[float] = 0.0,
-    tolerance: float = 0.01,
-) -> Sampling:
+def sampling_of(sampling: Sampling) -> Sampling:
     """Return the sampling options of a volume, equal along all three axes."""
-    between = "cubic" if filter in ("auto", "cubic") else None
-    return Sampling(filter, tolerance, outside, fill, between=between, time_filter=filter == "auto")
+    between = "cubic" if sampling.filter in ("auto", "cubic") else None
+    return replace(sampling, between=between, time_filter=sampling.filter == "auto")
 
 
 def warp_volume(
@@ -216,7 +216,7 @@ def warp(job: Job, tell: Tell) -> Warped:
     """Warp a volume, as in `warp_volume`, whose names and options are checked."""
     source, target, known, grid, maps = job.source, job.target, job.volume, job.grid, job.maps
     name = "nearest" if known.labels and job.sampling.filter == "auto" else job.sampling.filter
-    sampling = sampling_of(name, outside=job.sampling.outside, fill=job.sampling.fill, tolerance=job.sampling.tolerance)
+    sampling = sampling_of(replace(job.sampling, filter=name))
     if known.labels and name != "nearest":
         raise SuppleError(
             f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{name}"'
@@ -373,7 +373,7 @@ def warn_of_labels(some: Array, name: str, *, known: bool = False) -> None:
         return
     told = "is a label map" if known else f"looks like a label map, of {len(np.unique(some))} values"
     warnings.warn(
-        f"{name} {told}, and its labels are mixed where they meet: --labels or --filter nearest keeps them",
+        f"{name} {told}, and its labels are mixed where they meet: {argument('labels', True)} keeps them",
         VolumeWarning,
         stacklevel=4,
     )

@@ -18,7 +18,7 @@ import pyvips
 
 from supple.engine.stream import Frame
 from supple.engine.work import Array, Group, Layout
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, argument, shown
 from supple.media import image as pictures
 from supple.media.base import Clip, ClipWarning
 from supple.media.files import PathLike, check_outputs, replacing_all
@@ -298,7 +298,9 @@ def _rate(rate: float | Fraction) -> Fraction:
     except (TypeError, ValueError, OverflowError):
         known = Fraction(0)
     if not Fraction(1, 10_000) <= known <= 100_000:
-        raise SuppleError(f"frames a second (--fps) must be a number from 0.0001 to 100000, found {rate!r}")
+        raise SuppleError(
+            f"{argument('rate')} must be a number of frames a second from 0.0001 to 100000, found {rate!r}"
+        )
     ntsc = Fraction(round(known * 1001 / 1000) * 1000, 1001)
     if known > 1 and known.denominator > 2 and abs(known - ntsc) < Fraction(1, 200):
         return ntsc

@@ -19,8 +19,7 @@ from supple.media.files import PathLike, check_output, replacing, unwritable
 from supple.media.sequence import Pictures
 from supple.media.video.colour import Colour, filtered, recast, sited
 from supple.media.video.demux import said, usual_step
-from supple.media.video.pixel_format import Match
-from supple.media.video.plan import WritePlan, container_of, workers
+from supple.media.video.plan import Match, WritePlan, container_of, workers
 from supple.media.video.planes import form, pack
 from supple.media.video.source import Stills, VideoSource
 from supple.media.video.streams import Passage, kept_tags, titled

@@ -7,7 +7,7 @@ import math
 import os
 import re
 import warnings
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
@@ -32,8 +32,7 @@ from supple.media.codecs import (
 )
 from supple.media.files import PathLike, check_suffix, unwritable
 from supple.media.suffixes import CLIPS_OUT
-from supple.media.video.colour import BT601, BT709, LIMITED, UNKNOWN, Colour, Grading, sited
-from supple.media.video.pixel_format import Match, Wish, finer, match
+from supple.media.video.colour import BT601, BT709, FULL, LIMITED, RGB, UNKNOWN, Colour, Grading, sited
 from supple.media.video.planes import Form, Kind, form
 from supple.media.video.source import VideoSource
 
@@ -43,6 +42,7 @@ _DELAYED = 3  # frames: with fewer, x265 reports wrong decoding times, if it may
 _TIMECODE = re.compile(r"\d+:\d\d:\d\d([:;.])(\d+)")
 _SLICED = 16  # pixels along each side that FFV1 needs for slices
 _PACES = 8  # ticks for each frame in AVI, so that frames keep their times
+_CHROMA = {(1, 1): "4:4:4", (2, 1): "4:2:2", (2, 2): "4:2:0", (4, 1): "4:1:1", (4, 4): "4:1:0", (1, 2): "4:4:0"}
 os.environ.setdefault("SVT_LOG", "0")  # otherwise it prints to the terminal
 
 
@@ -190,6 +190,17 @@ def _read_as(name: str, container: Container, height: int) -> Colour:
     return Colour(LIMITED if limited else 0, matrix=matrix)
 
 
+@dataclass(frozen=True, slots=True)
+class Match:
+    """The form in which frames are passed to an encoder."""
+
+    form: Form  # the encoder's pixel format
+    colour: Colour  # the interpretation of its samples
+    same: bool  # whether samples are unchanged
+    lost: str  # losses, except opacity
+    opacity: bool  # whether opacity, if any, is lost
+
+
 class WritePlan:
     """The settings of a clip's output, all checked; parameters as in `writer`."""
 
@@ -265,15 +276,14 @@ class WritePlan:
             kinds = {each: found.kind for each in names if (found := form(each))}
             names = [each for each, kind in kinds.items() if kind.family == "yuv" and kind.bits <= USUAL_BITS] or names
         size = (video.width, video.height)
-        wish = Wish(video.form, video.colour, size, not (video.stills and lossy), told if lossy else Colour())
         if (
             encoder.name == "ffv1"
             and min(size) < _SLICED
-            and not (asked or self._opens(Match(video.form, video.colour, True, "", False)))
+            and not (asked or self.opens(Match(video.form, video.colour, True, "", False)))
         ):
             self.options.update({"level": "1", "slices": "1"})  # too small to be cut into slices
         try:
-            made = match(self.target, encoder.name, names, wish, asked, self._opens)
+            made = _nearest(self, names, asked, not (video.stills and lossy), told if lossy else Colour())
             if self.fields and ", which" in made.lost:
                 raise unwritable(self.target, made.lost, "leave out fields")
         except SuppleError:
@@ -293,7 +303,7 @@ class WritePlan:
     def _warn_of_losses(self) -> None:
         video, lost, self.depth = self.video, self.match.lost, ""  # said when a frame is seen to have such bits
         if lost and not (video.stills and self._asked):
-            found = finer(video.form, self.match, self._formats(), self._opens)
+            found = _finer(self, self.match, self._formats())
             advice = f": --pixel-format {found} keeps more" if found and not self._asked else ""
             text = f"loses {lost}{advice}" if ", which" not in lost else f"is not in {lost}"
             if lost.startswith("depth") and not video.stills and not video.form.kind.real:
@@ -435,7 +445,7 @@ class WritePlan:
                 return True
         return False
 
-    def _opens(self, chosen: Match) -> bool:
+    def opens(self, chosen: Match) -> bool:
         """Return whether the encoder opens with a match."""
         context = av.CodecContext.create(self.encoder.name, "w")
         assert isinstance(context, av.VideoCodecContext)
@@ -458,3 +468,140 @@ def timescale(video: VideoSource) -> int:
 def workers(threads: int | None) -> int:
     """Return the number of threads of a codec."""
     return threads if threads else all_threads()
+
+
+def _nearest(plan: WritePlan, names: list[str], asked: str | None, exact: bool, read_as: Colour) -> Match:
+    """Return the pixel format in which an encoder takes a clip: its own, else the nearest with the least loss.
+
+    `names` are its supported formats, empty for any; `asked` is the user's. If it need not be `exact`, the players'
+    usual format is as good; they read YUV as `read_as`, as far as the file cannot specify it. SuppleError if the
+    encoder does not support the user's format, or none at this size.
+    """
+    source, colour, encoder, target = plan.video.form, plan.video.colour, plan.encoder.name, plan.target
+    forms = [found for name in (names or [source.name]) if (found := form(name)) is not None]
+    if asked is not None:
+        wanted = form(asked) or form(asked + "le")
+        if wanted is None or (names and wanted.name not in names):
+            usable = ", ".join(found.name for found in forms)
+            raise unwritable(target, f"{encoder} does not take the pixel format {asked!r}", f"use {usable}")
+        forms = [wanted]
+    forms.sort(key=lambda found: _cost(source, colour, found))
+    size = f"{plan.video.width}x{plan.video.height}"
+    first: Match | None = None
+    for found in forms:
+        made = _matched(plan.video, found, exact, read_as)
+        if plan.opens(made):
+            usual = first is not None and (first.same or (not exact and first.opacity == made.opacity))
+            if first is not None and not made.lost and usual:
+                made = replace(made, lost=f"{first.form.name}, which {encoder} does not take at {size}")
+            return made
+        first = first or made
+    advice = "use another pixel format" if asked is not None else "use another codec, such as ffv1 in .mkv"
+    what = f" in {asked}" if asked is not None else ""
+    raise unwritable(target, f"{encoder} does not take frames of {size}{what}", advice)
+
+
+def _cost(source: Form, colour: Colour, to: Form) -> tuple[float, ...]:
+    """Return the sort key of a format: by loss, then by size, then by difference from the source."""
+    a, b = source.kind, to.kind
+    chroma = (b.step[0] * b.step[1]) / (a.step[0] * a.step[1])
+    recoded = colour.full(source) != colour.full(to) and to.name.startswith("yuvj")
+    coarser = chroma if _coarser(a, b) else 0.0
+    if a.family == "rgb" and b.family == "yuv":  # supported by every player
+        coarser = chroma = abs(4 - b.step[0] * b.step[1])
+    return (
+        float(a.alpha and not b.alpha),
+        float(_colourless(a, b)),
+        float(_pictured(a, colour) and b.family == "yuv"),
+        coarser,
+        max(0, _depth(a) - _depth(b)),
+        float(recoded),
+        float(b.alpha and not a.alpha),
+        float(a.family != b.family),
+        -chroma,
+        _depth(b) - _depth(a),
+        float(a.real != b.real),
+        float(to.name != source.name),
+        float(len({place.plane for place in to.places}) != len({place.plane for place in source.places})),
+    )
+
+
+def _depth(kind: Kind) -> float:
+    return {16: 11.5, 32: 24.0}[kind.bits] if kind.real else kind.bits
+
+
+def _colourless(a: Kind, b: Kind) -> bool:
+    return (a.family != "gray" and b.family == "gray") or (a.family == "xyz") != (b.family == "xyz")
+
+
+def _coarser(a: Kind, b: Kind) -> bool:
+    return a.family in ("rgb", "yuv") and b.family == "yuv" and (b.step[0] > a.step[0] or b.step[1] > a.step[1])
+
+
+def _losses(a: Kind, b: Kind, exact: bool) -> str:
+    words = []
+    if _colourless(a, b):
+        words.append("its colours")
+    elif _coarser(a, b):
+        words.append(f"detail of colours (to {_CHROMA.get(b.step, 'less')})")
+    elif a.family == "yuv" and b.family == "rgb":
+        words.append("exact values (to RGB)")
+    if exact and a.family == "rgb" and b.family == "yuv":
+        words.append("exact values (to YUV)")
+    if _depth(b) < _depth(a):
+        words.append(f"depth ({a.bits}{' real' if a.real else ''} to {b.bits} bits)")
+    return " and ".join(words)
+
+
+def _finer(plan: WritePlan, chosen: Match, names: list[str]) -> str:
+    """Return a pixel format that keeps more than the chosen one; empty if there is none."""
+    source = plan.video.form
+
+    def cost(kind: Kind) -> tuple[float, ...]:
+        chroma = kind.step[0] * kind.step[1] if kind.family == "yuv" and _coarser(source.kind, kind) else 1
+        other = source.kind.family == "rgb" != kind.family
+        missing = max(0.0, _depth(source.kind) - _depth(kind))
+        return (source.kind.alpha and not kind.alpha, _colourless(source.kind, kind), chroma, missing, other)
+
+    found = [each for name in names if (each := form(name)) is not None and name.startswith(("yuv", "gbr", "rgb"))]
+    better = [each for each in found if not each.name.startswith("yuvj") and cost(each.kind) < cost(chosen.form.kind)]
+    better.sort(key=lambda each: (cost(each.kind), _depth(each.kind)))
+    return next((each.name for each in better if plan.opens(replace(chosen, form=each))), "")
+
+
+def _pictured(kind: Kind, colour: Colour) -> bool:
+    """Return whether it is RGB, or the grey of images, which is that of RGB."""
+    return kind.family == "rgb" or (kind.family == "gray" and colour.matrix == RGB)
+
+
+def _matched(video: VideoSource, to: Form, exact: bool, told: Colour) -> Match:
+    source, colour = video.form, video.colour
+    whole = to.name.startswith("yuvj")
+    same = source.kind == to.kind and not (whole and not colour.full(source))
+    meant = colour.valid()
+    lost = _losses(source.kind, to.kind, exact)
+    if to.kind.family in ("rgb", "xyz"):
+        meant = replace(meant, range=FULL if to.kind.family == "rgb" else meant.range, matrix=RGB, site="")
+    elif to.kind.family == "gray" and source.kind.family != "gray":
+        meant = replace(meant, range=FULL)  # the only grey of libswscale
+    elif to.kind.family == "yuv" and _pictured(source.kind, colour):
+        meant = replace(meant, range=FULL if whole else LIMITED, matrix=BT709)
+    elif meant.matrix == RGB:
+        meant = replace(meant, matrix=UNKNOWN)
+    if whole or source.name.startswith("yuvj"):
+        meant = replace(meant, range=FULL)
+    moved = "to full range" if whole and not colour.full(source) else ""
+    if to.kind.family == "yuv":
+        if told.range == LIMITED and meant.full(to) and not whole:
+            meant, moved = replace(meant, range=LIMITED), "to limited range"
+        if told.matrix != UNKNOWN and _five(told.matrix) != _five(meant.coefficients(video.height)):
+            meant = replace(meant, matrix=told.matrix)
+            moved = moved or "to another matrix"
+    if moved and source.kind.family == "yuv":
+        same, lost = False, lost or f"exact values ({moved})"
+    return Match(to, meant, same, lost, source.kind.alpha and not to.kind.alpha)
+
+
+def _five(matrix: int) -> int:
+    """Return one code for the two of BT.601's matrix."""
+    return BT601 if matrix == 5 else matrix
