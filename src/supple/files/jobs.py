@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from supple import media
 from supple.arrays import check_device
@@ -25,14 +26,15 @@ from supple.space.geometry import Geometry, Grid
 from supple.strokes import Fit, Recipe
 
 # The module of a kind checks and warps it; it is loaded for such files alone, since readers take time.
-_ROOMS = {"picture": "supple.files.pictures", "clip": "supple.files.clips", "volume": "supple.files.volumes"}
-_FOR: dict[str, tuple[object, str, str]] = {
-    "quality": (None, "picture", "clip"),
-    "lossless": (False, "picture", "clip"),
-    "linear_light": (False, "picture", "clip"),
-    "clamp": (None, "picture", "volume"),
-    "clip": (ClipOptions(), "clip", ""),
-    "volume": (VolumeOptions(), "volume", ""),
+_MODULES = {"picture": "supple.files.pictures", "clip": "supple.files.clips", "volume": "supple.files.volumes"}
+_SEEN: tuple[Kind, ...] = ("picture", "clip")
+_FOR: dict[str, tuple[object, tuple[Kind, ...]]] = {
+    "quality": (None, _SEEN),
+    "lossless": (False, _SEEN),
+    "linear_light": (False, _SEEN),
+    "clamp": (None, ("picture", "volume")),
+    "clip": (ClipOptions(), ("clip",)),
+    "volume": (VolumeOptions(), ("volume",)),
 }
 """Options that are not for all kinds: their defaults, and the kinds that they are for."""
 
@@ -87,10 +89,10 @@ class Job:
         medium = self.medium
         if medium.kind != "volume":
             refuse_places(self.recipe, self.source)
-        for option, (usual, *kinds) in _FOR.items():
+        for option, (usual, kinds) in _FOR.items():
             value = getattr(self, option)
             if medium.kind not in kinds and value != usual:
-                where = " and ".join(f"{kind}s" for kind in kinds if kind)
+                where = " and ".join(f"{kind}s" for kind in kinds)
                 raise SuppleError(
                     f"{asked(option, value)} is for {where}, and {medium.name} is a {medium.kind}: leave it out"
                 )
@@ -99,10 +101,10 @@ class Job:
                 f"{medium.name} is taken for a picture, and strokes with keys move from frame to frame: give a clip, "
                 "or the recipe of one frame"
             )
-        if not self.force and same_file(self.source, self.target):
+        if not self.force and same_file(self.source, self.target) and not Path(self.source).is_dir():
             name, instead = shown(self.target), argument("force", True)
             raise SuppleError(f"{name} is the {medium.kind} itself: choose another name, or {instead}")
-        import_module(_ROOMS[medium.kind]).check(self)
+        import_module(_MODULES[medium.kind]).check(self)
         check_device(self.device, "clips" if medium.kind == "clip" else "")
         return medium
 
@@ -110,7 +112,7 @@ class Job:
         """Warp the file; parameters as in `supple.files.warp_file`."""
         kind = self.check().kind
         with self._counts(kind, progress, tell) as counts:
-            made: Warped = import_module(_ROOMS[kind]).warp(self, counts)
+            made: Warped = import_module(_MODULES[kind]).warp(self, counts)
         return made
 
     @contextlib.contextmanager
@@ -127,6 +129,23 @@ class Job:
                     tell(step, done, total)
 
             yield both
+
+
+def job_of(
+    source: PathLike,
+    target: PathLike,
+    recipe: Recipe,
+    *,
+    options: VolumeOptions | None = None,
+    filter: str = "auto",
+    tolerance: float = 0.01,
+    outside: str | None = None,
+    fill: float | Sequence[float] = 0.0,
+    **given: Any,
+) -> Job:
+    """Return a job on a volume or a store, whose ``options`` are those of volumes; others are those of `Job`."""
+    sampling = Sampling(filter, tolerance, outside or "edge", fill)
+    return Job(source, target, recipe, sampling, outside, volume=options or VolumeOptions(), **given)
 
 
 def asked(name: str, value: object) -> str:

@@ -134,8 +134,8 @@ def test_what_av1_is_let_write_decodes(tmp_path, preset, crf):
 
 def test_a_source_whose_profile_no_codec_takes_is_written_in_another(tmp_path, monkeypatch):
     source = clips.make(tmp_path / "a.mov", "prores_ks", "yuv422p10le", 2)
-    opens = plan.WritePlan._opens
-    monkeypatch.setattr(plan.WritePlan, "_opens", lambda self, m: self.encoder.codec != "prores" and opens(self, m))
+    opens = plan.WritePlan.opens
+    monkeypatch.setattr(plan.WritePlan, "opens", lambda self, m: self.encoder.codec != "prores" and opens(self, m))
     with pytest.warns(ClipWarning, match="is written as h264: prores cannot be written as the source has it"):
         copy(source, tmp_path / "b.mov")
     assert info(tmp_path / "b.mov")["codec"] == "h264"
