@@ -278,7 +278,7 @@ def test_what_looks_like_labels_is_said(here: Path, dtype: Any) -> None:
             warp_volume("in.nii", "out.nii", recipe, force=True, filter="linear")
         count = len(np.unique(samples))
         wanted = f"in.nii looks like a label map, of {count} values, and its labels are mixed where they meet: "
-        wanted += "--labels or --filter nearest keeps them"
+        wanted += "labels=True keeps them"
         assert [str(one.message) for one in told] == [wanted] * said
         warp_volume("in.nii", "out.nii", recipe, force=True, options=VolumeOptions(labels=True))
 
