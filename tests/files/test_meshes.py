@@ -93,7 +93,7 @@ def test_a_mesh_that_does_not_say_where_it_is(tmp_path: Path) -> None:
         move_points(source, tmp_path / "out.obj", bent(), place())
     assert str(caught.value) == (
         f"cannot place {source}: nothing in it says LPS or RAS, as what 3D Slicer saves does: "
-        "give --convention LPS or RAS (millimetres), or index (voxels from 0)"
+        "give convention LPS or RAS (millimetres), or index (voxels from 0)"
     )
     assert not (tmp_path / "out.obj").exists()
     move_points(source, tmp_path / "ras.obj", bent(), place(), convention="RAS")

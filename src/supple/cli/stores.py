@@ -48,12 +48,10 @@ def warp_stored(
     """Warp one store to another, as `supple warp` was asked to."""
     from supple.engine.progress import counted
     from supple.files.plans import open_source
-    from supple.files.stores import warp_store
+    from supple.files.stores import warp
 
     source, target = _pair(paths)
     _check(job, paths)
-    given = {key: getattr(job.sampling, key) for key in ("filter", "tolerance", "fill")}
-    given |= {key: getattr(job, key) for key in ("outside", "fit", "grid", "force")}
     blocks: dict[str, tuple[int, int]] = {}
 
     def tell(step: str, done: int, total: int) -> None:
@@ -63,9 +61,7 @@ def warp_stored(
     try:
         with about(File(source, target)), counted(console.terminal, "blocks") as counts:
             job = refer(console, job, maps)
-            stored = warp_store(
-                source, target, job.recipe, **given, options=job.volume, maps=job.maps, running=running, tell=tell
-            )
+            stored = warp(replace(job, source=source, target=target), running, tell)
     except (KeyboardInterrupt, Terminated):
         parts, name = ("blocks", target) if "warp" in blocks else ("parts", job.volume.save_field or "")
         if blocks:

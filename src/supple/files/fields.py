@@ -301,7 +301,15 @@ def compose_files(
         for each in inputs:
             there = None if each.source is None else grid_of(each.source)
             source = there or (here if each.inverse else None)
-            file = read_file(each.path, each.convention, source=source, reference=None if each.inverse else here)
+            try:
+                file = read_file(each.path, each.convention, source=source, reference=None if each.inverse else here)
+            except transforms.MissingGridError as error:
+                if source is None or (not read and not each.inverse):
+                    raise
+                advice = "convert it by itself first (supple convert)"
+                if not each.inverse and not read[-1].inverse:
+                    advice = f"give --source of {shown(read[-1].path)}, which leads to it"
+                raise SuppleError(f"{str(error).rpartition(': ')[0]}: {advice}") from None
             check_reference(file, wanted, reference)
             _warn_of_size(file.path, file.convention, source, file.grid)
             read.append(replace(file, inverse=each.inverse))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from supple import media
 from supple.arrays import check_device
@@ -100,7 +101,7 @@ class Job:
                 f"{medium.name} is taken for a picture, and strokes with keys move from frame to frame: give a clip, "
                 "or the recipe of one frame"
             )
-        if not self.force and same_file(self.source, self.target):
+        if not self.force and same_file(self.source, self.target) and not Path(self.source).is_dir():
             name, instead = shown(self.target), argument("force", True)
             raise SuppleError(f"{name} is the {medium.kind} itself: choose another name, or {instead}")
         import_module(_MODULES[medium.kind]).check(self)
@@ -128,6 +129,23 @@ class Job:
                     tell(step, done, total)
 
             yield both
+
+
+def job_of(
+    source: PathLike,
+    target: PathLike,
+    recipe: Recipe,
+    *,
+    options: VolumeOptions | None = None,
+    filter: str = "auto",
+    tolerance: float = 0.01,
+    outside: str | None = None,
+    fill: float | Sequence[float] = 0.0,
+    **given: Any,
+) -> Job:
+    """Return a job on a volume or a store, whose ``options`` are those of volumes; others are those of `Job`."""
+    sampling = Sampling(filter, tolerance, outside or "edge", fill)
+    return Job(source, target, recipe, sampling, outside, volume=options or VolumeOptions(), **given)
 
 
 def asked(name: str, value: object) -> str:

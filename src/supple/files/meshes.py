@@ -48,22 +48,9 @@ class MeshFile:
 def read_surfaces(given: Sequence[MeshFile], volume: Volume, convention: str | None = None) -> tuple[Surface, ...]:
     """Return the surfaces and contours of files, in the voxels of a volume.
 
-    Parameters
-    ----------
-    given : sequence of MeshFile
-    volume : Volume
-    convention : str, optional
-        The coordinates of those that do not say theirs: ``"LPS"`` or ``"RAS"`` in millimetres, or ``"index"``.
-
-    Raises
-    ------
-    SuppleError
-        If a file cannot be read, has neither faces nor lines, or cannot be placed in the volume.
-
-    Warns
-    -----
-    OutsideWarning
-        If no point of a file lies in the volume.
+    ``convention`` is that of the coordinates of files that do not say theirs: ``"LPS"`` or ``"RAS"`` in millimetres, or
+    ``"index"``. SuppleError if a file cannot be read, has neither faces nor lines, or cannot be placed in the volume;
+    OutsideWarning if no point of a file lies in it.
     """
     if convention is not None:
         choice("convention", convention, ("LPS", "RAS", "index"))

@@ -38,30 +38,14 @@ _PORTION = 1024  # blocks that are planned before they are written: neither wait
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """An input that is warped block by block; no sample is read yet.
+    """An input that is warped block by block; no sample is read yet."""
 
-    Parameters
-    ----------
-    name : str
-        For messages.
-    image : StoredImage
-        What a store is, or what a file becomes.
-    samples : array or Samples
-        It is sliced.
-    geometry : Geometry, optional
-        The place of a volume in space; None of a picture.
-    scaling : (float, float)
-        Slope and intercept of the samples: of a Zarr array, the attributes ``scale_factor`` and ``add_offset``.
-    background : float
-        The true value of what lies outside of a volume, by the scaling.
-    """
-
-    name: str
-    image: StoredImage
-    samples: Any
-    geometry: Geometry | None
-    scaling: tuple[float, float] = (1.0, 0.0)
-    background: float = 0.0
+    name: str  # for messages
+    image: StoredImage  # what a store is, or what a file becomes
+    samples: Any  # an array or `Samples`: it is sliced
+    geometry: Geometry | None  # the place of a volume in space; None of a picture
+    scaling: tuple[float, float] = (1.0, 0.0)  # of a Zarr array, the attributes scale_factor and add_offset
+    background: float = 0.0  # the true value of what lies outside of a volume, by the scaling
 
     @property
     def is_file(self) -> bool:
@@ -86,43 +70,19 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """What a job would do, found without reading a sample.
+    """What a job would do, found without reading a sample; bytes are those of decoded samples."""
 
-    Parameters
-    ----------
-    shape : tuple of int
-        The shape of the output, of all axes.
-    dtype : str
-        The type of its samples.
-    block : tuple of int
-        The shape of what a task writes.
-    blocks, copied : int
-        The number of blocks, and of those that are copies, since no stroke reaches them.
-    read : int
-        Bytes of the samples that are read, decoded, without copies: whole chunks, as often as they are read.
-    copied_bytes : int
-        Bytes of the samples of copies, decoded.
-    tasks : int
-        The number of tasks that a worker does at a time.
-    memory : int
-        Bytes that these take: chunks, the part that is read, and the block.
-    size : int
-        Bytes of the output, with all levels, decoded.
-    error : float
-        The error estimate from the checks of the map, in samples.
-    """
-
-    shape: tuple[int, ...]
+    shape: tuple[int, ...]  # of the output, of all axes
     dtype: str
-    block: tuple[int, ...]
+    block: tuple[int, ...]  # the shape of what a task writes
     blocks: int
-    copied: int
-    read: int
+    copied: int  # blocks that are copies, since no stroke reaches them
+    read: int  # bytes that are read, without copies: whole chunks, as often as they are read
     copied_bytes: int
-    tasks: int
-    memory: int
-    size: int
-    error: float
+    tasks: int  # that a worker does at a time
+    memory: int  # bytes that these take: chunks, the part that is read, and the block
+    size: int  # bytes of the output, with all levels
+    error: float  # the error estimate from the checks of the map, in samples
 
 
 def plan_file(job: Job, running: Running | None = None, tell: Tell = lambda step, done, total: None) -> Planned:

@@ -23,8 +23,8 @@ from supple.engine.work import Tell
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Field, Placed, folds_of, only_name
 from supple.files import plans
-from supple.files.jobs import Job
-from supple.files.options import GridOptions, VolumeOptions
+from supple.files.jobs import Job, job_of
+from supple.files.options import VolumeOptions
 from supple.files.plans import Source, open_source, plan_boxes, task_shape, warp_on, whole_chunks
 from supple.files.tasks import Runner, Running, check_seen, check_shared, runner_of
 from supple.files.transforms import SavedField, begin_field, check_field, is_scene, write_field, write_transform
@@ -42,7 +42,7 @@ from supple.media.stores import (
 from supple.media.stores.levels import Mode
 from supple.media.transforms.ngff import Placement
 from supple.space.geometry import Geometry, Grid
-from supple.strokes import Fit, Recipe
+from supple.strokes import Recipe
 
 PathLike = str | os.PathLike[str]
 Numbers = tuple[float, ...]
@@ -102,23 +102,14 @@ class _Counts:
     copied_bytes: int = 0
 
 
-@holding()
 def warp_store(
     source: PathLike,
     target: PathLike,
     recipe: Recipe,
     *,
-    filter: str = "auto",
-    tolerance: float = 0.01,
-    outside: str | None = None,
-    fill: float | Sequence[float] = 0.0,
-    force: bool = False,
-    options: VolumeOptions | None = None,
-    fit: Fit | None = None,
-    maps: Sequence[Placed] = (),
-    grid: GridOptions | None = None,
     running: Running | None = None,
     tell: Tell = lambda step, done, total: None,
+    **given: Any,
 ) -> WarpedStore:
     """Warp a Zarr array, an OME-Zarr image, a volume or a picture to a Zarr store, block by block.
 
@@ -136,57 +127,56 @@ def warp_store(
         along. If strokes have points of two numbers, the planes of a volume are pictures. The source may also be a
         file: uncompressed NIfTI and raw voxels are mapped, tiles and strips of a TIFF are read as they are needed, and
         other volumes and pictures are held in memory, by each process.
-    recipe, filter, tolerance, outside, fill, force, fit, maps, grid
-        As in `warp_file`.
-    options : VolumeOptions, optional
-        ``world`` and ``labels``; of files, also ``layout`` and ``series``; and ``save_field``: a store (``.zarr``, or
-        an address) becomes an OME-Zarr scene with a bijection, both directions of the map, in the units and along the
-        axes of the input; the field of a volume may be a file as well, as those of `warp_volume`.
     running : Running, optional
         Where the tasks run: by default, on threads of this process.
     tell : function of (str, int, int)
         Called with ``"field"``, ``"plan"``, ``"warp"`` and ``"reduce"``, and the finished and the total number of
         blocks.
+    **given
+        ``filter``, ``tolerance``, ``outside``, ``fill``, ``force``, ``fit``, ``maps`` and ``grid``, as in `warp_file`;
+        and ``options``, `VolumeOptions`: ``world`` and ``labels``; of files, also ``layout`` and ``series``; and
+        ``save_field``: a store (``.zarr``, or an address) becomes an OME-Zarr scene with a bijection, both directions
+        of the map, in the units and along the axes of the input; the field of a volume may be a file as well.
 
-    Raises
-    ------
-    SuppleError
-        If the source cannot be read or a chunk of it not decoded, the target exists or cannot be written, an option
-        does not fit, or workers are lost. What is written stays, and the same call goes on.
+    After an error, such as a full disk or lost workers, what is written stays, and the same call goes on.
     """
-    known, where = options or VolumeOptions(), running or Running()
+    return warp(job_of(source, target, recipe, **given), running or Running(), tell)
+
+
+@holding()
+def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
+    """Warp to a store, as in `warp_store`."""
+    source, target, known, grid, maps, force = job.source, job.target, job.volume, job.grid, job.maps, job.force
     if where.elsewhere:
         check_shared((source, target, *([] if known.save_field is None else [known.save_field])))
     folder = Place(target).folder
     if folder is not None:
         check_store(folder if "://" in os.fspath(target) else target, force=force)  # before workers are started
-    sampling = Sampling(filter, tolerance, outside or "edge", fill)
-    asked = Job(source, target, recipe, sampling, outside, volume=known, fit=fit, maps=maps, grid=grid)
-    opened = open_source(asked)
+    opened = open_source(job)
     image = opened.image
-    if outside is None and opened.is_file and opened.geometry is not None and grid is not None and grid.reference:
+    if job.outside is None and opened.is_file and opened.geometry is not None and grid is not None and grid.reference:
         least = 0.0 if "c" in opened.samples.axes else least_of(opened.samples)  # as of volumes from file to file
         opened = replace(opened, background=least)
-    warp = warp_on(opened, asked)
-    _warn_of_labels(opened, warp)
-    labels = _labels(opened, asked)
-    job = _job(opened, warp, recipe, replace(known, save_field=None))
+    made = warp_on(opened, job)
+    _warn_of_labels(opened, made)
+    labels = _labels(opened, job)
+    own = _name(opened, made, job)
     field = None
     if known.save_field is not None:
         check_field(known.save_field, (source, target), flat=opened.geometry is None, force=force)
         if is_scene(known.save_field):
-            scale, translation = _located(opened, warp.grid, known.save_field)
+            scale, translation = _located(opened, made.grid, known.save_field)
             axes = list(image.spatial)
-            samples = Placement(warp.shape, [scale[axis] for axis in axes], [translation[axis] for axis in axes])
-            field = begin_field(known.save_field, image, warp, samples, job, force=force)
-    other: dict[str, Any] = {} if warp.grid is None else {"shape": warp.grid.shape}
-    if warp.grid is not None and image.version:
-        other["scale"], other["translation"] = _located(opened, warp.grid, target)
+            samples = Placement(made.shape, [scale[axis] for axis in axes], [translation[axis] for axis in axes])
+            field = begin_field(known.save_field, image, made, samples, own, force=force)
+    other: dict[str, Any] = {} if made.grid is None else {"shape": made.grid.shape}
+    if made.grid is not None and image.version:
+        other["scale"], other["translation"] = _located(opened, made.grid, target)
     with runner_of(where) as runner:
-        output = create(target, image, force=force, job=job, **other)
+        output = create(target, image, force=force, job=own, **other)
         mapping = None if field is None else field()
         level = None if opened.is_file else image.levels[0]
-        work = Work(Place(image.address), opened.samples, level, opened.carried, output, warp)
+        work = Work(Place(image.address), opened.samples, level, opened.carried, output, made)
         saved = None if mapping is None else write_field(mapping, runner, tell, maps)
         counts, certificate = _write_blocks(work, runner, tell, maps, warn=saved is None)
         _write_levels(work, runner, tell, "nearest" if known.labels else "mean")
@@ -196,36 +186,34 @@ def warp_store(
         here, there = (f"{address.rstrip('/')}/{LABELS}/{name}" for address in (image.address, output.site.address))
         with warnings.catch_warnings():  # those of the map were given for the image
             warnings.simplefilter("ignore")
-            warp_store(
-                here, there, recipe, tolerance=tolerance, outside=outside, fit=fit, maps=maps, grid=grid, force=True,
-                options=replace(known, labels=True, save_field=None), running=where, tell=tell,
-            )  # fmt: skip
+            options = replace(known, labels=True, save_field=None)
+            plain = Sampling(tolerance=job.sampling.tolerance, outside=job.sampling.outside)
+            warp(replace(job, source=here, target=there, force=True, volume=options, sampling=plain), where, tell)
     if mapping is not None:
         output.finish(mapping.target)
     elif known.save_field is not None:
-        saved = _save_file(known.save_field, warp, opened, certificate.error, output, force)
+        saved = _save_file(known.save_field, made, opened, certificate.error, output, force)
     else:
         output.finish()
     return WarpedStore(
-        os.fspath(source), os.fspath(target), warp.deformation, opened.geometry, tolerance, certificate.error,
-        tuple(output.arrays[0].shape), len(output.arrays), labels, **asdict(counts), grid=warp.grid,
+        os.fspath(source), os.fspath(target), made.deformation, opened.geometry, made.sampling.tolerance,
+        certificate.error, tuple(output.arrays[0].shape), len(output.arrays), labels, **asdict(counts), grid=made.grid,
         folded=certificate.folded, outside=certificate.outside, unsolved=certificate.unknown, field=saved,
-        background=None if outside is not None or warp.sampling.outside == "edge" else
+        background=None if job.outside is not None or made.sampling.outside == "edge" else
         0.0 if known.labels else opened.background,
     )  # fmt: skip
 
 
 def _labels(source: Source, job: Job) -> tuple[str, ...]:
     """Return the names of the label images that are bent with an image, and warn of others: found before any work."""
-    names = []
+    names, address = [], source.image.address.rstrip("/")
     for name in source.image.labels:
         why = ""
         if not name or {*name} & {*"/\\:"} or name.startswith("."):
             why = "it has no plain name"
         else:
             try:
-                address = f"{source.image.address.rstrip('/')}/{LABELS}/{name}"
-                own = open_source(replace(job, source=address, volume=VolumeOptions()))
+                own = open_source(replace(job, source=f"{address}/{LABELS}/{name}", volume=VolumeOptions()))
                 if own.space != source.space or not own.grid.is_same_space(source.grid):
                     why = "it is on another grid"
                 elif own.image.dtype.kind not in "iub":
@@ -287,7 +275,7 @@ def _located(source: Source, grid: Grid | None, target: PathLike) -> tuple[Numbe
     return rounded[0], rounded[1]  # without noise
 
 
-def _job(source: Source, warp: Warp, recipe: Recipe, options: VolumeOptions) -> str:
+def _name(source: Source, warp: Warp, job: Job) -> str:
     """Return what identifies the work: the input, the recipe and all options that change a sample."""
     image = source.image
     place, deformation = Place(image.address), warp.deformation
@@ -296,10 +284,10 @@ def _job(source: Source, warp: Warp, recipe: Recipe, options: VolumeOptions) -> 
         "shape": image.shape,
         "type": str(image.dtype),
         "space": len(image.spatial),
-        "recipe": recipe.to_json(),
+        "recipe": job.recipe.to_json(),
         "size": deformation.shape,
         "sampling": repr(warp.sampling),
-        "options": repr(options),
+        "options": repr(replace(job.volume, save_field=None)),
         "grid": [grid.shape, grid.spacing, grid.origin, grid.direction, grid.first],
         "place": [place.parts, place.address.rpartition("::")[0] if place.folder is None else ""],
         "changed": _changed(image, place.folder),

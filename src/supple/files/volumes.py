@@ -9,6 +9,7 @@ import shutil
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from supple.engine.work import Space, Tell, work_of
 from supple.errors import GapWarning, SuppleError, VolumeWarning, argument, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.grids import grid_on, warn_of_place
-from supple.files.jobs import Job, Warped
+from supple.files.jobs import Job, Warped, job_of
 from supple.files.options import GridOptions, PathLike, VolumeOptions
 from supple.files.transforms import write_transform
 from supple.folding.resolved import warn_of_still
@@ -61,13 +62,7 @@ def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volum
 
 
 def place_of(path: PathLike, options: VolumeOptions | None = None) -> str | None:
-    """Return the convention of what points of three numbers are for: of a volume, as in `Geometry`; None of a clip.
-
-    Raises
-    ------
-    SuppleError
-        If it cannot be read.
-    """
+    """Return the convention of what points of three numbers are for: of a volume, as in `Geometry`; None of a clip."""
     if is_store(path):
         from supple.media.stores import open_image
 
@@ -85,13 +80,8 @@ def deformation_of(
 
     The deformation is on the volume's grid, or, if that is sheared, on the upright grid around it (`Grid.upright`),
     whose faces the border keeps in place. ``maps`` are fields and affine maps between the strokes, in millimetres in
-    LPS.
-
-    Raises
-    ------
-    SuppleError
-        If a stroke has no third coordinate; if points are in space, but the volume has no position; if the recipe was
-        made for another size, without ``fit``; or as in `Deformation.from_recipe`.
+    LPS. SuppleError if a stroke has no third coordinate; points are in space, but the volume has no position; or the
+    recipe was made for another size, without ``fit``.
     """
     for i, stroke in enumerate(recipe.strokes):
         if stroke.ndim != 3 and not stroke.hidden:
@@ -137,12 +127,9 @@ def warn_of_lengths(recipe: Recipe, grid: Grid, name: str, unit: str) -> None:
 
 
 def in_space(recipe: Recipe, geometry: Geometry, name: str, world: bool) -> Recipe:
-    """Return a recipe with its coordinate space, if the caller knows that its points are positions in space.
+    """Return a recipe with its coordinate space, if its points are known to be positions in space (``world``).
 
-    Raises
-    ------
-    SuppleError
-        If the recipe has another one, or the volume has no position in space.
+    SuppleError if the recipe has another one, or the volume has no position in space.
     """
     if not world:
         return recipe
@@ -164,13 +151,7 @@ def in_space(recipe: Recipe, geometry: Geometry, name: str, world: bool) -> Reci
 
 
 def indexed(recipe: Recipe, geometry: Geometry, name: str) -> Recipe:
-    """Return a recipe in millimetres as one of indices; another one unchanged.
-
-    Raises
-    ------
-    SuppleError
-        If the volume has no position in space.
-    """
+    """Return a recipe in millimetres as one of indices; another one unchanged."""
     if not recipe.is_world:
         return recipe
     if geometry.convention == "array":
@@ -178,21 +159,14 @@ def indexed(recipe: Recipe, geometry: Geometry, name: str) -> Recipe:
             f"the recipe is in {recipe.space} millimetres, and {name} does not know where it lies in space: "
             "give a recipe in pixels"
         )
-
-    def there(places: Floats) -> Floats:
-        return geometry.from_world(places, recipe.space)
-
-    strokes = tuple(_mapped(stroke, there, geometry) for stroke in recipe.strokes)
-    return replace(recipe, strokes=strokes, space="pixels")
+    there = partial(geometry.from_world, convention=recipe.space)
+    return replace(recipe, strokes=tuple(_mapped(each, there, geometry) for each in recipe.strokes), space="pixels")
 
 
 def placed(recipe: Recipe, geometry: Geometry, space: CoordinateSpace) -> Recipe:
     """Return a recipe of indices as one in millimetres: the inverse of `indexed`."""
-
-    def there(indices: Floats) -> Floats:
-        return geometry.to_world(indices, space)
-
-    return replace(recipe, strokes=tuple(_mapped(stroke, there, geometry) for stroke in recipe.strokes), space=space)
+    there = partial(geometry.to_world, convention=space)
+    return replace(recipe, strokes=tuple(_mapped(each, there, geometry) for each in recipe.strokes), space=space)
 
 
 def _mapped(stroke: Stroke, there: Callable[[Floats], Floats], geometry: Geometry) -> Stroke:
@@ -224,12 +198,7 @@ def warp_volume(
     target: PathLike,
     recipe: Recipe,
     *,
-    options: VolumeOptions | None = None,
     tell: Tell = lambda step, done, total: None,
-    filter: str = "auto",
-    tolerance: float = 0.01,
-    outside: str | None = None,
-    fill: float | Sequence[float] = 0.0,
     **given: Any,
 ) -> Warped:
     """Warp a volume, slab by slab: `supple.warp_file`, whose other arguments are ``given``, of a volume alone.
@@ -237,8 +206,7 @@ def warp_volume(
     ``tell`` is called with ``"read"``, then with ``"warp"``, the number of finished slices, and their total, and with
     ``"write"``.
     """
-    sampling = Sampling(filter, tolerance, outside or "edge", fill)
-    job = Job(source, target, recipe, sampling, outside, volume=options or VolumeOptions(), **given)
+    job = job_of(source, target, recipe, **given)
     check_device(job.device)
     check(job)
     return warp(job, tell)
@@ -353,7 +321,6 @@ def check(job: Job) -> None:
 
 
 def _warn_of_gaps(volume: Volume, filter: str) -> None:
-    """Warn that NaN spreads, as in every average."""
     if volume.samples.dtype.kind != "f" or filter == "nearest":
         return
     gaps = sum(int(np.count_nonzero(~np.isfinite(slab))) for slab in volume.samples)
@@ -391,7 +358,6 @@ def is_of_labels(volume: Volume) -> bool:
 
 
 def _looked_at(volume: Volume) -> Array | None:
-    """Return some slices of a volume of single values."""
     if volume.components != 1:
         return None
     samples = volume.samples[0] if volume.series else volume.samples

@@ -9,7 +9,7 @@ import shutil
 import stat
 import sys
 import time
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -36,6 +36,17 @@ _ADVICE = {
 def unreadable(path: PathLike, reason: str, advice: str = "give a whole copy of it") -> SuppleError:
     """Return an error that explains in one sentence why a file cannot be read, with a remedy."""
     return SuppleError(f"cannot read {shown(path)}: {reason}: {advice}")
+
+
+@contextlib.contextmanager
+def refusing(refused: Callable[[Exception], SuppleError], *kinds: type[Exception]) -> Iterator[None]:
+    """Raise in place of errors of these kinds what ``refused`` makes of them; SuppleErrors stay as they are."""
+    try:
+        yield
+    except SuppleError:
+        raise
+    except kinds as error:
+        raise refused(error) from error
 
 
 def head_of(

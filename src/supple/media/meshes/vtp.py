@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, shown
-from supple.media.files import PathLike, unreadable
+from supple.errors import shown
+from supple.media.files import PathLike, refusing, unreadable
 from supple.media.meshes import (
     NO_RUNS,
     TOKEN,
@@ -144,14 +144,11 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
         return _read(file, xml)
 
 
-@contextlib.contextmanager
-def _damage(path: PathLike) -> Iterator[None]:
-    try:
-        yield
-    except SuppleError:
-        raise
-    except (binascii.Error, zlib.error, lzma.LZMAError, ValueError, OverflowError) as error:
-        raise unreadable(path, f"an array is damaged ({error})") from error
+_DAMAGE = (binascii.Error, zlib.error, lzma.LZMAError, ValueError, OverflowError)
+
+
+def _damage(path: PathLike) -> contextlib.AbstractContextManager[None]:
+    return refusing(lambda error: unreadable(path, f"an array is damaged ({error})"), *_DAMAGE)
 
 
 def _read(file: _File, xml: bytes) -> Mesh:

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from supple.errors import SuppleError, need, said
-from supple.media.files import PathLike, check_suffix, replacing_together, unreadable, unwritable
+from supple.media.files import PathLike, check_suffix, refusing, replacing_together, unreadable, unwritable
 from supple.media.transforms.base import Array, Content, Displacements, Grids, Matrix, check_content, inverse
 from supple.space.geometry import Grid
 
@@ -235,16 +235,14 @@ def ome_of(attributes: Json) -> Json:
     return ome if isinstance(ome, Mapping) else {}
 
 
-@contextlib.contextmanager
-def parsing(refused: Refusal) -> Iterator[None]:
+def parsing(refused: Refusal) -> contextlib.AbstractContextManager[None]:
     """Convert errors of metadata whose parts are missing, or of another type, to one sentence."""
-    try:
-        yield
-    except SuppleError:
-        raise
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+
+    def malformed(error: Exception) -> SuppleError:
         what = f"its metadata are incomplete or malformed ({type(error).__name__}: {error})"
-        raise refused(what, "see the specification of OME-Zarr") from error
+        return refused(what, "see the specification of OME-Zarr")
+
+    return refusing(malformed, KeyError, TypeError, ValueError, IndexError, AttributeError)
 
 
 class Store:
@@ -262,15 +260,9 @@ class Store:
         """Return an error that names the store."""
         return unreadable(self.path, reason, advice)
 
-    @contextlib.contextmanager
-    def reading(self, what: str) -> Iterator[None]:
-        """Convert all errors of zarr to one sentence."""
-        try:
-            yield
-        except SuppleError:
-            raise
-        except Exception as error:  # zarr's codecs raise any of them
-            raise self.error(f"{what} ({said(error)})") from error
+    def reading(self, what: str) -> contextlib.AbstractContextManager[None]:
+        """Convert all errors of zarr, whose codecs raise any of them, to one sentence."""
+        return refusing(lambda error: self.error(f"{what} ({said(error)})"), Exception)
 
     def contents(self) -> tuple[Content, ...]:
         """Return what the store holds, in millimetres in LPS, x first."""

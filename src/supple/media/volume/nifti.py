@@ -55,12 +55,6 @@ def read(path: PathLike, *, header_only: bool = False) -> Volume:
     is used, which is ITK's choice, but for a sheared sform, which no qform can be. An sform alone is used, with a
     warning if its sizes of voxels are not those of pixdim. Without a code, only the spacing is known, and no position
     in space. With ``header_only``, samples take no memory, and are 0.
-
-    Raises
-    ------
-    SuppleError
-        If it is not a NIfTI file, damaged or cut short; its voxels are not real numbers; or it has more axes than
-        x, y, z and either time or components.
     """
     first, data = _pair(path)
     header, single = _header(first)

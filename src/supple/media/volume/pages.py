@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from supple.errors import SuppleError, VolumeWarning, need, said, shown
-from supple.media.files import PathLike, replacing, unreadable, unwritable
+from supple.media.files import PathLike, refusing, replacing, unreadable, unwritable
 from supple.media.volume.data import Array, Volume, native
 from supple.space.geometry import Geometry
 
@@ -158,15 +158,10 @@ def axes_of(path: PathLike, series: Any) -> dict[int, str]:
     return names
 
 
-@contextlib.contextmanager
-def reading(path: PathLike) -> Iterator[None]:
-    """Convert all errors of tifffile to one sentence."""
-    try:
-        yield
-    except SuppleError:
-        raise
-    except Exception as error:  # of any kind, where a file is damaged
-        raise unreadable(path, f"it is damaged, cut short, or no TIFF ({said(error)})") from error
+def reading(path: PathLike) -> contextlib.AbstractContextManager[None]:
+    """Convert all errors of tifffile, which are of any kind where a file is damaged, to one sentence."""
+    what = "it is damaged, cut short, or no TIFF"
+    return refusing(lambda error: unreadable(path, f"{what} ({said(error)})"), Exception)
 
 
 @contextlib.contextmanager
