@@ -146,9 +146,7 @@ class TestPointsTravel:
 
     def test_names_without_a_unit_are_voxels_with_a_warning(self, tmp_path: Path) -> None:
         (tmp_path / "in.csv").write_text("x,y,z\n13,15,11\n")
-        with pytest.warns(
-            VolumeWarning, match=r"x, y and z of .*in.csv are taken for voxels.* convention LPS or RAS"
-        ):
+        with pytest.warns(VolumeWarning, match=r"x, y and z of .*in.csv are taken for voxels.* convention LPS or RAS"):
             move_points(tmp_path / "in.csv", tmp_path / "out.csv", bent(), tilted())
         for head in ("i,j,k", "x (voxel),y (voxel),z (voxel)", "x_px,y_px,z_px", "# CoordinateSystem = LPS\nx,y,z"):
             (tmp_path / "in.csv").write_text(f"{head}\n13,15,11\n")
