@@ -138,8 +138,8 @@ class TestPointsTravel:
         (tmp_path / "in.csv").write_text(head + "nose,13,15,11\n")
         source, out = tmp_path / "in.csv", tmp_path / "out.csv"
         message = refused(move_points, source, out, bent(), tilted())
-        columns = "columns are in mm, but not said to be LPS or RAS: give --convention LPS or RAS"
-        assert (columns if "mm" in head else "no header says what its numbers are: give --convention index") in message
+        columns = "columns are in mm, but not said to be LPS or RAS: give convention LPS or RAS"
+        assert (columns if "mm" in head else "no header says what its numbers are: give convention index") in message
         assert not out.exists()
         move_points(source, out, bent(), tilted(), convention="index")
         move_points(source, out, bent(), Geometry(SPACING), force=True)  # which has no place in space

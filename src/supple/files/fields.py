@@ -214,7 +214,9 @@ def check_beside(path: PathLike, *sources: PathLike | None, force: bool) -> None
     """Raise SuppleError if an output beside the main one cannot be written, or is one of the files that are read."""
     for source in sources:
         if source is not None and same_file(path, source):
-            raise SuppleError(f"{shown(path)} is read, and not replaced: choose another name")
+            raise SuppleError(
+                f"{shown(path)} is read: {argument('force', True)} does not replace it, so choose another name"
+            )
     check_output(path, force=force)
 
 
@@ -387,7 +389,7 @@ def _warn_of_size(path: PathLike, convention: str, source: object, grid: Grid | 
     width, height = grid.sizes[:2]
     warnings.warn(
         f"{shown(path)} counts in the size of the picture that it leads to, which is not given: it is taken to have "
-        f"{width} x {height} pixels, as the map has: give that picture by {argument('source')}",
+        f"{width} x {height} pixels, as the map has: {argument('source')} names that picture",
         OutsideWarning,
         stacklevel=3,
     )
