@@ -58,7 +58,7 @@ def ways(name: str, head: Volume, look: dict[str, Any], camera: Camera, size: tu
     scene, frames, done = scenes["hybrid"], [], 0.0
     while done < 1:
         start = time.perf_counter()
-        done = scene.fill(camera, size, seconds=max(0.004, 0.05 * still["hybrid"]))
+        done = scene.fill(seconds=max(0.004, 0.05 * still["hybrid"]))
         scene.render(camera, size)
         frames.append(time.perf_counter() - start)
     longest = max(frames) / still["hybrid"]

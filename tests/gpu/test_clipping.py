@@ -10,7 +10,7 @@ import pytest
 import supple
 from supple.gpu.device import Gpu
 from supple.render.camera import Camera
-from supple.render.scene import MODES, Scene
+from supple.render.scene import MODES
 from supple.render.transfer import TransferFunction
 from tests.gpu.scenes import GEOMETRY, SIZE, SOFT, apart, pair
 
@@ -39,15 +39,3 @@ def test_a_picture_is_the_cpu_s(
     whole = theirs.render(CAMERAS[0], SIZE)
     for same in (((None, None),) * 3, tuple((0, n - 1) for n in cloud.shape[::-1])):
         np.testing.assert_array_equal(theirs.clipped(same).render(CAMERAS[0], SIZE).light, whole.light)
-
-
-def test_a_buffer_that_is_filled_in_part_is_clipped(gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation) -> None:
-    scene = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode="hybrid", device="gpu").clipped(CLIPS[1])
-    wanted = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode="exact", clip=CLIPS[1])
-    parts, camera = [], CAMERAS[1]
-    picture = wanted.render(camera, SIZE)
-    while not parts or parts[-1] < 1.0:
-        assert apart(scene.render(camera, SIZE), picture) > 30
-        parts.append(scene.fill(camera, SIZE, seconds=0))
-    assert len(parts) > 1
-    assert scene.clipped(None).fill(camera, SIZE) == 1.0  # boxes of a scene share their buffer

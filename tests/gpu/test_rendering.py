@@ -259,7 +259,7 @@ def test_the_head(gpu: Gpu, mode: str) -> None:
         Scene(head.samples, head.geometry, deformation=d, transfer="mr-head", mode=mode, step=1.0, device=device)
         for device in ("cpu", "gpu")
     )
-    assert other.fill(camera, size, seconds=60.0) == 1.0
+    assert other.fill(seconds=60.0) == 1.0
     wanted = one.render(camera, size)
     assert apart(wanted, other.render(camera, size)) > 50
     still = Scene(head.samples, head.geometry, transfer="mr-head", step=1.0).render(camera, size)

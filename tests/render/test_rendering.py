@@ -565,7 +565,6 @@ def test_other_things_than_cameras_and_deformations() -> None:
     for given in ("x", "", 0):
         for call in (
             lambda c: scene.render(c, SIZE),
-            lambda c: scene.fill(c, SIZE),
             lambda c: scene.pick(c, SIZE, (3, 3)),
             lambda c: scene.view(c, SIZE),
             lambda c: scene.turned(c, 1, 8),

@@ -24,10 +24,10 @@ Array = npt.NDArray[Any]
 CELL = 16  # pixels of the window from node to node
 BLOCK = 16  # voxels along a brick's side
 ROW = 2048  # entries of a transfer function in a layer of its texture
-PLAIN, LATTICE, EXACT, HYBRID = 0, 1, 2, 3  # how rays find source points
+PLAIN, LATTICE, EXACT = 0, 1, 2  # how rays find source points
 LOST, CUT = 1e30, 2e30  # in place of errors: of points without a solution, and of a driver that ends loops
 FAR = 3e38  # in place of depths
-_NAMES = ("CELL", "BLOCK", "ROW", "PLAIN", "LATTICE", "EXACT", "HYBRID", "LOST", "CUT", "FAR")
+_NAMES = ("CELL", "BLOCK", "ROW", "PLAIN", "LATTICE", "EXACT", "LOST", "CUT", "FAR")
 _SHARED: dict[str, float] = _core.constants | {name: globals()[name] for name in _NAMES}
 
 MOST_GROUPS = 65535

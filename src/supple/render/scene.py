@@ -17,7 +17,6 @@ from supple.deformation import Deformation
 from supple.errors import SuppleError, ToleranceWarning, argument
 from supple.gpu import raymarch as shading
 from supple.gpu.device import DRAWING, Gpu, failures, gpu_of, trouble
-from supple.gpu.shader import LATTICE
 from supple.gpu.volume import Volume
 from supple.render.appearance import (
     FINE,
@@ -36,7 +35,7 @@ from supple.render.appearance import (
 from supple.render.box import Box, Clip, Plane, around, box_of, plane_of, seen_points, within
 from supple.render.camera import Camera, Projection, camera_of, view_of
 from supple.render.colour import linear_light
-from supple.render.device import along_rays, held_scene, order_of, tried, unseen_blocks
+from supple.render.device import along_rays, held_scene, tried
 from supple.render.labels import LabelColours
 from supple.render.meshes import Surface, nearest, place
 from supple.render.picture import Array, Pick, Rendering
@@ -95,8 +94,8 @@ class Scene:
         or, in hollows, that of the sky does not arrive.
     mode : str
         The evaluation of the deformation: ``"buffered"``, which warps the volume first, ``"exact"`` inversion of every
-        sample along every ray, or ``"hybrid"``: buffered, in parts, by `fill` on the GPU, where a certified lattice of
-        inverse displacements is seen until then. On the CPU, that is ``"buffered"``.
+        sample along every ray, or ``"hybrid"``: buffered, by `fill` on the GPU, where a certified lattice of inverse
+        displacements is read until the buffer is complete. On the CPU, that is ``"buffered"``.
     meshes : sequence of Surface
         Meshes and contours, which move with the volume, exactly by T. They are opaque, and not cut away by ``clip`` and
         ``plane``; projections, which are nowhere along a ray, are behind them.
@@ -242,10 +241,8 @@ class Scene:
         self._skip()
 
     def _skip(self) -> None:
-        """Set the maps of empty space, for rays and for the buffer, and the shade."""
-        shape = self.samples.shape
-        self._skips = skipped(self._seen, self._lows, self._highs, shape, self._lattice, self.error)
-        self._unseen = unseen_blocks(shape, self._skips)
+        """Set the map of empty space, and the shade."""
+        self._skips = skipped(self._seen, self._lows, self._highs, self.samples.shape, self._lattice, self.error)
         self._darken()
 
     def _darken(self) -> None:
@@ -441,15 +438,11 @@ class Scene:
                 raise SuppleError("the texture was destroyed: make another one by scene.gpu.device") from None
             raise SuppleError(f"{gpu.name} could not draw: {failed}: use render") from None
 
-    def fill(
-        self, camera: Camera | None = None, size: tuple[int, int] = (512, 512), *, seconds: float = 0.004
-    ) -> float:
+    def fill(self, *, seconds: float = 0.004) -> float:
         """Fill a part of the buffer of a ``"hybrid"`` scene, between two images.
 
         Parameters
         ----------
-        camera, size
-            The next image: its visible bricks are filled first.
         seconds : float
             The approximate time; at least one brick of 16³ voxels is filled.
 
@@ -469,14 +462,12 @@ class Scene:
             If the GPU failed: a hybrid scene continues with its lattice, and a buffered one on the CPU.
         """
         held, seconds = self._held, number("seconds", seconds, "a number of seconds from 0", 0.0, 1e9)
-        camera = camera_of(camera)
         if held is None or held.filling is None or held.filling.part == 1.0:
             return 1.0
         filling = held.filling
-        order = order_of(self.view(camera, size), self._unseen)
         done = tried(
             held.volume.gpu,
-            lambda: filling.advance(seconds, order),
+            lambda: filling.advance(seconds),
             2,
             "the CPU does what {} cannot" if held.whole else "{} does not go on with the buffer",
         )
@@ -485,7 +476,7 @@ class Scene:
             if held.whole:
                 self._held = self.gpu = None
             else:
-                self._held = replace(held, filling=None, mode=LATTICE)
+                self._held = replace(held, filling=None)
             return 1.0
         return done
 

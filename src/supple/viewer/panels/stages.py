@@ -308,11 +308,11 @@ class VolumeStage:
         pixels[..., :3] = scene.render(camera, (rows, columns)).pixels(BACK)
         filled(self._gpu, texture, pixels)
 
-    def fill(self, deformation: Deformation, camera: Camera, size: tuple[int, int], seconds: float) -> float:
+    def fill(self, deformation: Deformation, seconds: float) -> float:
         """Fill a part of the buffer; return the filled part."""
         if deformation.is_identity:
             return 1.0
-        return self.deform(deformation).fill(camera, (size[1], size[0]), seconds=seconds)
+        return self.deform(deformation).fill(seconds=seconds)
 
     def value(self, pick: Pick) -> Any:
         """Return the value of a picked voxel."""

@@ -21,7 +21,7 @@ from supple.viewer.tools.planes import ends_of
 from supple.viewer.tools.volumes import VolumeTools
 
 _MODES = {
-    "hybrid": "From a lattice of source points, and from a bent copy where it is complete: fast",
+    "hybrid": "From a lattice of source points, and from a bent copy once it is complete: fast",
     "exact": "Each sample of each ray is inverted: exact, and slow",
     "buffered": "From a bent copy of the whole volume: the fastest, and interpolated twice",
 }

@@ -275,12 +275,12 @@ class Window(View):
         assert isinstance(self.stage, VolumeStage)
         try:
             seconds = 10 * FILLING if waiting else FILLING
-            self.filled = self.stage.fill(shot.deformation, shot.camera, shot.size, seconds)
+            self.filled = self.stage.fill(shot.deformation, seconds)
         except SuppleError as error:
             self.filled, self.commands.message = 1.0, str(error)
         if before < self.filled or self.filled < 1.0:
-            if not waiting:
-                self._drawn_key = None  # each frame is faster than the last
+            if not waiting and self.filled == 1.0:
+                self._drawn_key = None
             self.canvas.request_draw()
 
     def _controls(self) -> None:
