@@ -16,8 +16,7 @@ from measure import milliseconds
 import supple
 from supple.files.volumes import open_volume
 from supple.gpu.device import open_gpu
-from supple.gpu.fill import Filling
-from supple.gpu.volume import beside, hold
+from supple.gpu.solid import Filling, beside, hold
 from supple.media.volume import Volume
 from supple.render.camera import Camera
 from supple.render.device import lattice_of

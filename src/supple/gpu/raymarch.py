@@ -10,11 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.gpu.fill import Filling
 from supple.gpu.memory import download, owned, room, upload, uploaded
 from supple.gpu.shader import FAR, LATTICE, MOST_GROUPS, PLAIN, ROW, Pace, shader, source
-from supple.gpu.solid import Lattice
-from supple.gpu.volume import Volume
+from supple.gpu.solid import Filling, Lattice, Volume
 
 Floats = npt.NDArray[np.float64]
 Singles = npt.NDArray[np.float32]
@@ -27,31 +25,15 @@ _LOST = "points along rays could not be solved in its numbers"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Held:
-    """The part of a scene on a device.
-
-    Parameters
-    ----------
-    volume : Volume
-    lattice : Lattice
-    mode : int
-        PLAIN, LATTICE or EXACT. A scene with a buffer becomes plain when that is filled.
-    cells : int
-        The number of cells of the lattice that a ray may cross with one cubic.
-    filling : Filling, optional
-        The buffer, of a hybrid scene.
-    whole : bool
-        Whether the volume is drawn only when its buffer is filled.
-    pace : Pace
-        The number of rays in one part.
-    """
+    """The part of a scene on a device."""
 
     volume: Volume
     lattice: Lattice
-    mode: int
-    cells: int = 1
-    filling: Filling | None = None
-    whole: bool = False
-    pace: Pace = field(default_factory=lambda: Pace(RAYS))
+    mode: int  # PLAIN, LATTICE or EXACT; a scene with a buffer becomes plain when that is filled
+    cells: int = 1  # the number of cells of the lattice that a ray may cross with one cubic
+    filling: Filling | None = None  # the buffer, of a hybrid scene
+    whole: bool = False  # whether the volume is drawn only when its buffer is filled
+    pace: Pace = field(default_factory=lambda: Pace(RAYS))  # the number of rays in one part
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,25 +73,11 @@ def march(
     tell: Callable[[int], None] = lambda rows: None,
     ends: Singles | None = None,
 ) -> tuple[Singles, Floats, npt.NDArray[np.int64]]:
-    """Render an image.
+    """Render rows and columns of rays, ``fine`` of them along the side of a pixel; ``tell`` gets the finished rows.
 
-    Parameters
-    ----------
-    held : Held
-    look : Look
-    size : (int, int)
-        Rows and columns of rays.
-    fine : int
-        Rays along the side of a pixel.
-    tell : function
-        Called with the number of finished rows of rays.
-    ends : float32 array (H, W, 4), optional
-        The meshes that rays end at: linear light, and millimetres from the eye or infinity.
-
-    Returns
-    -------
-    arrays (H, W, 4), (H, W, 2) and (H, W, 2)
-        Light and opacity; depths of the first surface and of opacity 0.9; samples and evaluations of T.
+    Rays end at meshes, if there are ``ends``, (H, W, 4): linear light, and millimetres from the eye or infinity.
+    Returns light and opacity (H, W, 4), the depths of the first surface and of opacity 0.9 (H, W, 2), and samples and
+    evaluations of T (H, W, 2).
     """
     height, width = size
     light, depth = np.empty((height, width, 4), np.float32), np.empty((height, width, 2))
@@ -136,20 +104,10 @@ def paint(
     worked: bool = False,
     ends: Singles | None = None,
 ) -> None:
-    """Render an image into a writable texture of format rgba8unorm, as sRGB.
+    """Render into a writable texture of format rgba8unorm, as sRGB, over a background in linear light.
 
-    Parameters
-    ----------
-    held, look, size, fine
-        As `march` takes them.
-    background : float32 array (3)
-        The background, in linear light.
-    target : wgpu.GPUTexture
-        A texture of ``size`` over ``fine``, or larger.
-    worked : bool
-        Whether to tint it by the inversions along each ray or, without any, by the samples.
-    ends
-        As `march` takes it.
+    The texture has ``size`` over ``fine``, or more. It is tinted by inversions along each ray, or by samples, if
+    ``worked``.
     """
     gpu, width = held.volume.gpu, size[1] // fine
     work = shader(gpu, source("paint"), "paint")

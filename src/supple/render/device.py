@@ -17,11 +17,9 @@ from supple.engine.work import Space
 from supple.errors import DeviceWarning
 from supple.gpu.device import Gpu, failures, trouble
 from supple.gpu.field import fits
-from supple.gpu.fill import Filling
 from supple.gpu.raymarch import Held, prepare
 from supple.gpu.shader import EXACT, LATTICE, PLAIN
-from supple.gpu.solid import Lattice, hold_strokes, solve
-from supple.gpu.volume import Volume, beside, hold
+from supple.gpu.solid import Filling, Lattice, Volume, beside, hold, hold_strokes, solve
 from supple.strokes import STROKE_DTYPE
 
 Array = npt.NDArray[Any]
@@ -70,36 +68,10 @@ def held_scene(
     colours: Array | None = None,
     volume: Volume | None = None,
 ) -> Held:
-    """Upload a scene to a GPU.
+    """Upload a scene to a GPU, unless the same samples and colours are there as ``volume``.
 
-    Parameters
-    ----------
-    gpu : Gpu
-    samples : array (Z, H, W)
-        Samples from `supple.render.appearance.prepared`.
-    spacing : tuple of float
-        Millimetres from voxel to voxel, x first.
-    space : Space or None
-        The strokes, if there are any.
-    mode : str
-        One of `supple.render.scene.MODES`.
-    tolerance : float
-        The tolerance of source points, in voxels.
-    labelled : bool
-        Whether samples are numbers of labels.
-    colours : array (Z, H, W, 4), optional
-        The voxels' own colours.
-    volume : Volume, optional
-        The same samples and colours, if they are already on the GPU.
-
-    Returns
-    -------
-    Held
-
-    Raises
-    ------
-    Exception
-        One of `supple.gpu.device.failures`.
+    Samples are those of `supple.render.appearance.prepared`, and colours (Z, H, W, 4); the spacing and the tolerance
+    are in millimetres and voxels. Raises one of `supple.gpu.device.failures`.
     """
     if space is not None and not fits(space.table):
         raise ArithmeticError("strokes of such sizes are beyond its numbers")

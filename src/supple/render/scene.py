@@ -17,7 +17,7 @@ from supple.deformation import Deformation
 from supple.errors import SuppleError, ToleranceWarning, argument
 from supple.gpu import raymarch as shading
 from supple.gpu.device import DRAWING, Gpu, failures, gpu_of, trouble
-from supple.gpu.volume import Volume
+from supple.gpu.solid import Volume
 from supple.render.appearance import (
     FINE,
     PROJECTIONS,
@@ -34,11 +34,10 @@ from supple.render.appearance import (
 )
 from supple.render.box import Box, Clip, Plane, around, box_of, plane_of, seen_points, within
 from supple.render.camera import Camera, Projection, camera_of, view_of
-from supple.render.colour import linear_light
 from supple.render.device import along_rays, held_scene, tried
 from supple.render.labels import LabelColours
 from supple.render.meshes import Surface, nearest, place
-from supple.render.picture import Array, Pick, Rendering
+from supple.render.picture import Array, Pick, Rendering, linear_light
 from supple.render.shadows import NEAR, Shade, arriving, shade_of
 from supple.render.transfer import Transfer
 from supple.space.domain import choice, integer, number, point, refuse
@@ -194,7 +193,6 @@ class Scene:
         return f"<Scene of {self.shape} {self.samples.dtype}, {strokes} strokes, mode {self.mode}, by {who}>"
 
     def _sample(self, transfer: Transfer, density: tuple[float, float] | None) -> None:
-        """Set what rays sample of the volume, and how they see it."""
         self._original, self._paint, seen = sampled(self._given, transfer, density, self.step, self.projection)
         self._ranges: dict[int, tuple[Array, Array]] = {}
         self._look_by(seen)
@@ -241,12 +239,10 @@ class Scene:
         self._skip()
 
     def _skip(self) -> None:
-        """Set the map of empty space, and the shade."""
         self._skips = skipped(self._seen, self._lows, self._highs, self.samples.shape, self._lattice, self.error)
         self._darken()
 
     def _darken(self) -> None:
-        """Set the shade."""
         self._shade: Shade | None = None
         if self.shadows and self.shaded and self.projection == "none":
             samples = self.samples

@@ -115,7 +115,6 @@ def _cutting(view: View, stage: VolumeStage) -> None:
 
 
 def _transfer(view: View, stage: VolumeStage, transfer: TransferFunction) -> None:
-    """Draw the points of the transfer function: values, colours and opacities."""
     if not imgui.tree_node("Transfer function"):
         return
     points = [list(p) for p in transfer.points]
