@@ -516,7 +516,6 @@ def test_a_camera_inside() -> None:
         ({"samples": np.zeros((3, 3, 3), complex)}, "a volume of numbers"),
         ({"samples": np.zeros((0, 3, 3))}, "a volume of numbers"),
         ({"mode": "fast"}, '"buffered" or "exact" or "hybrid"'),
-        ({"mode": "lattice"}, "mode='lattice' is gone"),
         ({"transfer": "bone"}, '"ct-bone"'),
         ({"density": (3, 1)}, "the lower one first"),
         ({"density": (1,)}, "2 numbers"),

@@ -142,7 +142,7 @@ def test_nothing_is_lost(photo: Path, gpu: Gpu, state: Path) -> None:
     view.commands.autosave._lock.close()  # as if the process had died
     again, _ = opened(photo)
     assert again.commands.asked.name == "restore"
-    assert "1 stroke on this file was not saved" in again.commands.asked.text
+    assert "not saved the last time (strokes: 1)" in again.commands.asked.text
     assert again.recipe.strokes == ()
     assert again.commands.answer("Restore")
     assert again.recipe == kept

@@ -47,9 +47,9 @@ class Gpu:
 
     name: str  # the adapter's name
     software: bool  # whether the adapter is a software one, on the CPU
-    backend: str  # vulkan, Metal or D3D12
+    backend: str  # Vulkan, Metal or D3D12
     device: Any = field(repr=False)
-    pipelines: dict[Any, Any] = field(repr=False)  # compiled pipelines
+    pipelines: dict[Any, Any] = field(repr=False)  # compiled
     lock: Any = field(repr=False)  # held by the one thread that works on the device
     binding: int  # the size of the largest array for a shader, in bytes
     texture: int  # the size of the largest texture of nodes, in bytes

@@ -37,7 +37,7 @@ class Seen:
     density: tuple[float, float]  # the visible range of values or labels
     range: tuple[float, float]  # the smallest and the largest value or label
     projection: str  # one of `PROJECTIONS`
-    table: npt.NDArray[np.float32]  # (N, 4): Linear light, and the opacity of a step along a ray
+    table: npt.NDArray[np.float32]  # (N, 4): linear light, and the opacity of a step along a ray
     low: float  # the value of the table's first entry, and entries for each unit of value
     scale: float
     threshold: float  # the lowest visible sample; infinity if nothing is visible

@@ -67,7 +67,7 @@ class Camera:
 class Projection:
     """A camera before a volume, and the size of the image."""
 
-    # (5, 3): The eye, in indices; the spacing; and, in millimetres along the volume's axes, the direction of view,
+    # (5, 3): the eye, in indices; the spacing; and, in millimetres along the volume's axes, the direction of view,
     # and the steps to the pixels to the right and below, at a distance of a millimetre
     packed: Floats
     size: tuple[int, int]  # rows and columns of the image

@@ -89,8 +89,8 @@ class Placed:
     """A surface in the deformed volume."""
 
     surface: Surface
-    points: Floats  # (N, 3): In millimetres along the axes of the volume
-    # (N, 3): Of unit length, or 0: the mean of those of the triangles around a point, by their angles there, so that
+    points: Floats  # (N, 3): in millimetres along the axes of the volume
+    # (N, 3): of unit length, or 0: the mean of those of the triangles around a point, by their angles there, so that
     # it does not depend on how a plane is divided
     normals: npt.NDArray[np.float32]
 

@@ -51,11 +51,6 @@ _ROWS = 256  # of an image, between two reports of progress
 
 def check_options(mode: object, projection: object, device: object, silhouettes: object, shadows: object) -> None:
     """Raise SuppleError for options that no scene has."""
-    if mode == "lattice":
-        raise SuppleError(
-            f'{argument("mode", "lattice")} is gone: "buffered", the default, is faster, and "exact" inverts each '
-            "sample"
-        )
     choice("mode", mode, MODES)
     choice("projection", projection, PROJECTIONS)
     choice("device", device, DRAWING)

@@ -37,12 +37,12 @@ SKY = [np.array(way) / np.linalg.norm(way) for way in itertools.product((-1, 0, 
 class Shade:
     """What keeps the light away in a scene."""
 
-    # (nz, ny, nx): The opacity of ``length`` millimetres at nodes of the deformed volume, of what is not cut away
+    # (nz, ny, nx): the opacity of ``length`` millimetres at nodes of the deformed volume, of what is not cut away
     nodes: Singles
     length: float
     wide: tuple[int, ...]  # voxels from node to node, x first
     spacing: tuple[float, ...]  # millimetres from node to node, x first
-    # (nz, ny, nx): What the sky leaves of all light that arrives at nodes, from 0 to 1: it is 1 where half of the sky
+    # (nz, ny, nx): what the sky leaves of all light that arrives at nodes, from 0 to 1: it is 1 where half of the sky
     # is seen
     sky: Singles
 

@@ -47,10 +47,6 @@ class Found:
     same: bool  # the source is unchanged, by its size and time
     medium: object = None  # the shape and the spacing of the source, if known
 
-    def read_alike(self, document: Document) -> bool:
-        """Return whether a document has the same shape and spacing, as far as they are known."""
-        return self.medium is None or self.medium == _medium(document)
-
     def set_aside(self) -> Path:
         """Rename the file, so that it is not offered again; return the new name."""
         return _set_aside(self.place, "kept")
@@ -274,19 +270,12 @@ class FileCommands:
         self.autosave = None if self.source is None else Autosave(self.source, self.document)
         self._left = None if self.source is None else found(self.source)
         if self._left is not None:
-            count = len(self._left.recipe.strokes)
-            what = "1 stroke on this file was" if count == 1 else f"{count} strokes on this file were"
-            if count == 0:
-                what = "What was changed on this file was"
-            text = f"{what} not saved the last time."
+            text = f"Changes to this file were not saved the last time (strokes: {len(self._left.recipe.strokes)})."
             if not self._left.same:
                 text += "\nThe file has changed since then."
-            if not self._left.read_alike(self.document):
+            if self._left.medium not in (None, _medium(self.document)):
                 text += "\nIt was read otherwise then: by another --time-scale, --series, --shape or --spacing."
-            text += (
-                "\nRestore brings that back; Keep for later opens the file without it, and keeps it in a file that is "
-            )
-            text += "named then."
+            text += "\nRestore brings them back; Keep for later opens the file without them, and says where they are."
             self.asked = Question("restore", "Restore?", text, ("Restore", "Keep for later"))
 
     def tick(self) -> None:
