@@ -16,8 +16,7 @@ from measure import milliseconds
 import supple
 from supple.files.volumes import open_volume
 from supple.gpu.device import open_gpu
-from supple.gpu.fill import Filling
-from supple.gpu.volume import beside, hold
+from supple.gpu.solid import Filling, beside, hold
 from supple.media.volume import Volume
 from supple.render.camera import Camera
 from supple.render.device import lattice_of
@@ -58,7 +57,7 @@ def ways(name: str, head: Volume, look: dict[str, Any], camera: Camera, size: tu
     scene, frames, done = scenes["hybrid"], [], 0.0
     while done < 1:
         start = time.perf_counter()
-        done = scene.fill(camera, size, seconds=max(0.004, 0.05 * still["hybrid"]))
+        done = scene.fill(seconds=max(0.004, 0.05 * still["hybrid"]))
         scene.render(camera, size)
         frames.append(time.perf_counter() - start)
     longest = max(frames) / still["hybrid"]

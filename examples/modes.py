@@ -12,7 +12,7 @@ from head import BACKGROUND, DRAGS, HEAD, bent, layers
 
 import supple
 from supple.media import image
-from supple.plot.rays import draw_inversions
+from supple.plot.draw import draw_inversions
 from supple.render.camera import Camera
 from supple.render.scene import Scene
 

@@ -34,7 +34,6 @@ LONGEST = (
     "viewer/test_freezing.py",
     "viewer/test_panels_slices.py",
     "viewer/test_panels.py",
-    "viewer/test_jobs.py",
     "viewer/test_panels_parts.py",
     "gpu/test_rendering.py",
     "viewer/test_window_pointer.py",

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from supple.folding.strain import Mask
 from supple.gpu.device import Gpu
-from supple.gpu.field import constants, uploaded
+from supple.gpu.field import constants, stroke_buffers
 from supple.gpu.memory import download, room, upload
 from supple.gpu.shader import TURNS, shader, template
 
@@ -57,5 +57,5 @@ def _points(
     four = [upload(gpu, np.pad(values, ((0, 0), (0, 1))).astype(np.float32)) for values in (anchors, offsets)]
     given = {"anchors": four[0], "offsets": four[1], "results": room(gpu, n * 64)}
     work = shader(gpu, TEXT, entry, constants(table, freeze))
-    work.run((-(-n // 64), 1, 1), settings, {**uploaded(gpu, table, axes, freeze), **given})
+    work.run((-(-n // 64), 1, 1), settings, {**stroke_buffers(gpu, table, axes, freeze), **given})
     return download(gpu, given["results"], np.float32, n * 16).reshape(n, 4, 4).copy()

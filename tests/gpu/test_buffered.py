@@ -7,19 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
 import supple
 from supple.errors import DeviceWarning, SuppleError
 from supple.gpu import device as devices
-from supple.gpu import fill, shader, solid, volume
+from supple.gpu import shader, solid
 from supple.gpu.device import Gpu
 from supple.gpu.memory import put
 from supple.render import device as drawing
 from supple.render.camera import Camera
 from supple.render.scene import Scene
 from tests import reference
-from tests.gpu.scenes import GEOMETRY, SHAPE, SIZE, SOFT, apart, texels_of, turned
+from tests.gpu.scenes import GEOMETRY, SHAPE, SIZE, SOFT, apart, texels_of
 
 
 def displaced(nodes: np.ndarray, step: float, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -67,12 +66,12 @@ def test_the_buffer_is_the_warped_volume(
     gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, dtype: Any, polished: bool
 ) -> None:
     given = (cloud * 200 - (100 if np.dtype(dtype).kind == "i" else 0)).astype(dtype)
-    held = volume.hold(gpu, given)
-    assert volume.beside(held)
+    held = solid.hold(gpu, given)
+    assert solid.beside(held)
     space = bent.space
     # What is solved for each voxel does not need a fine lattice.
     lattice = solid.solve(gpu, space.table, space.axes, SHAPE, 8 if polished else 2)
-    filling = fill.Filling(held, lattice, polished=polished, tolerance=0.01)
+    filling = solid.Filling(held, lattice, polished=polished, tolerance=0.01)
     assert filling.part == 0.0
     assert filling.advance(60.0) == filling.part == 1.0
     wanted = bent.warp(given.astype(np.float32), filter="linear", tolerance=1e-3)
@@ -81,101 +80,32 @@ def test_the_buffer_is_the_warped_volume(
     assert np.mean(away) < 0.01
 
 
-@pytest.mark.filterwarnings("ignore::supple.FoldWarning")
-def test_the_buffer_has_every_brush(gpu: Gpu, cloud: np.ndarray) -> None:
-    d, held = turned(SHAPE, border=None), volume.hold(gpu, cloud)
-    assert volume.beside(held)
-    lattice = solid.solve(gpu, d.space.table, d.space.axes, SHAPE, 2)
-    nodes, error = lattice.nodes, lattice.error
-    assert nodes is not None
-    q = 2 * reference.grid(nodes.shape[:3])
-    np.testing.assert_allclose(nodes[..., :3], d.inverse(q).points - q, atol=1e-3)
-    assert error < 0.5
-    assert fill.Filling(held, lattice, polished=True, tolerance=0.01).advance(60.0) == 1.0
-    away = np.abs(texels_of(gpu, held.warped) - d.warp(cloud, filter="linear", tolerance=1e-3))
-    assert away.max() < 0.02
-    assert np.abs(texels_of(gpu, held.warped) - cloud).max() > 0.1
-
-
-def test_hybrid_fills_its_buffer_bit_by_bit(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(3)
-    given = ndimage.gaussian_filter(rng.normal(size=(70, 60, 66)), 3, mode="constant").astype(np.float32)
-    given = (given - given.min()) / np.ptp(given)
-    d = supple.Deformation(given.shape, border=None, on_fold="damp").grab(
-        (30, 30, 35), by=(6, -3, 4), radius=16, reach=None
-    )
-    camera = Camera(azimuth=40, elevation=15)
-    exact, hybrid = (
-        Scene(given, deformation=d, transfer=SOFT, mode=mode, device="gpu") for mode in ("exact", "hybrid")
-    )
-    wanted = exact.render(camera, SIZE)
-    # A buffer is sampled twice.
-    buffered = Scene(given, deformation=d, transfer=SOFT, mode="buffered").render(camera, SIZE)
-    floor = apart(buffered, wanted) - 1
-    assert floor > 30
-    monkeypatch.setattr(shader.Pace, "parts", _one_at_a_time(shader.Pace.parts))
-    monkeypatch.setattr(gpu, "software", False)  # which reads the buffer while it is filled
-    parts = [0.0]
-    while parts[-1] < 1:
-        parts.append(hybrid.fill(camera, SIZE, seconds=1e-9))
-        if len(parts) % 12 == 2 or parts[-1] == 1:
-            assert apart(hybrid.render(camera, SIZE), wanted) > floor
-    assert len(parts) == 5 * 4 * 5 + 1
-    assert np.diff(parts).min() > 0
-    assert hybrid.fill(camera) == 1.0
-    # What is not seen is made last, and what lies in front first.
-    filling = Scene(given, deformation=d, transfer=SOFT, mode="hybrid", device="gpu")
-    order = drawing.order_of(filling.view(camera, SIZE), filling._unseen)
-    assert sorted(order) == list(range(5 * 4 * 5))
-    middles = (np.stack(np.unravel_index(order, (5, 4, 5))[::-1], -1) + 0.5) * 16
-    view = filling.view(camera, SIZE)
-    depth = (middles - view.eye) @ view.ahead
-    assert depth[:20].mean() < depth[-20:].mean()
-    # A camera that looks away has nothing in view.
-    behind = filling.view(Camera(azimuth=40, elevation=15, distance=20, field_of_view=5), (8, 8))
-    first = np.unravel_index(drawing.order_of(behind, filling._unseen)[0], (5, 4, 5))
-    assert np.abs((np.array(first[::-1]) + 0.5) * 16 - behind.eye - 20 * behind.ahead).max() < 40
-
-
-def _one_at_a_time(parts: Any) -> Any:
-    """Parts of some work, one item each, where there is a limit."""
-
-    def made(self: shader.Pace, total: int, seconds: float = 1.0, limit: float = np.inf) -> Any:
-        return parts(self, total, seconds) if limit == np.inf else iter([(0, 1)])
-
-    return made
-
-
-def test_only_what_is_finished_is_read_of_the_buffer(
+def test_hybrid_fills_its_buffer_bit_by_bit(
     gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(gpu, "software", False)
-    scene = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode="hybrid", device="gpu")
-    wanted = scene.render(size=SIZE)
-    held = scene._held
+    exact, hybrid = (
+        Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode=mode, device="gpu") for mode in ("exact", "hybrid")
+    )
+    wanted, lattice = exact.render(size=SIZE), hybrid.render(size=SIZE)
+    assert apart(lattice, wanted) > 40
+    parts_of = shader.Pace.parts
+
+    def one_at_a_time(self: shader.Pace, total: int, seconds: float = 1.0, limit: float = np.inf) -> Any:
+        return parts_of(self, total, seconds) if limit == np.inf else iter([(0, 1)])
+
+    monkeypatch.setattr(shader.Pace, "parts", one_at_a_time)
+    parts = [0.0]
+    while parts[-1] < 1:
+        np.testing.assert_array_equal(hybrid.render(size=SIZE).light, lattice.light)  # it is read once it is complete
+        parts.append(hybrid.fill(seconds=1e-9))
+    assert len(parts) == np.prod([-(-n // 16) for n in SHAPE]) + 1
+    assert np.diff(parts).min() > 0
+    assert hybrid.fill() == 1.0
+    assert apart(hybrid.render(size=SIZE), wanted) > 40
+    held = hybrid._held
     assert held is not None
-    assert held.filling is not None
-    filling = held.filling
-    # One brick of eight is there: its neighbours are not, so that none can be read.
-    scene.fill(seconds=1e-9)
-    filling._made[...] = False
-    filling._made[0, 0, 0] = True
-    filling._tell()
     put(gpu, held.volume.warped, np.full_like(cloud, 0.9))
-    np.testing.assert_allclose(scene.render(size=SIZE).light, wanted.light, atol=1e-5)
-    # And with them it is.
-    filling._made[...] = True
-    filling._made[-1] = False
-    filling._tell()
-    assert apart(scene.render(size=SIZE), wanted) > 40  # two layers of bricks: none has all of its neighbours
-    gpu.device.queue.write_buffer(filling.finished, 0, np.ones(filling._made.size, np.uint32))
-    assert apart(scene.render(size=SIZE), wanted) < 25
-    # Software reads it once it is whole.
-    monkeypatch.setattr(gpu, "software", True)
-    np.testing.assert_allclose(scene.render(size=SIZE).light, wanted.light, atol=1e-5)
-    filling._made[...] = True
-    filling._tell()
-    assert apart(scene.render(size=SIZE), wanted) < 25
+    assert apart(hybrid.render(size=SIZE), wanted) < 25
 
 
 def test_scenes_of_one_volume_take_turns_with_its_buffer(gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation) -> None:
@@ -271,12 +201,12 @@ def test_a_buffered_scene_that_cannot_be_filled_again_is_the_cpu_s(
     theirs = Scene(ball, deformation=rough, mode="buffered", device="gpu", **options)
     other = theirs.deformed(rough.grab((15, 8, 15), by=(-6, 3, 5), radius=7, reach=None))  # takes the buffer
 
-    def failing(self: fill.Filling, seconds: float = 0.0, order: Any = None) -> float:
+    def failing(self: solid.Filling, seconds: float = 0.0) -> float:
         raise MemoryError
 
-    monkeypatch.setattr(fill.Filling, "advance", failing)
+    monkeypatch.setattr(solid.Filling, "advance", failing)
     with pytest.warns(DeviceWarning, match="the CPU does what .* cannot"):
-        assert theirs.fill(size=SIZE) == 1.0
+        assert theirs.fill() == 1.0
     assert theirs.gpu is None
     assert other.gpu is gpu
     assert theirs.error == theirs.tolerance
@@ -317,16 +247,16 @@ def test_a_fill_that_is_interrupted_leaves_no_wrong_map(
     assert one.fill(seconds=60.0) == 1.0
     other = one.deformed(bent.grab((13, 15, 11), by=(0, -6, 3), radius=8, reach=None))
     assert other.fill(seconds=60.0) == 1.0
-    made = fill.Filling._make
+    made = solid.Filling._make
     calls = []
 
-    def interrupted(self: fill.Filling, wanted: Any, lost: Any) -> None:
-        calls.append(wanted.size)
+    def interrupted(self: solid.Filling, first: int, count: int, lost: Any) -> None:
+        calls.append(count)
         if len(calls) > 1:
             raise KeyboardInterrupt
-        made(self, wanted, lost)
+        made(self, first, count, lost)
 
-    monkeypatch.setattr(fill.Filling, "_make", interrupted)
+    monkeypatch.setattr(solid.Filling, "_make", interrupted)
     held = one._held
     assert held is not None
     assert held.filling is not None
@@ -335,7 +265,6 @@ def test_a_fill_that_is_interrupted_leaves_no_wrong_map(
         one.fill(seconds=60.0)
     monkeypatch.undo()
     assert 0.0 < held.filling.part < 1.0
-    monkeypatch.setattr(gpu, "software", False)
     assert apart(one.render(size=SIZE), wanted) > 40
 
 
@@ -362,10 +291,10 @@ def test_a_fill_that_fails_leaves_the_lattice(
     scene = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode="hybrid", device="gpu")
     wanted = scene.render(size=SIZE)
 
-    def failing(self: fill.Filling, seconds: float, order: Any = None) -> float:
+    def failing(self: solid.Filling, seconds: float) -> float:
         raise MemoryError
 
-    monkeypatch.setattr(fill.Filling, "advance", failing)
+    monkeypatch.setattr(solid.Filling, "advance", failing)
     with pytest.warns(DeviceWarning, match="does not go on with the buffer"):
         assert scene.fill() == 1.0
     assert scene.fill() == 1.0  # and says so once
@@ -382,12 +311,15 @@ def test_what_does_not_fit_twice_is_a_lattice(
         (13, 14, 11), by=(2, 1, 0), radius=40, reach=None
     )
     asked: list[Any] = []
+    texture = solid.solid
 
     def full(gpu: Gpu, shape: Any, *rest: Any, **options: Any) -> Any:
+        if shape != SHAPE:  # of a lattice
+            return texture(gpu, shape, *rest, **options)
         asked.append(shape)
         raise MemoryError
 
-    monkeypatch.setattr(volume, "solid", full)
+    monkeypatch.setattr(solid, "solid", full)
     scene = Scene(cloud, GEOMETRY, deformation=gentle, transfer=SOFT, mode="hybrid", device="gpu")
     assert scene.gpu is gpu
     assert scene.fill() == 1.0

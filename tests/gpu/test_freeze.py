@@ -11,7 +11,7 @@ import pytest
 import supple
 from supple import Freeze
 from supple.errors import DeviceWarning
-from supple.gpu import field, fill, solid, volume
+from supple.gpu import field, solid
 from supple.gpu.device import Gpu
 from supple.gpu.plate import Plate, Sight
 from supple.gpu.screen import canvas_texture, pixels_of
@@ -51,10 +51,10 @@ def test_a_rendering_is_the_cpu_s(gpu: Gpu, cloud: np.ndarray, mode: str) -> Non
 @pytest.mark.parametrize("polished", [False, True])
 def test_frozen_voxels_are_those_of_the_volume(gpu: Gpu, cloud: np.ndarray, polished: bool) -> None:
     d = bent_cloud(5)
-    space, held_ = d.space, volume.hold(gpu, cloud)
-    assert volume.beside(held_)
+    space, held_ = d.space, solid.hold(gpu, cloud)
+    assert solid.beside(held_)
     lattice = solid.solve(gpu, space.table, space.axes, SHAPE, 4 if polished else 2, space.freeze)
-    assert fill.Filling(held_, lattice, polished=polished, tolerance=0.01).advance(60.0) == 1.0
+    assert solid.Filling(held_, lattice, polished=polished, tolerance=0.01).advance(60.0) == 1.0
     found = texels_of(gpu, held_.warped)
     still = ball(SHAPE, (0.5, 0.35, 0.4), 5)
     np.testing.assert_array_equal(found[still], cloud[still])

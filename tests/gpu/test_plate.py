@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,6 @@ from supple.gpu.device import Gpu
 from supple.gpu.plate import OVERLAYS, Plate, Sight
 from supple.gpu.screen import canvas_texture, pixels_of
 from tests.gpu.scenes import ball
-from tests.turns import AFFINE
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning", "ignore::supple.MissWarning")
 
@@ -47,15 +44,6 @@ def test_pixel_for_pixel_it_is_the_warp(gpu: Gpu, photo: np.ndarray, border: flo
     apart = np.abs(seen[..., :3] - wanted)
     assert np.quantile(apart, 0.98) <= (5 if solved else 12)
     assert np.abs(wanted - photo[..., :3]).max() > 60
-
-
-def test_every_brush(gpu: Gpu, photo: np.ndarray) -> None:
-    for stroke in AFFINE[2]:
-        d = supple.Deformation(SHAPE, border=12.0, on_fold="damp").add(replace(stroke, at=(60, 45), radius=30))
-        seen = drawn(gpu, photo, d, Sight((0.0, 0.0), 1.0, SHAPE[::-1]))
-        wanted = d.warp(photo[..., :3], filter="linear").astype(int)
-        assert np.quantile(np.abs(seen[..., :3] - wanted), 0.98) <= 5, stroke.brush
-        assert np.abs(wanted - photo[..., :3]).max() > 30
 
 
 @pytest.mark.parametrize("held", [False, True])

@@ -367,7 +367,6 @@ BAD: list[tuple[list[str], str]] = [
     (["missing.nii", "out.png"], "missing.nii"),
     (["in.nii", "out.png", "--grab", "1,1:2,2", "--radius", "3"], "three numbers"),
     (["in.nii", "no/out.png"], "there is no folder"),
-    (["in.nii", "out.png", *GRAB, "--mode", "lattice"], '--mode lattice is gone: "buffered", the default, is faster'),
 ]
 
 

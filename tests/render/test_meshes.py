@@ -21,9 +21,8 @@ from supple.gpu.device import Gpu
 from supple.media import image
 from supple.media import volume as media
 from supple.render.camera import Camera
-from supple.render.colour import linear_light
 from supple.render.meshes import Surface
-from supple.render.picture import Rendering
+from supple.render.picture import Rendering, linear_light
 from supple.render.scene import Scene
 from supple.render.transfer import TransferFunction
 from supple.space.geometry import Geometry

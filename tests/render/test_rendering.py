@@ -439,20 +439,6 @@ def test_pick_and_drag() -> None:
         assert scene.drag(camera, size, pick, (80, 61)) == pytest.approx((0, 0, 0), abs=1e-9)
 
 
-def test_a_drag_moves_what_was_picked_to_the_pixel() -> None:
-    shape = (50, 50, 50)
-    volume = ball(shape, Geometry(), np.full(3, 24.5), 14)
-    camera, size = Camera(20, 10), (120, 120)
-    scene = Scene(volume, transfer=HARD)
-    pick = scene.pick(camera, size, (60, 60))
-    assert pick is not None
-    by = scene.drag(camera, size, pick, (72, 52))
-    d = supple.Deformation(shape, border=None, on_fold="damp").grab(pick.index, by=by, radius=20, reach=None)
-    moved = Scene(volume, deformation=d, transfer=HARD).pick(camera, size, (72, 52))
-    assert moved is not None
-    np.testing.assert_allclose(moved.source, pick.index, atol=0.3)
-
-
 def test_source_points_are_within_the_error() -> None:
     shape = (30, 30, 30)
     d = supple.Deformation(shape, border=3.0, on_fold="flow").grab((14, 14, 14), by=(6, 5, -6), radius=6, reach=None)
@@ -530,7 +516,6 @@ def test_a_camera_inside() -> None:
         ({"samples": np.zeros((3, 3, 3), complex)}, "a volume of numbers"),
         ({"samples": np.zeros((0, 3, 3))}, "a volume of numbers"),
         ({"mode": "fast"}, '"buffered" or "exact" or "hybrid"'),
-        ({"mode": "lattice"}, "mode='lattice' is gone"),
         ({"transfer": "bone"}, '"ct-bone"'),
         ({"density": (3, 1)}, "the lower one first"),
         ({"density": (1,)}, "2 numbers"),
@@ -565,7 +550,6 @@ def test_other_things_than_cameras_and_deformations() -> None:
     for given in ("x", "", 0):
         for call in (
             lambda c: scene.render(c, SIZE),
-            lambda c: scene.fill(c, SIZE),
             lambda c: scene.pick(c, SIZE, (3, 3)),
             lambda c: scene.view(c, SIZE),
             lambda c: scene.turned(c, 1, 8),

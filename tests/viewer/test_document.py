@@ -24,7 +24,6 @@ from supple.space.geometry import Geometry
 from supple.strokes import Recipe, Stroke
 from supple.strokes.keys import Key
 from supple.viewer.document.editing import Document
-from supple.viewer.document.state import State
 
 SHAPE = (120, 160)
 
@@ -409,11 +408,6 @@ class TestRecipes:
         d.hide(0)
         warp_file(tmp_path / "a.png", tmp_path / "b.png", d.recipe)
         np.testing.assert_array_equal(read(tmp_path / "b.png").pixels, d.deformation.warp(pixels))
-
-    def test_states_are_recipes(self) -> None:
-        recipe = Recipe(border=None, on_fold="flow", strokes=(stroke(), replace(stroke(), hidden=True)))
-        assert State.of(recipe).recipe == recipe
-        assert Document(SHAPE, recipe=recipe).recipe == replace(recipe, size=SHAPE[::-1], space="pixels")
 
     def test_nothing_that_a_recipe_says_is_lost(self) -> None:
         recipe = Recipe(

@@ -20,9 +20,9 @@ from supple.errors import FoldWarning, SuppleError, ToleranceWarning
 from supple.files import warp_file
 from supple.media.image import read, write
 from supple.strokes import Recipe, Stroke
-from supple.viewer.document.autosave import Autosave, found
 from supple.viewer.document.background import Export, heard
 from supple.viewer.document.editing import Document
+from supple.viewer.document.files import Autosave, found
 from tests.clips import make
 
 ONE = Stroke(at=(20, 20), by=(3, 0.1), radius=9)
@@ -204,7 +204,7 @@ class TestAutosave:
 
     def test_a_window_that_is_killed(self, source: Path, tmp_path: Path) -> None:
         script = (
-            "import os, sys; from supple.viewer.document.autosave import *; from supple.strokes import Stroke\n"
+            "import os, sys; from supple.viewer.document.files import *; from supple.strokes import Stroke\n"
             "d = Document((40, 60)); a = Autosave(sys.argv[1], d, sys.argv[2])\n"
             "d.add(Stroke(at=(20, 20), by=(3, 0.1), radius=9)); a.tick(); a.flush(); os._exit(9)"
         )
@@ -329,26 +329,6 @@ class TestExport:
         finished(export)
         assert (export.cancelled, export.error, export.text, export.result) == (True, None, "cancelled", None)
         assert sorted(tmp_path.iterdir()) == [source]
-
-    def test_a_clip_is_cancelled(self, tmp_path: Path) -> None:
-        clip = tmp_path / "a.mkv"
-        make(clip, count=8)
-
-        def stopped(*args: Any, tell: Any, **rest: Any) -> object:
-            def told(step: str, done: int, total: int) -> None:
-                if (step, done) == ("warp", 3):
-                    export.cancel()
-                tell(step, done, total)
-
-            ready.wait(10)
-            return warp_file(*args, tell=told, **rest)
-
-        ready = threading.Event()
-        recipe = Recipe(border=None, strokes=(Stroke(at=(20, 20, 3), by=(5, 0, 1), radius=15),))
-        export = Export(clip, tmp_path / "b.mkv", recipe, warp=stopped)
-        ready.set()
-        assert finished(export).cancelled
-        assert list(tmp_path.iterdir()) == [clip]
 
     def test_fails_in_a_line(self, source: Path, tmp_path: Path) -> None:
         before = source.read_bytes()

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
-import random
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from supple.errors import SuppleError
 from supple.strokes import Recipe, Stroke
-from supple.viewer.document.editing import Document
-from supple.viewer.document.state import State
+from supple.viewer.document.editing import Document, State
 from supple.viewer.document.words import described, done, listed, named, place, step
 
 SHAPE = (60, 80)
@@ -73,50 +69,6 @@ def test_any_step_is_one_way_from_any_other() -> None:
     d.abandon()
     d.add(A)
     assert len(d.steps) == 4
-
-
-def edit(d: Document, rng: random.Random) -> None:
-    n = len(d.strokes)
-    at, by = (rng.uniform(0, 79), rng.uniform(0, 59)), (rng.gauss(0, 6), rng.gauss(0, 6))
-    some = Stroke(at=at, by=by, radius=rng.uniform(3, 15), scales=rng.randint(1, 3))
-    acts: list[Callable[[], object]] = [lambda: d.add(some), lambda: d.set_border(rng.choice([None, 3, 8]))]
-    if n:
-        i = rng.randrange(n)
-        acts += [lambda: d.replace(i, some), lambda: d.hide(i, not d.strokes[i].hidden)]
-        acts += [lambda: d.move(i, rng.randrange(n))]
-        acts += [lambda: d.remove(i)] * (1 + 3 * (n > 6))
-    rng.choice(acts)()
-
-
-@pytest.mark.filterwarnings("ignore::supple.errors.OutsideWarning")
-def test_a_thousand_edits_come_back_bit_for_bit() -> None:
-    rng, d = random.Random(0), Document(SHAPE)
-    points = np.random.default_rng(0).uniform(0, 59, (5, 2))
-
-    def bits() -> tuple[object, ...]:
-        return d.state.content, d.deformation.space.table.tobytes(), d.deformation.forward(points).tobytes()
-
-    known = [bits()]
-    while len(known) <= 1000:
-        before = d.step
-        with contextlib.suppress(SuppleError):  # some are refused, whole
-            edit(d, rng)
-        if d.step > before:
-            known.append(bits())
-    for k in range(1000, 0, -1):
-        assert (d.step, d.can_undo) == (k, True)
-        assert bits() == known[k]
-        d.undo()
-    assert bits() == known[0]
-    assert not d.can_undo
-    for k in range(1, 1001):
-        d.redo()
-        assert bits() == known[k]
-    assert not d.can_redo
-    for k in rng.sample(range(1001), 50):
-        d.go(k)
-        assert bits() == known[k]
-    assert all(step(a, b) for a, b in zip(d.steps, d.steps[1:], strict=False))
 
 
 def test_other_brushes_in_words() -> None:

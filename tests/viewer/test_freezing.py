@@ -132,17 +132,6 @@ class TestPictures:
         drag(tools, (201, 101), (205, 101), modifiers=("Shift",) if key == "c" else ())
         assert tools.document.state.rest.freeze is None
 
-    def test_both_in_one_drag(self) -> None:
-        tools = image()
-        tools.radius = 15
-        press(tools, "c")
-        drag(tools, (101, 101), (101, 101))
-        down(tools, 301, 101)
-        move(tools, 101, 101, "Shift")
-        move(tools, 99, 101, "Shift")
-        up(tools, 99, 101, "Shift")
-        assert names(tools)[-1] == "Freeze and thaw"
-
     @pytest.mark.parametrize("keys", [("Escape",), ("z", "Control")])
     def test_a_drag_that_is_abandoned_freezes_nothing(self, keys: tuple[str, ...]) -> None:
         tools = image()
@@ -321,63 +310,6 @@ def test_a_photograph_is_frozen_by_hand(gpu: Gpu, grey_photo: Path) -> None:
     left, top = (round(v) for v in view.tools.view.to_canvas(0, 0))
     shown = view.pixels()[top : top + made.shape[0], left : left + made.shape[1]]
     assert np.abs(shown.astype(int) - made).max() <= 1
-
-
-def test_a_device_that_warps_knows_what_is_frozen(gpu: Gpu, grey_photo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gpu, "software", False)
-    view, hand = opened(grey_photo)
-    hand.key("1")
-    view.tools.radius = 30
-    hand.drag((250, 250), (270, 260))
-    left, top = (round(v) for v in view.tools.view.to_canvas(0, 0))
-    source = images.read(grey_photo).pixels
-
-    def off() -> np.ndarray:
-        """How far the view is from the warp."""
-        made = view.document.deformation.warp(source)
-        return np.abs(view.pixels()[top : top + 380, left : left + 560].astype(int) - made)
-
-    before = off()
-    assert before.max() > 0  # a device has filters of its own
-    hand.key("c")
-    hand.drag((290, 250), (295, 250))
-    assert view._gui.trouble == ""
-    frozen = view.recipe.freeze.shown(source.shape[:2]) == 0
-    assert frozen.any()
-    assert (view.document.deformation.warp(source)[frozen] == source[frozen]).all()
-    made = off()
-    assert made[frozen].max() <= 1
-    assert made.max() <= max(2 * before.max(), 3)
-    view.tools.split = 0.5
-    hand.canvas.draw()
-    hand.key("z", "Control")
-    view.tools.split = None
-    assert (off() == before).all()
-
-
-def test_overlays_know_what_is_frozen(gpu: Gpu, grey_photo: Path) -> None:
-    view, hand = opened(grey_photo)
-    hand.key("1")
-    view.tools.radius = 50
-    hand.drag((250, 250), (290, 260))
-    plain = {}
-    for name in ("grid", "stretch"):
-        view.overlay = name
-        plain[name] = view.pixels().astype(int)
-    document = view.document
-    document.set_freeze(Freeze.free(document.shape, (1.0, 1.0)).painted((540, 360), 5, (1.0, 1.0)))
-    for name, before in plain.items():  # far away, nothing changes
-        view.overlay = name
-        away = np.abs(view.pixels().astype(int) - before)
-        assert np.mean(away) < 0.2
-    x, y = (round(v) for v in view.tools.view.to_image(290, 260))
-    document.set_freeze(Freeze.free(document.shape, (1.0, 1.0)).painted((x, y), 40, (1.0, 1.0)))
-    free = document.deformation.without_strokes()
-    view.overlay = "grid"
-    bent = view.pixels()[230:290, 260:320].astype(int)
-    document.remove(0)
-    assert document.deformation == free
-    np.testing.assert_array_equal(bent, view.pixels()[230:290, 260:320])  # the lines are straight where it is frozen
 
 
 def test_buttons_thaw_and_invert(gpu: Gpu, grey_photo: Path) -> None:

@@ -17,7 +17,7 @@ from supple.strokes import Recipe, Stroke
 from supple.viewer.document.editing import Document
 from supple.viewer.document.files import FileCommands
 from supple.viewer.panels.view import WIDE
-from tests.viewer.windows import SIZE, Hand, opened
+from tests.viewer.windows import SIZE, Hand, handle_of, opened, watch
 
 imgui = pytest.importorskip("imgui_bundle").imgui
 pytest.importorskip("rendercanvas")
@@ -37,31 +37,9 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, float]]:
     """Where the controls are, by their labels."""
     found: dict[str, tuple[float, float]] = {}
-
-    def watch(name: str) -> None:
-        draw = getattr(imgui, name)
-
-        def drawn(label: str, *rest: Any, **options: Any) -> Any:
-            made = draw(label, *rest, **options)
-            low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-            found[f"{name} {label}"] = (low.x + min(high.x - low.x, 24) / 2, (low.y + high.y) / 2)
-            return made
-
-        monkeypatch.setattr(imgui, name, drawn)
-
-    for name in (
-        "button",
-        "small_button",
-        "checkbox",
-        "combo",
-        "slider_float",
-        "slider_int",
-        "input_float",
-        "input_text",
-    ):
-        watch(name)
-    for name in ("selectable", "tree_node", "invisible_button", "collapsing_header", "begin_menu"):
-        watch(name)
+    names = "button small_button checkbox combo slider_float slider_int input_float input_text selectable tree_node"
+    names += " invisible_button collapsing_header begin_menu"
+    watch(monkeypatch, names, lambda name, label, *box: found.update({f"{name} {label}": handle_of(*box)}))
     return found
 
 
@@ -379,20 +357,6 @@ def test_what_an_export_said_is_gone_with_an_undo(gpu: Gpu, tmp_path: Path) -> N
     assert "out.png" in view.commands.message
     hand.key("z", "Control")
     assert view.commands.message == ""
-    view.close()
-
-
-def test_a_long_line_is_shortened_at_its_end(gpu: Gpu) -> None:
-    from imgui_bundle import imgui
-
-    from supple.viewer.panels.widgets import shortened
-
-    view, _ = opened(DATA / "coffee.jpg")
-    text = "saved to somewhere; " + 10 * "a word "
-    cut = shortened(text, 200.0)
-    assert text.startswith(cut.removesuffix("\u2026"))
-    assert 150 < imgui.calc_text_size(cut).x <= 200
-    assert shortened("short", 200.0) == "short"
     view.close()
 
 

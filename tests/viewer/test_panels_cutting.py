@@ -12,7 +12,7 @@ from supple.render.camera import Camera
 from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke
 from supple.viewer.tools.planes import RENDERED
-from tests.viewer.windows import Hand, opened
+from tests.viewer.windows import Hand, opened, watch
 
 imgui = pytest.importorskip("imgui_bundle").imgui
 pytest.importorskip("rendercanvas")
@@ -25,16 +25,8 @@ PULL = Stroke.grab((22, 40, 24), by=(2, -5, 3), radius=12)
 def places(monkeypatch: pytest.MonkeyPatch) -> Places:
     """The rectangles of the controls of the last frame, by their names."""
     found: Places = {}
-    for name in ("button", "slider_float", "tree_node"):
-        draw = getattr(imgui, name)
-
-        def drawn(label: str, *rest: Any, draw: Any = draw, **options: Any) -> Any:
-            made = draw(label, *rest, **options)
-            low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-            found[label] = (low.x, low.y, high.x, high.y)
-            return made
-
-        monkeypatch.setattr(imgui, name, drawn)
+    put = lambda name, label, low, high: found.update({label: (low.x, low.y, high.x, high.y)})  # noqa: E731
+    watch(monkeypatch, "button slider_float tree_node", put)
     return found
 
 

@@ -135,6 +135,7 @@ def test_a_long_seek_says_so(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(view.stage.film, "get", lambda frame: None)
     view.tools.playback.seek(40)
     hand.canvas.draw()
+    view.ready_at = time.perf_counter()  # however long that took
     assert "seeking" not in status(view)
     view.ready_at -= 0.6
     hand.canvas.draw()
@@ -156,6 +157,7 @@ def test_the_frame_that_is_seen_is_certified(gpu: Gpu) -> None:
         view.tools.playback.seek(frame)
         end = time.monotonic() + 60
         while "px of the map" not in status(view) and time.monotonic() < end:
+            hand.canvas.draw()
             time.sleep(0.05)
         wanted = view.document.deformation.report(plane=frame).error
         assert 0 < wanted < 0.01
@@ -205,17 +207,6 @@ def test_an_array_of_a_volume(gpu: Gpu) -> None:
             opened(ball, spacing=spacing)
     with pytest.raises(SuppleError, match=r"of a clip too: found uint8 \(2, 3, 4, 3\)"):
         opened(np.zeros((2, 3, 4, 3), np.uint8))
-
-
-def test_all_of_a_stroke_is_said() -> None:
-    from supple.viewer.document.words import described
-
-    stroke = Stroke(at=(31, 22), by=(30, 40), radius=5, poisson=0.3, scales=2)
-    (arrival,) = supple.Deformation((80, 90), on_fold="damp", border=None).add(stroke, warn=False).arrivals
-    said = described(stroke, arrival)
-    short = f"{arrival.miss:.3g} short: all of it would fold"
-    for word in ("Grab", "(31.0, 22.0)", "(30.0, 40.0)", "radius 5", "Poisson ratio 0.3", "medium", "4 radii", short):
-        assert word in said
 
 
 def test_a_drag_says_how_far_it_goes_and_frames_are_counted_while_they_matter(gpu: Gpu) -> None:

@@ -188,7 +188,7 @@ def test_a_hidden_rendering_is_not_drawn_and_comes_back(gpu: Gpu) -> None:
     four = hand.canvas.draw()
     hand.key("1")
     hand.canvas.draw()
-    assert view._shot(moving=False).size == (1, 1)
+    assert view._shot(moving=False).sight.size == (1, 1)
     hand.key("1")
     hand.move(1, 1)
     back = hand.canvas.draw()
@@ -303,20 +303,20 @@ def test_landmarks_are_shown_before_and_after(gpu: Gpu, tmp_path: Path) -> None:
 def test_no_words_lie_on_others(
     gpu: Gpu, size: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from supple.viewer.panels import marks
+    from supple.viewer.panels import overlay
 
     (tmp_path / "marks.csv").write_text("name,i,j,k\nnasion,45,104,28\nAC,45,63,36\nPC,45,49,37\n")
     view, hand = opened(DATA / "head.nii.gz", Recipe(border=None), size=size, points=tmp_path / "marks.csv")
     boxes: list[tuple[str, float, float, float, float]] = []
-    write = marks._text
+    write = overlay._text
 
     def watched(lines: Any, at: Any, said: str, colour: int = 0, align: Any = (0.0, 0.0)) -> None:
-        wide, high = marks.imgui.calc_text_size(said)
+        wide, high = overlay.imgui.calc_text_size(said)
         left, top = at[0] - align[0] * wide, at[1] - align[1] * high
         boxes.append((said, left, top, left + wide, top + high))
-        write(lines, at, said, colour or marks._LETTERS, align)
+        write(lines, at, said, colour or overlay._LETTERS, align)
 
-    monkeypatch.setattr(marks, "_text", watched)
+    monkeypatch.setattr(overlay, "_text", watched)
     hand.move(1, 1)
     view.tools.sight = view.tools.sight.at((87, 71, 34), view.tools.sizes)  # long words: A 17.0 mm
     view.refresh()

@@ -72,20 +72,6 @@ class TestPictures:
         drag(tools, (201, 101), (233, 77), modifiers=("Shift",))
         assert tools.document.strokes[0].factor == pytest.approx(E**0.5)
 
-    def test_the_wheel_is_the_radius_of_the_running_drag(self) -> None:
-        tools = image()
-        tools.radius = 20
-        press(tools, "t")
-        down(tools, 201, 101)
-        move(tools, 241, 101)
-        wheel(tools, -100)
-        (stroke,) = tools.document.strokes
-        assert stroke.radius == pytest.approx(22)
-        assert stroke.angle == pytest.approx(90 / 1.1)
-        press(tools, "Escape")
-        up(tools, 241, 101)
-        assert tools.document.strokes == ()
-
     def test_a_click_makes_nothing_and_settings_of_pulls_are_not_theirs(self) -> None:
         tools = image()
         tools.scales, tools.poisson, tools.reach = 3, 0.2, 6.0
@@ -325,21 +311,6 @@ class TestPins:
         assert "pull against each other" in (tools.status or "")
         assert not tools.document.dragging
 
-    def test_in_a_plane_and_symmetric(self) -> None:
-        tools = bench()
-        tools.radius = 6
-        x, y = middle(tools, 0)
-        press(tools, "m")
-        drag(tools, (x + 60, y), (x + 70, y))
-        press(tools, "d")
-        drag(tools, (x + 60, y + 60), (x + 60, y + 60))
-        (stroke,) = tools.document.strokes
-        points = [at for at, _ in stroke.handles]
-        assert len(points) == 4
-        assert points[2][0] + points[3][0] == pytest.approx(59)
-        assert stroke.handles[2][1] == (0, 0, 0)
-        assert points[2] == pytest.approx(tools.sight.cross)
-
 
 class TestSymmetry:
     """The middle of 300 pixels is at 149.5."""
@@ -405,22 +376,6 @@ class TestSymmetry:
         drag(tools, (221, 111), (241, 111))
         (stroke,) = tools.document.strokes
         assert stroke == Stroke(at=(100, 50), by=(20, 5), radius=20)
-
-    def test_both_points_of_a_symmetric_grab_are_handles(self) -> None:
-        tools = image()
-        press(tools, "m")
-        drawn(tools, "g", (201, 101), (221, 111))
-        assert [(handle.nth, handle.part) for handle in tools.handles()] == [
-            (0, "pivot"), (0, "end"), (1, "pivot"), (1, "end")
-        ]  # fmt: skip
-        press(tools, "m")  # each for itself
-        drag(tools, tools.view.to_canvas(189, 55), tools.view.to_canvas(189, 65))
-        drag(tools, tools.view.to_canvas(199, 50), tools.view.to_canvas(204, 50))
-        (stroke,) = tools.document.strokes
-        assert (stroke.at, stroke.by) == ((100, 50), (10, 5))
-        ((at, by),) = stroke.also
-        assert at == pytest.approx((204, 50))
-        assert by == pytest.approx((-10, 15))
 
     def test_an_edit_of_a_point_moves_its_image_too(self) -> None:
         tools = image()

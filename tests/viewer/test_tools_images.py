@@ -56,17 +56,6 @@ class TestTheCut:
 
 
 class TestImages:
-    def test_a_brush_that_keeps_its_point_has_one_handle(self) -> None:
-        twist = Stroke(brush="twist", at=(100, 80), angle=40, radius=30)
-        tools = image(twist, Stroke.grab((200, 80), by=(9, 5), radius=30))
-        assert [(handle.item, handle.part) for handle in tools.handles()] == [(0, "pivot"), (1, "pivot"), (1, "end")]
-        (x, y) = tools.handles()[0].seen
-        tools.document.select(0)
-        drag(tools, (x, y), (x + 20, y + 10))
-        stroke = tools.document.strokes[0]
-        assert (stroke.angle, stroke.at) == (40, pytest.approx((110, 85)))
-        assert tools.document.trouble is None
-
     def test_a_drag_is_a_stroke(self) -> None:
         tools = image()
         tools.radius, tools.poisson, tools.scales = 40, 0.3, 2
@@ -265,11 +254,6 @@ class TestImages:
         assert tools.hover == (100, 50)
         tools.handle({"event_type": "pointer_leave"})
         assert tools.hover is None
-
-    def test_resizes(self) -> None:
-        tools = image()
-        tools.handle({"event_type": "resize", "width": 300.0, "height": 500.0, "pixel_ratio": 2.0})
-        assert (tools.view.zoom, tools.view.percent) == (1, 200)
 
     def test_other_events_are_not_for_it(self) -> None:
         tools = image()

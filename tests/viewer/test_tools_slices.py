@@ -186,14 +186,6 @@ def test_the_wheel_scrolls_zooms_or_widens_the_brush() -> None:
     assert tools.pane(CORONAL).scale == pytest.approx(scale)
 
 
-def test_parts_of_a_notch_add_up() -> None:
-    tools = bench()
-    x, y = middle(tools, AXIAL)
-    for _ in range(10):
-        wheel(tools, -30, x=x, y=y)
-    assert tools.sight.cross[2] == pytest.approx(22.5)
-
-
 def test_right_drags_change_contrast_and_brightness() -> None:
     tools = bench()
     x, y = middle(tools, AXIAL)

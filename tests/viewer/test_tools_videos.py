@@ -81,26 +81,6 @@ class TestVideos:
         up(tools, 201, 101)
         assert tools.document.strokes[0].by == (0, 0, 2)
 
-    @pytest.mark.parametrize("end", ["escape", "undo", "back"])
-    def test_is_put_back(self, end: str) -> None:
-        tools = clip()
-        tools.playback.seek(5)
-        before, deformation = tools.document.state, tools.document.deformation
-        down(tools, 201, 101)
-        wheel(tools, -300)
-        move(tools, 301, 101)
-        if end == "escape":
-            press(tools, "Escape")
-        elif end == "undo":
-            press(tools, "z", "Control")
-        else:
-            wheel(tools, 300)
-            move(tools, 201, 101)
-        up(tools, 201, 101)
-        assert tools.playback.frame == 5
-        assert tools.document.state is before
-        assert tools.document.deformation is deformation
-
     def test_handles_are_where_they_are_in_time(self) -> None:
         tools = clip(Stroke(at=(50, 50, 3), by=(20, 0, 4), radius=60))
         tools.document.set_border(None)
@@ -124,17 +104,6 @@ class TestVideos:
         up(tools, 101, 101)
         assert tools.document.strokes[0].at == (50, 50, 2)
         assert tools.document.strokes[0].by == pytest.approx((25, 0, 6))
-
-    def test_between_two_frames(self) -> None:
-        tools = clip(Stroke(at=(50, 50, 3), by=(20, 0, 0.5), radius=60))
-        tools.document.set_border(None)
-        tools.document.select(0)
-        tools.playback.seek(3)
-        down(tools, 141, 101)
-        wheel(tools, -100)
-        wheel(tools, 100)
-        up(tools, 141, 101)
-        assert tools.playback.frame == 3
 
     def test_plays(self) -> None:
         tools = clip()

@@ -136,13 +136,6 @@ class TestVolumes:
         click(tools, 200, 150)
         assert (tools.document.strokes, tools.document.can_undo) == ((), False)
 
-    def test_hover_is_what_is_seen(self) -> None:
-        tools = solid()
-        move(tools, 200, 150, buttons=())
-        assert tools.hover == (20, 20, 15)
-        move(tools, 1, 1, buttons=())
-        assert tools.hover is None
-
     def test_resizes(self) -> None:
         tools = solid()
         tools.handle({"event_type": "resize", "width": 640.4, "height": 0, "pixel_ratio": 1})

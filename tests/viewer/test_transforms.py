@@ -10,7 +10,7 @@ import pytest
 
 from supple.gpu.device import Gpu
 from supple.media.image import read, write
-from supple.viewer.panels.frame_cache import FrameCache
+from supple.viewer.panels.stages import FrameCache
 from supple.viewer.panels.transforms import TRANSFORMS, on_screen, seen
 from tests.viewer.windows import opened
 

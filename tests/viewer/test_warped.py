@@ -12,7 +12,7 @@ from supple.gpu.device import Gpu, _know_types
 from supple.gpu.plate import OVERLAYS, Plate, Sight
 from supple.gpu.screen import canvas_texture, pixels_of
 from supple.strokes import Recipe, Stroke
-from supple.viewer.panels.warped import Levels, Warped, changed
+from supple.viewer.panels.stages import Levels, Warped, changed
 from tests.viewer.windows import Hand, opened
 
 pytest.importorskip("rendercanvas")

@@ -26,6 +26,7 @@ from supple.media import image, video, volume
 from supple.media.volume import RawLayout
 from supple.strokes import Recipe, Stroke
 from tests.clips import decoded, make, rows
+from tests.viewer.sessions import near
 from tests.viewer.windows import Hand, opened, small_photo, viewing, wait_for
 
 pytest.importorskip("rendercanvas")
@@ -39,11 +40,6 @@ def photo_view(gpu: Gpu, photo: Path) -> Iterator[tuple[Any, Hand]]:
     view, hand = opened(photo)
     yield view, hand
     view.close()
-
-
-def near(one: np.ndarray, other: np.ndarray) -> float:
-    """How far pictures are apart: the root of the mean square, in levels."""
-    return float(np.sqrt(np.mean((one.astype(float) - other.astype(float)) ** 2)))
 
 
 def test_a_drag_is_a_stroke_and_the_canvas_shows_what_is_exported(
@@ -146,7 +142,7 @@ def test_nothing_is_lost(photo: Path, gpu: Gpu, state: Path) -> None:
     view.commands.autosave._lock.close()  # as if the process had died
     again, _ = opened(photo)
     assert again.commands.asked.name == "restore"
-    assert "1 stroke on this file was not saved" in again.commands.asked.text
+    assert "not saved the last time (strokes: 1)" in again.commands.asked.text
     assert again.recipe.strokes == ()
     assert again.commands.answer("Restore")
     assert again.recipe == kept

@@ -150,7 +150,7 @@ def test_a_clip_that_stops_says_so_and_goes_on_elsewhere(gpu: Gpu, long: Path, m
 
 
 def test_a_clip_that_ends_too_soon_says_so(gpu: Gpu, long: Path) -> None:
-    from supple.viewer.panels.frame_cache import FrameCache
+    from supple.viewer.panels.stages import FrameCache
 
     film = FrameCache(long)
     try:
@@ -233,9 +233,10 @@ def test_the_value_of_a_clip_is_that_of_the_frame_it_comes_from(gpu: Gpu, long: 
 @pytest.mark.parametrize("coarse", [4, 7, 8])
 def test_coarse_pixels_lie_where_fine_ones_do(gpu: Gpu, coarse: int, monkeypatch: pytest.MonkeyPatch) -> None:
     from supple.deformation import Deformation
+    from supple.gpu.plate import Sight
     from supple.gpu.screen import Screen, pixels_of
-    from supple.viewer.panels.painter import Painter, Shot
     from supple.viewer.panels.stages import ImageStage
+    from supple.viewer.panels.view import Painter, Shot
 
     monkeypatch.setattr(gpu, "software", False)
     size = width, height = 705, 401  # no multiple of any
@@ -246,7 +247,7 @@ def test_coarse_pixels_lie_where_fine_ones_do(gpu: Gpu, coarse: int, monkeypatch
     painter.coarse = coarse
 
     def on_screen(moving: bool) -> np.ndarray:
-        first, _ = painter.paint(Shot(d, d.without_strokes(), size, moving=moving))
+        first, _ = painter.paint(Shot(d, d.without_strokes(), Sight((0.0, 0.0), 1.0, size, solved=not moving)))
         onto = gpu.device.create_texture(size=(*size, 1), format="rgba8unorm", usage="RENDER_ATTACHMENT|COPY_SRC")
         colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store"}
         encoder = gpu.device.create_command_encoder()
@@ -259,17 +260,6 @@ def test_coarse_pixels_lie_where_fine_ones_do(gpu: Gpu, coarse: int, monkeypatch
     apart = np.abs(on_screen(True) - on_screen(False))
     for edge in (apart[:, -60:-coarse, 0], apart[-60:-coarse, :, 1]):
         assert np.median(edge) <= 1, np.median(edge)
-
-
-def test_coarse_pixels_of_a_volume_lie_about_the_middle() -> None:
-    from supple.viewer.panels.painter import _about_the_middle
-
-    assert _about_the_middle((700, 400), (700, 400)) == (0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
-    # 89 x 51 pixels: each covers 401/51 of the canvas, as the shorter side is fitted.
-    left, top, width, _, _, height = _about_the_middle((705, 401), (89, 51))
-    assert (top, height) == pytest.approx((0.0, 1.0))
-    assert width == pytest.approx(705 / (89 * 401 / 51))
-    assert left + 0.5 * width == pytest.approx(0.5)
 
 
 def test_a_compared_step_of_a_volume_is_solved_once(gpu: Gpu, volume: Path, monkeypatch: pytest.MonkeyPatch) -> None:

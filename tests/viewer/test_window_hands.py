@@ -215,23 +215,3 @@ def test_a_hint_is_shown_soon_and_without_drawing_on(view: tuple[Any, Hand], mon
     drawn.clear()
     live(0.5)
     assert not drawn  # nothing is drawn while nothing happens
-
-
-def test_the_ground_behind_what_is_transparent_stays_while_a_hand_moves(
-    gpu: Gpu, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(gpu, "software", False)
-    image.write(tmp_path / "glass.png", np.zeros((380, 560, 4), np.uint8))
-    view, hand = opened(tmp_path / "glass.png", Recipe(border=None))
-    hand.key("1")
-    view._changed_at = -10.0
-    still = seen(hand)
-    hand.move(300, 300)
-    hand.press(300, 300)
-    hand.move(330, 300, 1)
-    view.painter.coarse = 4
-    moving = seen(hand)
-    box = np.s_[150:250, 100:250]
-    assert np.ptp(still[box]) > 30
-    assert np.abs(still[box].astype(int) - moving[box]).mean() < 12
-    view.document.mark_saved()

@@ -13,7 +13,7 @@ import pytest
 
 from supple.gpu.device import Gpu
 from supple.strokes import Recipe
-from supple.viewer.panels.frame_cache import FrameCache
+from supple.viewer.panels.stages import FrameCache
 from tests.viewer.windows import Hand, opened, wait_for
 
 pytest.importorskip("rendercanvas")

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -151,6 +151,26 @@ def close_all() -> None:
         view.close()
         if view.certifier._thread is not None:
             view.certifier._thread.join(120)
+
+
+def watch(patch: pytest.MonkeyPatch, names: str, put: Callable[[str, str, Any, Any], None]) -> None:
+    """Say where the controls of each frame are: by their functions and labels, their upper left and lower right."""
+    from imgui_bundle import imgui
+
+    for name in names.split():
+        draw = getattr(imgui, name)
+
+        def drawn(label: str, *rest: Any, name: str = name, draw: Any = draw, **options: Any) -> Any:
+            made = draw(label, *rest, **options)
+            put(name, label, imgui.get_item_rect_min(), imgui.get_item_rect_max())
+            return made
+
+        patch.setattr(imgui, name, drawn)
+
+
+def handle_of(low: Any, high: Any) -> tuple[float, float]:
+    """A place on a control near its left end."""
+    return low.x + min(high.x - low.x, 24) / 2, (low.y + high.y) / 2
 
 
 def small_photo(folder: Path) -> Path:

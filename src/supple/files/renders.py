@@ -27,10 +27,9 @@ from supple.media.volume import Volume
 from supple.render.appearance import cropped, fixed, largest
 from supple.render.box import Clip, Plane
 from supple.render.camera import Camera
-from supple.render.colour import are_colours
 from supple.render.labels import LabelColours, labels_in
 from supple.render.meshes import Surface
-from supple.render.picture import Rendering
+from supple.render.picture import Rendering, are_colours
 from supple.render.scene import Scene, check_options
 from supple.render.transfer import HOUNSFIELD, LABELS, SUFFIXES, Transfer, transfer_of
 from supple.space.domain import choice, integer, number, point
@@ -395,7 +394,7 @@ def render_file(
             )
             _warn_of_view(picture, known, given.name)
             if known.what == "inversions":
-                from supple.plot.rays import draw_inversions
+                from supple.plot.draw import draw_inversions
 
                 inverted = recipe is not None and known.mode == "exact"
                 draw_inversions(picture.samples, target, what="inversions" if inverted else "samples", force=force)

@@ -43,38 +43,17 @@ _KINDS = ("DiscreteGPU", "IntegratedGPU", "VirtualGPU", "Unknown", "CPU")
 
 @dataclass(slots=True, eq=False)
 class Gpu:
-    """An opened device.
+    """An opened device."""
 
-    Parameters
-    ----------
-    name : str
-        The adapter's name.
-    software : bool
-        Whether the adapter is a software one, on the CPU.
-    backend : str
-        Vulkan, Metal or D3D12.
-    device : wgpu.GPUDevice
-    pipelines : dict
-        Compiled pipelines.
-    lock
-        Held by the one thread that works on the device.
-    binding : int
-        The size of the largest array for a shader, in bytes.
-    texture : int
-        The size of the largest texture of nodes, in bytes.
-    lost : bool
-        Whether the device failed; the next `open_gpu` opens a new one.
-    """
-
-    name: str
-    software: bool
-    backend: str
+    name: str  # the adapter's name
+    software: bool  # whether the adapter is a software one, on the CPU
+    backend: str  # Vulkan, Metal or D3D12
     device: Any = field(repr=False)
-    pipelines: dict[Any, Any] = field(repr=False)
-    lock: Any = field(repr=False)
-    binding: int
-    texture: int
-    lost: bool = False
+    pipelines: dict[Any, Any] = field(repr=False)  # compiled
+    lock: Any = field(repr=False)  # held by the one thread that works on the device
+    binding: int  # the size of the largest array for a shader, in bytes
+    texture: int  # the size of the largest texture of nodes, in bytes
+    lost: bool = False  # whether the device failed; the next `open_gpu` opens a new one
 
 
 def _know_types() -> None:
@@ -146,14 +125,9 @@ DRAWING = ("auto", "cpu", "gpu")
 
 
 def gpu_of(device: str) -> Gpu | None:
-    """Return the GPU that draws, or None for the CPU.
+    """Return the GPU that draws, or None for the CPU; SuppleError if there is no such device.
 
     ``"auto"`` takes a hardware GPU if there is one, never a software one; ``"gpu"`` takes either.
-
-    Raises
-    ------
-    SuppleError
-        If there is no such device.
     """
     choice("device", device, DRAWING)
     if device == "gpu":
@@ -165,17 +139,9 @@ def gpu_of(device: str) -> Gpu | None:
 
 
 def open_gpu(software: bool = True) -> Gpu:
-    """Return the device of the fastest adapter; it stays open.
+    """Return the device of the fastest adapter, a software one only if that will do; it stays open.
 
-    Parameters
-    ----------
-    software : bool
-        Whether a software adapter will do if there is no other.
-
-    Raises
-    ------
-    SuppleError
-        If no adapter works; the message names what to install.
+    SuppleError if no adapter works; the message names what to install.
     """
     with _lock:
         reason = ""

@@ -81,10 +81,7 @@ def domain(axes: Floats, freeze: Mask | None = None) -> npt.NDArray[np.void]:
 def packed_mask(gpu: Gpu, freeze: Mask | None) -> npt.NDArray[np.uint16]:
     """Return the coefficients of a freeze mask, if there is one, in the layout of the shaders (freeze.wgsl).
 
-    Raises
-    ------
-    MemoryError
-        If they exceed the largest binding.
+    MemoryError if they exceed the largest binding.
     """
     if freeze is None:
         return np.zeros(0, np.uint16)
@@ -119,14 +116,8 @@ def _shifted(values: npt.NDArray[Any], axis: int, by: int) -> npt.NDArray[Any]:
     return np.take(values, np.clip(np.arange(n) + by, 0, n - 1), axis)
 
 
-def uploaded(gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None) -> dict[str, Any]:
-    """Return the buffers of field.wgsl: a domain, strokes, and the freeze mask that they are subject to, if any.
-
-    Raises
-    ------
-    MemoryError
-        If the mask exceeds the largest binding.
-    """
+def stroke_buffers(gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None) -> dict[str, Any]:
+    """Return the buffers of field.wgsl: a domain, strokes, and the freeze mask that they are subject to, if any."""
     mask = packed_mask(gpu, freeze)
     return {
         "domain": upload(gpu, domain(axes, freeze)),

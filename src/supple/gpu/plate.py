@@ -26,40 +26,19 @@ EVERYWHERE: Box = (-math.inf, -math.inf, math.inf, math.inf)
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """The visible part of an image in a window.
+    """The visible part of an image in a window."""
 
-    Parameters
-    ----------
-    origin : (float, float)
-        The position of the first pixel, in pixels of the image.
-    scale : float
-        Pixels of the image from one pixel of the window to the next.
-    size : (int, int)
-        Columns and rows of the window.
-    time : float
-        The frame, of a clip.
-    solved : bool
-        Whether T⁻¹ is solved at every pixel, or, unless something is frozen, interpolated between every 16th: faster,
-        for dragging.
-    overlay : str
-        One of `OVERLAYS`.
-    every : float
-        Pixels between the lines of a grid.
-    back : (float, float, float)
-        The sRGB background.
-    square : float
-        The width of the checkerboard squares behind transparent pixels, in pixels of the window.
-    """
-
-    origin: tuple[float, float]
-    scale: float
-    size: tuple[int, int]
-    time: float = 0.0
+    origin: tuple[float, float]  # the position of the first pixel, in pixels of the image
+    scale: float  # pixels of the image from one pixel of the window to the next
+    size: tuple[int, int]  # columns and rows of the window
+    time: float = 0.0  # the frame, of a clip
+    # Whether T⁻¹ is solved at every pixel, or, unless something is frozen, interpolated between every 16th: faster,
+    # for dragging
     solved: bool = True
-    overlay: str = ""
-    every: float = 32.0
-    back: tuple[float, float, float] = BACK
-    square: float = 8.0
+    overlay: str = ""  # one of `OVERLAYS`
+    every: float = 32.0  # pixels between the lines of a grid
+    back: tuple[float, float, float] = BACK  # the sRGB background
+    square: float = 8.0  # the width of the checkerboard squares behind transparent pixels, in pixels of the window
 
 
 class _Sheet:
@@ -104,7 +83,6 @@ class _Drawn:
         raise NotImplementedError
 
     def _box(self, sheet: _Sheet, sight: Sight, alike: bool) -> tuple[int, int, int, int]:
-        """Return the pixels of the window to draw."""
         return 0, 0, *sight.size
 
     def draw(
@@ -116,18 +94,9 @@ class _Drawn:
         encoder: Any = None,
         freeze: Mask | None = None,
     ) -> None:
-        """Draw the visible part, warped by strokes, into a texture of format rgba8unorm.
+        """Draw the visible part, warped by packed strokes, into a texture of format rgba8unorm.
 
-        Parameters
-        ----------
-        sight : Sight
-        table, axes
-            The packed strokes (`supple.strokes.pack`) and domain (`Domain.packed`).
-        texture : wgpu.GPUTexture
-        encoder : wgpu.GPUCommandEncoder, optional
-            The encoder to record into; by default, the work is submitted at once.
-        freeze : Mask, optional
-            The freeze mask that the strokes are subject to.
+        It is recorded into the encoder, or submitted at once.
         """
         gpu = self.gpu
         columns, rows = (max(1, -(-(n - 1) // CELL)) + 1 for n in sight.size)  # of nodes
@@ -222,7 +191,6 @@ class Laid(_Drawn):
             sheet.stale = min(x0, x), min(y0, y), max(x1, x + width), max(y1, y + height)
 
     def _box(self, sheet: _Sheet, sight: Sight, alike: bool) -> tuple[int, int, int, int]:
-        """Return the pixels of the window that show what was put since the last draw, if all else is as it was."""
         if not alike:
             return 0, 0, *sight.size
         ends = []
@@ -241,22 +209,9 @@ class Laid(_Drawn):
 
 
 class Plate(_Drawn):
-    """Frames on a device: one of an image, or a ring of frames of a clip.
+    """Frames on a device: one of an image, or a ring of ``slots`` frames of a clip.
 
-    Parameters
-    ----------
-    gpu : Gpu
-    size : (int, int)
-        Columns and rows.
-    frames : int
-        The number of frames of the whole clip.
-    slots : int
-        The number of frames held at once.
-
-    Raises
-    ------
-    MemoryError
-        If they exceed the largest binding.
+    MemoryError if they exceed the largest binding.
     """
 
     def __init__(self, gpu: Gpu, size: tuple[int, int], frames: int = 1, slots: int = 1) -> None:

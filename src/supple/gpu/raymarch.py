@@ -10,50 +10,30 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.gpu.fill import Filling
 from supple.gpu.memory import download, owned, room, upload, uploaded
-from supple.gpu.shader import BLOCK, FAR, HYBRID, LATTICE, MOST_GROUPS, PLAIN, ROW, Pace, shader, source
-from supple.gpu.solid import Lattice
-from supple.gpu.volume import Volume
+from supple.gpu.shader import FAR, LATTICE, MOST_GROUPS, PLAIN, ROW, Pace, shader, source
+from supple.gpu.solid import Filling, Lattice, Volume
 
 Floats = npt.NDArray[np.float64]
 Singles = npt.NDArray[np.float32]
 
 RAYS = 1 << 16  # initial number of rays, before their time is known
 LONGEST = 8  # samples
-# A stretch of samples is read from the buffer if it begins in a brick with filled neighbours: it ends in one of these.
-FARTHEST = BLOCK - 4  # voxels
 _LARGEST = float(np.finfo(np.float32).max)
 _LOST = "points along rays could not be solved in its numbers"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Held:
-    """The part of a scene on a device.
-
-    Parameters
-    ----------
-    volume : Volume
-    lattice : Lattice
-    mode : int
-        PLAIN, LATTICE, EXACT or HYBRID. A hybrid scene becomes plain when its buffer is filled.
-    cells : int
-        The number of cells of the lattice that a ray may cross with one cubic.
-    filling : Filling, optional
-        The buffer, of a hybrid scene.
-    whole : bool
-        Whether the volume is drawn only when its buffer is filled.
-    pace : Pace
-        The number of rays in one part.
-    """
+    """The part of a scene on a device."""
 
     volume: Volume
     lattice: Lattice
-    mode: int
-    cells: int = 1
-    filling: Filling | None = None
-    whole: bool = False
-    pace: Pace = field(default_factory=lambda: Pace(RAYS))
+    mode: int  # PLAIN, LATTICE or EXACT; a scene with a buffer becomes plain when that is filled
+    cells: int = 1  # the number of cells of the lattice that a ray may cross with one cubic
+    filling: Filling | None = None  # the buffer, of a hybrid scene
+    whole: bool = False  # whether the volume is drawn only when its buffer is filled
+    pace: Pace = field(default_factory=lambda: Pace(RAYS))  # the number of rays in one part
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,25 +73,11 @@ def march(
     tell: Callable[[int], None] = lambda rows: None,
     ends: Singles | None = None,
 ) -> tuple[Singles, Floats, npt.NDArray[np.int64]]:
-    """Render an image.
+    """Render rows and columns of rays, ``fine`` of them along the side of a pixel; ``tell`` gets the finished rows.
 
-    Parameters
-    ----------
-    held : Held
-    look : Look
-    size : (int, int)
-        Rows and columns of rays.
-    fine : int
-        Rays along the side of a pixel.
-    tell : function
-        Called with the number of finished rows of rays.
-    ends : float32 array (H, W, 4), optional
-        The meshes that rays end at: linear light, and millimetres from the eye or infinity.
-
-    Returns
-    -------
-    arrays (H, W, 4), (H, W, 2) and (H, W, 2)
-        Light and opacity; depths of the first surface and of opacity 0.9; samples and evaluations of T.
+    Rays end at meshes, if there are ``ends``, (H, W, 4): linear light, and millimetres from the eye or infinity.
+    Returns light and opacity (H, W, 4), the depths of the first surface and of opacity 0.9 (H, W, 2), and samples and
+    evaluations of T (H, W, 2).
     """
     height, width = size
     light, depth = np.empty((height, width, 4), np.float32), np.empty((height, width, 2))
@@ -138,20 +104,10 @@ def paint(
     worked: bool = False,
     ends: Singles | None = None,
 ) -> None:
-    """Render an image into a writable texture of format rgba8unorm, as sRGB.
+    """Render into a writable texture of format rgba8unorm, as sRGB, over a background in linear light.
 
-    Parameters
-    ----------
-    held, look, size, fine
-        As `march` takes them.
-    background : float32 array (3)
-        The background, in linear light.
-    target : wgpu.GPUTexture
-        A texture of ``size`` over ``fine``, or larger.
-    worked : bool
-        Whether to tint it by the inversions along each ray or, without any, by the samples.
-    ends
-        As `march` takes it.
+    The texture has ``size`` over ``fine``, or more. It is tinted by inversions along each ray, or by samples, if
+    ``worked``.
     """
     gpu, width = held.volume.gpu, size[1] // fine
     work = shader(gpu, source("paint"), "paint")
@@ -173,13 +129,15 @@ def _rays(
     gpu, finest, (height, width) = volume.gpu, float(look.camera[1].min()), size
     if held.whole and filling is not None and filling.part < 1.0:
         filling.advance()  # another scene of the volume has replaced it
-    mode = _mode(held, look.step / finest)
+    mode = PLAIN if filling is not None and filling.part == 1.0 else held.mode
+    # The samples that share one read of the lattice: those within its cells.
+    cells = held.cells * held.lattice.step * finest / look.step
     eye, _, ahead, right, below = look.camera
     settings = {
         "bricks": look.skips.shape[::-1],
         "picture": (width, height),
         "fine": fine,
-        "stretch": _stretch(mode, held.cells * held.lattice.step, look.step / finest),
+        "stretch": max(1, min(int(cells), LONGEST)) if mode == LATTICE else LONGEST,
         "entries": len(look.table),
         "top": np.clip(look.top, -_LARGEST, _LARGEST),
         "threshold": np.clip(look.threshold, -_LARGEST, _LARGEST),
@@ -225,15 +183,13 @@ def _rays(
 def _march(held: Held, mode: int, groups: tuple[int, ...], settings: dict[str, Any], given: dict[str, Any]) -> None:
     """Run the shader of rays in a mode: settings and resources are those of the scene, and others."""
     volume, lattice, filling = held.volume, held.lattice, held.filling
-    sampled = {PLAIN: 1, HYBRID: 2}.get(mode, 0) if filling is not None else 0
-    coloured = volume.colours is not None
-    chosen = {"MODE": mode, "SAMPLED": sampled, "LABELLED": volume.labelled, "COLOURED": coloured}
+    copied, coloured = mode == PLAIN and filling is not None, volume.colours is not None
+    chosen = {"MODE": mode, "WARPED": copied, "LABELLED": volume.labelled, "COLOURED": coloured}
     work = shader(volume.gpu, source("raymarch", volume.voxel), "march", lattice.constants | chosen)
     own = {
         "voxels": volume.samples,
         "warped": volume.warped and volume.warped.create_view(),
         "paint": volume.colours,
-        "finished": filling and filling.finished,
     }
     work.run(groups, {**lattice.settings, "size": volume.size, **settings}, {**lattice.resources, **own, **given})
 
@@ -243,26 +199,7 @@ def prepare(held: Held, filling: Filling) -> None:
     gpu = held.volume.gpu
     with owned(uploaded(gpu, np.zeros((1, 1, 1), np.uint8)), room(gpu, 32)) as (skips, seen):
         given = {"skips": skips.create_view(), "seen": seen, **dict.fromkeys(("colours", "arrives", "ends"))}
-        for mode in (LATTICE, HYBRID, PLAIN):
+        for mode in (LATTICE, PLAIN):
             _march(held, mode, (1, 1, 1), {}, given)
         filling.prepare()
         download(gpu, seen, np.float32, 8)  # waits
-
-
-def _mode(held: Held, step: float) -> int:
-    """Return the current mode of marching, for samples ``step`` voxels apart."""
-    filling = held.filling
-    if filling is None:
-        return held.mode
-    if filling.part == 1.0:
-        return PLAIN
-    # Software adapters run both sides of a branch, and would read both sources for each ray.
-    mixed = filling.part > 0.0 and step <= FARTHEST and not held.volume.gpu.software
-    return HYBRID if mixed else LATTICE
-
-
-def _stretch(mode: int, cells: float, step: float) -> int:
-    """Return the number of samples that share one read of the lattice: those within its cells, in voxels."""
-    if mode not in (LATTICE, HYBRID):
-        return LONGEST
-    return max(1, min(int((min(cells, FARTHEST) if mode == HYBRID else cells) / step), LONGEST))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,13 +15,13 @@ Part = tuple[float, float, float, float, float, float]
 """A part of a texture, in fractions of it: x and y of its first corner on screen, of its side across, and down."""
 ALL: Part = (0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
 
-_PLAIN = "rgba8unorm"
+PLAIN = "rgba8unorm"
 
 
 def canvas_texture(gpu: Gpu, size: tuple[int, int]) -> Any:
     """Return a texture of columns and rows for scenes and plates, which the screen can read."""
     usage = "STORAGE_BINDING|TEXTURE_BINDING|COPY_SRC|COPY_DST"
-    return gpu.device.create_texture(size=(*size, 1), format=_PLAIN, usage=usage)
+    return gpu.device.create_texture(size=(*size, 1), format=PLAIN, usage=usage)
 
 
 def pixels_of(gpu: Gpu, texture: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:
@@ -33,31 +33,20 @@ def pixels_of(gpu: Gpu, texture: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:
     return np.frombuffer(data, np.uint8).reshape(height, width, 4)
 
 
-def composed(
-    gpu: Gpu, size: tuple[int, int], first: Any, second: Any, split: float, part: Part
-) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Return what `Screen` draws of a texture, or of two side by side, in columns and rows: (rows, columns, 4)."""
-    onto = gpu.device.create_texture(size=(*size, 1), format=_PLAIN, usage="RENDER_ATTACHMENT|COPY_SRC")
-    colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store"}
+def composed(gpu: Gpu, size: tuple[int, int], draw: Callable[[Any], None]) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """Return what a function draws into a render pass of `PLAIN`, in columns and rows: (rows, columns, 4)."""
+    onto = gpu.device.create_texture(size=(*size, 1), format=PLAIN, usage="RENDER_ATTACHMENT|COPY_SRC")
+    colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 1)}
     encoder = gpu.device.create_command_encoder()
     drawing = encoder.begin_render_pass(color_attachments=[colours])
-    Screen(gpu, _PLAIN).draw(drawing, first, second, split, part=part)
+    draw(drawing)
     drawing.end()
     gpu.device.queue.submit([encoder.finish()])
     return pixels_of(gpu, onto)
 
 
 class Screen:
-    """A painter of textures onto the surface of a window.
-
-    Parameters
-    ----------
-    gpu : Gpu
-    format : str
-        The format of the window's surface.
-    filter : str
-        What is between the samples of a texture: ``"linear"``, or the ``"nearest"``.
-    """
+    """A painter of textures onto a surface of some format, by the ``"linear"`` or ``"nearest"`` filter."""
 
     def __init__(self, gpu: Gpu, format: str, filter: str = "linear") -> None:
         self._linear = format.endswith("srgb")
@@ -89,18 +78,9 @@ class Screen:
         place: tuple[int, int, int, int] | None = None,
         part: Part = ALL,
     ) -> None:
-        """Draw a texture, and optionally another one left of the split, from 0 to 1.
+        """Draw the visible part of a texture, and optionally another one left of the split, from 0 to 1.
 
-        Parameters
-        ----------
-        drawing : wgpu.GPURenderPassEncoder
-            The render pass of the window's surface.
-        first, second : wgpu.GPUTexture
-        split : float
-        place : (int, int, int, int), optional
-            The rectangle on the screen: left, top, columns and rows; by default, all of it.
-        part : tuple of float, optional
-            The visible part of the textures.
+        The place on the surface is its left, top, columns and rows; by default, all of it.
         """
         split = split if second is not None else -1.0
         values = self._module.values({"sides": part[2:], "corner": part[:2], "linear": self._linear, "split": split})

@@ -24,10 +24,10 @@ Array = npt.NDArray[Any]
 CELL = 16  # pixels of the window from node to node
 BLOCK = 16  # voxels along a brick's side
 ROW = 2048  # entries of a transfer function in a layer of its texture
-PLAIN, LATTICE, EXACT, HYBRID = 0, 1, 2, 3  # how rays find source points
+PLAIN, LATTICE, EXACT = 0, 1, 2  # how rays find source points
 LOST, CUT = 1e30, 2e30  # in place of errors: of points without a solution, and of a driver that ends loops
 FAR = 3e38  # in place of depths
-_NAMES = ("CELL", "BLOCK", "ROW", "PLAIN", "LATTICE", "EXACT", "HYBRID", "LOST", "CUT", "FAR")
+_NAMES = ("CELL", "BLOCK", "ROW", "PLAIN", "LATTICE", "EXACT", "LOST", "CUT", "FAR")
 _SHARED: dict[str, float] = _core.constants | {name: globals()[name] for name in _NAMES}
 
 MOST_GROUPS = 65535
@@ -53,12 +53,7 @@ _TYPES: dict[str, tuple[Any, int]] = {  # with the alignment
 def source(name: str, voxel: str = "f32") -> str:
     """Return the source of a shader, with those that it uses, and the numbers that it shares with the host.
 
-    Parameters
-    ----------
-    name : str
-        A file's name in ``shaders``, without its suffix. Its lines ``#use`` name others.
-    voxel : str
-        The type of the samples of a volume: f32, i32 or u32.
+    ``voxel`` is the type of a volume's samples: f32, i32 or u32.
     """
     return template(_text(name), voxel)
 
@@ -102,24 +97,13 @@ def structure(text: str, name: str) -> np.dtype[np.void]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Module:
-    """A shader on a device, with the layout of its resources.
-
-    Parameters
-    ----------
-    gpu : Gpu
-    code : wgpu.GPUShaderModule
-    layout : wgpu.GPUBindGroupLayout
-    kinds : dict of str to str
-        The kind of each resource, by its name, in the order of their numbers.
-    settings : dtype
-        The layout of its ``Settings``.
-    """
+    """A shader on a device, with the layout of its resources."""
 
     gpu: Gpu
     code: Any
     layout: Any
-    kinds: dict[str, str]
-    settings: np.dtype[np.void]
+    kinds: dict[str, str]  # the kind of each resource, by its name, in the order of their numbers
+    settings: np.dtype[np.void]  # the layout of its ``Settings``
 
     def values(self, settings: Mapping[str, Any]) -> npt.NDArray[np.void]:
         """Return settings as the shader reads them; those that are not given are 0."""
@@ -206,15 +190,7 @@ def shader(gpu: Gpu, text: str, entry: str, constants: Mapping[str, float] | Non
 
 
 class Pace:
-    """The size of the parts of some work, from measured times: systems end work that takes seconds.
-
-    Parameters
-    ----------
-    count : int
-        The initial size of a part.
-    most : int
-        The largest size of a part.
-    """
+    """The size of the parts of some work, from measured times: systems end work that takes seconds."""
 
     def __init__(self, count: int, most: int = 1 << 30) -> None:
         self._most, self.count = most, min(count, most)

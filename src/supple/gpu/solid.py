@@ -1,7 +1,8 @@
-"""The lattice of T⁻¹ in a volume, solved and checked by shaders."""
+"""A volume on a device: its samples, the lattice of T⁻¹, and the buffer of the deformed volume."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,9 +11,52 @@ import numpy.typing as npt
 
 from supple.folding.strain import Mask
 from supple.gpu.device import Gpu
-from supple.gpu.field import constants, uploaded
-from supple.gpu.memory import download, owned, room, solid, upload
-from supple.gpu.shader import CUT, LOST, Pace, shader, source
+from supple.gpu.field import constants, stroke_buffers
+from supple.gpu.memory import Array, download, owned, room, solid, upload, uploaded
+from supple.gpu.shader import BLOCK, CUT, LOST, MOST_GROUPS, Pace, shader, source
+
+
+@dataclass(slots=True, eq=False)
+class Volume:
+    """Samples on a device."""
+
+    gpu: Gpu
+    samples: Any
+    size: tuple[int, int, int]  # voxels, x first
+    voxel: str  # the type of samples in shaders: f32, i32 or u32
+    labelled: bool = False  # whether samples are numbers of labels, which are not mixed
+    colours: Any = None  # the voxels' own colours, sRGB and opacity
+    warped: Any = None  # the texture for a deformed volume, in float32: see `beside`
+    full: bool = False  # whether its allocation failed
+    owner: object = None  # the key of the filling that owns that texture, if any: see `supple.gpu.solid.Filling`
+
+
+def hold(gpu: Gpu, samples: Array, labelled: bool = False, colours: Array | None = None) -> Volume:
+    """Upload samples (Z, H, W) of 8 or 16 bits or float32, two along each axis at least, to the device.
+
+    The voxels' own colours, (Z, H, W, 4), are uint8 or uint16, of which eleven bits are kept. MemoryError if the volume
+    exceeds the largest texture, or there is no room for it.
+    """
+    depth, height, width = samples.shape
+    view = uploaded(gpu, samples).create_view()
+    paint = None
+    if colours is not None:
+        deep = colours.dtype == np.uint16
+        paint = uploaded(gpu, (colours * np.float32(1 / 65535)).astype(np.float16) if deep else colours).create_view()
+    voxel = {"u": "u32", "i": "i32", "f": "f32"}[samples.dtype.kind]
+    return Volume(gpu, view, (width, height, depth), voxel, labelled, paint)
+
+
+def beside(volume: Volume) -> bool:
+    """Return whether there is room for a deformed volume; the first call allocates it."""
+    if volume.warped is None and not volume.full:
+        usage = "STORAGE_BINDING|COPY_SRC|COPY_DST"
+        try:
+            volume.warped = solid(volume.gpu, volume.size[::-1], np.float32, usage=usage)
+        except MemoryError:
+            volume.full = True
+    return volume.warped is not None
+
 
 Floats = npt.NDArray[np.float64]
 
@@ -23,38 +67,24 @@ _UNSOLVED = "nodes of the lattice could not be solved in its numbers"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
-    """Strokes on a device and, for a volume, the lattice of their inverse map.
+    """Strokes on a device and, for a volume, the lattice of their inverse map."""
 
-    Parameters
-    ----------
-    constants : dict of str to int
-        Those with which shaders are compiled for the strokes.
-    settings, resources : dict
-        What shaders read: numbers, buffers and the texture of nodes.
-    step : int
-        Voxels from node to node; the first is the first voxel. 0 without a lattice.
-    nodes : float32 array, shape (nz, ny, nx, 16), or None
-        The displacement T⁻¹(q) - q in voxels, x first, and the columns of ∂p/∂q; each padded with a 0.
-    error : float
-        A bound on the distance of a source point from T⁻¹(q), in voxels, from the checks, with their reserve; infinity
-        if even the finest lattice is too coarse for the checks.
-    smooth : float
-        The least length scale of the map, in voxels.
-    """
-
-    constants: dict[str, int]
-    settings: dict[str, Any]
+    constants: dict[str, int]  # those with which shaders are compiled for the strokes
+    settings: dict[str, Any]  # what shaders read: numbers, buffers and the texture of nodes
     resources: dict[str, Any]
-    step: int = 0
+    step: int = 0  # voxels from node to node; the first is the first voxel; 0 without a lattice
+    # (nz, ny, nx, 16): the displacement T⁻¹(q) - q in voxels, x first, and the columns of ∂p/∂q; each padded with a 0
     nodes: npt.NDArray[np.float32] | None = None
+    # A bound on the distance of a source point from T⁻¹(q), in voxels, from the checks, with their reserve; infinity
+    # if even the finest lattice is too coarse for the checks
     error: float = 0.0
-    smooth: float = 0.0
+    smooth: float = 0.0  # the least length scale of the map, in voxels
 
 
 def hold_strokes(gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None = None) -> Lattice:
     """Return strokes on the device without a lattice."""
     settings = {"nodes": (2, 2, 2), "spread": 0.0, "strokes": table.size}
-    return Lattice(constants(table, freeze), settings, {**uploaded(gpu, table, axes, freeze), "lattice": None})
+    return Lattice(constants(table, freeze), settings, {**stroke_buffers(gpu, table, axes, freeze), "lattice": None})
 
 
 def solve(
@@ -67,12 +97,8 @@ def solve(
 ) -> Lattice:
     """Solve for T⁻¹ at nodes ``step`` voxels apart, in a volume of ``shape`` (Z, H, W).
 
-    Raises
-    ------
-    MemoryError
-        If the lattice exceeds the largest texture.
-    ArithmeticError
-        If nodes could not be solved in float32, or by this driver.
+    MemoryError if the lattice exceeds the largest texture; ArithmeticError if nodes could not be solved in float32, or
+    by this driver.
     """
     across, down, deep = (-(-max(n - 1, 1) // step) + 1 for n in reversed(shape))
     pitch = -(-across // 16) * 16
@@ -83,7 +109,7 @@ def solve(
         raise MemoryError(f"a lattice of {deep * layer >> 20} MB is more than is put into a texture")
     texture = solid(gpu, (2 * deep, 2 * down, across), np.float32, 4)
     settings = {"nodes": (across, down, deep), "spread": float(step), "strokes": table.size}
-    given = {**uploaded(gpu, table, axes, freeze), "lattice": texture.create_view()}
+    given = {**stroke_buffers(gpu, table, axes, freeze), "lattice": texture.create_view()}
     known = constants(table, freeze)
     nodes = np.empty((deep, down, across, 16), np.float32)
     most = min(max(1, gpu.binding // layer), deep)
@@ -113,3 +139,54 @@ def solve(
     if not np.isfinite(nodes).all():  # shaders may assume finite numbers
         raise ArithmeticError(_UNSOLVED)
     return Lattice(known, settings, given, step, nodes, float(error), float(smooth))
+
+
+class Filling:
+    """The buffer of a deformed volume, and its filled part.
+
+    It is always computed from the original volume and all strokes. Another filling of the same volume replaces this
+    one, which starts again when it is next used. Voxels are ``polished`` by Newton's method where the lattice alone is
+    not within the tolerance, in voxels.
+    """
+
+    def __init__(self, volume: Volume, lattice: Lattice, *, polished: bool, tolerance: float) -> None:
+        self._volume, self._lattice = volume, lattice
+        self._tolerance = tolerance
+        self._bricks = math.prod(-(-n // BLOCK) for n in volume.size)
+        self._made = 0
+        self._pace = Pace(1)
+        self._key = object()  # not ``self``: a reference cycle would hold the device's memory
+        chosen = lattice.constants | {"LABELLED": volume.labelled, "POLISHED": polished}
+        self._shader = shader(volume.gpu, source("fill", volume.voxel), "fill", chosen)
+        self._target = volume.warped.create_view()
+
+    @property
+    def part(self) -> float:
+        """The filled part, from 0 to 1."""
+        return self._made / self._bricks if self._volume.owner is self._key else 0.0
+
+    def advance(self, seconds: float = math.inf) -> float:
+        """Fill bricks for about this long; return the filled part. ArithmeticError if points could not be solved."""
+        if self._volume.owner is not self._key:
+            self._volume.owner, self._made = self._key, 0
+        gpu, start = self._volume.gpu, self._made
+        with owned(room(gpu, 4)) as (lost,):
+            for first, count in self._pace.parts(self._bricks - start, min(seconds, 0.25), seconds):
+                self._make(start + first, count, lost)
+                if download(gpu, lost, np.uint32, 1)[0]:  # waits
+                    raise ArithmeticError("voxels could not be solved in its numbers")
+                self._made = start + first + count
+        return self.part
+
+    def prepare(self) -> None:
+        """Run for no brick, since some devices compile only at the first run."""
+        with owned(room(self._volume.gpu, 4)) as (lost,):
+            self._make(0, 0, lost)
+
+    def _make(self, first: int, count: int, lost: Any) -> None:
+        volume, lattice = self._volume, self._lattice
+        settings = {"size": volume.size, "first": first, "count": count, "tolerance": self._tolerance}
+        rows = max(1, -(-count // MOST_GROUPS))
+        given = {"voxels": volume.samples, "warped": None, "lost": lost, "made": self._target}
+        groups = max(1, -(-count // rows)), rows, 1
+        self._shader.run(groups, lattice.settings | settings, lattice.resources | given)

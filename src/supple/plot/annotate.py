@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError, argument
-from supple.render.camera import Projection
-from supple.render.marks import bar_of, sides_of
+from supple.render.camera import Projection, bar_of, sides_of
 from supple.space.domain import refuse
 from supple.space.geometry import Geometry
 

@@ -1,8 +1,4 @@
-"""Plots of a deformation: iterations, residual, stretch, axes and grid.
-
-Matplotlib, which is slow to import, is imported on use; its global state is not changed, since callers may have figures
-of their own.
-"""
+"""Plots of a deformation: iterations, residual, stretch, axes and grid; and of the work of rays."""
 
 from __future__ import annotations
 
@@ -14,17 +10,18 @@ import numpy.typing as npt
 
 from supple.deformation import Deformation
 from supple.plot import measure
-from supple.plot.background import background
 from supple.plot.frame import (
     Background,
     Extend,
     arrows,
+    background,
     bar,
     check_plot,
     edges,
     map_axes,
     panels,
     save,
+    sheet,
     show,
     title,
     under,
@@ -35,6 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from supple.media.image import Picture
+
 
 WHATS = ("iterations", "residual", "stretch", "axes", "grid")
 
@@ -277,3 +275,32 @@ def _unit(deformation: Deformation) -> str:
 
 def _of(frame: int | None) -> str:
     return "" if frame is None else f"; frame {frame}"
+
+
+def draw_inversions(
+    counts: npt.NDArray[np.integer], path: str | os.PathLike[str], *, what: str = "inversions", force: bool = False
+) -> None:
+    """Plot the number of inversions, or samples, of each ray of an image (H, W): the paper's Fig. 5.5.
+
+    SuppleError if it cannot be written to that PNG, SVG or PDF file.
+    """
+    check_plot(path, force=force)
+    height, width = counts.shape
+    tall = min(max(height / width, 0.35), 1.6) * 6.0
+    made, (axes,) = sheet(7.4, tall + 0.9, 1, 1)
+    seen = counts[counts > 0]
+    # The few rays along a surface take far more than the others, and would darken all of them.
+    most = float(np.percentile(seen, 99.5)) if seen.size else 1.0
+    drawn = axes.imshow(np.where(counts > 0, counts, np.nan), cmap="viridis", vmin=0, vmax=max(most, 1.0))
+    axes.set_facecolor("#f4f4f4")
+    axes.set_xlabel("x (px)")
+    axes.set_ylabel("y (px)")
+    axes.tick_params(labelsize=8)
+    mean = float(seen.mean()) if seen.size else 0.0
+    axes.set_title(f"{mean:.1f} on average where there are any, {int(counts.max())} at most", fontsize=10, loc="left")
+    bar(made, drawn, axes, f"{what} along the ray", "max" if counts.max() > most else "neither")
+    title(made, f"{what.capitalize()} along each ray")
+    save(made, path, force=force)
+
+
+__all__ = ["draw_inversions"]

@@ -53,27 +53,11 @@ def draw_check(
     name: str = "The field",
     force: bool = False,
 ) -> None:
-    """Write a picture of a field that was checked to a PNG, SVG or PDF file.
+    """Write a picture of a field that was checked to a PNG, SVG or PDF file; its name is for the title.
 
-    Of a volume, it shows the slice with most folds in the cells on both sides, which are marked; or the middle one if
-    there are none.
-
-    Parameters
-    ----------
-    field : Field
-    report, folded, logarithms, distances
-        What `Field.reported`, `Field.folded_cells`, `Field.log_jacobian` and `Field.distances` have returned.
-    path : str or os.PathLike
-        A PNG, SVG or PDF file, by its suffix.
-    name : str
-        For the title.
-    force : bool
-        Whether an existing file may be replaced.
-
-    Raises
-    ------
-    SuppleError
-        If it cannot be written there.
+    The other arguments are what `Field.reported`, `Field.folded_cells`, `Field.log_jacobian` and `Field.distances` have
+    returned. Of a volume, it shows the slice with most folds in the cells on both sides, which are marked; or the
+    middle one if there are none. SuppleError if it cannot be written there.
     """
     check_plot(path, force=force)
     save(_figure(_slice(field, report.grid, folded, logarithms, distances), report, name), path, force=force)
@@ -194,7 +178,6 @@ def _draw_grid(axes: Axes, seen: _Slice, every: int) -> None:
 
 
 def _outline(seen: _Slice) -> list[Floats]:
-    """Return the sides between cells that fold and others, where they lie."""
     whole = np.pad(seen.folded, 1)
     across, down = np.argwhere(whole[:, 1:] != whole[:, :-1]), np.argwhere(whole[1:] != whole[:-1])
     sides = [_corners(seen.rest, across - (1, 0))[:, [0, 3]], _corners(seen.rest, down - (0, 1))[:, [0, 1]]]

@@ -15,8 +15,8 @@ from supple.errors import SuppleError
 from supple.gpu.solid import Lattice
 from supple.render.box import Clip, box_of
 from supple.render.camera import Projection
-from supple.render.colour import linear_light, luminance_and_colours
 from supple.render.labels import LabelColours, labels_in, numbered
+from supple.render.picture import linear_light, luminance_and_colours
 from supple.render.transfer import ENTRIES, LABELS, PRESETS, Transfer, TransferFunction, transfer_of
 from supple.space.domain import choice, point, refuse
 
@@ -31,39 +31,18 @@ PROJECTIONS = ("none", "maximum", "minimum", "average")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """How rays see the samples of a volume: values, or the numbers of labels.
-
-    Parameters
-    ----------
-    transfer : TransferFunction or LabelColours
-    density : (float, float)
-        The visible range of values or labels.
-    range : (float, float)
-        The smallest and the largest value or label.
-    projection : str
-        One of `PROJECTIONS`.
-    table : float32 array, shape (N, 4)
-        Linear light, and the opacity of a step along a ray.
-    low, scale : float
-        The value of the table's first entry, and entries for each unit of value.
-    threshold : float
-        The lowest visible sample; infinity if nothing is visible.
-    window : (float, float)
-        The visible range of samples.
-    labels : int array, optional
-        The visible labels, in order, of which samples are the numbers, from 1 on.
-    """
+    """How rays see the samples of a volume: values, or the numbers of labels."""
 
     transfer: Transfer
-    density: tuple[float, float]
-    range: tuple[float, float]
-    projection: str
-    table: npt.NDArray[np.float32]
-    low: float
+    density: tuple[float, float]  # the visible range of values or labels
+    range: tuple[float, float]  # the smallest and the largest value or label
+    projection: str  # one of `PROJECTIONS`
+    table: npt.NDArray[np.float32]  # (N, 4): linear light, and the opacity of a step along a ray
+    low: float  # the value of the table's first entry, and entries for each unit of value
     scale: float
-    threshold: float
-    window: tuple[float, float]
-    labels: Array | None = None
+    threshold: float  # the lowest visible sample; infinity if nothing is visible
+    window: tuple[float, float]  # the visible range of samples
+    labels: Array | None = None  # the visible labels, in order, of which samples are the numbers, from 1 on
 
     def visible(self, lows: Array, highs: Array) -> npt.NDArray[np.bool_]:
         """Return which bricks are visible, of samples between two for each."""

@@ -1,4 +1,4 @@
-"""Cameras: their position before a volume, and the rays of an image's pixels."""
+"""Cameras before a volume, their rays, and what a picture of it says: a scale bar, and the sides of the patient."""
 
 from __future__ import annotations
 
@@ -65,22 +65,13 @@ class Camera:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Projection:
-    """A camera before a volume, and the size of the image.
+    """A camera before a volume, and the size of the image."""
 
-    Parameters
-    ----------
-    packed : float64 array, shape (5, 3)
-        The eye, in indices; the spacing; and, in millimetres along the volume's axes, the direction of view, and the
-        steps to the pixels to the right and below, at a distance of a millimetre.
-    size : (int, int)
-        Rows and columns of the image.
-    distance : float
-        From the eye to the target, in millimetres.
-    """
-
+    # (5, 3): the eye, in indices; the spacing; and, in millimetres along the volume's axes, the direction of view,
+    # and the steps to the pixels to the right and below, at a distance of a millimetre
     packed: Floats
-    size: tuple[int, int]
-    distance: float
+    size: tuple[int, int]  # rows and columns of the image
+    distance: float  # from the eye to the target, in millimetres
 
     @property
     def eye(self) -> Floats:
@@ -172,3 +163,51 @@ def view_of(
     eye = target + outward * distance / spacing
     pixel = 2 * math.tan(half) / min(height, width)
     return Projection(np.stack([eye, spacing, -outward, pixel * right, -pixel * above]), (height, width), distance)
+
+
+_PART = 0.25  # of the picture's width: no bar is longer
+_SLANT = math.sin(math.radians(15))  # a direction that is turned by less towards a side does not name it
+_UNITS = ((1000.0, "m"), (1.0, "mm"), (1e-3, "µm"), (1e-6, "nm"))
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """A scale bar."""
+
+    length: float  # in millimetres: 1, 2 or 5 times a power of ten
+    pixels: float  # its length in the picture, at the distance of the camera's target
+
+    @property
+    def label(self) -> str:
+        """The length with its unit."""
+        unit, name = next((each for each in _UNITS if self.length >= each[0] * (1 - 1e-9)), _UNITS[-1])
+        return f"{self.length / unit:g} {name}"
+
+
+def bar_of(view: Projection) -> Bar:
+    """Return the longest scale bar that takes at most a quarter of a picture's width."""
+    pixel = view.distance * float(np.linalg.norm(view.packed[3]))  # in millimetres
+    most = _PART * view.size[1] * pixel
+    length = rounded(most)
+    return Bar(length, length / pixel)
+
+
+def rounded(most: float) -> float:
+    """Return the largest 1, 2 or 5 times a power of ten that is not more."""
+    power = 10.0 ** math.floor(math.log10(most))
+    return max(k * power for k in (1.0, 2.0, 5.0) if k == 1.0 or k * power <= most * (1 + 1e-9))
+
+
+def sides_of(view: Projection, geometry: Geometry) -> tuple[str, str, str, str]:
+    """Return what lies to the left, to the right, above and below in a picture.
+
+    Each is one or more of the patient's sides, R, L, A, P, S and I, the nearest first; or axes of the voxels with a
+    sign, for a volume without a patient.
+    """
+    right, down = (geometry.direction @ (axis / np.linalg.norm(axis)) for axis in view.packed[3:])
+
+    def named(direction: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
+        nearest = sorted(range(3), key=lambda k: -abs(round(float(direction[k]), 6)))
+        return "".join(geometry.sides[k][int(direction[k] < 0)] for k in nearest if abs(direction[k]) > _SLANT)
+
+    return named(-right), named(right), named(-down), named(down)

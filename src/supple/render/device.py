@@ -12,22 +12,17 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from supple import _core
 from supple.engine.devices import CPU, note
 from supple.engine.work import Space
 from supple.errors import DeviceWarning
 from supple.gpu.device import Gpu, failures, trouble
 from supple.gpu.field import fits
-from supple.gpu.fill import Filling
 from supple.gpu.raymarch import Held, prepare
-from supple.gpu.shader import BLOCK, EXACT, HYBRID, LATTICE, PLAIN
-from supple.gpu.solid import Lattice, hold_strokes, solve
-from supple.gpu.volume import Volume, beside, hold
-from supple.render.camera import Projection
+from supple.gpu.shader import EXACT, LATTICE, PLAIN
+from supple.gpu.solid import Filling, Lattice, Volume, beside, hold, hold_strokes, solve
 from supple.strokes import STROKE_DTYPE
 
 Array = npt.NDArray[Any]
-Floats = npt.NDArray[np.float64]
 T = TypeVar("T")
 
 COARSEST, FINEST = 8, 2  # voxels from node to node: a finer lattice would be larger than the volume
@@ -73,36 +68,10 @@ def held_scene(
     colours: Array | None = None,
     volume: Volume | None = None,
 ) -> Held:
-    """Upload a scene to a GPU.
+    """Upload a scene to a GPU, unless the same samples and colours are there as ``volume``.
 
-    Parameters
-    ----------
-    gpu : Gpu
-    samples : array (Z, H, W)
-        Samples from `supple.render.appearance.prepared`.
-    spacing : tuple of float
-        Millimetres from voxel to voxel, x first.
-    space : Space or None
-        The strokes, if there are any.
-    mode : str
-        One of `supple.render.scene.MODES`.
-    tolerance : float
-        The tolerance of source points, in voxels.
-    labelled : bool
-        Whether samples are numbers of labels.
-    colours : array (Z, H, W, 4), optional
-        The voxels' own colours.
-    volume : Volume, optional
-        The same samples and colours, if they are already on the GPU.
-
-    Returns
-    -------
-    Held
-
-    Raises
-    ------
-    Exception
-        One of `supple.gpu.device.failures`.
+    Samples are those of `supple.render.appearance.prepared`, and colours (Z, H, W, 4); the spacing and the tolerance
+    are in millimetres and voxels. Raises one of `supple.gpu.device.failures`.
     """
     if space is not None and not fits(space.table):
         raise ArithmeticError("strokes of such sizes are beyond its numbers")
@@ -126,7 +95,7 @@ def held_scene(
     if not twice:
         return Held(volume, lattice, LATTICE, cells)
     filling = Filling(volume, lattice, polished=lattice.error > tolerance, tolerance=tolerance)
-    held = Held(volume, lattice, HYBRID, cells, filling, whole=mode == "buffered")
+    held = Held(volume, lattice, LATTICE, cells, filling, whole=mode == "buffered")
     if mode == "buffered":
         filling.advance()
     else:
@@ -168,33 +137,3 @@ def along_rays(lattice: Lattice, cells: int, tolerance: float) -> float:
         return _TWICE * lattice.error
     # If the lattice is accurate enough, its reserve covers the additional error.
     return min(_ONCE * lattice.error, tolerance if lattice.error <= tolerance else math.inf)
-
-
-def unseen_blocks(shape: tuple[int, ...], skips: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
-    """Return the mask of invisible bricks of a buffer (z, y, x)."""
-    blocks, wide = tuple(-(-n // BLOCK) for n in shape), BLOCK // _core.BRICK
-    whole = [(0, wide * n - m) for n, m in zip(blocks, skips.shape, strict=True)]
-    deep, high, across = blocks
-    fine = np.pad(skips > 0, whole, constant_values=True).reshape(deep, wide, high, wide, across, wide)
-    return np.asarray(fine.all(axis=(1, 3, 5)), np.bool_)
-
-
-def order_of(view: Projection, unseen: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
-    """Return the order in which bricks of the buffer are filled: visible ones in view first, the nearest first."""
-    away = [
-        ((np.arange(n) + 0.5) * BLOCK - eye) * spacing
-        for n, eye, spacing in zip(reversed(unseen.shape), view.eye, view.spacing, strict=True)
-    ]
-
-    def along(axis: Floats) -> npt.NDArray[np.float32]:
-        x, y, z = ((a * c).astype(np.float32) for a, c in zip(away, axis, strict=True))
-        return np.asarray(z[:, None, None] + y[:, None] + x)
-
-    depth = along(view.ahead)
-    radius = 0.5 * BLOCK * float(np.linalg.norm(view.spacing))
-    hidden = depth < -radius
-    for axis, size in ((view.packed[3], view.size[1]), (view.packed[4], view.size[0])):
-        scale = float(np.linalg.norm(axis))  # millimetres of a pixel, at a distance of a millimetre
-        hidden |= np.abs(along(axis)) / scale > 0.5 * size * scale * (np.maximum(depth, 0.0) + radius) + radius
-    far = float(np.abs(depth).max()) + 1.0
-    return np.argsort((depth + far * (2.0 * hidden + 4.0 * unseen)).reshape(-1))

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
-from supple.render.colour import linear_light, srgb_of
+from supple.render.picture import linear_light, srgb_of
 from supple.space.domain import items, number, refuse
 
 Array = npt.NDArray[Any]
@@ -212,12 +212,7 @@ def labels_in(samples: Array) -> Array:
 
 
 def numbered(samples: Array, visible: Array) -> Array:
-    """Return the place of each voxel's label in ``visible``, which is in order, from 1 on; 0 for all others.
-
-    Returns
-    -------
-    uint8 or uint16 array, of the shape of the samples
-    """
+    """Return the place of each voxel's label in ``visible``, which is in order, from 1 on; 0 for all others."""
     if len(visible) > _MOST:
         refuse("the labels", f"at most {_MOST} that are visible", told=f"{len(visible)} of them")
     made = np.zeros(samples.shape, np.uint8 if len(visible) < 256 else np.uint16)
@@ -237,7 +232,6 @@ def numbered(samples: Array, visible: Array) -> Array:
 
 
 def _whole(slab: Array) -> npt.NDArray[np.int64]:
-    """Return labels as integers; what is no finite number is 0."""
     if slab.dtype.kind == "f":
         known = np.where(np.isfinite(slab), slab, 0)
         broken = known[(known != np.rint(known)) | (np.abs(known) > _LARGEST)]

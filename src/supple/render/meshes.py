@@ -12,7 +12,7 @@ from supple import _core
 from supple.deformation import Deformation
 from supple.gpu import raymarch as shading
 from supple.render.camera import Projection
-from supple.render.colour import linear_light
+from supple.render.picture import linear_light
 from supple.space.domain import number, point, refuse
 from supple.space.geometry import Geometry
 
@@ -86,20 +86,12 @@ class Surface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
-    """A surface in the deformed volume.
-
-    Parameters
-    ----------
-    surface : Surface
-    points : float64 array, shape (N, 3)
-        In millimetres along the axes of the volume.
-    normals : float32 array, shape (N, 3)
-        Of unit length, or 0: the mean of those of the triangles around a point, by their angles there, so that it does
-        not depend on how a plane is divided.
-    """
+    """A surface in the deformed volume."""
 
     surface: Surface
-    points: Floats
+    points: Floats  # (N, 3): in millimetres along the axes of the volume
+    # (N, 3): of unit length, or 0: the mean of those of the triangles around a point, by their angles there, so that
+    # it does not depend on how a plane is divided
     normals: npt.NDArray[np.float32]
 
 

@@ -17,8 +17,7 @@ from supple.deformation import Deformation
 from supple.errors import SuppleError, ToleranceWarning, argument
 from supple.gpu import raymarch as shading
 from supple.gpu.device import DRAWING, Gpu, failures, gpu_of, trouble
-from supple.gpu.shader import LATTICE
-from supple.gpu.volume import Volume
+from supple.gpu.solid import Volume
 from supple.render.appearance import (
     FINE,
     PROJECTIONS,
@@ -35,11 +34,10 @@ from supple.render.appearance import (
 )
 from supple.render.box import Box, Clip, Plane, around, box_of, plane_of, seen_points, within
 from supple.render.camera import Camera, Projection, camera_of, view_of
-from supple.render.colour import linear_light
-from supple.render.device import along_rays, held_scene, order_of, tried, unseen_blocks
+from supple.render.device import along_rays, held_scene, tried
 from supple.render.labels import LabelColours
 from supple.render.meshes import Surface, nearest, place
-from supple.render.picture import Array, Pick, Rendering
+from supple.render.picture import Array, Pick, Rendering, linear_light
 from supple.render.shadows import NEAR, Shade, arriving, shade_of
 from supple.render.transfer import Transfer
 from supple.space.domain import choice, integer, number, point, refuse
@@ -52,11 +50,6 @@ _ROWS = 256  # of an image, between two reports of progress
 
 def check_options(mode: object, projection: object, device: object, silhouettes: object, shadows: object) -> None:
     """Raise SuppleError for options that no scene has."""
-    if mode == "lattice":
-        raise SuppleError(
-            f'{argument("mode", "lattice")} is gone: "buffered", the default, is faster, and "exact" inverts each '
-            "sample"
-        )
     choice("mode", mode, MODES)
     choice("projection", projection, PROJECTIONS)
     choice("device", device, DRAWING)
@@ -94,8 +87,8 @@ class Scene:
         or, in hollows, that of the sky does not arrive.
     mode : str
         The evaluation of the deformation: ``"buffered"``, which warps the volume first, ``"exact"`` inversion of every
-        sample along every ray, or ``"hybrid"``: buffered, in parts, by `fill` on the GPU, where a certified lattice of
-        inverse displacements is seen until then. On the CPU, that is ``"buffered"``.
+        sample along every ray, or ``"hybrid"``: buffered, by `fill` on the GPU, where a certified lattice of inverse
+        displacements is read until the buffer is complete. On the CPU, that is ``"buffered"``.
     meshes : sequence of Surface
         Meshes and contours, which move with the volume, exactly by T. They are opaque, and not cut away by ``clip`` and
         ``plane``; projections, which are nowhere along a ray, are behind them.
@@ -194,7 +187,6 @@ class Scene:
         return f"<Scene of {self.shape} {self.samples.dtype}, {strokes} strokes, mode {self.mode}, by {who}>"
 
     def _sample(self, transfer: Transfer, density: tuple[float, float] | None) -> None:
-        """Set what rays sample of the volume, and how they see it."""
         self._original, self._paint, seen = sampled(self._given, transfer, density, self.step, self.projection)
         self._ranges: dict[int, tuple[Array, Array]] = {}
         self._look_by(seen)
@@ -241,14 +233,10 @@ class Scene:
         self._skip()
 
     def _skip(self) -> None:
-        """Set the maps of empty space, for rays and for the buffer, and the shade."""
-        shape = self.samples.shape
-        self._skips = skipped(self._seen, self._lows, self._highs, shape, self._lattice, self.error)
-        self._unseen = unseen_blocks(shape, self._skips)
+        self._skips = skipped(self._seen, self._lows, self._highs, self.samples.shape, self._lattice, self.error)
         self._darken()
 
     def _darken(self) -> None:
-        """Set the shade."""
         self._shade: Shade | None = None
         if self.shadows and self.shaded and self.projection == "none":
             samples = self.samples
@@ -440,15 +428,11 @@ class Scene:
                 raise SuppleError("the texture was destroyed: make another one by scene.gpu.device") from None
             raise SuppleError(f"{gpu.name} could not draw: {failed}: use render") from None
 
-    def fill(
-        self, camera: Camera | None = None, size: tuple[int, int] = (512, 512), *, seconds: float = 0.004
-    ) -> float:
+    def fill(self, *, seconds: float = 0.004) -> float:
         """Fill a part of the buffer of a ``"hybrid"`` scene, between two images.
 
         Parameters
         ----------
-        camera, size
-            The next image: its visible bricks are filled first.
         seconds : float
             The approximate time; at least one brick of 16³ voxels is filled.
 
@@ -468,14 +452,12 @@ class Scene:
             If the GPU failed: a hybrid scene continues with its lattice, and a buffered one on the CPU.
         """
         held, seconds = self._held, number("seconds", seconds, "a number of seconds from 0", 0.0, 1e9)
-        camera = camera_of(camera)
         if held is None or held.filling is None or held.filling.part == 1.0:
             return 1.0
         filling = held.filling
-        order = order_of(self.view(camera, size), self._unseen)
         done = tried(
             held.volume.gpu,
-            lambda: filling.advance(seconds, order),
+            lambda: filling.advance(seconds),
             2,
             "the CPU does what {} cannot" if held.whole else "{} does not go on with the buffer",
         )
@@ -484,7 +466,7 @@ class Scene:
             if held.whole:
                 self._held = self.gpu = None
             else:
-                self._held = replace(held, filling=None, mode=LATTICE)
+                self._held = replace(held, filling=None)
             return 1.0
         return done
 

@@ -35,25 +35,15 @@ SKY = [np.array(way) / np.linalg.norm(way) for way in itertools.product((-1, 0, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shade:
-    """What keeps the light away in a scene.
+    """What keeps the light away in a scene."""
 
-    Parameters
-    ----------
-    nodes : float32 array, shape (nz, ny, nx)
-        The opacity of ``length`` millimetres at nodes of the deformed volume, of what is not cut away.
-    length : float
-    wide : (int, int, int)
-        Voxels from node to node, x first.
-    spacing : (float, float, float)
-        Millimetres from node to node, x first.
-    sky : float32 array, shape (nz, ny, nx)
-        What the sky leaves of all light that arrives at nodes, from 0 to 1: it is 1 where half of the sky is seen.
-    """
-
+    # (nz, ny, nx): the opacity of ``length`` millimetres at nodes of the deformed volume, of what is not cut away
     nodes: Singles
     length: float
-    wide: tuple[int, ...]
-    spacing: tuple[float, ...]
+    wide: tuple[int, ...]  # voxels from node to node, x first
+    spacing: tuple[float, ...]  # millimetres from node to node, x first
+    # (nz, ny, nx): what the sky leaves of all light that arrives at nodes, from 0 to 1: it is 1 where half of the sky
+    # is seen
     sky: Singles
 
 
@@ -72,22 +62,10 @@ def shade_of(
 
 
 def arriving(shade: Shade | None, lamp: Singles, strength: float) -> tuple[Singles, Singles]:
-    """Return the part of the light that arrives at nodes, and where they are.
+    """Return the part of the light that arrives at nodes, and where they are: the node of voxel 0, and nodes a voxel.
 
-    Parameters
-    ----------
-    shade : Shade or None
-    lamp : array (3)
-        The direction of the lamp, in millimetres along the volume's axes.
-    strength : float
-        From 0, where all light arrives, to 1.
-
-    Returns
-    -------
-    float32 array, shape (nz, ny, nx)
-        From 0 to 1; empty without shade.
-    float32 array, shape (2, 3)
-        In rows, x first: the node of voxel 0, and nodes from voxel to voxel.
+    The lamp's direction is in millimetres along the volume's axes; at a strength of 0 all light arrives. Empty without
+    shade.
     """
     if shade is None:
         return np.empty((0, 0, 0), np.float32), np.zeros((2, 3), np.float32)
@@ -98,17 +76,9 @@ def arriving(shade: Shade | None, lamp: Singles, strength: float) -> tuple[Singl
 
 
 def light_from(way: npt.ArrayLike, nodes: Singles, length: float, spacing: Sequence[float]) -> Singles:
-    """Return the part of the light from one direction that arrives at each node.
+    """Return the part of the light from a direction, x first, that arrives at each node (nz, ny, nx).
 
-    Parameters
-    ----------
-    way : array (3)
-        The direction of the light, x first.
-    nodes : float32 array, shape (nz, ny, nx)
-        The opacity of ``length`` millimetres.
-    length : float
-    spacing : (float, float, float)
-        Millimetres from node to node, x first.
+    Nodes have the opacity of ``length`` millimetres; the spacing is that of nodes, x first.
     """
     steps = (np.asarray(way, np.float64) / spacing)[::-1]  # nodes, z first as axes are
     axis = int(np.abs(steps).argmax())
@@ -139,7 +109,6 @@ def _shifted(layer: Singles, by: Floats) -> Singles:
 
 
 def _reached(nodes: Singles) -> Singles:
-    """Return the largest value of the nodes around each."""
     for axis in range(3):
         whole = np.moveaxis(np.pad(nodes, [(REACH * (axis == k),) * 2 for k in range(3)]), axis, 0)
         most = np.maximum.reduce([whole[j : j + nodes.shape[axis]] for j in range(2 * REACH + 1)])
@@ -148,7 +117,6 @@ def _reached(nodes: Singles) -> Singles:
 
 
 def _opacities(samples: Array, seen: Seen, steps: float, wide: tuple[int, ...]) -> Singles:
-    """Return the mean opacity of a length of some steps in blocks of voxels."""
     values = seen.low + np.arange(len(seen.table)) / (seen.scale or 1.0)
     opacities = 1 - (1 - seen.table[:, 3].astype(np.float64)) ** steps
     opacities[(values < seen.window[0]) | (values > seen.window[1])] = 0
@@ -160,7 +128,6 @@ def _opacities(samples: Array, seen: Seen, steps: float, wide: tuple[int, ...]) 
 def _kept(
     shape: tuple[int, ...], wide: tuple[int, ...], clip: Box, plane: Sequence[float], spacing: Sequence[float]
 ) -> Singles:
-    """Return the parts of blocks that are not cut away."""
     kept, away = np.ones(shape, np.float32), np.full(shape, -plane[3], np.float32)
     for axis, (n, w) in enumerate(zip(shape[::-1], wide, strict=True)):
         at = np.arange(n) * w + (w - 1) / 2  # the centres of blocks

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
-from supple.render.colour import linear_light
 from supple.render.labels import SUFFIXES as TABLES
 from supple.render.labels import LabelColours
+from supple.render.picture import linear_light
 from supple.space.domain import items, number, refuse
 
 ENTRIES = 4096

@@ -11,7 +11,7 @@ import pytest
 from supple.media.video import Clip
 from supple.media.video import open_clip as open_video
 from supple.media.video.demux import index_of
-from supple.viewer.panels.frame_cache import FrameCache
+from supple.viewer.panels.stages import FrameCache
 from tests.clips import make
 
 COUNT = 40

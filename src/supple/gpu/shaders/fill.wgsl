@@ -7,13 +7,13 @@ struct Settings {
     strokes: u32,
     nodes: vec3u, // of the lattice of T⁻¹
     spread: f32, // voxels from node to node
-    count: u32, // of bricks in this dispatch
+    first: u32, // brick of this dispatch, and their number
+    count: u32,
     tolerance: f32, // of source points, in voxels
     turns: u32, // see turns.wgsl
 }
 
 var<uniform> settings: Settings;
-var<storage, read> wanted: array<u32>; // bricks
 var<storage, read_write> lost: atomic<u32>; // voxels that could not be solved
 var made: texture_storage_3d<r32float, write>; // the buffer
 
@@ -49,7 +49,7 @@ fn fill(
         return;
     }
     let blocks = (settings.size + BLOCK - 1u) / BLOCK;
-    let which = wanted[place];
+    let which = settings.first + place;
     let corner = BLOCK * vec3u(which % blocks.x, which / blocks.x % blocks.y, which / (blocks.x * blocks.y));
     let way = u32(settings.spread);
     for (var row = own; row < BLOCK * BLOCK; row += 64u) {

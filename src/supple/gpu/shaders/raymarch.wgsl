@@ -41,7 +41,6 @@ var<uniform> settings: Settings;
 var skips: texture_3d<u32>;
 var colours: texture_3d<f32>; // the transfer function, and its sums before each entry
 var<storage, read_write> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
-var<storage, read> finished: array<u32>; // for each brick of the buffer, 1 if it can be read
 var paint: texture_3d<f32>; // colours of voxels, sRGB and opacity
 var arrives: texture_3d<f32>; // the part of the light that arrives at nodes
 var<storage, read> ends: array<vec4f>; // the meshes that rays end at: colour, and distance
@@ -111,14 +110,7 @@ fn begin(ray: Ray, going_on: bool) {
     stretch.over = 1.0 / length_;
     stretch.from_ = stretch.to;
     // Its end, and its start unless it is known: a loop, since some devices run both sides of a branch.
-    var ends = select(2u, 1u, going_on && stretch.start == wanted);
-    if (MODE == HYBRID) {
-        let was = of_buffer;
-        let block = vec3u(clamp(ray.o + stretch.start * ray.d, vec3f(0.0), vec3f(settings.size - 1u))) / BLOCK;
-        let blocks = (settings.size + BLOCK - 1u) / BLOCK;
-        of_buffer = finished[(block.z * blocks.y + block.y) * blocks.x + block.x] != 0u;
-        ends = select(select(ends, 2u, was), 0u, of_buffer);
-    }
+    let ends = select(2u, 1u, going_on && stretch.start == wanted);
     for (var k = 0u; k < ends; k++) {
         let here = between(ray.o + (stretch.start + select(length_, 0.0, k == 1u)) * ray.d);
         if (k == 0u) {
@@ -137,7 +129,7 @@ fn source_of(ray: Ray, t: f32, near: vec3f) -> Place {
     if (MODE == EXACT) {
         return solved(q, near);
     }
-    if (MODE == PLAIN || (MODE == HYBRID && of_buffer)) {
+    if (MODE == PLAIN) {
         return Place(q, near, IDENTITY);
     }
     let s = (t - stretch.start) * stretch.over;
@@ -176,7 +168,7 @@ fn gradient_at(place: Place, t: f32) -> vec3f {
     if (MODE == EXACT) {
         return (g / domain.spacing.xyz) * place.matrix;
     }
-    if (MODE == PLAIN || (MODE == HYBRID && of_buffer)) {
+    if (MODE == PLAIN) {
         return g / domain.spacing.xyz;
     }
     let s = (t - stretch.start) * stretch.over;

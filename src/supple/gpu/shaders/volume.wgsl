@@ -4,15 +4,10 @@ var voxels: texture_3d<VOXEL>;
 var warped: texture_3d<f32>; // the buffer of a deformed volume
 
 override LABELLED: bool = false; // true if samples are numbers of labels, which are not mixed
-override SAMPLED: u32 = 0u; // the volume that is sampled: by default, the given one
-
-const WARPED = 1u;
-const EITHER = 2u;
-
-var<private> of_buffer: bool = false; // where either may be: true if the buffer is sampled
+override WARPED: bool = false; // true if the buffer is sampled, and not the given volume
 
 fn voxel_of(i: vec3u) -> f32 {
-    if (SAMPLED == WARPED || (SAMPLED == EITHER && of_buffer)) {
+    if (WARPED) {
         return textureLoad(warped, i, 0).x;
     }
     return f32(textureLoad(voxels, i, 0).x);

@@ -1,19 +1,143 @@
-"""The document: a list of strokes on a medium, with undo steps."""
+"""The document: a list of strokes on a medium, its states, and undo steps."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from operator import attrgetter
+from typing import Literal, Self
 
-from supple.deformation import Arrival, Deformation, last_outside, reduced
+import numpy as np
+import numpy.typing as npt
+
+from supple.deformation import Arrival, Deformation, after, last_outside, reduced
 from supple.errors import SuppleError
 from supple.files.volumes import indexed, placed
+from supple.folding.limits import NEAR
 from supple.space.domain import Border, Domain, integer, refuse
 from supple.space.freezing import Freeze
 from supple.space.geometry import Geometry
-from supple.strokes import PAINTINGS, FoldPolicy, Recipe, Stroke, spoken
-from supple.viewer.document.state import Handle, Kind, Solved, State, Track, handles_of
+from supple.strokes import PAINTINGS, CoordinateSpace, FoldPolicy, Recipe, Stroke, spoken
+
+Kind = Literal["image", "video", "volume"]
+Point = tuple[float, ...]
+Floats = npt.NDArray[np.float64]
+Handle = tuple[Point, Point]
+"""A point of a stroke, and where it ends."""
+_EMPTY = Recipe()
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """The state that is undone and redone.
+
+    Points are samples here; if those of the file are in millimetres, ``rest`` has their space.
+    """
+
+    strokes: tuple[Stroke, ...] = ()  # in the order of application, with the hidden ones
+    rest: Recipe = _EMPTY  # the recipe's other options
+    selected: int | None = None
+
+    @classmethod
+    def of(cls, recipe: Recipe, space: CoordinateSpace | None = None) -> Self:
+        """Return the state of a recipe of samples, with nothing selected, and its space for saving."""
+        rest = replace(recipe, strokes=(), size=None, space=space, time_scale=None)
+        return cls(recipe.strokes, rest)
+
+    @property
+    def recipe(self) -> Recipe:
+        """The recipe of this state, without its space: points are samples."""
+        return replace(self.rest, space=None, strokes=self.strokes)
+
+    @property
+    def on_fold(self) -> FoldPolicy:
+        """The policy for strokes that would fold the image."""
+        return self.rest.on_fold
+
+    def with_stroke(self, i: int, stroke: Stroke) -> Self:
+        """Return a state with a stroke replaced."""
+        return replace(self, strokes=(*self.strokes[:i], stroke, *self.strokes[i + 1 :]))
+
+    @property
+    def content(self) -> tuple[object, object]:
+        """The state without the selection."""
+        return self.strokes, self.rest
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """A visible stroke on screen: at its full drag, if its recipe applies a fraction of it."""
+
+    stroke: Stroke
+    handles: tuple[Handle, ...]
+    wanted: Point | None  # the target of its first point, if it misses that
+
+    @classmethod
+    def of(cls, stroke: Stroke, made: Deformation) -> Self:
+        """Return the last stroke of a deformation, which applies a stroke of the recipe."""
+        applied, arrival = made.strokes[-1], made.arrival(len(made.strokes) - 1)
+        seen = stroke if applied is stroke else replace(applied, strength=stroke.strength)
+        (at, _), *others = handles_of(seen)
+        return cls(seen, ((at, arrival.arrived), *others), arrival.target if arrival.miss > NEAR else None)
+
+
+def handles_of(stroke: Stroke) -> tuple[Handle, ...]:
+    """Return the points of a stroke, and their targets."""
+    return tuple((at, tuple(a + b for a, b in zip(at, by, strict=True))) for at, by in stroke.handles)
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """A state, and the deformation after none, one, two, … of its visible strokes.
+
+    ``wholes`` are the deformations before each visible stroke at full strength; those of the chain itself where they
+    are equal.
+    """
+
+    state: State
+    chain: tuple[Deformation, ...]
+    wholes: tuple[Deformation, ...] = ()
+    tracks: tuple[Track, ...] = ()
+
+    @property
+    def visible(self) -> list[tuple[int, Stroke]]:
+        """The visible strokes, with their indices."""
+        return [(i, stroke) for i, stroke in enumerate(self.state.strokes) if not stroke.hidden]
+
+    def before(self, k: int) -> tuple[Deformation, Deformation]:
+        """Return the deformation before a visible stroke, or the next one: at full strength, and as applied."""
+        if k < len(self.wholes):
+            return self.wholes[k], self.chain[k]
+        if k == 0:
+            return self.chain[0], self.chain[0]
+        stroke = self.visible[k - 1][1]
+        whole = after(stroke, self.state.rest.amount, self.wholes[k - 1], self.chain[k - 1], self.chain[k])
+        return whole, self.chain[k]
+
+    def kept(self, stroke: Stroke, k: int) -> Stroke:
+        """Return a stroke drawn on screen before visible stroke number ``k``, in coordinates of the recipe."""
+        whole, now = self.before(k)
+        part = self.state.rest.amount * stroke.strength
+        if whole is not now:
+            stroke = replace(stroke, at=tuple(whole.forward(now.inverse(stroke.at).points).tolist()))
+        return replace(stroke.weakened(1 / part), strength=stroke.strength) if 0 < part < 1 else stroke
+
+
+class Landmarks:
+    """Named points of a volume, before and after strokes: float64 voxels (N, 3), x first."""
+
+    def __init__(self, names: tuple[str, ...], points: Floats) -> None:
+        self.names, self.points = names, points
+        self._moved: tuple[Deformation, Floats] | None = None
+
+    def moved(self, deformation: Deformation) -> Floats:
+        """Return where the points are after strokes, (N, 3); the last answer is cached."""
+        if deformation.is_identity:
+            return self.points
+        if self._moved is None or self._moved[0] is not deformation:
+            self._moved = deformation, np.asarray(deformation.forward(self.points), np.float64)
+        return self._moved[1]
+
 
 _HIDDEN = attrgetter("hidden")
 
@@ -185,17 +309,10 @@ class Document:
         self._edit(self._state(recipe))
 
     def _state(self, recipe: Recipe) -> State:
-        """Return a recipe as a state of this document."""
         return State.of(self.fitted(recipe), recipe.space if recipe.is_world else None)
 
     def fitted(self, recipe: Recipe) -> Recipe:
-        """Return a recipe in samples of this medium, scaled if its size differs.
-
-        Raises
-        ------
-        SuppleError
-            If it does not fit.
-        """
+        """Return a recipe in samples of this medium, scaled if its size differs; SuppleError if it does not fit."""
         if not isinstance(recipe, Recipe):
             refuse("a recipe", "a Recipe, as Recipe.from_json reads one", recipe)
         count = len(self.shape)
@@ -316,19 +433,10 @@ class Document:
         self.trouble = None
 
     def preview(self, *strokes: Stroke, select: bool = True) -> bool:
-        """Show the current drag; the strokes are in coordinates of the screen.
+        """Show the current drag of one or several strokes, in coordinates of the screen; return whether it is valid.
 
-        Parameters
-        ----------
-        *strokes : Stroke
-            Of a new stroke's drag, one or several.
-        select : bool
-            Whether the first one is selected.
-
-        Returns
-        -------
-        bool
-            Whether it is valid. If not, the last preview stays, and `trouble` has the reason.
+        The first is selected, if that is asked for. If it is not valid, the last preview stays, and `trouble` has the
+        reason.
         """
         before, i = self._dragged()
         state, had, self.trouble = before.state, self.trouble, None
@@ -384,7 +492,6 @@ class Document:
         self._show(made)
 
     def _push(self, state: State) -> None:
-        """Add a state to the steps; undone ones are dropped."""
         self.steps, self.step = (*self.steps[: self.step + 1], state), self.step + 1
 
     def _solved(self, state: State, known: Solved | None) -> Solved:

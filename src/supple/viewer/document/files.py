@@ -1,33 +1,219 @@
-"""The file commands of a window: save, open, export, and questions before changes are lost."""
+"""The file commands of a window, questions before changes are lost, and autosave files for after a crash."""
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import json
 import os
+import secrets
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Collection, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import IO, Any, Protocol
+
+import numpy as np
 
 from supple.errors import SuppleError, argument, shown
 from supple.files import Job
 from supple.files.clips import is_picture_target
 from supple.files.options import PathLike
 from supple.files.recipes import read_recipe, write_recipe
-from supple.media.files import check_output, same_file
+from supple.media.files import check_output, locked, replacing, same_file
 from supple.media.image import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.image import check_target
 from supple.media.medium import VIDEOS_OUT
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import suffix_of
-from supple.strokes import spoken
-from supple.viewer.document import autosave
-from supple.viewer.document.autosave import Autosave
+from supple.strokes import Recipe, spoken
 from supple.viewer.document.background import Export
-from supple.viewer.document.editing import Document
-from supple.viewer.document.state import Kind
+from supple.viewer.document.editing import Document, Kind
+
+EVERY = 1.0  # seconds between two saves, at least
+_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The autosave file of a window that crashed."""
+
+    recipe: Recipe
+    place: Path
+    saved: float  # in seconds since 1970
+    same: bool  # the source is unchanged, by its size and time
+    medium: object = None  # the shape and the spacing of the source, if known
+
+    def set_aside(self) -> Path:
+        """Rename the file, so that it is not offered again; return the new name."""
+        return _set_aside(self.place, "kept")
+
+
+@dataclass(eq=False)
+class Autosave:
+    """The autosave of a document's recipe, until the window is closed properly.
+
+    Each window has a file, with a lock that the system releases if the window dies: two windows of one source never
+    share a file. Writing is done in a thread. The default folder is the system's folder for the user's state; the clock
+    returns seconds.
+    """
+
+    source: PathLike
+    document: Document
+    folder: PathLike | None = None
+    clock: Callable[[], float] = time.monotonic
+
+    def __post_init__(self) -> None:
+        self.trouble: str | None = None  # the last error of saving, in a line
+        self._folder = _home(self.folder)
+        self.place = self._folder / f"{_stem(self.source)}-{os.getpid()}-{secrets.token_hex(4)}.json"
+        """The autosave file, which exists only while there are unsaved strokes."""
+        self._lock: IO[bytes] | None = None
+        self._pool = ThreadPoolExecutor(1, "supple-autosave")
+        self._writing: Future[None] | None = None
+        self._next = -float("inf")
+        self._kept: object = self._now()
+        self._ended = False
+
+    @property
+    def due(self) -> bool:
+        """Whether there are changes that are not saved yet."""
+        writing = self._writing is not None and not self._writing.done()
+        return not self._ended and (writing or self._now() != self._kept)
+
+    def tick(self) -> None:
+        """Save changes if it is time to; may be called at any rate."""
+        now = self._now()
+        if self._ended or self.document.dragging or now == self._kept or self.clock() < self._next:
+            return
+        if self._writing is not None and not self._writing.done():
+            return
+        self._next, self._kept = self.clock() + EVERY, now
+        # A saved document needs no autosave.
+        self._writing = self._pool.submit(self._write, self.document.recipe if self.document.dirty else None)
+
+    def _now(self) -> object:
+        return self.document.state.content, self.document.dirty
+
+    def keep(self) -> bool:
+        """Save the current state, and wait for it; return whether it was written."""
+        self.flush()
+        self._kept = self._now()
+        self._write(self.document.recipe if self.document.dirty else None)
+        return self.trouble is None
+
+    def flush(self) -> None:
+        """Wait for the current write."""
+        if self._writing is not None:
+            self._writing.result()
+
+    def clear(self, *, keep: bool = False) -> None:
+        """End, and delete the file; or leave it to the next window."""
+        self._ended = True
+        self.flush()
+        self._pool.shutdown()
+        if not keep:
+            self._remove()
+        elif self._now() != self._kept:
+            self.keep()
+        if self._lock is not None:
+            self._lock.close()
+            with contextlib.suppress(OSError):
+                self.place.with_suffix(".lock").unlink()
+            self._lock = None
+
+    def _write(self, recipe: Recipe | None) -> None:
+        try:
+            if recipe is None:
+                self._remove()
+            else:
+                self._folder.mkdir(parents=True, exist_ok=True)
+                if self._lock is None:
+                    self._lock = locked(self.place.with_suffix(".lock"))
+                data: dict[str, object] = {"supple_autosave": _VERSION, "source": _described(self.source)}
+                data |= {"saved": time.time(), "medium": _medium(self.document)}
+                data["recipe"] = json.loads(recipe.to_json())
+                text = json.dumps(data, indent=1, allow_nan=False)
+                with replacing(self.place, force=True) as place:
+                    place.write_text(text, encoding="utf-8")
+            self.trouble = None
+        except (OSError, SuppleError) as error:
+            self.trouble = " ".join(str(error).split())
+            self._kept = None  # retry later
+
+    def _remove(self) -> None:
+        with contextlib.suppress(FileNotFoundError):
+            self.place.unlink()
+
+
+def found(source: PathLike, folder: PathLike | None = None) -> Found | None:
+    """Return the latest unsaved edits of a source from an autosave file; None if there are none.
+
+    Files of running windows are skipped. An unreadable file is renamed. The folder is that of `Autosave`.
+    """
+    best: Found | None = None
+    for place in sorted(_home(folder).glob(f"{_stem(source)}-*.json")):
+        with contextlib.suppress(OSError):  # it may be deleted, or not readable
+            lock = locked(place.with_suffix(".lock"))
+            if lock is None:
+                continue
+            with lock:
+                try:
+                    data: Any = json.loads(place.read_bytes().decode("utf-8"))
+                    if data["supple_autosave"] != _VERSION:
+                        continue  # for another release
+                    recipe, saved = Recipe.from_json(json.dumps(data["recipe"])), float(data["saved"])
+                    one = Found(recipe, place, saved, data["source"] == _described(source), data.get("medium"))
+                except (ValueError, TypeError, KeyError, RecursionError):
+                    _set_aside(place, "bad")
+                    continue
+                if best is None or one.saved > best.saved:
+                    best = one
+    return best
+
+
+def _set_aside(place: Path, why: str) -> Path:
+    aside = place.with_suffix(f".{secrets.token_hex(2)}.{why}")
+    try:
+        os.replace(place, aside)
+    except OSError:
+        return place
+    with contextlib.suppress(OSError):
+        place.with_suffix(".lock").unlink()
+    return aside
+
+
+def _home(folder: PathLike | None) -> Path:
+    if folder is not None:
+        return Path(folder)
+    try:
+        from platformdirs import user_state_path
+    except ImportError:
+        raise SuppleError('to keep what was done, platformdirs is needed: pip install "supple[view]"') from None
+    return user_state_path("supple", appauthor=False) / "autosave"
+
+
+def _stem(source: PathLike) -> str:
+    """Return a unique name for a source, within the length of file names."""
+    return hashlib.sha256(os.fsencode(os.path.realpath(source))).hexdigest()[:20]
+
+
+def _described(source: PathLike) -> dict[str, object]:
+    path = os.path.realpath(source)
+    made: dict[str, object] = {"path": os.fsencode(path).decode("utf-8", "backslashreplace")}
+    with contextlib.suppress(OSError):
+        stat = os.stat(path)
+        made |= {"size": stat.st_size, "mtime_ns": stat.st_mtime_ns}
+    return made
+
+
+def _medium(document: Document) -> list[list[float]]:
+    """Return the JSON form of the spacing that a source is read with; a time scale is a spacing."""
+    return [[float(n) for n in np.ravel(values)] for values in (document.shape, document.spacing)]
+
 
 FAILED = 0.5  # seconds, in which nobody answers a dialog: one that ends so early cannot be shown
 
@@ -82,21 +268,14 @@ class FileCommands:
         self.recipe_path: Path | None = None  # the last saved or opened recipe
         self._told: Export | None = None
         self.autosave = None if self.source is None else Autosave(self.source, self.document)
-        self._left = None if self.source is None else autosave.found(self.source)
+        self._left = None if self.source is None else found(self.source)
         if self._left is not None:
-            count = len(self._left.recipe.strokes)
-            what = "1 stroke on this file was" if count == 1 else f"{count} strokes on this file were"
-            if count == 0:
-                what = "What was changed on this file was"
-            text = f"{what} not saved the last time."
+            text = f"Changes to this file were not saved the last time (strokes: {len(self._left.recipe.strokes)})."
             if not self._left.same:
                 text += "\nThe file has changed since then."
-            if not self._left.read_alike(self.document):
+            if self._left.medium not in (None, _medium(self.document)):
                 text += "\nIt was read otherwise then: by another --time-scale, --series, --shape or --spacing."
-            text += (
-                "\nRestore brings that back; Keep for later opens the file without it, and keeps it in a file that is "
-            )
-            text += "named then."
+            text += "\nRestore brings them back; Keep for later opens the file without them, and says where they are."
             self.asked = Question("restore", "Restore?", text, ("Restore", "Keep for later"))
 
     def tick(self) -> None:
@@ -111,7 +290,6 @@ class FileCommands:
             self.message = "; ".join([said, *export.warnings])
 
     def _chosen(self) -> None:
-        """Go on with what was answered in a dialog of the system."""
         if self.choosing is None or self.asked is not None:
             return
         question, dialog, begun = self.choosing
@@ -219,13 +397,7 @@ class FileCommands:
             self.leave()
 
     def save(self, path: PathLike, *, force: bool = False) -> None:
-        """Write the recipe.
-
-        Raises
-        ------
-        SuppleError
-            If it cannot be written, or exists and must not be replaced.
-        """
+        """Write the recipe; SuppleError if it cannot be written, or exists and must not be replaced."""
         if not os.fspath(path):
             raise SuppleError("the recipe needs a name: such as strokes.json")
         self._spare(path)
@@ -240,14 +412,9 @@ class FileCommands:
             raise SuppleError(f"{shown(path)} is what is bent here: choose another name")
 
     def open(self, path: PathLike, *, sure: bool = False) -> None:
-        """Replace the strokes by those of a recipe, as one step.
+        """Replace the strokes by those of a recipe, as one step; SuppleError if it cannot be read, or does not fit.
 
         Unsaved strokes cause a question first, unless ``sure``.
-
-        Raises
-        ------
-        SuppleError
-            If it cannot be read, or does not fit.
         """
         recipe = read_recipe(path)
         if self.document.dirty and not sure:
@@ -262,13 +429,7 @@ class FileCommands:
         self.message = f"opened {shown(path)}" + (f", scaled to {spoken(size)}" if scaled else "")
 
     def open_beside(self, path: PathLike) -> None:
-        """Open another medium in a window of its own.
-
-        Raises
-        ------
-        SuppleError
-            If the file does not exist.
-        """
+        """Open another medium in a window of its own; SuppleError if the file does not exist."""
         if not os.path.exists(path):
             raise SuppleError(f"cannot read {shown(path)}: there is no such file")
         subprocess.Popen([sys.executable, "-m", "supple", "view", os.fspath(path)], start_new_session=True)
@@ -277,10 +438,7 @@ class FileCommands:
     def begin_export(self, path: PathLike, *, force: bool = False) -> None:
         """Start to write the whole medium, warped, in the background.
 
-        Raises
-        ------
-        SuppleError
-            If there is nothing to export, an export is running, or the name cannot be written.
+        SuppleError if there is nothing to export, an export is running, or the name cannot be written.
         """
         if self.source is None:
             raise SuppleError("an array is no file: Deformation.warp makes an array of it")

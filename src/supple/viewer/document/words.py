@@ -10,7 +10,7 @@ from supple.deformation import Arrival
 from supple.folding.limits import NEAR
 from supple.space.freezing import Freeze
 from supple.strokes import PAINTINGS, FoldPolicy, Recipe, Stroke
-from supple.viewer.document.state import State
+from supple.viewer.document.editing import State
 
 CAUSES = {"fold": "all of it would fold", "border": "the fixed border holds it back", "outside": "it starts outside"}
 CAUSES["freeze"] = "what is frozen holds it back"
@@ -136,7 +136,6 @@ def step(before: State, after: State) -> str:
 
 @lru_cache(maxsize=256)
 def _freezing(old: Freeze | None, new: Freeze | None) -> str:
-    """Return the name of a step between two freeze masks."""
     if new is None:
         return "Thaw everything"
     if old is None:

@@ -16,10 +16,6 @@ from supple.viewer.panels.widgets import hint, icon_button
 from supple.viewer.tools.keys import BRUSHES
 
 
-def _always(view: View) -> bool:
-    return True
-
-
 @dataclass(frozen=True, slots=True)
 class Action:
     """Something that a press on a button, or an item of the menu, does."""
@@ -27,7 +23,7 @@ class Action:
     text: str
     keys: str  # that do the same; as `supple.viewer.tools.keys.KEYS` writes them
     do: Callable[[View], object]
-    able: Callable[[View], bool] = _always
+    able: Callable[[View], bool] = lambda view: True
     on: Callable[[View], bool] | None = None  # whether it is on, of a switch
     more: Callable[[View], str] | None = None  # what it would be done to
 
@@ -49,10 +45,6 @@ def _redone(view: View) -> str:
     return step(document.state, document.steps[document.step + 1]) if document.can_redo else ""
 
 
-def _files(name: str, view: View) -> None:
-    view.commands.ask(name)
-
-
 def show_original(view: View, on: bool) -> None:
     """Show the original, or the result again."""
     view.tools.original = on
@@ -64,45 +56,32 @@ def _split(view: View) -> None:
     view.refresh()
 
 
-def _undo(view: View) -> None:
-    view.attempt(view.document.undo)
-
-
-def _redo(view: View) -> None:
-    view.attempt(view.document.redo)
+def _hide(view: View) -> None:
+    document, chosen = view.document, view.document.selected
+    if chosen is not None:
+        document.hide(chosen, not document.strokes[chosen].hidden)
 
 
 def _delete(view: View) -> None:
-    chosen = view.document.selected
-    if chosen is not None:
-        view.attempt(lambda: view.document.remove(chosen))
+    if view.document.selected is not None:
+        view.document.remove(view.document.selected)
 
 
-def _hide(view: View) -> None:
-    chosen = view.document.selected
-    if chosen is not None:
-        view.attempt(lambda: view.document.hide(chosen, not view.document.strokes[chosen].hidden))
+def _edits(edit: Callable[[View], object]) -> Callable[[View], None]:
+    """Return an action that shows the error of an edit."""
+    return lambda view: view.attempt(partial(edit, view))
 
 
-def _thaw(view: View) -> None:
-    view.attempt(lambda: view.document.set_freeze(None))
+def _asks(name: str) -> Callable[[View], None]:
+    return lambda view: view.commands.ask(name)
 
 
-def _invert(view: View) -> None:
-    view.attempt(lambda: view.document.set_freeze(view.document.freeze.inverted))
+def _presses(key: str) -> Callable[[View], None]:
+    def press(view: View) -> None:
+        view.tools.press(key)
+        view.canvas.request_draw()
 
-
-def _frozen(view: View) -> bool:
-    return view.document.state.rest.freeze is not None
-
-
-def _key(key: str, view: View) -> None:
-    view.tools.press(key)
-    view.canvas.request_draw()
-
-
-def _list_keys(view: View) -> None:
-    view.tools.listing = not view.tools.listing
+    return press
 
 
 def copy_recipe(view: View) -> None:
@@ -117,17 +96,28 @@ def _chosen(view: View) -> bool:
 
 
 ACTIONS: dict[str, Action] = {
-    "open": Action("Open a recipe \u2026", "Ctrl+O", partial(_files, "open")),
-    "save": Action("Save the recipe", "Ctrl+S", partial(_files, "save")),
-    "save as": Action("Save the recipe as \u2026", "Ctrl+Shift+S", partial(_files, "save as")),
-    "export": Action("Export \u2026", "Ctrl+E", partial(_files, "export"), lambda view: view.source is not None),
-    "copy": Action("Save this view \u2026", "", partial(_files, "copy")),
-    "undo": Action("Undo", "Ctrl+Z", _undo, lambda view: view.document.can_undo, more=_undone),
-    "redo": Action("Redo", "Ctrl+Y", _redo, lambda view: view.document.can_redo, more=_redone),
-    "delete": Action("Delete the stroke", "Delete", _delete, _chosen),
-    "hide": Action("Hide or show the stroke", "H", _hide, _chosen),
-    "thaw all": Action("Thaw everything", "", _thaw, _frozen),
-    "invert frozen": Action("Invert what is frozen", "", _invert),
+    "open": Action("Open a recipe \u2026", "Ctrl+O", _asks("open")),
+    "save": Action("Save the recipe", "Ctrl+S", _asks("save")),
+    "save as": Action("Save the recipe as \u2026", "Ctrl+Shift+S", _asks("save as")),
+    "export": Action("Export \u2026", "Ctrl+E", _asks("export"), lambda view: view.source is not None),
+    "copy": Action("Save this view \u2026", "", _asks("copy")),
+    "undo": Action(
+        "Undo", "Ctrl+Z", _edits(lambda view: view.document.undo()), lambda view: view.document.can_undo, more=_undone
+    ),
+    "redo": Action(
+        "Redo", "Ctrl+Y", _edits(lambda view: view.document.redo()), lambda view: view.document.can_redo, more=_redone
+    ),
+    "delete": Action("Delete the stroke", "Delete", _edits(_delete), _chosen),
+    "hide": Action("Hide or show the stroke", "H", _edits(_hide), _chosen),
+    "thaw all": Action(
+        "Thaw everything",
+        "",
+        _edits(lambda view: view.document.set_freeze(None)),
+        lambda view: view.document.state.rest.freeze is not None,
+    ),
+    "invert frozen": Action(
+        "Invert what is frozen", "", _edits(lambda view: view.document.set_freeze(view.document.freeze.inverted))
+    ),
     "copy recipe": Action("Copy the recipe as JSON", "", copy_recipe, lambda view: view.copy_text is not None),
     "original": Action(
         "Show the original",
@@ -136,10 +126,10 @@ ACTIONS: dict[str, Action] = {
         on=lambda view: view.tools.original,
     ),
     "split": Action("Before and after", "B", _split, on=lambda view: view.tools.split is not None),
-    "symmetry": Action("Symmetric strokes", "M", partial(_key, "m"), on=lambda view: view.tools.symmetric),
-    "fit": Action("Fit the view", "0", partial(_key, "0")),
-    "actual": Action("100 %", "1", partial(_key, "1"), lambda view: view.stage.kind != "volume"),
-    "keys": Action("Keys and gestures", "F1", _list_keys, on=lambda view: view.tools.listing),
+    "symmetry": Action("Symmetric strokes", "M", _presses("m"), on=lambda view: view.tools.symmetric),
+    "fit": Action("Fit the view", "0", _presses("0")),
+    "actual": Action("100 %", "1", _presses("1"), lambda view: view.stage.kind != "volume"),
+    "keys": Action("Keys and gestures", "F1", _presses("F1"), on=lambda view: view.tools.listing),
 }
 
 

@@ -1,20 +1,357 @@
-"""What lies over the image: the brush's ring and the strokes' handles; and the bars below it."""
+"""What lies over the image and its views: marks, strokes, rings, and the orientation cube; and the bars below it."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable
+from typing import Any
 
+import numpy as np
 from imgui_bundle import imgui
 
+from supple.render.box import whole_box
+from supple.render.camera import rounded
+from supple.space.geometry import SIDES
+from supple.strokes import PAINTINGS
 from supple.viewer.document.words import done, named
-from supple.viewer.panels import marks, theme
+from supple.viewer.panels import theme
 from supple.viewer.panels.stages import VideoStage, VolumeStage
 from supple.viewer.panels.view import BAR, COMPUTING, LINE, View
 from supple.viewer.panels.widgets import hint, icon_button, shortened
 from supple.viewer.tools.brushes import ImageTools, VideoTools
-from supple.viewer.tools.drags import Pair, Point
+from supple.viewer.tools.drawing import MASKS, PAINTED, Pair, Place, Point
+from supple.viewer.tools.planes import RENDERED, Pane
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.volumes import VolumeTools
+
+_LETTERS = 0xF0FFFFFF  # ABGR
+_PLANES = (0xFF6478F0, 0xFF78C86C, 0xFF50C8E8)  # red, green and yellow, as elsewhere for these three
+_INSET = 8.0  # logical pixels from a view's edge to its text
+_NAMED = 30.0  # and to the names of before and after, below that of the plane
+_BAR = (0.28, 30.0)  # the largest part of a view's width, and the least logical pixels, of a scale bar
+_DASH = 14.0  # logical pixels from one dash to the next
+_ROOMY = 240.0  # logical pixels: a narrower view has no room for all of its text
+_NEARBY = 5.0  # millimetres of a landmark from a plane in which it is seen, faint
+_MARK = 0xFFF0D060  # of landmarks
+
+
+def _views(view: View, tools: VolumeTools, lines: imgui.ImDrawList) -> None:
+    """Draw what lies over all views; their planes are sampled first."""
+    if view.slices is not None:
+        view.slices.update(tools, not view._lately)
+    for k, place in tools.places.items():
+        left, top, width, height = place
+        lines.push_clip_rect((left, top), (left + width, top + height), True)
+        if k == RENDERED:
+            _rendering(view, tools, lines, place)
+        else:
+            _plane(view, tools, lines, k)
+        if tools.active == k:
+            rings(tools, lines)
+        if (at := tools.knob_in(place)) is not None:
+            knob(lines, at)
+        names(tools, lines, place, _NAMED)
+        _button(tools, lines, k)
+        lines.pop_clip_rect()
+
+
+def rings(tools: ImageTools | VolumeTools, lines: imgui.ImDrawList) -> None:
+    """Draw the brush's radius under the pointer and, around it, its reach, beyond which nothing moves."""
+    middle, radius, held = tools.pointer, tools.ring, tools.held
+    if middle is None or tools.original or not radius:
+        return
+    if held is not None and held.shapes:  # the point stays, and the pointer says how much
+        middle = held.start
+    reach = PAINTED if tools.brush in PAINTINGS else tools.reach if held is None else held.stroke.reach
+    if tools.brush in MASKS:
+        reach = None
+    if reach is not None and reach > 1.0:
+        ring(lines, middle, reach * radius, tools.stretch, theme.SHADE, 3.0)
+        ring(lines, middle, reach * radius, tools.stretch, theme.PALE)
+    ring(lines, middle, radius, tools.stretch, theme.DARK, 3.0)
+    ring(lines, middle, radius, tools.stretch, theme.WHITE)
+
+
+def ring(lines: imgui.ImDrawList, middle: Pair, radius: float, stretch: Pair, colour: int, thick: float = 1.0) -> None:
+    """Draw a circle of the image: an ellipse where its pixels are not square."""
+    lines.add_ellipse(middle, (radius * stretch[0], radius * stretch[1]), colour, 0.0, 0, thick)
+
+
+def names(tools: ImageTools | VolumeTools, lines: imgui.ImDrawList, place: Place, down: float) -> None:
+    """Say which picture of a view is the original, or a step of the history, some pixels below its upper edge."""
+    (left, top, width, _), named = place, []
+    compared = tools.document.compared is not None
+    if tools.original:
+        named = [("Step A" if compared else "Original", left + 10.0)]
+    elif tools.split is not None and 0.05 < tools.split < 0.95:
+        middle, (before, after) = left + tools.split * width, ("Step A", "Now") if compared else ("Before", "After")
+        named = [(before, middle - 10 - imgui.calc_text_size(before).x - 20), (after, middle + 10)]
+    for text, x in named:
+        size, y = imgui.calc_text_size(text), top + down
+        lines.add_rect_filled((x, y), (x + size.x + 20, y + size.y + 8), 0xB0181818, 6.0)
+        lines.add_text((x + 10, y + 4), theme.WHITE, text)
+
+
+def knob(lines: imgui.ImDrawList, at: Pair, colour: int = theme.WHITE) -> None:
+    """Draw the knob of a line that can be dragged: of the split between before and after, or of symmetry."""
+    x, y = at
+    lines.add_circle_filled(at, 9.0, colour)
+    lines.add_circle(at, 9.0, theme.DARK, 0, 1.0)
+    for way in (-1, 1):
+        lines.add_triangle_filled((x + 6 * way, y), (x + 2 * way, y - 4), (x + 2 * way, y + 4), 0xFF202020)
+
+
+def _text(lines: imgui.ImDrawList, at: Pair, said: str, colour: int = _LETTERS, align: Pair = (0.0, 0.0)) -> None:
+    """Write a line with a shadow; its position is that of a point of it, in fractions of its size."""
+    size = imgui.calc_text_size(said)
+    x, y = round(at[0] - align[0] * size.x), round(at[1] - align[1] * size.y)
+    lines.add_text((x + 1, y + 1), 0xD0000000, said)
+    lines.add_text((x, y), colour, said)
+
+
+def _button(tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> None:
+    """Draw the button that enlarges a view: the corners of a frame, which point outwards or inwards."""
+    left, top, width, height = tools.button(k)
+    x, y, large = left + width / 2, top + height / 2, tools.sight.large is not None
+    over = tools.pointer is not None and left <= tools.pointer[0] and top <= tools.pointer[1] < top + height
+    colour = theme.WHITE if over and tools.active == k else theme.GREY
+    for shade, thick in ((theme.DARK, 3.5), (colour, 1.5)):
+        for a, b in ((-1, -1), (1, -1), (-1, 1), (1, 1)):
+            near, far = (2.0, 6.0) if large else (6.0, 2.0)
+            corner = x + a * near, y + b * near
+            lines.add_line(corner, (x + a * far, y + b * near), shade, thick)
+            lines.add_line(corner, (x + a * near, y + b * far), shade, thick)
+
+
+def _plane(view: View, tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> None:
+    pane = tools.pane(k)
+    left, top, width, height = pane.place
+    if tools.mask is not None and not tools.original:
+        axes, index = (pane.plane.axis, pane.plane.across, pane.plane.down), pane.index[pane.plane.axis]
+        view.veil.draw(lines, tools.mask, tools.sizes, pane.to_canvas, axes, index, outline=not view.veiled)
+    _cut(view, lines, pane)
+    _crosshair(tools, lines, pane)
+    if (grip := tools.grip_of(k)) is not None:
+        mirror(lines, grip, top, height)
+
+    def ball(start: Pair, point: Point, radius: float) -> None:  # where the plane cuts it
+        away = (point[pane.plane.axis] - pane.index[pane.plane.axis]) * pane.spacing[pane.plane.axis]
+        if abs(away) < radius:
+            lines.add_circle(start, math.sqrt(radius**2 - away**2) * pane.scale, theme.BALL, 0, 1.0)
+
+    strokes(view, lines, pane.to_canvas, pane.crosses, ball)
+    _landmarks(view, lines, pane.to_canvas, pane)
+    x, y, (west, east, north, south) = left + width / 2, top + height / 2, pane.plane.sides
+    _text(lines, (left + _INSET, y), west, align=(0.0, 0.5))
+    _text(lines, (left + width - _INSET, y), east, align=(1.0, 0.5))
+    _text(lines, (x, top + _INSET), north, align=(0.5, 0.0))
+    _text(lines, (x, top + height - _INSET), south, align=(0.5, 1.0))
+    axis = pane.plane.axis
+    _text(lines, (left + _INSET, top + _INSET), pane.plane.name, _PLANES[k])
+    wide = imgui.calc_text_size(pane.plane.name).x
+    said = f"{'xyz'[axis]} {pane.index[axis]}   {_lies(tools, pane)}"
+    if 3 * _INSET + wide + imgui.calc_text_size(said).x < 0.5 * width - _INSET:  # beside the letter in the middle
+        _text(lines, (left + 2 * _INSET + wide, top + _INSET), said, theme.GREY)
+    _bar(lines, pane.place, pane.scale)
+    if view.slices is not None and not view.slices.labels and width > _ROOMY:
+        low, high = tools.sight.window
+        unit = view.slices.unit if view.slices.unit != "label" else ""
+        said = f"W {high - low:.4g}  L {0.5 * (low + high):.4g} {unit}".rstrip()
+        _text(lines, (left + width - _INSET, top + height - _INSET), said, theme.GREY, (1.0, 1.0))
+
+
+def _lies(tools: VolumeTools, pane: Pane) -> str:
+    """Return where a plane lies on the axis of a patient that it crosses, such as S 12 mm, or how oblique it is."""
+    geometry = tools.geometry
+    if geometry.convention == "array":
+        return ""
+    if geometry.oblique:
+        return f"oblique by {geometry.oblique:.2g} degrees"
+    row = int(np.abs(geometry.direction[:, pane.plane.axis]).argmax())
+    place = float(geometry.to_lps(pane.index)[row])
+    return f"{SIDES[row][place < 0]} {abs(place):.1f} mm"
+
+
+def _crosshair(tools: VolumeTools, lines: imgui.ImDrawList, pane: Pane) -> None:
+    """Draw the other two planes as lines, with a gap about the voxel where they cross."""
+    (left, top, width, height), (x, y) = pane.place, pane.to_canvas(pane.index)
+    normal = {plane.axis: _PLANES[k] & 0xB0FFFFFF for k, plane in enumerate(tools.planes)}
+    upright, level, gap = normal[pane.plane.across], normal[pane.plane.down], 7.0
+    for a, b in ((left, x - gap), (x + gap, left + width)):
+        if a < b:
+            lines.add_line((a, y), (b, y), level, 1.0)
+    for a, b in ((top, y - gap), (y + gap, top + height)):
+        if a < b:
+            lines.add_line((x, a), (x, b), upright, 1.0)
+
+
+def _cut(view: View, lines: imgui.ImDrawList, pane: Pane) -> None:
+    """Draw the box that is left of the rendering where something is cut away; faint where the plane is beside it."""
+    assert isinstance(view.stage, VolumeStage)
+    box = view.stage.scene.clip
+    if box == whole_box(view.stage.shape):
+        return
+    low, high = box[pane.plane.axis]
+    colour = theme.SOFT if low <= pane.index[pane.plane.axis] <= high else theme.DIM
+    (a, b), (c, d) = (pane.to_canvas(tuple(corner)) for corner in zip(*box, strict=True))
+    lines.add_rect((min(a, c), min(b, d)), (max(a, c), max(b, d)), colour, 0.0, 1.0)
+
+
+def strokes(
+    view: View,
+    lines: imgui.ImDrawList,
+    place: Callable[[Point], Pair | None],
+    there: Callable[[Point], bool] = lambda point: True,
+    ball: Callable[[Pair, Point, float], None] = lambda place, point, radius: None,
+) -> None:
+    """Draw the strokes, and faint points where those of the selected one are in other frames or planes.
+
+    ``place`` returns where a point is on the canvas, if it is seen; ``there`` whether it is in the frame or the plane
+    shown; ``ball`` draws the ball of the selected stroke's brush, from a place on the canvas, the point there, and its
+    radius.
+    """
+    document = view.document
+    for i, each in document.tracks():
+        selected = document.selected == i
+        if not selected and len(document.strokes) > 60:
+            continue
+        stroke, wanted = each.stroke, each.wanted
+        colour = theme.BLUE if selected else theme.SOFT
+        for point, where in each.handles:
+            start, end, starts, ends = place(point), place(where), there(point), there(where)
+            if start is not None and end is not None and (starts or ends or selected):
+                if starts and ends:
+                    track(lines, (start, *map(place, stroke.path), end), colour)
+                if starts:
+                    lines.add_circle_filled(start, 3.0, colour)
+                else:
+                    lines.add_circle(start, 2.0, theme.DIM, 0, 1.0)
+                if not ends:
+                    lines.add_circle(end, 3.0, theme.DIM, 0, 1.5)
+                elif stroke.brush == "grab":
+                    end_of(lines, end, colour, None if wanted is None else place(wanted))
+                if selected:
+                    ball(start, point, stroke.radius)
+            wanted = None  # only the first one's is known
+
+
+def track(lines: imgui.ImDrawList, places: Iterable[Pair | None], colour: int) -> None:
+    """Draw the way of a point, where it is seen."""
+    points: list[Any] = [imgui.ImVec2(*place) for place in places if place is not None]
+    for shade, thick in ((theme.DARK, 3.0), (colour, 1.5)):
+        lines.add_polyline(points, col=shade, thickness=thick, flags=imgui.ImDrawFlags_.none)
+
+
+def mirror(lines: imgui.ImDrawList, grip: Pair, top: float, height: float) -> None:
+    """Draw the line of symmetry, dashed, with its knob."""
+    x = grip[0]
+    for k in range(math.ceil(height / _DASH)):
+        for shade, thick in ((theme.DARK, 3.0), (theme.BLUE, 1.0)):
+            lines.add_line((x, top + k * _DASH), (x, top + min(k * _DASH + 0.55 * _DASH, height)), shade, thick)
+    knob(lines, grip, theme.BLUE)
+
+
+def end_of(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None) -> None:
+    """Draw the end of a stroke, and its target, if they differ."""
+    lines.add_circle(end, 5.0, colour, 0, 2.0)
+    if wanted is not None:
+        lines.add_line(end, wanted, theme.RED, 1.5)
+        lines.add_circle(wanted, 4.0, theme.RED, 0, 1.5)
+
+
+def _rendering(view: View, tools: VolumeTools, lines: imgui.ImDrawList, place: Place) -> None:
+    strokes(view, lines, tools.projected)
+    if tools.sight.large is None and (at := tools.projected(tuple(map(float, tools.index)))) is not None:
+        for a, b in ((1, 0), (0, 1)):
+            for way in (-1, 1):
+                near, far = ((at[0] + way * r * a, at[1] + way * r * b) for r in (3.0, 9.0))
+                lines.add_line(near, far, theme.DARK, 3.0)
+                lines.add_line(near, far, theme.WHITE, 1.0)
+    _landmarks(view, lines, tools.projected)
+    if view.computing:
+        left, top, width, _ = place
+        _text(lines, (left + width / 2, top + _INSET), COMPUTING, align=(0.5, 0.0))
+    _cube(tools, lines)
+    _bar(lines, place, tools.stage.scale(tools.view, tools.stage.target(tools.view)))
+
+
+def _landmarks(
+    view: View, lines: imgui.ImDrawList, seen: Callable[[tuple[float, ...]], Pair | None], pane: Pane | None = None
+) -> None:
+    """Draw the landmarks, with lines from where they were; of a plane those in it, and faint ones that are near."""
+    marks = view.landmarks
+    if marks is None:
+        return
+    taken: list[tuple[float, float, float]] = []  # where names lie, which are not written over each other
+    before = marks.points
+    document = view.document
+    after = marks.moved(document.base if view.tools.original else document.deformation)
+    for name, old, new in zip(marks.names, before.tolist(), after.tolist(), strict=True):
+        away = 0.0
+        if pane is not None:
+            axis = pane.plane.axis
+            away = abs(new[axis] - pane.index[axis])
+            if away > 0.5 and away * pane.spacing[axis] > _NEARBY:
+                continue
+        start, end = seen(tuple(old)), seen(tuple(new))
+        if start is None or end is None:
+            continue
+        if math.dist(start, end) > 1.0:
+            lines.add_line(start, end, theme.DARK, 3.0)
+            lines.add_line(start, end, _MARK & 0x90FFFFFF, 1.0)
+            lines.add_circle(start, 2.5, _MARK & 0x90FFFFFF, 0, 1.0)
+        x, y = end
+        corners: list[Any] = [imgui.ImVec2(x + a, y + b) for a, b in ((0, -5), (5, 0), (0, 5), (-5, 0))]
+        if away <= 0.5:
+            lines.add_convex_poly_filled(corners, _MARK)
+            size, x = imgui.calc_text_size(name), x + _INSET
+            for begin, over, low in sorted(taken):
+                if abs(y - low) < size.y and begin < x + size.x and x < over:
+                    x = over + _INSET
+            taken.append((x, x + size.x, y))
+            _text(lines, (x, y), name, _MARK, (0.0, 0.5))
+        lines.add_polyline([*corners, corners[0]], theme.DARK if away <= 0.5 else _MARK & 0x90FFFFFF, 1.5, 0)
+
+
+def _bar(lines: imgui.ImDrawList, place: Place, scale: float) -> None:
+    left, top, width, height = place
+    most = max(_BAR[0] * width, _BAR[1])
+    if scale <= 0:
+        return
+    length = rounded(most / scale)
+    x, y = left + _INSET, top + height - _INSET
+    for colour, thick in ((theme.DARK, 4.0), (theme.WHITE, 2.0)):
+        lines.add_line((x, y - 2), (x + length * scale, y - 2), colour, thick)
+        for end in (x, x + length * scale):
+            lines.add_line((end, y - 6), (end, y), colour, thick)
+    _text(lines, (x, y - 8), f"{length:g} mm", align=(0.0, 1.0))
+
+
+_DARKEST, _BRIGHTEST = 0.46, 0.88  # grey of faces that get no light, and all of it
+_EDGE, _INK = 0xFF202020, 0xFF101010  # ABGR
+_LARGE = 1.2  # letters of the cube, relative to others
+_SLANT = (0.12, 0.3)  # of faces between which a letter appears: on narrower ones, it would lie beside them
+
+
+def _cube(tools: VolumeTools, lines: imgui.ImDrawList) -> None:
+    """Draw the faces of the cube with their letters; the one that a click would choose is blue."""
+    font, high = imgui.get_font(), _LARGE * imgui.get_font_size()
+    for face in tools.cube:
+        grey = _DARKEST + (_BRIGHTEST - _DARKEST) * face.lit
+        colour: theme.Colour = (grey, grey, grey, 1.0)
+        if face == tools.side:
+            r, g, b, _ = theme.ACCENT
+            colour = (r * grey / _BRIGHTEST, g * grey / _BRIGHTEST, b * grey / _BRIGHTEST, 1.0)
+        corners: list[Any] = [imgui.ImVec2(*corner) for corner in face.corners]
+        lines.add_convex_poly_filled(corners, imgui.color_convert_float4_to_u32(colour))
+        lines.add_polyline([*corners, corners[0]], _EDGE, 1.5, 0)
+        size, (x, y) = imgui.calc_text_size(face.name), face.middle
+        least, most = _SLANT
+        opaque = min(max((face.towards - least) / (most - least), 0.0), 1.0)
+        shade = _INK & 0xFFFFFF | round(255 * opaque) << 24
+        at = (round(x - 0.5 * _LARGE * size.x), round(y - 0.5 * _LARGE * size.y))
+        lines.add_text(font, high, at, shade, face.name)
+
 
 _BARE = (
     imgui.WindowFlags_.no_title_bar
@@ -32,18 +369,18 @@ def draw(view: View) -> None:
     lines.push_clip_rect((0, 0), (width, height))
     tools = view.tools
     if isinstance(tools, VolumeTools):
-        marks.draw(view, tools, lines)
+        _views(view, tools, lines)
     else:
         if tools.mask is not None and not tools.original:
             size, outline = view.document.shape[:-3:-1], not view.veiled
             view.veil.draw(lines, tools.mask, size, lambda p: tools.view.to_canvas(*p), outline=outline)
         if (grip := tools.grip) is not None:
-            marks.mirror(lines, grip, 0.0, height)
+            mirror(lines, grip, 0.0, height)
         _handles(view, lines)
-        marks.rings(tools, lines)
+        rings(tools, lines)
         if tools.knob is not None:
-            marks.knob(lines, tools.knob)
-        marks.names(tools, lines, (0.0, 0.0, width, height), 10.0)
+            knob(lines, tools.knob)
+        names(tools, lines, (0.0, 0.0, width, height), 10.0)
     lines.pop_clip_rect()
 
 
@@ -68,9 +405,9 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
 
     def ball(start: Pair, point: Point, radius: float) -> None:
         if there(point):
-            marks.ring(lines, start, radius * zoom, tools.stretch, theme.BALL)
+            ring(lines, start, radius * zoom, tools.stretch, theme.BALL)
 
-    marks.strokes(view, lines, placed, there, ball)
+    strokes(view, lines, placed, there, ball)
 
 
 def _timeline(view: View, stage: VideoStage) -> None:
@@ -78,7 +415,7 @@ def _timeline(view: View, stage: VideoStage) -> None:
     assert isinstance(tools, VideoTools)
     playback = tools.playback
     width, height = view.area[0], view.logical[1]
-    _bar("timeline", height - LINE - BAR, width, BAR, (8, 8))
+    _begin_bar("timeline", height - LINE - BAR, width, BAR, (8, 8))
     if icon_button("play", theme.PAUSE if playback.playing else theme.PLAY, imgui.get_frame_height()):
         tools.press(" ")
     hint("Pause (Space)" if playback.playing else "Play (Space)")
@@ -108,8 +445,7 @@ def _timeline(view: View, stage: VideoStage) -> None:
     _end_bar()
 
 
-def _bar(name: str, top: float, wide: float, high: float, padding: Pair) -> None:
-    """Begin a bar below the picture."""
+def _begin_bar(name: str, top: float, wide: float, high: float, padding: Pair) -> None:
     imgui.set_next_window_pos((0, top))
     imgui.set_next_window_size((wide, high))
     imgui.push_style_var(imgui.StyleVar_.window_padding, padding)
@@ -125,7 +461,6 @@ def _end_bar() -> None:
 
 
 def _marked(playback: Playback) -> None:
-    """Mark the played part of the timeline, if it is not all."""
     if (playback.first, playback.last) == (0, playback.count - 1):
         return
     low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
@@ -141,7 +476,7 @@ def _at_frame(frame: float, playback: Playback) -> float:
 
 
 def _status(view: View) -> None:
-    _bar("status", view.logical[1] - LINE, view.area[0], LINE, (8, 3))
+    _begin_bar("status", view.logical[1] - LINE, view.area[0], LINE, (8, 3))
     said = status(view)
     imgui.text(shortened(said, imgui.get_content_region_avail().x))
     hint(said.replace("   |   ", "\n"))  # all of it
@@ -183,7 +518,6 @@ def status(view: View) -> str:
 
 
 def _held(view: View) -> str:
-    """Return what the drag does so far."""
     held, document = view.tools.held, view.document
     if held is not None and held.paints:
         return f"{held.tool}: {len(held.made)} {'stroke' if len(held.made) == 1 else 'strokes'}"

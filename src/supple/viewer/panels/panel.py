@@ -14,7 +14,7 @@ from supple.files.options import ClipOptions
 from supple.gpu.plate import OVERLAYS
 from supple.viewer.document.background import Export
 from supple.viewer.document.words import step
-from supple.viewer.panels import legend, strokes, theme, volume
+from supple.viewer.panels import strokes, theme, volume
 from supple.viewer.panels.actions import ACTIONS, menu
 from supple.viewer.panels.overlay import certified
 from supple.viewer.panels.stages import ImageStage
@@ -82,11 +82,11 @@ def _seeing(view: View) -> None:
         return
     names = [*(("", "inversions") if view.stage.kind == "volume" else OVERLAYS), FROZEN]
     label("Overlay", "What the map does, and what it costs, in colours over the picture")
-    changed, index = imgui.combo("##overlay", names.index(view.overlay), [legend.NAMES[name] for name in names])
+    changed, index = imgui.combo("##overlay", names.index(view.overlay), [strokes.NAMES[name] for name in names])
     if changed:
         view.overlay = names[index]
         view.refresh()
-    legend.draw(view)
+    strokes.legend(view)
     stage = view.stage
     if isinstance(stage, ImageStage):
         label("Colours", "The view transform: how linear and HDR values are shown. An export keeps the values")
@@ -126,7 +126,6 @@ def _accuracy(view: View) -> None:
 
 
 def _exports(view: View) -> None:
-    """Draw the options of an export."""
     kind, commands = view.stage.kind, view.commands
     if kind == "volume" or view.source is None or not section(view, "Export options"):
         return
@@ -160,7 +159,6 @@ def _exports(view: View) -> None:
 
 
 def _files(view: View) -> None:
-    """Draw the file commands, and the progress of an export."""
     imgui.separator()
     if view.commands.export is not None:
         _exporting(view, view.commands.export)
@@ -180,7 +178,6 @@ def _files(view: View) -> None:
 
 
 def _exporting(view: View, job: Export) -> None:
-    """Draw the progress of an export, or its end."""
     text, colour, size = f"Exporting: {job.text}", theme.TEXT, imgui.get_frame_height()
     if job.done and (job.error is not None or job.cancelled):
         text, colour = job.error or job.text, theme.WARNING
@@ -205,7 +202,6 @@ def _exporting(view: View, job: Export) -> None:
 
 
 def _question(view: View) -> None:
-    """Draw the open question."""
     asked = view.commands.asked
     if asked is None:
         return

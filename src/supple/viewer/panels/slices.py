@@ -16,7 +16,7 @@ from supple.deformation import Deformation
 from supple.engine.sampling import Sampling
 from supple.files.volumes import sampling_of
 from supple.gpu.device import Gpu
-from supple.gpu.screen import Screen, pixels_of
+from supple.gpu.screen import Screen
 from supple.media.volume import Volume
 from supple.media.volume.data import rescaled
 from supple.render.labels import LabelColours
@@ -31,26 +31,12 @@ Rows = tuple[int, int, int, int]
 
 AT_ONCE = 0.05  # seconds: slower planes wait, in a drag, until the pointer rests
 SOFT_TISSUE = (-160.0, 240.0)  # Hounsfield units
-_PLAIN = "rgba8unorm"
 _BRIGHTEST = 99.5  # a percentile of the values that are no background
 _LOOKED_AT = 1 << 20  # voxels
 
 
 class Slices:
-    """The planes of a volume.
-
-    Parameters
-    ----------
-    gpu : Gpu
-    volume : Volume
-        Of a series, its first volume is shown.
-    labels : bool
-        Whether values are labels, which are not mixed.
-    unit : str
-        The unit of its values, for the status line; ``"label"`` of what looks like labels.
-    colours : LabelColours, optional
-        The colours of labels; by default, those of `supple.render.labels.palette`.
-    """
+    """The planes of a volume, of a series the first; labels are not mixed, and have colours of their own."""
 
     def __init__(
         self, gpu: Gpu, volume: Volume, labels: bool = False, unit: str = "", colours: LabelColours | None = None
@@ -172,22 +158,6 @@ class Slices:
             place = (low[0], low[1], columns, rows)
             self._screens[k, format].draw(drawing, self._textures[k, False][0], second, cut, place, part)
 
-    def composed(
-        self, tools: VolumeTools, ratio: float, size: tuple[int, int], rendered: tuple[Any, Any], part: Any
-    ) -> Pixels:
-        """Return all views on a canvas of columns and rows, as on screen: (rows, columns, 4)."""
-        onto = self._gpu.device.create_texture(size=(*size, 1), format=_PLAIN, usage="RENDER_ATTACHMENT|COPY_SRC")
-        colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 1)}
-        encoder = self._gpu.device.create_command_encoder()
-        drawing = encoder.begin_render_pass(color_attachments=[colours])
-        if RENDERED in tools.places:
-            place = physical(tools.places[RENDERED], ratio, size)
-            Screen(self._gpu, _PLAIN).draw(drawing, *rendered, tools.split or 0.0, place, part)
-        self.draw(drawing, _PLAIN, tools, ratio, size)
-        drawing.end()
-        self._gpu.device.queue.submit([encoder.finish()])
-        return pixels_of(self._gpu, onto)
-
 
 def first_window(volume: Volume, unit: str) -> tuple[float, float]:
     """Return the values that are black and white at first: soft tissue in Hounsfield units, or most of the values."""
@@ -203,7 +173,6 @@ def first_window(volume: Volume, unit: str) -> tuple[float, float]:
 
 
 def _first(volume: Volume) -> Array:
-    """Return the samples of a volume, or of the first one of a series."""
     return volume.samples[0] if volume.series else volume.samples
 
 
@@ -224,7 +193,6 @@ def turned(values: Array, plane: Plane) -> Array:
 
 
 def _range_of(samples: Array) -> tuple[Any, Any]:
-    """Return the least and the greatest finite value."""
     if samples.dtype.kind != "f":
         return samples.min(), samples.max()
     low, high = np.inf, -np.inf

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import threading
 import time
+from collections import OrderedDict
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from supple.arrays import warp_array
 from supple.deformation import Deformation
+from supple.engine.sampling import DEFAULT
+from supple.engine.work import Space
 from supple.errors import SuppleError
+from supple.files.clips import open_clip
+from supple.files.options import PathLike
+from supple.folding.strain import mask_of
 from supple.gpu.device import Gpu
-from supple.gpu.plate import BACK, Plate, Sight
+from supple.gpu.plate import BACK, Laid, Plate, Sight, halved
 from supple.media.image import Picture
+from supple.media.sequence import Pictures
 from supple.media.volume import Volume
 from supple.render.box import Box
 from supple.render.camera import Camera
@@ -22,16 +33,311 @@ from supple.render.labels import LabelColours
 from supple.render.picture import Pick
 from supple.render.scene import Scene
 from supple.render.transfer import LABELS, Transfer
+from supple.space.geometry import Grid
+from supple.strokes import STROKE_DTYPE, numbers
 from supple.viewer.document.background import heard
-from supple.viewer.document.state import Kind
-from supple.viewer.panels.frame_cache import FrameCache
-from supple.viewer.panels.transforms import on_screen, usual_of
-from supple.viewer.panels.warped import Levels, Warped
+from supple.viewer.document.editing import Kind
+from supple.viewer.panels.transforms import on_screen, seen, shown, usual_of
 from supple.viewer.tools.viewport import turn_of
 
 Pixels = npt.NDArray[np.uint8]
-Point = tuple[float, ...]
 Span = tuple[int, int]
+
+ROOM = 512 << 20  # bytes of cached frames
+
+
+class FrameCache:
+    """A clip's frames as (rows, columns, 4) of sRGB, decoded on request, as many as fit some bytes."""
+
+    def __init__(self, path: PathLike, *, room: int = ROOM) -> None:
+        self._path = path
+        with open_clip(path) as clip:
+            self.name: str = clip.name
+            self.count: int = clip.count
+            height, width = clip.layout.shape
+            self.rate = float(clip.rate)
+            self.turn = turn_of(clip.rotation, clip.aspect, mirrored=clip.mirrored)
+            found = clip.survey.starts if hasattr(clip, "survey") else ()
+            self.transform = usual_of(clip)  # the view transform, one of `TRANSFORMS`
+            self._like = clip.picture(0)[0] if isinstance(clip, Pictures) else None
+            self.starts = found if len(found) == clip.count else ()
+            """Seconds at which each frame is shown, where they are not evenly spaced."""
+        self.size: tuple[int, int] = (width, height)
+        self.most = max(4, room // (4 * width * height))  # the number of cached frames
+        self.error = ""  # the reason why decoding has stopped
+        self._frames: OrderedDict[int, Pixels] = OrderedDict()
+        self._wanted: tuple[Span, ...] = ((0, 0),)
+        self._news = threading.Condition()
+        self._closed = False
+        self._start()
+
+    def _start(self) -> None:
+        self._thread = threading.Thread(target=self._work, name="supple-film", daemon=True)
+        self._thread.start()
+
+    def want(self, first: int, last: int, *others: Span) -> None:
+        """Request frames ``first`` to ``last``, and others; frames after the first too, while there is room.
+
+        After an error, decoding is tried again for another request.
+        """
+        with self._news:
+            wanted = tuple((max(0, a), min(self.count - 1, b)) for a, b in ((first, last), *others))
+            again = bool(self.error) and wanted != self._wanted
+            self._wanted = wanted
+            if again and not self._closed and not self._there():
+                self.error = ""
+                self._start()
+            self._news.notify_all()
+
+    def get(self, frame: int) -> Pixels | None:
+        """Return a frame, or None while it is not decoded."""
+        with self._news:
+            found = self._frames.get(frame)
+            if found is not None:
+                self._frames.move_to_end(frame)
+            return found
+
+    def set_transform(self, name: str) -> None:
+        """Set the view transform; frames are decoded again."""
+        with self._news:
+            self.transform = name
+            self._frames.clear()
+            self._news.notify_all()
+
+    def _seen(self, clip: Any, arrays: list[npt.NDArray[Any]], transform: str) -> Pixels:
+        if self._like is not None:
+            return on_screen(replace(self._like, pixels=arrays[0]), transform)
+        rgb = clip.to_rgb(arrays, deep=bool(transform))
+        return shown(seen(rgb, transform) if transform else rgb, alpha=False)
+
+    def wait(self, first: int, last: int, seconds: float) -> bool:
+        """Wait for frames; return whether they are there."""
+        self.want(first, last)
+        return self.arrived(seconds)
+
+    def arrived(self, seconds: float) -> bool:
+        """Wait for the last request, or the end of decoding; return whether it was in time."""
+        with self._news:
+            return self._news.wait_for(lambda: bool(self.error) or self._there(), seconds)
+
+    def _there(self) -> bool:
+        return all(k in self._frames for first, last in self._wanted for k in range(first, last + 1))
+
+    def close(self) -> None:
+        """Stop decoding."""
+        with self._news:
+            self._closed = True
+            self._news.notify_all()
+        self._thread.join(5.0)
+
+    def _next(self) -> int | None:
+        due = (k for first, last in self._due_spans() for k in range(first, last + 1))
+        return next((k for k in due if k not in self._frames), None)
+
+    def _due_spans(self) -> tuple[Span, ...]:
+        """Return the requested frames, and then those after the first of them, as many as fit the cache."""
+        first = self._wanted[0][0]
+        return *self._wanted, (first, min(self.count, first + self.most * 3 // 4) - 1)
+
+    def _work(self) -> None:
+        try:
+            with open_clip(self._path, count=self.count) as clip:
+                while not self._closed:
+                    self._decode(clip)
+        except Exception as error:  # threads that wait see the error
+            kind = "" if isinstance(error, SuppleError) else f"{self.name} cannot be decoded: "
+            with self._news:
+                self.error = f"{kind}{error}"
+                self._news.notify_all()
+
+    def _decode(self, clip: Any) -> None:
+        """Decode from the requested frame on, until it lies behind, or beyond the next key frame."""
+        arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
+        begin = self._due()
+        if begin is None:
+            return
+        kept = 0
+        seeks = hasattr(clip, "frames_from")  # image sequences need none
+        found = clip.frames_from(begin) if seeks else (pair for pair in enumerate(clip.frames()))
+        with contextlib.closing(found) as frames:
+            for at, picture in frames:
+                due = self._due()
+                if due is None or due < at or (due > at + 1 and seeks and clip.key_before(due) > at):
+                    return
+                with self._news:
+                    keep = at not in self._frames and any(a <= at <= b for a, b in self._due_spans())
+                if keep:
+                    picture.copy_to(arrays)
+                    transform = self.transform
+                    pixels = self._seen(clip, arrays, transform)
+                    with self._news:
+                        if transform != self.transform:
+                            return
+                        self._frames[at] = pixels
+                        self._thin()
+                        self._news.notify_all()
+                    kept += 1
+        with self._news:
+            if not kept and self._next() == begin:  # otherwise it would be sought forever
+                raise SuppleError(f"{self.name} ends before frame {begin}")
+
+    def _due(self) -> int | None:
+        """Wait for the next frame to decode; None if the cache is closed."""
+        with self._news:
+            self._news.wait_for(lambda: self._closed or self._next() is not None)
+            return None if self._closed else self._next()
+
+    def _thin(self) -> None:
+        while len(self._frames) > self.most:
+            oldest = next((k for k in self._frames if not any(a <= k <= b for a, b in self._wanted)), None)
+            if oldest is None:
+                return
+            del self._frames[oldest]
+
+
+Floats = npt.NDArray[np.float64]
+Rectangle = tuple[int, int, int, int]  # x0, y0, and x1, y1 beyond the last
+
+CELL = 32  # pixels: the core solves cells of this side as a whole
+_EDGE = 4  # pixels beyond those that the window shows, for the filter of its last ones
+_SMALLEST = 256  # pixels of the longer side of the smallest level
+
+
+class Levels:
+    """An image, (rows, columns, 4), and smaller ones, each half as large as the one before, made when needed."""
+
+    def __init__(self, pixels: Pixels) -> None:
+        self.has_alpha = not bool((pixels[..., 3] == 255).all())
+        self._made = [(pixels, Grid(pixels.shape[:2]))]
+
+    def at(self, k: int) -> tuple[Pixels, Grid]:
+        """Return a level, and the grid of its pixels; 0 is the image itself."""
+        while len(self._made) <= k:
+            smaller = halved(self._made[-1][0])
+            self._made.append((smaller, Grid(smaller.shape[:2])))
+        return self._made[k]
+
+    def of(self, scale: float) -> int:
+        """Return the level for a window, of whose pixels each covers some of the image: it has at least as many."""
+        longest = max(self._made[0][0].shape)
+        most = max(math.ceil(math.log2(longest / _SMALLEST)), 0)
+        return min(max(math.ceil(math.log2(scale) - 1.0), 0), most)
+
+
+class Warped:
+    """The visible part of an image, warped as `Deformation.warp` does it."""
+
+    def __init__(self, gpu: Gpu, levels: Levels) -> None:
+        self._levels = levels
+        self._laid = Laid(gpu, levels.at(0)[0].shape[1::-1])
+        self._place: tuple[int, Rectangle] | None = None  # the level and the part that are held
+        self.shown: Deformation | None = None
+
+    def bring(self, deformation: Deformation, sight: Sight) -> None:
+        """Warp the part that a sight shows, as far as it is not there yet."""
+        k = self._levels.of(sight.scale)
+        source, grid = self._levels.at(k)
+        place = k, _visible(sight, k, source.shape)
+        stale = x0, y0, x1, y1 = place[1]
+        if self.shown is None or place != self._place:
+            self._laid.clear((x0, y0), (x1 - x0, y1 - y0), 2**k)
+        elif deformation is not self.shown:
+            stale = _common(stale, _cells(changed(self.shown.space, deformation.space), k))
+        else:
+            return
+        self._place, self.shown = place, deformation
+        x0, y0, x1, y1 = stale
+        if x0 >= x1 or y0 >= y1:
+            return
+        if deformation.is_identity:
+            made = source[y0:y1, x0:x1]
+        else:
+            part = grid.crop((x0, y0), (x1 - x0, y1 - y0))
+            space = replace(_reduced(deformation, k, source.shape), grid=part)
+            made, _ = warp_array(source, space, DEFAULT, alpha=self._levels.has_alpha)
+        self._laid.put((x0, y0), made)
+
+    def draw(self, sight: Sight, texture: Any, encoder: Any = None) -> None:
+        """Draw what was brought, or a coarser image of it, into a texture; see `Plate.draw`."""
+        assert self.shown is not None
+        space = self.shown.space  # for the overlay
+        table = space.table if sight.overlay else _PLAIN
+        self._laid.draw(sight, table, space.axes, texture, encoder, space.freeze)
+
+
+def changed(before: Space, after: Space) -> tuple[Floats, Floats]:
+    """Return a box around all points where two maps of strokes differ: the least and the largest x and y, in pixels."""
+    if (before.axes != after.axes).any() or before.freeze is not after.freeze:
+        return np.full(2, -math.inf), np.full(2, math.inf)
+    one, other = before.rows, after.rows
+    most = min(len(one), len(other))
+    same = _alike(one[:most], other[:most])
+    last = _alike(one[::-1][: most - same], other[::-1][: most - same])
+    # Rows that act at once are one map.
+    while same and (before.table["joined"][same : same + 1].any() or after.table["joined"][same : same + 1].any()):
+        same -= 1
+    while last and after.table["joined"][-last]:
+        last -= 1
+    differing = np.concatenate([one[same : len(one) - last], other[same : len(other) - last]])
+    rows = differing.view(after.table.dtype)[:, 0]
+    pivots, reach = rows["pivot"][:, :2], rows["reach"][:, None]
+    low, high = (pivots - reach).min(axis=0, initial=math.inf), (pivots + reach).max(axis=0, initial=-math.inf)
+    # A later stroke moves what it reaches, within its reach.
+    for row in after.table[len(after.table) - last :]:
+        pivot, reach = row["pivot"][:2], row["reach"]
+        if (low <= pivot + reach).all() and (pivot - reach <= high).all():
+            low, high = np.minimum(low, pivot - reach), np.maximum(high, pivot + reach)
+    return low, high
+
+
+def _alike(one: Floats, other: Floats) -> int:
+    """Return the number of rows before the first that differs."""
+    differs = (one != other).any(axis=1)
+    first = int(differs.argmax()) if len(differs) else 0
+    return first if len(differs) and differs[first] else len(differs)
+
+
+def _cells(box: tuple[Floats, Floats], k: int) -> Rectangle:
+    """Return the cells of a level that a box of the image touches, and those beside them, which are split as well."""
+    ends = []
+    for side, more in zip(box, (-1, 2), strict=True):
+        places = (((p + 0.5) / 2**k - 0.5) / CELL for p in side.tolist())
+        ends += [(math.floor(min(max(p, -2.0), 1 << 20)) + more) * CELL for p in places]
+    x0, y0, x1, y1 = (max(end, 0) for end in ends)
+    return x0, y0, x1, y1
+
+
+def _reduced(deformation: Deformation, k: int, shape: tuple[int, ...]) -> Space:
+    space = deformation.space
+    table, axes = space.table.copy(), space.axes.copy()
+    inset = np.array([0.5 * (2**k - 1)] * 2 + [0.0]) * axes[:, 3]  # the centre of the level's first pixel
+    table["pivot"] -= inset
+    axes[:, :2] -= inset[:, None]
+    axes[:2, 3] *= 2**k
+    freeze = mask_of(deformation.domain, tuple(inset.tolist()))
+    return replace(space, rows=numbers(table), axes=axes, shape=(shape[0], shape[1]), freeze=freeze)
+
+
+def _visible(sight: Sight, k: int, shape: tuple[int, ...]) -> Rectangle:
+    """Return the part of a level that a sight shows; at least one pixel."""
+    found = []
+    for start, count, most in zip(sight.origin, sight.size, shape[1::-1], strict=True):
+        ends = (start - 0.5 * sight.scale, start + (count - 0.5) * sight.scale)
+        low, high = ((end + 0.5) / 2**k - 0.5 for end in ends)
+        first = min(max(math.floor(low) - _EDGE, 0), most - 1)
+        found.append((first, min(max(math.ceil(high) + _EDGE, first + 1), most)))
+    (x0, x1), (y0, y1) = found
+    return x0, y0, x1, y1
+
+
+def _common(one: Rectangle, other: Rectangle) -> Rectangle:
+    return max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3])
+
+
+_PLAIN = np.zeros(0, STROKE_DTYPE)
+
+
+Point = tuple[float, ...]
 SLOW = 0.5  # seconds: what takes longer is announced
 
 
@@ -95,7 +401,6 @@ class ImageStage:
         return True
 
     def _drawn(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any) -> None:
-        """Draw by the device, which warps."""
         space = deformation.space
         self._plate.draw(sight, space.table, space.axes, texture, encoder, space.freeze)
 
@@ -170,7 +475,6 @@ class VideoStage(ImageStage):
         return bool(self.film.error)
 
     def _laid(self, first: int, last: int) -> bool:
-        """Upload frames to the device; return whether all are there."""
         plate = self._plate
         for k in range(first, last + 1):
             if plate.earliest <= k < plate.earliest + plate.held:
@@ -308,11 +612,11 @@ class VolumeStage:
         pixels[..., :3] = scene.render(camera, (rows, columns)).pixels(BACK)
         filled(self._gpu, texture, pixels)
 
-    def fill(self, deformation: Deformation, camera: Camera, size: tuple[int, int], seconds: float) -> float:
+    def fill(self, deformation: Deformation, seconds: float) -> float:
         """Fill a part of the buffer; return the filled part."""
         if deformation.is_identity:
             return 1.0
-        return self.deform(deformation).fill(camera, (size[1], size[0]), seconds=seconds)
+        return self.deform(deformation).fill(seconds=seconds)
 
     def value(self, pick: Pick) -> Any:
         """Return the value of a picked voxel."""

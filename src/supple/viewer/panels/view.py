@@ -6,33 +6,201 @@ import contextlib
 import json
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from imgui_bundle import imgui
 
+from supple.deformation import Deformation
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu
-from supple.gpu.screen import composed
+from supple.gpu.memory import wait
+from supple.gpu.plate import Sight
+from supple.gpu.screen import ALL, PLAIN, Part, Screen, canvas_texture, composed
 from supple.media import image
 from supple.media.files import replacing
+from supple.render.camera import Camera
 from supple.render.labels import LabelColours
+from supple.space.freezing import Freeze
 from supple.strokes import Recipe
 from supple.viewer.document.background import Certifier
-from supple.viewer.document.editing import Document
+from supple.viewer.document.editing import Document, Landmarks
 from supple.viewer.document.files import FileCommands
-from supple.viewer.document.state import Landmarks
-from supple.viewer.panels.painter import Painter, Shot
+from supple.viewer.panels import theme
 from supple.viewer.panels.slices import Slices, physical
-from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage
-from supple.viewer.panels.veil import Veil
+from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage, filled
 from supple.viewer.tools.brushes import ImageTools, VideoTools
-from supple.viewer.tools.drags import MASKS
+from supple.viewer.tools.drawing import MASKS, Pair
 from supple.viewer.tools.planes import RENDERED
 from supple.viewer.tools.volumes import VolumeTools
+
+_FIRST = 1 << 20  # the number of the first texture: those of letters have low ones
+_OUTER = 0.5  # coefficients from the outermost ones to the edges of a texture, whose texels are at coefficients
+
+
+class Veil:
+    """Textures whose opacity is 1 - m, or 4 m (1 - m), at every coefficient of the freeze mask; made anew with that."""
+
+    def __init__(self, gpu: Gpu) -> None:
+        self._gpu = gpu
+        self.textures: dict[int, Any] = {}
+        """Textures by the numbers under which ImGui knows them."""
+        self._known: dict[int, tuple[Freeze, int, bool]] = {}
+
+    def draw(
+        self,
+        lines: imgui.ImDrawList,
+        mask: Freeze,
+        sizes: Sequence[int],
+        seen: Callable[[tuple[float, ...]], Pair],
+        axes: tuple[int, int, int] = (2, 0, 1),
+        index: int = 0,
+        *,
+        outline: bool = False,
+    ) -> None:
+        """Draw the veil over a picture, or over a plane of a volume; its outline leaves the colours as they are.
+
+        Sizes are samples along each axis, x first; ``seen`` returns where a point is on the canvas. The axes are the
+        plane's normal, the one across it and the one down, and the index is its place along the normal.
+        """
+        normal, across, down = axes
+        which = _FIRST + normal
+        if self._known.get(which) != (mask, index, outline):
+            self._upload(which, mask, axes, index, outline)
+            self._known[which] = mask, index, outline
+        low, high = [0.0] * len(sizes), [0.0] * len(sizes)
+        ends = [-0.5] * len(sizes), [n - 0.5 for n in sizes]
+        for k in (across, down):
+            low[k], high[k] = ends[0][k], ends[1][k]
+            if mask.size[k] > 1:
+                low[k] = mask.first[k] - mask.step[k] * _OUTER
+                high[k] = mask.first[k] + mask.step[k] * (mask.size[k] - _OUTER)
+        (a, b), (c, d) = (seen(tuple(end)) for end in ends)
+        lines.push_clip_rect((min(a, c), min(b, d)), (max(a, c), max(b, d)), True)
+        right, left = low.copy(), high.copy()
+        right[across], left[across] = high[across], low[across]
+        first, second, third, fourth = (seen(tuple(corner)) for corner in (low, right, high, left))
+        lines.add_image_quad(imgui.ImTextureRef(which), first, second, third, fourth, col=theme.VEIL)
+        lines.pop_clip_rect()
+
+    def _upload(self, which: int, mask: Freeze, axes: tuple[int, int, int], index: int, outline: bool) -> None:
+        normal, across, down = axes
+        places: list[Any] = [
+            np.zeros(1) if n == 1 else first + step * np.arange(1, n - 1)
+            for n, first, step in zip(mask.size, mask.first, mask.step, strict=True)
+        ]
+        if mask.ndim == 3:
+            places[normal] = np.array([float(index)])
+        shade = mask.at(places)
+        if mask.ndim == 3:
+            shade = shade.squeeze(2 - normal)
+        if down < across:
+            shade = shade.T
+        shade = np.pad(shade, 1, mode="edge")  # at its very edge, a texture repeats
+        pixels = np.full((*shade.shape, 4), 255, np.uint8)
+        veil = 1 - np.clip(shade, 0, 1)
+        pixels[..., 3] = np.rint(255 * (4 * veil * (1 - veil) if outline else veil))
+        self.textures[which] = filled(self._gpu, self.textures.get(which), pixels)
+
+
+FRAME = 0.05  # seconds of a frame during a drag
+COARSEST = 8
+_HOME = Camera()
+
+
+def _about_the_middle(seen: tuple[int, int], drawn: tuple[int, int]) -> Part:
+    """Return the visible part of a volume's image: a camera looks at its centre, and fits the shorter side."""
+    pixel = min(seen) / min(drawn)
+    width, height = (n / (m * pixel) for n, m in zip(seen, drawn, strict=True))
+    return 0.5 - 0.5 * width, 0.5 - 0.5 * height, width, 0.0, 0.0, height
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """A request for an image."""
+
+    deformation: Deformation
+    base: Deformation  # of what the result is compared with: the original, or a step of the history
+    sight: Sight  # what is drawn at full size, along the axes of the image as it is stored; unsolved during a drag
+    place: tuple[int, int, int, int] = (0, 0, 0, 0)  # left, top, columns and rows of its area, in physical pixels
+    part: Part = ALL  # what is drawn, as it lies on that area
+    camera: Camera = _HOME
+    original: bool = False  # show the base
+    split: bool = False  # show both
+    ratio: float = 1.0  # physical pixels for each logical pixel
+
+
+class Painter:
+    """A painter of a stage."""
+
+    def __init__(self, gpu: Gpu, stage: ImageStage | VolumeStage) -> None:
+        self.gpu, self.stage = gpu, stage
+        self.coarse = 4 if gpu.software and stage.kind != "image" else 1
+        """The pixels of the canvas for each drawn one, along each side, during a drag."""
+        self.ready = True  # whether the last image is complete
+        self.part: Part = ALL  # the visible part of the textures
+        self._textures: dict[tuple[int, tuple[int, int]], Any] = {}
+        self._begun = 0.0  # when the device got its work
+        self._adapts = True  # whether fewer pixels take less
+
+    def paint(self, shot: Shot, encoder: Any = None) -> tuple[Any, Any]:
+        """Draw a shot; return the texture of the result and, if the shot is split, that of its base.
+
+        With an encoder, commands are recorded for its submission, except those that must run at once.
+        """
+        if shot.split:  # both need the same frames of a clip
+            encoder = None
+        before, self.ready = self.stage.trouble, True
+        seen = (shot.base if shot.original else shot.deformation, shot.base)[: 1 + shot.split]
+        if not isinstance(self.stage, VolumeStage):
+            self.stage.expect(seen, shot.sight)
+            self._adapts = self.stage.solves(shot.sight)
+            if not self._adapts:
+                self.coarse = 1
+                wait(self.gpu)  # until here, the device may draw the last image, while this one is warped
+        self._begun = time.perf_counter()
+        textures = [self._drawn(k, shot, deformation, encoder) for k, deformation in enumerate(seen)]
+        # The status line, already laid out, shows the error.
+        self.ready &= self.stage.trouble == before
+        return textures[0], textures[1] if shot.split else None
+
+    def learn(self) -> None:
+        """Wait for the last image, and adapt the size of drawn pixels to the device's time, where it depends on it."""
+        if not self._adapts:
+            return
+        wait(self.gpu)
+        seconds = time.perf_counter() - self._begun
+        if seconds > FRAME and self.coarse < COARSEST:
+            self.coarse += 1
+        elif self.coarse > 1 and seconds * (self.coarse / (self.coarse - 1)) ** 2 < 0.7 * FRAME:
+            self.coarse -= 1
+
+    def _drawn(self, k: int, shot: Shot, deformation: Deformation, encoder: Any) -> Any:
+        stage, sight, coarse = self.stage, shot.sight, 1 if shot.sight.solved else self.coarse
+        size = (max(1, -(-sight.size[0] // coarse)), max(1, -(-sight.size[1] // coarse)))
+        if (k, size) not in self._textures:
+            if len(self._textures) >= 8:
+                self._textures.clear()
+            self._textures[k, size] = canvas_texture(self.gpu, size)
+        texture = self._textures[k, size]
+        if isinstance(stage, VolumeStage):
+            stage.draw(deformation, shot.camera, size, texture, sight.overlay, int(shot.original or k))
+            self.part = _about_the_middle(sight.size, size)
+            return texture
+        x, y = (n / (m * coarse) for n, m in zip(sight.size, size, strict=True))
+        a, b, c, d, e, f = shot.part
+        self.part = a * x, b * y, c * x, d * y, e * x, f * y
+        # The centre of a coarse pixel lies between those of the fine ones that it covers.
+        inset = 0.5 * (coarse - 1) * sight.scale
+        (x, y), scale = sight.origin, sight.scale * coarse
+        sight = replace(sight, origin=(x + inset, y + inset), scale=scale, size=size, square=sight.square / coarse)
+        self.ready &= stage.draw(deformation, sight, texture, encoder)
+        return texture
+
 
 WIDE, STRIP = 348, 44  # logical pixels of the tools and the panel, and of the tools alone
 BAR, LINE = 44, 24  # and of the timeline and the status line
@@ -124,7 +292,6 @@ class View:
         self.canvas.request_draw()
 
     def _changed(self) -> None:
-        """Draw again, and call the listeners for a new recipe."""
         self._changed_at, self.filled = time.perf_counter(), 0.0
         before, self._content = self._content, self.document.state.content
         if self._content != before and not self.document.dragging:
@@ -140,18 +307,20 @@ class View:
                 self.commands.message = " ".join(f"on_change: {type(error).__name__}: {error}".split())
 
     def _shot(self, moving: bool) -> Shot:
-        tools, ratio = self.tools, self.canvas.get_pixel_ratio()
-        size = tuple(round(n * ratio) for n in self.area)
-        common: dict[str, Any] = {"size": size, "place": (0, 0, *size), "moving": moving, "ratio": ratio}
-        common["overlay"] = "" if self.overlay == FROZEN else self.overlay
-        common |= {"base": self.document.base, "original": tools.original, "split": tools.split is not None}
+        tools, document, ratio = self.tools, self.document, self.canvas.get_pixel_ratio()
+        width, height = (round(n * ratio) for n in self.area)
+        overlay, square = "" if self.overlay == FROZEN else self.overlay, 8.0 * ratio
+        first, scale, size, part = (0.0, 0.0), 1.0, (width, height), ALL
+        place, camera = (0, 0, width, height), _HOME
         if isinstance(tools, VolumeTools):
             hidden = (0.0, 0.0, 1.0, 1.0)  # a pixel of it is drawn
-            place = physical(tools.places.get(RENDERED, hidden), ratio, (size[0], size[1]))
-            common |= {"size": place[2:], "place": place}
-            return Shot(self.document.deformation, camera=tools.stage.placed(tools.view), **common)
-        first, scale, common["size"], part = tools.view.drawn((size[0], size[1]), ratio)
-        return Shot(self.document.deformation, origin=first, scale=scale, part=part, time=self.frame, **common)
+            place = physical(tools.places.get(RENDERED, hidden), ratio, size)
+            size, camera = place[2:], tools.stage.placed(tools.view)
+        else:
+            first, scale, size, part = tools.view.drawn(size, ratio)
+        sight = Sight(first, scale, size, self.frame, solved=not moving, overlay=overlay, square=square)
+        split = tools.split is not None
+        return Shot(document.deformation, document.base, sight, place, part, camera, tools.original, split, ratio)
 
     @property
     def frame(self) -> float:
@@ -182,7 +351,6 @@ class View:
 
     @property
     def _lately(self) -> bool:
-        """Return whether there was a recent change."""
         return time.perf_counter() - self._changed_at < SETTLED
 
     @property
@@ -204,10 +372,7 @@ class View:
     def pixels(self) -> np.ndarray[Any, np.dtype[np.uint8]]:
         """Return the visible image, drawn at full size: (rows, columns, 3) of sRGB.
 
-        Raises
-        ------
-        SuppleError
-            If its frames are not decoded in time.
+        SuppleError if its frames are not decoded in time.
         """
         shot = self._shot(moving=False)
         self._drawn_key = None  # the canvas must be drawn again
@@ -220,14 +385,18 @@ class View:
                 first, second = self.painter.paint(shot)
             if stage.trouble:
                 raise SuppleError(stage.trouble)
-        if self.slices is not None and isinstance(self.tools, VolumeTools):
-            ratio = self.canvas.get_pixel_ratio()
-            size = round(self.area[0] * ratio), round(self.area[1] * ratio)
-            self.slices.update(self.tools)
-            seen = self.slices.composed(self.tools, ratio, size, (first, second), self.painter.part)
-            return np.ascontiguousarray(seen[..., :3])
-        seen = composed(self.gpu, shot.place[2:], first, second, self.tools.split or 0.0, self.painter.part)
-        return np.ascontiguousarray(seen[..., :3])
+        tools, slices = self.tools, self.slices
+        size = round(self.area[0] * shot.ratio), round(self.area[1] * shot.ratio)
+
+        def draw(drawing: Any) -> None:
+            if not isinstance(tools, VolumeTools) or RENDERED in tools.places:
+                screen = Screen(self.gpu, PLAIN)
+                screen.draw(drawing, first, second, tools.split or 0.0, shot.place, self.painter.part)
+            if slices is not None and isinstance(tools, VolumeTools):
+                slices.update(tools)
+                slices.draw(drawing, PLAIN, tools, shot.ratio, size)
+
+        return np.ascontiguousarray(composed(self.gpu, size, draw)[..., :3])
 
 
 def _settings_file() -> Path:

@@ -21,7 +21,7 @@ from supple.viewer.tools.planes import ends_of
 from supple.viewer.tools.volumes import VolumeTools
 
 _MODES = {
-    "hybrid": "From a lattice of source points, and from a bent copy where it is complete: fast",
+    "hybrid": "From a lattice of source points, and from a bent copy once it is complete: fast",
     "exact": "Each sample of each ray is inverted: exact, and slow",
     "buffered": "From a bent copy of the whole volume: the fastest, and interpolated twice",
 }
@@ -115,7 +115,6 @@ def _cutting(view: View, stage: VolumeStage) -> None:
 
 
 def _transfer(view: View, stage: VolumeStage, transfer: TransferFunction) -> None:
-    """Draw the points of the transfer function: values, colours and opacities."""
     if not imgui.tree_node("Transfer function"):
         return
     points = [list(p) for p in transfer.points]

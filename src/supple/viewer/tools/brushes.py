@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from supple.viewer.document.editing import Document
-from supple.viewer.tools.drags import Held, Pair, Place
+from supple.viewer.tools.drawing import Held, Pair, Place
 from supple.viewer.tools.gestures import Event, Tools, commanded, shifted
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.viewport import UPRIGHT, Turn, Viewport

@@ -11,8 +11,7 @@ from typing import Any, Generic, TypeVar
 from supple.errors import SuppleError
 from supple.space.freezing import Freeze
 from supple.viewer.document.editing import Document
-from supple.viewer.tools.drags import CLICK, Held, Pair, Place, nearest
-from supple.viewer.tools.drawing import Drawing
+from supple.viewer.tools.drawing import CLICK, Drawing, Held, Pair, Place, nearest
 from supple.viewer.tools.keys import BRUSHES
 
 V = TypeVar("V")
@@ -190,7 +189,6 @@ class Tools(Drawing, Generic[V]):
         return self._gesture is not None
 
     def _stays(self, held: Held) -> bool:
-        """Return whether a new stroke is held at a point that is frozen."""
         mask = self.mask
         if mask is None or held.masks or not held.new:
             return False
@@ -234,7 +232,6 @@ class Tools(Drawing, Generic[V]):
         return False
 
     def _follow(self, gesture: Held | Lead[V], place: Pair) -> None:
-        """Move the held stroke, or the view, to the pointer."""
         gesture.now = place
         if isinstance(gesture, Held):
             self._draw(gesture)

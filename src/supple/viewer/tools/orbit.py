@@ -14,7 +14,7 @@ from supple.render.appearance import lamp
 from supple.render.camera import Camera, Projection, view_of
 from supple.space.domain import SMALLEST
 from supple.space.geometry import Geometry
-from supple.viewer.tools.drags import Pair
+from supple.viewer.tools.drawing import Pair
 
 TURN = 180.0  # degrees for a drag across the shorter side of the canvas
 FARTHEST = 10.0  # the largest distance of the camera, in multiples of that at which the volume fits
@@ -112,29 +112,14 @@ def dolly(camera: Camera, amount: float, stage: Stage) -> Camera:
 
 @dataclass(frozen=True, slots=True)
 class Face:
-    """A visible face of the cube.
+    """A visible face of the cube."""
 
-    Parameters
-    ----------
-    name : str
-        The side of the patient, R, L, A, P, S or I; or the axis of the voxels with its sign, without a patient.
-    corners : tuple of (float, float)
-        On the canvas, one after the other.
-    middle : (float, float)
-    towards : float
-        The cosine of the angle to the line of sight: 1 for a face that is seen from the front.
-    lit : float
-        The cosine of the angle to the lamp of the rendering; 0 for a face that is turned away from it.
-    azimuth, elevation : float
-        The angles of the camera that looks at this side.
-    """
-
-    name: str
-    corners: tuple[Pair, ...]
+    name: str  # the side of the patient, R, L, A, P, S or I; or the axis of the voxels with its sign, without a patient
+    corners: tuple[Pair, ...]  # on the canvas, one after the other
     middle: Pair
-    towards: float
-    lit: float
-    azimuth: float
+    towards: float  # the cosine of the angle to the line of sight: 1 for a face that is seen from the front
+    lit: float  # the cosine of the angle to the lamp of the rendering; 0 for a face that is turned away from it
+    azimuth: float  # the angles of the camera that looks at this side
     elevation: float
 
     def holds(self, x: float, y: float) -> bool:

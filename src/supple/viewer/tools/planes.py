@@ -7,7 +7,7 @@ from itertools import permutations
 from typing import Self
 
 from supple.space.geometry import SIDES, Geometry
-from supple.viewer.tools.drags import Pair, Place
+from supple.viewer.tools.drawing import Pair, Place
 
 Point = tuple[float, float, float]
 
@@ -24,29 +24,18 @@ _FORWARD = (1, -1, 1)  # the wheel, turned forward, leads to the left, to the fr
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """A plane along two axes of a volume's voxels, the way round that is usual for a patient.
+    """A plane along two axes of a volume's voxels, the way round that is usual for a patient."""
 
-    Parameters
-    ----------
-    name : str
-        ``"axial"``, ``"coronal"`` or ``"sagittal"``, if it is within a few degrees: otherwise, of these the nearest; or
-        the names of its axes, for voxels without a position in space.
-    axis, across, down : int
-        The axes of the voxels, x is 0: the plane's normal, the axis seen from left to right, and from top to bottom.
-    signs : (int, int)
-        For each of the latter, 1 if indices rise that way, or -1.
-    forward : int
-        1 if the wheel, turned forward, leads to higher indices, or -1.
-    sides : (str, str, str, str)
-        What is at the left, the right, the top and the bottom: letters of a patient, or an axis with its sign.
-    """
-
+    # ``"axial"``, ``"coronal"`` or ``"sagittal"``, if it is within a few degrees: otherwise, of these the nearest; or
+    # the names of its axes, for voxels without a position in space
     name: str
+    # The axes of the voxels, x is 0: the plane's normal, the axis seen from left to right, and from top to bottom
     axis: int
     across: int
     down: int
-    signs: tuple[int, int]
-    forward: int
+    signs: tuple[int, int]  # for each of the latter, 1 if indices rise that way, or -1
+    forward: int  # 1 if the wheel, turned forward, leads to higher indices, or -1
+    # What is at the left, the right, the top and the bottom: letters of a patient, or an axis with its sign
     sides: tuple[str, str, str, str]
 
     @property
@@ -94,31 +83,15 @@ def ends_of(planes: tuple[Plane, ...]) -> dict[int, tuple[str, str]]:
 
 @dataclass(frozen=True, slots=True)
 class Pane:
-    """A plane in its place on the canvas.
-
-    Parameters
-    ----------
-    plane : Plane
-    place : (float, float, float, float)
-        The rectangle of its view.
-    index : (int, int, int)
-        The voxel under the crosshair, x first: the plane goes through it.
-    middle : (float, float, float)
-        The voxel in the middle of the view.
-    scale : float
-        Logical pixels of a millimetre.
-    spacing : (float, float, float)
-    sizes : (int, int, int)
-        The number of voxels along each axis.
-    """
+    """A plane in its place on the canvas."""
 
     plane: Plane
-    place: Place
-    index: tuple[int, ...]
-    middle: Point
-    scale: float
+    place: Place  # the rectangle of its view
+    index: tuple[int, ...]  # the voxel under the crosshair, x first: the plane goes through it
+    middle: Point  # the voxel in the middle of the view
+    scale: float  # logical pixels of a millimetre
     spacing: Point
-    sizes: tuple[int, ...]
+    sizes: tuple[int, ...]  # the number of voxels along each axis
 
     def to_canvas(self, point: tuple[float, ...]) -> Pair:
         """Return the position of a point, in voxels, on the canvas; it may lie before the plane or behind it."""
@@ -152,27 +125,13 @@ class Pane:
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """What is seen of a volume's planes.
+    """What is seen of a volume's planes."""
 
-    Parameters
-    ----------
-    cross : (float, float, float)
-        The crosshair, in voxels, x first: planes go through the voxel that is nearest.
-    window : (float, float)
-        The values that are black and white.
-    middle : (float, float, float)
-        The voxel in the middle of the views.
-    zoom : float
-        Relative to the size at which all planes fit.
-    large : int, optional
-        The number of the view that has the whole canvas.
-    """
-
-    cross: Point
-    window: Pair
-    middle: Point
-    zoom: float = 1.0
-    large: int | None = None
+    cross: Point  # the crosshair, in voxels, x first: planes go through the voxel that is nearest
+    window: Pair  # the values that are black and white
+    middle: Point  # the voxel in the middle of the views
+    zoom: float = 1.0  # relative to the size at which all planes fit
+    large: int | None = None  # the number of the view that has the whole canvas
 
     def at(self, point: tuple[float, ...], sizes: tuple[int, ...]) -> Self:
         """Return the sight with the crosshair at a point, or at the voxel of the volume that is nearest."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Self
 
-from supple.viewer.tools.drags import Pair
+from supple.viewer.tools.drawing import Pair
 
 CLOSEST = 64.0  # the largest size of an image pixel, in physical pixels of the screen
 FARTHEST = 0.25  # the smallest zoom, relative to the one that fits, or to 100 % if that is less
@@ -21,16 +21,9 @@ Part = tuple[float, float, float, float, float, float]
 
 
 def turn_of(rotation: float, aspect: Fraction | None = None, *, mirrored: bool = False) -> Turn:
-    """Return the map to an image as it is shown.
+    """Return the map to an image as it is shown: mirrored left to right, and then turned counterclockwise, by quarters.
 
-    Parameters
-    ----------
-    rotation : float
-        Degrees counterclockwise, by which it is turned last; quarters, like `supple.media.base.Clip.upright`.
-    aspect : Fraction, optional
-        The width of a stored pixel, relative to its height; square by default.
-    mirrored : bool
-        Whether it is mirrored, left to right.
+    The aspect is the width of a stored pixel, relative to its height.
     """
     quarters = round(rotation / 90) % 4
     cosine, sine = (1.0, 0.0, -1.0, 0.0)[quarters], (0.0, 1.0, 0.0, -1.0)[quarters]
@@ -123,16 +116,8 @@ class Viewport:
     def drawn(self, size: tuple[int, int], ratio: float) -> tuple[Pair, float, tuple[int, int], Part]:
         """Return what is drawn of the image, along its axes, for a canvas of physical pixels; it is as fine as these.
 
-        Returns
-        -------
-        origin : (float, float)
-            The point of the image at the first sample.
-        scale : float
-            The step to the next, in pixels of the image.
-        size : (int, int)
-            Columns and rows.
-        part : tuple of float
-            The canvas in fractions of them: its upper left corner, and its sides across and down, x and y of each.
+        That is the point of the image at the first sample, the step to the next, columns and rows, and the canvas in
+        fractions of them: its upper left corner, and its sides across and down, x and y of each.
         """
         width, height = (n / ratio for n in size)
         inset = 0.5 / ratio

@@ -15,7 +15,7 @@ from supple.space.geometry import Geometry
 from supple.viewer.document.editing import Document
 from supple.viewer.tools import orbit
 from supple.viewer.tools.brushes import GRIP, ZOOM, pans
-from supple.viewer.tools.drags import Held, Pair, Place
+from supple.viewer.tools.drawing import Held, Pair, Place
 from supple.viewer.tools.gestures import Event, Lead, Tools, commanded, shifted
 from supple.viewer.tools.planes import RENDERED, Pane, Sight, fitting, holding, places_of, planes_of
 
@@ -29,18 +29,9 @@ _KEYS = {"1": 0, "2": 1, "3": 2, "4": RENDERED}
 class VolumeTools(Tools[Camera]):
     """The tools of a volume: a left drag pulls what is under the pointer within a plane, or parallel to the screen.
 
-    Parameters
-    ----------
-    document : Document
-    geometry : Geometry
-    canvas_size : (float, float)
-        Width and height of all views together, in logical pixels.
-    pick, drag : function
-        Return the point at a pixel of the rendering and the drag to another, as `supple.render.scene.Scene` does.
-    window : (float, float)
-        The values that are black and white in the planes at first.
-    points : float64 array, shape (N, 3), optional
-        Voxels that are in view in the rendering at first; None for the whole volume.
+    The canvas has a width and a height of all views together, in logical pixels. ``pick`` and ``drag`` return the point
+    at a pixel of the rendering and the drag to another, as `supple.render.scene.Scene` does. The window are the values
+    that are black and white at first; points, in voxels, are in view at first, or the whole volume.
     """
 
     def __init__(
@@ -72,7 +63,6 @@ class VolumeTools(Tools[Camera]):
         self._arrange()
 
     def _arrange(self) -> None:
-        """Place the views on the canvas."""
         self.places = places_of(self._whole, self.sight.large)
         if RENDERED in self.places:
             left, top, width, height = self.places[RENDERED]
@@ -135,7 +125,6 @@ class VolumeTools(Tools[Camera]):
         return orbit.face_at(self.cube, self.pointer) if led and self.pointer is not None else None
 
     def _within(self, x: float, y: float) -> Pair:
-        """Return a position of the canvas in the rendering."""
         return x - self.corner[0], y - self.corner[1]
 
     def projected(self, point: tuple[float, ...]) -> Pair | None:

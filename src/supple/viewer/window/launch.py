@@ -31,14 +31,12 @@ from supple.render.camera import Camera
 from supple.space.domain import length, point
 from supple.space.geometry import Geometry, Grid, check_upright
 from supple.strokes import Fit, Recipe, fit_recipe
-from supple.viewer.document.editing import Document
-from supple.viewer.document.state import Landmarks
-from supple.viewer.panels.frame_cache import FrameCache
+from supple.viewer.document.editing import Document, Landmarks
 from supple.viewer.panels.slices import first_window
-from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage
+from supple.viewer.panels.stages import FrameCache, ImageStage, VideoStage, VolumeStage
 from supple.viewer.panels.transforms import shown as as_pixels
 from supple.viewer.tools.brushes import ImageTools, VideoTools
-from supple.viewer.tools.drags import Pair
+from supple.viewer.tools.drawing import Pair
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.volumes import VolumeTools
 from supple.viewer.window import dialogs
@@ -94,10 +92,7 @@ def _exists(source: Source) -> None:
 def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageStage | VolumeStage:
     """Open the stage of a file, or of an array: an image (H, W[, C]) or a volume (Z, H, W) more than 4 voxels wide.
 
-    Raises
-    ------
-    SuppleError
-        If it cannot be read, does not fit the GPU, or is of another kind than the options.
+    SuppleError if it cannot be read, does not fit the GPU, or is of another kind than the options.
     """
     if isinstance(source, str | os.PathLike):
         name = shown(source)
@@ -198,10 +193,7 @@ def opened(
 ) -> Window:
     """Return the view of a source on a canvas.
 
-    Raises
-    ------
-    SuppleError
-        If the source or the recipe does not fit, there is no GPU, or a part of the window is not installed.
+    SuppleError if the source or the recipe does not fit, there is no GPU, or a part of the window is not installed.
     """
     with _installed():
         from supple.viewer.window.window import Window
@@ -222,7 +214,6 @@ def opened(
 
 
 def _landmarks(stage: ImageStage | VolumeStage, options: ViewOptions) -> Landmarks | None:
-    """Return the landmarks to show, if a file is given."""
     if options.points is None:
         if options.convention is not None:
             raise SuppleError("the convention is that of points, and there are none: give a file of them")
@@ -235,7 +226,6 @@ def _landmarks(stage: ImageStage | VolumeStage, options: ViewOptions) -> Landmar
 
 
 def _gpu() -> Gpu:
-    """Return the GPU that a window needs; SuppleError if there is none."""
     try:
         return open_gpu()
     except SuppleError as error:
@@ -244,7 +234,6 @@ def _gpu() -> Gpu:
 
 @contextlib.contextmanager
 def _installed() -> Iterator[None]:
-    """Raise SuppleError if a part of the window is not installed."""
     try:
         yield
     except ImportError as error:
@@ -259,22 +248,7 @@ def show(
     size: tuple[int, int] = SIZE,
     options: ViewOptions = _USUAL,
 ) -> Window:
-    """Open a window, and return when it is closed.
-
-    Parameters
-    ----------
-    source, recipe
-        As in `view`.
-    size : (int, int)
-        Columns and rows of the window.
-    options : ViewOptions
-        The options for reading the source.
-
-    Returns
-    -------
-    Window
-        ``view.recipe`` is the result.
-    """
+    """Open a window of columns and rows, and return it when it is closed; source and recipe as in `view`."""
     _exists(source)
     with _installed():
         import glfw
@@ -301,7 +275,6 @@ def show(
 
 
 def _ask_before_closing(canvas: Any, view: Window) -> None:
-    """Ask before strokes are lost, and open files dropped on the window."""
     import glfw
 
     def closing(window: Any) -> None:
@@ -392,19 +365,10 @@ def serve(
     tell: Callable[[str], None] = print,
     options: ViewOptions = _USUAL,
 ) -> None:
-    """Show the window in a browser, on this or another machine, until it is interrupted.
+    """Show the window in a browser, on this or another machine, until it is interrupted; ``tell`` gets the address.
 
-    It listens on this machine only, and requires the token in its address: from another machine, it is reached through
-    a tunnel (``ssh -L``).
-
-    Parameters
-    ----------
-    source, recipe, options
-        As in `show`.
-    port : int
-        The port; 0 for any free one.
-    tell : function
-        Called with the address.
+    It listens on this machine only, at any free port for 0, and requires the token in its address: from another
+    machine, it is reached through a tunnel (``ssh -L``).
     """
     with _installed():
         from rendercanvas.http import RenderCanvas, asgi, loop

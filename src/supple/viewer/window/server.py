@@ -124,13 +124,7 @@ async def _answer(send: Send, status: int, body: bytes, headers: list[tuple[byte
 
 
 def listening(port: int) -> socket.socket:
-    """Return a socket on this machine; port 0 for any free one.
-
-    Raises
-    ------
-    SuppleError
-        If the port is taken.
-    """
+    """Return a socket on this machine; port 0 for any free one; SuppleError if the port is taken."""
     made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -142,13 +136,7 @@ def listening(port: int) -> socket.socket:
 
 
 def serve(app: App, listener: socket.socket, over: Callable[[], bool] = lambda: False) -> None:
-    """Serve until an interrupt, or the end of all windows.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        On Ctrl+C.
-    """
+    """Serve until an interrupt, which raises KeyboardInterrupt, or the end of all windows."""
     import uvicorn
 
     class Server(uvicorn.Server):

@@ -1,4 +1,4 @@
-"""The window: its events, its images, and the time of the next one; signals close it between frames."""
+"""The window: Dear ImGui on a canvas, events, images, and the time of the next one; signals close it between frames."""
 
 from __future__ import annotations
 
@@ -7,20 +7,119 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
+from imgui_bundle import imgui
+from wgpu.utils.imgui import ImguiRenderer, ImguiWgpuBackend
+
 from supple.errors import SuppleError
+from supple.gpu.device import Gpu
 from supple.gpu.screen import Screen
-from supple.viewer.panels import actions, overlay, panel
-from supple.viewer.panels.painter import Shot
+from supple.viewer.panels import actions, overlay, panel, theme
 from supple.viewer.panels.stages import VideoStage, VolumeStage
-from supple.viewer.panels.view import SETTLED, View
+from supple.viewer.panels.view import SETTLED, Shot, View
 from supple.viewer.tools.brushes import VideoTools
 from supple.viewer.tools.planes import RENDERED
 from supple.viewer.tools.volumes import VolumeTools
-from supple.viewer.window.gui import Gui
+
+_BOUND = "__imgui_bind_group"
+
+
+class _Layer:
+    """A context of Dear ImGui, what was laid out in it last, and what draws that."""
+
+    def __init__(self, backend: ImguiWgpuBackend, work: Callable[[], None]) -> None:
+        self._context, self._work, self.backend = imgui.get_current_context(), work, backend
+        self._laid = time.perf_counter()
+        self.data: Any = None
+        # ImGui closes open scopes after an error, and the window survives.
+        io = backend.io
+        io.config_error_recovery_enable_assert = False
+        io.config_error_recovery_enable_tooltip = False
+
+    def lay(self, size: tuple[float, float], ratio: float) -> str:
+        """Lay it out, for a canvas of a logical size; return the error, or an empty text."""
+        imgui.set_current_context(self._context)
+        io = self.backend.io
+        io.display_size, io.display_framebuffer_scale = imgui.ImVec2(*size), imgui.ImVec2(ratio, ratio)
+        now = time.perf_counter()
+        io.delta_time, self._laid = max(now - self._laid, 1e-4), now
+        imgui.new_frame()
+        trouble = ""
+        try:
+            self._work()
+        except Exception as error:  # any error: strokes may be unsaved
+            trouble = " ".join(f"{type(error).__name__}: {error}".split())
+        finally:
+            imgui.render()
+        self.data = imgui.get_draw_data()
+        return trouble
+
+
+class Gui:
+    """Controls and marks on a canvas, laid out by functions, drawn in the canvas's format, with the canvas's events.
+
+    The marks lie on the picture, below the controls, and are laid out for each frame. They have no events, and a
+    context of their own. Both draw with textures of letters, and with pictures by their numbers.
+    """
+
+    def __init__(
+        self,
+        gpu: Gpu,
+        canvas: Any,
+        format: str,
+        controls: Callable[[], None],
+        marks: Callable[[], None],
+        pictures: Mapping[int, Any],
+    ) -> None:
+        self._canvas, self._pictures, self._shown = canvas, pictures, dict[int, Any]()
+        self._renderer = ImguiRenderer(gpu.device, canvas, format)
+        self.trouble = ""  # the error of the last layout
+        backend = self._renderer.backend
+        theme.apply(backend.io)
+        self._controls = _Layer(backend, controls)
+        context = imgui.create_context(backend.io.fonts)
+        imgui.set_current_context(context)
+        own = ImguiWgpuBackend(gpu.device, format)
+        own._textures, own._texture_views = backend._textures, backend._texture_views
+        theme.style()
+        self._marks = _Layer(own, marks)
+        imgui.set_current_context(self._renderer.imgui_context)
+
+    def release(self) -> None:
+        """Pass the next event on, whatever was under the pointer in the last frame."""
+        imgui.set_current_context(self._renderer.imgui_context)
+        if not imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
+            self._renderer.backend.io.want_capture_mouse = False
+
+    def lay(self, *, all: bool) -> None:
+        """Lay out the marks, and the controls if all is to be."""
+        size, ratio = self._canvas.get_logical_size(), self._canvas.get_pixel_ratio()
+        trouble = self._controls.lay(size, ratio) if all else ""  # first: the letters are theirs
+        self.trouble = trouble or self._marks.lay(size, ratio)
+        imgui.set_current_context(self._renderer.imgui_context)
+
+    def draw(self, drawing: Any) -> None:
+        """Draw what is laid out into a render pass."""
+        backend = self._renderer.backend
+        views = backend._texture_views
+        for which in self._shown.keys() - self._pictures.keys():
+            del self._shown[which], views[which]
+        for which, texture in self._pictures.items():
+            if self._shown.get(which) is not texture:
+                self._shown[which] = texture
+                views[which] = texture.create_view()
+        for view in views.values():
+            # wgpu would make one for each draw: it keeps them by a name that Python changes, and never finds them.
+            if not hasattr(view, _BOUND):
+                entry = {"binding": 0, "resource": view}
+                layout = backend._texture_bind_group_layout
+                setattr(view, _BOUND, backend._device.create_bind_group(layout=layout, entries=[entry]))
+        for layer in (self._marks, self._controls):
+            layer.backend.render(layer.data, drawing)
+
 
 FILLING = 0.004  # seconds of each frame for filling a volume's buffer
 ANSWERED = 0.1  # seconds after an event until a panel has reacted
@@ -138,7 +237,6 @@ class Window(View):
         self._waking.stir()
 
     def _inside(self, event: dict[str, Any]) -> bool:
-        """Return whether an event is on the image."""
         return bool(event.get("x", 0) < self.area[0] and event.get("y", 0) < self.area[1])
 
     @unbroken()
@@ -232,7 +330,6 @@ class Window(View):
         self._go_on(shot)
 
     def _title(self) -> None:
-        """Show the name, and whether there are unsaved strokes."""
         unsaved = "\u25cf " if self.document.dirty else ""
         title = f"{unsaved}{self.stage.name} - Supple"
         if title != self._titled:
@@ -240,7 +337,6 @@ class Window(View):
             self.canvas.set_title(title)
 
     def _present(self, shot: Shot, encoder: Any) -> None:
-        """Compose image and controls on the canvas."""
         onto = self._context.get_current_texture()
         colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 1)}
         drawing = encoder.begin_render_pass(color_attachments=[colours])
@@ -256,7 +352,6 @@ class Window(View):
         self.gpu.device.queue.submit([encoder.finish()])
 
     def _go_on(self, shot: Shot) -> None:
-        """Schedule the next frame for unfinished work."""
         if self.computing or self._playing or not self.painter.ready:
             self.canvas.request_draw()
         elif self._lately:
@@ -275,12 +370,12 @@ class Window(View):
         assert isinstance(self.stage, VolumeStage)
         try:
             seconds = 10 * FILLING if waiting else FILLING
-            self.filled = self.stage.fill(shot.deformation, shot.camera, shot.size, seconds)
+            self.filled = self.stage.fill(shot.deformation, seconds)
         except SuppleError as error:
             self.filled, self.commands.message = 1.0, str(error)
         if before < self.filled or self.filled < 1.0:
-            if not waiting:
-                self._drawn_key = None  # each frame is faster than the last
+            if not waiting and self.filled == 1.0:
+                self._drawn_key = None
             self.canvas.request_draw()
 
     def _controls(self) -> None:
