@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import os
 import pty
-import resource
 import select
 import signal
 import subprocess
@@ -47,17 +46,6 @@ def test_a_process_ends_as_it_should(here: Path) -> None:
     status, out, err = finish(start("warp", "in.png", "out.png", *GRAB))
     assert (status, out) == (2, "")
     assert "--force" in one_line(err)
-
-
-def test_a_full_disk_leaves_nothing(here: Path) -> None:
-    def little() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-
-    image.write("in.png", noise(200, 300), force=True)
-    status, out, err = finish(start("warp", "in.png", "out.png", *GRAB, preexec_fn=little))
-    assert (status, out) == (2, "")
-    assert "out.png" in one_line(err)
-    assert os.listdir() == ["in.png"]
 
 
 def when_it_writes(process: subprocess.Popen[str], folder: str, number: int) -> None:

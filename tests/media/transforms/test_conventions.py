@@ -13,8 +13,6 @@ import nibabel
 import numpy as np
 import pytest
 import SimpleITK as sitk  # noqa: N813
-from hypothesis import given
-from hypothesis import strategies as st
 
 from supple import SuppleError
 from supple.media.transforms import CONVENTIONS, Content, Displacements, read, write
@@ -69,20 +67,6 @@ def test_an_affine_map_comes_back(convention: str, suffix: str, tmp_path: Path) 
     write(file, [AFFINE], convention, **grids)
     (found,) = read(file, None, **grids)
     np.testing.assert_allclose(found, AFFINE, atol=1e-9)
-
-
-@given(
-    numbers=st.lists(st.floats(-9, 9), min_size=12, max_size=12), names=st.tuples(*[st.sampled_from(list(GRIDS))] * 2)
-)
-def test_any_affine_map_comes_back_from_flirt(
-    tmp_path_factory: pytest.TempPathFactory, numbers: list[float], names: tuple[str, str]
-) -> None:
-    matrix = np.eye(4)
-    matrix[:3] = np.reshape(numbers, (3, 4)) + 30 * np.eye(3, 4)
-    grids = {"source": GRIDS[names[0]], "reference": GRIDS[names[1]]}
-    file = tmp_path_factory.mktemp("flirt") / "a.mat"
-    write(file, [matrix], "fsl-affine", **grids)
-    np.testing.assert_allclose(read(file, **grids)[0], matrix, rtol=1e-9, atol=1e-7)
 
 
 def image(path: Path, values: Any, code: int = 0, *, placed: bool = True, dtype: Any = np.float32) -> Path:
@@ -280,17 +264,3 @@ def test_what_is_not_written(
         write(tmp_path / name, contents, convention)
     check(caught.value, [word])
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("convention", "suffix"), [("itk", ".h5"), ("mrtrix", ".nii"), ("afni", ".1D"), ("itk", ".tfm")]
-)
-def test_what_exists_is_kept(convention: str, suffix: str, tmp_path: Path) -> None:
-    file = tmp_path / f"a{suffix}"
-    contents: list[Content] = [AFFINE] if suffix != ".nii" else [SMOOTH]
-    file.write_text("old")
-    with pytest.raises(SuppleError, match="exists already"):
-        write(file, contents, convention)
-    assert file.read_text() == "old"
-    write(file, contents, convention, force=True)
-    np.testing.assert_allclose(mapped(read(file, convention), [[1, 8, 15]]), mapped(contents, [[1, 8, 15]]), atol=1e-5)

@@ -10,6 +10,13 @@ from supple.media.video import open_clip as open_video
 from tests import clips
 
 
+def arrays_of(clip, frame):
+    """Return the planes of a frame, in arrays of their own."""
+    arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
+    frame.copy_to(arrays)
+    return arrays
+
+
 def copy(source, target, *, again=True, **settings):
     """Write a clip anew, unchanged; start again where it turns out to have another number of frames."""
     count = None
