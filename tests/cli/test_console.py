@@ -228,15 +228,6 @@ def test_a_number_of_threads_that_is_none_is_one_line(run: Run, monkeypatch: pyt
     assert run("warp", "in.png", "out.png", *grab, "--threads", "2") == (0, "", "")
 
 
-@pytest.mark.parametrize("option", ["--border", "--on-fold", "--tolerance", "--quality", "--save-recipe", "--threads"])
-def test_options_that_are_meant_once_are_not_given_twice(run: Run, option: str) -> None:
-    value = "damp" if option == "--on-fold" else "3"
-    grab = ("--grab", "20,16:22,16", "--radius", "12")
-    status, _, err = run("warp", "in.png", "out.png", *grab, option, value, option, value)
-    assert status == 2
-    assert f"{option} specified multiple times" in err
-
-
 def test_a_tolerance_that_float32_does_not_hold_is_told(run: Run) -> None:
     grab = ("--grab", "20,16:22,16", "--radius", "12")
     status, out, err = run("warp", "in.png", "out.png", *grab, "--tolerance", "1e-9", "--json")

@@ -32,29 +32,6 @@ def picture(tmp_path: Path) -> Path:
     return tmp_path / "in.png"
 
 
-@pytest.mark.parametrize(
-    ("options", "name"),
-    [
-        (("--time-filter",), "--time-filter is for clips"),
-        (("--memory", "0"), "--memory is for clips"),
-        (("--codec", "h264", "--crf", "20"), "--codec and --crf is for clips"),
-        (("--fps", "25"), "--fps is for clips"),
-        (("--labels",), "--labels is for volumes"),
-        (("--world",), "--world is for volumes"),
-        (("--fill", "9"), "--fill is the constant of --outside constant, and --outside is edge: give both"),
-    ],
-)
-def test_options_that_are_not_for_pictures_are_named(
-    picture: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], name: str
-) -> None:
-    target = picture.with_name("out.png")
-    assert command(["warp", str(picture), str(target), *GRAB, *options]) == 2
-    told = capsys.readouterr().err
-    assert name.replace("--crf is", "--crf are") in told
-    assert told.count("\n") == 1
-    assert not target.exists()
-
-
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".bmp"])
 def test_a_quality_that_changes_nothing_is_told(picture: Path, capsys: pytest.CaptureFixture[str], suffix: str) -> None:
     target = picture.with_name(f"out{suffix}")

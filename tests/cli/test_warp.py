@@ -81,14 +81,6 @@ def test_reach_and_border_profile_are_saved(run: Run) -> None:
     assert (again.border_profile, again.strokes) == ("sine", recipe.strokes)
 
 
-def test_a_recipe_makes_the_same_file_again(run: Run) -> None:
-    options = ["--border", "none", "--on-fold", "flow", "--poisson", "0.25"]
-    first = run("warp", "in.png", "out.png", *GRAB, *options, "--save-recipe", "r.json")
-    assert first == (0, "", "")
-    assert run("warp", "in.png", "again.png", "--recipe", "r.json") == (0, "", "")
-    assert Path("out.png").read_bytes() == Path("again.png").read_bytes()
-
-
 def test_grabs_come_after_those_of_a_recipe_and_options_override_it(run: Run) -> None:
     run("warp", "in.png", "out.png", *GRAB, "--border", "7", "--on-fold", "flow", "--save-recipe", "r.json")
     more = ["--recipe", "r.json", "--grab", "1,2:3,4", "--radius", "5"]
@@ -213,31 +205,6 @@ def test_the_smallest_pictures(run: Run, size: tuple[int, int], border: str) -> 
     drag = ["--grab", "0,0:3,2", "--radius", "10", "--quiet", "--on-fold", "damp"]
     assert run("warp", "small.png", "o.png", *drag, "--border", border) == (0, "", "")
     assert image.read("o.png").pixels.shape == (*size, 3)
-
-
-def test_a_stroke_far_outside(run: Run) -> None:
-    options = ["--grab", "-1e7,5e6:3,4", "--radius", "20", "--border", "none", "--on-fold", "damp"]
-    status, _, err = run("warp", "in.png", "out.png", *options)
-    assert status == 2
-    assert "starts outside the picture, which has 48 x 40 pixels, and reaches nothing of it" in one_line(err)
-    status, _, err = run("warp", "in.png", "out.png", *options, "--reach", "none")
-    assert status == 0
-    told = err.splitlines()
-    assert len(told) == 2
-    assert sum("folds: damped" in line for line in told) == sum("starts outside the picture" in line for line in told)
-    assert image.read("out.png").pixels.shape == (40, 48, 3)
-
-
-def test_damping_is_one_line_unless_quiet(run: Run) -> None:
-    options = ["--grab", "20,16:40,16", "--radius", "3", "--force", "--on-fold", "damp"]
-    status, out, err = run("warp", "in.png", "out.png", *options)
-    assert (status, out) == (0, "")
-    assert one_line(err).startswith("supple: warning: ")
-    assert "--on-fold flow" in err
-    assert run("warp", "in.png", "out.png", *options, "--quiet") == (0, "", "")
-    status, _, err = run("warp", "in.png", "out.png", *options[:-1], "error")
-    assert status == 2
-    assert "folds" in one_line(err)
 
 
 def test_json_tells_what_was_done(run: Run) -> None:

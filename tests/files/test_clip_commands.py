@@ -89,17 +89,6 @@ def test_json_tells_what_was_done(run: Run) -> None:
     assert json.loads(out)["what"] == "sheet"
 
 
-def test_damping_is_one_line_unless_quiet(run: Run) -> None:
-    noisy("in.mkv", "yuv420p")
-    strong = ["--grab", "30,20,3:30,20,11", "--radius", "3", "--force", "--on-fold", "damp"]
-    status, out, err = run("warp", "in.mkv", "out.mkv", *strong)
-    assert (status, out) == (0, "")
-    assert err.count("\n") == 1
-    assert "--on-fold flow" in err
-    assert run("warp", "in.mkv", "out.mkv", *strong, "--quiet") == (0, "", "")
-    refused(run("warp", "in.mkv", "out.mkv", *strong[:-1], "error"), "folds")
-
-
 def environment(**more: str) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": SOURCE, **more}
 
@@ -186,38 +175,6 @@ def test_plots_of_sequences_and_of_one_frame(run: Run) -> None:
     for source, whats in (("in/%03d.png", [sheet]), ("in", [cut, grid]), ("one.mkv", [sheet, cut, grid])):
         for what in whats:
             assert run("plot", source, "out.png", *grab, "--what", *what) == (0, "", "")
-
-
-PLOTS_REFUSED = [
-    (["--what", "slice"], "--x or --y"),
-    (["--what", "slice", "--x", "3", "--y", "4"], "--x or --y"),
-    (["--what", "slice", "--x", "64"], "--x must be from 0 to 63"),
-    (["--what", "slice", "--x", "2.5"], "--x must be a whole number of pixels, found '2.5'"),
-    (["--what", "grid", "--frame", "2.5"], "--frame must be a whole number, counted from 0, found '2.5'"),
-    (["--what", "grid", "--frame", "99"], "--frame must be from 0 to 11, found 99"),
-    (["--what", "grid", "--x", "3"], "--x and --y are for slices"),
-    (["--what", "slice", "--y", "48"], "--y must be from 0 to 47"),
-    (["--what", "slice", "--x", "-1"], "--x must be from 0 to 63"),
-    (["--what", "slice", "--x", "9" * 30], "--x must be from 0 to 63"),
-    (["--what", "slice", "--x", "nan"], "--x"),
-    (["--what", "slice", "--x", "3", "--frame", "2"], "--frame"),
-    (["--what", "sheet", "--frame", "2"], "--frame"),
-    (["--what", "sheet", "--x", "2"], "slices"),
-    (["--what", "grid", "--frame", "2", "--y", "2"], "slices"),
-    (["--frame", "12"], "from 0 to 11"),
-    (["--frame", "-1"], "from 0 to 11"),
-    (["--what", "movie"], "movie"),
-    (["--what", "sheet", "--codec", "h264"], "--codec is for videos"),
-    (["--what", "sheet", "--crf", "20"], "--crf is for videos"),
-    (["--what", "sheet", "--fps", "20"], "--fps"),
-]
-
-
-@pytest.mark.parametrize(("options", "wanted"), PLOTS_REFUSED)
-def test_a_plot_that_cannot_be_is_one_line(run: Run, options: list[str], wanted: str) -> None:
-    noisy("in.mkv", "yuv420p")
-    refused(run("plot", "in.mkv", "out.png", *GRAB, *options), wanted)
-    assert os.listdir() == ["in.mkv"]
 
 
 @pytest.mark.parametrize("target", ["out.jpg", "out.mp4", "out", "no/out.png", "taken.png", "in.mkv"])
@@ -385,12 +342,6 @@ def test_interlaced_clips_that_are_bent_are_warned_of(run: Run, order: str) -> N
     assert status == 0
     assert run("warp", "in.mkv", "strict.mkv", *GRAB_2D, "--strict")[0] == 2
     assert run("info", "in.mkv")[1].count(f"interlaced, {first} field first") == 1
-
-
-def test_without_strokes_there_is_nothing_to_do(run: Run) -> None:
-    clips.make("in.mp4", count=3)
-    refused(run("warp", "in.mp4", "out.mp4"), "nothing to do")
-    refused(run("warp", "in.mp4", "out.mkv"), "nothing to do")
 
 
 def test_metadata_of_quicktime_comes_through(run: Run) -> None:

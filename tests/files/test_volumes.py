@@ -21,7 +21,6 @@ from supple.errors import SuppleError, VolumeWarning
 from supple.fields import Placed
 from supple.files import volumes
 from supple.files.freezing import read_freeze
-from supple.files.kinds import kind_of
 from supple.files.options import VolumeOptions
 from supple.files.stores import warp_store
 from supple.files.volumes import deformation_of, sampling_of, warp_volume
@@ -37,12 +36,6 @@ OBLIQUE = Geometry((0.9, 1.1, 2.0), (10.0, -20.0, 30.0), DIRECTION, "LPS")
 OFF = 0.9  # what 0.01 voxels are worth, where values rise by 90 from voxel to voxel
 RECIPE = supple.Recipe(strokes=[supple.Stroke.grab((11, 13, 9), by=(3, -2, 1.5), radius=9)], border=8.0)
 GRAB = ["--grab", "11,13,9:14,11,10.5", "--radius", "9", "--border", "8"]
-
-
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def made(shape: tuple[int, ...] = SHAPE, dtype: Any = np.int16, seed: int = 0) -> npt.NDArray[Any]:
@@ -87,21 +80,6 @@ def test_a_volume_is_deformed_in_millimetres(here: Path, suffix: str, dtype: Any
     assert 0 < done.error <= 0.01
     assert done.report().within
     assert done.deformation.domain.spacing == pytest.approx(OBLIQUE.spacing)
-
-
-@pytest.mark.parametrize("name", ["nearest", "linear"])
-def test_a_filter_samples_all_axes_alike(name: str) -> None:
-    """Turned so that another axis comes last, a volume gives the same, turned."""
-    samples = made((22, 22, 22), np.float32)
-    strokes = [supple.Stroke.grab((9, 12, 10), by=(4, -3, 2), radius=7)]
-    turned = [supple.Stroke.grab((10, 9, 12), by=(2, 4, -3), radius=7)]
-    found = []
-    for values, given in ((samples, strokes), (np.moveaxis(samples, 0, 2), turned)):
-        d = supple.Deformation.from_recipe(supple.Recipe(strokes=given, border=None), values.shape)
-        how = sampling_of(name, tolerance=1e-3)
-        found.append(d.warp(values, filter=how.filter, between=how.between, tolerance=1e-3))
-    off = np.abs(found[0] - np.moveaxis(found[1], 2, 0))
-    assert np.quantile(off, 0.99) < 0.1
 
 
 @pytest.mark.parametrize("name", ["cubic", "auto"])
@@ -533,22 +511,6 @@ def _full(*_: Any, **__: Any) -> None:
     raise OSError(28, "No space left on device")
 
 
-def test_what_is_a_volume(here: Path) -> None:
-    stored("in.nii", made())
-    stored("stack.tif", made())
-    from supple.media import image
-
-    image.write("one.tif", np.zeros((8, 8), np.uint8))
-    flat = supple.Recipe(strokes=[supple.Stroke.grab((5, 5), by=(1, 0), radius=5)])
-    assert kind_of("in.nii", "out.nii", flat) == "volume"
-    assert kind_of("stack.tif", "out.tif", RECIPE) == "volume"
-    assert kind_of("stack.tif", "out.nii", flat) == "volume"
-    assert kind_of("stack.tif", "out.tif", flat) == "picture"
-    assert kind_of("one.tif", "out.tif", RECIPE) == "picture"
-    assert kind_of("photo.jpg", "out.jpg", flat) == "picture"
-    assert kind_of("x.bin", "out.nii", flat, VolumeOptions(layout=media.RawLayout((2, 2, 2), "uint8"))) == "volume"
-
-
 def test_raw_files(here: Path) -> None:
     samples = made(dtype=np.uint16)
     Path("x.bin").write_bytes(samples.tobytes())
@@ -603,13 +565,6 @@ def test_a_folder_of_volumes(here: Path) -> None:
     assert np.abs(media.read("bent/1.nii.gz").samples - truth(made(seed=1))).max() <= OFF + 0.5
 
 
-FCSV = """# Markups fiducial file version = 4.11
-# CoordinateSystem = LPS
-# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID
-1,5.0,6.0,7.0,0.0,0.0,0.0,1.0,1,1,0,a,,
-"""
-
-
 def test_a_field_is_left_only_with_its_volume(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stored("in.nii", made())
     monkeypatch.setattr(volumes, "write", _full)
@@ -622,59 +577,10 @@ def test_a_field_is_left_only_with_its_volume(here: Path, monkeypatch: pytest.Mo
     assert sorted(p.name for p in here.iterdir()) == ["f.nii", "in.nii", "out.nii"]
 
 
-BAD: list[tuple[list[str], str]] = [
-    (["warp", "in.nii", "out.jpg", *GRAB], "no format that volumes are written in"),
-    (["warp", "in.nii", "in.nii", *GRAB], "is the volume itself: choose another name, or --force"),
-    (["warp", "in.nii", "there.nii", *GRAB], "exists already"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--quality", "9"], "is for pictures or videos"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--codec", "h264"], "is for pictures or videos"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--save-field", "out.txt"], "out.txt"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--save-field", "out.nii"], "cannot be the field"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--tolerance", "0"], "tolerance"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--shape", "1,2,3"], "both --shape X,Y,Z and --dtype"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--shape", "1,2,3", "--dtype", "text"], "dtype"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--shape", "1,2", "--dtype", "u1"], "three numbers"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--shape", "99,99,99", "--dtype", "u1"], "in.nii"),
-    (["warp", "in.raw", "out.nii", *GRAB], "--shape"),
-    (["warp", "missing.nii", "out.nii", *GRAB], "missing.nii"),
-    (["warp", "text.nii.gz", "out.nii", *GRAB], "text.nii.gz"),
-    *(
-        (["warp", "photo.png", "out.png", "--grab", "1,1:2,2", "--radius", "3", *more], f"{more[0]} is for volumes")
-        for more in (["--labels"], ["--save-field", "f.nii"], ["--world"])
-    ),
-    (["warp", "in.nii", "out.nii", "--grab", "1,1:2,2", "--radius", "3"], "three numbers"),
-    (["plot", "in.nii", "out.png", *GRAB], "supple render shows it"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--series", "1"], "--series is for DICOM"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--save-field", "f.nii", "--save-recipe", "f.nii"], "recipe and the field"),
-    (["render", "in.nii", "out.png", "--time", "1"], "--time is for series"),
-    (["points", "p.fcsv", "q.fcsv", "--on", "stack.tif", *GRAB], "does not know where it lies in space"),
-]
-
-
 def test_a_filter_of_no_kind_is_refused(here: Path) -> None:
     stored("in.nii", made())
     with pytest.raises(supple.SuppleError, match=r"filter must be .*, found \['auto'\]"):
         warp_volume("in.nii", "out.nii", RECIPE, filter=["auto"])  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(("given", "text"), BAD)
-def test_bad_input(here: Path, capfd: pytest.CaptureFixture[str], given: list[str], text: str) -> None:
-    from supple.media import image
-
-    stored("in.nii", made())
-    for name in ("text.nii.gz", "in.raw", "there.nii"):
-        Path(name).write_text("this is text", encoding="utf-8")
-    image.write("photo.png", np.zeros((9, 9), np.uint8))
-    stored("stack.tif", made())
-    Path("p.fcsv").write_text(FCSV, encoding="utf-8")
-    before = sorted(p.name for p in here.iterdir())
-    assert command(given) == 2
-    out, err = capfd.readouterr()
-    assert text in err
-    assert err.count("\n") == 1
-    assert out == ""
-    assert sorted(p.name for p in here.iterdir()) == before
-    assert Path("there.nii").read_text(encoding="utf-8") == "this is text"
 
 
 def test_an_interrupt_leaves_nothing(here: Path) -> None:
