@@ -57,11 +57,6 @@ class TestOrientation:
         write(tmp_path / "out.avif", picture.pixels, like=picture, lossless=True)
         np.testing.assert_array_equal(read(tmp_path / "out.avif").pixels, picture.pixels)
 
-    def test_of_grey_and_of_16_bits(self, tmp_path):
-        for number, pixels in enumerate((noise("u1", 33, 70), noise("u2", 33, 70), noise("u2", 33, 70, 4))):
-            save(tmp_path / f"{number}.tif", pixels, {"orientation": 7})
-            np.testing.assert_array_equal(read(tmp_path / f"{number}.tif").pixels, UPRIGHT[7](pixels))
-
     def test_in_xmp_follows(self, tmp_path):
         xmp = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><r tiff:Orientation="6" dc:title="6"/></x:xmpmeta>'
         save(tmp_path / "turned.jpg", smooth(20, 30), {"orientation": 6, "xmp-data": xmp})

@@ -134,15 +134,6 @@ def test_profiles_in_hexadecimal_digits(tmp_path: Path) -> None:
         assert PREVIEW[-100:].hex() not in str(image.info)
 
 
-def test_no_resolution_is_made_up(tmp_path: Path) -> None:
-    PICTURE.save(tmp_path / "in.png")
-    write(tmp_path / "out.png", read(tmp_path / "in.png"))
-    assert b"pHYs" not in (tmp_path / "out.png").read_bytes()
-    with Image.open(tmp_path / "out.png") as image:
-        image.load()
-        np.testing.assert_array_equal(np.asarray(image), np.asarray(PICTURE))
-
-
 @pytest.mark.parametrize("source", [".png", ".jpg", ".webp", ".avif", ".tif"])
 def test_no_resolution_is_made_up_with_exif(tmp_path: Path, source: str) -> None:
     known = Image.Exif()

@@ -7,14 +7,13 @@ import pyvips
 import supple
 from supple.media.image import (
     DepthWarning,
-    PageWarning,
     info,
     read,
     write,
 )
 from supple.media.image.formats import TIFF
 from supple.media.image.formats import settings as saver_settings
-from tests.media.image.pictures import BLOB, FORMATS, INT, SAVERS, loaded, noise, refused, save, smooth
+from tests.media.image.pictures import BLOB, FORMATS, SAVERS, loaded, noise, refused, save, smooth
 
 CMYK = bytes(pyvips.Operation.call("profile_load", "cmyk"))
 
@@ -124,13 +123,6 @@ class TestRoundTrips:
         np.testing.assert_array_equal(picture.pixels, pixels)
         assert not picture.alpha
 
-    def test_other_readers_see_the_colours_named(self, tmp_path):
-        for dtype, names in {"u1": ("b-w", "srgb"), "u2": ("grey16", "rgb16")}.items():
-            for channels, name in zip(((), (3,)), names, strict=True):
-                for suffix in (".png", ".tif"):
-                    write(tmp_path / f"out{suffix}", noise(dtype, 9, 9, *channels), force=True)
-                    assert info(tmp_path / f"out{suffix}")["interpretation"] == name
-
 
 class TestDepth:
     @pytest.mark.parametrize("suffix", [".jpg", ".webp"])
@@ -222,30 +214,6 @@ class TestColours:
 
 
 class TestPages:
-    def test_of_an_animation_the_first_is_read(self, tmp_path):
-        frames = np.zeros((30, 12, 3), np.uint8)
-        frames[:10], frames[10:20], frames[20:] = (255, 0, 0), (0, 255, 0), (0, 0, 255)
-        for suffix in (".gif", ".webp"):
-            image = pyvips.Image.new_from_array(frames, interpretation="srgb").copy()
-            image.set_type(INT, "page-height", 10)
-            image.write_to_file(str(tmp_path / f"in{suffix}"), **({"lossless": True} if suffix == ".webp" else {}))
-            with pytest.warns(PageWarning, match=r"holds 3 (pages|frames), and only (one of them|the first) is read"):
-                picture = read(tmp_path / f"in{suffix}")
-            np.testing.assert_array_equal(picture.pixels[..., :3], frames[:10])
-            assert info(tmp_path / f"in{suffix}")["pages"] == 3
-            write(tmp_path / f"out{suffix}.png", picture.pixels, like=picture)
-            assert info(tmp_path / f"out{suffix}.png")["height"] == 10
-
-    def test_of_a_tiff_the_first_is_read(self, tmp_path):
-        image = pyvips.Image.new_from_array(noise("u2", 30, 12), interpretation="grey16").copy()
-        image.set_type(INT, "page-height", 10)
-        image.tiffsave(str(tmp_path / "in.tif"))
-        with pytest.warns(PageWarning):
-            picture = read(tmp_path / "in.tif")
-        np.testing.assert_array_equal(picture.pixels, noise("u2", 30, 12)[:10])
-        write(tmp_path / "out.tif", picture.pixels, like=picture)
-        assert info(tmp_path / "out.tif")["pages"] == 1
-
     def test_a_picture_is_warped_as_what_it_is(self, tmp_path):
         pixels = noise("u1", 32, 40, 4)
         image = pyvips.Image.new_from_array(pixels, interpretation="cmyk").copy()

@@ -159,15 +159,6 @@ def test_an_incomplete_group_is_left_out_where_the_input_does(tmp_path: Path) ->
     np.testing.assert_array_equal(target.arrays[1][...], exact(values[:6, :12], [2, 2]))
 
 
-def test_labels_are_reduced_to_first_samples(tmp_path: Path) -> None:
-    (values, *_) = image(tmp_path / "in.zarr", 3, "0.5", count=2)
-    target = create(tmp_path / "out.zarr", open_image(tmp_path / "in.zarr"), job="a")
-    target.write(0, whole(target), values)
-    for box in boxes(target, 1):
-        target.reduce(1, box, "nearest")
-    np.testing.assert_array_equal(target.arrays[1][...], values[..., ::2, ::2])
-
-
 def test_a_chunk_without_content_is_not_done(tmp_path: Path) -> None:
     values, like = small(tmp_path / "in.zarr")
     target = create(tmp_path / "out.zarr", like, job="a")

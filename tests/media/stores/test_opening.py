@@ -208,16 +208,6 @@ def test_other_things_that_cannot_be_opened(tmp_path: Path, memory: str) -> None
         open_image(tmp_path / "in.zarr", ndim=3)
 
 
-def test_without_zarr(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from supple import errors
-
-    monkeypatch.setattr(errors, "find_spec", lambda name: None)
-    with pytest.raises(
-        SuppleError, match=r"Zarr stores need zarr, which is not installed: pip install 'supple\[zarr\]'"
-    ):
-        open_image(tmp_path)
-
-
 def test_an_address_that_is_not_reached(memory: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from zarr.storage import FsspecStore
 

@@ -83,13 +83,6 @@ def test_forms_agree_with_swscale():
             np.testing.assert_array_equal(a, b, err_msg=name)
 
 
-def test_palettes_are_looked_up(tmp_path):
-    copy(clips.make(tmp_path / "a.mkv", "ffv1", count=3), tmp_path / "b.gif")
-    with open_video(tmp_path / "b.gif") as clip:
-        assert clip.count == 3
-        assert clip.layout.groups[0].channels == 4
-
-
 @pytest.mark.parametrize(
     ("name", "codec", "suffix", "offset"),
     [

@@ -172,15 +172,6 @@ def test_floats_go_into_what_holds_them(tmp_path: Path) -> None:
     assert names(tmp_path) == ["a.mkv", "in"]
 
 
-def test_opacity_of_pictures_is_kept_or_missed(tmp_path: Path) -> None:
-    save(tmp_path / "in", numbers(1, 2), shape=(48, 64, 4))
-    film(tmp_path / "in", tmp_path / "a.webm")
-    assert info(tmp_path / "a.webm")["alpha"]
-    with pytest.warns(ClipWarning, match="loses opacity") as caught:
-        film(tmp_path / "in", tmp_path / "a.mp4", pixel_format="yuv420p")
-    assert len(caught) == 1
-
-
 @pytest.mark.parametrize(
     ("kind", "codec", "lost", "keeps"),
     [
@@ -227,27 +218,6 @@ def test_what_a_sequence_loses_is_said(tmp_path: Path) -> None:
         film(tmp_path / "profiled", tmp_path / "b.mkv")
     write(tmp_path / "profiled" / "1.png", picture(0), like=Picture(picture(0), icc=SRGB), force=True)
     film(tmp_path / "profiled", tmp_path / "c.mkv")
-
-
-def test_pixel_formats_that_are_asked_for_are_taken(tmp_path: Path) -> None:
-    gradients(tmp_path / "in", 2)
-    film(tmp_path / "in", tmp_path / "a.mp4", codec="hevc", pixel_format="gbrp")
-    assert info(tmp_path / "a.mp4")["pixel_format"] == "gbrp"
-    film(tmp_path / "in", tmp_path / "b.mp4", pixel_format="yuv444p")
-    assert info(tmp_path / "b.mp4")["pixel_format"] == "yuv444p"
-
-
-def test_a_film_of_pictures_is_whole_or_not_there(tmp_path: Path) -> None:
-    gradients(tmp_path / "in", 3)
-
-    def interrupted() -> None:
-        with open_sequence(tmp_path / "in") as clip, writer_of(clip, tmp_path / "a.mp4") as sink:
-            sink.write([frames_of(clip)[0]], 0)
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert names(tmp_path) == ["in"]
 
 
 @pytest.mark.parametrize(("kind", "bands"), [("cmyk", 4), ("lab", 3)])
