@@ -7,7 +7,6 @@ import functools
 import json
 import os
 import re
-import subprocess
 import sys
 import warnings
 from collections.abc import Callable
@@ -81,18 +80,6 @@ def test_json_holds_the_warnings_and_where_strokes_arrive(run: Run, medium: str)
     assert json.loads(quiet[1])["warnings"] == facts["warnings"]
 
 
-@pytest.mark.parametrize("medium", MEDIA)
-def test_json_of_strokes_that_arrive(run: Run, medium: str) -> None:
-    source, target, strokes = MEDIA[medium]
-    status, out, err = run("warp", source, target, *strokes[:-1], "flow", "--json")
-    assert (status, err) == (0, "")
-    facts = json.loads(out)
-    assert facts["warnings"] == []
-    [arrival] = facts["arrivals"]
-    assert (arrival["miss"], arrival["cause"]) == (0, None)
-    assert arrival["target"] == arrival["arrived"] == arrival["final"]
-
-
 def test_json_of_plots_and_renderings(run: Run) -> None:
     held_back = ("--grab", "2,16:6,16", "--radius", "12", "--border", "10", "--on-fold", "damp")
     for name, more in (("in.png", ()), ("in.mkv", ("--frame", "2"))):
@@ -108,14 +95,6 @@ def test_json_of_plots_and_renderings(run: Run) -> None:
     assert status == 0
     assert facts["arrivals"][0]["cause"] == "border"
     assert [f"supple: warning: {text}" for text in facts["warnings"]] == err.splitlines()
-
-
-def test_near_the_border_an_error_policy_refuses(run: Run) -> None:
-    near = ("--grab", "2,16:6,16", "--radius", "12", "--border", "10", "--on-fold", "error")
-    status, _, err = run("warp", "in.png", "out.png", *near)
-    assert status == 2
-    assert "holds it back" in err
-    assert not os.path.exists("out.png")
 
 
 def test_each_warning_of_a_batch_begins_with_its_file(run: Run) -> None:
@@ -196,24 +175,6 @@ def test_strict_goes_on_with_the_other_files_of_a_batch(run: Run) -> None:
     assert all(line.startswith("supple: many/") for line in lines)
     assert len(lines) == 5
     assert last == "supple: 1 of 6 files written into bent, 5 failed"
-
-
-def test_a_batch_ends_quietly_when_nobody_reads(run: Run) -> None:
-    for k in range(6, 40):
-        image.write(f"many/{k}.png", noise(k))
-    read, write = os.pipe()
-    os.close(read)
-    made = subprocess.run(
-        [sys.executable, "-m", "supple", "warp", "many", "bent", "--grab", "20,16:22,16", "--radius", "12", "--json"],
-        env={**os.environ, "PYTHONPATH": SOURCE},
-        stdout=write,
-        stderr=subprocess.PIPE,
-        encoding="utf-8",
-        timeout=300,
-        check=False,
-    )
-    os.close(write)
-    assert (made.returncode, made.stderr) == (141, "")
 
 
 @pytest.mark.parametrize("value", ["abc", "0", "-2", "2x", "²"])
@@ -378,48 +339,3 @@ def test_no_python_in_what_is_said(run: Run) -> None:
         status, _, err = run(*arguments)
         assert status == 2, arguments
         assert not PYTHON.search(err), err
-
-
-@pytest.mark.parametrize("name", ["warp", "plot", "render", "points", "info", "view", "demo"])
-def test_help_has_none_of_the_words_that_were_not_understood(run: Run, name: str) -> None:
-    status, out, _ = run(name, "--help")
-    assert status == 0
-    said = " ".join(out.replace("│", " ").split())
-    for word in (
-        r"\bcards?\b",
-        "keeps areas",
-        "keeps volumes",
-        "[Ww]ho (does|makes|takes)",
-        "is worth to",
-        r"\btells?\b",
-    ):
-        assert not re.search(word, said), word
-
-
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
-def test_a_batch_whose_output_is_full_is_no_fault_of_ours(run: Run) -> None:
-    with open("/dev/full", "w") as full:
-        made = subprocess.run(
-            [
-                sys.executable,
-                "-m",
-                "supple",
-                "warp",
-                "many",
-                "bent",
-                "--grab",
-                "20,16:22,16",
-                "--radius",
-                "9",
-                "--json",
-            ],
-            env={**os.environ, "PYTHONPATH": SOURCE},
-            stdout=full,
-            stderr=subprocess.PIPE,
-            encoding="utf-8",
-            timeout=300,
-            check=False,
-        )
-    assert made.returncode == 2
-    assert "the system refuses: No space left on device" in made.stderr
-    assert "fault" not in made.stderr

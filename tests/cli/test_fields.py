@@ -12,7 +12,6 @@ import pytest
 from supple import Affine, Field, Placed, compose
 from supple.cli.fields import parse_maps
 from supple.errors import SuppleError
-from supple.files.fields import Input
 from supple.media import transforms, volume
 from tests.cli.commands import Run, one_line
 from tests.sampled_fields import GRID, sine, smooth
@@ -142,15 +141,6 @@ def test_compose_takes_what_stands_after_a_file_for_that_file(run: Run) -> None:
     _, out, _ = run(*line, "--force", "--json")
     facts = json.loads(out)
     assert [each["inverse"] for each in facts["read"]] == [True, False]
-
-
-def test_options_after_files() -> None:
-    words = ["a", "--inverse", "--convention", "itk", "b", "--source=m.nii", "c", "--convention=afni", "--inverse"]
-    assert parse_maps(words) == [
-        Input("a", True, "itk"),
-        Input("b", source="m.nii"),
-        Input("c", True, "afni"),
-    ]
 
 
 @pytest.mark.parametrize(

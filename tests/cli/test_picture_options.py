@@ -41,12 +41,6 @@ def test_a_quality_that_changes_nothing_is_told(picture: Path, capsys: pytest.Ca
     assert capsys.readouterr().err == ""
 
 
-def test_a_folder_that_is_not_there_is_made(picture: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert command(["warp", str(picture), f"{picture.parent}/new/deep/", *GRAB]) == 0
-    assert capsys.readouterr().err == ""
-    assert read(picture.parent / "new" / "deep" / "in.png").pixels.shape == (40, 60, 3)
-
-
 @pytest.mark.parametrize("channels", [3, 4])
 def test_a_shape_with_colours_is_told(channels: int) -> None:
     map_ = supple.Deformation((40, 60, channels))

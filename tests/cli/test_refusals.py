@@ -189,6 +189,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("--shape 99,99,99 --dtype u1", "in.nii"),
         ("--series 1", "--series is for DICOM"),
         ("--save-field f.nii --save-recipe f.nii", "recipe and the field"),
+        ("--grab 200,5,5:201,5,5 --radius 5", "starts outside the volume, which has 24 x 26 x 20 voxels, and reaches"),
     ],
     "warp in.mp4 out.mp4 TIMED": [
         ("--codec ''", "no video encoder"),

@@ -167,27 +167,6 @@ def test_maps_of_one_frame(run: Run, what: str, grab: Sequence[str]) -> None:
     assert image.info("out.png")["format"] == "PNG"
 
 
-def test_plots_of_sequences_and_of_one_frame(run: Run) -> None:
-    pictures("in", 6)
-    noisy("one.mkv", "yuv420p", 1)
-    grab = ["--grab", "30,20,0:33,22,0", "--radius", "9", "--force"]
-    sheet, cut, grid = ["sheet"], ["slice", "--x", "3"], ["grid", "--frame", "0"]
-    for source, whats in (("in/%03d.png", [sheet]), ("in", [cut, grid]), ("one.mkv", [sheet, cut, grid])):
-        for what in whats:
-            assert run("plot", source, "out.png", *grab, "--what", *what) == (0, "", "")
-
-
-@pytest.mark.parametrize("target", ["out.jpg", "out.mp4", "out", "no/out.png", "taken.png", "in.mkv"])
-def test_a_plot_that_cannot_be_written_is_one_line(run: Run, target: str) -> None:
-    noisy("in.mkv", "yuv420p")
-    kept = Path("in.mkv").read_bytes()
-    Path("taken.png").write_text("precious")
-    refused(run("plot", "in.mkv", target, *GRAB, "--what", "sheet"), target)
-    assert Path("taken.png").read_text() == "precious"
-    assert Path("in.mkv").read_bytes() == kept
-    assert sorted(os.listdir()) == ["in.mkv", "taken.png"]
-
-
 def start(*arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "supple", *arguments],

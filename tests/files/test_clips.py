@@ -24,6 +24,8 @@ from supple.media.video import open_clip as open_video
 from tests import clips
 from tests.files.clip_files import FLAT, GRAB, GRAB_2D, TIMED, Run, noisy, pictures, refused, same_frames, stack
 
+KEYS = (supple.Key(3, at=(20, 20)), supple.Key(9, at=(44, 20)))
+MOVING = supple.Recipe(border=10, strokes=(supple.Stroke(at=(20, 20), by=(4, 3), radius=6, keys=KEYS),))
 LOSSLESS = ClipOptions(codec="ffv1")
 
 
@@ -230,21 +232,22 @@ def test_a_clip_may_replace_itself_with_force_alone(run: Run) -> None:
     assert sorted(os.listdir()) == ["in.mp4", "link.mp4"]
 
 
-def test_the_library_tells_how_far_it_is_and_may_be_stopped(here: Path) -> None:
+@pytest.mark.parametrize("recipe", [TIMED, MOVING])
+def test_the_library_tells_how_far_it_is_and_may_be_stopped(here: Path, recipe: supple.Recipe) -> None:
     noisy("in.mkv", "yuv420p")
     steps: list[str] = []
-    warp_file("in.mkv", "out.mkv", TIMED, progress=steps.append)
-    assert steps[0] == "write"
-    assert steps.count("warp") == 12
+    warp_file("in.mkv", "out.mkv", recipe, progress=steps.append)
+    assert (steps.count("write"), steps.count("warp")) == (1, 12)
     assert set(steps) == {"write", "plan", "warp"}
+    assert recipe is TIMED or steps == ["plan"] * 12 + ["write"] + ["warp"] * 12
 
     def stop(step: str) -> None:
-        if step == "warp":
+        if step == when:
             raise KeyboardInterrupt
 
-    for target in ("b.mkv", "b%d.png", "b"):
+    for when, target in (("plan", "b.mkv"), ("warp", "b.mkv"), ("warp", "b%d.png"), ("warp", "b")):  # noqa: B007
         with pytest.raises(KeyboardInterrupt):
-            warp_file("in.mkv", target, TIMED, progress=stop)
+            warp_file("in.mkv", target, recipe, progress=stop)
     assert sorted(os.listdir()) == ["in.mkv", "out.mkv"]
 
 

@@ -116,14 +116,6 @@ class TestMapsOnFiles:
         np.testing.assert_array_equal(media.read("out.nii").samples, d.warp(samples, between="cubic", time_filter=True))
         assert done.report() == d.report()
 
-    def test_a_picture(self, here: Path) -> None:
-        pixels = pictured("in.png", 40, 50, 3)
-        given = field(around(Grid((40, 50))))
-        done = warp_file("in.png", "out.png", FLAT, maps=[Placed(given), Placed(given, True, after=1)])
-        d = Deformation((40, 50), border=6).field(given).add(FLAT.strokes[0]).field(given, inverse=True)
-        np.testing.assert_array_equal(image.read("out.png").pixels, d.warp(pixels))
-        assert done.report() == d.report()
-
     def test_nothing_is_copied_where_a_map_is_given(self, here: Path) -> None:
         pictured("in.png", 40, 50, 3)
         stored("in.nii", voxels())

@@ -95,15 +95,6 @@ class TestPointsTravel:
         assert again.first_outside == "point 3 at (27.6, 15, 11)"
         assert read_points(tmp_path / "out.csv").points[0, 0] == pytest.approx(30)
 
-    def test_a_table_gets_the_residual(self, tmp_path: Path) -> None:
-        (tmp_path / "in.csv").write_text("x,y,z\n13,15,11\n9,20,12\n")
-        moved = move_points(tmp_path / "in.csv", tmp_path / "out.csv", bent(), inverse=True)
-        lines = (tmp_path / "out.csv").read_text().splitlines()
-        assert lines[0] == "x,y,z,residual"
-        assert [float(line.split(",")[3]) for line in lines[1:]] == pytest.approx(moved.residual, rel=1e-2)
-        move_points(tmp_path / "out.csv", tmp_path / "again.csv", bent())
-        assert (tmp_path / "again.csv").read_text().startswith("x,y,z,residual\n")
-
     def test_what_did_not_converge_is_counted(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (tmp_path / "in.csv").write_text("x,y,z\n13,15,11\n9,20,12\n")
         inverse = Deformation.inverse

@@ -26,7 +26,6 @@ from supple.files import plans  # noqa: E402
 from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
 from supple.files.plans import plan_file  # noqa: E402
 from supple.files.stores import warp_store  # noqa: E402
-from supple.media import volume  # noqa: E402
 from supple.media.stores import Samples, inputs, open_image, target  # noqa: E402
 from supple.media.volume import RawLayout  # noqa: E402
 from supple.space.geometry import Geometry  # noqa: E402
@@ -164,14 +163,6 @@ def test_files_are_warped_as_arrays_are(name: str) -> None:
     assert made.copied == 0
 
 
-def test_planes_of_a_stack_are_bent_as_pictures_where_points_have_two_numbers() -> None:
-    values = noise((5, 50, 60), "uint8")
-    tifffile.imwrite("in.tif", values, photometric="minisblack")
-    made = warp_store("in.tif", "out.zarr", FLAT)
-    expected = np.array([made.deformation.warp(one) for one in values])
-    assert np.array_equal(open_image("out.zarr").levels[0].array[...], expected)
-
-
 @pytest.mark.parametrize("order", list(itertools.permutations(range(3)))[::2])
 @pytest.mark.parametrize("signs", [(1, 1, 1), (-1, 1, -1), (-1, -1, 1)])
 def test_straight_volumes_stay_where_they_are(order: tuple[int, ...], signs: tuple[int, ...]) -> None:
@@ -219,20 +210,6 @@ def test_units_times_and_levels() -> None:
     for level, steps in zip(image.levels, ((2, 0.5, 0.5), (2, 1, 1), (2, 2, 2)), strict=True):
         assert np.allclose(level.scale, (0.25, *steps))
         assert np.allclose(level.translation, (0, *((np.array(steps) - (2, 0.5, 0.5)) / 2)))
-
-
-def test_spacing_of_ome_tiff_is_the_same_however_it_is_read() -> None:
-    told = {
-        "axes": "ZYX",
-        "PhysicalSizeX": 250.0,
-        "PhysicalSizeXUnit": "nm",
-        "PhysicalSizeY": 0.5,
-        "PhysicalSizeZ": 3.0,
-    }
-    tifffile.imwrite("in.ome.tif", noise((11, 32, 40), "uint8"), metadata=told)
-    for geometry in (Samples("in.ome.tif").geometry, volume.read("in.ome.tif").geometry):
-        assert geometry is not None
-        assert np.allclose(geometry.spacing, (250e-6, 5e-4, 3e-3))
 
 
 def test_a_series_of_slices() -> None:

@@ -310,18 +310,6 @@ def test_a_plan_says_what_the_job_does() -> None:
     assert told.memory > told.tasks * 16 * 16 * 4
 
 
-def test_plans_of_files_read_the_header_alone() -> None:
-    nibabel = pytest.importorskip("nibabel")
-    from supple.media import image as picture
-
-    nibabel.save(nibabel.Nifti1Image(np.zeros((30, 28, 9, 2), np.int16), np.eye(4)), "series.nii.gz")
-    told = plan_file("series.nii.gz", DEEP)
-    assert (told.shape, told.dtype) == ((2, 9, 28, 30), "int16")
-    picture.write("in.png", RNG.integers(0, 255, (40, 50, 3), np.uint8))
-    told = plan_file("in.png", FLAT)
-    assert (told.shape, told.dtype, told.size) == ((3, 40, 50), "uint8", 6000)
-
-
 @pytest.mark.parametrize(
     ("error", "told"),
     [

@@ -45,29 +45,6 @@ def noise(dtype: str, *shape: int) -> Array:
     return random.integers(0, np.iinfo(dtype).max, shape, dtype, endpoint=True)
 
 
-@pytest.mark.parametrize(
-    ("suffix", "dtype", "channels"),
-    [
-        *[(".exr", "f4", channels) for channels in ((), (3,), (4,))],
-        *[(suffix, dtype, n) for suffix in (".dpx", ".sgi") for dtype in ("u1", "u2") for n in ((), (3,), (4,))],
-        *[(".pfm", "f4", channels) for channels in ((), (3,))],
-        *[(suffix, "u1", channels) for suffix in (".bmp", ".tga") for channels in ((), (3,), (4,))],
-        *[(".pgm", dtype, ()) for dtype in ("u1", "u2")],
-        *[(".ppm", dtype, (3,)) for dtype in ("u1", "u2")],
-        *[(".jp2", dtype, channels) for dtype in ("u1", "u2") for channels in ((), (3,))],
-    ],
-)
-def test_bit_for_bit(tmp_path: Path, suffix: str, dtype: str, channels: tuple[int, ...]) -> None:
-    pixels = noise(dtype, 19, 23, *channels)
-    path = tmp_path / f"out{suffix}"
-    write(path, pixels, alpha=channels == (4,) and suffix != ".exr")
-    picture = read(path)
-    assert (picture.pixels.dtype, picture.bits) == (pixels.dtype, pixels.dtype.itemsize * 8)
-    np.testing.assert_array_equal(picture.pixels, pixels)
-    assert picture.alpha == (channels == (4,) and suffix != ".exr")
-    assert info(path)["width"] == 23
-
-
 def test_radiance(tmp_path: Path) -> None:
     pixels = noise("f4", 19, 23, 3)
     write(tmp_path / "out.hdr", pixels)
@@ -129,23 +106,6 @@ def test_what_pillow_writes(tmp_path: Path, name: str) -> None:
     picture = read(path)
     assert np.abs(picture.pixels.astype(int) - np.asarray(image)).max() <= 2 * (name == "lossy.jp2")
     assert picture.alpha == (name == "rgba.jp2")
-
-
-@pytest.mark.parametrize(
-    ("suffix", "pixels", "message"),
-    [
-        (".exr", noise("u1", 9, 9, 3), "OpenEXR takes no uint8 values: write a TIFF"),
-        (".hdr", noise("f4", 9, 9), "Radiance holds 3 channels, and not 1: write a TIFF"),
-        (".pgm", noise("u1", 9, 9, 3), "PGM holds 1 channels, and not 3: write a TIFF"),
-        (".bmp", noise("f4", 9, 9, 3), "BMP takes no float32 values: write TIFF or OpenEXR"),
-        (".jp2", noise("u1", 9, 9, 4), "JPEG 2000 holds no transparency: write PNG or TIFF"),
-    ],
-)
-def test_more_than_a_format_holds(tmp_path: Path, suffix: str, pixels: Array, message: str) -> None:
-    with pytest.raises(SuppleError) as caught:
-        write(tmp_path / f"out{suffix}", pixels)
-    assert str(caught.value) == f"cannot write {tmp_path / f'out{suffix}'}: {message}"
-    assert not list(tmp_path.iterdir())
 
 
 def test_what_does_not_come_along_is_told(tmp_path: Path) -> None:

@@ -185,6 +185,11 @@ class TestWhatCannotBeWritten:
                 np.zeros((16_385, 2), "u1"),
                 "AVIF ends at 16384 pixels on a side, and the image has 2 x 16385: write PNG or TIFF",
             ),
+            (".exr", noise("u1", 9, 9, 3), "OpenEXR takes no uint8 values: write a TIFF"),
+            (".hdr", noise("f4", 9, 9), "Radiance holds 3 channels, and not 1: write a TIFF"),
+            (".pgm", noise("u1", 9, 9, 3), "PGM holds 1 channels, and not 3: write a TIFF"),
+            (".bmp", noise("f4", 9, 9, 3), "BMP takes no float32 values: write TIFF or OpenEXR"),
+            (".jp2", noise("u1", 9, 9, 4), "JPEG 2000 holds no transparency: write PNG or TIFF"),
             (".png", np.zeros((0, 9), "u1"), "an image has shape (H, W) or (H, W, C), and not (0, 9)"),
             (".png", np.zeros(9, "u1"), "an image has shape (H, W) or (H, W, C), and not (9,)"),
             (

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from supple import SuppleError
 from supple.media.stores import Target, create, open_image
-from supple.media.stores.pyramid import Step, reduced, step_of
+from supple.media.stores.pyramid import reduced
 from tests.media.stores.images import (
     RNG,
     boxes,
@@ -134,17 +134,6 @@ def test_means_are_exact(dtype: str, axes: list[tuple[int, int]], seed: int) -> 
     np.testing.assert_allclose(made, exact(values, factors), rtol=1e-12 if kind == "f8" else 0, atol=0)
     first = reduced(values, factors, "nearest")
     np.testing.assert_array_equal(first, values[tuple(slice(None, None, f) for f in factors)])
-
-
-def test_steps_between_levels() -> None:
-    assert step_of(1000, 500, 2.0) == Step(2, False)
-    assert step_of(1001, 501, 2.0) == Step(2, False)
-    assert step_of(1001, 500, 2.002) == Step(2, True)
-    assert step_of(1000, 500, 1.0) == Step(2, False)  # the scale is wrong
-    assert step_of(1, 1, 2.0) == Step(2, False)
-    assert step_of(1, 1, 1.0) == Step(1, False)
-    assert step_of(30, 20, 1.5) is None
-    assert step_of(81, 27, 3.0) == Step(3, False)
 
 
 def test_an_incomplete_group_is_left_out_where_the_input_does(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from supple.media.sequence import writer as sequence_writer
 from supple.media.video import ClipWarning, info, writer
 from supple.media.video import open_clip as open_video
 from tests import clips
-from tests.media.video.copies import copy
+from tests.media.video.copies import arrays_of, copy
 
 CONTAINER_OF = {"mkv": "ffv1", "avi": "mpeg4", "webm": "libvpx"}
 NTSC = Fraction(30000, 1001)
@@ -183,8 +183,7 @@ def test_pictures_of_a_clip_are_upright(tmp_path, kind):
     source.write_bytes(data)
     with open_video(source) as clip, sequence_writer(clip, tmp_path / "out") as sink:
         for k, frame in enumerate(clip.frames()):
-            arrays = [np.empty((*g.shape, g.channels), np.uint8) for g in clip.layout.groups]
-            frame.copy_to(arrays)
+            arrays = arrays_of(clip, frame)
             stored = clip.to_rgb(arrays)
             sink.write(arrays, k)
     seen = pyvips.Image.new_from_file(str(tmp_path / "out" / "00003.png")).numpy()

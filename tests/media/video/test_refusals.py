@@ -1,12 +1,11 @@
 """What cannot be written is refused before any frame, and nothing is left behind."""
 
-import numpy as np
 import pytest
 
 from supple.errors import SuppleError
 from supple.media.video import open_clip as open_video
 from tests import clips
-from tests.media.video.copies import assert_nothing_left
+from tests.media.video.copies import arrays_of, assert_nothing_left
 
 REFUSED = [
     ("b.mp4", {"codec": "nonsense"}, "no video encoder is called nonsense: use h264"),
@@ -61,8 +60,7 @@ def test_an_interrupt_leaves_nothing(tmp_path, stop, when):
     def interrupted():
         with open_video(source) as clip, clip.writer(tmp_path / "b.mp4") as sink:
             for k, frame in enumerate(clip.frames()):
-                arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
-                frame.copy_to(arrays)
+                arrays = arrays_of(clip, frame)
                 if k == when:
                     raise stop
                 sink.write(arrays, k)

@@ -19,6 +19,7 @@ from supple.media.video import ClipWarning, info
 from supple.media.video import open_clip as open_video
 from supple.media.video import writer as writer_of
 from tests import clips
+from tests.media.video.copies import arrays_of
 from tests.media.video.sequences import SRGB, Array, frames_of, names, numbers, picture, save
 
 # what every film of RGB pictures says that is as players want it; `test_what_a_sequence_loses_is_said` hears it
@@ -36,8 +37,7 @@ def shot(path: Path) -> tuple[dict[str, Any], list[list[Array]]]:
     with open_video(path) as clip:
         found = []
         for frame in clip.frames():
-            arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
-            frame.copy_to(arrays)
+            arrays = arrays_of(clip, frame)
             found.append(arrays)
         return clip.info(), found
 
@@ -236,8 +236,7 @@ def test_a_film_becomes_the_pictures_that_it_was_made_of(tmp_path: Path, dtype: 
     for target, found in (("out", numbers(1, 3)), ("out/%d.png", ["1.png", "2.png", "3.png"])):
         with open_video(tmp_path / "a.mkv") as clip, sequence_writer(clip, tmp_path / target) as sink:
             for k, frame in enumerate(clip.frames()):
-                arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
-                frame.copy_to(arrays)
+                arrays = arrays_of(clip, frame)
                 sink.write(arrays, k)
         for want, name in zip(kept, found, strict=True):
             picture = read(tmp_path / "out" / name)

@@ -138,14 +138,6 @@ class TestRoundTrips:
         np.testing.assert_array_equal(read(tmp_path / f"out{suffix}").samples, samples)
 
     @pytest.mark.parametrize("suffix", SUFFIXES_OUT)
-    def test_another_type_any_strides_and_mapped_samples(self, tmp_path, suffix):
-        like = volume(noise("i2", *SHAPE))
-        (tmp_path / "mapped").write_bytes(noise("f4", 6, 5, 4).tobytes())
-        mapped = np.memmap(tmp_path / "mapped", "f4", "r", 0, (6, 5, 4)).T
-        write(tmp_path / f"out{suffix}", mapped, like)
-        np.testing.assert_array_equal(read(tmp_path / f"out{suffix}").samples, mapped)
-
-    @pytest.mark.parametrize("suffix", SUFFIXES_OUT)
     def test_capital_letters(self, tmp_path, suffix):
         like = volume(noise("i2", *SHAPE))
         write(tmp_path / f"OUT{suffix.upper()}", like.samples, like)
