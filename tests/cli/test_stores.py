@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -18,7 +16,7 @@ pytest.importorskip("dask")
 
 from supple import Recipe, Stroke  # noqa: E402
 from supple.files.stores import warp_store  # noqa: E402
-from tests.children import HEARING, SOURCE, full_disk  # noqa: E402
+from tests.children import full_disk, start  # noqa: E402
 from tests.cli.commands import Run, one_line  # noqa: E402
 
 FLAT = ("--grab", "14,12:17,14", "--radius", "5")
@@ -143,18 +141,6 @@ def test_without_dask(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     assert status == 2
     assert "dask, which is not installed: pip install 'supple[zarr]'" in one_line(err)
     assert not os.path.exists("out.zarr")
-
-
-def start(*arguments: str, **options: object) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "supple", *arguments],
-        env={**os.environ, "PYTHONPATH": SOURCE},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        encoding="utf-8",
-        preexec_fn=HEARING,
-        **options,
-    )
 
 
 @pytest.mark.parametrize("workers", [(), ("--workers", "1")], ids=["threads", "processes"])

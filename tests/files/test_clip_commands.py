@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import pty
-import select
 import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -25,7 +21,7 @@ import supple.media.video
 from supple.files.plots import plot_file
 from supple.media import image
 from tests import clips
-from tests.children import HEARING, SOURCE, full_disk
+from tests.children import full_disk, start, watched
 from tests.files.clip_files import GRAB, GRAB_2D, TIMED, Run, noisy, pictures, refused, same_frames
 
 
@@ -89,33 +85,6 @@ def test_json_tells_what_was_done(run: Run) -> None:
     assert json.loads(out)["what"] == "sheet"
 
 
-def environment(**more: str) -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": SOURCE, **more}
-
-
-def watched(*arguments: str) -> tuple[int, str]:
-    """Run a command whose messages go to a terminal."""
-    terminal, inside = pty.openpty()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "supple", *arguments],
-        env=environment(TERM="xterm", COLUMNS="100"),
-        stdout=subprocess.DEVNULL,
-        stderr=inside,
-    )
-    os.close(inside)
-    shown = b""
-    while select.select([terminal], [], [], 200)[0]:
-        try:
-            got = os.read(terminal, 4096)
-        except OSError:  # all is read
-            break
-        if not got:
-            break
-        shown += got
-    os.close(terminal)
-    return process.wait(), shown.decode()
-
-
 def test_progress_is_for_terminals(here: Path) -> None:
     noisy("in.mkv", "yuv420p")
     status, shown = watched("warp", "in.mkv", "out.mkv", *GRAB)
@@ -167,17 +136,6 @@ def test_maps_of_one_frame(run: Run, what: str, grab: Sequence[str]) -> None:
     assert image.info("out.png")["format"] == "PNG"
 
 
-def start(*arguments: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "supple", *arguments],
-        env=environment(TMPDIR=os.path.abspath("tmp")),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        encoding="utf-8",
-        preexec_fn=HEARING,
-    )
-
-
 def hidden() -> list[str]:
     """What is being written."""
     found = []
@@ -211,7 +169,7 @@ def test_an_interrupt_leaves_nothing(here: Path, long: Path, arguments: list[str
     os.mkdir("tmp")
     os.mkdir("batch")
     strokes = ["--grab", "100,100,500:150,120,520", "--radius", "200", "--border", "none", "--quiet"]
-    process = start("warp", *arguments, *strokes)
+    process = start("warp", *arguments, *strokes, env={"TMPDIR": os.path.abspath("tmp")})
     end = time.monotonic() + 200
     while not hidden():
         assert process.poll() is None, process.communicate()
@@ -227,28 +185,15 @@ def test_an_interrupt_leaves_nothing(here: Path, long: Path, arguments: list[str
     assert sorted(os.listdir()) == ["batch", "long.mp4", "other.mp4", "tmp"]
 
 
-@pytest.mark.parametrize(
-    ("target", "options", "wanted"),
-    [
-        ("out.mp4", [], "cannot write out.mp4"),
-        ("frames/%03d.png", [], "001.png"),
-        ("out.mkv", ["--memory", "0"], "no room"),
-    ],
-)
-def test_a_full_disk_is_one_line(
-    run: Run, monkeypatch: pytest.MonkeyPatch, target: str, options: list[str], wanted: str
-) -> None:
+def test_a_full_disk_is_one_line(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     os.mkdir("tmp")
     monkeypatch.setattr(tempfile, "tempdir", os.path.abspath("tmp"))
     noisy("in.mkv", "yuv420p")
-    with full_disk(3000):
-        status, out, err = run("warp", "in.mkv", target, *GRAB, *options)
-    assert (status, out) == (2, ""), err
-    assert err.startswith("supple: ")
-    assert err.count("\n") == 1
-    assert wanted in err
-    assert os.listdir("tmp") == []
-    assert sorted(os.listdir()) == ["in.mkv", "tmp"]
+    for target, options, wanted in (("frames/%03d.png", (), "001.png"), ("out.mkv", ("--memory", "0"), "no room")):
+        with full_disk(3000):
+            refused(run("warp", "in.mkv", target, *GRAB, *options), wanted)
+        assert os.listdir("tmp") == []
+        assert sorted(os.listdir()) == ["in.mkv", "tmp"]
 
 
 def test_info_of_videos_and_sequences(run: Run) -> None:

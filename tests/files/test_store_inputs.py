@@ -29,6 +29,7 @@ from supple.files.stores import warp_store  # noqa: E402
 from supple.media.stores import Samples, inputs, open_image, target  # noqa: E402
 from supple.media.volume import RawLayout  # noqa: E402
 from supple.space.geometry import Geometry  # noqa: E402
+from tests.media.volume.test_dicom import slices  # noqa: E402
 
 Array = npt.NDArray[Any]
 
@@ -213,24 +214,13 @@ def test_units_times_and_levels() -> None:
 
 
 def test_a_series_of_slices() -> None:
-    sitk = pytest.importorskip("SimpleITK")
     values = noise((11, 32, 40), "int16")
-    Path("ct").mkdir()
-    writer = sitk.ImageFileWriter()
-    writer.KeepOriginalImageUIDOn()
-    for k, plane in enumerate(values):
-        one = sitk.GetImageFromArray(plane)
-        place = "\\".join(map(str, (0.0, 0.0, float(k))))
-        tags = {"0008|0060": "CT", "0020|000e": "1.2.3", "0020|000d": "1.2", "0008|0018": f"1.2.3.{k + 1}"}
-        tags |= {"0020|0032": place, "0020|0037": "1\\0\\0\\0\\1\\0", "0020|0013": str(k + 1), "0018|0050": "1"}
-        for tag, text in tags.items():
-            one.SetMetaData(tag, text)
-        writer.SetFileName(f"ct/{k:03d}.dcm")
-        writer.Execute(one)
-    made = warp_store("ct", "out.zarr", DEEP)
+    slices(Path("ct"), values)
+    with pytest.warns(VolumeWarning, match=r"axes of ct are turned by 32\.7 degrees"):
+        made = warp_store("ct", "out.zarr", DEEP)
+        assert plan_file("ct", DEEP).shape == (11, 32, 40)
     expected = made.deformation.warp(values, between="cubic", time_filter=True)
     assert np.array_equal(open_image("out.zarr").levels[0].array[...], expected)
-    assert plan_file("ct", DEEP).shape == (11, 32, 40)
 
 
 def test_only_needed_tiles_are_read() -> None:

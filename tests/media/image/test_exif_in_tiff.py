@@ -9,21 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from supple.media.image import (
-    DepthWarning,
-    MetadataWarning,
-    read,
-    write,
-)
+from supple.media.image import DepthWarning, MetadataWarning, read, write
 from supple.media.image.exif import for_tiff, from_tiff, into_tiff, is_whole
-from tests.media.image.pictures import (
-    FORMATS,
-    SOURCES,
-    UPRIGHT,
-    loaded,
-    save,
-    smooth,
-)
+from tests.media.image.pictures import FORMATS, SOURCES, UPRIGHT, loaded, save, smooth
 
 CODES = {1: "B", 2: "B", 3: "H", 4: "I", 5: "I", 7: "B", 10: "i", 16: "Q"}
 DETAILS = {

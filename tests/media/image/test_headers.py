@@ -10,12 +10,7 @@ import pytest
 import pyvips
 from PIL import Image
 
-from supple.media.image import (
-    MetadataWarning,
-    info,
-    read,
-    write,
-)
+from supple.media.image import MetadataWarning, info, read, write
 from tests.media.image.pictures import FORMATS, INT, SAVERS, SOURCES, SRGB, STRING, UPRIGHT, loaded, noise, save, smooth
 
 

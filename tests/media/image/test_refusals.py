@@ -14,22 +14,9 @@ import pytest
 import pyvips
 
 from supple.errors import SuppleError
-from supple.media.image import (
-    SUFFIXES_OUT,
-    ImageWarning,
-    check_target,
-    info,
-    read,
-    write,
-)
+from supple.media.image import SUFFIXES_OUT, ImageWarning, check_target, info, read, write
 from tests.children import SOURCE
-from tests.media.image.pictures import (
-    FORMATS,
-    SAVERS,
-    noise,
-    refused,
-    smooth,
-)
+from tests.media.image.pictures import FORMATS, SAVERS, noise, refused, smooth
 
 
 def run(code, *arguments):

@@ -7,12 +7,7 @@ import pytest
 import pyvips
 
 import supple
-from supple.media.image import (
-    DepthWarning,
-    info,
-    read,
-    write,
-)
+from supple.media.image import DepthWarning, info, read, write
 from supple.media.image.formats import TIFF
 from supple.media.image.formats import settings as saver_settings
 from tests.media.image.pictures import BLOB, FORMATS, SAVERS, loaded, noise, refused, save, smooth

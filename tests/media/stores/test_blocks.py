@@ -17,18 +17,7 @@ from hypothesis import strategies as st
 from supple import SuppleError
 from supple.media.stores import Target, create, open_image
 from supple.media.stores.pyramid import reduced
-from tests.media.stores.images import (
-    RNG,
-    boxes,
-    described_axes,
-    exact,
-    files,
-    fill,
-    image,
-    metadata,
-    small,
-    whole,
-)
+from tests.media.stores.images import RNG, boxes, described_axes, exact, files, fill, image, metadata, small, whole
 
 
 @pytest.mark.parametrize("sharded", [False, True])

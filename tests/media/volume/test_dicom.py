@@ -2,19 +2,13 @@
 
 import gzip
 import os
-import struct
 
 import numpy as np
 import pytest
 import SimpleITK as sitk  # noqa: N813
 
 from supple.errors import VolumeWarning
-from supple.media.volume import (
-    info,
-    is_volume,
-    read,
-    write,
-)
+from supple.media.volume import info, is_volume, read, write
 from supple.space.geometry import Geometry
 from tests.media.volume.volumes import (
     ORIGIN,
@@ -25,8 +19,10 @@ from tests.media.volume.volumes import (
     by_itk,
     by_nibabel,
     by_us,
+    item,
     noise,
     refused,
+    save,
     turned,
 )
 
@@ -68,22 +64,15 @@ def slices(folder, samples, *, places=None, uid="1.2.3.4", number=1, text="head"
     return folder
 
 
-def element(group, number, kind, data):
-    """One element of a DICOM file."""
-    data = data.encode() if isinstance(data, str) else data
-    data += (b"\0" if kind in ("UI", "OB") else b" ") * (len(data) % 2)
-    long = struct.pack("<HI", 0, len(data)) if kind == "OB" else struct.pack("<H", len(data))
-    return struct.pack("<HH2s", group, number, kind.encode()) + long + data
-
-
 def no_image(path, end, modality):
     """Write a DICOM file without voxels, of a class of storage that ends so."""
     uid, known = "1.2.840.10008.5.1.4.1.1." + end, "1.2.9." + end
-    meta = element(2, 1, "OB", b"\0\1") + element(2, 2, "UI", uid) + element(2, 3, "UI", known)
-    meta += element(2, 0x10, "UI", "1.2.840.10008.1.2.1")
-    body = element(8, 0x16, "UI", uid) + element(8, 0x18, "UI", known) + element(8, 0x60, "CS", modality)
-    body += element(0x20, 0xD, "UI", "1.2.3") + element(0x20, 0xE, "UI", known)
-    path.write_bytes(bytes(128) + b"DICM" + element(2, 0, "UL", struct.pack("<I", len(meta))) + meta + body)
+    save(
+        path,
+        item(
+            SOPClassUID=uid, SOPInstanceUID=known, Modality=modality, StudyInstanceUID="1.2.3", SeriesInstanceUID=known
+        ),
+    )
 
 
 class TestDICOM:

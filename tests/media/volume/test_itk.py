@@ -9,21 +9,8 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 from supple.errors import SuppleError
-from supple.media.volume import (
-    check_target,
-    read,
-    write,
-)
-from tests.media.volume.volumes import (
-    SHAPE,
-    agree,
-    by_itk,
-    by_us,
-    image,
-    noise,
-    refused,
-    volume,
-)
+from supple.media.volume import check_target, read, write
+from tests.media.volume.volumes import SHAPE, agree, by_itk, by_us, image, noise, refused, volume
 
 
 class TestITKFormats:

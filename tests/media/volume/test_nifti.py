@@ -11,10 +11,7 @@ import SimpleITK as sitk  # noqa: N813
 
 import supple
 from supple.errors import VolumeWarning
-from supple.media.volume import (
-    read,
-    write,
-)
+from supple.media.volume import read, write
 from supple.strokes import Recipe, Stroke
 from tests.media.volume.volumes import (
     ORIGIN,

@@ -9,12 +9,7 @@ import pyvips
 import tifffile
 
 from supple.errors import SuppleError, VolumeWarning
-from supple.media.volume import (
-    RawLayout,
-    has_pages,
-    read,
-    write,
-)
+from supple.media.volume import RawLayout, has_pages, read, write
 from tests.media.volume.volumes import DTYPES, SHAPE, SPACING, noise, refused, volume
 
 

@@ -8,16 +8,7 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 from supple.errors import SuppleError
-from supple.media.volume import (
-    SUFFIXES,
-    SUFFIXES_OUT,
-    RawLayout,
-    check_target,
-    info,
-    is_volume,
-    read,
-    write,
-)
+from supple.media.volume import SUFFIXES, SUFFIXES_OUT, RawLayout, check_target, info, is_volume, read, write
 from tests.media.volume.volumes import (
     DTYPES,
     ORIGIN,

@@ -5,14 +5,12 @@ import struct
 
 import nibabel
 import numpy as np
+import pydicom
 import pytest
 import SimpleITK as sitk  # noqa: N813
 
 from supple.errors import SuppleError
-from supple.media.volume import (
-    Volume,
-    read,
-)
+from supple.media.volume import Volume, read
 from supple.space.geometry import Geometry
 
 SPACING, ORIGIN = (0.7, 1.1, 2.3), (-12.5, 33.25, 7.125)
@@ -89,6 +87,22 @@ def nifti(path, samples=None, affine=None, change=(), kind=nibabel.Nifti1Image):
     for offset, form, *values in change:
         struct.pack_into(form, data, offset, *values)
     path.write_bytes(gzip.compress(data) if packed else data)
+    return path
+
+
+def item(**values):
+    made = pydicom.Dataset()
+    for name, value in values.items():
+        setattr(made, name, value)
+    return made
+
+
+def save(path, head, *, explicit=True):
+    """Write a dataset as a DICOM file."""
+    head.file_meta = pydicom.dataset.FileMetaDataset()
+    kinds = pydicom.uid.ExplicitVRLittleEndian, pydicom.uid.ImplicitVRLittleEndian
+    head.file_meta.TransferSyntaxUID = kinds[not explicit]
+    head.save_as(path, enforce_file_format=True)
     return path
 
 
