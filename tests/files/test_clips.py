@@ -291,16 +291,6 @@ def test_odd_names(run: Run, name: str) -> None:
     assert len(os.listdir("frames")) == 4
 
 
-def test_names_that_begin_with_a_dash(run: Run) -> None:
-    clips.make("-x.mp4", count=4)
-    assert run("warp", *GRAB_2D, "--", "-x.mp4", "-y.mp4") == (0, "", "")
-    assert run("warp", "./-x.mp4", "./-z.mp4", *GRAB_2D) == (0, "", "")
-    assert sorted(os.listdir()) == ["-x.mp4", "-y.mp4", "-z.mp4"]
-    status, _, err = run("warp", "-x.mp4", "out.mp4", *GRAB_2D)
-    assert status == 2
-    assert err.count("\n") == 1
-
-
 @pytest.mark.parametrize("size", [(63, 47), (1, 1), (2, 2), (1, 40), (65, 1)])
 @pytest.mark.parametrize("border", ["none", "50"])
 def test_odd_sizes(run: Run, size: tuple[int, int], border: str) -> None:
