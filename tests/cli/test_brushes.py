@@ -55,24 +55,6 @@ def test_settings_are_given_once_or_for_each(run: Run) -> None:
     assert [s.scales for s in once.strokes] == [1, 2, 1, 1, 1, 2]
 
 
-def test_strokes_follow_those_of_a_recipe_and_stand_among_maps(run: Run) -> None:
-    Path("first.json").write_text(Recipe(strokes=(Stroke.grab((9, 9), to=(10, 11), radius=5),)).to_json())
-    twist = ("--twist", "20,20:20", "--radius", "8")
-    found = saved(run, *twist, "--recipe", "first.json")
-    assert [s.brush for s in found.strokes] == ["grab", "twist"]
-    shift = ("--affine", "1,0,4,0,1,-3")
-    assert run("warp", "in.png", "a.png", *twist, *shift, "--filter", "linear", "--border", "none")[0] == 0
-    assert run("warp", "in.png", "b.png", *shift, *twist, "--filter", "linear", "--border", "none")[0] == 0
-    before = Deformation((40, 48), border=None)
-    matrix = [[1, 0, 4], [0, 1, -3]]
-    for name, d in (
-        ("a.png", before.twist((20, 20), angle=20, radius=8).affine(matrix)),
-        ("b.png", before.affine(matrix).twist((20, 20), angle=20, radius=8)),
-    ):
-        pixels = d.warp(image.read("in.png").pixels, filter="linear")
-        np.testing.assert_array_equal(image.read(name).pixels, pixels)
-
-
 def test_every_command_takes_them(run: Run) -> None:
     strokes = ("--scale", "20,20:1.4", "--twist", "20,20:90", "--radius", "8")
     Path("points.csv").write_text("x,y\n20,20\n22,20\n")

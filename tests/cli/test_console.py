@@ -21,8 +21,7 @@ import pytest
 import supple.files.clips
 import supple.files.volumes
 from supple.cli import command
-from supple.cli.console import COMMAND
-from supple.errors import Spelling, SuppleError, ToleranceWarning, argument, facing, none
+from supple.errors import SuppleError, ToleranceWarning, argument
 from supple.files.recipes import read_recipe
 from supple.media import image
 from tests import clips
@@ -269,26 +268,6 @@ def test_no_message_names_an_argument_by_itself() -> None:
     assert left == {}
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "python", "option"),
-    [
-        ("force", True, "force=True", "--force"),
-        ("on_fold", "flow", "on_fold='flow'", "--on-fold flow"),
-        ("border", None, "border=None", "--border none"),
-        ("series", "1", "series='1'", "--series 1"),
-        ("reach", Spelling.ANY, "reach", "--reach"),
-        ("layout", Spelling.ANY, "layout", "--shape, --dtype and --spacing"),
-        ("strokes[0]", Spelling.ANY, "strokes[0]", "strokes[0]"),
-    ],
-)
-def test_each_face_names_arguments_in_its_own_words(name: str, value: object, python: str, option: str) -> None:
-    assert argument(name, value) == python
-    with facing(COMMAND):
-        assert argument(name, value) == option
-        assert none() == "none"
-    assert argument(name, value) == python
-
-
 def test_recipes_read_side_by_side_leave_the_spelling_as_it_was(tmp_path: Path) -> None:
     path = tmp_path / "r.json"
     path.write_text('{"supple": 2, "strokes": null}')
@@ -319,23 +298,3 @@ def test_a_warning_is_spelt_for_who_reads_it(run: Run) -> None:
     assert "(--on-fold flow goes all the way" in err
     with pytest.raises(SuppleError, match=r"\(on_fold='flow' goes all the way"):
         supple.Deformation((32, 40), on_fold="error").add(strong)
-
-
-def test_no_python_in_what_is_said(run: Run) -> None:
-    grab = ("--grab", "20,16:22,16", "--radius", "12")
-    Path("r.json").write_text(
-        '{"supple": 2, "strokes": [{"brush": "grab", "at": [1, 2], "by": [1, 1], "radius": 5, "reach": 0}]}'
-    )
-    Path("out.png").write_bytes(b"mine")
-    for arguments in (
-        ("warp", "in.png", "out.png", *grab),
-        ("warp", "in.png", "b.png", *grab, "--reach", "0.5"),
-        ("warp", "in.png", "b.png", *grab, "--border", "-1"),
-        ("warp", "in.png", "b.png", "--recipe", "r.json"),
-        ("warp", "in.png", "b.png", "--grab", "20,16:60,16", "--radius", "3", "--on-fold", "error"),
-        ("warp", "in.mkv", "b.mkv", *grab, "--linear-light"),
-        ("plot", "in.mkv", "b.png", *grab),
-    ):
-        status, _, err = run(*arguments)
-        assert status == 2, arguments
-        assert not PYTHON.search(err), err

@@ -296,6 +296,8 @@ def test_maps_are_composed_as_points_go_through_them(tmp_path: Path, where: Grid
     assert fine.mean() > 0.3
     expected = Affine(MATRIX @ MATRIX)(moved(second, two)) - points
     np.testing.assert_allclose(found.values[fine], expected[fine], atol=1e-5)
+    with pytest.raises(SuppleError, match="there is nothing to compose"):
+        compose_files([], tmp_path / "d.mha")
 
 
 def test_the_inverse_of_a_file_of_several_is_that_of_each_in_reverse(tmp_path: Path) -> None:
@@ -304,26 +306,6 @@ def test_the_inverse_of_a_file_of_several_is_that_of_each_in_reverse(tmp_path: P
     found = read(tmp_path / "d.mha")
     points = positions(found.grid)
     assert np.abs(found.values[inside(GRID, Affine(MATRIX)(points), 1)]).max() < 1e-4
-
-
-def test_each_input_has_its_own_convention(tmp_path: Path) -> None:
-    first, second = smooth(size=0.5, seed=1, dtype=np.float32), smooth(OTHER, 0.5, seed=2, dtype=np.float32)
-    moving = image(tmp_path / "moving.nii", OTHER)
-    put(tmp_path / "a.nii", first, convention="fsl-absolute", source=OTHER)
-    put(tmp_path / "b.nii", second)
-    inputs = [Input(tmp_path / "a.nii", convention="fsl-absolute", source=moving), Input(tmp_path / "b.nii")]
-    made = compose_files(inputs, tmp_path / "d.mha")
-    assert [each.convention for each in made.sources] == ["fsl-absolute", "itk"]
-    assert (made.target.convention, made.target.known) == ("itk", "from its suffix .mha")
-    there = moved(first, positions(GRID))
-    fine = inside(OTHER, there)
-    np.testing.assert_allclose(
-        read(tmp_path / "d.mha").values[fine], (moved(second, there) - positions(GRID))[fine], atol=1e-4
-    )
-    with pytest.raises(SuppleError, match=r"d.nii.gz: its suffix does not say .* \(--to NAME\)"):
-        compose_files(inputs, tmp_path / "d.nii.gz")
-    with pytest.raises(SuppleError, match="there is nothing to compose"):
-        compose_files([], tmp_path / "d.mha")
 
 
 # ---- convert

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 
 import supple
-from supple.files import check_job, warp_file
+from supple.files import warp_file
 from supple.files.recipes import read_recipe, write_recipe
 from supple.media import image
 from tests.children import SOURCE
@@ -72,28 +72,6 @@ def test_progress_on_no_terminal_is_silent(tmp_path: Path, capsys: pytest.Captur
     image.write(tmp_path / "in.png", noise(50, 60, 3))
     warp_file(tmp_path / "in.png", tmp_path / "out.png", RECIPE, progress=True)
     assert capsys.readouterr() == ("", "")
-
-
-@pytest.mark.parametrize(
-    ("source", "target", "text"),
-    [
-        ("coffee.jpg", "b.xyz", "no image format"),
-        ("bunny.mp4", "b.xyz", "no video format"),
-        ("bunny.mp4", "b%d.xyz", "no image format"),
-        ("head.nii.gz", "b.xyz", "no format that volumes are written in"),
-    ],
-)
-def test_what_nothing_can_write_is_refused_before_it_is_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str, target: str, text: str
-) -> None:
-    def never(*given: object, **options: object) -> None:
-        raise AssertionError("it is read")
-
-    for name in ("supple.files.pictures.read", "supple.files.clips.open_clip", "supple.files.volumes.open_volume"):
-        monkeypatch.setattr(name, never)
-    for attempt in (warp_file, check_job):
-        with pytest.raises(supple.SuppleError, match=text):
-            attempt(DATA / source, tmp_path / target, supple.Recipe())
 
 
 def test_recipes_on_disk(tmp_path: Path) -> None:

@@ -476,3 +476,15 @@ def test_processes_that_do_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
         runner_of(Running(workers=2)),
     ):
         pass
+
+
+def test_a_field_whose_place_another_job_has_leaves_no_output() -> None:
+    plain("in.zarr", RNG.integers(0, 250, (64, 64), np.uint8), (16, 16))
+    options = VolumeOptions(save_field="map.zarr")
+    os.mkdir("map.zarr.partial")
+    Path("map.zarr.partial/supple.json").write_text('{"program": "supple", "state": "unfinished", "job": "b"}')
+    with pytest.raises(SuppleError, match=r"map\.zarr.*is the unfinished output of another job"):
+        warp_store("in.zarr", "out.zarr", FLAT, options=options)
+    assert sorted(os.listdir()) == ["in.zarr", "map.zarr.partial"]
+    warp_store("in.zarr", "out.zarr", FLAT, options=options, force=True)
+    assert sorted(os.listdir()) == ["in.zarr", "map.zarr", "out.zarr"]

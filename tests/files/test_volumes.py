@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import warnings
 from dataclasses import replace
@@ -474,26 +473,6 @@ def test_raw_files(here: Path) -> None:
     assert out.geometry.spacing == pytest.approx(OBLIQUE.spacing)
     assert command(["warp", "x.dat", "dat.nii", *GRAB]) == 0
     assert media.read("dat.nii").geometry.spacing == (1, 1, 1)
-
-
-def test_the_command_line(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    stored("in.nii.gz", made())
-    assert command(["warp", "in.nii.gz", "out.nrrd", *GRAB, "--json", "--save-field", "field.nii.gz"]) == 0
-    facts = json.loads(capfd.readouterr().out)
-    assert (facts["width"], facts["height"], facts["depth"]) == SHAPE[::-1]
-    assert facts["error"] <= 0.01
-    assert facts["convention"] == "RAS"
-    assert nibabel.load("field.nii.gz").shape[-1] == 3
-    assert command(["info", "in.nii.gz", "out.nrrd"]) == 0
-    text = capfd.readouterr().out
-    assert "24 x 26 x 20" in text
-    assert "0.9 x 1.1 x 2 mm" in text
-    world = OBLIQUE.to_world(np.array([11.0, 13, 9]), "RAS")
-    point = ",".join(f"{x:.3f}" for x in world)
-    Path("w").mkdir()
-    grab = ["--grab", f"{point}:{point}", "--radius", "5", "--world"]
-    assert command(["warp", "in.nii.gz", "w/out.nii.gz", *grab]) == 0
-    assert "RAS millimetres" in capfd.readouterr().err
 
 
 def test_what_is_oblique_is_said(here: Path, capfd: pytest.CaptureFixture[str]) -> None:

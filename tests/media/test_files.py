@@ -158,27 +158,6 @@ def test_only_plain_files_are_written_over(tmp_path, force):
     assert stat.S_ISFIFO(pipe.stat().st_mode)
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("", r"cannot write .*: it is a folder: give the name of a file in it$"),
-        ("none/out.png", r"out\.png: there is no folder .*none: make it first$"),
-        ("none/deep/out.png", r"there is no folder .*deep: make it first$"),
-        ("file/out.png", r"out\.png: Not a directory: choose another place$"),
-        ("x" * 300 + ".png", r"File name too long: choose a shorter name$"),
-        ("a\0b.png", r"a\\x00b\.png': no file can have that name: choose another$"),
-    ],
-)
-@posix
-def test_impossible_places_are_refused_before_the_work(tmp_path, name, message):
-    (tmp_path / "file").write_bytes(b"")
-    before = os.listdir(tmp_path)
-    with pytest.raises(SuppleError, match=message) as caught, replacing(tmp_path / name, force=True):
-        pytest.fail("the work has begun")
-    assert "\n" not in str(caught.value)
-    assert os.listdir(tmp_path) == before
-
-
 @posix
 def test_a_folder_without_rights_is_refused_before_the_work(public):
     (public / "out.png").write_bytes(b"old")
@@ -278,27 +257,3 @@ def test_files_in_several_folders_appear_together_or_not_at_all(
     assert [path.read_text() if path.exists() else None for path in paths] == expected
     assert sorted(os.listdir(tmp_path)) == ["a.txt", "c.txt", "deep"]
     assert os.listdir(tmp_path / "deep") == ["b.txt"] * (failing is None)
-
-
-def test_files_that_exist_are_kept_together(tmp_path: Path) -> None:
-    (tmp_path / "b.txt").write_text("before")
-    with (
-        pytest.raises(SuppleError, match=r"b.txt exists already"),
-        replacing_together([tmp_path / "a.txt", tmp_path / "b.txt"]),
-    ):
-        pytest.fail("it is too late")
-
-    def write() -> None:
-        with replacing_together([tmp_path / "c.txt"]) as (one,):
-            one.write_text("after")
-            (tmp_path / "c.txt").write_text("from elsewhere")
-
-    with pytest.raises(SuppleError, match=r"c.txt exists already"):
-        write()
-    assert (tmp_path / "c.txt").read_text() == "from elsewhere"
-    with (
-        pytest.raises(SuppleError, match=rf"cannot write {tmp_path}/d.txt: it is full"),
-        replacing_together([tmp_path / "d.txt"]) as (one,),
-    ):
-        raise SuppleError(f"cannot write {one}: it is full")
-    assert sorted(os.listdir(tmp_path)) == ["b.txt", "c.txt"]

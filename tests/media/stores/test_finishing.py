@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import zarr
 
 from supple import SuppleError
-from supple.media.stores import check_free, create, create_arrays, holding, open_image
+from supple.media.stores import create, holding, open_image
 from tests.media.stores.images import child, files, fill, small, whole
 
 HOLDER = """
@@ -244,36 +243,3 @@ def test_outputs_appear_together_or_not_at_all(tmp_path: Path, monkeypatch: pyte
     targets[0].finish(targets[1])
     np.testing.assert_array_equal(open_image(tmp_path / "two.zarr").levels[0].array[...], values + 1)
     assert sorted(os.listdir(tmp_path)) == ["in.zarr", "one.zarr", "two.zarr"]
-
-
-@pytest.mark.parametrize("remote", [False, True])
-def test_prepared_outputs_are_asked_for_before_any_work(remote: bool, tmp_path: Path, memory: str) -> None:
-    """Outputs of prepared metadata: those of an array in a group, as fields are."""
-    values, _ = small(tmp_path / "in.zarr")
-    out = f"{memory}/field.zarr" if remote else tmp_path / "field.zarr"
-    group = b'{"zarr_format": 3, "node_type": "group", "attributes": {}}'
-    written: dict[str, Any] = {}
-    zarr.create_array(written, name="f", data=values[None], chunks=(1, 2, 4, 4))
-    metadata = {"zarr.json": group, "f/zarr.json": bytes(written["f/zarr.json"].to_bytes())}
-    check_free(out, metadata, "a", False)
-    with holding():
-        target = create_arrays(out, metadata, ["f"], job="a")
-        assert not target.begun
-        target.write(0, whole(target), values[None])
-    check_free(out, metadata, "a", False)
-    check_free(out, metadata, "b", True)
-    before = files(tmp_path)
-    with pytest.raises(
-        SuppleError, match="is the unfinished output of another job: choose another name, or force=True"
-    ):
-        check_free(out, metadata, "b", False)
-    assert files(tmp_path) == before
-    with holding():
-        again = create_arrays(out, metadata, ["f"], job="a")
-        assert again.begun
-        assert again.is_done(0, whole(again))
-        again.finish()
-    with pytest.raises(SuppleError, match="exists already"):
-        check_free(out, metadata, "a", False)
-    if not remote:
-        assert sorted(os.listdir(tmp_path / "field.zarr")) == ["f", "zarr.json"]

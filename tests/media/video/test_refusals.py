@@ -5,7 +5,7 @@ import pytest
 from supple.errors import SuppleError
 from supple.media.video import open_clip as open_video
 from tests import clips
-from tests.media.video.copies import arrays_of, assert_nothing_left
+from tests.media.video.copies import assert_nothing_left
 
 REFUSED = [
     ("b.mp4", {"codec": "nonsense"}, "no video encoder is called nonsense: use h264"),
@@ -49,22 +49,4 @@ def test_what_cannot_be_is_refused_before_any_frame(tmp_path, target, settings, 
     ):
         pytest.fail("the block must not run")
     assert "\n" not in str(caught.value)
-    assert_nothing_left(tmp_path, "a.mp4")
-
-
-@pytest.mark.parametrize("when", [0, 3, 9])
-@pytest.mark.parametrize("stop", [KeyboardInterrupt, RuntimeError])
-def test_an_interrupt_leaves_nothing(tmp_path, stop, when):
-    source = clips.make(tmp_path / "a.mp4", audio="aac")
-
-    def interrupted():
-        with open_video(source) as clip, clip.writer(tmp_path / "b.mp4") as sink:
-            for k, frame in enumerate(clip.frames()):
-                arrays = arrays_of(clip, frame)
-                if k == when:
-                    raise stop
-                sink.write(arrays, k)
-
-    with pytest.raises(stop):
-        interrupted()
     assert_nothing_left(tmp_path, "a.mp4")
