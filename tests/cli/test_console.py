@@ -9,7 +9,6 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
@@ -20,12 +19,12 @@ import pytest
 
 import supple.files.clips
 import supple.files.volumes
-from supple.cli import command
 from supple.errors import SuppleError, ToleranceWarning, argument
 from supple.files.recipes import read_recipe
 from supple.media import image
 from tests import clips
 from tests.children import SOURCE
+from tests.cli.commands import Run
 
 HEAD = Path(SOURCE) / "supple" / "examples" / "data" / "head.nii.gz"
 FOLDS = ("--radius", "6", "--on-fold", "damp")
@@ -34,31 +33,19 @@ MEDIA = {
     "clip": ("in.mkv", "out.mkv", ("--grab", "30,20:46,20", *FOLDS)),
     "volume": (str(HEAD), "out.nii.gz", ("--grab", "45,60,50:60,60,50", "--radius", "10", "--on-fold", "damp")),
 }
-Said = tuple[int, str, str]
-Run = Callable[..., Said]
 
 
 def noise(seed: int) -> npt.NDArray[np.uint8]:
     return np.random.default_rng(seed).integers(0, 256, (40, 48, 3), dtype=np.uint8)
 
 
-@pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Run a command line in this process, in a folder with a picture, a clip and six pictures."""
-    monkeypatch.chdir(tmp_path)
-    image.write("in.png", noise(0))
+@pytest.fixture(autouse=True)
+def _files(here: Path) -> None:
+    """A picture, a clip and six pictures."""
     os.mkdir("many")
     for k in range(6):
         image.write(f"many/{k}.png", noise(k))
     clips.make("in.mkv")
-
-    def run(*arguments: str) -> Said:
-        capsys.readouterr()
-        status = command(arguments)
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
 
 
 @pytest.mark.parametrize("medium", MEDIA)

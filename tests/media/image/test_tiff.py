@@ -16,6 +16,7 @@ from supple.files import warp_file
 from supple.media.image import MetadataWarning, PageWarning, Picture, info, read, write
 from supple.media.image.display import in_srgb
 from tests import effort
+from tests.media.image.pictures import noise
 
 tifffile = pytest.importorskip("tifffile")
 
@@ -24,14 +25,6 @@ SIZE = (37, 53)
 SAME = supple.Deformation(SIZE).affine([[1, 0, 0], [0, 1, 0]])
 HALF = supple.Deformation(SIZE).affine([[1, 0, 0.5], [0, 1, 0]])
 GRAB = supple.Recipe(strokes=[supple.Stroke.grab((20, 20), to=(24, 20), radius=6)])
-
-
-def noise(dtype: str, *shape: int) -> Array:
-    random = np.random.default_rng(sum(shape))
-    if np.dtype(dtype).kind == "f":
-        return random.normal(size=shape).astype(dtype)
-    bounds = np.iinfo(dtype)
-    return random.integers(bounds.min, bounds.max, shape, dtype, endpoint=True)
 
 
 def saved(path: Path, pixels: Array, photometric: str = "rgb", *, planar: bool = False, **options: Any) -> Array:
