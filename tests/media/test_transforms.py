@@ -184,6 +184,7 @@ def refused(action: Callable[..., object], *args: Any, **options: Any) -> str:
 
 
 FIELD = np.zeros((2, 3, 4, 3), np.float32)
+ARRAY = "a field is an array of shape (Z, H, W, 3) in float32 or float64, and not"
 
 
 @pytest.mark.parametrize(
@@ -191,21 +192,9 @@ FIELD = np.zeros((2, 3, 4, 3), np.float32)
     [
         ("a.tfm", FIELD, "the suffix .tfm is of no transform: use .nii, .nii.gz, .nrrd, .mha, .h5"),
         ("a", FIELD, "a name without suffix is of no transform: use .nii, .nii.gz, .nrrd, .mha, .h5"),
-        (
-            "a.mha",
-            FIELD[..., :2],
-            "a field is an array of shape (Z, H, W, 3) in float32 or float64, and not float32 of shape (2, 3, 4, 2)",
-        ),
-        (
-            "a.mha",
-            FIELD.astype(int),
-            "a field is an array of shape (Z, H, W, 3) in float32 or float64, and not int64 of shape (2, 3, 4, 3)",
-        ),
-        (
-            "a.h5",
-            FIELD[:0],
-            "a field is an array of shape (Z, H, W, 3) in float32 or float64, and not float32 of shape (0, 3, 4, 3)",
-        ),
+        ("a.mha", FIELD[..., :2], f"{ARRAY} float32 of shape (2, 3, 4, 2)"),
+        ("a.mha", FIELD.astype(int), f"{ARRAY} int64 of shape (2, 3, 4, 3)"),
+        ("a.h5", FIELD[:0], f"{ARRAY} float32 of shape (0, 3, 4, 3)"),
         ("a.nrrd", FIELD * np.nan, "a field must be finite, found NaN or infinity"),
         (
             "a.nii",

@@ -83,12 +83,7 @@ GAPPED = np.where(np.indices(NOISE.shape)[0] == 0, np.nan, NOISE)
 FIVE = NOISE[:, :, :, None]
 # the name of a file, its maker, the convention that is given, and what the line says
 REFUSED: list[tuple[str, Callable[[Path], object], str | None, list[str]]] = [
-    (
-        "a.nii",
-        lambda p: image(p, NOISE),
-        None,
-        ["fsl-relative", "fsl-absolute", "mrtrix", "afni", "give the convention"],
-    ),
+    ("a.nii", lambda p: image(p, NOISE), None, ["fsl-relative", "fsl-absolute", "mrtrix", "afni", "convention"]),
     ("a.nii", lambda p: image(p, NOISE, 2006), None, ["2006", "fsl-relative, fsl-absolute"]),
     ("a.nii", lambda p: image(p, FIVE), None, ["afni, spm-deformation"]),
     ("a.nii", lambda p: image(p, FIVE, 1006), None, ["1006", "LPS", "RAS", "1007"]),
@@ -109,12 +104,7 @@ REFUSED: list[tuple[str, Callable[[Path], object], str | None, list[str]]] = [
     ("a.nii", lambda p: image(p, GAPPED[:, :, :, None], 1007), "itk", ["30 voxels of 120", "NaN"]),
     ("a.nii", lambda p: image(p, NOISE), "fsl-relative", ["the input (moving) image", "as source"]),
     ("a.nii", lambda p: image(p, NOISE), "elastix", ["convention must be one of", "mrtrix-displacement"]),
-    (
-        "a.mat",
-        lambda p: p.write_text("1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n"),
-        None,
-        ["the input (moving) image", "as source"],
-    ),
+    ("a.mat", lambda p: np.savetxt(p, np.eye(4)), None, ["the input (moving) image", "as source"]),
     ("a.txt", lambda p: p.write_text("1 0 0 0\n" * 4), None, ["itk, fsl-affine"]),
     ("a.mat", lambda p: p.write_text("1 0 0 0\n" * 3), "fsl-affine", ["12 numbers", "4 x 4"]),
     ("a.mat", lambda p: p.write_text("one\n"), "fsl-affine", ["words"]),
