@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 import SimpleITK as sitk  # noqa: N813
 
-from supple import SuppleError
+from supple import SuppleError, errors
+from supple.media.stores import open_image
 from supple.media.transforms import CONVENTIONS, Content, Displacements, read, write
 from supple.space.geometry import Grid
 from tests.media.transforms.mapping import DATA, GRIDS, field_on, mapped, points_in, rotation
@@ -253,4 +254,23 @@ def test_what_is_not_written(
     with pytest.raises(SuppleError) as caught:
         write(tmp_path / name, contents, convention)
     check(caught.value, [word])
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("act", "said"),
+    [
+        (lambda folder: open_image(folder), r"Zarr stores need zarr, which .*'supple\[zarr\]'"),
+        (lambda _: read(DATA / "scene-2d.zarr"), r"transformations of OME-Zarr need zarr, .*'supple\[zarr\]'"),
+        (lambda folder: write(folder / "a.zarr", [np.eye(3)]), r"supple\[zarr\]"),
+        (lambda _: read(DATA / "stmap-float.exr"), r"OpenEXR pictures and maps need OpenEXR, .*'supple\[exr\]'"),
+        (lambda folder: write(folder / "a.exr", [FLAT]), r"supple\[exr\]"),
+    ],
+)
+def test_a_library_that_is_missing_is_named(
+    act: Callable[[Path], object], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(errors, "find_spec", lambda name: None)
+    with pytest.raises(SuppleError, match=said):
+        act(tmp_path)
     assert not list(tmp_path.iterdir())
