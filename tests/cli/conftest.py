@@ -9,6 +9,7 @@ import pytest
 from supple.cli import command
 from supple.media import image
 from tests.cli.commands import Run, Said, noise
+from tests.cli.inputs import write_inputs
 
 
 @pytest.fixture
@@ -17,6 +18,16 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     image.write("in.png", noise(40, 48))
     return tmp_path
+
+
+@pytest.fixture(scope="session")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of files of all kinds, which stays as it is."""
+    folder = tmp_path_factory.mktemp("inputs")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        write_inputs()
+    return folder
 
 
 @pytest.fixture

@@ -55,24 +55,6 @@ def test_settings_are_given_once_or_for_each(run: Run) -> None:
     assert [s.scales for s in once.strokes] == [1, 2, 1, 1, 1, 2]
 
 
-def test_strokes_follow_those_of_a_recipe_and_stand_among_maps(run: Run) -> None:
-    Path("first.json").write_text(Recipe(strokes=(Stroke.grab((9, 9), to=(10, 11), radius=5),)).to_json())
-    twist = ("--twist", "20,20:20", "--radius", "8")
-    found = saved(run, *twist, "--recipe", "first.json")
-    assert [s.brush for s in found.strokes] == ["grab", "twist"]
-    shift = ("--affine", "1,0,4,0,1,-3")
-    assert run("warp", "in.png", "a.png", *twist, *shift, "--filter", "linear", "--border", "none")[0] == 0
-    assert run("warp", "in.png", "b.png", *shift, *twist, "--filter", "linear", "--border", "none")[0] == 0
-    before = Deformation((40, 48), border=None)
-    matrix = [[1, 0, 4], [0, 1, -3]]
-    for name, d in (
-        ("a.png", before.twist((20, 20), angle=20, radius=8).affine(matrix)),
-        ("b.png", before.affine(matrix).twist((20, 20), angle=20, radius=8)),
-    ):
-        pixels = d.warp(image.read("in.png").pixels, filter="linear")
-        np.testing.assert_array_equal(image.read(name).pixels, pixels)
-
-
 def test_every_command_takes_them(run: Run) -> None:
     strokes = ("--scale", "20,20:1.4", "--twist", "20,20:90", "--radius", "8")
     Path("points.csv").write_text("x,y\n20,20\n22,20\n")
@@ -125,78 +107,6 @@ def test_a_turn_that_folds_is_named(run: Run) -> None:
         assert run("warp", "in.png", "out.png", *strokes, "--force")[0] == status
 
 
-@pytest.mark.parametrize(
-    ("options", "wanted"),
-    [
-        (["--twist", "1,2"], "--twist must be X,Y[,T|Z]:ANGLE[:AXIS], a point, degrees, and of 3 numbers an axis"),
-        (["--twist", "1,2:30:0,0"], "--twist 1,2:30:0,0: a twist in a picture has no axis"),
-        (
-            ["--twist", "1,2:30:0,0,1"],
-            "--twist 1,2:30:0,0,1: a twist in a picture has no axis: leave it out (X,Y:ANGLE)",
-        ),
-        (["--twist", "1,2,3:30"], "has a point of 3 numbers, and a point of a picture has 2 numbers, x and y"),
-        (["--twist", "1,2:30", "--restore", "1,2"], "Restoring and smoothing are for Python"),
-        (["--twist", "1,2:30,40"], "found '1,2:30,40'"),
-        (["--twist", "1,2:half"], "found '1,2:half'"),
-        (["--twist", "1,2:nan"], "--twist 1,2:nan: angle must be a number of degrees from -3600 to 3600, found nan"),
-        (["--scale", "1,2:0"], "--scale 1,2:0: factor must be a number from 0.01 to 100, found 0"),
-        (["--scale", "1,2:1.4:1,0"], "--scale must be X,Y[,T|Z]:FACTOR, a point and a factor (256,256:1.4, say)"),
-        (["--scale", "1:1.4"], "found '1:1.4'"),
-        (["--scale", ""], "found ''"),
-        (["--pinch", "1,2:-1"], "--pinch 1,2:-1: factor must be"),
-        (["--pinch", "1,2:0.5:0,0"], "--pinch 1,2:0.5:0,0: axis must be a direction, with a number other than 0"),
-        (["--pinch", "1,2:0.5:0,0,1"], "--pinch must be X,Y[,T|Z]:FACTOR[:AXIS], a point, a factor, and an axis"),
-        (["--pinch", "1,2,3:0.5"], "2 numbers"),
-        (["--twist", "1,2:30", "--scales", "2"], "--scales is for a --grab, and there is none: leave it out"),
-        (["--twist", "1,2:30", "--scale", "1,2:1.1", "--reach", "4", "--reach", "4", "--reach", "4"], "for 2 strokes"),
-        (["--grab", "1,2:3,4", "--twist", "1,2:9", "--scales", "2", "--scales", "2"], "2 times for one grab"),
-        (["--twist", "1,2:9", "--radius", "0"], "--twist 1,2:9: --radius must be a number above 0"),
-    ],
-)
-def test_refusals(run: Run, options: list[str], wanted: str) -> None:
-    status, out, err = run("warp", "in.png", "out.png", *options, *([] if "--radius" in options else ["--radius", "5"]))
-    assert (status, out) == (2, "")
-    assert wanted in one_line(err)
-    assert not Path("out.png").exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "wanted"),
-    [
-        (["--scale", "1,2:1.5"], "--scale needs a --radius: how far it is felt"),
-        (
-            ["--radius", "5"],
-            "--radius is for strokes given beside it: give --grab, --twist, --scale, --pinch or --pull, or",
-        ),
-        (["--recipe", "x.json", "--reach", "5"], "--reach is for strokes given beside it"),
-        (
-            ["--crop", "0,0,9,9", "--amount", "50%"],
-            "--amount is for strokes, and there are none: give --grab, --twist, --scale, --pinch or --pull",
-        ),
-        (["--scalee", "1,2:1.5"], "Unknown option: --scalee"),
-    ],
-)
-def test_what_is_missing(run: Run, options: list[str], wanted: str) -> None:
-    status, out, err = run("warp", "in.png", "out.png", *options)
-    assert (status, out) == (2, "")
-    assert wanted in one_line(err)
-
-
-@pytest.mark.parametrize("arguments", [["render", "in.nii", "out.png"], ["view", "in.nii"]])
-@pytest.mark.parametrize(
-    ("options", "wanted"),
-    [
-        (["--radius", "5"], "--radius is for strokes, and there are none: give --grab,"),
-        (["--border", "none"], "--border is for strokes, and there are none"),
-        (["--on-fold", "damp"], "--on-fold is for strokes, and there are none"),
-    ],
-)
-def test_what_is_said_of_strokes_needs_some(run: Run, arguments: list[str], options: list[str], wanted: str) -> None:
-    status, out, err = run(*arguments, *options)
-    assert (status, out) == (2, "")
-    assert wanted in one_line(err)
-
-
 def test_the_order_is_never_guessed() -> None:
     given = {"--grab": ["1,2:3,4"], "--twist": ["1,2:30"]}
     arguments = ["--twist", "1,2:30", "in", "--grab=1,2:3,4"]
@@ -228,37 +138,6 @@ def test_a_pull_of_two_files(run: Run) -> None:
 def test_a_grab_through_points_is_a_path(run: Run) -> None:
     found = saved(run, "--grab", "12,20:20,24:28,20:30,16", "--radius", "8")
     assert found.strokes == (Stroke.grab((12, 20), path=[(20, 24), (28, 20)], to=(30, 16), radius=8),)
-
-
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
-        ("a.csv", "--pull must be FROM:TO, two files of points (before.csv:after.csv, say), found 'a.csv'"),
-        ("a.csv:", "--pull must be FROM:TO"),
-        ("a.csv:none.csv", "--pull a.csv:none.csv: cannot read none.csv"),
-        ("a.csv:other.csv", "a.csv and other.csv do not both have the point q"),
-        ("d.csv:few.csv", "d.csv has 2 points, and few.csv has 1: give as many in both"),
-        ("flat.fcsv:flat.fcsv", "cannot place flat.fcsv: it is in RAS, and only volumes have a place in space"),
-        ("same.csv:same2.csv", "same.csv has two points at (12, 20), point 1 and point 2: leave one out"),
-        (
-            "edge.csv:a.csv",
-            "a pull (edge.csv:a.csv) of 2 handles with radius 8 cannot arrive: handle 1, at (-1, 20), starts",
-        ),
-    ],
-)
-def test_refused_pulls(run: Run, value: str, message: str) -> None:
-    points_of("a.csv", "p,12,20", "q,30,20")
-    points_of("other.csv", "p,12,20", "z,30,20")
-    points_of("edge.csv", "p,-1,20", "q,30,21")
-    Path("d.csv").write_text("x,y\n14,21\n28,21\n")
-    Path("few.csv").write_text("x,y\n14,21\n")
-    Path("flat.fcsv").write_text("# Markups fiducial file version = 4.11\n# CoordinateSystem = RAS\n1,10,20,30\n")
-    Path("same.csv").write_text("x,y\n12,20\n12,20\n")
-    Path("same2.csv").write_text("x,y\n13,20\n12,21\n")
-    status, _, err = run("warp", "in.png", "out.png", "--pull", value, "--radius", "8")
-    assert status == 2
-    assert message in one_line(err)
-    assert not Path("out.png").exists()
 
 
 PLACE = Geometry((0.8, 0.8, 2.5), (5.0, -7.0, 3.0), np.diag([1.0, -1.0, 1.0]), "RAS")

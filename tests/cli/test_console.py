@@ -7,10 +7,8 @@ import functools
 import json
 import os
 import re
-import subprocess
 import sys
 import warnings
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
@@ -21,13 +19,12 @@ import pytest
 
 import supple.files.clips
 import supple.files.volumes
-from supple.cli import command
-from supple.cli.console import COMMAND
-from supple.errors import Spelling, SuppleError, ToleranceWarning, argument, facing, none
+from supple.errors import SuppleError, ToleranceWarning, argument
 from supple.files.recipes import read_recipe
 from supple.media import image
 from tests import clips
 from tests.children import SOURCE
+from tests.cli.commands import Run
 
 HEAD = Path(SOURCE) / "supple" / "examples" / "data" / "head.nii.gz"
 FOLDS = ("--radius", "6", "--on-fold", "damp")
@@ -36,31 +33,19 @@ MEDIA = {
     "clip": ("in.mkv", "out.mkv", ("--grab", "30,20:46,20", *FOLDS)),
     "volume": (str(HEAD), "out.nii.gz", ("--grab", "45,60,50:60,60,50", "--radius", "10", "--on-fold", "damp")),
 }
-Said = tuple[int, str, str]
-Run = Callable[..., Said]
 
 
 def noise(seed: int) -> npt.NDArray[np.uint8]:
     return np.random.default_rng(seed).integers(0, 256, (40, 48, 3), dtype=np.uint8)
 
 
-@pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Run a command line in this process, in a folder with a picture, a clip and six pictures."""
-    monkeypatch.chdir(tmp_path)
-    image.write("in.png", noise(0))
+@pytest.fixture(autouse=True)
+def _files(here: Path) -> None:
+    """A picture, a clip and six pictures."""
     os.mkdir("many")
     for k in range(6):
         image.write(f"many/{k}.png", noise(k))
     clips.make("in.mkv")
-
-    def run(*arguments: str) -> Said:
-        capsys.readouterr()
-        status = command(arguments)
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
 
 
 @pytest.mark.parametrize("medium", MEDIA)
@@ -81,18 +66,6 @@ def test_json_holds_the_warnings_and_where_strokes_arrive(run: Run, medium: str)
     assert json.loads(quiet[1])["warnings"] == facts["warnings"]
 
 
-@pytest.mark.parametrize("medium", MEDIA)
-def test_json_of_strokes_that_arrive(run: Run, medium: str) -> None:
-    source, target, strokes = MEDIA[medium]
-    status, out, err = run("warp", source, target, *strokes[:-1], "flow", "--json")
-    assert (status, err) == (0, "")
-    facts = json.loads(out)
-    assert facts["warnings"] == []
-    [arrival] = facts["arrivals"]
-    assert (arrival["miss"], arrival["cause"]) == (0, None)
-    assert arrival["target"] == arrival["arrived"] == arrival["final"]
-
-
 def test_json_of_plots_and_renderings(run: Run) -> None:
     held_back = ("--grab", "2,16:6,16", "--radius", "12", "--border", "10", "--on-fold", "damp")
     for name, more in (("in.png", ()), ("in.mkv", ("--frame", "2"))):
@@ -108,14 +81,6 @@ def test_json_of_plots_and_renderings(run: Run) -> None:
     assert status == 0
     assert facts["arrivals"][0]["cause"] == "border"
     assert [f"supple: warning: {text}" for text in facts["warnings"]] == err.splitlines()
-
-
-def test_near_the_border_an_error_policy_refuses(run: Run) -> None:
-    near = ("--grab", "2,16:6,16", "--radius", "12", "--border", "10", "--on-fold", "error")
-    status, _, err = run("warp", "in.png", "out.png", *near)
-    assert status == 2
-    assert "holds it back" in err
-    assert not os.path.exists("out.png")
 
 
 def test_each_warning_of_a_batch_begins_with_its_file(run: Run) -> None:
@@ -198,24 +163,6 @@ def test_strict_goes_on_with_the_other_files_of_a_batch(run: Run) -> None:
     assert last == "supple: 1 of 6 files written into bent, 5 failed"
 
 
-def test_a_batch_ends_quietly_when_nobody_reads(run: Run) -> None:
-    for k in range(6, 40):
-        image.write(f"many/{k}.png", noise(k))
-    read, write = os.pipe()
-    os.close(read)
-    made = subprocess.run(
-        [sys.executable, "-m", "supple", "warp", "many", "bent", "--grab", "20,16:22,16", "--radius", "12", "--json"],
-        env={**os.environ, "PYTHONPATH": SOURCE},
-        stdout=write,
-        stderr=subprocess.PIPE,
-        encoding="utf-8",
-        timeout=300,
-        check=False,
-    )
-    os.close(write)
-    assert (made.returncode, made.stderr) == (141, "")
-
-
 @pytest.mark.parametrize("value", ["abc", "0", "-2", "2x", "²"])
 def test_a_number_of_threads_that_is_none_is_one_line(run: Run, monkeypatch: pytest.MonkeyPatch, value: str) -> None:
     grab = ("--grab", "20,16:22,16", "--radius", "12")
@@ -226,15 +173,6 @@ def test_a_number_of_threads_that_is_none_is_one_line(run: Run, monkeypatch: pyt
     assert err == f"supple: {wanted} {value!r}\n"
     monkeypatch.setenv("VIPS_CONCURRENCY", "1")  # which the option sets
     assert run("warp", "in.png", "out.png", *grab, "--threads", "2") == (0, "", "")
-
-
-@pytest.mark.parametrize("option", ["--border", "--on-fold", "--tolerance", "--quality", "--save-recipe", "--threads"])
-def test_options_that_are_meant_once_are_not_given_twice(run: Run, option: str) -> None:
-    value = "damp" if option == "--on-fold" else "3"
-    grab = ("--grab", "20,16:22,16", "--radius", "12")
-    status, _, err = run("warp", "in.png", "out.png", *grab, option, value, option, value)
-    assert status == 2
-    assert f"{option} specified multiple times" in err
 
 
 def test_a_tolerance_that_float32_does_not_hold_is_told(run: Run) -> None:
@@ -317,26 +255,6 @@ def test_no_message_names_an_argument_by_itself() -> None:
     assert left == {}
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "python", "option"),
-    [
-        ("force", True, "force=True", "--force"),
-        ("on_fold", "flow", "on_fold='flow'", "--on-fold flow"),
-        ("border", None, "border=None", "--border none"),
-        ("series", "1", "series='1'", "--series 1"),
-        ("reach", Spelling.ANY, "reach", "--reach"),
-        ("layout", Spelling.ANY, "layout", "--shape, --dtype and --spacing"),
-        ("strokes[0]", Spelling.ANY, "strokes[0]", "strokes[0]"),
-    ],
-)
-def test_each_face_names_arguments_in_its_own_words(name: str, value: object, python: str, option: str) -> None:
-    assert argument(name, value) == python
-    with facing(COMMAND):
-        assert argument(name, value) == option
-        assert none() == "none"
-    assert argument(name, value) == python
-
-
 def test_recipes_read_side_by_side_leave_the_spelling_as_it_was(tmp_path: Path) -> None:
     path = tmp_path / "r.json"
     path.write_text('{"supple": 2, "strokes": null}')
@@ -367,68 +285,3 @@ def test_a_warning_is_spelt_for_who_reads_it(run: Run) -> None:
     assert "(--on-fold flow goes all the way" in err
     with pytest.raises(SuppleError, match=r"\(on_fold='flow' goes all the way"):
         supple.Deformation((32, 40), on_fold="error").add(strong)
-
-
-def test_no_python_in_what_is_said(run: Run) -> None:
-    grab = ("--grab", "20,16:22,16", "--radius", "12")
-    Path("r.json").write_text(
-        '{"supple": 2, "strokes": [{"brush": "grab", "at": [1, 2], "by": [1, 1], "radius": 5, "reach": 0}]}'
-    )
-    Path("out.png").write_bytes(b"mine")
-    for arguments in (
-        ("warp", "in.png", "out.png", *grab),
-        ("warp", "in.png", "b.png", *grab, "--reach", "0.5"),
-        ("warp", "in.png", "b.png", *grab, "--border", "-1"),
-        ("warp", "in.png", "b.png", "--recipe", "r.json"),
-        ("warp", "in.png", "b.png", "--grab", "20,16:60,16", "--radius", "3", "--on-fold", "error"),
-        ("warp", "in.mkv", "b.mkv", *grab, "--linear-light"),
-        ("plot", "in.mkv", "b.png", *grab),
-    ):
-        status, _, err = run(*arguments)
-        assert status == 2, arguments
-        assert not PYTHON.search(err), err
-
-
-@pytest.mark.parametrize("name", ["warp", "plot", "render", "points", "info", "view", "demo"])
-def test_help_has_none_of_the_words_that_were_not_understood(run: Run, name: str) -> None:
-    status, out, _ = run(name, "--help")
-    assert status == 0
-    said = " ".join(out.replace("│", " ").split())
-    for word in (
-        r"\bcards?\b",
-        "keeps areas",
-        "keeps volumes",
-        "[Ww]ho (does|makes|takes)",
-        "is worth to",
-        r"\btells?\b",
-    ):
-        assert not re.search(word, said), word
-
-
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
-def test_a_batch_whose_output_is_full_is_no_fault_of_ours(run: Run) -> None:
-    with open("/dev/full", "w") as full:
-        made = subprocess.run(
-            [
-                sys.executable,
-                "-m",
-                "supple",
-                "warp",
-                "many",
-                "bent",
-                "--grab",
-                "20,16:22,16",
-                "--radius",
-                "9",
-                "--json",
-            ],
-            env={**os.environ, "PYTHONPATH": SOURCE},
-            stdout=full,
-            stderr=subprocess.PIPE,
-            encoding="utf-8",
-            timeout=300,
-            check=False,
-        )
-    assert made.returncode == 2
-    assert "the system refuses: No space left on device" in made.stderr
-    assert "fault" not in made.stderr

@@ -12,7 +12,6 @@ import pytest
 from supple import Affine, Field, Placed, compose
 from supple.cli.fields import parse_maps
 from supple.errors import SuppleError
-from supple.files.fields import Input
 from supple.media import transforms, volume
 from tests.cli.commands import Run, one_line
 from tests.sampled_fields import GRID, sine, smooth
@@ -144,15 +143,6 @@ def test_compose_takes_what_stands_after_a_file_for_that_file(run: Run) -> None:
     assert [each["inverse"] for each in facts["read"]] == [True, False]
 
 
-def test_options_after_files() -> None:
-    words = ["a", "--inverse", "--convention", "itk", "b", "--source=m.nii", "c", "--convention=afni", "--inverse"]
-    assert parse_maps(words) == [
-        Input("a", True, "itk"),
-        Input("b", source="m.nii"),
-        Input("c", True, "afni"),
-    ]
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -181,31 +171,3 @@ def test_convert_tells_both_ends(run: Run) -> None:
     assert (facts["read"][0]["known"], facts["written"]["known"]) == ("as given", "from its suffix .nrrd")
     found, known = Field.read("x.nrrd", "itk"), Field.read("u.nii.gz", "itk")
     np.testing.assert_allclose(found.values, known.values, atol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        (("invert", "u.nii.gz", "folded.mha"), "folded.mha exists already: choose another name, or --force"),
-        (("invert", "none.mha", "v.mha"), "cannot read none.mha: No such file or directory"),
-        (("invert", "u.nii.gz", "v.mha", "--tolerance", "small"), "--tolerance must be a number of voxels above 0"),
-        (("invert", "u.nii.gz", "v.mha", "--tolerance", "0"), "--tolerance must be a number of voxels above 0"),
-        (("invert", "u.nii.gz", "v.mha", "--convention", "spm"), "convention must be one of"),
-        (("invert", "u.nii.gz", "v.mha", "--status", "s.txt"), "the suffix .txt is no format"),
-        (("invert", "a.tfm", "v.tfm", "--status", "s.mha"), "holds an affine map: --error and --status are of"),
-        (("invert", "-", "v.mha"), "- for standard input or output is for warp, info and points"),
-        (("check", "a.tfm"), "a.tfm holds an affine map, and not one field"),
-        (("check", "u.nii.gz", "--picture", "p.gif"), "a plot's name must end in .png, .svg, .pdf"),
-        (("compose", "a.tfm", "--out", "d.mha"), "the maps are affine, and have no grid"),
-        (("compose", "u.nii.gz", "--typo", "--out", "d.mha"), "Unknown option: --typo"),
-        (("compose", "u.nii.gz"), "give --out FILE"),
-        (("convert", "u.nii.gz", "w.nii.gz"), "give the convention"),
-        (("convert", "u.nii.gz", "w.nii.gz", "--to", "fsl-relative"), "give its grid as --source"),
-    ],
-)
-def test_errors_are_one_line(run: Run, line: tuple[str, ...], message: str) -> None:
-    before = sorted(os.listdir())
-    status, out, err = run(*line)
-    assert (status, out) == (2, "")
-    assert message in one_line(err)
-    assert sorted(os.listdir()) == before

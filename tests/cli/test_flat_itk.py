@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import SimpleITK as sitk  # noqa: N813
 from supple import Deformation, Field, Grid
 from supple.media import image
 from supple.media.transforms import read
-from tests.cli.commands import Run, one_line
+from tests.cli.commands import Run
 
 SHAPE = (60, 80)
 TURN = (0.8, -0.6, 0.6, 0.8)
@@ -108,12 +107,3 @@ def test_in_python_and_on_png(run: Run) -> None:
     assert isinstance(second, np.ndarray)
     d = Deformation(Grid(SHAPE)).affine(second).field(Field(*first))
     np.testing.assert_array_equal(image.read("out.png").pixels, d.warp(grey, filter="linear"))
-
-
-def test_a_volume_is_no_slice(run: Run) -> None:
-    sitk.WriteTransform(transforms(plain=True)["turn.tfm"], "turn.tfm")
-    sitk.WriteImage(sitk.GetImageFromArray(np.zeros((4, 5, 6), np.float32)), "solid.mha")
-    status, _, err = run("warp", "solid.mha", "out.mha", "--affine", "turn.tfm", "--quiet")
-    assert status == 2
-    assert one_line(err).startswith("supple: turn.tfm is for pictures, with 2 axes, and solid.mha is a volume")
-    assert not Path("out.mha").exists()

@@ -60,37 +60,6 @@ def test_what_a_picture_may_be(run: Run) -> None:
     assert Recipe.from_json(Path("r.json").read_text()).freeze == Freeze.of(disc(), width=12)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--freeze", "none.png"), "none.png"),
-        (("--freeze", "in.png"), "in.png cannot be a freeze mask: it has colours"),
-        (
-            ("--freeze", "small.png"),
-            "the freeze mask small.png is of 20 x 20 samples, and what is deformed of 48 x 40: give a mask of its",
-        ),
-        (("--freeze", "labels.png"), "labels.png seems to hold labels"),
-        (("--freeze", "labels.png:4"), "labels.png holds no label 4: found 0, 1, 2"),
-        (("--freeze", "clear.png"), "parts of it are transparent"),
-        (("--freeze-width", "9"), "--freeze-width is for a freeze mask, and there is none"),
-        (("--freeze", "small.png", "--freeze-width", "0"), "--freeze-width must be a number above 0"),
-        (("--freeze", "small.png", "--freeze-width", "1"), "--freeze-width must be at least 4 samples, found 1"),
-        (
-            ("--freeze", "labels.png:x"),
-            "--freeze FILE:LABEL needs the number of a label (labels.png:3, say), found 'x'",
-        ),
-    ],
-)
-def test_bad_masks_are_refused(run: Run, options: tuple[str, ...], message: str) -> None:
-    image.write("small.png", noise(20, 20, 1))
-    image.write("labels.png", np.arange(40 * 48, dtype=np.uint8).reshape(40, 48) % 3)
-    image.write("clear.png", noise(40, 48, 4))
-    status, _, err = run("warp", "in.png", "out.png", *GRAB, *options)
-    assert status != 0
-    assert message in one_line(err)
-    assert not Path("out.png").exists()
-
-
 def test_a_mask_that_freezes_nothing_is_told(run: Run) -> None:
     image.write("black.png", np.zeros((40, 48), np.uint8))
     status, out, err = run("warp", "in.png", "out.png", *GRAB, "--freeze", "black.png", "--json")

@@ -11,7 +11,6 @@ import pytest
 
 import supple
 from supple.media import image
-from tests import clips
 from tests.cli.commands import GRAB, Run, one_line
 
 
@@ -49,13 +48,6 @@ def test_an_empty_folder(run: Run) -> None:
     for name in ("out.nii", "out.nrrd"):
         status, _, err = run("warp", "empty", name, *GRAB)
         assert (status, "there are no DICOM images in that folder" in one_line(err)) == (2, True)
-
-
-def test_info_says_that_a_rate_varies(run: Run) -> None:
-    clips.make("a.mkv", times=[0, 1, 2, 9, 10, 11, 12, 13, 14, 15])
-    clips.make("b.mkv")
-    assert "at a variable rate" in run("info", "a.mkv")[1]
-    assert "variable" not in run("info", "b.mkv")[1]
 
 
 @pytest.mark.parametrize("what", ["grid", "stretch"])

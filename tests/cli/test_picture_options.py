@@ -32,29 +32,6 @@ def picture(tmp_path: Path) -> Path:
     return tmp_path / "in.png"
 
 
-@pytest.mark.parametrize(
-    ("options", "name"),
-    [
-        (("--time-filter",), "--time-filter is for clips"),
-        (("--memory", "0"), "--memory is for clips"),
-        (("--codec", "h264", "--crf", "20"), "--codec is for clips"),
-        (("--fps", "25"), "--fps is for clips"),
-        (("--labels",), "--labels is for volumes"),
-        (("--world",), "--world is for volumes"),
-        (("--fill", "9"), "--fill is the constant of --outside constant, and --outside is edge: give both"),
-    ],
-)
-def test_options_that_are_not_for_pictures_are_named(
-    picture: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], name: str
-) -> None:
-    target = picture.with_name("out.png")
-    assert command(["warp", str(picture), str(target), *GRAB, *options]) == 2
-    told = capsys.readouterr().err
-    assert name in told
-    assert told.count("\n") == 1
-    assert not target.exists()
-
-
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".bmp"])
 def test_a_quality_that_changes_nothing_is_told(picture: Path, capsys: pytest.CaptureFixture[str], suffix: str) -> None:
     target = picture.with_name(f"out{suffix}")
@@ -62,12 +39,6 @@ def test_a_quality_that_changes_nothing_is_told(picture: Path, capsys: pytest.Ca
     assert "quality 80 changes nothing in" in capsys.readouterr().err
     assert command(["warp", str(picture), str(picture.with_name("out.jpg")), *GRAB, "--quality", "80"]) == 0
     assert capsys.readouterr().err == ""
-
-
-def test_a_folder_that_is_not_there_is_made(picture: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert command(["warp", str(picture), f"{picture.parent}/new/deep/", *GRAB]) == 0
-    assert capsys.readouterr().err == ""
-    assert read(picture.parent / "new" / "deep" / "in.png").pixels.shape == (40, 60, 3)
 
 
 @pytest.mark.parametrize("channels", [3, 4])

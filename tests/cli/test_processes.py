@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import os
-import pty
-import resource
-import select
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -21,20 +17,8 @@ from supple.cli import console
 from supple.cli.console import Console
 from supple.cli.jobs import Crew, Job
 from supple.media import image
-from tests.children import HEARING, SOURCE
+from tests.children import start, watched
 from tests.cli.commands import GRAB, Said, noise, one_line, pictures
-
-
-def start(*arguments: str, **options: object) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "supple", *arguments],
-        env={**os.environ, "PYTHONPATH": SOURCE},
-        stdout=options.pop("stdout", subprocess.PIPE),
-        stderr=subprocess.PIPE,
-        encoding="utf-8",
-        preexec_fn=options.pop("preexec_fn", HEARING),
-        **options,
-    )
 
 
 def finish(process: subprocess.Popen[str]) -> Said:
@@ -47,17 +31,6 @@ def test_a_process_ends_as_it_should(here: Path) -> None:
     status, out, err = finish(start("warp", "in.png", "out.png", *GRAB))
     assert (status, out) == (2, "")
     assert "--force" in one_line(err)
-
-
-def test_a_full_disk_leaves_nothing(here: Path) -> None:
-    def little() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-
-    image.write("in.png", noise(200, 300), force=True)
-    status, out, err = finish(start("warp", "in.png", "out.png", *GRAB, preexec_fn=little))
-    assert (status, out) == (2, "")
-    assert "out.png" in one_line(err)
-    assert os.listdir() == ["in.png"]
 
 
 def when_it_writes(process: subprocess.Popen[str], folder: str, number: int) -> None:
@@ -116,24 +89,10 @@ def test_output_that_finds_no_room_is_one_line(here: Path) -> None:
 
 def test_progress_is_for_terminals(here: Path) -> None:
     pictures("in")
-    terminal, inside = pty.openpty()
-    command_line = [sys.executable, "-m", "supple", "warp", "in", "out", *GRAB]
-    environment = {**os.environ, "PYTHONPATH": SOURCE, "TERM": "xterm", "COLUMNS": "90"}
-    process = subprocess.Popen(command_line, env=environment, stdout=subprocess.DEVNULL, stderr=inside)
-    os.close(inside)
-    shown = b""
-    while select.select([terminal], [], [], 200)[0]:
-        try:
-            got = os.read(terminal, 4096)
-        except OSError:  # all is read
-            break
-        if not got:
-            break
-        shown += got
-    os.close(terminal)
-    assert process.wait() == 2
-    assert b"3/3" in shown
-    assert b"supple: cannot read in/bad.png" in shown
+    status, shown = watched("warp", "in", "out", *GRAB)
+    assert status == 2
+    assert "3/3" in shown
+    assert "supple: cannot read in/bad.png" in shown
 
 
 def test_an_interrupt_that_another_thread_is_given_is_heard(capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -18,7 +16,7 @@ pytest.importorskip("dask")
 
 from supple import Recipe, Stroke  # noqa: E402
 from supple.files.stores import warp_store  # noqa: E402
-from tests.children import HEARING, SOURCE, full_disk  # noqa: E402
+from tests.children import full_disk, start  # noqa: E402
 from tests.cli.commands import Run, one_line  # noqa: E402
 
 FLAT = ("--grab", "14,12:17,14", "--radius", "5")
@@ -130,61 +128,6 @@ def test_a_store_is_described(run: Run) -> None:
     assert facts["levels"][0]["shards"] == [3, 32, 32]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("in.zarr", "in.zarr", *FLAT), ("in.zarr", "exists", "--force")),
-        (("in.zarr", "there.zarr", *FLAT), ("there.zarr exists already", "--force")),
-        (("in.zarr", "in.zarr", "out.zarr", *FLAT), ("one at a time",)),
-        (("*.zarr", "out.zarr", *FLAT), ("one at a time",)),
-        (("in.zarr", "out.png", *FLAT), ("in.zarr", "out.png", "out.zarr")),
-        (("in.zarr", "-", *FLAT), ("standard output",)),
-        (("none.zarr", "out.zarr", *FLAT), ("none.zarr", "no such folder")),
-        (("in.zarr", "out.zarr", *DEEP), ("in.zarr is a picture", "two numbers")),
-        (("in.zarr", "out.zarr", *FLAT, "--quality", "9"), ("--quality is not for Zarr stores",)),
-        (("in.zarr", "out.zarr", *FLAT, "--lossless"), ("--lossless is not for Zarr stores",)),
-        (("in.zarr", "out.zarr", *FLAT, "--linear-light"), ("--linear-light is not for Zarr stores",)),
-        (("in.zarr", "out.zarr", *FLAT, "--clamp"), ("--clamp is not for Zarr stores",)),
-        (("in.zarr", "out.zarr", *FLAT, "--no-clamp"), ("--no-clamp is not for Zarr stores",)),
-        (("in.zarr", "out.zarr", *FLAT, "--between", "cubic"), ("--between is not for Zarr stores",)),
-        (("in.zarr", "out.zarr", *FLAT, "--time-scale", "2"), ("--time-scale is not for Zarr stores",)),
-        (("in.zarr", "out.zarr", *FLAT, "--fps", "2"), ("--fps is not for Zarr stores",)),
-        (("in.zarr", "out.zarr", *FLAT, "--save-field", "f.nii"), ("OME-Zarr", "f.nii", "name it .zarr")),
-        (("in.zarr", "out.zarr", *FLAT, "--save-field", "out.zarr"), ("out.zarr cannot be the field and an image",)),
-        (("in.zarr", "out.zarr", *FLAT, "--save-field", "in.zarr/map.zarr"), ("cannot be the field and an image",)),
-        (("in.zarr", "out.zarr", *FLAT, "--save-field", "there.zarr"), ("there.zarr exists already", "--force")),
-        (("in.zarr", "out.zarr", *FLAT, "--save-field", "missing/map.zarr"), ("missing",)),
-        (
-            ("in.zarr", "out.zarr", *FLAT, "--save-field", "memory://x/map.zarr", "--workers", "2"),
-            ("memory of this process",),
-        ),
-        (
-            ("in.zarr", "out.zarr", *FLAT, "--save-field", "map.zarr", "--save-recipe", "map.zarr"),
-            ("both the recipe and the field",),
-        ),
-        (("in.zarr", "out.zarr", *FLAT, "--series", "2"), ("--series is not for Zarr stores",)),
-        (("in.zarr", "out.zarr", *FLAT, "--world"), ("--world is for volumes",)),
-        (("in.zarr", "out.zarr", *FLAT, "--fill", "3"), ("--outside constant",)),
-        (("in.zarr", "out.zarr", *FLAT, "--workers", "0"), ("--workers must be",)),
-        (("in.zarr", "out.zarr", *FLAT, "--workers", "1", "--scheduler", "tcp://a:1"), ("give one of them",)),
-        (("in.zarr", "out.zarr", *FLAT, "--scheduler", "nowhere"), ("nowhere does not answer",)),
-        (("memory://none/in.zarr", "out.zarr", *FLAT, "--workers", "2"), ("memory of this process",)),
-        (("in.png", "out.png", *FLAT, "--workers", "2"), ("--workers is for Zarr stores, and in.png is none",)),
-        (("in.zarr", "out.zarr", *FLAT, "--crop", "0,0,99,99"), ("--crop must be within",)),
-        (("in.zarr", "missing/out.zarr", *FLAT), ("missing",)),
-    ],
-)
-def test_refusals_are_one_line_and_leave_nothing(run: Run, arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
-    store("in.zarr", (40, 48))
-    store("there.zarr", (4, 4))
-    before = sorted(os.listdir())
-    status, out, err = run("warp", *arguments)
-    assert (status, out) == (2, "")
-    for word in words:
-        assert word in one_line(err)
-    assert sorted(os.listdir()) == before
-
-
 def test_without_dask(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     from supple.errors import SuppleError
     from supple.files import tasks
@@ -198,18 +141,6 @@ def test_without_dask(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     assert status == 2
     assert "dask, which is not installed: pip install 'supple[zarr]'" in one_line(err)
     assert not os.path.exists("out.zarr")
-
-
-def start(*arguments: str, **options: object) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "supple", *arguments],
-        env={**os.environ, "PYTHONPATH": SOURCE},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        encoding="utf-8",
-        preexec_fn=HEARING,
-        **options,
-    )
 
 
 @pytest.mark.parametrize("workers", [(), ("--workers", "1")], ids=["threads", "processes"])

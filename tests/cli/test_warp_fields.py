@@ -234,50 +234,6 @@ def test_what_folds_is_told(run: Run, asked: Asked, monkeypatch: pytest.MonkeyPa
     assert (status, Path("strict.png").exists()) == (2, False)
 
 
-REFUSED: list[tuple[tuple[str, ...], str]] = [
-    (("in.png", "out.png", "--inverse", *GRAB), "--inverse is for the --field or --affine before it"),
-    (
-        ("in.png", "out.png", "--convention", "itk", *GRAB),
-        "--convention is for the --field, --affine or --pull before it",
-    ),
-    (("in.png", "out.png", "--field", "flat.npy", "--inverse", "--inverse"), "--field flat.npy has two --inverse"),
-    (("in.png", "out.png", "--field", "solid.nii"), "solid.nii is for volumes, with 3 axes, and in.png is a picture"),
-    (("head.nii.gz", "out.nii", "--field", "flat.npy"), "flat.npy is for pictures, with 2 axes, and head.nii.gz is a"),
-    (("head.nii.gz", "out.nii", "--field", "far.nii"), "far.nii and head.nii.gz do not overlap: from (899.5, "),
-    (("head.nii.gz", "out.nii", "--affine", SHIFT), f"--affine {SHIFT} is for pictures, with 2 axes, and head.nii.gz"),
-    (("in.png", "out.png", "--affine", "1,0,2"), "--affine must be 6 numbers (pictures) or 12 (volumes)"),
-    (("in.png", "out.png", "--affine", "1,0,2,1,0,2"), "--affine 1,0,2,1,0,2: the affine map is singular"),
-    (("in.png", "out.png", "--affine", SHIFT, "--convention", "itk"), "--convention is for files, and --affine"),
-    (("in.png", "out.png", "--affine", "flat.npy"), "flat.npy holds a field, and --affine is for affine maps"),
-    (("in.png", "out.png", "--field", "gone.npy"), "cannot read gone.npy"),
-    (("in.png", "out.png", "--field", "-"), "--field - is not possible"),
-    (
-        ("clip.mp4", "out.mp4", "--field", "flat.npy"),
-        "fields and other grids are for pictures and volumes, and clip.mp4",
-    ),
-    (("clip.mp4", "out.mp4", *GRAB, "--resample", "2"), "fields and other grids are for pictures and volumes, and"),
-    (("in.png", "out.png", *GRAB, "--crop", "40,0,10,10"), "--crop must be within the grid of 48 x 40 samples"),
-    (("in.png", "out.png", *GRAB, "--crop", "0,0,0,1,1,1"), "--crop must be 4 numbers, as the input is a picture"),
-    (("in.png", "out.png", *GRAB, "--crop", "a,0,1,1"), "--crop must be X,Y,W,H for a picture"),
-    (("in.png", "out.png", *GRAB, "--resample", "0"), "--resample must be a spacing above 0"),
-    (("in.png", "out.png", *GRAB, "--resample", "x"), "--resample must be a spacing S"),
-    (("in.png", "out.png", *GRAB, "--reference", "head.nii.gz"), "head.nii.gz is a volume, and the grid of a picture"),
-    (("head.nii.gz", "out.nii", "--reference", "in.png"), "in.png is a picture, and the grid of a volume is needed"),
-    (("in.png", "out.png", "--field", "flat.npy", "--save-recipe", "r.json"), "--save-recipe is for strokes alone"),
-    (("in.png", "out.xyz", "--field", "gone.npy"), "cannot write out.xyz"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "said"), REFUSED)
-def test_refusals(run: Run, asked: Asked, head: npt.NDArray[Any], arguments: tuple[str, ...], said: str) -> None:
-    Path("clip.mp4").write_bytes(b"x")
-    before = sorted(path.name for path in Path().iterdir())
-    status, out, err = run("warp", *arguments, "--quiet")
-    assert (status, out) == (2, ""), err
-    assert one_line(err).startswith(f"supple: {said}"), err
-    assert sorted(path.name for path in Path().iterdir()) == before
-
-
 def test_the_order_is_never_guessed() -> None:
     """An option that the parser takes, and the search for the order does not, or the other way round, is refused."""
     maps: Callable[..., Any] = MapOptions(field=["a.nii"]).to_maps

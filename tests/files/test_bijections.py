@@ -28,6 +28,8 @@ from supple.media.stores import Target, open_image  # noqa: E402
 from supple.media.transforms import ngff  # noqa: E402
 from tests.effort import soak  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("here")
+
 Array = npt.NDArray[Any]
 
 RNG = np.random.default_rng(3)
@@ -47,12 +49,6 @@ def small() -> Iterator[None]:
         patch.setattr(plans, "TASK", 1 << 12)
         patch.setattr(ngff, "_SIDES", {2: 16, 3: 8})
         yield
-
-
-@pytest.fixture(autouse=True)
-def here(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Work in an empty folder."""
-    monkeypatch.chdir(tmp_path)
 
 
 def image(name: str, axes: str, version: str = "0.5", unit: str | None = "micrometer", turned: bool = False) -> None:
@@ -378,26 +374,6 @@ def test_a_job_that_is_interrupted_goes_on(
         assert chunks("map.zarr") == chunks("expected.zarr")
     with pytest.raises(SuppleError, match="exists already"):
         warp_store("in.zarr", f"{base}out.zarr", DEEP, options=options)
-
-
-def test_what_is_there_is_solved_again_and_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
-    image("in.zarr", "zyx")
-    with monkeypatch.context() as patch:
-        failing(patch, "note", 0)
-        with pytest.raises(SuppleError, match="world"):
-            warp_store("in.zarr", "out.zarr", DEEP, options=MAP)
-    writes: list[int] = []
-    real = Target.write
-
-    def write(self: Target, level: int, box: Any, values: Any) -> None:
-        writes.append(values.ndim)
-        real(self, level, box, values)
-
-    monkeypatch.setattr(Target, "write", write)
-    made = warp_store("in.zarr", "out.zarr", DEEP, options=MAP)
-    assert made.field is not None
-    assert made.field.done == made.field.stored
-    assert 4 not in writes
 
 
 def test_force_replaces_and_others_are_refused() -> None:

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import pty
-import select
 import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -25,7 +21,7 @@ import supple.media.video
 from supple.files.plots import plot_file
 from supple.media import image
 from tests import clips
-from tests.children import HEARING, SOURCE, full_disk
+from tests.children import full_disk, start, watched
 from tests.files.clip_files import GRAB, GRAB_2D, TIMED, Run, noisy, pictures, refused, same_frames
 
 
@@ -89,44 +85,6 @@ def test_json_tells_what_was_done(run: Run) -> None:
     assert json.loads(out)["what"] == "sheet"
 
 
-def test_damping_is_one_line_unless_quiet(run: Run) -> None:
-    noisy("in.mkv", "yuv420p")
-    strong = ["--grab", "30,20,3:30,20,11", "--radius", "3", "--force", "--on-fold", "damp"]
-    status, out, err = run("warp", "in.mkv", "out.mkv", *strong)
-    assert (status, out) == (0, "")
-    assert err.count("\n") == 1
-    assert "--on-fold flow" in err
-    assert run("warp", "in.mkv", "out.mkv", *strong, "--quiet") == (0, "", "")
-    refused(run("warp", "in.mkv", "out.mkv", *strong[:-1], "error"), "folds")
-
-
-def environment(**more: str) -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": SOURCE, **more}
-
-
-def watched(*arguments: str) -> tuple[int, str]:
-    """Run a command whose messages go to a terminal."""
-    terminal, inside = pty.openpty()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "supple", *arguments],
-        env=environment(TERM="xterm", COLUMNS="100"),
-        stdout=subprocess.DEVNULL,
-        stderr=inside,
-    )
-    os.close(inside)
-    shown = b""
-    while select.select([terminal], [], [], 200)[0]:
-        try:
-            got = os.read(terminal, 4096)
-        except OSError:  # all is read
-            break
-        if not got:
-            break
-        shown += got
-    os.close(terminal)
-    return process.wait(), shown.decode()
-
-
 def test_progress_is_for_terminals(here: Path) -> None:
     noisy("in.mkv", "yuv420p")
     status, shown = watched("warp", "in.mkv", "out.mkv", *GRAB)
@@ -178,70 +136,6 @@ def test_maps_of_one_frame(run: Run, what: str, grab: Sequence[str]) -> None:
     assert image.info("out.png")["format"] == "PNG"
 
 
-def test_plots_of_sequences_and_of_one_frame(run: Run) -> None:
-    pictures("in", 6)
-    noisy("one.mkv", "yuv420p", 1)
-    grab = ["--grab", "30,20,0:33,22,0", "--radius", "9", "--force"]
-    sheet, cut, grid = ["sheet"], ["slice", "--x", "3"], ["grid", "--frame", "0"]
-    for source, whats in (("in/%03d.png", [sheet]), ("in", [cut, grid]), ("one.mkv", [sheet, cut, grid])):
-        for what in whats:
-            assert run("plot", source, "out.png", *grab, "--what", *what) == (0, "", "")
-
-
-PLOTS_REFUSED = [
-    (["--what", "slice"], "--x or --y"),
-    (["--what", "slice", "--x", "3", "--y", "4"], "--x or --y"),
-    (["--what", "slice", "--x", "64"], "--x must be from 0 to 63"),
-    (["--what", "slice", "--x", "2.5"], "--x must be a whole number of pixels, found '2.5'"),
-    (["--what", "grid", "--frame", "2.5"], "--frame must be a whole number, counted from 0, found '2.5'"),
-    (["--what", "grid", "--frame", "99"], "--frame must be from 0 to 11, found 99"),
-    (["--what", "grid", "--x", "3"], "--x and --y are for slices"),
-    (["--what", "slice", "--y", "48"], "--y must be from 0 to 47"),
-    (["--what", "slice", "--x", "-1"], "--x must be from 0 to 63"),
-    (["--what", "slice", "--x", "9" * 30], "--x must be from 0 to 63"),
-    (["--what", "slice", "--x", "nan"], "--x"),
-    (["--what", "slice", "--x", "3", "--frame", "2"], "--frame"),
-    (["--what", "sheet", "--frame", "2"], "--frame"),
-    (["--what", "sheet", "--x", "2"], "slices"),
-    (["--what", "grid", "--frame", "2", "--y", "2"], "slices"),
-    (["--frame", "12"], "from 0 to 11"),
-    (["--frame", "-1"], "from 0 to 11"),
-    (["--what", "movie"], "movie"),
-    (["--what", "sheet", "--codec", "h264"], "--codec is for videos"),
-    (["--what", "sheet", "--crf", "20"], "--crf is for videos"),
-    (["--what", "sheet", "--fps", "20"], "--fps"),
-]
-
-
-@pytest.mark.parametrize(("options", "wanted"), PLOTS_REFUSED)
-def test_a_plot_that_cannot_be_is_one_line(run: Run, options: list[str], wanted: str) -> None:
-    noisy("in.mkv", "yuv420p")
-    refused(run("plot", "in.mkv", "out.png", *GRAB, *options), wanted)
-    assert os.listdir() == ["in.mkv"]
-
-
-@pytest.mark.parametrize("target", ["out.jpg", "out.mp4", "out", "no/out.png", "taken.png", "in.mkv"])
-def test_a_plot_that_cannot_be_written_is_one_line(run: Run, target: str) -> None:
-    noisy("in.mkv", "yuv420p")
-    kept = Path("in.mkv").read_bytes()
-    Path("taken.png").write_text("precious")
-    refused(run("plot", "in.mkv", target, *GRAB, "--what", "sheet"), target)
-    assert Path("taken.png").read_text() == "precious"
-    assert Path("in.mkv").read_bytes() == kept
-    assert sorted(os.listdir()) == ["in.mkv", "taken.png"]
-
-
-def start(*arguments: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "supple", *arguments],
-        env=environment(TMPDIR=os.path.abspath("tmp")),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        encoding="utf-8",
-        preexec_fn=HEARING,
-    )
-
-
 def hidden() -> list[str]:
     """What is being written."""
     found = []
@@ -275,7 +169,7 @@ def test_an_interrupt_leaves_nothing(here: Path, long: Path, arguments: list[str
     os.mkdir("tmp")
     os.mkdir("batch")
     strokes = ["--grab", "100,100,500:150,120,520", "--radius", "200", "--border", "none", "--quiet"]
-    process = start("warp", *arguments, *strokes)
+    process = start("warp", *arguments, *strokes, env={"TMPDIR": os.path.abspath("tmp")})
     end = time.monotonic() + 200
     while not hidden():
         assert process.poll() is None, process.communicate()
@@ -291,28 +185,15 @@ def test_an_interrupt_leaves_nothing(here: Path, long: Path, arguments: list[str
     assert sorted(os.listdir()) == ["batch", "long.mp4", "other.mp4", "tmp"]
 
 
-@pytest.mark.parametrize(
-    ("target", "options", "wanted"),
-    [
-        ("out.mp4", [], "cannot write out.mp4"),
-        ("frames/%03d.png", [], "001.png"),
-        ("out.mkv", ["--memory", "0"], "no room"),
-    ],
-)
-def test_a_full_disk_is_one_line(
-    run: Run, monkeypatch: pytest.MonkeyPatch, target: str, options: list[str], wanted: str
-) -> None:
+def test_a_full_disk_is_one_line(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     os.mkdir("tmp")
     monkeypatch.setattr(tempfile, "tempdir", os.path.abspath("tmp"))
     noisy("in.mkv", "yuv420p")
-    with full_disk(3000):
-        status, out, err = run("warp", "in.mkv", target, *GRAB, *options)
-    assert (status, out) == (2, ""), err
-    assert err.startswith("supple: ")
-    assert err.count("\n") == 1
-    assert wanted in err
-    assert os.listdir("tmp") == []
-    assert sorted(os.listdir()) == ["in.mkv", "tmp"]
+    for target, options, wanted in (("frames/%03d.png", (), "001.png"), ("out.mkv", ("--memory", "0"), "no room")):
+        with full_disk(3000):
+            refused(run("warp", "in.mkv", target, *GRAB, *options), wanted)
+        assert os.listdir("tmp") == []
+        assert sorted(os.listdir()) == ["in.mkv", "tmp"]
 
 
 def test_info_of_videos_and_sequences(run: Run) -> None:
@@ -385,12 +266,6 @@ def test_interlaced_clips_that_are_bent_are_warned_of(run: Run, order: str) -> N
     assert status == 0
     assert run("warp", "in.mkv", "strict.mkv", *GRAB_2D, "--strict")[0] == 2
     assert run("info", "in.mkv")[1].count(f"interlaced, {first} field first") == 1
-
-
-def test_without_strokes_there_is_nothing_to_do(run: Run) -> None:
-    clips.make("in.mp4", count=3)
-    refused(run("warp", "in.mp4", "out.mp4"), "nothing to do")
-    refused(run("warp", "in.mp4", "out.mkv"), "nothing to do")
 
 
 def test_metadata_of_quicktime_comes_through(run: Run) -> None:

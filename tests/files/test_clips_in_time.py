@@ -25,16 +25,6 @@ from tests import clips
 from tests.files.clip_files import GRAB, GRAB_2D, TIMED, Run, noisy, refused, same_frames, stack
 
 
-@pytest.mark.parametrize("suffix", [".png", ".apng"])
-def test_an_animated_png_is_a_clip_if_strokes_have_a_time(here: Path, run: Run, suffix: str) -> None:
-    clips.make("in.apng", "apng", "rgb24", count=8)
-    os.rename("in.apng", f"moving{suffix}")
-    assert run("warp", f"moving{suffix}", "bent/%03d.png", "--grab", "30,20,3:33,22,5", "--radius", "3")[0] == 0
-    assert len(os.listdir("bent")) == 8
-    image.write("still.png", np.zeros((48, 64, 3), np.uint8))
-    refused(run("warp", "still.png", "other.png", "--grab", "30,20,3:33,22,5", "--radius", "3"), "")
-
-
 @pytest.mark.parametrize("ratio", [None, 0.4])
 def test_an_event_in_a_short_clip_arrives_and_moves_sideways_only_on_request(
     here: Path, run: Run, ratio: float | None
@@ -120,14 +110,6 @@ def test_a_stroke_that_starts_outside_is_told(run: Run, source: str, target: str
     assert run("warp", source, target, *far, "--reach", "6", "--quiet") == (0, "", "")
     both = ("--grab", "20,20:21,20", *far)
     refused(run("warp", source, target, *both), "supple: stroke 2 of 2: a drag by (0, 1) at (20, -21)")
-
-
-@pytest.mark.parametrize("frame", ["12", "-1", "11.6"])
-def test_a_stroke_that_starts_in_a_frame_that_is_none_is_told(run: Run, frame: str) -> None:
-    noisy("in.mkv", "yuv420p")
-    status, _, err = run("warp", "in.mkv", "out.mkv", "--grab", f"30,20,{frame}:30,20,8", "--radius", "5")
-    assert status == 0
-    assert "starts outside the clip, which has 64 x 48 pixels and 12 frames (from 0)" in err
 
 
 def test_recipes_with_times_are_saved_and_carried_out(run: Run) -> None:

@@ -211,14 +211,6 @@ def test_parts_tiles_and_names_of_other_programs(tmp_path: Path) -> None:
         assert file.parts[1].header["compression"] == OpenEXR.PIZ_COMPRESSION
 
 
-def test_depth_alone_is_not_averaged(tmp_path: Path) -> None:
-    planes = layered(40, 60)
-    save(tmp_path / "in.exr", (0, 0, 59, 39), (0, 0, 59, 39), {"Z": planes["Z"]})
-    with pytest.warns(LayerWarning, match="nothing: Z"):
-        warp_file(tmp_path / "in.exr", tmp_path / "out.exr", GRAB)
-    assert set(np.unique(channels(tmp_path / "out.exr")["Z"])) <= set(np.unique(planes["Z"]))
-
-
 def test_what_is_not_supported_is_named(tmp_path: Path) -> None:
     deep = np.empty((4, 5), object)
     for k in range(20):

@@ -95,15 +95,6 @@ class TestPointsTravel:
         assert again.first_outside == "point 3 at (27.6, 15, 11)"
         assert read_points(tmp_path / "out.csv").points[0, 0] == pytest.approx(30)
 
-    def test_a_table_gets_the_residual(self, tmp_path: Path) -> None:
-        (tmp_path / "in.csv").write_text("x,y,z\n13,15,11\n9,20,12\n")
-        moved = move_points(tmp_path / "in.csv", tmp_path / "out.csv", bent(), inverse=True)
-        lines = (tmp_path / "out.csv").read_text().splitlines()
-        assert lines[0] == "x,y,z,residual"
-        assert [float(line.split(",")[3]) for line in lines[1:]] == pytest.approx(moved.residual, rel=1e-2)
-        move_points(tmp_path / "out.csv", tmp_path / "again.csv", bent())
-        assert (tmp_path / "again.csv").read_text().startswith("x,y,z,residual\n")
-
     def test_what_did_not_converge_is_counted(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (tmp_path / "in.csv").write_text("x,y,z\n13,15,11\n9,20,12\n")
         inverse = Deformation.inverse
@@ -222,15 +213,6 @@ class TestWhatCannotBeDone:
             assert "points must be an array of finite numbers of shape (1, 2), as in" in message
         assert os.listdir(tmp_path) == ["in.csv"]
 
-    def test_an_existing_file_unless_forced(self, tmp_path: Path) -> None:
-        path = tmp_path / "in.csv"
-        path.write_text("x,y,z\n1,2,3\n")
-        message = refused(move_points, path, path, bent())
-        assert message.endswith("in.csv exists already: choose another name, or force=True")
-        assert path.read_text() == "x,y,z\n1,2,3\n"
-        move_points(path, path, bent(), force=True)
-        assert path.read_text().startswith("x,y,z,residual\n")
-
     def test_points_that_do_not_fit(self, tmp_path: Path) -> None:
         flat = Deformation((60, 80))
         (tmp_path / "in.csv").write_text("x,y\n1,2\n")
@@ -256,19 +238,3 @@ class TestWhatCannotBeDone:
         )
         refused(move_points, source, tmp_path / "out.csv", bent(), tilted())
         assert sorted(os.listdir(tmp_path)) == ["in.csv", "in.fcsv"]
-
-    def test_a_failure_in_mid_write_leaves_what_was_there(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        def fail(path: Path, data: bytes) -> None:
-            with open(path, "wb") as file:
-                file.write(data[:5])
-            raise OSError(28, "No space left on device")
-
-        file = read(tmp_path, "x,y\n1,2\n")
-        (tmp_path / "out.csv").write_bytes(b"old")
-        monkeypatch.setattr(Path, "write_bytes", fail)
-        message = refused(write_points, tmp_path / "out.csv", file.points, file, force=True)
-        assert message.endswith("out.csv: No space left on device: make room or choose another place")
-        assert sorted(os.listdir(tmp_path)) == ["in.csv", "out.csv"]
-        assert (tmp_path / "out.csv").read_bytes() == b"old"

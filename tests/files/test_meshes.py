@@ -76,15 +76,6 @@ def test_normals_are_those_of_the_surface_that_moved(tmp_path: Path) -> None:
     assert np.abs(found - normals).max() > 0.1
 
 
-def test_where_nothing_moves_no_byte_changes(tmp_path: Path) -> None:
-    strokes = Deformation(SHAPE, spacing=SPACING).grab((13, 15, 11), to=(14, 15, 11), radius=2)
-    for kind in ("text.stl", "in.obj", "binary.ply", "text.vtk", "Appended-ZLib.vtp"):
-        far = made.write(tmp_path / kind, made.surface((300, 300, 300)))
-        with pytest.warns(UserWarning, match="points lie outside"):
-            move_points(far, tmp_path / f"out{far.suffix}", strokes, place(), force=True)
-        assert (tmp_path / f"out{far.suffix}").read_bytes() == far.read_bytes()
-
-
 def test_a_mesh_that_does_not_say_where_it_is(tmp_path: Path) -> None:
     source = made.write(tmp_path / "in.obj", ball())
     text = source.read_text().replace("SPACE=RAS", "")

@@ -117,22 +117,6 @@ def test_what_is_said_of_many_frames_is_one_warning(here: Path) -> None:
     assert not os.path.exists("none.mkv")
 
 
-def test_it_tells_how_far_it_is_and_may_be_stopped(here: Path) -> None:
-    noisy("in.mkv", "yuv420p")
-    steps: list[str] = []
-    warp_file("in.mkv", "out.mkv", MOVING, progress=steps.append)
-    assert steps == ["plan"] * 12 + ["write"] + ["warp"] * 12
-    for when in ("plan", "warp"):
-
-        def stop(step: str, when: str = when) -> None:
-            if step == when:
-                raise KeyboardInterrupt
-
-        with pytest.raises(KeyboardInterrupt):
-            warp_file("in.mkv", "b.mkv", MOVING, progress=stop)
-    assert sorted(os.listdir()) == ["in.mkv", "out.mkv"]
-
-
 def test_a_picture_has_no_frames(run: Run) -> None:
     pictures("in", count=1)
     Path("r.json").write_text(MOVING.to_json())

@@ -5,18 +5,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import warnings
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-import pyvips
 
 import supple
-from supple.errors import ScaleWarning
-from supple.files import Job, warp_file
+from supple.files import warp_file
 from supple.files.recipes import read_recipe, write_recipe
 from supple.media import image
 from tests.children import SOURCE
@@ -47,25 +43,6 @@ def test_a_file_is_what_warp_makes(tmp_path: Path, suffix: str, shape: tuple[int
     assert report.within
 
 
-def test_a_recipe_for_another_size(tmp_path: Path) -> None:
-    pixels = noise(100, 120, 3)
-    image.write(tmp_path / "in.png", pixels)
-    recipe = replace(RECIPE, size=(60, 50))
-    with pytest.warns(ScaleWarning, match="made for 60 x 50, and is scaled for .*in.png, which is 120 x 100"):
-        made = warp_file(tmp_path / "in.png", tmp_path / "out.png", recipe)
-    expected = supple.Deformation((100, 120), border=20).grab((60.5, 40.5), by=(12, 8), radius=30)
-    assert made.deformation == expected
-    np.testing.assert_array_equal(image.read(tmp_path / "out.png").pixels, expected.warp(pixels))
-    made = warp_file(tmp_path / "in.png", tmp_path / "same.png", recipe, fit="pixels")
-    assert made.deformation.strokes == RECIPE.strokes
-    other = replace(RECIPE, size=(60, 51))
-    with pytest.raises(supple.SuppleError, match=r"60 x 51, and .*in\.png is 120 x 100, of other proportions"):
-        warp_file(tmp_path / "in.png", tmp_path / "no.png", other)
-    assert not (tmp_path / "no.png").exists()
-    with pytest.raises(supple.SuppleError, match=r"^fit must be .pixels. or .stretch. or .inside., found 'crop'"):
-        warp_file(tmp_path / "in.png", tmp_path / "no.png", other, fit="crop")  # type: ignore[arg-type]
-
-
 def test_options_reach_the_sampler(tmp_path: Path) -> None:
     pixels = noise(50, 60, 3)
     image.write(tmp_path / "in.png", pixels)
@@ -74,47 +51,6 @@ def test_options_reach_the_sampler(tmp_path: Path) -> None:
     warp_file(tmp_path / "in.png", tmp_path / "out.png", free, **options)  # type: ignore[arg-type]
     expected = supple.Deformation.from_recipe(free, (50, 60)).warp(pixels, **options)  # type: ignore[arg-type]
     np.testing.assert_array_equal(image.read(tmp_path / "out.png").pixels, expected)
-
-
-def test_the_header_comes_along(tmp_path: Path) -> None:
-    picture = image.read(DATA / "chelsea.jpg")
-    icc = bytes(pyvips.Operation.call("profile_load", "srgb"))
-    like = image.Picture(picture.pixels, icc=icc, format="PNG", interpretation="srgb")
-    image.write(tmp_path / "in.png", picture.pixels, like=like)
-    warp_file(tmp_path / "in.png", tmp_path / "out.png", RECIPE)
-    assert image.read(tmp_path / "out.png").icc == icc
-
-
-def test_nothing_is_done_for_a_target_that_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    image.write(tmp_path / "in.png", noise(20, 20, 3))
-    (tmp_path / "there.png").write_bytes(b"precious")
-    monkeypatch.setattr("supple.files.pictures.read", lambda path: pytest.fail("it was read"))
-    for target, options, wanted in [
-        ("out.xyz", {}, "xyz"),
-        ("none/out.png", {}, "none"),
-        ("there.png", {}, "force"),
-        ("in.png", {}, "itself"),
-        ("out.jpg", {"lossless": True}, "JPEG"),
-        ("out.jpg", {"quality": 101}, "101"),
-    ]:
-        with pytest.raises(supple.SuppleError, match=wanted):
-            warp_file(tmp_path / "in.png", tmp_path / target, RECIPE, **options)  # type: ignore[arg-type]
-    assert sorted(os.listdir(tmp_path)) == ["in.png", "there.png"]
-
-
-def test_a_stroke_in_space_is_refused(tmp_path: Path) -> None:
-    image.write(tmp_path / "in.png", noise(20, 20, 3))
-    recipe = supple.Recipe(strokes=(supple.Stroke.grab((1, 2, 3), by=(1, 1, 1), radius=5),))
-    with pytest.raises(supple.SuppleError, match="2 numbers"):
-        warp_file(tmp_path / "in.png", tmp_path / "out.png", recipe)
-    assert os.listdir(tmp_path) == ["in.png"]
-
-
-def test_damping_warns_whoever_calls(tmp_path: Path) -> None:
-    image.write(tmp_path / "in.png", noise(20, 20, 3))
-    strong = supple.Recipe(on_fold="damp", strokes=(supple.Stroke.grab((10, 10), by=(9, 0), radius=1),))
-    with pytest.warns(supple.FoldWarning, match="damped"):
-        warp_file(tmp_path / "in.png", tmp_path / "out.png", strong)
 
 
 def test_progress_names_the_steps_and_may_end_the_work(tmp_path: Path) -> None:
@@ -136,29 +72,6 @@ def test_progress_on_no_terminal_is_silent(tmp_path: Path, capsys: pytest.Captur
     image.write(tmp_path / "in.png", noise(50, 60, 3))
     warp_file(tmp_path / "in.png", tmp_path / "out.png", RECIPE, progress=True)
     assert capsys.readouterr() == ("", "")
-
-
-@pytest.mark.parametrize(
-    ("source", "target", "text"),
-    [
-        ("coffee.jpg", "b.xyz", "no image format"),
-        ("bunny.mp4", "b.xyz", "no video format"),
-        ("bunny.mp4", "b%d.xyz", "no image format"),
-        ("head.nii.gz", "b.xyz", "no format that volumes are written in"),
-    ],
-)
-def test_what_nothing_can_write_is_refused_before_it_is_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str, target: str, text: str
-) -> None:
-    def never(*given: object, **options: object) -> None:
-        raise AssertionError("it is read")
-
-    for name in ("supple.files.pictures.read", "supple.files.clips.open_clip", "supple.files.volumes.open_volume"):
-        monkeypatch.setattr(name, never)
-    with pytest.raises(supple.SuppleError, match=text):
-        warp_file(DATA / source, tmp_path / target, supple.Recipe())
-    with pytest.raises(supple.SuppleError, match=text):
-        Job(DATA / source, tmp_path / target, supple.Recipe()).check()
 
 
 def test_recipes_on_disk(tmp_path: Path) -> None:
@@ -218,10 +131,3 @@ def test_memory(tmp_path: Path) -> None:
     idle = peak("warp", small, target, *grab)
     used = peak("warp", big, target, "--grab", "1500,1500:1900,1700", "--radius", "900", *grab[4:])
     assert used - idle <= 2 * pixels.nbytes / 2**20 + 100
-
-
-def test_no_warning_is_lost_or_invented(tmp_path: Path) -> None:
-    image.write(tmp_path / "in.png", noise(40, 50, 3))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        warp_file(tmp_path / "in.png", tmp_path / "out.jpg", RECIPE, quality=80)

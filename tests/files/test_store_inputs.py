@@ -27,10 +27,10 @@ from supple.files.jobs import Job  # noqa: E402
 from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
 from supple.files.plans import plan_file  # noqa: E402
 from supple.files.stores import warp_store  # noqa: E402
-from supple.media import volume  # noqa: E402
 from supple.media.stores import Samples, inputs, open_image, target  # noqa: E402
 from supple.media.volume import RawLayout  # noqa: E402
 from supple.space.geometry import Geometry  # noqa: E402
+from tests.media.volume.test_dicom import slices  # noqa: E402
 
 Array = npt.NDArray[Any]
 
@@ -165,14 +165,6 @@ def test_files_are_warped_as_arrays_are(name: str) -> None:
     assert made.copied == 0
 
 
-def test_planes_of_a_stack_are_bent_as_pictures_where_points_have_two_numbers() -> None:
-    values = noise((5, 50, 60), "uint8")
-    tifffile.imwrite("in.tif", values, photometric="minisblack")
-    made = warp_store("in.tif", "out.zarr", FLAT)
-    expected = np.array([made.deformation.warp(one) for one in values])
-    assert np.array_equal(open_image("out.zarr").levels[0].array[...], expected)
-
-
 @pytest.mark.parametrize("order", list(itertools.permutations(range(3)))[::2])
 @pytest.mark.parametrize("signs", [(1, 1, 1), (-1, 1, -1), (-1, -1, 1)])
 def test_straight_volumes_stay_where_they_are(order: tuple[int, ...], signs: tuple[int, ...]) -> None:
@@ -222,39 +214,14 @@ def test_units_times_and_levels() -> None:
         assert np.allclose(level.translation, (0, *((np.array(steps) - (2, 0.5, 0.5)) / 2)))
 
 
-def test_spacing_of_ome_tiff_is_the_same_however_it_is_read() -> None:
-    told = {
-        "axes": "ZYX",
-        "PhysicalSizeX": 250.0,
-        "PhysicalSizeXUnit": "nm",
-        "PhysicalSizeY": 0.5,
-        "PhysicalSizeZ": 3.0,
-    }
-    tifffile.imwrite("in.ome.tif", noise((11, 32, 40), "uint8"), metadata=told)
-    for geometry in (Samples("in.ome.tif").geometry, volume.read("in.ome.tif").geometry):
-        assert geometry is not None
-        assert np.allclose(geometry.spacing, (250e-6, 5e-4, 3e-3))
-
-
+@pytest.mark.filterwarnings("ignore:the axes of ct are turned")
 def test_a_series_of_slices() -> None:
-    sitk = pytest.importorskip("SimpleITK")
     values = noise((11, 32, 40), "int16")
-    Path("ct").mkdir()
-    writer = sitk.ImageFileWriter()
-    writer.KeepOriginalImageUIDOn()
-    for k, plane in enumerate(values):
-        one = sitk.GetImageFromArray(plane)
-        place = "\\".join(map(str, (0.0, 0.0, float(k))))
-        tags = {"0008|0060": "CT", "0020|000e": "1.2.3", "0020|000d": "1.2", "0008|0018": f"1.2.3.{k + 1}"}
-        tags |= {"0020|0032": place, "0020|0037": "1\\0\\0\\0\\1\\0", "0020|0013": str(k + 1), "0018|0050": "1"}
-        for tag, text in tags.items():
-            one.SetMetaData(tag, text)
-        writer.SetFileName(f"ct/{k:03d}.dcm")
-        writer.Execute(one)
+    slices(Path("ct"), values)
     made = warp_store("ct", "out.zarr", DEEP)
+    assert plan_file(Job("ct", "", DEEP)).shape == (11, 32, 40)
     expected = made.deformation.warp(values, between="cubic", time_filter=True)
     assert np.array_equal(open_image("out.zarr").levels[0].array[...], expected)
-    assert plan_file(Job("ct", "", DEEP)).shape == (11, 32, 40)
 
 
 def test_only_needed_tiles_are_read() -> None:

@@ -34,7 +34,7 @@ from supple.fields import Placed  # noqa: E402
 from supple.files import plans, tasks  # noqa: E402
 from supple.files.jobs import Job  # noqa: E402
 from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
-from supple.files.plans import plan_boxes, plan_file, task_shape  # noqa: E402
+from supple.files.plans import plan_boxes, plan_file  # noqa: E402
 from supple.files.stores import WarpedStore, warp_store  # noqa: E402
 from supple.files.tasks import Running, runner_of  # noqa: E402
 from supple.media.stores import Target, open_image  # noqa: E402
@@ -115,12 +115,6 @@ def test_stores_are_warped_as_arrays_are(version: str, case: str) -> None:
     assert sorted(os.listdir()) == ["in.zarr", "out.zarr"]
 
 
-def test_planes_of_a_volume_are_pictures_for_points_of_two_numbers() -> None:
-    values = ome("in.zarr", "0.5", "zyx", (5, 40, 44), (2, 16, 16))
-    made = warp_store("in.zarr", "out.zarr", FLAT)
-    assert np.array_equal(arrays("out.zarr")[0], whole(made, values))
-
-
 @pytest.mark.parametrize("outside", ["edge", "constant", "reflect"])
 @pytest.mark.parametrize("filter", ["auto", "cubic", "linear", "nearest"])
 def test_options_are_those_of_arrays(filter: str, outside: str) -> None:
@@ -162,12 +156,6 @@ def test_other_grids(grid: GridOptions) -> None:
         assert open_image("same.zarr").grid.sizes == written.grid.sizes
 
 
-def test_a_part_without_strokes_is_that_part() -> None:
-    values = plain("in.zarr", RNG.random((60, 70)).astype(np.float32), (16, 16))
-    warp_store("in.zarr", "out.zarr", FLAT, grid=GridOptions(crop=(40, 33, 29, 25)))
-    assert np.array_equal(arrays("out.zarr")[0], values[33:58, 40:69])
-
-
 def test_affine_maps_and_positions_in_space() -> None:
     values = ome("in.zarr", "0.5", "zyx", (8, 30, 34), (4, 16, 16))
     turn = Affine([[1, 0.05, 0, -1], [-0.05, 1, 0, 1.5], [0, 0, 1, 0.3]])
@@ -199,13 +187,6 @@ def test_blocks_beyond_the_strokes_are_copied_as_they_are_stored() -> None:
     same = [name for name in before if before[name] == after[name]]
     assert "c/3/5" in same
     assert len(same) >= made.copied
-
-
-def test_no_strokes_copy_everything() -> None:
-    values = ome("in.zarr", "0.5", "zyx", (6, 20, 20), (4, 16, 16))
-    made = warp_store("in.zarr", "out.zarr", Recipe())
-    assert made.copied == made.blocks
-    assert np.array_equal(arrays("out.zarr")[0], values)
 
 
 def test_in_memory(memory: str) -> None:
@@ -317,13 +298,6 @@ def test_a_worker_that_does_not_see_the_folders(tmp_path: Path) -> None:
         warp_store("in.zarr", "out.zarr", FLAT, tell=moved)
 
 
-def test_tasks_are_whole_blocks_of_some_size() -> None:
-    assert task_shape((1, 8, 8), (5, 100, 100), 1, 1, 1, limit=1000) == (1, 32, 16)
-    assert task_shape((1, 64, 64), (9, 64, 64), 1, 1, 1, limit=1 << 13) == (2, 64, 64)
-    assert task_shape((64, 64), (50, 70), 1, 0, 1) == (50, 64)
-    assert chunks_of((16, 3), (40, 6)) == [(16, 16, 8), (3, 3)]
-
-
 def test_a_plan_says_what_the_job_does() -> None:
     plain("in.zarr", RNG.random((64, 96)).astype(np.float32), (16, 16))
     told = plan_file(Job("in.zarr", "", FLAT))
@@ -335,18 +309,6 @@ def test_a_plan_says_what_the_job_does() -> None:
     assert told.size == 64 * 96 * 4
     assert told.read > 0
     assert told.memory > told.tasks * 16 * 16 * 4
-
-
-def test_plans_of_files_read_the_header_alone() -> None:
-    nibabel = pytest.importorskip("nibabel")
-    from supple.media import image as picture
-
-    nibabel.save(nibabel.Nifti1Image(np.zeros((30, 28, 9, 2), np.int16), np.eye(4)), "series.nii.gz")
-    told = plan_file(Job("series.nii.gz", "", DEEP))
-    assert (told.shape, told.dtype) == ((2, 9, 28, 30), "int16")
-    picture.write("in.png", RNG.integers(0, 255, (40, 50, 3), np.uint8))
-    told = plan_file(Job("in.png", "", FLAT))
-    assert (told.shape, told.dtype, told.size) == ((3, 40, 50), "uint8", 6000)
 
 
 @pytest.mark.parametrize(
@@ -476,18 +438,6 @@ def test_a_fill_of_scaled_samples_is_a_true_value() -> None:
         warp_store("in.zarr", "no.zarr", Recipe(strokes=[]), maps=(away,), outside="constant", fill=20000)
 
 
-def test_another_input_of_the_same_shape_is_another_job(monkeypatch: pytest.MonkeyPatch) -> None:
-    plain("in.zarr", RNG.random((40, 44)), (16, 16))
-    with monkeypatch.context() as patch:
-        patch.setattr(Target, "finish", stopped)
-        with pytest.raises(KeyboardInterrupt):
-            warp_store("in.zarr", "out.zarr", FLAT)
-    shutil.rmtree("in.zarr")
-    plain("in.zarr", RNG.random((40, 44)), (16, 16))
-    with pytest.raises(SuppleError, match="unfinished output of another job"):
-        warp_store("in.zarr", "out.zarr", FLAT)
-
-
 def stopped(*_: object, **__: object) -> None:
     raise KeyboardInterrupt
 
@@ -527,3 +477,15 @@ def test_processes_that_do_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
         runner_of(Running(workers=2)),
     ):
         pass
+
+
+def test_a_field_whose_place_another_job_has_leaves_no_output() -> None:
+    plain("in.zarr", RNG.integers(0, 250, (64, 64), np.uint8), (16, 16))
+    options = VolumeOptions(save_field="map.zarr")
+    os.mkdir("map.zarr.partial")
+    Path("map.zarr.partial/supple.json").write_text('{"program": "supple", "state": "unfinished", "job": "b"}')
+    with pytest.raises(SuppleError, match=r"map\.zarr.*is the unfinished output of another job"):
+        warp_store("in.zarr", "out.zarr", FLAT, options=options)
+    assert sorted(os.listdir()) == ["in.zarr", "map.zarr.partial"]
+    warp_store("in.zarr", "out.zarr", FLAT, options=options, force=True)
+    assert sorted(os.listdir()) == ["in.zarr", "map.zarr", "out.zarr"]

@@ -35,28 +35,31 @@ def world_jacobian(recipe: Recipe, geometry: Geometry, space: Any) -> Floats:
     return np.asarray((after - before).T / (2 * step))
 
 
-@pytest.mark.parametrize("axis", [None, (1.0, -2.0, 0.5), (0.0, 0.0, -1e-14)])
-@pytest.mark.parametrize("space", ["LPS", "RAS"])
-@pytest.mark.parametrize("geometry", [OBLIQUE, FLIPPED])
-def test_a_twist_turns_about_an_axis_of_space(geometry: Geometry, space: Any, axis: Any) -> None:
-    at = tuple(geometry.to_world(PIVOT, space).tolist())
-    stroke = Stroke(brush="twist", at=at, angle=40, axis=axis, radius=9)
-    found = world_jacobian(Recipe(strokes=(stroke,), border=None, space=space), geometry, space)
+def twisted(axis: Any) -> Floats:
     about = np.array(axis or (0, 0, 1.0))
-    wanted = Rotation.from_rotvec(math.radians(40) * about / np.linalg.norm(about)).as_matrix()
-    np.testing.assert_allclose(found, wanted, atol=1e-6)
+    return np.asarray(Rotation.from_rotvec(math.radians(40) * about / np.linalg.norm(about)).as_matrix())
 
 
-@pytest.mark.parametrize("axis", [None, (1.0, -2.0, 0.5)])
+def pinched(axis: Any) -> Floats:
+    along = np.array(axis or (1.0, 0, 0)) / np.linalg.norm(axis or 1.0)
+    return 1.25 * np.eye(3) + (0.64 - 1.25) * np.outer(along, along)
+
+
+@pytest.mark.parametrize(
+    ("brush", "axis", "wanted"),
+    [
+        *(("twist", axis, twisted) for axis in (None, (1.0, -2.0, 0.5), (0.0, 0.0, -1e-14))),
+        *(("pinch", axis, pinched) for axis in (None, (1.0, -2.0, 0.5))),
+    ],
+)
 @pytest.mark.parametrize("space", ["LPS", "RAS"])
 @pytest.mark.parametrize("geometry", [OBLIQUE, FLIPPED])
-def test_a_pinch_squeezes_along_an_axis_of_space(geometry: Geometry, space: Any, axis: Any) -> None:
+def test_brushes_have_an_axis_of_space(geometry: Geometry, space: Any, brush: Any, axis: Any, wanted: Any) -> None:
     at = tuple(geometry.to_world(PIVOT, space).tolist())
-    stroke = Stroke(brush="pinch", at=at, factor=0.64, axis=axis, radius=9)
+    how: dict[str, Any] = {"twist": {"angle": 40}, "pinch": {"factor": 0.64}}[brush]
+    stroke = Stroke(brush=brush, at=at, axis=axis, radius=9, **how)
     found = world_jacobian(Recipe(strokes=(stroke,), border=None, space=space), geometry, space)
-    along = np.array(axis or (1.0, 0, 0)) / np.linalg.norm(axis or 1.0)
-    wanted = 1.25 * np.eye(3) + (0.64 - 1.25) * np.outer(along, along)
-    np.testing.assert_allclose(found, wanted, atol=1e-6)
+    np.testing.assert_allclose(found, wanted(axis), atol=1e-6)
 
 
 @pytest.mark.parametrize("geometry", [OBLIQUE, FLIPPED])

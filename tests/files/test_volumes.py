@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import warnings
 from dataclasses import replace
@@ -37,12 +36,6 @@ OBLIQUE = Geometry((0.9, 1.1, 2.0), (10.0, -20.0, 30.0), DIRECTION, "LPS")
 OFF = 0.9  # what 0.01 voxels are worth, where values rise by 90 from voxel to voxel
 RECIPE = supple.Recipe(strokes=[supple.Stroke.grab((11, 13, 9), by=(3, -2, 1.5), radius=9)], border=8.0)
 GRAB = ["--grab", "11,13,9:14,11,10.5", "--radius", "9", "--border", "8"]
-
-
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def made(shape: tuple[int, ...] = SHAPE, dtype: Any = np.int16, seed: int = 0) -> npt.NDArray[Any]:
@@ -87,21 +80,6 @@ def test_a_volume_is_deformed_in_millimetres(here: Path, suffix: str, dtype: Any
     assert 0 < done.error <= 0.01
     assert done.report().within
     assert done.deformation.domain.spacing == pytest.approx(OBLIQUE.spacing)
-
-
-@pytest.mark.parametrize("name", ["nearest", "linear"])
-def test_a_filter_samples_all_axes_alike(name: str) -> None:
-    """Turned so that another axis comes last, a volume gives the same, turned."""
-    samples = made((22, 22, 22), np.float32)
-    strokes = [supple.Stroke.grab((9, 12, 10), by=(4, -3, 2), radius=7)]
-    turned = [supple.Stroke.grab((10, 9, 12), by=(2, 4, -3), radius=7)]
-    found = []
-    for values, given in ((samples, strokes), (np.moveaxis(samples, 0, 2), turned)):
-        d = supple.Deformation.from_recipe(supple.Recipe(strokes=given, border=None), values.shape)
-        how = sampling_of(Sampling(name, 1e-3))
-        found.append(d.warp(values, filter=how.filter, between=how.between, tolerance=1e-3))
-    off = np.abs(found[0] - np.moveaxis(found[1], 2, 0))
-    assert np.quantile(off, 0.99) < 0.1
 
 
 @pytest.mark.parametrize("name", ["cubic", "auto"])
@@ -201,32 +179,6 @@ def test_voxels_of_another_size_are_not_scaled(here: Path) -> None:
     assert warp_volume("in.nii", "out.nii", recipe, fit="pixels").deformation.strokes == RECIPE.strokes
 
 
-def test_strokes_outside_the_volume(here: Path) -> None:
-    stored("in.nii", made())
-    stored("straight.nii", made(), Geometry(OBLIQUE.spacing, (10, 0, 0)))
-    plain = stored("in.tif", made())
-    assert plain.shape == SHAPE
-    outside = "outside the volume, which has 24 x 26 x 20 voxels"
-    cases: list[tuple[str, Any, bool, str]] = [
-        ("in.nii", (200, 5, 5), False, rf"at \(200, 5, 5\) with radius 5 starts {outside}, and reaches nothing of it"),
-        ("in.nii", (500, 5, 5), True, f"starts {outside}, and reaches nothing of it"),
-        ("in.tif", (5, 5, 5), True, "does not know where it lies in space"),
-    ]
-    for name, at, world, text in cases:
-        recipe = supple.Recipe(strokes=[supple.Stroke.grab(at, by=(1, 0, 0), radius=5)])
-        with pytest.raises(supple.SuppleError, match=text):
-            warp_volume(name, "out.nii", recipe, options=VolumeOptions(world=world))
-    assert not Path("out.nii").exists()
-    near = supple.Recipe(strokes=[supple.Stroke.grab((24, 5, 5), by=(-1, 0, 0), radius=5)])
-    with pytest.warns(supple.OutsideWarning, match=outside):
-        warp_volume("in.nii", "out.nii", near)
-    Path("out.nii").unlink()
-    flat = supple.Recipe(strokes=[supple.Stroke.grab((5, 5), by=(1, 0), radius=5)])
-    with pytest.raises(supple.SuppleError, match="three numbers"):
-        warp_volume("in.nii", "out.nii", flat)
-    assert not Path("out.nii").exists()
-
-
 @pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.int32, np.uint16, np.int64])
 def test_labels_keep_their_values(here: Path, dtype: Any) -> None:
     samples = (made(dtype=np.float32) > 300).astype(dtype) * np.array(np.iinfo(dtype).max - 3, dtype)
@@ -299,15 +251,6 @@ def test_values_stay_within_their_range(here: Path, dtype: Any) -> None:
     supple.warp_file("in.nii", "out.nii", RECIPE, **options)
     kept = media.read("out.nii").samples
     np.testing.assert_array_equal(kept, free.clip(-1024, 1500))
-
-
-def test_what_is_seen_outside_is_within_the_range(here: Path) -> None:
-    stored("in.nii", blocks_of(np.int16))
-    loose = supple.Recipe(strokes=[supple.Stroke.grab((1, 13, 9), by=(6, 0, 0), radius=9)], border=None)
-    warp_volume("in.nii", "out.nii", loose, outside="constant", fill=-3000.4)
-    kept = media.read("out.nii").samples
-    assert (kept.min(), kept.max()) == (-3000, 1500)
-    assert (kept == -3000).any()
 
 
 @pytest.mark.parametrize(
@@ -453,22 +396,6 @@ def test_vectors_and_series(here: Path) -> None:
         assert np.abs(out.samples[k] - truth(times[k])).max() <= OFF + 0.5
 
 
-def test_scaled_values_come_out_scaled(here: Path) -> None:
-    samples = made()
-    image = nibabel.Nifti1Image(samples.transpose(2, 1, 0), np.diag([-0.9, -1.1, 2.0, 1.0]))
-    image.header.set_data_dtype(np.int16)
-    image.header.set_slope_inter(0.5, -7.0)
-    image.to_filename("in.nii")
-    warp_volume("in.nii", "out.nii", RECIPE, filter="linear")
-    before, after = (nibabel.load(name) for name in ("in.nii", "out.nii"))
-    assert after.get_data_dtype() == np.int16
-    assert (after.dataobj.slope, after.dataobj.inter) == (before.dataobj.slope, before.dataobj.inter)
-    warp_volume("in.nii", "out.mha", RECIPE, filter="linear")
-    np.testing.assert_allclose(
-        media.read("out.mha").samples, np.asarray(after.dataobj).transpose(2, 1, 0), atol=0.51 * before.dataobj.slope
-    )
-
-
 def test_what_is_not_a_number_stays_where_it_is(here: Path) -> None:
     samples = made(dtype=np.float32)
     samples[3, 4:6, 5] = np.nan
@@ -533,23 +460,6 @@ def _full(*_: Any, **__: Any) -> None:
     raise OSError(28, "No space left on device")
 
 
-def test_what_is_a_volume(here: Path) -> None:
-    stored("in.nii", made())
-    stored("stack.tif", made())
-    from supple.media import image
-
-    image.write("one.tif", np.zeros((8, 8), np.uint8))
-    flat = supple.Recipe(strokes=[supple.Stroke.grab((5, 5), by=(1, 0), radius=5)])
-    assert Job("in.nii", "out.nii", flat).medium.kind == "volume"
-    assert Job("stack.tif", "out.tif", RECIPE).medium.kind == "volume"
-    assert Job("stack.tif", "out.nii", flat).medium.kind == "volume"
-    assert Job("stack.tif", "out.tif", flat).medium.kind == "picture"
-    assert Job("one.tif", "out.tif", RECIPE).medium.kind == "picture"
-    assert Job("photo.jpg", "out.jpg", flat).medium.kind == "picture"
-    raw = VolumeOptions(layout=media.RawLayout((2, 2, 2), "uint8"))
-    assert Job("x.bin", "out.nii", flat, volume=raw).medium.kind == "volume"
-
-
 def test_raw_files(here: Path) -> None:
     samples = made(dtype=np.uint16)
     Path("x.bin").write_bytes(samples.tobytes())
@@ -564,26 +474,6 @@ def test_raw_files(here: Path) -> None:
     assert out.geometry.spacing == pytest.approx(OBLIQUE.spacing)
     assert command(["warp", "x.dat", "dat.nii", *GRAB]) == 0
     assert media.read("dat.nii").geometry.spacing == (1, 1, 1)
-
-
-def test_the_command_line(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    stored("in.nii.gz", made())
-    assert command(["warp", "in.nii.gz", "out.nrrd", *GRAB, "--json", "--save-field", "field.nii.gz"]) == 0
-    facts = json.loads(capfd.readouterr().out)
-    assert (facts["width"], facts["height"], facts["depth"]) == SHAPE[::-1]
-    assert facts["error"] <= 0.01
-    assert facts["convention"] == "RAS"
-    assert nibabel.load("field.nii.gz").shape[-1] == 3
-    assert command(["info", "in.nii.gz", "out.nrrd"]) == 0
-    text = capfd.readouterr().out
-    assert "24 x 26 x 20" in text
-    assert "0.9 x 1.1 x 2 mm" in text
-    world = OBLIQUE.to_world(np.array([11.0, 13, 9]), "RAS")
-    point = ",".join(f"{x:.3f}" for x in world)
-    Path("w").mkdir()
-    grab = ["--grab", f"{point}:{point}", "--radius", "5", "--world"]
-    assert command(["warp", "in.nii.gz", "w/out.nii.gz", *grab]) == 0
-    assert "RAS millimetres" in capfd.readouterr().err
 
 
 def test_what_is_oblique_is_said(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -604,13 +494,6 @@ def test_a_folder_of_volumes(here: Path) -> None:
     assert np.abs(media.read("bent/1.nii.gz").samples - truth(made(seed=1))).max() <= OFF + 0.5
 
 
-FCSV = """# Markups fiducial file version = 4.11
-# CoordinateSystem = LPS
-# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID
-1,5.0,6.0,7.0,0.0,0.0,0.0,1.0,1,1,0,a,,
-"""
-
-
 def test_a_field_is_left_only_with_its_volume(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stored("in.nii", made())
     monkeypatch.setattr(volumes, "write", _full)
@@ -623,59 +506,10 @@ def test_a_field_is_left_only_with_its_volume(here: Path, monkeypatch: pytest.Mo
     assert sorted(p.name for p in here.iterdir()) == ["f.nii", "in.nii", "out.nii"]
 
 
-BAD: list[tuple[list[str], str]] = [
-    (["warp", "in.nii", "out.jpg", *GRAB], "no format that volumes are written in"),
-    (["warp", "in.nii", "in.nii", *GRAB], "is the volume itself: choose another name, or --force"),
-    (["warp", "in.nii", "there.nii", *GRAB], "exists already"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--quality", "9"], "is for pictures and clips"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--codec", "h264"], "is for clips"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--save-field", "out.txt"], "out.txt"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--save-field", "out.nii"], "cannot be the field"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--tolerance", "0"], "tolerance"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--shape", "1,2,3"], "both --shape X,Y,Z and --dtype"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--shape", "1,2,3", "--dtype", "text"], "dtype"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--shape", "1,2", "--dtype", "u1"], "three numbers"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--shape", "99,99,99", "--dtype", "u1"], "in.nii"),
-    (["warp", "in.raw", "out.nii", *GRAB], "--shape"),
-    (["warp", "missing.nii", "out.nii", *GRAB], "missing.nii"),
-    (["warp", "text.nii.gz", "out.nii", *GRAB], "text.nii.gz"),
-    *(
-        (["warp", "photo.png", "out.png", "--grab", "1,1:2,2", "--radius", "3", *more], f"{more[0]} is for volumes")
-        for more in (["--labels"], ["--save-field", "f.nii"], ["--world"])
-    ),
-    (["warp", "in.nii", "out.nii", "--grab", "1,1:2,2", "--radius", "3"], "three numbers"),
-    (["plot", "in.nii", "out.png", *GRAB], "supple render shows it"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--series", "1"], "--series is for DICOM"),
-    (["warp", "in.nii", "out.nii", *GRAB, "--save-field", "f.nii", "--save-recipe", "f.nii"], "recipe and the field"),
-    (["render", "in.nii", "out.png", "--time", "1"], "--time is for series"),
-    (["points", "p.fcsv", "q.fcsv", "--on", "stack.tif", *GRAB], "does not know where it lies in space"),
-]
-
-
 def test_a_filter_of_no_kind_is_refused(here: Path) -> None:
     stored("in.nii", made())
     with pytest.raises(supple.SuppleError, match=r"filter must be .*, found \['auto'\]"):
         warp_volume("in.nii", "out.nii", RECIPE, filter=["auto"])  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(("given", "text"), BAD)
-def test_bad_input(here: Path, capfd: pytest.CaptureFixture[str], given: list[str], text: str) -> None:
-    from supple.media import image
-
-    stored("in.nii", made())
-    for name in ("text.nii.gz", "in.raw", "there.nii"):
-        Path(name).write_text("this is text", encoding="utf-8")
-    image.write("photo.png", np.zeros((9, 9), np.uint8))
-    stored("stack.tif", made())
-    Path("p.fcsv").write_text(FCSV, encoding="utf-8")
-    before = sorted(p.name for p in here.iterdir())
-    assert command(given) == 2
-    out, err = capfd.readouterr()
-    assert text in err
-    assert err.count("\n") == 1
-    assert out == ""
-    assert sorted(p.name for p in here.iterdir()) == before
-    assert Path("there.nii").read_text(encoding="utf-8") == "this is text"
 
 
 def test_an_interrupt_leaves_nothing(here: Path) -> None:
@@ -692,18 +526,3 @@ def test_an_interrupt_leaves_nothing(here: Path) -> None:
     assert seen[0][0] == "read"
     assert seen[-1][2] == SHAPE[0]
     assert [p.name for p in here.iterdir()] == ["in.nii"]
-
-
-def test_a_recipe_on_a_volume() -> None:
-    volume = media.Volume(made(), OBLIQUE, name="it")
-    d = deformation_of(RECIPE, volume)
-    assert d.shape == SHAPE
-    assert d.recipe == replace(RECIPE, size=SHAPE[::-1])
-    # The radius is in millimetres: as far in space, a point moves as much along any axis.
-    free = deformation_of(supple.Recipe(strokes=RECIPE.strokes, border=None), volume)
-    at, by = np.array(RECIPE.strokes[0].at), np.array(RECIPE.strokes[0].by)
-    for axis in range(3):
-        for sign in (-1, 1):
-            step = sign * 9.0 / OBLIQUE.spacing[axis] * np.eye(3)[axis]
-            moved = (free.forward(at + step) - at - step) * OBLIQUE.spacing
-            assert 0.3 < np.linalg.norm(moved) / np.linalg.norm(by * OBLIQUE.spacing) < 0.95

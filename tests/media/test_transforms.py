@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
-import textwrap
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -23,22 +20,12 @@ from supple.files.transforms import displacement_of, write_transform
 from supple.files.volumes import warp_volume
 from supple.media.transforms import SUFFIXES_OUT, check_target, write_field
 from supple.space.geometry import Geometry
+from tests.media.transforms.mapping import rotation
 
 Array = npt.NDArray[Any]
 
 SHAPE = (20, 30, 26)
 SPACING = (0.9, 1.1, 1.7)
-
-
-def rotation(*angles: float) -> npt.NDArray[np.float64]:
-    made = np.eye(3)
-    for i, angle in enumerate(angles):
-        turn = np.eye(3)
-        a, b = (i + 1) % 3, (i + 2) % 3
-        turn[a, a] = turn[b, b] = np.cos(angle)
-        turn[a, b], turn[b, a] = -np.sin(angle), np.sin(angle)
-        made = made @ turn
-    return made
 
 
 GEOMETRIES = {
@@ -119,16 +106,6 @@ def test_itk_applies_the_field_of_a_nifti_to_the_volume_as_it_reads_it(tmp_path:
     assert np.abs(ours - smooth())[inside].max() > 50
 
 
-def test_a_nifti_without_a_place_has_none_in_the_world(tmp_path: Path) -> None:
-    made = nibabel.Nifti1Image(smooth().T, None)
-    made.header.set_zooms(SPACING)
-    made.header["sform_code"] = made.header["qform_code"] = 0
-    made.to_filename(tmp_path / "in.nii")
-    grab = [Stroke.grab((12, 14, 9), to=(16, 17, 11), radius=8)]
-    with pytest.raises(SuppleError, match=r"in.nii does not know where it lies in space: leave world out"):
-        warp_volume(tmp_path / "in.nii", tmp_path / "out.nii", Recipe(strokes=grab), options=VolumeOptions(world=True))
-
-
 @pytest.mark.parametrize("suffix", SUFFIXES_OUT)
 @pytest.mark.parametrize("dtype", ["f4", "f8"])
 def test_vectors_and_grid_come_through_as_they_are(tmp_path: Path, suffix: str, dtype: str) -> None:
@@ -207,6 +184,7 @@ def refused(action: Callable[..., object], *args: Any, **options: Any) -> str:
 
 
 FIELD = np.zeros((2, 3, 4, 3), np.float32)
+ARRAY = "a field is an array of shape (Z, H, W, 3) in float32 or float64, and not"
 
 
 @pytest.mark.parametrize(
@@ -214,21 +192,9 @@ FIELD = np.zeros((2, 3, 4, 3), np.float32)
     [
         ("a.tfm", FIELD, "the suffix .tfm is of no transform: use .nii, .nii.gz, .nrrd, .mha, .h5"),
         ("a", FIELD, "a name without suffix is of no transform: use .nii, .nii.gz, .nrrd, .mha, .h5"),
-        (
-            "a.mha",
-            FIELD[..., :2],
-            "a field is an array of shape (Z, H, W, 3) in float32 or float64, and not float32 of shape (2, 3, 4, 2)",
-        ),
-        (
-            "a.mha",
-            FIELD.astype(int),
-            "a field is an array of shape (Z, H, W, 3) in float32 or float64, and not int64 of shape (2, 3, 4, 3)",
-        ),
-        (
-            "a.h5",
-            FIELD[:0],
-            "a field is an array of shape (Z, H, W, 3) in float32 or float64, and not float32 of shape (0, 3, 4, 3)",
-        ),
+        ("a.mha", FIELD[..., :2], f"{ARRAY} float32 of shape (2, 3, 4, 2)"),
+        ("a.mha", FIELD.astype(int), f"{ARRAY} int64 of shape (2, 3, 4, 3)"),
+        ("a.h5", FIELD[:0], f"{ARRAY} float32 of shape (0, 3, 4, 3)"),
         ("a.nrrd", FIELD * np.nan, "a field must be finite, found NaN or infinity"),
         (
             "a.nii",
@@ -257,44 +223,3 @@ def test_names_are_checked_before_the_work(tmp_path: Path) -> None:
     assert (tmp_path / "a.mha").read_bytes() == b"old"
     write_transform(tmp_path / "a.mha", bent(), Geometry(SPACING), force=True)
     assert transform_from(tmp_path / "a.mha").GetDisplacementField().GetSize() == SHAPE[::-1]
-
-
-@pytest.mark.skipif(os.name != "posix", reason="limits of file sizes are POSIX's")
-def test_a_full_disk_leaves_what_was_there_and_no_word_of_itks(tmp_path: Path) -> None:
-    code = """
-        import os, resource, sys
-        import numpy as np
-        from supple.errors import SuppleError
-        from supple.space.geometry import Geometry
-        from supple.media.transforms import SUFFIXES_OUT, write_field
-        field = np.random.default_rng(0).normal(size=(9, 20, 30, 3))
-        for suffix in SUFFIXES_OUT:
-            path = f"{sys.argv[1]}/out{suffix}"
-            write_field(path, field, Geometry())
-            size, soft = os.path.getsize(path), resource.getrlimit(resource.RLIMIT_FSIZE)
-            with open(path, "wb") as file:
-                file.write(b"old")
-            for limit in (0, size // 2, size - 1):
-                resource.setrlimit(resource.RLIMIT_FSIZE, (limit, soft[1]))
-                try:
-                    write_field(path, field, Geometry(), force=True)
-                    said = "nothing"
-                except SuppleError as error:
-                    said = str(error)
-                resource.setrlimit(resource.RLIMIT_FSIZE, soft)
-                print(said)
-    """
-    command = [sys.executable, "-c", textwrap.dedent(code), str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, encoding="utf-8", check=False)
-    said = [f"cannot write {tmp_path}/out{s}: File too large: make room or choose another place" for s in SUFFIXES_OUT]
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.splitlines() == [line for line in said for _ in range(3)]
-    assert sorted(os.listdir(tmp_path)) == sorted(f"out{suffix}" for suffix in SUFFIXES_OUT)
-    assert all((tmp_path / f"out{suffix}").read_bytes() == b"old" for suffix in SUFFIXES_OUT)
-
-
-def test_pictures_load_neither_itk_nor_nibabel() -> None:
-    modules = "supple.files.transforms, supple.files.landmarks"
-    code = f"import sys, {modules}; print({{'SimpleITK', 'nibabel'}} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=True)
-    assert done.stdout == "set()\n"

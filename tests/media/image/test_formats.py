@@ -29,44 +29,6 @@ def smooth(height: int, width: int) -> Array:
     return np.stack([3 * x, 4 * y, 255 - 2 * x], axis=-1).astype(np.uint8)
 
 
-def tiff(entries: dict[int, tuple[int, ...]], data: bytes) -> bytes:
-    """A TIFF of one strip, with these tags of 16 bits."""
-    tags = {**entries, 273: (512,), 279: (len(data),)}
-    table, behind = struct.pack("<H", len(tags)), b""
-    for tag, values in sorted(tags.items()):
-        kind, text = (4, "<I") if tag in (273, 279) else (3, f"<{len(values)}H")
-        value = struct.pack(text, *values)
-        if len(value) > 4:
-            value, behind = struct.pack("<I", 256 + len(behind)), behind + value
-        table += struct.pack("<HHI", tag, kind, len(values)) + value.ljust(4, b"\0")
-    head = b"II*\0" + struct.pack("<I", 8) + table + bytes(4)
-    return (head.ljust(256, b"\0") + behind).ljust(512, b"\0") + data
-
-
-def ycbcr(rgb: Array, step: int) -> bytes:
-    """A TIFF in YCbCr without compression, with chroma of every pixel, or of every second one."""
-    height, width = rgb.shape[:2]
-    luma = rgb @ [0.299, 0.587, 0.114]
-    chroma = np.stack([(rgb[..., 2] - luma) / 1.772 + 128, (rgb[..., 0] - luma) / 1.402 + 128], axis=-1)
-    blocks = (height // step, step, width // step, step)
-    luma = luma.reshape(blocks).swapaxes(1, 2).reshape(height // step, width // step, step * step)
-    chroma = chroma.reshape(*blocks, 2).mean(axis=(1, 3))
-    data = np.rint(np.concatenate([luma, chroma], axis=-1)).clip(0, 255).astype(np.uint8).tobytes()
-    size = {256: (width,), 257: (height,), 258: (8, 8, 8), 259: (1,), 262: (6,), 277: (3,), 278: (height,)}
-    return tiff({**size, 274: (6,), 530: (step, step)}, data)
-
-
-@pytest.mark.parametrize(("step", "most"), [(1, 2), (2, 4)])
-def test_a_tiff_in_ycbcr_has_its_colours(tmp_path: Path, step: int, most: int) -> None:
-    pixels = smooth(60, 80)
-    (tmp_path / "in.tif").write_bytes(ycbcr(pixels, step))
-    picture = read(tmp_path / "in.tif")
-    assert (picture.format, picture.bits, picture.alpha) == ("TIFF", 8, False)
-    upright = np.rot90(pixels, -1)  # as its orientation says
-    assert picture.pixels.shape == upright.shape
-    assert np.abs(picture.pixels.astype(int) - upright).max() <= most
-
-
 def test_a_tiff_in_ycbcr_that_pillow_wrote(tmp_path: Path) -> None:
     pixels = smooth(60, 80)
     image = Image.fromarray(pixels)
@@ -81,29 +43,6 @@ def noise(dtype: str, *shape: int) -> Array:
     if dtype == "f4":
         return random.uniform(0, 20, shape).astype("f4")
     return random.integers(0, np.iinfo(dtype).max, shape, dtype, endpoint=True)
-
-
-@pytest.mark.parametrize(
-    ("suffix", "dtype", "channels"),
-    [
-        *[(".exr", "f4", channels) for channels in ((), (3,), (4,))],
-        *[(suffix, dtype, n) for suffix in (".dpx", ".sgi") for dtype in ("u1", "u2") for n in ((), (3,), (4,))],
-        *[(".pfm", "f4", channels) for channels in ((), (3,))],
-        *[(suffix, "u1", channels) for suffix in (".bmp", ".tga") for channels in ((), (3,), (4,))],
-        *[(".pgm", dtype, ()) for dtype in ("u1", "u2")],
-        *[(".ppm", dtype, (3,)) for dtype in ("u1", "u2")],
-        *[(".jp2", dtype, channels) for dtype in ("u1", "u2") for channels in ((), (3,))],
-    ],
-)
-def test_bit_for_bit(tmp_path: Path, suffix: str, dtype: str, channels: tuple[int, ...]) -> None:
-    pixels = noise(dtype, 19, 23, *channels)
-    path = tmp_path / f"out{suffix}"
-    write(path, pixels, alpha=channels == (4,) and suffix != ".exr")
-    picture = read(path)
-    assert (picture.pixels.dtype, picture.bits) == (pixels.dtype, pixels.dtype.itemsize * 8)
-    np.testing.assert_array_equal(picture.pixels, pixels)
-    assert picture.alpha == (channels == (4,) and suffix != ".exr")
-    assert info(path)["width"] == 23
 
 
 def test_radiance(tmp_path: Path) -> None:
@@ -128,17 +67,6 @@ def test_openexr_keeps_half_and_float(tmp_path: Path, half: bool) -> None:
     assert bent.bits == picture.bits
     true = supple.Deformation.from_recipe(recipe, (40, 60)).warp(picture.pixels, clamp=True)
     np.testing.assert_array_equal(bent.pixels, true.astype("f2").astype("f4") if half else true)
-
-
-def test_openexr_as_a_sequence(tmp_path: Path) -> None:
-    for k in range(3):
-        write(tmp_path / f"in-{k:05d}.exr", noise("f4", 40, 60, 3) + k)
-    recipe = supple.Recipe(strokes=[supple.Stroke.grab((20, 20), to=(24, 20), radius=6)])
-    warp_file(tmp_path / "in-%05d.exr", tmp_path / "out-%05d.exr", recipe)
-    map_ = supple.Deformation.from_recipe(recipe, (40, 60))
-    for k in range(3):
-        true = map_.warp(noise("f4", 40, 60, 3) + k)
-        np.testing.assert_allclose(read(tmp_path / f"out-{k:05d}.exr").pixels, true, atol=1e-5)
 
 
 def test_opacity_is_multiplied_in_openexr(tmp_path: Path) -> None:
@@ -178,23 +106,6 @@ def test_what_pillow_writes(tmp_path: Path, name: str) -> None:
     picture = read(path)
     assert np.abs(picture.pixels.astype(int) - np.asarray(image)).max() <= 2 * (name == "lossy.jp2")
     assert picture.alpha == (name == "rgba.jp2")
-
-
-@pytest.mark.parametrize(
-    ("suffix", "pixels", "message"),
-    [
-        (".exr", noise("u1", 9, 9, 3), "OpenEXR takes no uint8 values: write a TIFF"),
-        (".hdr", noise("f4", 9, 9), "Radiance holds 3 channels, and not 1: write a TIFF"),
-        (".pgm", noise("u1", 9, 9, 3), "PGM holds 1 channels, and not 3: write a TIFF"),
-        (".bmp", noise("f4", 9, 9, 3), "BMP takes no float32 values: write TIFF or OpenEXR"),
-        (".jp2", noise("u1", 9, 9, 4), "JPEG 2000 holds no transparency: write PNG or TIFF"),
-    ],
-)
-def test_more_than_a_format_holds(tmp_path: Path, suffix: str, pixels: Array, message: str) -> None:
-    with pytest.raises(SuppleError) as caught:
-        write(tmp_path / f"out{suffix}", pixels)
-    assert str(caught.value) == f"cannot write {tmp_path / f'out{suffix}'}: {message}"
-    assert not list(tmp_path.iterdir())
 
 
 def test_what_does_not_come_along_is_told(tmp_path: Path) -> None:
@@ -273,14 +184,6 @@ def test_what_is_not_supported_is_not_called_damaged(tmp_path: Path, name: str, 
     (tmp_path / name).write_bytes(head + bytes(100))
     with pytest.raises(SuppleError, match=what):
         read(tmp_path / name)
-
-
-def test_a_tiff_that_libvips_does_not_support_is_not_called_damaged(tmp_path: Path) -> None:
-    size = {256: (4,), 257: (4,), 258: (64,), 259: (1,), 262: (1,), 277: (1,), 278: (4,)}
-    (tmp_path / "in.tif").write_bytes(tiff(size, bytes(16)))
-    with pytest.raises(SuppleError, match="it is of a kind that is not supported") as caught:
-        read(tmp_path / "in.tif")
-    assert "damaged" not in str(caught.value)
 
 
 @pytest.mark.parametrize("told", ["system error: Unknown error -1", "write failed"])
@@ -376,33 +279,6 @@ def test_a_dpx_keeps_its_bits_and_its_header(tmp_path: Path, bits: int, order: s
         assert made[part] == head[part]
     with pytest.warns(MetadataWarning, match="cannot take over the header of a DPX"):
         write(tmp_path / "out.tif", picture.pixels, picture)
-
-
-@pytest.mark.parametrize("order", ["<", ">"])
-def test_a_dpx_keeps_its_orientation(tmp_path: Path, order: str) -> None:
-    dpx(tmp_path / "in.dpx", np.zeros((19, 24, 3), np.int64), 10, order)
-    data = bytearray((tmp_path / "in.dpx").read_bytes())
-    struct.pack_into(f"{order}H", data, 768, 2)  # from bottom to top
-    (tmp_path / "in.dpx").write_bytes(data)
-    picture = read(tmp_path / "in.dpx")
-    write(tmp_path / "out.dpx", picture.pixels, picture)
-    assert struct.unpack_from(f"{order}H", (tmp_path / "out.dpx").read_bytes(), 768) == (2,)
-
-
-def test_dpx_as_a_sequence(tmp_path: Path) -> None:
-    heads = [
-        dpx(tmp_path / f"a.{k:07d}.dpx", np.random.default_rng(k).integers(0, 1024, (40, 60, 3)), 10, ">", curve=k)
-        for k in range(3)
-    ]
-    recipe = supple.Recipe(strokes=[supple.Stroke.grab((20, 20), to=(24, 20), radius=6)])
-    warp_file(tmp_path / "a.#######.dpx", tmp_path / "b.#######.dpx", recipe)
-    for k, head in enumerate(heads):
-        made = (tmp_path / f"b.{k:07d}.dpx").read_bytes()
-        assert made[784:804] == head[784:804]
-        assert made[1664:2048] == head[1664:2048]
-        true = supple.Deformation.from_recipe(recipe, (40, 60)).warp(read(tmp_path / f"a.{k:07d}.dpx").pixels)
-        off = read(tmp_path / f"b.{k:07d}.dpx").pixels.astype(int) - true
-        assert np.abs(off).max() <= 33  # half of a step of 10 bits
 
 
 def test_what_a_dpx_is_not_read_for(tmp_path: Path) -> None:

@@ -10,12 +10,7 @@ import pytest
 import pyvips
 from PIL import Image
 
-from supple.media.image import (
-    MetadataWarning,
-    info,
-    read,
-    write,
-)
+from supple.media.image import MetadataWarning, info, read, write
 from tests.media.image.pictures import FORMATS, INT, SAVERS, SOURCES, SRGB, STRING, UPRIGHT, loaded, noise, save, smooth
 
 
@@ -56,11 +51,6 @@ class TestOrientation:
         np.testing.assert_array_equal(picture.pixels, UPRIGHT[orientation](smooth(40, 70)))
         write(tmp_path / "out.avif", picture.pixels, like=picture, lossless=True)
         np.testing.assert_array_equal(read(tmp_path / "out.avif").pixels, picture.pixels)
-
-    def test_of_grey_and_of_16_bits(self, tmp_path):
-        for number, pixels in enumerate((noise("u1", 33, 70), noise("u2", 33, 70), noise("u2", 33, 70, 4))):
-            save(tmp_path / f"{number}.tif", pixels, {"orientation": 7})
-            np.testing.assert_array_equal(read(tmp_path / f"{number}.tif").pixels, UPRIGHT[7](pixels))
 
     def test_in_xmp_follows(self, tmp_path):
         xmp = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><r tiff:Orientation="6" dc:title="6"/></x:xmpmeta>'

@@ -13,7 +13,6 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from supple.media.image import read, write
-from supple.media.image.previews import blanked, without_pictures, without_thumbnails
 
 Y, X = np.mgrid[:60, :80]
 PICTURE = Image.fromarray(np.stack([3 * X, 4 * Y, 255 - 3 * X], axis=-1).astype(np.uint8))
@@ -66,27 +65,12 @@ PACKETS = {
 
 
 @pytest.mark.parametrize("packet", PACKETS)
-def test_xmp(packet: str) -> None:
-    made = without_pictures(xmp(PACKETS[packet]))
+def test_xmp(tmp_path: Path, packet: str) -> None:
+    PICTURE.save(tmp_path / "in.jpg", xmp=xmp(PACKETS[packet]))
+    write(tmp_path / "out.jpg", read(tmp_path / "in.jpg"))
+    made = (tmp_path / "out.jpg").read_bytes()
     assert b'dc:title="kept"' in made
     assert not any(part in made for part in (b"Thumbnails", b"Container", b"hdrgm:", TEXT[40:76]))
-    plain = xmp(b'<d dc:title="kept"><dc:rights>mine</dc:rights></d>')
-    assert without_pictures(plain) == plain
-
-
-def test_photoshop() -> None:
-    kept = resource(1005, bytes(16)), resource(1028, b"\x1c\x02\x05\0\x03abc", b"name")
-    data = (
-        b"Photoshop 3.0\0" + kept[0] + resource(1036, bytes(28) + PREVIEW) + resource(1033, PREVIEW, b"odd") + kept[1]
-    )
-    assert without_thumbnails(data) == b"Photoshop 3.0\0" + kept[0] + kept[1]
-    assert without_thumbnails(data[:-9])[:14] == b"Photoshop 3.0\0"
-
-
-def test_jpegs_in_maker_notes() -> None:
-    data = b"before" + PREVIEW + b"between" + INNER + b"after"
-    made = blanked(data)
-    assert made == b"before" + bytes(len(PREVIEW)) + b"between" + bytes(len(INNER)) + b"after"
 
 
 @pytest.mark.parametrize("source", [".jpg", ".png", ".webp", ".avif"])
@@ -101,27 +85,27 @@ def test_from_file_to_file(tmp_path: Path, source: str, target: str) -> None:
     assert b"kept" in data
 
 
-def test_photoshop_from_file_to_file(tmp_path: Path) -> None:
+IPTC = b"\x1c\x02\x05\0\x03abc"
+
+
+@pytest.mark.parametrize(
+    "blocks",
+    [
+        resource(1005, bytes(16)) + resource(1036, bytes(28) + PREVIEW) + resource(1028, IPTC, b"name"),
+        resource(1033, PREVIEW, b"odd") + resource(1028, IPTC),
+        resource(1028, IPTC + b"\x1c\x02\xca" + struct.pack(">H", len(PREVIEW)) + PREVIEW),
+    ],
+    ids=["thumbnail", "old thumbnail", "preview of IPTC"],
+)
+def test_resources_of_photoshop(tmp_path: Path, blocks: bytes) -> None:
     PICTURE.save(tmp_path / "in.jpg")
-    data = (tmp_path / "in.jpg").read_bytes()
-    block = b"Photoshop 3.0\0" + resource(1036, bytes(28) + PREVIEW) + resource(1028, b"\x1c\x02\x05\0\x03abc")
+    data, block = (tmp_path / "in.jpg").read_bytes(), b"Photoshop 3.0\0" + blocks
     (tmp_path / "in.jpg").write_bytes(data[:2] + b"\xff\xed" + struct.pack(">H", len(block) + 2) + block + data[2:])
     write(tmp_path / "out.jpg", read(tmp_path / "in.jpg"))
     after = (tmp_path / "out.jpg").read_bytes()
     assert PREVIEW[-200:] not in after
-    assert b"\x1c\x02\x05\0\x03abc" in after
-
-
-def test_a_preview_of_iptc(tmp_path: Path) -> None:
-    PICTURE.save(tmp_path / "in.jpg")
-    data = (tmp_path / "in.jpg").read_bytes()
-    iptc = b"\x1c\x02\x05\0\x03abc\x1c\x02\xca" + struct.pack(">H", len(PREVIEW)) + PREVIEW
-    block = b"Photoshop 3.0\0" + resource(1028, iptc)
-    (tmp_path / "in.jpg").write_bytes(data[:2] + b"\xff\xed" + struct.pack(">H", len(block) + 2) + block + data[2:])
-    write(tmp_path / "out.jpg", read(tmp_path / "in.jpg"))
-    after = (tmp_path / "out.jpg").read_bytes()
-    assert PREVIEW[-200:] not in after
-    assert b"\x1c\x02\x05\0\x03abc" in after
+    assert IPTC in after
+    assert (resource(1005, bytes(16)) in after) == (resource(1005, bytes(16)) in blocks)
 
 
 def test_profiles_in_hexadecimal_digits(tmp_path: Path) -> None:
@@ -132,15 +116,6 @@ def test_profiles_in_hexadecimal_digits(tmp_path: Path) -> None:
     with Image.open(tmp_path / "out.png") as image:
         image.load()
         assert PREVIEW[-100:].hex() not in str(image.info)
-
-
-def test_no_resolution_is_made_up(tmp_path: Path) -> None:
-    PICTURE.save(tmp_path / "in.png")
-    write(tmp_path / "out.png", read(tmp_path / "in.png"))
-    assert b"pHYs" not in (tmp_path / "out.png").read_bytes()
-    with Image.open(tmp_path / "out.png") as image:
-        image.load()
-        np.testing.assert_array_equal(np.asarray(image), np.asarray(PICTURE))
 
 
 @pytest.mark.parametrize("source", [".png", ".jpg", ".webp", ".avif", ".tif"])

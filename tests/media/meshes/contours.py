@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pydicom
+
+from tests.media.volume.volumes import item, save
 
 Floats = npt.NDArray[np.float64]
 
@@ -15,13 +16,6 @@ Floats = npt.NDArray[np.float64]
 def circle(z: float, count: int = 24) -> Floats:
     a = np.arange(count) * 2 * np.pi / count
     return np.round(np.stack([20 * np.cos(a), 30 * np.sin(a) - 7, np.full(count, z)], axis=-1), 3)
-
-
-def item(**values: Any) -> pydicom.Dataset:
-    made = pydicom.Dataset()
-    for name, value in values.items():
-        setattr(made, name, value)
-    return made
 
 
 def contour(points: Floats, kind: str = "CLOSED_PLANAR") -> pydicom.Dataset:
@@ -69,11 +63,7 @@ def structures(path: Path, only: Floats | None = None, *, explicit: bool = True,
         made.ROIContourSequence = [item(ReferencedROINumber=1, ContourSequence=[contour(only)])]
     made.add_new((0x3007, 0x0010), "LO", "A VENDOR")
     made.add_new((0x3007, 0x1001), "LO", "what it knows of the surface")
-    made.file_meta = pydicom.dataset.FileMetaDataset()
-    syntax = pydicom.uid.ExplicitVRLittleEndian if explicit else pydicom.uid.ImplicitVRLittleEndian
-    made.file_meta.TransferSyntaxUID = syntax
-    made.save_as(path, enforce_file_format=True)
-    return path
+    return save(path, made, explicit=explicit)
 
 
 def contours(path: Path) -> list[pydicom.Dataset]:

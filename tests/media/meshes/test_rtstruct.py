@@ -14,10 +14,10 @@ from supple.errors import VolumeWarning
 from supple.files.landmarks import move_points, warn_of_frame
 from supple.media.points import PointFile, read_points, write_points
 from supple.media.volume import read, write
-from tests.media.meshes.contours import circle, contour, contours, item, points_of, structures
+from tests.media.meshes.contours import circle, contour, contours, points_of, structures
 from tests.media.volume.test_dicom import slices
 from tests.media.volume.test_frames import DIRECTION, PLACES, enhanced
-from tests.media.volume.volumes import SHAPE, noise, volume
+from tests.media.volume.volumes import SHAPE, item, noise, volume
 
 
 def opened(path: Path) -> PointFile:

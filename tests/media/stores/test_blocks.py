@@ -16,19 +16,8 @@ from hypothesis import strategies as st
 
 from supple import SuppleError
 from supple.media.stores import Target, create, open_image
-from supple.media.stores.levels import Step, reduced, step_of
-from tests.media.stores.images import (
-    RNG,
-    boxes,
-    described_axes,
-    exact,
-    files,
-    fill,
-    image,
-    metadata,
-    small,
-    whole,
-)
+from supple.media.stores.levels import reduced
+from tests.media.stores.images import RNG, boxes, described_axes, exact, files, fill, image, metadata, small, whole
 
 
 @pytest.mark.parametrize("sharded", [False, True])
@@ -136,17 +125,6 @@ def test_means_are_exact(dtype: str, axes: list[tuple[int, int]], seed: int) -> 
     np.testing.assert_array_equal(first, values[tuple(slice(None, None, f) for f in factors)])
 
 
-def test_steps_between_levels() -> None:
-    assert step_of(1000, 500, 2.0) == Step(2, False)
-    assert step_of(1001, 501, 2.0) == Step(2, False)
-    assert step_of(1001, 500, 2.002) == Step(2, True)
-    assert step_of(1000, 500, 1.0) == Step(2, False)  # the scale is wrong
-    assert step_of(1, 1, 2.0) == Step(2, False)
-    assert step_of(1, 1, 1.0) == Step(1, False)
-    assert step_of(30, 20, 1.5) is None
-    assert step_of(81, 27, 3.0) == Step(3, False)
-
-
 def test_an_incomplete_group_is_left_out_where_the_input_does(tmp_path: Path) -> None:
     attributes = metadata("0.5", described_axes("yx"), [([1, 1], [0, 0]), ([2, 2], [0.5, 0.5])])
     group = zarr.create_group(str(tmp_path / "in.zarr"), attributes=attributes)
@@ -157,15 +135,6 @@ def test_an_incomplete_group_is_left_out_where_the_input_does(tmp_path: Path) ->
     values = RNG.integers(0, 255, (7, 13), np.uint8)
     fill(target, values)
     np.testing.assert_array_equal(target.arrays[1][...], exact(values[:6, :12], [2, 2]))
-
-
-def test_labels_are_reduced_to_first_samples(tmp_path: Path) -> None:
-    (values, *_) = image(tmp_path / "in.zarr", 3, "0.5", count=2)
-    target = create(tmp_path / "out.zarr", open_image(tmp_path / "in.zarr"), job="a")
-    target.write(0, whole(target), values)
-    for box in boxes(target, 1):
-        target.reduce(1, box, "nearest")
-    np.testing.assert_array_equal(target.arrays[1][...], values[..., ::2, ::2])
 
 
 def test_a_chunk_without_content_is_not_done(tmp_path: Path) -> None:

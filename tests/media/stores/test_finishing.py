@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import zarr
 
 from supple import SuppleError
-from supple.media.stores import check_free, create, create_arrays, holding, open_image
+from supple.media.stores import create, holding, open_image
 from tests.media.stores.images import child, files, fill, small, whole
 
 HOLDER = """
@@ -222,10 +221,12 @@ def test_an_interrupt_of_finishing_loses_nothing(
 
 
 def test_outputs_appear_together_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rename that is refused puts the old ones back."""
     values, like = small(tmp_path / "in.zarr")
-    targets = [create(tmp_path / name, like, job="a") for name in ("one.zarr", "two.zarr")]
+    old, _ = small(tmp_path / "two.zarr")
+    targets = [create(tmp_path / name, like, job="a", force=True) for name in ("one.zarr", "two.zarr")]
     for target in targets:
-        fill(target, values)
+        fill(target, values + 1)
     rename = os.rename
 
     def refused(before: Any, after: Any) -> None:
@@ -235,63 +236,10 @@ def test_outputs_appear_together_or_not_at_all(tmp_path: Path, monkeypatch: pyte
 
     with monkeypatch.context() as patched:
         patched.setattr(os, "rename", refused)
-        with pytest.raises(SuppleError, match="Permission denied"):
-            targets[0].finish(targets[1])
-    assert sorted(os.listdir(tmp_path)) == ["in.zarr", "one.zarr.partial", "two.zarr.partial"]
-    targets[0].finish(targets[1])
-    assert sorted(os.listdir(tmp_path)) == ["in.zarr", "one.zarr", "two.zarr"]
-
-
-def test_a_rename_that_is_refused_puts_the_old_one_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    values, like = small(tmp_path / "in.zarr")
-    old, _ = small(tmp_path / "out.zarr")
-    target = create(tmp_path / "out.zarr", like, job="a", force=True)
-    fill(target, values + 1)
-    rename = os.rename
-
-    def refused(before: Any, after: Any) -> None:
-        if str(before).endswith("out.zarr.partial"):
-            raise PermissionError(13, "Permission denied")
-        rename(before, after)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "rename", refused)
         with pytest.raises(SuppleError, match="Permission denied: choose a place"):
-            target.finish()
-    np.testing.assert_array_equal(open_image(tmp_path / "out.zarr").levels[0].array[...], old)
-    target.finish()
-    np.testing.assert_array_equal(open_image(tmp_path / "out.zarr").levels[0].array[...], values + 1)
-    assert sorted(os.listdir(tmp_path)) == ["in.zarr", "out.zarr"]
-
-
-@pytest.mark.parametrize("remote", [False, True])
-def test_prepared_outputs_are_asked_for_before_any_work(remote: bool, tmp_path: Path, memory: str) -> None:
-    """Outputs of prepared metadata: those of an array in a group, as fields are."""
-    values, _ = small(tmp_path / "in.zarr")
-    out = f"{memory}/field.zarr" if remote else tmp_path / "field.zarr"
-    group = b'{"zarr_format": 3, "node_type": "group", "attributes": {}}'
-    written: dict[str, Any] = {}
-    zarr.create_array(written, name="f", data=values[None], chunks=(1, 2, 4, 4))
-    metadata = {"zarr.json": group, "f/zarr.json": bytes(written["f/zarr.json"].to_bytes())}
-    check_free(out, metadata, "a", False)
-    with holding():
-        target = create_arrays(out, metadata, ["f"], job="a")
-        assert not target.begun
-        target.write(0, whole(target), values[None])
-    check_free(out, metadata, "a", False)
-    check_free(out, metadata, "b", True)
-    before = files(tmp_path)
-    with pytest.raises(
-        SuppleError, match="is the unfinished output of another job: choose another name, or force=True"
-    ):
-        check_free(out, metadata, "b", False)
-    assert files(tmp_path) == before
-    with holding():
-        again = create_arrays(out, metadata, ["f"], job="a")
-        assert again.begun
-        assert again.is_done(0, whole(again))
-        again.finish()
-    with pytest.raises(SuppleError, match="exists already"):
-        check_free(out, metadata, "a", False)
-    if not remote:
-        assert sorted(os.listdir(tmp_path / "field.zarr")) == ["f", "zarr.json"]
+            targets[0].finish(targets[1])
+    np.testing.assert_array_equal(open_image(tmp_path / "two.zarr").levels[0].array[...], old)
+    assert not (tmp_path / "one.zarr").exists()
+    targets[0].finish(targets[1])
+    np.testing.assert_array_equal(open_image(tmp_path / "two.zarr").levels[0].array[...], values + 1)
+    assert sorted(os.listdir(tmp_path)) == ["in.zarr", "one.zarr", "two.zarr"]

@@ -72,103 +72,72 @@ def test_without_units_all_is_in_pixels(tmp_path: Path) -> None:
         assert open_image(tmp_path / f"{k}.zarr", ndim=2).grid.shape == (19, 30)
 
 
-def break_metadata(change: Any) -> Any:
-    """Return a function that changes an image's attributes."""
-
-    def broken(path: Path) -> None:
-        told = json.loads((path / "zarr.json").read_text())
-        change(told["attributes"]["ome"])
-        (path / "zarr.json").write_text(json.dumps(told))
-
-    return broken
+GONE = object()
 
 
-def axis_of(k: int, **more: Any) -> Any:
-    def change(ome: Json) -> None:
-        ome["multiscales"][0]["axes"][k].update(more)
-
-    return break_metadata(change)
-
-
-def array_metadata(**more: Any) -> Any:
-    def change(path: Path) -> None:
-        told = json.loads((path / "0" / "zarr.json").read_text())
-        told.update(more)
-        (path / "0" / "zarr.json").write_text(json.dumps(told))
-
-    return change
+def changed(path: Path, place: str, value: Any) -> None:
+    """Set what stands at a place in the attributes of an image, or delete it; a function is given what is there."""
+    told = json.loads((path / "zarr.json").read_text())
+    *steps, last = (int(step) if step.isdigit() else step for step in place.split("/"))
+    at = told["attributes"]["ome"]
+    for step in steps:
+        at = at[step]
+    if value is GONE:
+        del at[last]
+    else:
+        at[last] = value(at[last]) if callable(value) else value
+    (path / "zarr.json").write_text(json.dumps(told))
 
 
-def steps_of(steps: Any) -> Any:
-    return break_metadata(lambda ome: ome["multiscales"][0]["datasets"][1].update(coordinateTransformations=steps))
+IMAGE = "multiscales/0"
+STEPS = f"{IMAGE}/datasets/1/coordinateTransformations"
+SCALE: Json = {"type": "scale", "scale": [1] * 5}
+# Places in the metadata of an image, what is put there, and what is said.
+BAD: list[tuple[str, Any, str]] = [
+    ("multiscales", GONE, r"holds 0, 1, 2: give one .*/in.zarr/0"),
+    ("multiscales", [], "malformed .IndexError"),
+    ("version", "0.2", r"it is of OME-Zarr 0.2: use 0.4, 0.5 or 0.6"),
+    (f"{IMAGE}/axes", None, "incomplete or malformed"),
+    (f"{IMAGE}/datasets", [], "its image has no datasets"),
+    (f"{IMAGE}/axes/0", GONE, "axes c, z, y, x, and its array 0 has 5"),
+    (f"{IMAGE}/axes", lambda a: [a[0], a[2], a[1], *a[3:]], r"its axes are t \(time\), z \(space\), c .*order time"),
+    (f"{IMAGE}/axes/2/type", "spice", "its axis z is of the type 'spice': use time, channel or space"),
+    (f"{IMAGE}/axes/1/type", "displacement", "of the type 'displacement'"),
+    (f"{IMAGE}/axes/1/name", "t", "are named t, t, z, y, x"),
+    (f"{IMAGE}/axes/1/name", GONE, "malformed .KeyError: 'name'"),
+    (f"{IMAGE}/axes/2/unit", "furlong", "its axis z has the unit 'furlong': name a length"),
+    (f"{IMAGE}/axes/2/unit", None, r"units only in part: z \(none\), y \(micrometer\)"),
+    (STEPS, [], "level 1 has no coordinateTransformations: add a scale"),
+    (STEPS, [{"type": "rotation"}], "level 1 has a transformation of the type 'rotation'"),
+    (STEPS, [{"type": "scale", "scale": [1, 1, 1, 1, -1]}], "give 5 numbers above 0"),
+    (STEPS, [{"type": "scale", "path": "a"}], "the scale of its level 1 is None"),
+    (STEPS, [SCALE, {"type": "translation", "translation": [0, 0, 0, 0, "a"]}], "give 5 finite numbers"),
+    (f"{IMAGE}/datasets", lambda levels: levels[::-1], "from the finest to the coarsest"),
+    (f"{IMAGE}/datasets/2/path", "7", "lacks its array 7"),
+    (f"{IMAGE}/datasets/2/path", "../7", "have the path '../7'"),
+]
+# Files of an image, what is changed in them or all that they hold then, and what is said.
+FILES: list[tuple[str, Json | str | None, str]] = [
+    ("0/zarr.json", {"data_type": "complex64", "fill_value": [0, 0]}, "its array 0 is of complex64"),
+    ("0/zarr.json", {"data_type": "uint8"}, "levels 0 and 1 are of uint8 in Zarr format 3 and uint16"),
+    ("0/zarr.json", {"codecs": [{"name": "bytes"}, {"name": "wavelet"}]}, "'wavelet', which is not available"),
+    ("0/zarr.json", "{", "its array 0 is damaged"),
+    ("zarr.json", "{", "it is damaged"),
+    ("zarr.json", None, "there is no Zarr array or group"),
+    ("supple.json", '{"program": "supple", "state": "unfinished", "job": "a"}', "it is an unfinished output of Supple"),
+]
 
 
-def swapped(ome: Json) -> None:
-    ome["multiscales"][0]["axes"][1:3] = ome["multiscales"][0]["axes"][2:0:-1]
-
-
-def multiscale(key: str, value: Any) -> Any:
-    return break_metadata(lambda ome: ome["multiscales"][0].update({key: value}))
-
-
-BAD = {
-    "no image": (
-        break_metadata(lambda ome: ome.pop("multiscales")),
-        r"holds 0, 1, 2: give one .*/in.zarr/0",
-    ),
-    "empty": (
-        break_metadata(lambda ome: ome.update(multiscales=[])),
-        "malformed .IndexError",
-    ),
-    "version": (break_metadata(lambda ome: ome.update(version="0.2")), r"it is of OME-Zarr 0.2: use 0.4, 0.5 or 0.6"),
-    "no axes": (multiscale("axes", None), "incomplete or malformed"),
-    "no datasets": (multiscale("datasets", []), "its image has no datasets"),
-    "too few axes": (
-        break_metadata(lambda o: o["multiscales"][0]["axes"].pop(0)),
-        "axes c, z, y, x, and its array 0 has 5",
-    ),
-    "order": (break_metadata(swapped), r"its axes are t \(time\), z \(space\), c \(channel\).*in the order time"),
-    "type": (axis_of(2, type="spice"), "its axis z is of the type 'spice': use time, channel or space"),
-    "field": (axis_of(1, type="displacement"), "of the type 'displacement'"),
-    "twice": (axis_of(1, name="t"), "are named t, t, z, y, x"),
-    "no name": (break_metadata(lambda o: o["multiscales"][0]["axes"][1].pop("name")), "malformed .KeyError: 'name'"),
-    "unit": (axis_of(2, unit="furlong"), "its axis z has the unit 'furlong': name a length"),
-    "units in part": (axis_of(2, unit=None), r"units only in part: z \(none\), y \(micrometer\)"),
-    "no steps": (steps_of([]), "level 1 has no coordinateTransformations: add a scale"),
-    "rotation": (steps_of([{"type": "rotation"}]), "level 1 has a transformation of the type 'rotation'"),
-    "scale": (steps_of([{"type": "scale", "scale": [1, 1, 1, 1, -1]}]), "give 5 numbers above 0"),
-    "path scale": (steps_of([{"type": "scale", "path": "a"}]), "the scale of its level 1 is None"),
-    "translation": (
-        steps_of([{"type": "scale", "scale": [1] * 5}, {"type": "translation", "translation": [0] * 4 + ["a"]}]),
-        "give 5 finite numbers",
-    ),
-    "levels": (break_metadata(lambda o: o["multiscales"][0]["datasets"].reverse()), "from the finest to the coarsest"),
-    "missing level": (
-        break_metadata(lambda o: o["multiscales"][0]["datasets"][2].update(path="7")),
-        "lacks its array 7",
-    ),
-    "outside": (
-        break_metadata(lambda o: o["multiscales"][0]["datasets"][2].update(path="../7")),
-        "have the path '../7'",
-    ),
-    "complex": (array_metadata(data_type="complex64", fill_value=[0, 0]), "its array 0 is of complex64"),
-    "other type": (array_metadata(data_type="uint8"), "levels 0 and 1 are of uint8 in Zarr format 3 and uint16"),
-    "codec": (array_metadata(codecs=[{"name": "bytes"}, {"name": "wavelet"}]), "'wavelet', which is not available"),
-    "damaged": (lambda path: (path / "0" / "zarr.json").write_text("{"), "its array 0 is damaged"),
-    "damaged group": (lambda path: (path / "zarr.json").write_text("{"), "it is damaged"),
-    "no group": (lambda path: (path / "zarr.json").unlink(), "there is no Zarr array or group"),
-    "unfinished": (
-        lambda path: (path / "supple.json").write_text('{"program": "supple", "state": "unfinished", "job": "a"}'),
-        "it is an unfinished output of Supple",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_what_cannot_be_opened_is_told_in_one_sentence(name: str, tmp_path: Path) -> None:
-    spoil, expected = BAD[name]
+@pytest.mark.parametrize(("place", "value", "expected"), [*BAD, *FILES])
+def test_what_cannot_be_opened_is_told_in_one_sentence(place: str, value: Any, expected: str, tmp_path: Path) -> None:
     image(tmp_path / "in.zarr", 3, "0.5", shape=(1, 1, 4, 8, 8))
-    spoil(tmp_path / "in.zarr")
+    file = tmp_path / "in.zarr" / place
+    if not place.endswith(".json"):
+        changed(tmp_path / "in.zarr", place, value)
+    elif value is None:
+        file.unlink()
+    else:
+        file.write_text(value if isinstance(value, str) else json.dumps(json.loads(file.read_text()) | value))
     with pytest.raises(SuppleError, match=expected) as told:
         open_image(tmp_path / "in.zarr")
     assert str(told.value).startswith("cannot read ")
@@ -206,16 +175,6 @@ def test_other_things_that_cannot_be_opened(tmp_path: Path, memory: str) -> None
     image(tmp_path / "in.zarr", 3, "0.5", names="yx", shape=(9, 9), chunks=(4, 4), count=1)
     with pytest.raises(SuppleError, match="has 2 axes of space: give at most 2 for ndim"):
         open_image(tmp_path / "in.zarr", ndim=3)
-
-
-def test_without_zarr(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from supple import errors
-
-    monkeypatch.setattr(errors, "find_spec", lambda name: None)
-    with pytest.raises(
-        SuppleError, match=r"Zarr stores need zarr, which is not installed: pip install 'supple\[zarr\]'"
-    ):
-        open_image(tmp_path)
 
 
 def test_an_address_that_is_not_reached(memory: str, monkeypatch: pytest.MonkeyPatch) -> None:

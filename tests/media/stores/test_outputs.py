@@ -13,17 +13,7 @@ import zarr
 
 from supple import SuppleError
 from supple.media.stores import create, open_image
-from tests.media.stores.images import (
-    RNG,
-    VERSIONS,
-    described_axes,
-    files,
-    fill,
-    image,
-    metadata,
-    plain_json,
-    whole,
-)
+from tests.media.stores.images import RNG, VERSIONS, described_axes, files, fill, image, metadata, plain_json, whole
 
 
 @pytest.mark.parametrize("where", ["folder", "memory", "file"])

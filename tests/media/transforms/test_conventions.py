@@ -13,10 +13,9 @@ import nibabel
 import numpy as np
 import pytest
 import SimpleITK as sitk  # noqa: N813
-from hypothesis import given
-from hypothesis import strategies as st
 
-from supple import SuppleError
+from supple import SuppleError, errors
+from supple.media.stores import open_image
 from supple.media.transforms import CONVENTIONS, Content, Displacements, read, write
 from supple.space.geometry import Grid
 from tests.media.transforms.mapping import DATA, GRIDS, field_on, mapped, points_in, rotation
@@ -71,20 +70,6 @@ def test_an_affine_map_comes_back(convention: str, suffix: str, tmp_path: Path) 
     np.testing.assert_allclose(found, AFFINE, atol=1e-9)
 
 
-@given(
-    numbers=st.lists(st.floats(-9, 9), min_size=12, max_size=12), names=st.tuples(*[st.sampled_from(list(GRIDS))] * 2)
-)
-def test_any_affine_map_comes_back_from_flirt(
-    tmp_path_factory: pytest.TempPathFactory, numbers: list[float], names: tuple[str, str]
-) -> None:
-    matrix = np.eye(4)
-    matrix[:3] = np.reshape(numbers, (3, 4)) + 30 * np.eye(3, 4)
-    grids = {"source": GRIDS[names[0]], "reference": GRIDS[names[1]]}
-    file = tmp_path_factory.mktemp("flirt") / "a.mat"
-    write(file, [matrix], "fsl-affine", **grids)
-    np.testing.assert_allclose(read(file, **grids)[0], matrix, rtol=1e-9, atol=1e-7)
-
-
 def image(path: Path, values: Any, code: int = 0, *, placed: bool = True, dtype: Any = np.float32) -> Path:
     made = nibabel.Nifti1Image(np.asarray(values, dtype), np.diag([2.0, 2, 2, 1]) if placed else None)
     made.header["intent_code"] = code
@@ -99,12 +84,7 @@ GAPPED = np.where(np.indices(NOISE.shape)[0] == 0, np.nan, NOISE)
 FIVE = NOISE[:, :, :, None]
 # the name of a file, its maker, the convention that is given, and what the line says
 REFUSED: list[tuple[str, Callable[[Path], object], str | None, list[str]]] = [
-    (
-        "a.nii",
-        lambda p: image(p, NOISE),
-        None,
-        ["fsl-relative", "fsl-absolute", "mrtrix", "afni", "give the convention"],
-    ),
+    ("a.nii", lambda p: image(p, NOISE), None, ["fsl-relative", "fsl-absolute", "mrtrix", "afni", "convention"]),
     ("a.nii", lambda p: image(p, NOISE, 2006), None, ["2006", "fsl-relative, fsl-absolute"]),
     ("a.nii", lambda p: image(p, FIVE), None, ["afni, spm-deformation"]),
     ("a.nii", lambda p: image(p, FIVE, 1006), None, ["1006", "LPS", "RAS", "1007"]),
@@ -125,12 +105,7 @@ REFUSED: list[tuple[str, Callable[[Path], object], str | None, list[str]]] = [
     ("a.nii", lambda p: image(p, GAPPED[:, :, :, None], 1007), "itk", ["30 voxels of 120", "NaN"]),
     ("a.nii", lambda p: image(p, NOISE), "fsl-relative", ["the input (moving) image", "as source"]),
     ("a.nii", lambda p: image(p, NOISE), "elastix", ["convention must be one of", "mrtrix-displacement"]),
-    (
-        "a.mat",
-        lambda p: p.write_text("1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n"),
-        None,
-        ["the input (moving) image", "as source"],
-    ),
+    ("a.mat", lambda p: np.savetxt(p, np.eye(4)), None, ["the input (moving) image", "as source"]),
     ("a.txt", lambda p: p.write_text("1 0 0 0\n" * 4), None, ["itk, fsl-affine"]),
     ("a.mat", lambda p: p.write_text("1 0 0 0\n" * 3), "fsl-affine", ["12 numbers", "4 x 4"]),
     ("a.mat", lambda p: p.write_text("one\n"), "fsl-affine", ["words"]),
@@ -288,14 +263,19 @@ def test_what_is_not_written(
 
 
 @pytest.mark.parametrize(
-    ("convention", "suffix"), [("itk", ".h5"), ("mrtrix", ".nii"), ("afni", ".1D"), ("itk", ".tfm")]
+    ("act", "said"),
+    [
+        (lambda folder: open_image(folder), r"Zarr stores need zarr, which .*'supple\[zarr\]'"),
+        (lambda _: read(DATA / "scene-2d.zarr"), r"transformations of OME-Zarr need zarr, .*'supple\[zarr\]'"),
+        (lambda folder: write(folder / "a.zarr", [np.eye(3)]), r"supple\[zarr\]"),
+        (lambda _: read(DATA / "stmap-float.exr"), r"OpenEXR pictures and maps need OpenEXR, .*'supple\[exr\]'"),
+        (lambda folder: write(folder / "a.exr", [FLAT]), r"supple\[exr\]"),
+    ],
 )
-def test_what_exists_is_kept(convention: str, suffix: str, tmp_path: Path) -> None:
-    file = tmp_path / f"a{suffix}"
-    contents: list[Content] = [AFFINE] if suffix != ".nii" else [SMOOTH]
-    file.write_text("old")
-    with pytest.raises(SuppleError, match="exists already"):
-        write(file, contents, convention)
-    assert file.read_text() == "old"
-    write(file, contents, convention, force=True)
-    np.testing.assert_allclose(mapped(read(file, convention), [[1, 8, 15]]), mapped(contents, [[1, 8, 15]]), atol=1e-5)
+def test_a_library_that_is_missing_is_named(
+    act: Callable[[Path], object], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(errors, "find_spec", lambda name: None)
+    with pytest.raises(SuppleError, match=said):
+        act(tmp_path)
+    assert not list(tmp_path.iterdir())

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 import zarr
 
-from supple import SuppleError, errors
+from supple import SuppleError
 from supple.media.transforms import Displacements, read, write
 from supple.space.geometry import Grid
 from tests.media.transforms.mapping import mapped
@@ -381,13 +381,4 @@ def test_what_no_store_holds_is_not_written(tmp_path: Path) -> None:
             write(tmp_path / "a.zarr", contents)
     with pytest.raises(SuppleError, match="there is no folder"):
         write(tmp_path / "b" / "a.zarr", [np.eye(3)])
-    assert not list(tmp_path.iterdir())
-
-
-def test_the_library_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(errors, "find_spec", lambda name: None)
-    with pytest.raises(SuppleError, match=r"transformations of OME-Zarr need zarr, .*'supple\[zarr\]'"):
-        read(DATA / "scene-2d.zarr")
-    with pytest.raises(SuppleError, match=r"supple\[zarr\]"):
-        write(tmp_path / "a.zarr", [np.eye(3)])
     assert not list(tmp_path.iterdir())

@@ -68,13 +68,6 @@ def test_what_file_storage_writes(suffix: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(places(fixed), np.dstack(back))
 
 
-def test_fixed_point_is_what_remap_makes_of_it(tmp_path: Path) -> None:
-    map1, map2 = cv2.convertMaps(X, Y, cv2.CV_16SC2)
-    np.savez(tmp_path / "a.npz", map1=map1, map2=map2)
-    seen = cv2.remap(RAMP, map1, map2, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    np.testing.assert_allclose(places(tmp_path / "a.npz"), seen[..., :2], atol=1e-6)
-
-
 def test_a_ramp_and_an_image_through_remap(tmp_path: Path) -> None:
     x, y = np.rint(X * 32) / 32, np.rint(Y * 32) / 32  # which remap takes without rounding, in every version
     np.savez(tmp_path / "a.npz", map1=x, map2=y)

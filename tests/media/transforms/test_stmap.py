@@ -10,7 +10,7 @@ import numpy.typing as npt
 import OpenEXR
 import pytest
 
-from supple import SuppleError, errors
+from supple import SuppleError
 from supple.media import image
 from supple.media.transforms import Displacements, read, write
 from supple.space.geometry import Grid
@@ -158,21 +158,3 @@ def test_what_is_no_stmap_is_refused(tmp_path: Path, capfd: pytest.CaptureFixtur
     assert capfd.readouterr() == ("", "")  # OpenEXR writes lines of its own
     with pytest.raises(SuppleError, match="the source is a volume"):
         read(DATA / "stmap-float.exr", source=Grid((4, 5, 6)))
-
-
-def test_conventions_are_chosen_by_suffixes_that_leave_no_doubt(tmp_path: Path) -> None:
-    with pytest.raises(SuppleError, match=r"stmap-uint16.tif: it may be an STMap, .*give convention=.stmap"):
-        read(DATA / "stmap-uint16.tif")
-    with pytest.raises(SuppleError, match=r"convention must be one of .*opencv.*, found nuke"):
-        read(DATA / "stmap-uint16.tif", "nuke")
-    with pytest.raises(SuppleError, match=r"a.what: the suffix .what tells no convention"):
-        write(tmp_path / "a.what", [np.eye(3)])
-
-
-def test_the_library_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(errors, "find_spec", lambda name: None)
-    with pytest.raises(SuppleError, match=r"OpenEXR pictures and maps need OpenEXR, .*'supple\[exr\]'"):
-        read(DATA / "stmap-float.exr")
-    with pytest.raises(SuppleError, match=r"supple\[exr\]"):
-        write(tmp_path / "a.exr", [Displacements(np.zeros((*SHAPE, 2)), Grid(SHAPE))])
-    assert not list(tmp_path.iterdir())

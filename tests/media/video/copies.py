@@ -10,6 +10,13 @@ from supple.media.video import open_clip as open_video
 from tests import clips
 
 
+def arrays_of(clip, frame):
+    """Return the planes of a frame, in arrays of their own."""
+    arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
+    frame.copy_to(arrays)
+    return arrays
+
+
 def copy(source, target, *, again=True, **settings):
     """Write a clip anew, unchanged; start again where it turns out to have another number of frames."""
     count = None
@@ -18,8 +25,7 @@ def copy(source, target, *, again=True, **settings):
             with open_video(source, threads=2, count=count) as clip:
                 with clip.writer(target, force=True, threads=2, **settings) as sink:
                     for k, frame in enumerate(clip.frames()):
-                        arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
-                        frame.copy_to(arrays)
+                        arrays = arrays_of(clip, frame)
                         sink.write(arrays, k)
                 return clip.count
         except CountError as error:
@@ -32,8 +38,7 @@ def read(path):
     with open_video(path) as clip:
         found = []
         for frame in clip.frames():
-            arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
-            frame.copy_to(arrays)
+            arrays = arrays_of(clip, frame)
             found.append(arrays)
         assert len(found) == clip.count
         return found

@@ -16,7 +16,7 @@ from supple.media.sequence import writer as sequence_writer
 from supple.media.video import ClipWarning, info, writer
 from supple.media.video import open_clip as open_video
 from tests import clips
-from tests.media.video.copies import copy
+from tests.media.video.copies import arrays_of, copy
 
 CONTAINER_OF = {"mkv": "ffv1", "avi": "mpeg4", "webm": "libvpx"}
 NTSC = Fraction(30000, 1001)
@@ -107,26 +107,6 @@ def test_data_comes_through_if_its_kind_does(tmp_path, kind, kept):
     assert (kind in (tmp_path / "b.mov").read_bytes()) == kept
 
 
-@pytest.mark.parametrize("name", ["klv", "timed_id3"])
-def test_data_of_broadcasts_is_named(tmp_path, name):
-    with av.open(str(tmp_path / "a.ts"), "w") as out:
-        film = out.add_stream("mpeg2video", rate=25)
-        film.width, film.height, film.pix_fmt = 64, 48, "yuv420p"
-        data = out.add_data_stream(name)
-        for k in range(10):
-            frame = clips.noise("yuv420p", clips.SIZE, k, True)
-            frame.pts = k
-            out.mux(film.encode(frame))
-            packet = av.Packet(b"0123456789abcdef")
-            packet.stream, packet.pts, packet.dts, packet.time_base = data, k, k, Fraction(1, 25)
-            out.mux(packet)
-        out.mux(film.encode(None))
-    told = {"klv": "KLV metadata", "timed_id3": "timed ID3 metadata"}[name]
-    assert told in info(tmp_path / "a.ts")["other"]
-    with pytest.warns(ClipWarning, match=rf"cannot hold the {told} \(stream 1\): it is left out"):
-        copy(tmp_path / "a.ts", tmp_path / "b.mp4")
-
-
 def repeats(path):
     """Return the count in a GIF; None if it has none."""
     found = re.search(rb"NETSCAPE2\.0\x03\x01(..)", path.read_bytes(), re.DOTALL)
@@ -203,8 +183,7 @@ def test_pictures_of_a_clip_are_upright(tmp_path, kind):
     source.write_bytes(data)
     with open_video(source) as clip, sequence_writer(clip, tmp_path / "out") as sink:
         for k, frame in enumerate(clip.frames()):
-            arrays = [np.empty((*g.shape, g.channels), np.uint8) for g in clip.layout.groups]
-            frame.copy_to(arrays)
+            arrays = arrays_of(clip, frame)
             stored = clip.to_rgb(arrays)
             sink.write(arrays, k)
     seen = pyvips.Image.new_from_file(str(tmp_path / "out" / "00003.png")).numpy()

@@ -210,12 +210,6 @@ def test_odd_sizes(tmp_path, size, codec):
             assert [a.width for a in clips.decoded(tmp_path / "b.mkv")] == [size[0]] * 3
 
 
-def test_a_format_changed_for_an_odd_size_is_said(tmp_path):
-    source = clips.make(tmp_path / "a.mkv", "ffv1", "yuv420p", 3, (65, 49))
-    with pytest.warns(ClipWarning, match="yuv420p, which libx264 does not take at 65x49"):
-        copy(source, tmp_path / "b.mp4", codec="h264")
-
-
 def test_each_container_is_written_under_its_first_suffix() -> None:
     assert tuple(container.suffixes[0] for container in codecs.CONTAINERS) == CLIPS_OUT
 

@@ -10,7 +10,7 @@ import pytest
 from supple.media.video import ClipWarning, info
 from supple.media.video import open_clip as open_video
 from tests import clips
-from tests.media.video.copies import assert_same_frames, copy, read
+from tests.media.video.copies import arrays_of, assert_same_frames, copy, read
 
 
 def test_rotation_aspect_and_colours_come_through(tmp_path):
@@ -73,8 +73,7 @@ def test_opacity_that_is_lost_is_said_once_and_only_if_there_is_any(tmp_path):
     assert len(caught) == 1
     with open_video(source) as clip, clip.writer(tmp_path / "c.mp4", codec="h264") as sink:
         for k, frame in enumerate(clip.frames()):
-            arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
-            frame.copy_to(arrays)
+            arrays = arrays_of(clip, frame)
             arrays[0][..., 1] = 255
             sink.write(arrays, k)
 
@@ -98,8 +97,7 @@ def test_half_opacity_that_gif_drops_is_said(tmp_path, opacity, told):
         warnings.simplefilter("always")
         with open_video(source) as clip, clip.writer(tmp_path / "b.gif") as sink:
             for k, frame in enumerate(clip.frames()):
-                arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
-                frame.copy_to(arrays)
+                arrays = arrays_of(clip, frame)
                 arrays[0][..., 3] = opacity[k % 2]
                 sink.write(arrays, k)
     assert len(caught) == told

@@ -15,6 +15,7 @@ FORMATS = (  # of FFV1
     "yuv444p9le,yuv420p10le,yuv422p10le,yuv444p10le,yuv420p12le,yuv444p12le,yuva444p10le,yuva420p10le,gray16le,gray,"
     "gbrp10le,gbrp12le,gbrap12le,ya8,gray10le,gray12le,gbrp16le,rgb48le,rgba64le,gbrpf32le"
 )
+PACKED = "argb,bgra,rgb0,0bgr,vuya,ayuv,uyvy422,yvyu422,p010le,nv21,xv36le,y210le"
 OTHERS = (  # which it takes in another order
     "yuvj420p,nv12,nv21,nv16,nv24,yuyv422,uyvy422,p010le,yuv420p10be,rgb24,bgr24,argb,0rgb,rgba,gray10be,rgb48be,gbrp,vuya"
 )
@@ -53,20 +54,7 @@ def test_formats_of_parts_of_bytes_come_back(tmp_path, name):
 
 def test_forms_agree_with_swscale():
     """Where a component lies is found from names; libswscale knows it by heart."""
-    for name in (
-        "argb",
-        "bgra",
-        "rgb0",
-        "0bgr",
-        "vuya",
-        "ayuv",
-        "uyvy422",
-        "yvyu422",
-        "p010le",
-        "nv21",
-        "xv36le",
-        "y210le",
-    ):
+    for name in PACKED.split(","):
         found = video_planes.form(name)
         planar = {"rgb": "gbr", "yuv": "yuv"}[found.kind.family] + ("ap" if found.kind.alpha else "p")
         if found.kind.family == "yuv":
@@ -81,13 +69,6 @@ def test_forms_agree_with_swscale():
         video_planes.unpack(other, video_planes.form(other.format.name), two)
         for a, b in zip(one, two, strict=True):
             np.testing.assert_array_equal(a, b, err_msg=name)
-
-
-def test_palettes_are_looked_up(tmp_path):
-    copy(clips.make(tmp_path / "a.mkv", "ffv1", count=3), tmp_path / "b.gif")
-    with open_video(tmp_path / "b.gif") as clip:
-        assert clip.count == 3
-        assert clip.layout.groups[0].channels == 4
 
 
 @pytest.mark.parametrize(
@@ -223,21 +204,3 @@ def test_colours_that_are_painted_are_seen(name, matrix, full):
     np.testing.assert_allclose(seen, wanted, atol=0.008)
     nothing = [0.0] * ((1 if grey else 3) + found.kind.alpha)
     assert colour.painted(found, meant, 48, nothing) == pytest.approx(colour.black(found, meant))
-
-
-def test_black_of_a_file(tmp_path):
-    def full(stream):
-        stream.codec_context.color_range = 2
-
-    for name, setup, want in (
-        ("yuv420p", None, (16, 128, 128)),
-        ("yuv420p", full, (0, 128, 128)),
-        ("yuvj420p", None, (0, 128, 128)),
-        ("gray", None, (0,)),
-        ("yuv422p10le", None, (64, 512, 512)),
-        ("bgr0", None, (0, 0, 0)),
-    ):
-        codec = "mjpeg" if name == "yuvj420p" else "ffv1"
-        options = {"strict": "experimental"}
-        with open_video(clips.make(tmp_path / "a.mkv", codec, name, 1, setup=setup, options=options)) as clip:
-            assert clip.layout.black == want

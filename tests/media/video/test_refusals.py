@@ -1,18 +1,11 @@
 """What cannot be written is refused before any frame, and nothing is left behind."""
 
-import os
-import subprocess
-import sys
-
-import numpy as np
 import pytest
 
 from supple.errors import SuppleError
-from supple.media.video import info
 from supple.media.video import open_clip as open_video
 from tests import clips
-from tests.children import SOURCE
-from tests.media.video.copies import assert_nothing_left, copy
+from tests.media.video.copies import assert_nothing_left
 
 REFUSED = [
     ("b.mp4", {"codec": "nonsense"}, "no video encoder is called nonsense: use h264"),
@@ -57,75 +50,3 @@ def test_what_cannot_be_is_refused_before_any_frame(tmp_path, target, settings, 
         pytest.fail("the block must not run")
     assert "\n" not in str(caught.value)
     assert_nothing_left(tmp_path, "a.mp4")
-
-
-def test_an_existing_file_is_kept_unless_forced(tmp_path):
-    source = clips.make(tmp_path / "a.mp4", count=2)
-    (tmp_path / "b.mp4").write_text("mine")
-    with (
-        open_video(source) as clip,
-        pytest.raises(SuppleError, match="exists already"),
-        clip.writer(tmp_path / "b.mp4"),
-    ):
-        pytest.fail("the block must not run")
-    assert (tmp_path / "b.mp4").read_text() == "mine"
-
-
-def test_a_clip_may_replace_itself(tmp_path):
-    source = clips.make(tmp_path / "a.mp4", count=4)
-    assert copy(source, source) == 4
-    assert info(source)["frames"] == 4
-
-
-@pytest.mark.parametrize("when", [0, 3, 9])
-@pytest.mark.parametrize("stop", [KeyboardInterrupt, RuntimeError])
-def test_an_interrupt_leaves_nothing(tmp_path, stop, when):
-    source = clips.make(tmp_path / "a.mp4", audio="aac")
-
-    def interrupted():
-        with open_video(source) as clip, clip.writer(tmp_path / "b.mp4") as sink:
-            for k, frame in enumerate(clip.frames()):
-                arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
-                frame.copy_to(arrays)
-                if k == when:
-                    raise stop
-                sink.write(arrays, k)
-
-    with pytest.raises(stop):
-        interrupted()
-    assert_nothing_left(tmp_path, "a.mp4")
-
-
-FULL_DISK = """
-import os, resource, signal, sys
-import numpy as np
-from supple.errors import SuppleError
-from supple.media.video import open_clip as open_video
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-source, *targets = sys.argv[1:]
-for target in targets:
-    for room in (0, 20000):
-        resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
-        try:
-            with open_video(source) as clip, clip.writer(target) as sink:
-                for k, frame in enumerate(clip.frames()):
-                    arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
-                    frame.copy_to(arrays)
-                    sink.write(arrays, k)
-        except SuppleError as error:
-            assert "File too large: make room" in error.args[0], error
-            print(target)
-        assert os.listdir() == [source]
-"""
-
-
-def test_a_full_disk_is_said(tmp_path):
-    source = clips.make(tmp_path / "a.mkv", "ffv1", smooth=False, count=20)
-    targets = ["b.mkv", "b.mp4", "b.avi", "b.gif"]
-    command = [sys.executable, "-c", FULL_DISK, source.name, *targets]
-    environment = {**os.environ, "PYTHONPATH": SOURCE}
-    done = subprocess.run(
-        command, capture_output=True, encoding="utf-8", timeout=100, check=False, cwd=tmp_path, env=environment
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.split() == [target for target in targets for _ in range(2)]

@@ -19,6 +19,7 @@ from supple.media.video import ClipWarning, info
 from supple.media.video import open_clip as open_video
 from supple.media.video import writer as writer_of
 from tests import clips
+from tests.media.video.copies import arrays_of
 from tests.media.video.sequences import SRGB, Array, frames_of, names, numbers, picture, save
 
 # what every film of RGB pictures says that is as players want it; `test_what_a_sequence_loses_is_said` hears it
@@ -36,8 +37,7 @@ def shot(path: Path) -> tuple[dict[str, Any], list[list[Array]]]:
     with open_video(path) as clip:
         found = []
         for frame in clip.frames():
-            arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
-            frame.copy_to(arrays)
+            arrays = arrays_of(clip, frame)
             found.append(arrays)
         return clip.info(), found
 
@@ -172,15 +172,6 @@ def test_floats_go_into_what_holds_them(tmp_path: Path) -> None:
     assert names(tmp_path) == ["a.mkv", "in"]
 
 
-def test_opacity_of_pictures_is_kept_or_missed(tmp_path: Path) -> None:
-    save(tmp_path / "in", numbers(1, 2), shape=(48, 64, 4))
-    film(tmp_path / "in", tmp_path / "a.webm")
-    assert info(tmp_path / "a.webm")["alpha"]
-    with pytest.warns(ClipWarning, match="loses opacity") as caught:
-        film(tmp_path / "in", tmp_path / "a.mp4", pixel_format="yuv420p")
-    assert len(caught) == 1
-
-
 @pytest.mark.parametrize(
     ("kind", "codec", "lost", "keeps"),
     [
@@ -229,27 +220,6 @@ def test_what_a_sequence_loses_is_said(tmp_path: Path) -> None:
     film(tmp_path / "profiled", tmp_path / "c.mkv")
 
 
-def test_pixel_formats_that_are_asked_for_are_taken(tmp_path: Path) -> None:
-    gradients(tmp_path / "in", 2)
-    film(tmp_path / "in", tmp_path / "a.mp4", codec="hevc", pixel_format="gbrp")
-    assert info(tmp_path / "a.mp4")["pixel_format"] == "gbrp"
-    film(tmp_path / "in", tmp_path / "b.mp4", pixel_format="yuv444p")
-    assert info(tmp_path / "b.mp4")["pixel_format"] == "yuv444p"
-
-
-def test_a_film_of_pictures_is_whole_or_not_there(tmp_path: Path) -> None:
-    gradients(tmp_path / "in", 3)
-
-    def interrupted() -> None:
-        with open_sequence(tmp_path / "in") as clip, writer_of(clip, tmp_path / "a.mp4") as sink:
-            sink.write([frames_of(clip)[0]], 0)
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert names(tmp_path) == ["in"]
-
-
 @pytest.mark.parametrize(("kind", "bands"), [("cmyk", 4), ("lab", 3)])
 def test_pictures_without_colours_are_refused(tmp_path: Path, kind: str, bands: int) -> None:
     (tmp_path / "in").mkdir()
@@ -266,8 +236,7 @@ def test_a_film_becomes_the_pictures_that_it_was_made_of(tmp_path: Path, dtype: 
     for target, found in (("out", numbers(1, 3)), ("out/%d.png", ["1.png", "2.png", "3.png"])):
         with open_video(tmp_path / "a.mkv") as clip, sequence_writer(clip, tmp_path / target) as sink:
             for k, frame in enumerate(clip.frames()):
-                arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
-                frame.copy_to(arrays)
+                arrays = arrays_of(clip, frame)
                 sink.write(arrays, k)
         for want, name in zip(kept, found, strict=True):
             picture = read(tmp_path / "out" / name)

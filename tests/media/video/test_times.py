@@ -1,7 +1,5 @@
 """Times of frames come through, whatever rate, order or container; and frames are read again."""
 
-import queue
-import threading
 import types
 from fractions import Fraction
 
@@ -82,26 +80,6 @@ def test_frames_before_an_edit_list_begins_are_not_shown(tmp_path):
     shown = len(clips.decoded(source))
     assert 0 < shown < 12
     assert copy(source, tmp_path / "b.mp4", again=False) == shown
-    assert clips.when(tmp_path / "b.mp4") == clips.when(source)
-    assert_same_sound(source, tmp_path / "b.mp4")
-
-
-def test_frames_are_read_and_written_by_two_threads(tmp_path):
-    source = clips.make(tmp_path / "a.mp4", count=50, audio="aac")
-    frames = queue.Queue(8)
-    with open_video(source) as clip, clip.writer(tmp_path / "b.mp4") as sink:
-
-        def reader():
-            for frame in clip.frames():
-                arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
-                frame.copy_to(arrays)
-                frames.put(arrays)
-
-        thread = threading.Thread(target=reader)
-        thread.start()
-        for k in range(clip.count):
-            sink.write(frames.get(timeout=60), k)
-        thread.join()
     assert clips.when(tmp_path / "b.mp4") == clips.when(source)
     assert_same_sound(source, tmp_path / "b.mp4")
 

@@ -6,7 +6,7 @@ import numpy as np
 import pydicom
 import pytest
 import SimpleITK as sitk  # noqa: N813
-from pydicom.uid import ExplicitVRLittleEndian, generate_uid
+from pydicom.uid import generate_uid
 
 import supple
 from supple.errors import SuppleError
@@ -15,7 +15,7 @@ from supple.media.volume import read, write
 from supple.media.volume.frames import quiet
 from supple.strokes import Recipe, Stroke
 from tests.media.volume.test_derived import SAMPLES, STILL
-from tests.media.volume.volumes import ORIGIN, SHAPE, SPACING, noise, refused, turned
+from tests.media.volume.volumes import ORIGIN, SHAPE, SPACING, item, noise, refused, save, turned
 
 pytestmark = pytest.mark.filterwarnings("ignore:.* moves nothing")
 
@@ -23,13 +23,6 @@ DIRECTION = turned(flipped=False)
 PLACES = np.array(ORIGIN) + SPACING[2] * np.outer(np.arange(SHAPE[0]), DIRECTION[:, 2])
 BENT = Recipe(strokes=(Stroke.grab((3, 2, 2), by=(0.5, 0.3, 0.2), radius=3, reach=9),), border=None)
 VALUES = noise("i2", *SHAPE) % 3000
-
-
-def item(**told):
-    made = pydicom.Dataset()
-    for name, value in told.items():
-        setattr(made, name, value)
-    return made
 
 
 def enhanced(path, samples=VALUES, places=PLACES, edit=lambda head: None, kind="2.1"):
@@ -61,10 +54,7 @@ def enhanced(path, samples=VALUES, places=PLACES, edit=lambda head: None, kind="
         for k, place in enumerate(np.asarray(places).tolist())
     ]
     edit(head)
-    head.file_meta = pydicom.dataset.FileMetaDataset()
-    head.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
-    head.save_as(path, enforce_file_format=True)
-    return path
+    return save(path, head)
 
 
 def places_in(head):

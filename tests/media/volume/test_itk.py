@@ -9,21 +9,8 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 from supple.errors import SuppleError
-from supple.media.volume import (
-    check_target,
-    read,
-    write,
-)
-from tests.media.volume.volumes import (
-    SHAPE,
-    agree,
-    by_itk,
-    by_us,
-    image,
-    noise,
-    refused,
-    volume,
-)
+from supple.media.volume import check_target, read, write
+from tests.media.volume.volumes import SHAPE, agree, by_itk, by_us, image, noise, refused, volume
 
 
 class TestITKFormats:
@@ -81,14 +68,6 @@ class TestITKFormats:
         (tmp_path / "sub").rename(tmp_path / "moved")
         agree(by_us(tmp_path / "moved" / "an out.mhd"), by_itk(tmp_path / "moved" / "an out.mhd"))
         assert (tmp_path / "moved" / "an out.raw").stat().st_size == like.samples.nbytes
-
-    def test_a_data_file_is_not_clobbered(self, tmp_path):
-        (tmp_path / "out.raw").write_text("precious")
-        like = volume(noise("i2", *SHAPE))
-        with pytest.raises(SuppleError, match=r"out\.raw exists already"):
-            write(tmp_path / "out.mhd", like.samples, like)
-        assert os.listdir(tmp_path) == ["out.raw"]
-        assert (tmp_path / "out.raw").read_text() == "precious"
 
     @pytest.mark.parametrize(
         ("suffix", "old", "new", "told"),

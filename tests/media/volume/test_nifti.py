@@ -11,10 +11,7 @@ import SimpleITK as sitk  # noqa: N813
 
 import supple
 from supple.errors import VolumeWarning
-from supple.media.volume import (
-    read,
-    write,
-)
+from supple.media.volume import read, write
 from supple.strokes import Recipe, Stroke
 from tests.media.volume.volumes import (
     ORIGIN,
@@ -24,7 +21,6 @@ from tests.media.volume.volumes import (
     by_itk,
     by_nibabel,
     by_us,
-    image,
     nifti,
     noise,
     refused,
@@ -157,23 +153,11 @@ class TestNIfTI:
         write(tmp_path / "out.nii", known.samples, known)
         assert (tmp_path / "out.nii").read_bytes() == path.read_bytes()
 
-    def test_a_field_of_vectors_by_itk(self, tmp_path):
-        samples, path = noise("f4", *SHAPE, 3), tmp_path / "in.nii.gz"
-        sitk.WriteImage(image(samples, vector=True), str(path))
-        np.testing.assert_array_equal(read(path).samples, samples)
-        agree(by_us(path), by_itk(path))
-
     def test_long_axes_take_the_second_version(self, tmp_path):
         like = volume(noise("u1", 1, 2, 40_000))
         write(tmp_path / "out.nii", like.samples, like)
         assert isinstance(nibabel.load(tmp_path / "out.nii"), nibabel.Nifti2Image)
         np.testing.assert_array_equal(read(tmp_path / "out.nii").samples, like.samples)
-
-    def test_the_same_volume_makes_the_same_file(self, tmp_path):
-        like = volume(noise("i2", *SHAPE))
-        write(tmp_path / "a.nii.gz", like.samples, like)
-        write(tmp_path / "b.nii.gz", like.samples, like)
-        assert (tmp_path / "a.nii.gz").read_bytes() == (tmp_path / "b.nii.gz").read_bytes()
 
     @pytest.mark.parametrize(
         ("change", "told"),

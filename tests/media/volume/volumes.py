@@ -5,15 +5,14 @@ import struct
 
 import nibabel
 import numpy as np
+import pydicom
 import pytest
 import SimpleITK as sitk  # noqa: N813
 
 from supple.errors import SuppleError
-from supple.media.volume import (
-    Volume,
-    read,
-)
+from supple.media.volume import Volume, read
 from supple.space.geometry import Geometry
+from tests.media.image.pictures import noise
 
 SPACING, ORIGIN = (0.7, 1.1, 2.3), (-12.5, 33.25, 7.125)
 DTYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
@@ -28,15 +27,6 @@ def turned(*, flipped=True):
     cross = np.cross(np.eye(3), axis)
     turn = np.eye(3) + np.sin(0.6) * cross + (1 - np.cos(0.6)) * cross @ cross
     return turn * ([1, -1, 1] if flipped else [1, 1, 1])
-
-
-def noise(dtype, *shape):
-    random = np.random.default_rng(sum(shape))
-    dtype = np.dtype(dtype)
-    if dtype.kind == "f":
-        return random.normal(size=shape).astype(dtype)
-    bounds = np.iinfo(dtype)
-    return random.integers(bounds.min, bounds.max, shape, dtype, endpoint=True)
 
 
 def volume(samples, **options):
@@ -89,6 +79,22 @@ def nifti(path, samples=None, affine=None, change=(), kind=nibabel.Nifti1Image):
     for offset, form, *values in change:
         struct.pack_into(form, data, offset, *values)
     path.write_bytes(gzip.compress(data) if packed else data)
+    return path
+
+
+def item(**values):
+    made = pydicom.Dataset()
+    for name, value in values.items():
+        setattr(made, name, value)
+    return made
+
+
+def save(path, head, *, explicit=True):
+    """Write a dataset as a DICOM file."""
+    head.file_meta = pydicom.dataset.FileMetaDataset()
+    kinds = pydicom.uid.ExplicitVRLittleEndian, pydicom.uid.ImplicitVRLittleEndian
+    head.file_meta.TransferSyntaxUID = kinds[not explicit]
+    head.save_as(path, enforce_file_format=True)
     return path
 
 
