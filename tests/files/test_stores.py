@@ -27,7 +27,7 @@ zarr = pytest.importorskip("zarr")
 pytest.importorskip("dask")
 
 from supple import Affine, Deformation, Recipe, Stroke, SuppleError  # noqa: E402
-from supple.blocks import Warp, boxes_of, chunks_of  # noqa: E402
+from supple.blocks import Warp, boxes_of  # noqa: E402
 from supple.engine.sampling import Sampling  # noqa: E402
 from supple.errors import VolumeWarning  # noqa: E402
 from supple.fields import Placed  # noqa: E402

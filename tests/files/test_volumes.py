@@ -19,7 +19,7 @@ from supple.cli import command
 from supple.engine.sampling import Sampling
 from supple.errors import SuppleError, VolumeWarning
 from supple.fields import Placed
-from supple.files import Job, volumes
+from supple.files import volumes
 from supple.files.freezing import read_freeze
 from supple.files.options import VolumeOptions
 from supple.files.stores import warp_store
