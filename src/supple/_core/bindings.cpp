@@ -104,7 +104,7 @@ nb::object inverse(const Doubles& table, const Doubles& rows, const Doubles& tar
     return made;
 }
 
-typedef nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu> Map;
+typedef nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu> PointMap;
 typedef nb::ndarray<int64_t, nb::ndim<2>, nb::c_contig, nb::device::cpu> Counts;
 typedef nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu> Residuals;
 
@@ -121,7 +121,7 @@ void invert_row(const std::vector<Stroke>& strokes, const Axis* axes, double z, 
 }
 
 void published(const Doubles& table, const Doubles& rows, double z, int every, double mu, double tolerance, int limit,
-               bool corrected, Map points, Counts counts, Residuals residual) {
+               bool corrected, PointMap points, Counts counts, Residuals residual) {
     Axes axes = axes_of(rows);
     std::vector<Stroke> strokes = strokes_of(table, axes.data(), std::nullopt);
     Published how{mu, tolerance, limit, corrected};

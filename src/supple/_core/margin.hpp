@@ -71,7 +71,7 @@ constexpr double TINY = 1e-150;
 constexpr double HUGE_BOUND = 1e100;  // an infinite bound whose square is still finite
 constexpr int MOST_BOXES = 200'000;   // the largest number of boxes
 
-struct Box {
+struct Region {
     double low[3], high[3];
     double bound = -INFINITE;  // λ_min(S) is not below it
 };
@@ -287,7 +287,7 @@ public:
     Derivatives mask;       // bounds of m and its derivatives there
 
     // List the strokes that reach a box in `near`, and add their bounds up.
-    Derivatives sum_in(const Box& box) {
+    Derivatives sum_in(const Region& box) {
         Derivatives n{};
         plain[0] = plain[1] = 0;
         if (freeze) mask = freeze->bounds_in(box.low, box.high);
@@ -311,14 +311,14 @@ public:
         return n;
     }
 
-    std::vector<Stroke> those_in(const Box& box) {
+    std::vector<Stroke> those_in(const Region& box) {
         std::vector<Stroke> those;
         sum_in(box);
         for (int s : near) those.push_back(strokes[s]);
         return those;
     }
 
-    void add(const Box& box) {
+    void add(const Region& box) {
         waiting.push_back(box);
         std::push_heap(waiting.begin(), waiting.end(), later);
     }
@@ -326,7 +326,7 @@ public:
     void run() {
         for (int visited = 0; !waiting.empty(); visited++) {
             std::pop_heap(waiting.begin(), waiting.end(), later);
-            const Box box = waiting.back();
+            const Region box = waiting.back();
             waiting.pop_back();
             if (box.bound > enough() || visited == MOST_BOXES) return settle(box.bound);
             visit(box);
@@ -334,7 +334,7 @@ public:
     }
 
     // Bound μ in a box; halve the box if that is not close enough.
-    void visit(Box box) {
+    void visit(Region box) {
         const Errors errors = errors_in(box);
         double worst = enough();  // of the corners
         if (errors.simple >= worst) return settle(errors.simple);
@@ -363,7 +363,7 @@ public:
             if (const double knot = freeze->knot(k, middle); box.low[k] < knot && knot < box.high[k]) middle = knot;
         const bool divisible = box.low[k] < middle && middle < box.high[k];
         if (bound >= enough() || errors.rounding >= d[0] + d[1] + d[2] || !divisible) return settle(bound);
-        Box other = box;
+        Region other = box;
         box.high[k] = other.low[k] = middle;
         add(box);
         add(other);
@@ -378,7 +378,7 @@ private:
         double rounding = 0;
     };
 
-    Errors errors_in(const Box& box) {
+    Errors errors_in(const Region& box) {
         double value = 0, steepest = 0;
         Derivatives b[3];
         for (int k = 0; k < 3; k++) {
@@ -420,7 +420,7 @@ private:
     }
 
     // The bound (6) in a box.
-    double beside(const Box& box, double value, double steepest) const {
+    double beside(const Region& box, double value, double steepest) const {
         double g[64][3];
         const int count = freeze->gradients_in(box.low, box.high, g);
         if (!count) return -INFINITE;
@@ -456,21 +456,21 @@ private:
     double enough() const { return std::min(target, known.upper * (1 + gap)); }
     void settle(double bound) { known.lower = std::min(known.lower, bound); }
 
-    static bool later(const Box& a, const Box& b) { return a.bound > b.bound; }
+    static bool later(const Region& a, const Region& b) { return a.bound > b.bound; }
 
     const std::vector<Stroke>& strokes;
     const Axis* axes;
     const double free, target, gap;
     const Frozen* freeze = nullptr;  // the mask, if a stroke is subject to it
     std::vector<double> noise;       // of each stroke
-    std::vector<Box> waiting;        // a heap
+    std::vector<Region> waiting;     // a heap
 };
 
 constexpr size_t FEW = 8;   // strokes, up to which a domain is not divided in advance
 constexpr double TILE = 4;  // radii
 
 // Boxes that cover what strokes reach of a domain: no end of the border goes across one.
-inline std::vector<Box> boxes_of(const std::vector<Stroke>& strokes, const Axis* axes) {
+inline std::vector<Region> boxes_of(const std::vector<Stroke>& strokes, const Axis* axes) {
     std::vector<double> cuts[3];
     double radius = 0;
     const bool flat = axes[2].extent() == 0;
@@ -497,7 +497,7 @@ inline std::vector<Box> boxes_of(const std::vector<Stroke>& strokes, const Axis*
             if (cuts[i].back() < x && x <= high) cuts[i].push_back(x);
         if (a.extent() == 0) cuts[i] = {a.first, a.first};
     }
-    std::vector<Box> boxes;
+    std::vector<Region> boxes;
     for (size_t i = 1; i < cuts[0].size(); i++)
         for (size_t j = 1; j < cuts[1].size(); j++)
             for (size_t k = 1; k < cuts[2].size(); k++)
@@ -509,15 +509,15 @@ inline std::vector<Box> boxes_of(const std::vector<Stroke>& strokes, const Axis*
 // Bound μ in a domain. With a free border, the worst point of a single grab by 1 is at `distance` ahead of its pivot.
 inline Bounds smallest_strain(const std::vector<Stroke>& strokes, const Axis* axes, double free, double distance,
                               double target, double gap) {
-    const std::vector<Box> boxes = boxes_of(strokes, axes);
+    const std::vector<Region> boxes = boxes_of(strokes, axes);
     if (strokes.size() <= FEW) {
         Search search(strokes, axes, free, target, gap);
-        Box ahead;
+        Region ahead;
         for (int i = 0; i < 3; i++)
             ahead.low[i] = ahead.high[i] =
                 std::clamp(strokes[0].pivot[i] + distance * strokes[0].force[i], axes[i].first, axes[i].last);
         search.visit(ahead);
-        for (const Box& box : boxes) search.add(box);
+        for (const Region& box : boxes) search.add(box);
         search.run();
         return search.known;
     }
@@ -547,7 +547,7 @@ constexpr int MOST_PLACES = 20'000;
 inline double largest_displacement(const std::vector<Stroke>& strokes, const Axis* axes) {
     // Return |K| at the middle of a box, and bound it within. β is not part of it: the bound holds, if it is not as
     // close near a border.
-    const auto look = [](Search& search, const std::vector<Stroke>& among, Box& box) {
+    const auto look = [](Search& search, const std::vector<Stroke>& among, Region& box) {
         double across2 = 0;
         Jet<3, 0, false, double> at, moved{};
         for (int i = 0; i < 3; i++) {
@@ -565,12 +565,12 @@ inline double largest_displacement(const std::vector<Stroke>& strokes, const Axi
     // With the strokes that reach it alone, each box is cheap to look at.
     struct Part {
         std::vector<Stroke> near;
-        Box box;
+        Region box;
         double here;  // |K| somewhere in it, or elsewhere
-        std::vector<Box> waiting;
+        std::vector<Region> waiting;
     };
     std::vector<Part> parts;
-    for (const Box& box : boxes_of(strokes, axes)) parts.push_back({{}, box, 0, {}});
+    for (const Region& box : boxes_of(strokes, axes)) parts.push_back({{}, box, 0, {}});
     parallel((int)parts.size(), [&](int i, int) {
         Part& part = parts[i];
         part.near = Search(strokes, axes, -INFINITE, 0, 0).those_in(part.box);
@@ -581,7 +581,7 @@ inline double largest_displacement(const std::vector<Stroke>& strokes, const Axi
     // Pivots are where most is moved.
     std::vector<double> there(strokes.size());
     parallel((int)strokes.size(), [&](int i, int) {
-        Box box;
+        Region box;
         for (int k = 0; k < 3; k++)
             box.low[k] = box.high[k] = std::clamp(strokes[i].pivot[k], axes[k].first, axes[k].last);
         Search search(strokes, axes, -INFINITE, 0, 0);
@@ -592,7 +592,7 @@ inline double largest_displacement(const std::vector<Stroke>& strokes, const Axi
     for (const Part& part : parts) known = std::max(known, part.here);
     for (Part& part : parts) part.waiting = {part.box};
     // What parts leave of the places is for those that are not done: the same ones, whatever the threads.
-    const auto smaller = [](const Box& a, const Box& b) { return a.bound < b.bound; };
+    const auto smaller = [](const Region& a, const Region& b) { return a.bound < b.bound; };
     std::vector<Part*> open;
     for (Part& part : parts) open.push_back(&part);
     for (int left = MOST_PLACES; !open.empty();) {
@@ -605,14 +605,14 @@ inline double largest_displacement(const std::vector<Stroke>& strokes, const Axi
             while (part.waiting.front().bound > LOOSE * part.here &&
                    (used[i] < each || !std::isfinite(part.waiting.front().bound))) {
                 std::pop_heap(part.waiting.begin(), part.waiting.end(), smaller);
-                Box box = part.waiting.back();
+                Region box = part.waiting.back();
                 part.waiting.pop_back();
                 int widest = 0;
                 for (int k = 1; k < 3; k++)
                     if (box.high[k] - box.low[k] > box.high[widest] - box.low[widest]) widest = k;
-                Box other = box;
+                Region other = box;
                 box.high[widest] = other.low[widest] = 0.5 * (box.low[widest] + box.high[widest]);
-                for (Box* half : {&box, &other}) {
+                for (Region* half : {&box, &other}) {
                     part.here = std::max(part.here, look(search, part.near, *half));
                     part.waiting.push_back(*half);
                     std::push_heap(part.waiting.begin(), part.waiting.end(), smaller);
