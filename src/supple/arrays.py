@@ -6,7 +6,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from supple import _core
 from supple.engine import core
 from supple.engine.devices import check_gradients, is_on_device
-from supple.engine.sampling import DEFAULT, Certificate, Sampling, warn_of
+from supple.engine.sampling import DEFAULT, Certificate, Sampling, SamplingFields, warn_of
 from supple.engine.stream import make_plan, stream
 from supple.engine.work import Array, Deforming, Space, Tell, Work, check_count, silent, spaces_of, work_of
 from supple.errors import SuppleError, ToleranceWarning, argument
@@ -291,7 +291,7 @@ def warp_batch(
     alpha: bool | None = None,
     device: str = "cpu",
     out: Any = None,
-    **options: Any,
+    **options: Unpack[SamplingFields],
 ) -> Any:
     """Deform a batch of images, of volumes or of clips.
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import itertools
 import operator
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
 
 from supple.blocks import Block, Box, Read, Warp, boxes_of
 from supple.deformation import Deformation
-from supple.engine.sampling import DEFAULT, Sampling, warn_of
+from supple.engine.sampling import DEFAULT, Sampling, SamplingFields, warn_of
 from supple.engine.work import work_of
 from supple.errors import SuppleError, need
 from supple.space.domain import refuse
@@ -38,7 +38,7 @@ def warp(
     axes: Sequence[int] | None = None,
     sampling: Sampling = DEFAULT,
     alpha: bool | None = None,
-    **options: Any,
+    **options: Unpack[SamplingFields],
 ) -> Any:
     """Warp an array lazily: block by block, on threads, processes or a cluster.
 

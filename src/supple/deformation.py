@@ -7,7 +7,7 @@ import math
 import warnings
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,7 @@ from supple import _core
 from supple.engine import core
 from supple.engine.core import measured, plan_of
 from supple.engine.devices import is_on_device
-from supple.engine.sampling import DEFAULT, Certificate, Sampling, warn_of
+from supple.engine.sampling import DEFAULT, Certificate, Sampling, SamplingFields, warn_of
 from supple.engine.work import Space
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, caller
 from supple.fields import Field, Placed, check_path, folds_of
@@ -908,7 +908,7 @@ class Deformation:
         device: str = "cpu",
         out: npt.NDArray[Any] | None = None,
         grid: Grid | None = None,
-        **options: Any,
+        **options: Unpack[SamplingFields],
     ) -> Any:
         """Warp an image, a stack of frames, or a function of points.
 

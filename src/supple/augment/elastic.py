@@ -13,14 +13,14 @@ import multiprocessing
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
 
 from supple import _core
 from supple.deformation import Deformation
-from supple.engine.sampling import Sampling
+from supple.engine.sampling import Sampling, SamplingFields
 from supple.folding.resolved import FLOW_GAP, FLOW_MARGIN, Table, beta_at
 from supple.folding.strain import weakest
 from supple.space.domain import Border, checked_border, integer, items, length, number, refuse
@@ -180,7 +180,7 @@ class RandomElastic:
         shape: Sequence[int] | Grid | None = None,
         spacing: float | Sequence[float] = 1.0,
         sampling: Sampling = _LINEAR,
-        **options: Any,
+        **options: Unpack[SamplingFields],
     ) -> Sample:
         """Draw a deformation, and apply it to an image and to what belongs to it.
 
@@ -215,7 +215,7 @@ def apply(
     points: npt.ArrayLike | None = None,
     boxes: npt.ArrayLike | None = None,
     sampling: Sampling = _LINEAR,
-    **options: Any,
+    **options: Unpack[SamplingFields],
 ) -> Sample:
     """Apply a deformation to an image and to what belongs to it.
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Unpack
 
 from supple.cuda.arrays import DeviceArray, as_stream, checked_out, made_like, stream_of, taken
 from supple.cuda.device import Event, Stream, keep, release_passed
 from supple.cuda.warp import Told
 from supple.cuda.warp import warp as warp_planes
 from supple.engine.devices import note
-from supple.engine.sampling import DEFAULT, Certificate, Sampling, warn_of
+from supple.engine.sampling import DEFAULT, Certificate, Sampling, SamplingFields, warn_of
 from supple.engine.work import Deforming, Space, Work, check_count, spaces_of, work_of
 from supple.space.domain import integer, refuse
 
@@ -86,7 +86,7 @@ def start(
     slab: int | None = None,
     stream: Any = None,
     out: Any = None,
-    **options: Any,
+    **options: Unpack[SamplingFields],
 ) -> Warping:
     """Start a warp on a GPU, and return at once.
 

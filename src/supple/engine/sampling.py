@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -93,7 +93,7 @@ class Sampling:
             object.__setattr__(self, name, value)
 
     @classmethod
-    def of(cls, sampling: object, options: Mapping[str, Any], ndim: int) -> Sampling:
+    def of(cls, sampling: object, options: SamplingFields, ndim: int) -> Sampling:
         """Return the sampling of an array of ``ndim`` axes, with ``options`` in place of fields of the given one."""
         if not isinstance(sampling, Sampling):
             refuse("sampling", "a Sampling", sampling)
@@ -120,6 +120,18 @@ class Sampling:
 
 
 DEFAULT = Sampling()
+
+
+class SamplingFields(TypedDict, total=False):
+    """The fields of `Sampling`, for type checkers and editors: functions take them by name too."""
+
+    filter: str
+    tolerance: float
+    outside: str
+    fill: float | Sequence[float]
+    linear_light: bool
+    between: str | None
+    time_filter: bool
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import torch
@@ -21,7 +21,7 @@ from torch.autograd.function import once_differentiable
 from supple.arrays import warp_array
 from supple.deformation import Deformation, place_of
 from supple.engine import core
-from supple.engine.sampling import Certificate, Sampling, warn_of
+from supple.engine.sampling import Certificate, Sampling, SamplingFields, warn_of
 from supple.engine.work import Space
 from supple.errors import SuppleError, ToleranceWarning, caller
 from supple.space.domain import refuse
@@ -44,7 +44,7 @@ def warp(
     by: torch.Tensor | None = None,
     radius: torch.Tensor | None = None,
     sampling: Sampling = _LINEAR,
-    **options: Any,
+    **options: Unpack[SamplingFields],
 ) -> torch.Tensor:
     """Warp a tensor, differentiably with respect to the tensor and the strokes.
 

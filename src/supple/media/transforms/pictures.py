@@ -82,14 +82,16 @@ def write_remap(path: PathLike, contents: Sequence[Content], grids: Grids, *, fo
     """Write a map for ``cv2.remap``, in float32: as one array (H, W, 2) in ``.npy``, else as map1 and map2, x and y."""
     suffix = Path(path).suffix.lower()
     check_suffix(path, suffix, REMAP, "is of no map of OpenCV's", f"use {', '.join(REMAP)}")
-    places = _positions(path, contents, "a map of OpenCV's").astype(np.float32)
+    places = np.ascontiguousarray(_positions(path, contents, "a map of OpenCV's"), np.float32)
     if max(places.shape) > _LONGEST:
         what = f"OpenCV's maps end at {_LONGEST} pixels on a side, and the field has {places.shape[1]} x {len(places)}"
         raise unwritable(path, what, "write an STMap")
     maps = {f"map{i + 1}": np.ascontiguousarray(places[..., i]) for i in range(2)}
     with replacing(path, force=force) as temporary, open(temporary, "wb") as file:
         if suffix == ".npy":
-            np.save(file, places)
+            # np.save closes a duplicate of the file, and ignores that its last bytes found no room.
+            np.lib.format.write_array_header_1_0(file, np.lib.format.header_data_from_array_1_0(places))
+            file.write(places.data)
         elif suffix == ".npz":
             np.savez(file, map1=maps["map1"], map2=maps["map2"])
         elif suffix == ".xml":
