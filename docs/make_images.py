@@ -25,7 +25,7 @@ from supple.augment import RandomElastic, apply
 from supple.files.volumes import open_volume
 from supple.media import image
 from supple.plot import figure
-from supple.plot.annotate import annotated
+from supple.render.annotate import annotated
 from supple.render.camera import Camera
 from supple.render.labels import LabelColours, palette
 from supple.render.meshes import Surface

@@ -17,10 +17,11 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "src"))
 
 from supple import Deformation, FoldWarning, SuppleError, ToleranceWarning, _core
+from supple._core.rows import numbers
 from supple.engine.sampling import Sampling
 from supple.engine.stream import make_plan, stream
 from supple.engine.work import Array, Group, Layout, Work
-from supple.strokes import Stroke, numbers
+from supple.strokes import Stroke
 
 Floats = npt.NDArray[np.float64]
 

@@ -16,7 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from supple.errors import SuppleError
-from supple.space.domain import Domain, border_factor, choice, integer, items, length, number, point, value_shown
+from supple.space.checks import choice, integer, items, length, number, point, value_shown
+from supple.space.domain import Domain, border_factor
 
 HUGE = pytest.param(10**5000, id="huge")  # too long for Python to spell
 

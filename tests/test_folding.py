@@ -14,13 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from supple import _core
+from supple._core.rows import STROKE_DTYPE, numbers
 from supple.errors import FoldError, SuppleError
 from supple.folding import strain
 from supple.folding.limits import NEAR, resolve
 from supple.folding.resolved import Resolved
 from supple.folding.strain import CLEARLY_SAFE, MARGIN, limit
 from supple.space.domain import BorderProfile, Domain
-from supple.strokes import STROKE_DTYPE, FoldPolicy, Stroke, numbers, pack, poisson_of
+from supple.strokes import FoldPolicy, Stroke, pack, poisson_of
 from tests import reference
 
 Floats = npt.NDArray[np.float64]

@@ -14,9 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from supple import Deformation, Recipe, _core
+from supple._core.rows import numbers
 from supple.errors import FoldError, FoldWarning, SuppleError
 from supple.folding import limits, strain
-from supple.strokes import MOST_HANDLES, Stroke, numbers, pack
+from supple.strokes import MOST_HANDLES, Stroke, pack
 from tests import reference
 from tests.strokes import refusal
 

@@ -16,9 +16,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from supple._core.rows import STROKE_DTYPE
 from supple.deformation import Deformation
 from supple.errors import OutsideWarning, SuppleError
-from supple.strokes import STROKE_DTYPE, Recipe, Stroke, pack, poisson_of
+from supple.strokes import Recipe, Stroke, pack, poisson_of
 from tests import reference
 from tests.strokes import grab, ratios, recipes, refusal
 

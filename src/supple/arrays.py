@@ -18,7 +18,7 @@ from supple.engine.sampling import DEFAULT, Certificate, Sampling, SamplingField
 from supple.engine.stream import make_plan, stream
 from supple.engine.work import Array, Deforming, Space, Tell, Work, check_count, silent, spaces_of, work_of
 from supple.errors import SuppleError, ToleranceWarning, argument
-from supple.space.domain import integer, refuse
+from supple.space.checks import integer, refuse
 
 # CUDA is imported only where it is used, to keep `import supple` fast.
 

@@ -15,7 +15,7 @@ from supple.deformation import Deformation
 from supple.engine.sampling import DEFAULT, Sampling, SamplingFields, warn_of
 from supple.engine.work import work_of
 from supple.errors import SuppleError, need
-from supple.space.domain import refuse
+from supple.space.checks import refuse
 from supple.space.geometry import Grid
 
 need("zarr", "warps by Dask", "dask")

@@ -13,32 +13,22 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple._core.rows import ROW, numbers
 from supple.engine import core
 from supple.engine.core import measured, plan_of
 from supple.engine.devices import is_on_device
 from supple.engine.sampling import DEFAULT, Certificate, Sampling, SamplingFields, warn_of
-from supple.engine.work import Space
+from supple.engine.work import Space, mask_of
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, caller
 from supple.fields import Field, Placed, check_path, folds_of
 from supple.folding.limits import NEAR, resolve
 from supple.folding.resolved import FREE_ENOUGH, Resolved, apart, described, freedom_at, padded
-from supple.folding.strain import mask_of
 from supple.space.affine import Affine, matrix_rows
-from supple.space.domain import (
-    BorderProfile,
-    Domain,
-    choice,
-    colours_hint,
-    flag,
-    integer,
-    length,
-    number,
-    point,
-    refuse,
-)
+from supple.space.checks import choice, colours_hint, flag, integer, length, number, point, refuse
+from supple.space.domain import BorderProfile, Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Grid
-from supple.strokes import PAINTINGS, REACH, ROW, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
+from supple.strokes import PAINTINGS, REACH, FoldPolicy, Point, Recipe, Stroke, spoken
 
 _HIT = 1e-6  # samples: a point of a pull that is as near as this has arrived
 _FREE, _TAKEN = -1, -2  # of a point that no later stroke carries away, or one on purpose

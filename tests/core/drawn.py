@@ -15,10 +15,11 @@ import numpy.typing as npt
 from hypothesis import strategies as st
 
 from supple import Deformation, _core
+from supple._core.rows import numbers
 from supple.engine.core import plan_of, samplings_of
 from supple.engine.sampling import Sampling
 from supple.engine.work import Group, Layout, Space, Work
-from supple.strokes import Stroke, numbers
+from supple.strokes import Stroke
 from tests.children import ROOT
 
 Floats = npt.NDArray[np.float64]

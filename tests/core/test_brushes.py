@@ -13,11 +13,12 @@ from hypothesis import given, reject
 from hypothesis import strategies as st
 
 from supple import Deformation, Stroke, SuppleError, _core
+from supple._core.rows import numbers
 from supple.engine import core
 from supple.folding.limits import resolve
 from supple.folding.strain import MARGIN
 from supple.space.domain import Domain
-from supple.strokes import matrix_of, numbers
+from supple.strokes import matrix_of
 from tests import reference
 from tests.core.drawn import lifted, places, turning
 from tests.effort import examples, pairs

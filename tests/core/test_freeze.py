@@ -13,10 +13,11 @@ from hypothesis import given, reject
 from hypothesis import strategies as st
 
 from supple import Deformation, Freeze, Stroke, SuppleError, _core
+from supple._core.rows import numbers
+from supple.engine.work import mask_of
 from supple.errors import FoldError, MissWarning
 from supple.folding.limits import MARGIN
-from supple.folding.strain import mask_of, weakest
-from supple.strokes import numbers
+from supple.folding.strain import weakest
 from tests import reference
 from tests.core.drawn import turning
 from tests.effort import examples

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from supple import Deformation, Stroke, _core
+from supple._core.rows import numbers
 from supple.engine.core import plan_of
 from supple.engine.work import Space
-from supple.strokes import numbers
 from tests import reference
 from tests.core.drawn import deformation, deformations, plan, sampling
 from tests.effort import EVERY, examples

@@ -12,9 +12,10 @@ import pytest
 from hypothesis import given
 
 from supple import Deformation, _core
+from supple._core.rows import numbers
 from supple.folding.strain import limit
 from supple.space.domain import Domain
-from supple.strokes import Stroke, numbers, pack
+from supple.strokes import Stroke, pack
 from tests import reference
 from tests.core.drawn import POISSONS, deformation, deformations, lifted, places
 from tests.effort import examples

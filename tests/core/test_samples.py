@@ -14,10 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from supple import Deformation, SuppleError, _core
+from supple._core.rows import numbers
 from supple.engine.core import plan_of, samplings_of
 from supple.engine.sampling import Sampling
 from supple.engine.work import Group, Layout, Work
-from supple.strokes import numbers
 from tests import reference
 from tests.core.drawn import deformations, plan, sampling
 from tests.effort import examples

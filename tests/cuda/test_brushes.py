@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import supple
+from supple._core.rows import numbers
 from supple.cuda import points
 from supple.engine.work import Space
-from supple.strokes import numbers
 from tests import reference
 from tests.cuda.driver import on_host, sent
 from tests.turns import AFFINE, at_once

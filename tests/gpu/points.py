@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from supple.folding.strain import Mask
+from supple.engine.work import Mask
 from supple.gpu.device import Gpu
 from supple.gpu.field import constants, stroke_buffers
 from supple.gpu.memory import download, room, upload

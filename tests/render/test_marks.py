@@ -19,7 +19,7 @@ from supple.cli import command
 from supple.files.renders import RenderOptions, render_file
 from supple.gpu.device import Gpu
 from supple.media import image
-from supple.plot.annotate import annotated
+from supple.render.annotate import annotated
 from supple.render.camera import Bar, Camera, bar_of, sides_of
 from supple.render.scene import Scene
 from supple.render.transfer import TransferFunction

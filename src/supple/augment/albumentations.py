@@ -16,7 +16,7 @@ from supple.augment.peers import SEEDS, bent_stack, deformation_of, edged, filte
 from supple.deformation import Deformation
 from supple.engine.sampling import OUTSIDE
 from supple.errors import SuppleError
-from supple.space.domain import choice, refuse
+from supple.space.checks import choice, refuse
 
 need_library("albumentations", "Albumentations")
 import cv2

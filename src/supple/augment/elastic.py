@@ -19,13 +19,15 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple._core.rows import numbers
 from supple.deformation import Deformation
 from supple.engine.sampling import Sampling, SamplingFields
 from supple.folding.resolved import FLOW_GAP, FLOW_MARGIN, Table, beta_at
 from supple.folding.strain import weakest
-from supple.space.domain import Border, checked_border, integer, items, length, number, refuse
+from supple.space.checks import integer, items, length, number, refuse
+from supple.space.domain import Border, checked_border
 from supple.space.geometry import Grid
-from supple.strokes import Stroke, numbers, pack
+from supple.strokes import Stroke, pack
 
 Floats = npt.NDArray[np.float64]
 Seed = int | np.random.Generator | None

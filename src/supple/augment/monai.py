@@ -13,7 +13,8 @@ from typing import Any
 from supple.augment.elastic import RandomElastic as Drawing
 from supple.augment.peers import bent_tensor, edged_tensor, filter_of, moved_tensor, need_library, spacing_of
 from supple.deformation import Deformation
-from supple.space.domain import Border, refuse
+from supple.space.checks import refuse
+from supple.space.domain import Border
 
 need_library("monai", "MONAI")
 import torch

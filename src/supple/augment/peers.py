@@ -16,7 +16,7 @@ from supple.augment.elastic import Floats, moved_boxes, one_thread_in_workers
 from supple.deformation import Deformation
 from supple.engine.sampling import Sampling, warn_of
 from supple.errors import SuppleError
-from supple.space.domain import refuse
+from supple.space.checks import refuse
 from supple.strokes import Recipe
 
 if TYPE_CHECKING:

@@ -13,7 +13,8 @@ import numpy as np
 from supple.augment.elastic import RandomElastic as Drawing
 from supple.augment.peers import SEEDS, bent_tensor, deformation_of, filter_of, need_library, spacing_of
 from supple.engine.sampling import OUTSIDE
-from supple.space.domain import Border, choice
+from supple.space.checks import choice
+from supple.space.domain import Border
 
 need_library("torchio", "TorchIO")
 import torch

@@ -12,7 +12,8 @@ from supple.augment.elastic import RandomElastic as Drawing
 from supple.augment.peers import SEEDS, bent_tensor, edged_tensor, filter_of, moved_tensor, need_library
 from supple.engine.sampling import OUTSIDE
 from supple.errors import SuppleError
-from supple.space.domain import Border, choice
+from supple.space.checks import choice
+from supple.space.domain import Border
 
 need_library("torchvision", "torchvision")
 import torch

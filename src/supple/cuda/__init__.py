@@ -13,7 +13,7 @@ from supple.cuda.warp import warp as warp_planes
 from supple.engine.devices import note
 from supple.engine.sampling import DEFAULT, Certificate, Sampling, SamplingFields, warn_of
 from supple.engine.work import Deforming, Space, Work, check_count, spaces_of, work_of
-from supple.space.domain import integer, refuse
+from supple.space.checks import integer, refuse
 
 __all__ = ["Warping", "sample", "start"]
 

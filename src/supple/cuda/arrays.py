@@ -15,7 +15,7 @@ import numpy.typing as npt
 from supple.cuda.device import CudaDevice, Memory, Stream, open_device
 from supple.engine.devices import ON_CUDA, check_gradients, is_on_device, library_of
 from supple.errors import SuppleError
-from supple.space.domain import refuse
+from supple.space.checks import refuse
 
 
 class CudaArray:

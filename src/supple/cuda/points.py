@@ -13,7 +13,7 @@ from supple.cuda.warp import Told, lattice_of, paint
 from supple.engine.core import CONVERGED
 from supple.engine.sampling import Certificate
 from supple.engine.work import Space
-from supple.space.domain import refuse
+from supple.space.checks import refuse
 
 
 def _columns(points: Any, ndim: int) -> DeviceArray:

@@ -12,7 +12,7 @@ from supple import _core
 from supple.engine.sampling import BETWEEN, FILTERS, OUTSIDE, Certificate, Sampling, certificate_of_status
 from supple.engine.work import Array, Space, Tell, Work, silent
 from supple.errors import SuppleError
-from supple.space.domain import refuse
+from supple.space.checks import refuse
 
 Floats = npt.NDArray[np.float64]
 Box = tuple[int, int, int, int]

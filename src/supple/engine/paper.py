@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple._core.rows import numbers
 from supple.errors import SuppleError
-from supple.strokes import numbers
 
 Floats = npt.NDArray[np.float64]
 

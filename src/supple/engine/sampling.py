@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning, argument
-from supple.space.domain import choice, flag, number, refuse
+from supple.space.checks import choice, flag, number, refuse
 
 # Codes shared with the core and CUDA.
 FILTERS = {"auto": 3, "cubic": 2, "linear": 1, "nearest": 0}

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple._core.rows import STROKE_DTYPE
 from supple.engine.sampling import Sampling
 from supple.errors import SuppleError, argument, none
-from supple.folding.strain import Mask
-from supple.space.domain import colours_hint, refuse
+from supple.space.checks import colours_hint, refuse
+from supple.space.domain import Domain
+from supple.space.freezing import Freeze
 from supple.space.geometry import Grid
-from supple.strokes import STROKE_DTYPE
 
 Array = npt.NDArray[Any]
 Tell = Callable[[str, int, int], None]
@@ -26,15 +28,43 @@ def silent(step: str, done: int, total: int) -> None:
     """Report no progress."""
 
 
+class Mask(_core.Freeze):
+    """A freeze mask as the core takes it, with its coefficients for shaders and CUDA; points are from an origin."""
+
+    def __init__(self, freeze: Freeze, spacing: tuple[float, ...], origin: tuple[float, ...]) -> None:
+        values, first, self.step = freeze.packed(spacing)
+        self.first: npt.NDArray[np.float64] = first - origin
+        self.coefficients = freeze.coefficients.reshape(values.shape)
+        super().__init__(values.astype(np.float32), self.first.tolist(), self.step.tolist())
+        self._made_of = freeze, spacing, origin
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the arguments: the core's objects stay in their process."""
+        return _mask, self._made_of
+
+
+@lru_cache(maxsize=16)
+def _mask(freeze: Freeze, spacing: tuple[float, ...], origin: tuple[float, ...]) -> Mask | None:
+    return None if freeze.is_free else Mask(freeze, spacing, origin)
+
+
+def mask_of(domain: Domain, origin: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Mask | None:
+    """Return a domain's freeze mask as the core takes it, or None if nothing is frozen.
+
+    Points are from the origin, in physical units.
+    """
+    return None if domain.freeze is None else _mask(domain.freeze, domain.spacing, origin)
+
+
 @dataclass(frozen=True, slots=True)
 class Space:
     """The map as the core takes it, and the number and shape of frames.
 
-    ``rows`` are the strokes, each one-to-one (`supple.strokes.numbers`), and ``axes`` the packed domain: a row (first,
-    last, sigma, spacing, profile) for each axis, x first (`Domain.packed`). ``ndim`` is 2 for one map of an image, or
-    of each of ``count`` frames of a ``shape`` (rows, columns) alike; 3 for a map through a clip or a volume.
-    ``composite`` is the whole map, if there is more to it than strokes: affine maps, fields, or another ``grid`` of the
-    output. ``freeze`` is the mask of the strokes.
+    ``rows`` are the strokes, each one-to-one (`supple._core.rows`), and ``axes`` the packed domain: a row (first, last,
+    sigma, spacing, profile) for each axis, x first (`Domain.packed`). ``ndim`` is 2 for one map of an image, or of each
+    of ``count`` frames of a ``shape`` (rows, columns) alike; 3 for a map through a clip or a volume. ``composite`` is
+    the whole map, if there is more to it than strokes: affine maps, fields, or another ``grid`` of the output.
+    ``freeze`` is the mask of the strokes.
     """
 
     rows: npt.NDArray[np.float64]

@@ -16,7 +16,8 @@ from supple.errors import SuppleError, shown
 from supple.fields import checks
 from supple.fields.checks import FieldReport
 from supple.space.affine import Affine, matrix_rows
-from supple.space.domain import FREE, choice, number, refuse
+from supple.space.checks import choice, number, refuse
+from supple.space.domain import FREE
 from supple.space.geometry import Box, Grid, check_boxes
 from supple.space.splines import coefficients
 

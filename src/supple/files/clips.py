@@ -30,7 +30,7 @@ from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.medium import VIDEOS_OUT, is_animated
 from supple.media.numbering import has_number, is_sequence
 from supple.media.suffixes import suffix_of
-from supple.space.domain import length, number, refuse
+from supple.space.checks import length, number, refuse
 from supple.space.geometry import Grid
 from supple.strokes import Fit, Recipe, Stroke, fit_recipe, scaling_of
 

@@ -14,7 +14,7 @@ from supple.media.files import is_store
 from supple.media.image.formats import SUFFIXES
 from supple.media.medium import picture_grid
 from supple.media.suffixes import CLIPS, is_volume, suffix_of
-from supple.space.domain import refuse
+from supple.space.checks import refuse
 from supple.space.geometry import Geometry, Grid
 
 _MOST = 1 << 40

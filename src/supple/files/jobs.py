@@ -21,7 +21,7 @@ from supple.fields import Placed
 from supple.files.options import ClipOptions, GridOptions, PathLike, VolumeOptions
 from supple.media.files import same_file
 from supple.media.medium import Kind, Medium
-from supple.space.domain import integer, refuse
+from supple.space.checks import integer, refuse
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import Fit, Recipe
 

@@ -18,7 +18,7 @@ from supple.media.points import FLIP, PointFile, check_target, read_points, writ
 from supple.media.volume import Volume
 from supple.media.volume import read as read_volume
 from supple.media.volume.dicom import frame_of_reference
-from supple.space.domain import choice
+from supple.space.checks import choice
 from supple.space.geometry import Geometry
 from supple.strokes import REACH, CoordinateSpace, Stroke
 

@@ -16,7 +16,7 @@ from supple.media.meshes import KINDS
 from supple.media.points import read_points
 from supple.media.volume import Volume
 from supple.render.meshes import Surface
-from supple.space.domain import choice
+from supple.space.checks import choice
 
 PathLike = str | os.PathLike[str]
 Colour = tuple[float, float, float]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from supple.errors import SuppleError
-from supple.space.domain import checked_spacing, integer, items, refuse
+from supple.space.checks import checked_spacing, integer, items, refuse
 
 if TYPE_CHECKING:
     from fractions import Fraction

@@ -32,7 +32,7 @@ from supple.files.options import ClipOptions, PathLike
 from supple.media.base import CountError
 from supple.media.files import check_output
 from supple.plot import WHATS, check_plot, draw_sheet, draw_slice, evenly, plot
-from supple.space.domain import choice, integer
+from supple.space.checks import choice, integer
 from supple.strokes import Fit, Recipe, fit_recipe
 
 Colours = npt.NDArray[np.uint8]

@@ -32,7 +32,7 @@ from supple.render.meshes import Surface
 from supple.render.picture import Rendering, are_colours
 from supple.render.scene import Scene, check_options
 from supple.render.transfer import HOUNSFIELD, LABELS, SUFFIXES, Transfer, transfer_of
-from supple.space.domain import choice, integer, number, point
+from supple.space.checks import choice, integer, number, point
 from supple.space.geometry import check_upright
 from supple.strokes import Fit, Recipe
 
@@ -81,7 +81,7 @@ class RenderOptions:
         ``"buffered"`` or ``"exact"``: see `supple.render.scene.Scene`. ``"hybrid"`` is ``"buffered"`` here.
     shaded : bool
     annotate : bool
-        Whether a scale bar and the letters of the patient's sides are drawn: `supple.plot.annotate.annotated`.
+        Whether a scale bar and the letters of the patient's sides are drawn: `supple.render.annotate.annotated`.
     background : (float, float, float), optional
         sRGB from 0 to 1; by default, images are transparent where they are empty, and videos black.
     supersampling : int
@@ -370,7 +370,7 @@ def render_file(
     def marked(pixels: npt.NDArray[np.uint8], seen: Camera) -> npt.NDArray[np.uint8]:
         if not known.annotate:
             return pixels
-        from supple.plot.annotate import annotated
+        from supple.render.annotate import annotated
 
         return annotated(pixels, scene.view(seen, known.size), scene.geometry)
 
@@ -450,7 +450,7 @@ def _check_transfer(path: PathLike, force: bool) -> None:
 def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bool) -> None:
     name, many = shown(target), known.turntable is not None
     if known.annotate:
-        from supple.plot.annotate import check_annotated
+        from supple.render.annotate import check_annotated
 
         check_annotated(known.size)
     if many and suffix in turntable.SUFFIXES:

@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeVar
 
 from supple._core import threads
 from supple.errors import SuppleError, need, said, shown
-from supple.space.domain import refuse
+from supple.space.checks import refuse
 
 Job = TypeVar("Job")
 Item = TypeVar("Item")

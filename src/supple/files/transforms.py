@@ -29,7 +29,7 @@ from supple.media.files import check_output, is_store
 from supple.media.stores import StoredImage, Target, check_free, create_arrays, overlap
 from supple.media.transforms import check_target, ngff
 from supple.media.transforms import write_field as write_displacements
-from supple.space.domain import number
+from supple.space.checks import number
 from supple.space.geometry import Geometry, Grid
 
 PathLike = str | os.PathLike[str]

@@ -28,6 +28,8 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple._core.rows import numbers
+from supple.engine.work import mask_of
 from supple.errors import FoldError, Spelling, SuppleError, argument, current_spelling
 from supple.folding.resolved import (
     FLOW_GAP,
@@ -50,9 +52,9 @@ from supple.folding.resolved import (
     spelled,
     too_narrow,
 )
-from supple.folding.strain import CLEARLY_SAFE, GAP, MARGIN, largest, limit, mask_of, sampled, weakest
+from supple.folding.strain import CLEARLY_SAFE, GAP, MARGIN, largest, limit, sampled, weakest
 from supple.space.domain import Domain
-from supple.strokes import FoldPolicy, Stroke, legs, matrix_of, numbers, pack, poisson_of
+from supple.strokes import FoldPolicy, Stroke, legs, matrix_of, pack, poisson_of
 
 NEAR = 0.5
 """The distance from its target, in samples, within which a stroke's point has arrived."""

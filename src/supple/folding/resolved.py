@@ -11,10 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple._core.rows import numbers
+from supple.engine.work import mask_of
 from supple.errors import OutsideWarning, argument, caller, shown
-from supple.folding.strain import mask_of
 from supple.space.domain import Domain, border_factor
-from supple.strokes import Stroke, numbers
+from supple.strokes import Stroke
 
 Floats = npt.NDArray[np.float64]
 Table = npt.NDArray[np.void]

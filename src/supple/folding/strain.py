@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.space.domain import LARGEST, Domain
-from supple.space.freezing import Freeze
-from supple.strokes import Stroke, numbers, pack
+from supple._core.rows import numbers
+from supple.space.checks import LARGEST
+from supple.strokes import Stroke, pack
 
 Floats = npt.NDArray[np.float64]
 Table = npt.NDArray[np.void]
@@ -71,34 +70,6 @@ def _free(poisson: float, scales: int, reach: float) -> tuple[float, float, floa
             middle = (worst + high) / 2
             worst, high = (middle, high) if bend(middle) < 0 else (worst, middle)
     return slope(worst) * (1 + 1e-12), slope(worst) * (1 - 1e-12), math.sqrt(worst)
-
-
-class Mask(_core.Freeze):
-    """A freeze mask as the core takes it, and what it is made of, for shaders and CUDA; from an origin on."""
-
-    def __init__(self, freeze: Freeze, spacing: tuple[float, ...], origin: tuple[float, ...]) -> None:
-        values, first, self.step = freeze.packed(spacing)
-        self.first: Floats = first - origin
-        self.coefficients = freeze.coefficients.reshape(values.shape)
-        super().__init__(values.astype(np.float32), self.first.tolist(), self.step.tolist())
-        self._made_of = freeze, spacing, origin
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Send what it is made of: the core's objects stay in their process."""
-        return _mask, self._made_of
-
-
-@lru_cache(maxsize=16)
-def _mask(freeze: Freeze, spacing: tuple[float, ...], origin: tuple[float, ...]) -> Mask | None:
-    return None if freeze.is_free else Mask(freeze, spacing, origin)
-
-
-def mask_of(domain: Domain, origin: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Mask | None:
-    """Return a domain's freeze mask as the core takes it, or None if nothing is frozen.
-
-    Points are from the origin, in physical units.
-    """
-    return None if domain.freeze is None else _mask(domain.freeze, domain.spacing, origin)
 
 
 def weakest(

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from supple.errors import SuppleError, argument
-from supple.space.domain import choice
+from supple.space.checks import choice
 
 # The limits requested of every adapter are those of ordinary GPUs. Larger work is split.
 LIMITS: dict[str, int] = {

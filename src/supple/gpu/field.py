@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.folding.strain import Mask
+from supple.engine.work import Mask
 from supple.gpu.device import Gpu
 from supple.gpu.memory import upload
 from supple.gpu.shader import source, structure

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.folding.strain import Mask
+from supple.engine.work import Mask
 from supple.gpu.device import Gpu
 from supple.gpu.field import constants, domain, packed, packed_mask
 from supple.gpu.memory import Bound, Kept, room

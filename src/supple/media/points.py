@@ -18,7 +18,7 @@ from supple.media.files import PathLike, check_suffix, head_of, replacing, unrea
 from supple.media.meshes import Ints, Mesh, Part
 from supple.media.tables import Table, parsed
 from supple.media.volume import Volume
-from supple.space.domain import LARGEST, value_shown
+from supple.space.checks import LARGEST, value_shown
 
 Floats = npt.NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
-from supple.space.domain import LARGEST, value_shown
+from supple.space.checks import LARGEST, value_shown
 
 Floats = npt.NDArray[np.float64]
 

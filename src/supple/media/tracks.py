@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
 from supple.media.files import PathLike, head_of, unreadable
-from supple.space.domain import LARGEST, LONGEST_AXIS, choice, value_shown
+from supple.space.checks import LARGEST, LONGEST_AXIS, choice, value_shown
 
 Convention = Literal["pixels", "nuke", "ae"]
 CONVENTIONS: tuple[str, ...] = get_args(Convention)

@@ -26,7 +26,7 @@ from supple.plot.frame import (
     title,
     under,
 )
-from supple.space.domain import choice
+from supple.space.checks import choice
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -17,7 +17,7 @@ from supple.engine import paper
 from supple.engine.core import measured, plan_of
 from supple.engine.sampling import Certificate
 from supple.errors import SuppleError, argument
-from supple.space.domain import integer, number
+from supple.space.checks import integer, number
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]

@@ -18,7 +18,7 @@ from supple.render.camera import Projection
 from supple.render.labels import LabelColours, labels_in, numbered
 from supple.render.picture import linear_light, luminance_and_colours
 from supple.render.transfer import ENTRIES, LABELS, PRESETS, Transfer, TransferFunction, transfer_of
-from supple.space.domain import choice, point, refuse
+from supple.space.checks import choice, point, refuse
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError, argument
-from supple.space.domain import items, number, point, refuse
+from supple.space.checks import items, number, point, refuse
 from supple.space.geometry import Geometry
 
 Floats = npt.NDArray[np.float64]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from supple.space.domain import integer, number, point, refuse
+from supple.space.checks import integer, number, point, refuse
 from supple.space.geometry import Geometry
 
 Floats = npt.NDArray[np.float64]

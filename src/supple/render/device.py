@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from supple._core.rows import STROKE_DTYPE
 from supple.engine.devices import CPU, note
 from supple.engine.work import Space
 from supple.errors import DeviceWarning
@@ -20,7 +21,6 @@ from supple.gpu.field import fits
 from supple.gpu.raymarch import Held, prepare
 from supple.gpu.shader import EXACT, LATTICE, PLAIN
 from supple.gpu.solid import Filling, Lattice, Volume, beside, hold, hold_strokes, solve
-from supple.strokes import STROKE_DTYPE
 
 Array = npt.NDArray[Any]
 T = TypeVar("T")

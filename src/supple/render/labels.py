@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError
 from supple.render.picture import linear_light, srgb_of
-from supple.space.domain import items, number, refuse
+from supple.space.checks import items, number, refuse
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]

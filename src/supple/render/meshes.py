@@ -13,7 +13,7 @@ from supple.deformation import Deformation
 from supple.gpu import raymarch as shading
 from supple.render.camera import Projection
 from supple.render.picture import linear_light
-from supple.space.domain import number, point, refuse
+from supple.space.checks import number, point, refuse
 from supple.space.geometry import Geometry
 
 Array = npt.NDArray[Any]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.space.domain import refuse
+from supple.space.checks import refuse
 
 _WEIGHTS = np.array([0.2126, 0.7152, 0.0722])  # of BT.709
 

@@ -40,7 +40,7 @@ from supple.render.meshes import Surface, nearest, place
 from supple.render.picture import Array, Pick, Rendering, linear_light
 from supple.render.shadows import NEAR, Shade, arriving, shade_of
 from supple.render.transfer import Transfer
-from supple.space.domain import choice, integer, number, point, refuse
+from supple.space.checks import choice, integer, number, point, refuse
 from supple.space.geometry import Geometry
 
 MODES = ("buffered", "exact", "hybrid")

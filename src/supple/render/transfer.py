@@ -16,7 +16,7 @@ from supple.errors import SuppleError
 from supple.render.labels import SUFFIXES as TABLES
 from supple.render.labels import LabelColours
 from supple.render.picture import linear_light
-from supple.space.domain import items, number, refuse
+from supple.space.checks import items, number, refuse
 
 ENTRIES = 4096
 

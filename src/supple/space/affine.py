@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
-from supple.space.domain import refuse
+from supple.space.checks import refuse
 
 Floats = npt.NDArray[np.float64]
 

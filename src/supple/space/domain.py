@@ -1,27 +1,30 @@
-"""The domain of a deformation: its shape, spacing and border; and checks of user input."""
+"""The domain of a deformation: its shape, spacing and border."""
 
 from __future__ import annotations
 
-import operator
-import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from numbers import Real
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, SupportsIndex, get_args
+from typing import Any, Literal, SupportsIndex, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, argument, none
+from supple.errors import SuppleError, none
+from supple.space.checks import (
+    LARGEST,
+    LENGTH,
+    SMALLEST,
+    checked_shape,
+    checked_spacing,
+    choice,
+    flag,
+    items,
+    length,
+    number,
+    refuse,
+)
+from supple.space.freezing import Freeze
 
-if TYPE_CHECKING:
-    from supple.space.freezing import Freeze
-
-# Fields contain fifth powers of lengths, which neither overflow nor vanish in float64 within these bounds.
-SMALLEST = 1e-30
-LARGEST = 1e30
-LENGTH = f"a number above 0 (from {SMALLEST:g} to {LARGEST:g})"
-LONGEST_AXIS = 2**31 - 1
 AUTO = 0.1  # the border's width for border="auto", as a fraction of each axis' extent
 
 Border = Literal["auto"] | float | tuple[float, ...] | None
@@ -30,93 +33,6 @@ PROFILE_CODES: dict[str, float] = {"quartic": 0.0, "sine": 1.0}
 """The codes of the border profiles in the packed domain."""
 FREE = (0.0, 0.0, -1.0, 1.0, 0.0)
 """An axis without a border, in the layout of `Domain.packed`."""
-
-
-class _Short(reprlib.Repr):
-    def repr_int(self, x: int, level: int) -> str:
-        if x.bit_length() <= 64:
-            return repr(x)
-        # Python refuses to print integers of more than a few thousand digits.
-        return f"an integer of about {int(x.bit_length() * 0.30103) + 1} digits"
-
-
-_SHORT = _Short()
-_SHORT.maxstring = _SHORT.maxother = 60
-
-
-def value_shown(value: object) -> str:
-    """Return a short representation of any value, on one line, for a message."""
-    if value is None:
-        return none()
-    text = " ".join(_SHORT.repr(value.item() if isinstance(value, np.generic) else value).split())
-    return text if len(text) <= 100 else f"{text[:97]}..."
-
-
-def refuse(name: str, wanted: str, found: object = None, *, told: str = "") -> NoReturn:
-    """Raise SuppleError with the values that ``name`` may have and the value found, or what is ``told`` of it."""
-    raise SuppleError(f"{argument(name)} must be {wanted}, found {told or value_shown(found)}")
-
-
-def number(name: str, value: object, wanted: str, low: float, high: float) -> float:
-    """Return a real number (no bool) from ``low`` to ``high`` as a float; SuppleError with what is ``wanted``."""
-    # A protocol check is slow.
-    if type(value) is not float and (isinstance(value, bool) or not isinstance(value, Real)):
-        refuse(name, wanted, value)
-    try:
-        checked = float(value)
-    except OverflowError:
-        refuse(name, wanted, value)
-    if not low <= checked <= high:
-        refuse(name, wanted, value)
-    return checked
-
-
-def length(name: str, value: object) -> float:
-    """Return ``value`` as a length above 0; SuppleError for other values."""
-    return number(name, value, LENGTH, SMALLEST, LARGEST)
-
-
-def integer(name: str, value: object, wanted: str, low: int, high: int) -> int:
-    """Return ``value`` as an int from ``low`` to ``high``; SuppleError for other values."""
-    if type(value) is not int and (isinstance(value, bool) or not isinstance(value, SupportsIndex)):
-        refuse(name, wanted, value)
-    try:
-        checked = operator.index(value)
-    except TypeError:  # an array of several numbers has __index__ too
-        refuse(name, wanted, value)
-    if not low <= checked <= high:
-        refuse(name, wanted, value)
-    return checked
-
-
-def items(name: str, value: object, wanted: str, lengths: tuple[int, ...]) -> list[Any]:
-    """Return the items of a sequence or 1-D array with one of ``lengths``; SuppleError for other values."""
-    if isinstance(value, np.ndarray) and value.ndim == 1:
-        value = value.tolist()
-    text = isinstance(value, str | bytes | bytearray)
-    if text or not isinstance(value, Sequence) or len(value) not in lengths:
-        refuse(name, wanted, value)
-    return list(value)
-
-
-def point(name: str, value: object, lengths: tuple[int, ...] = (2, 3)) -> tuple[float, ...]:
-    """Return ``value`` as the coordinates of a point; SuppleError for other values."""
-    numbers = items(name, value, f"{' or '.join(map(str, lengths))} numbers, x first", lengths)
-    wanted = f"a number from {-LARGEST:g} to {LARGEST:g}"
-    return tuple(number(f"{name}[{i}]", x, wanted, -LARGEST, LARGEST) for i, x in enumerate(numbers))
-
-
-def choice(name: str, value: object, choices: tuple[str, ...]) -> None:
-    """Raise SuppleError unless ``value`` is one of ``choices``."""
-    if not isinstance(value, str) or value not in choices:
-        refuse(name, " or ".join(f'"{known}"' for known in choices), value)
-
-
-def flag(name: str, value: object) -> bool:
-    """Return ``value`` as a bool, also from NumPy's; SuppleError for other values."""
-    if not isinstance(value, bool | np.bool_):
-        refuse(name, "True or False", value)
-    return bool(value)
 
 
 def checked_border(border: object) -> Border:
@@ -141,30 +57,6 @@ def border_factor(t: npt.ArrayLike, profile: float) -> npt.NDArray[np.float64]:
     """Return β at the distance ``t`` from a face, over the border's width; ``profile`` as in `PROFILE_CODES`."""
     t = np.clip(t, 0.0, 1.0)
     return np.asarray(np.sin(np.pi / 2 * t) if profile == PROFILE_CODES["sine"] else t * (2 - 2 * t**2 + t**3))
-
-
-def colours_hint(shape: tuple[int, ...]) -> str:
-    """Return a hint for the message if the last of three axes may be colours."""
-    if len(shape) != 3 or shape[2] not in (3, 4):
-        return ""
-    return f" (if the last axis of {shape} is colours, make the deformation with shape[:2])"
-
-
-def checked_shape(shape: object) -> tuple[int, ...]:
-    """Return ``shape`` as two or three sizes; SuppleError for other values."""
-    wanted = "two or three sizes, (H, W), (T, H, W) or (Z, H, W)"
-    sizes = items("shape", shape, wanted, (2, 3))
-    within = f"an integer from 1 to {LONGEST_AXIS}"
-    return tuple(integer(f"shape[{i}]", size, within, 1, LONGEST_AXIS) for i, size in enumerate(sizes))
-
-
-def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
-    """Return ``spacing`` as one length for each axis, x first; SuppleError for other values."""
-    if isinstance(spacing, Real):
-        return (length("spacing", spacing),) * ndim
-    wanted = f"one number, or {ndim} of them (x first) for a shape of {ndim} axes"
-    steps = items("spacing", spacing, wanted, (ndim,))
-    return tuple(length(f"spacing[{i}]", step) for i, step in enumerate(steps))
 
 
 @dataclass(frozen=True, slots=True, init=False)

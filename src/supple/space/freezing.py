@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError, shown
-from supple.space.domain import LARGEST, LONGEST_AXIS, checked_shape, integer, items, length, number, refuse
+from supple.space.checks import LARGEST, LONGEST_AXIS, checked_shape, integer, items, length, number, refuse
 
 Floats = npt.NDArray[np.float64]
 

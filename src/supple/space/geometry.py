@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
-from supple.space.domain import checked_shape, checked_spacing, choice, integer, items, point, refuse
+from supple.space.checks import checked_shape, checked_spacing, choice, integer, items, point, refuse
 
 Floats = npt.NDArray[np.float64]
 

@@ -1,5 +1,6 @@
 """Strokes and recipes: immutable values, their JSON, their scaling to other sizes, and the packed table of the core."""
 
+from supple._core.rows import ROW, STROKE_DTYPE, numbers
 from supple.strokes.recipe import CoordinateSpace, FoldPolicy, Recipe, fit_recipe
 from supple.strokes.scaling import Fit, Scaling, scaling_of, spoken
 from supple.strokes.stroke import (
@@ -12,7 +13,7 @@ from supple.strokes.stroke import (
     Point,
     Stroke,
 )
-from supple.strokes.table import POISSON, ROW, STROKE_DTYPE, legs, matrix_of, numbers, pack, poisson_of
+from supple.strokes.table import POISSON, legs, matrix_of, pack, poisson_of
 
 __all__ = [
     "LARGEST_ANGLE",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from supple.errors import SuppleError
-from supple.space.domain import LONGEST_AXIS, integer, number, point, refuse
+from supple.space.checks import LONGEST_AXIS, integer, number, point, refuse
 
 _PART = "a number from 0 to 1"
 

@@ -8,19 +8,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Literal, Self, get_args
 
 from supple.errors import ScaleWarning, SuppleError, argument
-from supple.space.domain import (
-    LONGEST_AXIS,
-    Border,
-    BorderProfile,
-    check_border_profile,
-    checked_border,
-    choice,
-    integer,
-    items,
-    length,
-    number,
-    refuse,
-)
+from supple.space.checks import LONGEST_AXIS, choice, integer, items, length, number, refuse
+from supple.space.domain import Border, BorderProfile, check_border_profile, checked_border
 from supple.space.freezing import Freeze
 from supple.strokes.scaling import Fit, Scaling, scaling_of, spoken
 from supple.strokes.stroke import PART, Stroke

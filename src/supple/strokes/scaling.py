@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from supple.errors import SuppleError, argument
-from supple.space.domain import choice
+from supple.space.checks import choice
 
 Fit = Literal["pixels", "stretch", "inside"]
 FITS: tuple[str, ...] = get_args(Fit)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError, none
-from supple.space.domain import LARGEST, choice, integer, length, number, point, refuse
+from supple.space.checks import LARGEST, choice, integer, length, number, point, refuse
 from supple.strokes.keys import Key, checked_keys, position
 from supple.strokes.keys import strength as strength_of
 

@@ -11,31 +11,11 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from supple.space.domain import refuse
+from supple._core.rows import STROKE_DTYPE
+from supple.space.checks import refuse
 from supple.strokes.stroke import Brush, Stroke
 
 POISSON = 0.4
-
-STROKE_DTYPE = np.dtype(
-    [
-        ("pivot", np.float64, (3,)),
-        ("force", np.float64, (3,)),
-        ("matrix", np.float64, (3, 3)),
-        ("radius2", np.float64, (3,)),
-        ("p", np.float64, (3,)),
-        ("q", np.float64, (3,)),
-        ("r", np.float64, (3,)),
-        ("terms", np.int64),
-        ("power", np.int64),
-        ("joined", np.int64),
-        ("reach", np.float64),
-        ("most", np.float64),
-        ("turn", np.float64, (3,)),
-    ],
-    align=True,
-)
-ROW = STROKE_DTYPE.itemsize // 8
-"""The numbers of a row of the table."""
 
 # The radii are ε, 1.1ε and 1.21ε. The weights that cancel the far field, divided by their sum at the pivot, are
 # exactly these fractions; computed in floats they would lose digits.
@@ -156,11 +136,6 @@ def _terms(radius: float, poisson: float, scales: int, brush: Brush) -> npt.NDAr
         r[m - 1] = -r[: m - 1].sum()
     made.flags.writeable = False
     return made
-
-
-def numbers(table: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
-    """Return a table's rows in the layout of the native core: float64 (n, `ROW`), with the bits of the integers."""
-    return np.ascontiguousarray(table).view(np.float64).reshape(len(table), ROW)
 
 
 def legs(stroke: Stroke, spacing: Sequence[float]) -> tuple[Stroke, ...]:

@@ -10,7 +10,7 @@ from dataclasses import fields
 from typing import Any, NoReturn, get_args
 
 from supple.errors import SuppleError
-from supple.space.domain import choice, integer, point, refuse, value_shown
+from supple.space.checks import choice, integer, point, refuse, value_shown
 from supple.space.freezing import Freeze
 from supple.strokes.keys import Key
 from supple.strokes.stroke import Brush, Stroke

@@ -12,7 +12,7 @@ import torch
 
 from supple.errors import FoldWarning, OutsideWarning, ToleranceWarning
 from supple.fields import FOLDED, OK, OUTSIDE, STATUS, UNCONVERGED, Beyond, Field, Interpolation
-from supple.space.domain import checked_spacing, refuse
+from supple.space.checks import checked_spacing, refuse
 from supple.space.splines import coefficients
 from supple.torch.taps import adjoint, around, count
 

@@ -22,9 +22,10 @@ import numpy.typing as npt
 import torch
 
 from supple.deformation import Deformation
+from supple.engine.work import Mask
 from supple.errors import FoldWarning, MissWarning, SuppleError, caller
-from supple.folding.strain import Mask
-from supple.space.domain import PROFILE_CODES, refuse
+from supple.space.checks import refuse
+from supple.space.domain import PROFILE_CODES
 from supple.strokes import pack
 from supple.torch.taps import around
 

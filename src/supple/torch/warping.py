@@ -24,7 +24,7 @@ from supple.engine import core
 from supple.engine.sampling import Certificate, Sampling, SamplingFields, warn_of
 from supple.engine.work import Space
 from supple.errors import SuppleError, ToleranceWarning, caller
-from supple.space.domain import refuse
+from supple.space.checks import refuse
 from supple.torch.strokes import Given, Strokes, items, strokes_of
 from supple.torch.taps import Taps, adjoint, around, count
 

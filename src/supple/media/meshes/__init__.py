@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from supple.media.files import PathLike, head_of, unreadable
 from supple.media.volume import Volume
-from supple.space.domain import LARGEST
+from supple.space.checks import LARGEST
 
 KINDS = {".stl": "STL", ".obj": "OBJ", ".ply": "PLY", ".vtk": "VTK", ".vtp": "VTP", ".dcm": "RTSTRUCT"}
 """Kinds of files by their suffix."""

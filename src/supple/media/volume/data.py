@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError, shown
 from supple.media.files import PathLike, unreadable
-from supple.space.domain import LONGEST_AXIS, integer, items, length, refuse
+from supple.space.checks import LONGEST_AXIS, integer, items, length, refuse
 from supple.space.geometry import Geometry, Grid
 
 Array = npt.NDArray[Any]

@@ -14,7 +14,8 @@ from supple.deformation import Arrival, Deformation, after, last_outside, reduce
 from supple.errors import SuppleError
 from supple.files.volumes import indexed, placed
 from supple.folding.limits import NEAR
-from supple.space.domain import Border, Domain, integer, refuse
+from supple.space.checks import integer, refuse
+from supple.space.domain import Border, Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Geometry
 from supple.strokes import PAINTINGS, CoordinateSpace, FoldPolicy, Recipe, Stroke, spoken

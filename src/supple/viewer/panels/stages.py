@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from supple._core.rows import STROKE_DTYPE, numbers
 from supple.arrays import warp_array
 from supple.deformation import Deformation
 from supple.engine.sampling import DEFAULT
-from supple.engine.work import Space
+from supple.engine.work import Space, mask_of
 from supple.errors import SuppleError
 from supple.files.clips import open_clip
 from supple.files.options import PathLike
-from supple.folding.strain import mask_of
 from supple.gpu.device import Gpu
 from supple.gpu.plate import BACK, Laid, Plate, Sight, halved
 from supple.media.image import Picture
@@ -34,7 +34,6 @@ from supple.render.picture import Pick
 from supple.render.scene import Scene
 from supple.render.transfer import LABELS, Transfer
 from supple.space.geometry import Grid
-from supple.strokes import STROKE_DTYPE, numbers
 from supple.viewer.document.background import heard
 from supple.viewer.document.editing import Kind
 from supple.viewer.panels.transforms import on_screen, seen, shown, usual_of

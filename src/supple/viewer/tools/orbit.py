@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from supple.render.appearance import lamp
 from supple.render.camera import Camera, Projection, view_of
-from supple.space.domain import SMALLEST
+from supple.space.checks import SMALLEST
 from supple.space.geometry import Geometry
 from supple.viewer.tools.drawing import Pair
 

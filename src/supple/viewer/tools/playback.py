@@ -6,7 +6,7 @@ import bisect
 import math
 from collections.abc import Sequence
 
-from supple.space.domain import LONGEST_AXIS, integer, number
+from supple.space.checks import LONGEST_AXIS, integer, number
 
 _EARLY = 1e-6  # of a frame: tolerance of early times, against frames that are late by a whole one
 

@@ -28,7 +28,7 @@ from supple.gpu.device import Gpu, open_gpu
 from supple.media.image import Picture, read
 from supple.media.volume import Volume
 from supple.render.camera import Camera
-from supple.space.domain import length, point
+from supple.space.checks import length, point
 from supple.space.geometry import Geometry, Grid, check_upright
 from supple.strokes import Fit, Recipe, fit_recipe
 from supple.viewer.document.editing import Document, Landmarks

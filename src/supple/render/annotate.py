@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError, argument
 from supple.render.camera import Projection, bar_of, sides_of
-from supple.space.domain import refuse
+from supple.space.checks import refuse
 from supple.space.geometry import Geometry
 
 LEAST = 96
