@@ -43,8 +43,6 @@ struct Grid {
     }
 };
 
-typedef std::array<int, 4> Box;  // x0, x1, y0, y1
-
 // The source points of some samples side by side: whole numbers and fractions, in samples; the columns of ∂p/∂q.
 template <int D>
 struct Row {
@@ -54,18 +52,13 @@ struct Row {
     float depth2[STRIDE];                      // |∂p_z/∂q|², in a stack
     bool same[STRIDE];                         // true outside the balls of all strokes, and where it is frozen
     bool some_same, idle;                      // whether any is the same; whether all are, so that nothing else is set
-    bool sloped;                               // whether the derivatives are set
     int count;                                 // of the samples of its root
 };
 
-// Which rows of samples have their derivatives found: none, those of roots where the map may shrink, or all.
-enum class Slopes { NONE, SHRINKING, ALL };
-
-// Bounds of source points: of each coordinate; of the distance to q; of |∂p/∂x|² + |∂p/∂y|² in the plane; of |∂p_z/∂q|;
-// and of the largest eigenvalue of MMᵀ in the plane.
+// Bounds of source points: of each coordinate; of the distance to q; of |∂p/∂x|² + |∂p/∂y|² in the plane; of |∂p_z/∂q|.
 template <int D>
 struct Extent {
-    double low[D], high[D], moved = 0, spread = 2, rate = 1, widest = 1, largest = 1;
+    double low[D], high[D], moved = 0, spread = 2, rate = 1, widest = 1;
     Extent() {
         std::fill(low, low + D, 1e300);
         std::fill(high, high + D, -1e300);
@@ -79,7 +72,6 @@ struct Extent {
         spread = std::max(spread, o.spread);
         rate = std::max(rate, o.rate);
         widest = std::max(widest, o.widest);
-        largest = std::max(largest, o.largest);
         return *this;
     }
 };
@@ -89,12 +81,12 @@ class Plan {
 public:
     // Of strokes, or of a composite map; all of the plane, or the rows and columns of a box (x0, x1, y0, y1) and more.
     Plan(std::vector<Stroke> strokes, const Axis* axes, int width, int height, double z, double tolerance,
-         std::shared_ptr<const Composite> map = nullptr, const Box* box = nullptr);
+         std::shared_ptr<const Composite> map = nullptr, const std::array<int, 4>* box = nullptr);
 
     const int width, height;
     const double z, tolerance;
     const std::shared_ptr<const Composite> map;  // or null
-    Box box;
+    std::array<int, 4> box;
     double error = 0;        // a bound on the distance of a source point to T⁻¹(q) from the checks, with their reserve
     double evaluations = 0;  // of T with its Jacobian
     long unsolved = 0, folds = 0;
@@ -107,14 +99,14 @@ public:
     // Call use(row, x, y, n) for the samples x to x + n - 1 of row y, for all that lie in a row of roots and in
     // [x0, x1) × [y0, y1).
     template <class Use>
-    void each_row(const Grid& grid, int root_row, const int (&box)[4], Slopes slopes, const Use& use) const {
+    void each_row(const Grid& grid, int root_row, const int (&box)[4], bool slopes, const Use& use) const {
         visit_rows(grid, root_row, box, slopes, &use,
                    [](const void* use, const Row<D>& row, int x, int y, int n, int at) {
                        (*(const Use*)use)(row, x, y, n, at);
                    });
     }
     // Bounds of the source points of a root, or of all.
-    const Extent<D>& extent(int root) const { return extents[root]; }
+    Extent<D> extent(int root) const;
     Extent<D> extent() const;
     int roots_across() const { return across; }
     // The samples x0 to x1 - 1 of a grid that lie in a column of roots.
@@ -131,7 +123,7 @@ public:
 
 private:
     typedef void (*Visit)(const void* use, const Row<D>& row, int x, int y, int n, int at);
-    void visit_rows(const Grid& grid, int root_row, const int (&box)[4], Slopes slopes, const void* use,
+    void visit_rows(const Grid& grid, int root_row, const int (&box)[4], bool slopes, const void* use,
                     Visit visit) const;
     struct Cell {
         int root, x0, y0, x1, y1;
@@ -157,6 +149,7 @@ private:
     struct Band {
         std::vector<Pixel> pixels;
         std::vector<std::array<int, D>> anchors;  // of a root, by its column and row in the band
+        std::vector<Extent<D>> extents;
         std::vector<Leaf<D>> leaves;
         std::vector<int> next;  // the next leaf of the same root
         double worst = 0, rounding = 0, evaluations = 0;
@@ -187,10 +180,9 @@ private:
     void check(Work& w);
     void split(Work& w, const Cell& cell, const Checked& found);
     void emit(Work& w, int root, int x, int y, int width, int height, const double (*c)[16], const float* depth);
-    NOINLINE void fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left,
+    NOINLINE void fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left, bool slopes,
                        Row<D>& __restrict row) const;
     void widen(const Leaf<D>& leaf, Extent<D>& e) const;
-    void bound(int root);
     void mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const;
     void fill_pixels(const Root& root, int index, int y, int n, Row<D>& row) const;
     double reserve() const { return map || freeze ? ROUGH : RESERVE; }
@@ -209,7 +201,6 @@ private:
     int first_limited = 0;           // the last of the first group with a reach: balls are not carried back beyond it
     std::vector<uint64_t> reaching;  // for each root, a set of strokes
     std::vector<Root> roots;
-    std::vector<Extent<D>> extents;  // of each root
     std::vector<Band> bands;
 };
 
