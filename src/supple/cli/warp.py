@@ -194,11 +194,11 @@ def warp(
                 if elements:
                     job.check()  # what is refused is not told of before
                     job = elements.placed(console, job)
+                used = {"maps": elements.facts(job.medium.grid)} if elements and options.json else {}
                 made = job.warp(tell)
             kept.add(_kept(recipe, made, reading.world))
             if options.json:
                 known = {"input": "-"} if str(pair[0]) == STREAM else {}
-                used = {"maps": elements.facts(job.medium.grid)} if elements else {}
                 console.tell({**_facts_of(pair, made), **used, **known, "device": str(who)})
             if made.grid is not None:
                 units = "mm" if made.grid.ndim == 3 else "pixels"

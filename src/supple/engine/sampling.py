@@ -97,11 +97,15 @@ class Sampling:
         """Return the sampling of an array of ``ndim`` axes, with ``options`` in place of fields of the given one."""
         if not isinstance(sampling, Sampling):
             refuse("sampling", "a Sampling", sampling)
-        chosen = replace(sampling, **options)
-        if ndim == 2 and (chosen.between is not None or chosen.time_filter):
-            name = "time_filter" if chosen.between is None else "between"
-            refuse(name, "left out for an image, which is one frame", getattr(chosen, name))
-        return chosen
+        if unknown := sorted(options.keys() - SamplingFields.__annotations__.keys()):
+            known = ", ".join(SamplingFields.__annotations__)
+            raise TypeError(f"unexpected keyword argument {unknown[0]!r}; options of sampling are {known}")
+        if ndim == 2:
+            for name in ("between", "time_filter"):
+                given = options.get(name, getattr(sampling, name))
+                if given is not None and given is not False:
+                    refuse(name, "left out for an image, which is one frame", given)
+        return replace(sampling, **options)
 
     def filled(self, channels: int, dtype: np.dtype[Any], *, finite: bool = True) -> Sampling:
         """Return a copy with one fill value for each channel, in the range of the sample type.

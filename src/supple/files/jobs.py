@@ -79,7 +79,8 @@ class Job:
         """What the source is taken for."""
         axes = [*(each.ndim for each in self.recipe.strokes[:1]), *(each.map.ndim for each in self.maps[:1])]
         axes += [self.grid.ndim or 2] if self.grid is not None else []
-        known, moves = self.volume, self.recipe.moves
+        known = self.volume
+        moves = self.recipe.moves or any(each.ndim == 3 for each in self.recipe.strokes[:1])
         return media.open(
             self.source, self.target, axes=max(axes, default=2), moves=moves, layout=known.layout, series=known.series
         )

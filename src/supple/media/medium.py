@@ -90,17 +90,17 @@ def opened(
     target : str or os.PathLike
         What it becomes: several frames or a volume ask for more than a picture.
     axes : int
-        3 if points, maps or the grid of the output have three: then the pages of a TIFF are a volume, and animated
-        pictures or a folder of pictures are a clip.
+        3 if points, maps or the grid of the output have three: then the pages of a TIFF are a volume.
     moves : bool
-        Whether strokes move from frame to frame, for which animated pictures and folders are clips, too.
+        Whether strokes have a time or move from frame to frame: then animated pictures and a folder of pictures are a
+        clip.
     layout, series
         As in `supple.media.volume.read`; with one of them, it is a volume.
     """
     goal = suffix_of(target)
     if layout is not None or series is not None or _is_volume(path, goal, axes == 3):
         return Medium(path, "volume", layout, series)
-    return Medium(path, "clip" if _is_clip(path, target, goal, moves or axes == 3) else "picture")
+    return Medium(path, "clip" if _is_clip(path, target, goal, moves) else "picture")
 
 
 def _is_volume(path: PathLike, goal: str, solid: bool) -> bool:

@@ -1,5 +1,6 @@
 """Which codec and which pixel format a clip is written in, and what an encoder keeps."""
 
+import os
 import subprocess
 import sys
 import warnings
@@ -229,6 +230,15 @@ def test_every_codec_that_is_listed_can_be_written(tmp_path, container):
         with av.open(str(target)) as made:
             assert made.streams.video[0].codec_context.codec.canonical_name == codec
             assert len(list(made.decode(video=0))) == 4
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="this system has no such priorities")
+@pytest.mark.parametrize("codec", ["av1", "vp9", "hevc"])
+def test_an_encoder_leaves_the_priority_of_its_caller(tmp_path, codec):
+    """As root, SVT-AV1 makes it a real-time one, and encoders that wait for threads starve them."""
+    before = os.sched_getscheduler(0)
+    copy(clips.make(tmp_path / "a.mkv", "ffv1", count=2), tmp_path / "b.mkv", codec=codec)
+    assert os.sched_getscheduler(0) == before
 
 
 @pytest.mark.parametrize("suffix", ["mp4", "mov", "mkv", "webm", "avi"])

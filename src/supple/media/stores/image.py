@@ -210,10 +210,12 @@ def _multiscale(place: Place, group: Any, attributes: Json, ndim: int | None) ->
 def _axes(image: Json, error: Refusal) -> tuple[StoredAxis, ...]:
     """Return the axes: times and channels, if any, before two or three axes of space."""
     if systems := image.get("coordinateSystems"):
-        name = image["datasets"][0]["coordinateTransformations"][0]["output"]["name"]
-        listed = {system["name"]: system["axes"] for system in systems}.get(name)
-        if listed is None:
+        end = image["datasets"][0]["coordinateTransformations"][0].get("output")
+        name = end.get("name") if isinstance(end, Mapping) else end
+        fitting = [system["axes"] for system in systems if name in (None, system["name"])]
+        if not fitting:
             raise error(f"it does not describe the coordinate system {name!r} of its levels", _MEND)
+        listed = fitting[0]
     else:
         listed = image["axes"]
     axes = []

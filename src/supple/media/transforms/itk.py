@@ -117,6 +117,8 @@ def _check_matlab(path: PathLike) -> None:
     data, at = head_of(path, 1 << 16), 0
     while at + 20 <= len(data):
         kind, rows, columns, _, name = struct.unpack_from("<5i", data, at)
+        if min(rows, columns, name) < 0:
+            break
         at += 20 + name + rows * columns * (4 if kind // 10 % 10 == 1 else 8)
     if at != len(data):
         raise unreadable(path, "it is cut short, or no file of ITK's on little-endian machines")

@@ -19,7 +19,7 @@ from supple.media.files import PathLike, check_output, replacing, unwritable
 from supple.media.sequence import Pictures
 from supple.media.video.colour import Colour, filtered, recast, sited
 from supple.media.video.demux import said, usual_step
-from supple.media.video.plan import Match, WritePlan, container_of, workers
+from supple.media.video.plan import Match, WritePlan, container_of, open_encoder, workers
 from supple.media.video.planes import form, pack
 from supple.media.video.source import Stills, VideoSource
 from supple.media.video.streams import Passage, kept_tags, titled
@@ -121,7 +121,7 @@ class Sink:
             stream.set_display_matrix(video.matrix)
         if codec_of(plan.encoder.codec).opacity and plan.match.form.kind.alpha:
             stream.metadata["alpha_mode"] = "1"
-        stream.codec_context.open()
+        open_encoder(stream.codec_context)
         return stream
 
     def _may_copy(self) -> bool:

@@ -441,7 +441,7 @@ class WritePlan:
         for name in _pixel_formats(self.encoder.name) or ["yuv420p"]:
             context.pix_fmt = name
             with contextlib.suppress(av.FFmpegError, ValueError):
-                context.open()
+                open_encoder(context)
                 return True
         return False
 
@@ -451,10 +451,26 @@ class WritePlan:
         assert isinstance(context, av.VideoCodecContext)
         self.settle(context, chosen)
         try:
-            context.open()
+            open_encoder(context)
         except (av.FFmpegError, ValueError):
             return False
         return True
+
+
+def open_encoder(context: av.VideoCodecContext) -> None:
+    """Open an encoder, and keep the scheduling of this thread.
+
+    As root, SVT-AV1 gives its caller real-time priority: an encoder that waits for its threads then starves them.
+    """
+    if not hasattr(os, "sched_getscheduler"):
+        context.open()
+        return
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        context.open()
+    finally:
+        if os.sched_getscheduler(0) != policy:
+            os.sched_setscheduler(0, policy, parameters)
 
 
 def timescale(video: VideoSource) -> int:

@@ -118,13 +118,14 @@ def _header(path: Path) -> tuple[Any, bool]:
     from nibabel.wrapstruct import WrapStructError
 
     with reading(path), opened(path) as file:
-        head = file.read(540)
-        kinds: list[Any] = [nibabel.Nifti2Header, nibabel.Nifti1Header]
-        kind = next((each for each in kinds if each.may_contain_header(head)), None)
-        if kind is None:
-            old = nibabel.AnalyzeHeader.may_contain_header(head) and head[344:348] == bytes(4)
+        head = file.read(348)
+        sizes = {int.from_bytes(head[:4], order) for order in ("little", "big")}
+        magic = head[4:8] if 540 in sizes else head[344:348]
+        if not sizes & {348, 540} or magic not in (b"n+1\0", b"ni1\0", b"n+2\0", b"ni2\0"):
+            old = magic == bytes(4) and 348 in sizes
             what = "it is an Analyze file, which does not tell left from right" if old else "it is no NIfTI file"
             raise unreadable(path, what, "convert it to NIfTI" if old else "check its name")
+        kind: Any = nibabel.Nifti2Header if 540 in sizes else nibabel.Nifti1Header
         file.seek(0)
         try:
             with warnings.catch_warnings():
