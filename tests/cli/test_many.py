@@ -46,6 +46,19 @@ def test_one_volume_goes_into_a_folder(run: Run) -> None:
     assert not Path("out.dcm").exists()
 
 
+@pytest.mark.parametrize("part", [("--crop", "1,1,1,20,20,3"), ("--resample", "2,2,2")])
+def test_a_folder_of_stacks_is_many_volumes_on_a_grid_of_three_axes(run: Run, part: tuple[str, str]) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    Path("in").mkdir()
+    for name in "ab":
+        tifffile.imwrite(
+            f"in/{name}.tif", noise(40, 50, 6).transpose(2, 0, 1), photometric="minisblack", metadata={"axes": "ZYX"}
+        )
+    status, _, err = run("warp", "in", "out/", *part)
+    assert (status, err.splitlines()[-1]) == (0, "supple: 2 files written into out/")
+    assert volume.read("out/a.tif").samples.ndim == 3
+
+
 def test_a_pattern_goes_into_a_folder_with_the_names_below(run: Run) -> None:
     pictures("in")
     assert run("warp", "in/**/a.png", "out", *GRAB) == (0, "", "supple: 2 files written into out\n")

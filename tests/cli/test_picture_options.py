@@ -61,6 +61,16 @@ def test_what_an_array_does_not_take_is_refused(option: dict[str, object]) -> No
         supple.Deformation((40, 60)).warp(np.zeros((40, 60)), **option)  # type: ignore[arg-type]
 
 
+def test_an_option_of_images_is_refused_before_what_does_not_go_with_it() -> None:
+    d, image = supple.Deformation((40, 60)), np.zeros((40, 60))
+    with pytest.raises(supple.SuppleError, match=r"^between must be left out for an image"):
+        d.warp(image, filter="nearest", between="linear")
+    with pytest.raises(TypeError, match=r"unexpected keyword argument 'fliter'; options of sampling are filter, "):
+        d.warp(image, fliter="nearest")  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="unexpected keyword argument 'between_frames'"):
+        d.warp(image, between_frames="linear")  # type: ignore[call-arg]
+
+
 def run(*arguments: str, given: bytes = b"") -> tuple[int, bytes, str]:
     """Run a command line in this process, with standard streams of its own."""
     read, written = (io.TextIOWrapper(io.BytesIO(held), encoding="utf-8") for held in (given, b""))
@@ -85,6 +95,15 @@ def test_standard_input_and_output(picture: Path) -> None:
     done = subprocess.run(process, input=picture.read_bytes(), capture_output=True, env=env)
     assert (done.returncode, done.stdout, done.stderr) == (0, out.read_bytes(), b"")
     assert sorted(path.name for path in picture.parent.iterdir()) == ["in.png", "out.png"]
+
+
+def test_maps_of_standard_input_are_reported(picture: Path) -> None:
+    out = picture.with_name("out.png")
+    options = ["--affine", "1,0,2,0,1,1", "--json"]
+    status, facts, told = run("warp", "-", str(out), *options, given=picture.read_bytes())
+    assert (status, told.count("\n")) == (0, 1)
+    assert json.loads(facts)["input"] == "-"
+    assert len(json.loads(facts)["maps"]) == 1
 
 
 @pytest.mark.parametrize("name", ["in.mp4", "in.nii.gz"])

@@ -193,6 +193,15 @@ def test_a_file_that_is_cut_short(name: str, part: float, tmp_path: Path) -> Non
     check(caught.value, [name])
 
 
+@pytest.mark.parametrize("sizes", [(0, -3, 50, 0, 20), (0, 3, 50, 0, -20), (0, 0, 0, 0, -20)])
+def test_a_matlab_file_of_negative_sizes(sizes: tuple[int, ...], tmp_path: Path) -> None:
+    data = struct.pack("<5i", *sizes) + b"AffineTransform_double_3_3\0" * 4
+    (tmp_path / "a.mat").write_bytes(data)
+    with pytest.raises(SuppleError, match=r"a\.mat") as caught:
+        read(tmp_path / "a.mat", None, source=SOURCE, reference=REFERENCE)
+    check(caught.value, ["a.mat"])
+
+
 def test_a_tag_of_an_mgz_that_is_too_short(tmp_path: Path) -> None:
     whole = gzip.decompress((DATA / "freesurfer_0_abs_ras.mgz").read_bytes())
     tag = struct.pack(">iq", 13, 12)  # the format of the warp

@@ -178,6 +178,7 @@ class TestNIfTI:
             ((108, "<f", np.nan), "begin at byte nan"),
             ((112, "<ff", 2, np.nan), "scaled by 2"),
             ((344, "<4s", b"n+9\0"), "no NIfTI file"),
+            ((0, "<i", 0), "no NIfTI file"),
             ((344, "<4s", b"\0\0\0\0"), "Analyze"),
         ],
     )
