@@ -198,7 +198,7 @@ def test_an_stmap_of_a_picture_of_another_size(run: Run) -> None:
     status, _, err = run("convert", "map.npy", "blind.exr", "--from", "opencv")
     assert status == 0
     assert "blind.exr counts in the size of the picture that it leads to" in err
-    assert "60 x 50 pixels, as the map has: give that picture by --source" in err
+    assert "60 x 50 pixels, as the map has: --source names that picture" in err
     assert run("convert", "map.npy", "strict.exr", "--from", "opencv", "--strict")[0] == 2
     assert not Path("strict.exr").exists()
     assert run("convert", "map.npy", "known.exr", "--from", "opencv", "--source", "in.png")[2] == ""

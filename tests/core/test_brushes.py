@@ -193,7 +193,7 @@ def test_strokes_that_act_at_once(shape: tuple[int, ...], border: float | None) 
     n = len(shape)
     d = Deformation(shape, border=border, spacing=(1.0, 1.2, 0.8)[:n])
     table, steps = at_once(d.domain)
-    space, points = replace(d.space, table=table), places(d, 300)
+    space, points = replace(d.space, rows=numbers(table)), places(d, 300)
     expected, slopes = reference.moved(steps, d.domain, points)
     one_by_one, _ = reference.moved(
         [s for step in steps for s in (step if isinstance(step, tuple) else [step])], d.domain, points

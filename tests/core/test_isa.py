@@ -157,4 +157,4 @@ def test_every_name_has_a_type() -> None:
         node.target.id for node in stub.body if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
     }
     # submodules of the package aside
-    assert typed == {name for name in vars(_core) if not name.startswith("_")} - {"loading", "cpu", *isas()}
+    assert typed == {name for name in vars(_core) if not name.startswith("_")} - {"loading", "cpu", "rows", *isas()}

@@ -93,7 +93,7 @@ NEEDED = {
     },
     "plot": {
         ("plot", "in.png", "out.png", *GRAB): "plots need matplotlib",
-        ("render", HEAD, "out.png", "--annotate"): "plots need matplotlib",
+        ("render", HEAD, "out.png", "--annotate"): "marks on pictures need matplotlib",
     },
     "gpu": {("demo", "gallery", "--device", "gpu"): "the GPU needs wgpu"},
     "view": {("view", "in.png", "--serve"): "window needs"},

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, argument
+from supple.errors import SuppleError, argument, need
 from supple.render.camera import Projection, bar_of, sides_of
 from supple.space.checks import refuse
 from supple.space.geometry import Geometry
+
+need("plot", "marks on pictures", "matplotlib")
 
 LEAST = 96
 """Pixels along a side: a smaller picture has no room for marks."""
