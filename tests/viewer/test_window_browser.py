@@ -175,6 +175,7 @@ def test_a_pen_in_a_browser(gpu: Gpu, page: Page) -> None:
     time.sleep(1)
     browser.key("s", 83, 2)
     wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=0.5)
+    time.sleep(1)  # the dialog of saving closes, which would take the next key
     browser.key("e", 69, 2)
     wait_for(lambda: browser.key("Enter", 13) or made.exists(), every=0.5)
     even, peak, mouse = recipe_in(saved).strokes
