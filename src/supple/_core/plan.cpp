@@ -1,6 +1,7 @@
 // Plans: how T⁻¹ on a plane is solved, checked, filled in and bounded.
 #include "plan.hpp"
 
+#include "footprint.hpp"
 #include "patch.hpp"
 #include "table.hpp"
 #include "threads.hpp"
@@ -30,13 +31,13 @@ inline Bound bound_within(const Stroke& k, const Axis* axes, int dimensions) {
 
 template <int D>
 Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int height, double z, double tolerance,
-              std::shared_ptr<const Composite> composite, const std::array<int, 4>* wanted)
+              std::shared_ptr<const Composite> composite, const Box* wanted)
     : width(width),
       height(height),
       z(z),
       tolerance(tolerance),
       map(std::move(composite)),
-      box(wanted ? *wanted : std::array<int, 4>{0, width, 0, height}),
+      box(wanted ? *wanted : Box{0, width, 0, height}),
       strokes(std::move(table)),
       size{width, height},
       last{std::max(width - 1, 1), std::max(height - 1, 1)},
@@ -356,7 +357,11 @@ void Plan<D>::solve_band(int index) {
         w.split.clear();
     }
     for (int j = top; j < bottom; j++)
-        for (int i = left; i < right; i++) w.band->extent |= extent(j * across + i);
+        for (int i = left; i < right; i++) {
+            const Extent<D> e = extent(j * across + i);
+            roots[j * across + i].largest = (float)e.largest;
+            w.band->extent |= e;
+        }
 }
 
 // Solve every pixel of a root within the box's columns.
@@ -417,6 +422,7 @@ void Plan<D>::solve_pixels(int index) {
                 pixel.depth2 = (float)rate;
                 extent.moved = std::max(extent.moved, moved);
                 extent.spread = std::max(extent.spread, spread);
+                extent.largest = std::max(extent.largest, spread);
                 extent.rate = std::max(extent.rate, sqrt(rate));
                 extent.widest =
                     std::max(extent.widest, widest_of(jet.t[0][0][l], jet.t[0][1][l], jet.t[1][0][l], jet.t[1][1][l]));
@@ -426,6 +432,7 @@ void Plan<D>::solve_pixels(int index) {
                 band.outside += !passed.within[l];
             }
         }
+    root.largest = (float)extent.largest;
     band.extent |= extent;
 }
 
@@ -571,7 +578,7 @@ constexpr double ON_FACE = 1e-6;
 
 // The samples `from` to `to` - 1 of the grid's row y, all within a leaf; `left` is the first of the row's.
 template <int D>
-void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left, bool slopes,
+void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left,
                    Row<D>& __restrict row) const {
     // On a fixed face and beyond, which the chroma of a last pixel may reach, the map along it is that on the face: the
     // patch of the last cell continues from the last pixel's centre to there.
@@ -611,10 +618,9 @@ void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int t
         each([&](int i, float s) INLINE_LAMBDA {
             float x = (a[0] + s * (a[1] + s * (a[2] + s * a[3]))) * scale + shift;
             x = std::min(std::max(x, -1e9f), 1e9f);  // a sample so far away is beyond any edge
-            int whole = (int)x;
-            whole -= (float)whole > x;
-            row.whole[d][at + i] = whole + anchor;
-            row.part[d][at + i] = x - (float)whole;
+            const float whole = floored(x);
+            row.whole[d][at + i] = (int)whole + anchor;
+            row.part[d][at + i] = x - whole;
         });
     }
     for (int i = inner; i < n; i++) {  // no displacement across a face
@@ -625,7 +631,7 @@ void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int t
         row.whole[1][at + i] = y;
         row.part[1][at + i] = 0;
     }
-    if (!slopes) return;
+    if (!row.sloped) return;
     for (int d = 0; d < 2; d++) {
         const float *a = along[d], *b = rise[d], to_down = (float)grid.step[1] / grid.step[d],
                     to_across = stride / grid.step[d];
@@ -707,8 +713,14 @@ void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, 
     }
 }
 
+// Whether a footprint of a root may be larger than a sample: rounding is within the reserve. A composite is bounded at
+// its pixels alone.
+inline bool may_shrink(const Grid& grid, float largest, bool composite) {
+    return grid.step[0] != grid.step[1] || (composite && grid.step[0] > 1) || largest > 1 + LOW - 1e-3;
+}
+
 template <int D>
-void Plan<D>::visit_rows(const Grid& grid, int root_row, const int (&box)[4], bool slopes, const void* use,
+void Plan<D>::visit_rows(const Grid& grid, int root_row, const int (&box)[4], Slopes slopes, const void* use,
                          Visit visit) const {
     Row<D> row{};  // vectors of eight read past a row's end
     int top, bottom;
@@ -734,6 +746,8 @@ void Plan<D>::visit_rows(const Grid& grid, int root_row, const int (&box)[4], bo
                 visit(use, row, a, y, b - a, 0);
                 continue;
             }
+            row.sloped = slopes == Slopes::ALL ||
+                         (slopes == Slopes::SHRINKING && may_shrink(grid, root.largest, map != nullptr));
             if (root.first_pixel >= 0) fill_pixels(root, index, y, right - left, row);
             for (int l = root.first; l >= 0; l = band.next[l]) {
                 const Leaf<D>& leaf = band.leaves[l];
@@ -741,7 +755,7 @@ void Plan<D>::visit_rows(const Grid& grid, int root_row, const int (&box)[4], bo
                 if (at < leaf.y ? leaf.y > 0 : !lowest && at >= leaf.y + leaf.h) continue;
                 int from = leaf.x == 0 ? 0 : grid.from(0, leaf.x);
                 int to = rightmost ? grid.size[0] : grid.from(0, leaf.x + leaf.w);
-                if (from < to) fill(leaf, grid, y, from, to, left, slopes, row);
+                if (from < to) fill(leaf, grid, y, from, to, left, row);
             }
             row.count = right - left;
             mark(root, index, grid, left, y, right - left, row);
@@ -769,9 +783,9 @@ void Plan<D>::widen(const Leaf<D>& leaf, Extent<D>& e) const {
         c[2 * step] = c0 + 2 * c1 / 3 + c2 / 3;
         c[3 * step] = c0 + c1 + c2 + c3;
     };
-    double spread[2] = {0, 0}, rate = 0;
+    double spread[2] = {0, 0}, rate = 0, slopes[D][2] = {};
     for (int d = 0; d < D; d++) {
-        double b[16], slope[2] = {0, 0};
+        double b[16], (&slope)[2] = slopes[d];
         for (int i = 0; i < 16; i++) b[i] = leaf.c[d][i];
         for (int j = 0; j < 4; j++) controls(b + 4 * j, 1, side[0]);
         for (int i = 0; i < 4; i++) controls(b + i, 4, side[1]);
@@ -795,6 +809,10 @@ void Plan<D>::widen(const Leaf<D>& leaf, Extent<D>& e) const {
         e.rate = std::max(e.rate, sqrt(rate + own * own));
     }
     e.spread = std::max(e.spread, spread[0] + spread[1]);
+    // No eigenvalue of MMᵀ is above that of the bounds of its entries.
+    auto entry = [&](int a, int b) { return slopes[a][0] * slopes[b][0] + slopes[a][1] * slopes[b][1]; };
+    const double half = (entry(0, 0) + entry(1, 1)) / 2, off = (entry(0, 0) - entry(1, 1)) / 2;
+    e.largest = std::max(e.largest, half + sqrt(off * off + entry(0, 1) * entry(0, 1)));
     // No eigenvalue of MᵀM is above its trace, and the least is at most the least of its diagonal.
     e.widest = std::max({e.widest, std::min(spread[0], spread[1]), (spread[0] + spread[1]) / 400});
 }
@@ -840,7 +858,7 @@ void Plan<D>::measure(double finest, double& worst, long& unknown) const {
     grid.size[1] = height;
     parallel(down, [&](int j, int) {
         const int all[4] = {box[0], box[1], box[2], box[3]};
-        each_row(grid, j, all, false, [&](const Row<D>& row, int x, int y, int n, int at) {
+        each_row(grid, j, all, Slopes::NONE, [&](const Row<D>& row, int x, int y, int n, int at) {
             if (row.idle) return;
             for (int start = 0; start < n; start += LANES) {
                 Lanes q[D], given[D] = {}, off{};

@@ -43,6 +43,8 @@ struct Grid {
     }
 };
 
+typedef std::array<int, 4> Box;  // x0, x1, y0, y1
+
 // The source points of some samples side by side: whole numbers and fractions, in samples; the columns of ∂p/∂q.
 template <int D>
 struct Row {
@@ -52,13 +54,18 @@ struct Row {
     float depth2[STRIDE];                      // |∂p_z/∂q|², in a stack
     bool same[STRIDE];                         // true outside the balls of all strokes, and where it is frozen
     bool some_same, idle;                      // whether any is the same; whether all are, so that nothing else is set
+    bool sloped;                               // whether the derivatives are set
     int count;                                 // of the samples of its root
 };
 
-// Bounds of source points: of each coordinate; of the distance to q; of |∂p/∂x|² + |∂p/∂y|² in the plane; of |∂p_z/∂q|.
+// Which rows of samples have their derivatives found: none, those of roots where the map may shrink, or all.
+enum class Slopes { NONE, SHRINKING, ALL };
+
+// Bounds of source points: of each coordinate; of the distance to q; of |∂p/∂x|² + |∂p/∂y|² in the plane; of |∂p_z/∂q|;
+// and of the largest eigenvalue of MMᵀ in the plane.
 template <int D>
 struct Extent {
-    double low[D], high[D], moved = 0, spread = 2, rate = 1, widest = 1;
+    double low[D], high[D], moved = 0, spread = 2, rate = 1, widest = 1, largest = 1;
     Extent() {
         std::fill(low, low + D, 1e300);
         std::fill(high, high + D, -1e300);
@@ -72,6 +79,7 @@ struct Extent {
         spread = std::max(spread, o.spread);
         rate = std::max(rate, o.rate);
         widest = std::max(widest, o.widest);
+        largest = std::max(largest, o.largest);
         return *this;
     }
 };
@@ -81,12 +89,12 @@ class Plan {
 public:
     // Of strokes, or of a composite map; all of the plane, or the rows and columns of a box (x0, x1, y0, y1) and more.
     Plan(std::vector<Stroke> strokes, const Axis* axes, int width, int height, double z, double tolerance,
-         std::shared_ptr<const Composite> map = nullptr, const std::array<int, 4>* box = nullptr);
+         std::shared_ptr<const Composite> map = nullptr, const Box* box = nullptr);
 
     const int width, height;
     const double z, tolerance;
     const std::shared_ptr<const Composite> map;  // or null
-    std::array<int, 4> box;
+    Box box;
     double error = 0;        // a bound on the distance of a source point to T⁻¹(q) from the checks, with their reserve
     double evaluations = 0;  // of T with its Jacobian
     long unsolved = 0, folds = 0;
@@ -99,7 +107,7 @@ public:
     // Call use(row, x, y, n) for the samples x to x + n - 1 of row y, for all that lie in a row of roots and in
     // [x0, x1) × [y0, y1).
     template <class Use>
-    void each_row(const Grid& grid, int root_row, const int (&box)[4], bool slopes, const Use& use) const {
+    void each_row(const Grid& grid, int root_row, const int (&box)[4], Slopes slopes, const Use& use) const {
         visit_rows(grid, root_row, box, slopes, &use,
                    [](const void* use, const Row<D>& row, int x, int y, int n, int at) {
                        (*(const Use*)use)(row, x, y, n, at);
@@ -123,7 +131,7 @@ public:
 
 private:
     typedef void (*Visit)(const void* use, const Row<D>& row, int x, int y, int n, int at);
-    void visit_rows(const Grid& grid, int root_row, const int (&box)[4], bool slopes, const void* use,
+    void visit_rows(const Grid& grid, int root_row, const int (&box)[4], Slopes slopes, const void* use,
                     Visit visit) const;
     struct Cell {
         int root, x0, y0, x1, y1;
@@ -142,6 +150,7 @@ private:
         int band = 0, first = -1, leaves = 0;
         ptrdiff_t first_pixel = -1;  // of the band's, if every pixel is solved
         bool rim = false;            // some of its pixels may lie outside every ball, or be frozen
+        float largest = 1;           // as that of its extent
     };
     struct Pixel {
         float part[D], across[2], down[2], depth2;  // relative to the anchor of its root
@@ -180,7 +189,7 @@ private:
     void check(Work& w);
     void split(Work& w, const Cell& cell, const Checked& found);
     void emit(Work& w, int root, int x, int y, int width, int height, const double (*c)[16], const float* depth);
-    NOINLINE void fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left, bool slopes,
+    NOINLINE void fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left,
                        Row<D>& __restrict row) const;
     void widen(const Leaf<D>& leaf, Extent<D>& e) const;
     void mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const;

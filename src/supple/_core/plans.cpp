@@ -110,8 +110,6 @@ bool finite(Source samples) {
     });
 }
 
-typedef std::array<int, 4> Box;  // x0, x1, y0, y1
-
 // A part of the frames that is held must have all that is read.
 template <int D>
 bool suffices(const Plan<D>& plan, const Sampling& s, const Job& job) {
@@ -185,7 +183,7 @@ void points_of(const Plan<D>& plan, Points<T>& out) {
     grid.size[1] = plan.height;
     unlocked([&] {
         parallel(plan.roots_down(), [&](int j, int) {
-            plan.each_row(grid, j, {x0, plan.box[1], y0, plan.box[3]}, false,
+            plan.each_row(grid, j, {x0, plan.box[1], y0, plan.box[3]}, Slopes::NONE,
                           [&](const Row<D>& row, int x, int y, int n, int at) {
                               T* p = to + ((ptrdiff_t)(y - y0) * wide + x - x0) * D;
                               for (int i = 0; i < n; i++, p += D)

@@ -218,7 +218,7 @@ struct Prints {
 
     // Always for a whole row of a root, since loops of other lengths may round differently.
     template <int D>
-    void find(const Row<D>& row);
+    void find(const Row<D>& row, int filter);
 
 private:
     template <int D>
@@ -226,10 +226,11 @@ private:
 };
 
 template <int D>
-inline void Prints::find(const Row<D>& row) {
+inline void Prints::find(const Row<D>& row, int filter) {
     constexpr int some = 8;  // computed at once
     int n = row.count;
     any = false;
+    if (filter != AUTO || !row.sloped) return;
     for (int from = 0; from < n; from += some) {
         const float *ax = row.across[0] + from, *ay = row.across[1] + from, *dx = row.down[0] + from,
                     *dy = row.down[1] + from;

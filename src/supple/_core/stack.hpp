@@ -313,6 +313,11 @@ INLINE void copy_same(const Job& job, const char* frame, int x, int y, int n, co
     }
 }
 
+// The derivatives that footprints and averages over time need.
+inline Slopes slopes_of(const Job& job) {
+    return job.average ? Slopes::ALL : job.filter == AUTO ? Slopes::SHRINKING : Slopes::NONE;
+}
+
 // The frame of an unchanged plane.
 template <int D>
 inline const char* own_frame(const Plan<D>& plan, const Job& job) {
@@ -347,18 +352,25 @@ void sample_nearest(const Plan<D>& plan, const Job& job) {
         }
     }
     parallel(plan.roots_down(), [&](int j, int) {
-        plan.each_row(job.grid, j, job.box, false, [&](const Row<D>& row, int x, int y, int n, int at) {
+        plan.each_row(job.grid, j, job.box, Slopes::NONE, [&](const Row<D>& row, int x, int y, int n, int at) {
             const char* own = own_frame(plan, job);
             if (row.idle) return copy_same(job, own, x, y, n, nullptr);
             char* to = job.target(x, y);
-            for (int i = 0; i < n; i++, to += size) {
-                int u = placed(row.whole[0][at + i] + (row.part[0][at + i] >= 0.5f), job.w, job.rule);
-                int v = placed(row.whole[1][at + i] + (row.part[1][at + i] >= 0.5f), job.h, job.rule);
-                const char* frame = own;
-                if constexpr (D == 3) frame = job.frame(row.whole[2][at + i] + (row.part[2][at + i] >= 0.5f));
-                const char* from = u < 0 || v < 0 || !frame ? fill.data() : job.sample(frame, u, v);
-                memcpy(to, from, size);
-            }
+            auto copy = [&](auto size) {
+                for (int i = 0; i < n; i++, to += size) {
+                    int u = placed(row.whole[0][at + i] + (row.part[0][at + i] >= 0.5f), job.w, job.rule);
+                    int v = placed(row.whole[1][at + i] + (row.part[1][at + i] >= 0.5f), job.h, job.rule);
+                    const char* frame = own;
+                    if constexpr (D == 3) frame = job.frame(row.whole[2][at + i] + (row.part[2][at + i] >= 0.5f));
+                    const char* from = u < 0 || v < 0 || !frame ? fill.data() : job.sample(frame, u, v);
+                    memcpy(to, from, size);
+                }
+            };
+            // Of a constant size, it is no call.
+            size == 1   ? copy(std::integral_constant<ptrdiff_t, 1>())
+            : size == 3 ? copy(std::integral_constant<ptrdiff_t, 3>())
+            : size == 4 ? copy(std::integral_constant<ptrdiff_t, 4>())
+                        : copy(size);
         });
     });
 }
@@ -410,16 +422,14 @@ template <int D>
 void sample_direct(const Plan<D>& plan, const Job& job, const Sampler<float, D>& sample) {
     parallel(plan.roots_down(), [&](int j, int) {
         Prints prints;
-        prints.any = false;
         float weight[(int)LONGEST + 8] = {1};
-        plan.each_row(job.grid, j, job.box, job.filter == AUTO || job.average,
-                      [&](const Row<D>& row, int x, int y, int n, int at) {
-                          const char* own = own_frame(plan, job);
-                          if (row.idle) return copy_same(job, own, x, y, n, nullptr);
-                          if (job.filter == AUTO) prints.find(row);
-                          sample(row, prints, weight, at, n, job.target(x, y));
-                          if (row.some_same) copy_same(job, own, x, y, n, row.same + at);
-                      });
+        plan.each_row(job.grid, j, job.box, slopes_of(job), [&](const Row<D>& row, int x, int y, int n, int at) {
+            const char* own = own_frame(plan, job);
+            if (row.idle) return copy_same(job, own, x, y, n, nullptr);
+            prints.find(row, job.filter);
+            sample(row, prints, weight, at, n, job.target(x, y));
+            if (row.some_same) copy_same(job, own, x, y, n, row.same + at);
+        });
     });
 }
 
@@ -464,7 +474,6 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
         Averages<N> averages(job, numbers, group, whole, plan.widest);
         parallel(plan.roots_down(), [&](int j, int) {
             Prints prints;
-            prints.any = false;
             Pixel<N> values[STRIDE];
             N weight[(int)LONGEST + 8] = {1};
             std::vector<N> tile;
@@ -476,7 +485,7 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
                 wanted[1] = std::min(wanted[1], job.box[1]);
                 if (wanted[0] >= wanted[1]) continue;
                 if (plan.is_still(index)) {
-                    plan.each_row(job.grid, j, wanted, false, [&](const Row<D>&, int x, int y, int n, int) {
+                    plan.each_row(job.grid, j, wanted, Slopes::NONE, [&](const Row<D>&, int x, int y, int n, int) {
                         copy_same(job, own_frame(plan, job), x, y, n, nullptr);
                     });
                     continue;
@@ -502,13 +511,12 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
                 const Converted<N, 1, D> one(job, span, held, pyramid);
                 const Converted<N, 4, D> four(job, span, held, pyramid);
                 const Sampler<N, D>& sample = numbers.lanes == 1 ? (const Sampler<N, D>&)one : four;
-                plan.each_row(job.grid, j, wanted, job.filter == AUTO || job.average,
-                              [&](const Row<D>& row, int x, int y, int n, int at) {
-                                  if (job.filter == AUTO) prints.find(row);
-                                  sample(row, prints, weight, at, n, values);
-                                  numbers.store((const N*)(values + at), n, group, job.target(x, y));
-                                  if (row.some_same) copy_same(job, own_frame(plan, job), x, y, n, row.same + at);
-                              });
+                plan.each_row(job.grid, j, wanted, slopes_of(job), [&](const Row<D>& row, int x, int y, int n, int at) {
+                    prints.find(row, job.filter);
+                    sample(row, prints, weight, at, n, values);
+                    numbers.store((const N*)(values + at), n, group, job.target(x, y));
+                    if (row.some_same) copy_same(job, own_frame(plan, job), x, y, n, row.same + at);
+                });
             }
         });
     }
