@@ -79,7 +79,7 @@ def pyramid(source: Floats) -> list[Floats]:
     return levels
 
 
-LOW, RISE = 0.05, 0.2
+LOW, RISE = 0.1, 0.2
 NARROW = 1.62
 LONGEST = 400.0
 SPACE, MOST = 1.7, 16

@@ -20,7 +20,7 @@ enum Filter { NEAREST, LINEAR, CUBIC, AUTO };
 enum Rule { EDGE, CONSTANT, REFLECT };
 
 constexpr float KEYS = -0.75f;             // of the cubic in space
-constexpr float LOW = 0.05f, RISE = 0.2f;  // of α: no average below, all of it above their sum
+constexpr float LOW = 0.1f, RISE = 0.2f;  // of α: no average below, all of it above their sum
 constexpr float NARROW = 1.62f, SQUARE = 3.2f;
 constexpr float WIDEST_SPOT = 0.4999f;  // its half sides: two points of a spot are less than a sample apart
 constexpr float PER_SPOT = 1.7f;  // the largest distance of spots, of which one more fades in over the last quarter
