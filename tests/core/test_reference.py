@@ -169,7 +169,7 @@ SHRINKAGES = [
     (0.8, 0.5),
     (1.0, 1.0),
     (1.04, 0.7),
-    (1.1, 1.05),
+    (1.15, 1.05),
     (1.25, 0.3),
     (2.0, 1.6),
     (2.5, 2.4),
@@ -230,7 +230,7 @@ def test_second_moments_are_those_of_the_residual_footprint(large: float, small:
 
     u, v = np.array([math.cos(angle), math.sin(angle)]), np.array([-math.sin(angle), math.cos(angle)])
     alpha = max(large - 1, 0.0)
-    rise = 0.0 if alpha <= 0.05 else min(1, 0.2 / 0.15 * (alpha - 0.05) / alpha)
+    rise = 0.0 if alpha <= 0.1 else min(1, 0.2 / 0.1 * (alpha - 0.1) / alpha)
     wanted = np.zeros((2, 2))
     k, more = level_of(large, small)
     for level, share in ((k, 1 - more), (k + 1, more)):
