@@ -424,7 +424,7 @@ class FileCommands:
         self.document.load(recipe)
         self.recipe_path = Path(path)
         self.document.mark_saved()
-        size = self.document.shape[::-1]
+        size = self.document.size
         scaled = recipe.size not in (None, size) and recipe.strokes and not recipe.is_world
         self.message = f"opened {shown(path)}" + (f", scaled to {spoken(size)}" if scaled else "")
 

@@ -11,8 +11,9 @@ from imgui_bundle import imgui
 
 from supple.folding.limits import NEAR
 from supple.strokes import PAINTINGS, POISSON, REACH, FoldPolicy, Stroke
+from supple.viewer.document.keyframes import edited
 from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, frozen, listed, others
-from supple.viewer.panels import theme
+from supple.viewer.panels import keyframes, theme
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.panels.theme import HIDDEN, SEEN
@@ -105,6 +106,11 @@ _REACH = (
     "ends"
 )
 
+_KIND = (
+    "In time: a drag may go through time, and fades with it. In every frame: a stroke bends each frame like a picture, "
+    "and may move and come and go, by keys. All strokes of a recipe are of one kind"
+)
+
 
 def brush(view: View) -> None:
     """Draw the section of the brush."""
@@ -133,6 +139,8 @@ def brush(view: View) -> None:
         if changed:
             tools.strength = min(max(value / 100, 0.01), 1.0)
         return
+    if view.stage.kind == "video":
+        _kind(view)
     if tools.brush not in SHAPES:  # those fade in one way
         label("Fall-off", _FALLOFF)
         changed, index = imgui.combo("##falloff", tools.scales - 1, list(FALLOFFS))
@@ -145,6 +153,18 @@ def brush(view: View) -> None:
         if changed:
             tools.poisson = value
     changed, tools.reach = _reach(tools.reach, "")
+
+
+def _kind(view: View) -> None:
+    """Draw the choice of what strokes of a clip are, which all those of a recipe are."""
+    document = view.document
+    label("Strokes", _KIND)
+    imgui.begin_disabled(bool(document.strokes))
+    changed, index = imgui.combo("##kind", int(not document.timed), ["in time", "in every frame"])
+    imgui.end_disabled()
+    hint(_KIND)
+    if changed:
+        view.attempt(partial(setattr, document, "timed", index == 0))
 
 
 def _masks(view: View) -> None:
@@ -235,7 +255,8 @@ def selected(view: View) -> None:
         return
     if not section(view, "Selected stroke", f"Stroke {i + 1}"):
         return
-    stroke = document.state.strokes[i]
+    own = document.state.strokes[i]
+    stroke = own.at_frame(document.frame)
     axes = "xyt" if view.stage.kind == "video" else "xyz"
     made: dict[str, Any] = {}
     gap = imgui.get_style().item_inner_spacing.x
@@ -275,10 +296,13 @@ def selected(view: View) -> None:
     changed, reach = _reach(stroke.reach, " own")
     if changed:
         made["reach"] = reach
+    _strength(view, i, own, stroke)
     if stroke.also:
         wrapped(f"Also to drag in the picture: {others(stroke)}.")
+    if view.stage.kind == "video" and not document.timed:
+        keyframes.fields(view, i, own)
     if made:
-        view.attempt(lambda: document.replace(i, view.tools.paired(stroke, replace(stroke, **made))))
+        view.attempt(lambda: document.change(i, view.tools.paired(stroke, replace(stroke, **made))))
     _arrival(view, i)
     count = len(document.state.strokes)
     wide = (imgui.get_content_region_avail().x - 2 * imgui.get_style().item_spacing.x) / 3
@@ -292,6 +316,19 @@ def selected(view: View) -> None:
     if imgui.button("Delete", (wide, 0)):
         view.attempt(lambda: document.remove(i))
     hint("Delete the stroke (Delete)")
+
+
+def _strength(view: View, i: int, stroke: Stroke, now: Stroke) -> None:
+    document = view.document
+    label("Strength", "The part of the stroke that is applied; of an animated one, in this frame")
+    changed, value = slider("##strength own", 100 * now.strength, 0.0, 100.0, "%.0f %%")
+    if imgui.is_item_activated():
+        view.attempt(lambda: document.begin_drag(i))
+    if changed and document.dragging:
+        then = replace(now, strength=min(max(value / 100, 0.0), 1.0))
+        view.attempt(lambda: document.preview_as(edited(stroke, now, then, document.frame)))
+    if imgui.is_item_deactivated() and document.dragging:
+        document.commit()
 
 
 def _arrival(view: View, i: int) -> None:

@@ -318,7 +318,7 @@ class Drawing(ABC):
             elif self.document.dragging or held.moved or held.grown or held.clicks:
                 if not self.document.dragging:
                     self.document.begin_drag(held.item)
-                self.document.preview(*self._drawn(held))
+                self.document.preview(*self._drawn(held), whole=held.shift)
         except SuppleError as error:  # the drag goes on
             self.document.trouble = str(error)
 
@@ -403,7 +403,7 @@ class Drawing(ABC):
                 continue
             for nth, (pivot, end) in enumerate(track.handles):
                 parts: dict[Part, tuple[float, ...]] = {"pivot": pivot, "end": end}
-                if track.stroke.brush != "grab":  # its point stays where it is
+                if track.stroke.brush != "grab" or not track.stroke.strength:  # its point stays where it is
                     del parts["end"]
                 for part, point in parts.items():
                     place = self._seen(point)

@@ -204,8 +204,11 @@ def opened(
     if isinstance(stage, VolumeStage):
         geometry = stage.volume.geometry
         recipe = in_space(recipe, geometry, stage.name, options.volume.world)
-    if stage.kind != "video" or options.fit == "pixels":  # the length of a frame would have to be scaled
-        recipe = fit_recipe(recipe, stage.shape[::-1], options.fit, stage.name)
+    size, in_time = stage.shape[::-1], stage.kind == "video"
+    if in_time and recipe.strokes and recipe.strokes[0].ndim == 2:
+        size, in_time = size[:2], False
+    if not in_time or options.fit == "pixels":  # the length of a frame would have to be scaled
+        recipe = fit_recipe(recipe, size, options.fit, stage.name)
     landmarks = _landmarks(stage, options)
     document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind, geometry=geometry)
     tools = tools_of(stage, document, canvas.get_logical_size())
