@@ -19,6 +19,7 @@ from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.panels.theme import HIDDEN, SEEN
 from supple.viewer.panels.view import FROZEN, View
 from supple.viewer.panels.widgets import REST, hint, icon_button, label, listing, section, slider, typed, wrapped
+from supple.viewer.tools.brushes import VideoTools
 from supple.viewer.tools.drawing import IMMATERIAL, MASKS, SHAPES
 
 NAMES = {
@@ -323,6 +324,8 @@ def _strength(view: View, i: int, stroke: Stroke, now: Stroke) -> None:
     label("Strength", "The part of the stroke that is applied; of an animated one, in this frame")
     changed, value = slider("##strength own", 100 * now.strength, 0.0, 100.0, "%.0f %%")
     if imgui.is_item_activated():
+        if isinstance(view.tools, VideoTools):
+            view.tools.playback.pause()
         view.attempt(lambda: document.begin_drag(i))
     if changed and document.dragging:
         then = replace(now, strength=min(max(value / 100, 0.0), 1.0))
