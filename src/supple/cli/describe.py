@@ -273,7 +273,10 @@ def _recipe(name: str, recipe: Recipe) -> str:
         lines.append(f"  a frame     is worth {recipe.time_scale:g} pixels")
     for i, s in enumerate(recipe.strokes):
         kind = f"radius {s.radius:g}, reach {'none' if s.reach is None else format(s.reach, 'g')}"
+        kind += "" if s.time_radius is None else f", {s.time_radius:g} frames in time"
+        kind += ", as long in time as in space" if s.isotropic else ""
         kind += f", scales {s.scales}" if s.brush == "grab" else ""
+        kind += f", flat {s.flat:g}" if s.flat else ""
         kind += ("" if s.poisson is None else f", poisson {s.poisson:g}") + (", hidden" if s.hidden else "")
         kind += "" if s.strength == 1 else f", strength {100 * s.strength:g}%"
         kind += f", {_motion(s)}" if s.keys else ""

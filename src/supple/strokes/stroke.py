@@ -22,6 +22,7 @@ Place = tuple[float, ...]
 REACH = 4.0  # as natural as an unlimited reach, and local
 LARGEST_ANGLE = 3600.0  # degrees
 LARGEST_FACTOR = 100.0
+MOST_FLAT = 0.9
 MOST_HANDLES = 1000
 PAINTINGS = frozenset(("restore", "smooth"))
 """The names of strokes that were painted, many at a time."""
@@ -48,6 +49,13 @@ class Stroke:
     reach : float or None
         The reach in radii, from 1: farther than that from the way of its points, from start to target, the displacement
         is exactly 0. None: unlimited, as in the paper.
+    time_radius : float or None
+        In a clip, the brush's radius in time, in frames: the brush is an ellipsoid, and the reach is so many radii of
+        either kind. None: the larger of the drag in time and an eighth of the clip, but no more than the radius is in
+        frames (`supple.strokes.time_radius_of`).
+    flat : float
+        Of a grab with a reach: the part of its radius, in space and time, up to 0.9, within which all moves as its
+        point does.
     brush : str
         ``"grab"`` moves the pivot by the drag. The others are affine at the pivot, and fade with the distance:
         ``"twist"`` turns it by the angle; ``"scale"`` magnifies it by the factor (in a clip, in x and y alone);
@@ -62,6 +70,10 @@ class Stroke:
     chord : bool
         Of a twist: whether points move along chords, and so nearer to the pivot, as in recipes before version 3.
         Otherwise they keep their distance from it.
+    isotropic : bool
+        In a clip, whether time counts as a direction in space, as in recipes before version 3: the radius is as long in
+        time, and a drag in the plane moves points in time as well. Otherwise what is not dragged stays, the plane or
+        time, unless ``poisson`` is given.
     also : sequence of (sequence of float, sequence of float)
         Of a grab: further points and their drags, in samples. All are carried out at once, so that each point arrives;
         a point with a drag of 0 is a pin.
@@ -84,11 +96,14 @@ class Stroke:
     poisson: float | None = None
     scales: int = 1
     reach: float | None = REACH
+    time_radius: float | None = None
+    flat: float = 0.0
     brush: Brush = "grab"
     angle: float | None = None
     factor: float | None = None
     axis: Place | None = None
     chord: bool = False
+    isotropic: bool = False
     also: tuple[tuple[Place, Place], ...] = ()
     path: tuple[Place, ...] = ()
     hidden: bool = False
@@ -98,10 +113,9 @@ class Stroke:
 
     def __post_init__(self) -> None:
         choice("brush", self.brush, get_args(Brush))
-        if not isinstance(self.hidden, bool):
-            refuse("hidden", "true or false", self.hidden)
-        if not isinstance(self.chord, bool):
-            refuse("chord", "true or false", self.chord)
+        for name in ("hidden", "chord", "isotropic"):
+            if not isinstance(getattr(self, name), bool):
+                refuse(name, "true or false", getattr(self, name))
         if not isinstance(self.name, str | None):
             refuse("name", "text", self.name)
         at = point("at", self.at)
@@ -114,6 +128,8 @@ class Stroke:
             else number("poisson", self.poisson, "a number up to 0.5, or -inf", -math.inf, 0.5),
             "scales": integer("scales", self.scales, "1, 2 or 3", 1, 3),
             "reach": _checked_reach(self.reach),
+            "time_radius": self._checked_time_radius(len(at)),
+            "flat": self._checked_flat(),
             "strength": number("strength", self.strength, PART, 0.0, 1.0),
             **self._checked_shape(len(at)),
             "also": self._checked_pairs(len(at)),
@@ -122,6 +138,21 @@ class Stroke:
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
+
+    def _checked_time_radius(self, ndim: int) -> float | None:
+        if self.time_radius is None:
+            return None
+        if ndim == 2 or self.isotropic:
+            which = "a stroke that is isotropic" if self.isotropic else "points of 2 numbers, which have no time"
+            refuse("time_radius", f"left out for {which}", self.time_radius)
+        return length("time_radius", self.time_radius)
+
+    def _checked_flat(self) -> float:
+        flat = number("flat", self.flat, f"a part of the radius from 0 to {MOST_FLAT}", 0.0, MOST_FLAT)
+        if flat and (self.brush != "grab" or self.also or self.reach is None):
+            which = "a pull" if self.also else f"a {self.brush}" if self.brush != "grab" else "a grab without a reach"
+            refuse("flat", f"left out for {which}", flat)
+        return flat
 
     def _checked_by(self, at: Place) -> Place:
         if self.brush == "grab":
@@ -194,6 +225,8 @@ class Stroke:
         poisson: float | None = None,
         scales: int = 1,
         reach: float | None = REACH,
+        time_radius: float | None = None,
+        flat: float = 0.0,
         strength: float = 1.0,
     ) -> Self:
         """Return a stroke that drags the point ``at`` ``to`` another, or ``by`` a distance, or along a ``path``."""
@@ -208,7 +241,7 @@ class Stroke:
         else:
             raise SuppleError(f"a grab takes one of to and by, found {'neither' if to is None else 'both'}")
         known: dict[str, Any] = {"poisson": poisson, "scales": scales, "reach": reach, "strength": strength}
-        return cls(at=start, by=drag, path=path, radius=radius, **known)  # type: ignore[arg-type]
+        return cls(at=start, by=drag, path=path, radius=radius, time_radius=time_radius, flat=flat, **known)  # type: ignore[arg-type]
 
     @classmethod
     def twist(
@@ -219,17 +252,27 @@ class Stroke:
         radius: float,
         axis: Point | None = None,
         reach: float | None = REACH,
+        time_radius: float | None = None,
         strength: float = 1.0,
     ) -> Self:
         """Return a stroke that turns what is around a point; see `supple.Deformation.twist`."""
-        return cls(brush="twist", at=at, angle=angle, axis=axis, radius=radius, reach=reach, strength=strength)  # type: ignore[arg-type]
+        known: dict[str, Any] = {"reach": reach, "time_radius": time_radius, "strength": strength}
+        return cls(brush="twist", at=at, angle=angle, axis=axis, radius=radius, **known)  # type: ignore[arg-type]
 
     @classmethod
     def scale(
-        cls, at: Point, *, factor: float, radius: float, reach: float | None = REACH, strength: float = 1.0
+        cls,
+        at: Point,
+        *,
+        factor: float,
+        radius: float,
+        reach: float | None = REACH,
+        time_radius: float | None = None,
+        strength: float = 1.0,
     ) -> Self:
         """Return a stroke that magnifies what is around a point; see `supple.Deformation.scale`."""
-        return cls(brush="scale", at=at, factor=factor, radius=radius, reach=reach, strength=strength)  # type: ignore[arg-type]
+        known: dict[str, Any] = {"reach": reach, "time_radius": time_radius, "strength": strength}
+        return cls(brush="scale", at=at, factor=factor, radius=radius, **known)  # type: ignore[arg-type]
 
     @classmethod
     def pinch(
@@ -241,11 +284,12 @@ class Stroke:
         axis: Point | None = None,
         poisson: float | None = None,
         reach: float | None = REACH,
+        time_radius: float | None = None,
         strength: float = 1.0,
     ) -> Self:
         """Return a stroke that squeezes what is around a point; see `supple.Deformation.pinch`."""
         known: dict[str, Any] = {"axis": axis, "poisson": poisson, "reach": reach, "strength": strength}
-        return cls(brush="pinch", at=at, factor=factor, radius=radius, **known)  # type: ignore[arg-type]
+        return cls(brush="pinch", at=at, factor=factor, radius=radius, time_radius=time_radius, **known)  # type: ignore[arg-type]
 
     @classmethod
     def pull(
@@ -258,6 +302,7 @@ class Stroke:
         radius: float,
         poisson: float | None = None,
         reach: float | None = REACH,
+        time_radius: float | None = None,
         strength: float = 1.0,
     ) -> Self:
         """Return a stroke that drags many points at once; see `supple.Deformation.pull`."""
@@ -280,7 +325,8 @@ class Stroke:
         if len(pairs) > MOST_HANDLES:
             refuse("points", f"at most {MOST_HANDLES} points, pins among them", len(pairs))
         (at, drag), *also = pairs
-        return cls(at=at, by=drag, also=also, radius=radius, poisson=poisson, reach=reach, strength=strength)  # type: ignore[arg-type]
+        known: dict[str, Any] = {"poisson": poisson, "reach": reach, "strength": strength}
+        return cls(at=at, by=drag, also=also, radius=radius, time_radius=time_radius, **known)  # type: ignore[arg-type]
 
     @property
     def ndim(self) -> int:

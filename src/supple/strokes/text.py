@@ -23,14 +23,16 @@ _NEW = (
     "border_profile", "reach", "size", "space", "amount", "time_scale", "name", "strength", "to", "angle", "factor",
     "axis", "also", "path", "keys", "freeze",
 )  # fmt: skip
-_NEWER = ("chord",)  # and after version 2
+_NEWER = ("chord", "isotropic", "time_radius", "flat")  # and after version 2
 
 
 def written(members: Mapping[str, object], strokes: Iterable[Stroke]) -> str:
     """Return the text of a recipe of some fields and strokes; fields that are None are left out, but for the border."""
     strokes = list(strokes)
-    # Twists alone differ from those of version 2.
-    version = VERSION if any(stroke.brush == "twist" for stroke in strokes) else 2
+    # Twists and strokes in time differ from those of version 2.
+    world = members.get("space") in ("LPS", "RAS")
+    newer = (stroke.brush == "twist" or (stroke.ndim == 3 and not world) or stroke.flat for stroke in strokes)
+    version = VERSION if any(newer) else 2
     head = {"supple": version, **{k: v for k, v in members.items() if v is not None or k == "border"}}
     lines = [f"  {_dump(key)}: {_dump(_plain(value))}" for key, value in head.items()]
     entries = ",\n".join(f"    {_dump(_entry(stroke))}" for stroke in strokes)
@@ -53,7 +55,8 @@ def read(text: str, names: Sequence[str]) -> dict[str, Any]:
         refuse("strokes", "a list", data["strokes"])
     if data.get("freeze") is not None:
         data["freeze"] = Freeze.from_entry(data["freeze"])
-    data["strokes"] = [_stroke(f"strokes[{i}]", entry, version) for i, entry in enumerate(data["strokes"])]
+    world = data.get("space") in ("LPS", "RAS")
+    data["strokes"] = [_stroke(f"strokes[{i}]", entry, version, world) for i, entry in enumerate(data["strokes"])]
     return data
 
 
@@ -79,8 +82,7 @@ def _entry(stroke: Stroke) -> dict[str, object]:
     shape.update({name: x for name, x in (("also", stroke.also), ("path", stroke.path)) if x})
     if stroke.axis is not None:
         shape["axis"] = stroke.axis
-    if stroke.chord:
-        shape["chord"] = True
+    shape.update({name: True for name in ("chord", "isotropic") if getattr(stroke, name)})
     entry: dict[str, object] = {
         "brush": stroke.brush,
         "at": stroke.at,
@@ -88,6 +90,8 @@ def _entry(stroke: Stroke) -> dict[str, object]:
         "radius": stroke.radius,
         "scales": stroke.scales,
         "reach": stroke.reach,
+        **({} if stroke.time_radius is None else {"time_radius": stroke.time_radius}),
+        **({"flat": stroke.flat} if stroke.flat else {}),
         "poisson": "-inf" if stroke.poisson == -math.inf else stroke.poisson,
         "strength": stroke.strength,
     }
@@ -110,7 +114,7 @@ def _known(names: Iterable[str], version: int) -> list[str]:
     return [name for name in names if (version > 1 or name not in _NEW) and (version > 2 or name not in _NEWER)]
 
 
-def _stroke(where: str, entry: object, version: int) -> Stroke:
+def _stroke(where: str, entry: object, version: int, world: bool) -> Stroke:
     if not isinstance(entry, dict):
         refuse(where, "a JSON object", entry)
     known, end = (
@@ -130,6 +134,8 @@ def _stroke(where: str, entry: object, version: int) -> Stroke:
         entry = {"poisson": POISSON, **entry, "reach": None}
     if version < 3 and entry["brush"] == "twist":
         entry = {**entry, "chord": True}
+    if version < 3 and not world and isinstance(entry["at"], list) and len(entry["at"]) == 3:
+        entry = {**entry, "isotropic": True}
     if entry.get("poisson") == "-inf":
         entry["poisson"] = -math.inf
     if "keys" in entry:
