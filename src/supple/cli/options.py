@@ -95,6 +95,11 @@ def _memory(option: str, text: str) -> float:
     return min(memory, 1e12) * GB
 
 
+def memory_option(**more: Any) -> Parameter:
+    """Return an option in gigabytes, read as bytes."""
+    return read(_memory, "GB", **more)
+
+
 @Parameter(name="*", group=RUNNING)
 @dataclass(kw_only=True, eq=False, repr=False)
 class RunOptions:
@@ -171,7 +176,7 @@ class VideoOptions(TimeOptions):
     preset: Annotated[str | None, Parameter(metavar="NAME")] = None
     pixel_format: Annotated[str | None, Parameter(metavar="NAME")] = None
     rate: Annotated[Any, read(_rate, "N", name="--fps")] = None
-    memory: Annotated[float | None, read(_memory, "GB")] = None
+    memory: Annotated[float | None, memory_option()] = None
 
     def to_clip(self) -> "ClipOptions":
         """Return the options as the library takes them."""
