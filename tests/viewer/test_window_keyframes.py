@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -245,3 +247,91 @@ def test_a_frame_that_is_drawn_again_solves_and_samples_nothing_anew(
     hand.canvas.draw()
     hand.canvas.draw()
     assert count == ["add"]
+
+
+def test_a_stroke_follows_its_point_in_the_background(
+    gpu: Gpu, clip: Path, boxes: Boxes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import supple
+    from supple.viewer.document import files
+
+    stroke = Stroke(at=(345, 58), by=(20, 10), radius=40, keys=(Key(2, strength=0.5), Key(9, strength=1)))
+    view, hand = opened(clip, Recipe(strokes=(stroke,)), size=(1000, 1000))
+    view.document.select(0)
+    view.tools.playback.seek(10)
+    hand.canvas.draw()
+    (found,) = supple.track(clip, [(345, 58, 10)])
+    hand.click(middle(boxes, "Track its point"))
+    assert view.commands.following is not None
+    wait_for(lambda: hand.pass_frame() or view.commands.following is None, 60.0)
+    made = view.document.strokes[0]
+    assert [(k.frame, k.at) for k in made.keys if k.at is not None] == [
+        (k, pytest.approx(at, abs=1e-9)) for k, at in found.keys
+    ]
+    assert made.at_frame(10).at == (345, 58)
+    assert [(k.frame, k.strength) for k in made.keys if k.strength is not None] == [(2, 0.5), (9, 1)]
+    assert view.commands.message == "the stroke follows its point from frame 0 to 15"
+    view.document.undo()  # one step
+    assert view.document.strokes == (stroke,)
+    # It is cancelled, and a stroke that was edited meanwhile does not follow what it no longer shows.
+    waits = [True]
+
+    def slow(path: Path, points: Any, tell: Any) -> Any:
+        for k in range(10000):
+            tell("track", k, 10000)
+            if not waits[0]:
+                return supple.track(path, points, tell=tell)
+            time.sleep(0.01)
+        raise AssertionError("it was not cancelled")
+
+    monkeypatch.setattr(files, "track", slow)
+    hand.canvas.draw()
+    hand.click(middle(boxes, "Track its point"))
+    hand.canvas.draw()
+    with pytest.raises(supple.SuppleError, match="a point is tracked already"):
+        view.commands.follow(0)
+    hand.click(middle(boxes, "Cancel"))
+    wait_for(lambda: hand.pass_frame() or view.commands.following is None, 60.0)
+    assert view.commands.message == "cancelled"
+    assert view.document.strokes == (stroke,)
+    view.commands.follow(0)
+    view.document.replace(0, replace(stroke, radius=41))
+    waits[0] = False
+    wait_for(lambda: hand.pass_frame() or view.commands.following is None, 60.0)
+    assert view.commands.message.startswith("the stroke was edited while its point was tracked")
+    assert view.document.strokes[0].keys == stroke.keys
+    # Where nothing is seen of it, it says so.
+    flat = replace(stroke, at=(5, 5))
+    view.document.replace(0, flat)
+    monkeypatch.setattr(files, "track", lambda *a, **o: (_ for _ in ()).throw(supple.SuppleError("lost at once")))
+    view.commands.follow(0)
+    wait_for(lambda: hand.pass_frame() or view.commands.following is None, 60.0)
+    assert view.commands.message == "lost at once"
+    assert view.document.strokes == (flat,)
+    assert view._gui.trouble == ""
+
+
+def test_a_plateau_and_a_radius_in_time_are_set_in_the_panel(gpu: Gpu, clip: Path, boxes: Boxes) -> None:
+    stroke = Stroke(at=(300, 150, 8), by=(20, 10, 2), radius=40)
+    view, hand = opened(clip, Recipe(strokes=(stroke,)), size=(1000, 1000))
+    view.document.select(0)
+    hand.canvas.draw()
+    hand.click(middle(boxes, "##limited time radius own"))
+    assert view.document.strokes[0].time_radius == 2.0  # of a drag of 2 frames, and 16 frames
+    hand.canvas.draw()
+    (x0, y0), (x1, y1) = boxes["##time radius own"]
+    hand.click(((x0 + x1) / 2, (y0 + y1) / 2))
+    assert view.document.strokes[0].time_radius == pytest.approx(4.25, abs=0.5)
+    (x0, y0), (x1, y1) = boxes["##flat own"]
+    hand.click(((x0 + x1) / 2, (y0 + y1) / 2))
+    assert view.document.strokes[0].flat == pytest.approx(0.45, abs=0.05)
+    hand.click(middle(boxes, "##limited time radius own"))
+    assert view.document.strokes[0].time_radius is None
+    hand.click(middle(boxes, "##limited time radius"))
+    view.tools.flat = 0.5
+    view.document.select(None)
+    x, y = view.tools.view.to_canvas(200, 200)
+    hand.drag((x, y), (x + 30, y))
+    made = view.document.strokes[1]
+    assert (made.flat, made.time_radius) == (0.5, 2.0)
+    assert view._gui.trouble == ""

@@ -13,7 +13,7 @@ from supple.strokes.keys import curve
 from supple.viewer.document.keyframes import PARTS, Part, animated, moved_key, with_key, without
 from supple.viewer.panels import theme
 from supple.viewer.panels.view import View
-from supple.viewer.panels.widgets import hint, icon_button, label, wrapped
+from supple.viewer.panels.widgets import REST, hint, icon_button, label, progress, wrapped
 from supple.viewer.tools.brushes import VideoTools
 from supple.viewer.tools.drawing import CLICK, Pair
 
@@ -22,8 +22,13 @@ Mark = tuple[int, Part]
 _ROW = 16.0  # logical pixels of the lane's row of positions, above the curves
 _NEAR = 7.0  # the largest distance of the pointer from a mark
 _MOST = 400  # samples of a curve
+_MANY = 32  # marks, from which on they are small
 _COLOURS = {"x": 0xFF7880F0, "y": 0xFF78C86C, "strength": theme.BLUE}
 _ANIMATE = "What is animated has keys: an edit in a frame sets one there. Off, it stays as it is in this frame"
+_FOLLOW = (
+    "Track what is at the stroke's point in this frame, a corner or a spot, through the clip: the stroke moves along. "
+    "Positions that it has are replaced"
+)
 _LANE = (
     "Keys of the selected stroke, diamonds of its position and dots of its strength: click to go to one, drag it to "
     "another frame, or a dot up and down; right-click to remove it. J and K go to the key before and to the next"
@@ -60,15 +65,17 @@ def path(view: View, lines: imgui.ImDrawList, placed: Callable[[Pair], Pair]) ->
         lines.add_polyline(points, col=shade, thickness=thick, flags=imgui.ImDrawFlags_.none)
     for key in stroke.keys:
         if key.at is not None:
-            _diamond(lines, placed((key.at[0], key.at[1])), _shade(view, key.frame))
+            _diamond(lines, placed((key.at[0], key.at[1])), _shade(view, key.frame), len(stroke.keys))
 
 
 def _shade(view: View, frame: int) -> int:
     return theme.BLUE if frame == view.document.frame else theme.GREY
 
 
-def _diamond(lines: imgui.ImDrawList, at: Pair, colour: int) -> None:
-    corners: list[Any] = [(at[0] + a, at[1] + b) for a, b in ((0, -4.5), (4.5, 0), (0, 4.5), (-4.5, 0))]
+def _diamond(lines: imgui.ImDrawList, at: Pair, colour: int, count: int) -> None:
+    """Draw the mark of a position, small among many."""
+    (x, y), size = at, 4.5 if count < _MANY else 2.5
+    corners: list[Any] = [(x, y - size), (x + size, y), (x, y + size), (x - size, y)]
     lines.add_convex_poly_filled(corners, colour)
     lines.add_polyline([*corners, corners[0]], theme.DARK, 1.0, 0)
 
@@ -127,7 +134,7 @@ def lane(view: View, tools: VideoTools, size: Pair) -> None:
     for (frame, part), place in marks.items():
         colour = theme.WHITE if (view.held_key or found) == (frame, part) else _shade(view, frame)
         if part == "at":
-            _diamond(lines, place, colour)
+            _diamond(lines, place, colour, len(marks))
         else:
             lines.add_circle_filled(place, 4.5, colour)
             lines.add_circle(place, 4.5, theme.DARK, 0, 1.0)
@@ -204,5 +211,18 @@ def fields(view: View, i: int, stroke: Stroke) -> None:
         imgui.same_line()
         imgui.align_text_to_frame_padding()
         wrapped(f"{frames.index(frame) + 1} of {len(frames)}" if here else f"{len(frames)} in all")
+    _following(view, i)
     if made is not stroke:
         view.attempt(partial(document.replace, i, made))
+
+
+def _following(view: View, i: int) -> None:
+    """Draw the button that tracks the stroke's point, or how far that is."""
+    commands = view.commands
+    if commands.following is None:
+        label("Follow", _FOLLOW)
+        if imgui.button("Track its point", (REST, 0)):
+            view.attempt(partial(commands.follow, i))
+        hint(_FOLLOW)
+    elif progress(commands.following[2]):
+        commands.following[2].cancel()

@@ -29,6 +29,7 @@ from supple.viewer.panels.widgets import (
     label,
     listing,
     primary,
+    progress,
     section,
     slider,
     typed,
@@ -193,11 +194,7 @@ def _exporting(view: View, job: Export) -> None:
             view.commands.end_export()
         hint("Close")
         return
-    imgui.push_style_color(imgui.Col_.plot_histogram, theme.FULL)
-    imgui.progress_bar(job.progress, (-80, imgui.get_frame_height()), f"{100 * job.progress:.0f} %")
-    imgui.pop_style_color()
-    imgui.same_line()
-    if imgui.button("Cancel", (REST, 0)):
+    if progress(job):
         view.commands.end_export()
 
 

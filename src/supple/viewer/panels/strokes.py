@@ -10,7 +10,8 @@ from typing import Any, get_args
 from imgui_bundle import imgui
 
 from supple.folding.limits import NEAR
-from supple.strokes import PAINTINGS, POISSON, REACH, FoldPolicy, Stroke
+from supple.strokes import PAINTINGS, POISSON, REACH, FoldPolicy, Stroke, time_radius_of
+from supple.strokes.stroke import MOST_FLAT
 from supple.viewer.document.keyframes import edited
 from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, frozen, listed, others
 from supple.viewer.panels import keyframes, theme
@@ -107,6 +108,11 @@ _REACH = (
     "ends"
 )
 
+_IN_TIME = (
+    "How long before and after a stroke is felt; by default as long as its drag in time or an eighth of the clip, "
+    "and at most as the radius is in frames"
+)
+_FLAT = "The part of the radius within which all moves as the point does, before it fades"
 _KIND = (
     "In time: a drag may go through time, and fades with it. In every frame: a stroke bends each frame like a picture, "
     "and may move and come and go, by keys. All strokes of a recipe are of one kind"
@@ -154,6 +160,11 @@ def brush(view: View) -> None:
         if changed:
             tools.poisson = value
     changed, tools.reach = _reach(tools.reach, "")
+    if tools.brush not in SHAPES and tools.reach is not None:
+        changed, tools.flat = _plateau(tools.flat, "")
+    if view.document.timed:
+        begun = tools._begun((0.0, 0.0, 0.0))
+        changed, tools.time_radius = _time_radius(view, begun, "")
 
 
 def _kind(view: View) -> None:
@@ -187,15 +198,37 @@ def _masks(view: View) -> None:
 def _reach(reach: float | None, of: str) -> tuple[bool, float | None]:
     """Draw the controls of a reach; return whether it was changed, and its value."""
     label("Reach", _REACH)
-    changed, limited = imgui.checkbox(f"##limited{of}", reach is not None)
-    hint(_REACH)
+    return _optional(f"reach{of}", reach, REACH, "no limit", (1.0, 10.0, "%.1f radii"), _REACH)
+
+
+def _time_radius(view: View, stroke: Stroke, of: str) -> tuple[bool, float | None]:
+    """Draw the controls of a radius in time, in frames; return whether it was changed, and its value."""
+    label("Radius in time", _IN_TIME)
+    count = view.document.shape[0]
+    usual = time_radius_of(stroke, count, view.stage.spacing[2])
+    limits = (0.5, max(0.5 * count, 1.0), "%.1f frames")
+    return _optional(f"time radius{of}", stroke.time_radius, usual, f"{usual:.1f} frames", limits, _IN_TIME)
+
+
+def _optional(
+    name: str, value: float | None, usual: float, none: str, limits: tuple[float, float, str], tip: str
+) -> tuple[bool, float | None]:
+    """Draw a switch, and the slider of a value if there is one; return whether it was changed, and the value."""
+    changed, own = imgui.checkbox(f"##limited {name}", value is not None)
+    hint(tip)
     imgui.same_line()
-    if changed or reach is None:
-        imgui.text_disabled("no limit")
-        return changed, REACH if changed and limited else None
+    if changed or value is None:
+        imgui.text_disabled(none)
+        return changed, usual if changed and own else None
     imgui.set_next_item_width(REST)
-    changed, value = slider(f"##reach{of}", reach, 1.0, 10.0, "%.1f radii")
-    return changed, max(float(value), 1.0) if changed else reach
+    changed, now = slider(f"##{name}", value, *limits)
+    return changed, max(float(now), limits[0]) if changed else value
+
+
+def _plateau(flat: float, of: str) -> tuple[bool, float]:
+    label("Plateau", _FLAT)
+    changed, value = slider(f"##flat{of}", 100 * flat, 0.0, 100 * MOST_FLAT, "%.0f %%")
+    return changed, min(max(value / 100, 0.0), MOST_FLAT) if changed else flat
 
 
 def strokes(view: View) -> None:
@@ -297,6 +330,14 @@ def selected(view: View) -> None:
     changed, reach = _reach(stroke.reach, " own")
     if changed:
         made["reach"] = reach
+    if grabs and not stroke.also and stroke.reach is not None:
+        changed, flat = _plateau(stroke.flat, " own")
+        if changed:
+            made["flat"] = flat
+    if document.timed and not stroke.isotropic:
+        changed, time_radius = _time_radius(view, stroke, " own")
+        if changed:
+            made["time_radius"] = time_radius
     _strength(view, i, own, stroke)
     if stroke.also:
         wrapped(f"Also to drag in the picture: {others(stroke)}.")

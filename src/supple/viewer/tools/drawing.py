@@ -194,6 +194,8 @@ class Drawing(ABC):
         self.poisson: float | None = None
         self.scales = 1
         self.reach: float | None = REACH
+        self.time_radius: float | None = None  # of strokes in time, in frames
+        self.flat = 0.0  # the part of the radius of a pull that is a plateau
         self.strength = 1.0  # of a dab of a painting: the part of the way that it goes
         self.pen = False  # whether a pen was here
         self.pressing = True  # whether its pressure sets how much of a new stroke is made
@@ -277,6 +279,10 @@ class Drawing(ABC):
 
     def _begun(self, point: tuple[float, ...]) -> Stroke:
         shape = SHAPES.get(self.brush, {"by": (0.0,) * len(point), "scales": self.scales})
+        if shape.get("brush", "grab") == "grab" and self.reach is not None:
+            shape = {**shape, "flat": self.flat}
+        if self.document.timed:
+            shape = {**shape, "time_radius": self.time_radius}
         poisson = None if self.brush in IMMATERIAL else self.poisson
         return Stroke(at=point, radius=self.radius, poisson=poisson, reach=self.reach, **shape)
 
