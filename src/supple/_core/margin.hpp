@@ -53,11 +53,12 @@
 //
 //     N₁ = N'₁ G₁,    N₂ = N'₂ G₁² + N'₁ G₂,    N₃ = N'₃ G₁³ + 3 N'₂ G₁ G₂ + N'₁ G₃                          (7)
 //
-// and for a unit vector u at an angle of cosine c to r, h = g/ρ, r' has the derivatives 2h'c u + (h' + (ρh'' - h') c²) r/ρ
-// and 3 (h'/ρ + (h'' - h'/ρ) c²) u + (3c (1-c²) (h'' - h'/ρ) + c³ ρ h''') r/ρ, in which c (1-c²) ≤ 0.385.
+// and for a unit vector u at an angle of cosine c to r, h = g/ρ, r' has the derivatives 2h'c u + (h' + (ρh'' - h') c²)
+// r/ρ and 3 (h'/ρ + (h'' - h'/ρ) c²) u + (3c (1-c²) (h'' - h'/ρ) + c³ ρ h''') r/ρ, in which c (1-c²) ≤ 0.385.
 //
-// Axes along which no stroke of a group moves anything (a clip's time, or its plane) play no part: T is one-to-one if it
-// is along the others, wherever it is along these. Lengths are in the metric of the strokes, which is not stretched here.
+// Axes along which no stroke of a group moves anything (a clip's time, or its plane) play no part: T is one-to-one if
+// it is along the others, wherever it is along these. Lengths are in the metric of the strokes, which is not stretched
+// here.
 //
 // Bounds are reduced by the rounding error.
 #pragma once
@@ -330,8 +331,8 @@ public:
             }
             if (std::sqrt(near2) >= stroke.reach) continue;  // the displacement is 0 there
             near.push_back(s);
-            Derivatives own = stroke.flat > 0 ? eased_bounds(stroke, near2, far2)
-                                              : displacement_bounds(stroke, near2, far2);
+            Derivatives own =
+                stroke.flat > 0 ? eased_bounds(stroke, near2, far2) : displacement_bounds(stroke, near2, far2);
             for (int i = 0; i < 2; i++) plain[i] += own[i];
             if (stroke.freeze) own = product(mask, own);
             for (int i = 0; i < 4; i++) n[i] += own[i];

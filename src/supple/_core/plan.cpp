@@ -20,8 +20,7 @@ inline double widest_of(double xx, double xy, double yx, double yy) {
 inline Bound bound_within(const Stroke& k, const Axis* axes, int dimensions) {
     Bound bound = bound_of(k);
     for (int i = 0; i < dimensions; i++)
-        if (axes[i].sigma > 0 && !k.inner)
-            bound.slope += 2 * bound.value / (axes[i].sigma * (i == 2 ? k.stretch : 1));
+        if (axes[i].sigma > 0 && !k.inner) bound.slope += 2 * bound.value / (axes[i].sigma * (i == 2 ? k.stretch : 1));
     if (k.freeze) {
         const Vicinity near(k);
         bound.slope += bound.value * mask_of(k).bounds_in(near.low, near.high)[1] * std::max(1.0, 1 / k.stretch);

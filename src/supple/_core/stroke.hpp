@@ -20,10 +20,11 @@
 //
 // With a freeze mask (`freeze.hpp`), K and J are those of m K: m J u + (∇m·u) K, before β.
 //
-// In a clip, a stroke has a stretch of the third axis: with D = diag(1, 1, stretch), K(p) = D⁻¹ K'(D r), K' with the force
-// D f. Lengths, such as the reach, are those of D r. Unless it couples time to the plane, both r beside B are diag(1, 1, 0)
-// r: then K has only the components of v. A grab with a plateau of the radius a has K'(h r), h = g(|r|) / |r|, with
-// g(ρ) = x² / (x + a/2), x = max(ρ - a, 0): K is constant within it, C³ at its rim, and no steeper anywhere, as g' ≤ 1.
+// In a clip, a stroke has a stretch of the third axis: with D = diag(1, 1, stretch), K(p) = D⁻¹ K'(D r), K' with the
+// force D f. Lengths, such as the reach, are those of D r. Unless it couples time to the plane, both r beside B are
+// diag(1, 1, 0) r: then K has only the components of v. A grab with a plateau of the radius a has K'(h r), h = g(|r|) /
+// |r|, with g(ρ) = x² / (x + a/2), x = max(ρ - a, 0): K is constant within it, C³ at its rim, and no steeper anywhere,
+// as g' ≤ 1.
 //
 // All is a template over the number V (`double`, or a vector of doubles) and the dimension D. It uses no std::,
 // allocation or exceptions, so that compilers for GPUs accept this file.
@@ -194,8 +195,8 @@ INLINE Radial<V> radial(const Stroke& k, V s) {
     return f;
 }
 
-// The square of the length over which a stroke stays as it is, at s = |r|²: ρ; beside the rim of a plateau, where the third
-// derivative is of the order 1 / (e a), less.
+// The square of the length over which a stroke stays as it is, at s = |r|²: ρ; beside the rim of a plateau, where the
+// third derivative is of the order 1 / (e a), less.
 template <class V>
 INLINE V scale2_of(const Stroke& k, V s) {
     V rho2 = s + k.radius2[0];

@@ -11,9 +11,9 @@
 
 namespace supple {
 
-constexpr int STROKE_NUMBERS =
-    38;  // pivot, force; matrix; radius2, p, q, r; terms, power, joined, of int64; reach, most; turn; stretch, coupled, flat
-constexpr int AXIS_NUMBERS = 5;  // first, last, sigma, spacing, profile
+constexpr int STROKE_NUMBERS = 38;  // pivot, force; matrix; radius2, p, q, r; terms, power, joined, of int64; reach,
+                                    // most; turn; stretch, coupled, flat
+constexpr int AXIS_NUMBERS = 5;     // first, last, sigma, spacing, profile
 
 typedef std::array<Axis, 3> Axes;
 
@@ -29,7 +29,8 @@ inline Axes load_axes(const double* rows) {
 inline bool is_inner(const Stroke& k, const Axis* axes) {
     for (int i = 0; i < 3; i++) {
         const Axis& a = axes[i];
-        const double *row = k.matrix[i], across = fabs(row[(i + 1) % 3]) + fabs(row[(i + 2) % 3]), per = i == 2 ? k.stretch : 1;
+        const double *row = k.matrix[i], across = fabs(row[(i + 1) % 3]) + fabs(row[(i + 2) % 3]),
+                     per = i == 2 ? k.stretch : 1;
         bool flat = a.extent() == 0 && k.pivot[i] == a.first && k.force[i] == 0 && across == 0;
         bool clear = a.sigma > 0 && depth(k.pivot[i], a) - k.reach / per >= a.sigma;
         if (a.fixed() && !flat && !clear) return false;
@@ -48,7 +49,8 @@ inline double strength_of(const Stroke& k) {
     return sqrt(sum);
 }
 
-// Bounds of |K| and |J| of a stroke in its own, stretched metric, without a border, from samples along the distance r: with V = |v| = |f| or |M| r,
+// Bounds of |K| and |J| of a stroke in its own, stretched metric, without a border, from samples along the distance r:
+// with V = |v| = |f| or |M| r,
 //
 //     |K| ≤ (|A| + |B| r²) V,    |J| ≤ (|2A'| r + |2B'| r³ + 2 |B| r) V + (|A| + |B| r²) |M|.
 //

@@ -159,9 +159,10 @@ class Domain:
 
     def stretched(self, factor: float) -> Domain:
         """Return the domain of a clip with its time axis, and the border along it, a factor longer."""
-        border, widths = self.border, self.border_widths
-        if widths is not None and border != "auto":
-            border = (*widths[:2], widths[2] * factor)
+        border = self.border
+        if isinstance(border, float | tuple):
+            x, y, along = border if isinstance(border, tuple) else (border,) * 3
+            border = (x, y, along * factor)
         spacing = (*self.spacing[:2], self.spacing[2] * factor)
         return Domain(self.shape, spacing, border, self.border_profile, self.time, self.freeze)
 
