@@ -102,7 +102,20 @@ def test_every_option_that_is_named_exists_and_every_one_that_exists_is_named(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     helps = {}
-    verbs = ("warp", "track", "render", "points", "plot", "info", "demo", "view", "invert", "check", "compose", "convert")
+    verbs = (
+        "warp",
+        "track",
+        "render",
+        "points",
+        "plot",
+        "info",
+        "demo",
+        "view",
+        "invert",
+        "check",
+        "compose",
+        "convert",
+    )
     for verb in ("", *verbs):
         assert command([*verb.split(), "--help"]) == 0
         helps[verb] = set(re.findall(OPTION, capsys.readouterr().out))

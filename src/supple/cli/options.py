@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter, Token
 
-from supple.cli.console import STREAM
+from supple.cli.console import STREAM, current
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
@@ -211,18 +211,20 @@ class TrackOptions:
     ----------
     track
         Move the strokes of the command line, of points X,Y, along with tracked points: a table frame,x,y (CSV, with a
-        column name for several tracks), a script of Nuke, or keyframes copied from After Effects.
+        column name for several tracks), a script of Nuke, or keyframes copied from After Effects; or auto: with what
+        is under each in --track-frame.
     track_name
         Name of the track to follow: once for all strokes, or once for each, in order.
     track_frame
-        Frame, counted from 0, in which the strokes are where --grab has them (default: the first of the track).
+        Frame, counted from 0, in which the strokes are where --grab has them (default: the first of the track, or of
+        the clip).
     track_from
         How a table without a header counts: pixels (from the centre of the top left one), nuke or ae.
     track_first
         Number that the track gives to the first frame of the clip, if not 0, or in Nuke 1: often 1001.
     """
 
-    track: Annotated[str | None, Parameter(metavar="FILE")] = None
+    track: Annotated[str | None, Parameter(metavar="FILE|auto")] = None
     track_name: Annotated[list[str], Parameter(metavar="NAME", allow_leading_hyphen=True, show_default=False)] = ()  # type: ignore[assignment]
     track_frame: Annotated[int | None, read(_whole, "K")] = None
     track_from: Annotated[
@@ -230,28 +232,33 @@ class TrackOptions:
     ] = None
     track_first: Annotated[int | None, read(_whole, "N")] = None
 
-    def followed(self, recipe: "Recipe", count: int, clip: str) -> "Recipe":
+    def followed(self, recipe: "Recipe", count: int, paths: Sequence[str], memory: float) -> "Recipe":
         """Return a recipe whose last ``count`` strokes, those of the command line, follow the tracks."""
+        of_files = ("track_name", "track_from", "track_first")
+        for name in ("track_frame", *of_files) if self.track is None else of_files if self.track == "auto" else ():
+            if getattr(self, name) not in (None, (), []):
+                what = "a --track" if self.track is None else "the --track of a file"
+                raise SuppleError(f"--{name.replace('_', '-')} is for {what}, and there is none: leave it out")
         if self.track is None:
-            for name in ("track_name", "track_frame", "track_from", "track_first"):
-                if getattr(self, name) not in (None, (), []):
-                    raise SuppleError(f"--{name.replace('_', '-')} is for a --track, and there is none: leave it out")
             return recipe
         if not count:
             raise SuppleError("--track moves strokes of the command line, and there are none: give a --grab")
-        from supple.files.tracks import follow_tracks
+        from supple.engine.progress import counted
+        from supple.files.tracks import follow_points, follow_tracks
 
         total = len(recipe.strokes)
-        return follow_tracks(
-            recipe,
-            self.track,
-            clip,
-            names=self.track_name,
-            frame=self.track_frame,
-            strokes=range(total - count, total),
-            convention=self.track_from,
-            first=self.track_first,
-        )
+        strokes = range(total - count, total)
+        if self.track != "auto":
+            return follow_tracks(
+                recipe, self.track, paths[0], names=self.track_name, frame=self.track_frame, strokes=strokes,
+                convention=self.track_from, first=self.track_first,
+            )  # fmt: skip
+        if len(paths) != 2 or paths[0] == STREAM:
+            raise SuppleError("--track auto follows points through one clip: give the name of one, and of one to write")
+        with counted(current().terminal) as tell:
+            return follow_points(
+                recipe, paths[0], frame=self.track_frame or 0, strokes=strokes, memory=memory, tell=tell
+            )
 
 
 @Parameter(name="*", group=VOLUME)

@@ -6,8 +6,11 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 
-from supple.errors import SuppleError, shown
+from supple.engine.work import Tell, silent
+from supple.errors import SuppleError, argument, shown
 from supple.files.clips import open_clip
+from supple.files.options import GB
+from supple.files.tracking import track
 from supple.media.tracks import Convention, read_tracks
 from supple.strokes import Recipe, Stroke
 
@@ -68,8 +71,54 @@ def follow_tracks(
             "one for all, or one for each"
         )
     made: list[Stroke] = list(recipe.strokes)
-    for k, track in zip(which, wanted * len(which) if len(wanted) == 1 else wanted, strict=True):
-        made[k] = made[k].following(track.keys, frame)
+    for k, each in zip(which, wanted * len(which) if len(wanted) == 1 else wanted, strict=True):
+        made[k] = made[k].following(each.keys, frame)
+    return replace(recipe, strokes=tuple(made))
+
+
+def follow_points(
+    recipe: Recipe,
+    clip: PathLike,
+    *,
+    frame: int = 0,
+    strokes: Sequence[int] | None = None,
+    memory: float = 2 * GB,
+    tell: Tell = silent,
+) -> Recipe:
+    """Return a recipe whose strokes move along with what their points ``at`` show in a frame of a clip.
+
+    The points are tracked through the clip by `supple.track`, in pixels of its frames.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        Its strokes have points of two numbers.
+    clip : str or os.PathLike
+        A video, a pattern or a folder of pictures.
+    frame : int
+        The frame in which the strokes are where the recipe has them, counted from 0.
+    strokes : sequence of int, optional
+        The indices of the strokes; by default, all.
+    memory, tell
+        As in `supple.track`.
+
+    Raises
+    ------
+    SuppleError
+        If a stroke has a time, or as in `supple.track`.
+    """
+    made = list(recipe.strokes)
+    which = range(len(made)) if strokes is None else strokes
+    for k in which:
+        if made[k].ndim == 3:
+            x, y, t = made[k].at
+            raise SuppleError(
+                f"a stroke with a time is not tracked, and ({x:g}, {y:g}, {t:g}) has one: leave out the times of its "
+                f"points, and give {argument('track_frame', round(t))}"
+            )
+    found = track(clip, [(*made[k].at, frame) for k in which], memory=memory, tell=tell)
+    for k, each in zip(which, found, strict=True):
+        made[k] = made[k].following(each.keys, frame)
     return replace(recipe, strokes=tuple(made))
 
 
