@@ -218,6 +218,11 @@ class TrackOptions:
     track_frame
         Frame, counted from 0, in which the strokes are where --grab has them (default: the first of the track, or of
         the clip).
+    track_turn
+        Follow two tracks with each stroke: it moves with the first point, and turns and grows with the way to the
+        second.
+    outside_track
+        What a stroke does before and after its track: fade, within 5 frames (default), or hold, as at its ends.
     track_from
         How a table without a header counts: pixels (from the centre of the top left one), nuke or ae.
     track_first
@@ -227,6 +232,8 @@ class TrackOptions:
     track: Annotated[str | None, Parameter(metavar="FILE|auto")] = None
     track_name: Annotated[list[str], Parameter(metavar="NAME", allow_leading_hyphen=True, show_default=False)] = ()  # type: ignore[assignment]
     track_frame: Annotated[int | None, read(_whole, "K")] = None
+    track_turn: bool = False
+    outside_track: Annotated[Literal["fade", "hold"] | None, Parameter(metavar="fade|hold", show_choices=False)] = None
     track_from: Annotated[
         Literal["pixels", "nuke", "ae"] | None, Parameter(metavar="pixels|nuke|ae", show_choices=False)
     ] = None
@@ -234,9 +241,11 @@ class TrackOptions:
 
     def followed(self, recipe: "Recipe", count: int, paths: Sequence[str], memory: float) -> "Recipe":
         """Return a recipe whose last ``count`` strokes, those of the command line, follow the tracks."""
-        of_files = ("track_name", "track_from", "track_first")
-        for name in ("track_frame", *of_files) if self.track is None else of_files if self.track == "auto" else ():
-            if getattr(self, name) not in (None, (), []):
+        loose: tuple[str, ...] = ("track_name", "track_from", "track_first", "track_turn")
+        if self.track is None:
+            loose = ("track_frame", "outside_track", *loose)
+        for name in loose if self.track in (None, "auto") else ():
+            if getattr(self, name) not in (None, (), [], False):
                 what = "a --track" if self.track is None else "the --track of a file"
                 raise SuppleError(f"--{name.replace('_', '-')} is for {what}, and there is none: leave it out")
         if self.track is None:
@@ -247,17 +256,23 @@ class TrackOptions:
         from supple.files.tracks import follow_points, follow_tracks
 
         total = len(recipe.strokes)
-        strokes = range(total - count, total)
+        strokes, outside = range(total - count, total), self.outside_track or "fade"
         if self.track != "auto":
             return follow_tracks(
                 recipe, self.track, paths[0], names=self.track_name, frame=self.track_frame, strokes=strokes,
-                convention=self.track_from, first=self.track_first,
+                convention=self.track_from, first=self.track_first, turn=self.track_turn, outside=outside,
             )  # fmt: skip
         if len(paths) != 2 or paths[0] == STREAM:
             raise SuppleError("--track auto follows points through one clip: give the name of one, and of one to write")
         with counted(current().terminal) as tell:
             return follow_points(
-                recipe, paths[0], frame=self.track_frame or 0, strokes=strokes, memory=memory, tell=tell
+                recipe,
+                paths[0],
+                frame=self.track_frame or 0,
+                strokes=strokes,
+                outside=outside,
+                memory=memory,
+                tell=tell,
             )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal
 
 from supple.engine.work import Tell, silent
 from supple.errors import SuppleError, argument, shown
@@ -15,6 +16,7 @@ from supple.media.tracks import Convention, read_tracks
 from supple.strokes import Recipe, Stroke
 
 PathLike = str | os.PathLike[str]
+Outside = Literal["fade", "hold"]
 
 
 def follow_tracks(
@@ -27,6 +29,8 @@ def follow_tracks(
     strokes: Sequence[int] | None = None,
     convention: Convention | None = None,
     first: int | None = None,
+    turn: bool = False,
+    outside: Outside = "fade",
 ) -> Recipe:
     """Return a recipe whose strokes move along with the tracks of a file.
 
@@ -46,11 +50,17 @@ def follow_tracks(
         The indices of the strokes; by default, all.
     convention, first
         As in `supple.media.tracks.read_tracks`.
+    turn : bool
+        Whether each stroke follows two tracks, one after the other: it moves with the first point, and turns and grows
+        with the way to the second.
+    outside : str
+        What strokes do before and after their tracks, as in `supple.Stroke.following`.
 
     Raises
     ------
     SuppleError
-        If the file cannot be read, a name is not in it, or there are neither one track nor as many as strokes.
+        If the file cannot be read, a name is not in it, or there are neither one track nor as many as strokes (with
+        ``turn``, two, or twice as many).
     """
 
     def height() -> int:
@@ -64,15 +74,19 @@ def follow_tracks(
             raise SuppleError(f"{shown(path)} has no track {name!r}: its tracks are {_listed(list(known))}")
     wanted = [known[name] for name in names] or list(tracks)
     which = range(len(recipe.strokes)) if strokes is None else strokes
-    if len(wanted) not in (1, len(which)):
+    each = 2 if turn else 1
+    if len(wanted) not in (each, each * len(which)):
         many = "1 stroke" if len(which) == 1 else f"{len(which)} strokes"
+        one = "two for all, or two" if turn else "one for all, or one"
+        turning = f", or {argument('track_turn')} to turn with two" if len(wanted) == 2 * len(which) else ""
         raise SuppleError(
             f"{shown(path)} has {len(wanted)} tracks, {_listed([track.name for track in wanted])}, for {many}: name "
-            "one for all, or one for each"
+            f"{one} for each{turning}"
         )
     made: list[Stroke] = list(recipe.strokes)
-    for k, each in zip(which, wanted * len(which) if len(wanted) == 1 else wanted, strict=True):
-        made[k] = made[k].following(each.keys, frame)
+    for i, k in enumerate(which):
+        own, *second = wanted if len(wanted) == each else wanted[each * i : each * (i + 1)]
+        made[k] = made[k].following(own.keys, frame, second=second[0].keys if second else (), outside=outside)
     return replace(recipe, strokes=tuple(made))
 
 
@@ -82,6 +96,7 @@ def follow_points(
     *,
     frame: int = 0,
     strokes: Sequence[int] | None = None,
+    outside: Outside = "fade",
     memory: float = 2 * GB,
     tell: Tell = silent,
 ) -> Recipe:
@@ -99,6 +114,8 @@ def follow_points(
         The frame in which the strokes are where the recipe has them, counted from 0.
     strokes : sequence of int, optional
         The indices of the strokes; by default, all.
+    outside : str
+        As in `follow_tracks`.
     memory, tell
         As in `supple.track`.
 
@@ -118,7 +135,7 @@ def follow_points(
             )
     found = track(clip, [(*made[k].at, frame) for k in which], memory=memory, tell=tell)
     for k, each in zip(which, found, strict=True):
-        made[k] = made[k].following(each.keys, frame)
+        made[k] = made[k].following(each.keys, frame, outside=outside)
     return replace(recipe, strokes=tuple(made))
 
 
