@@ -22,7 +22,7 @@ from scipy import ndimage
 
 import supple
 from supple.augment import RandomElastic, apply
-from supple.files.tracks import follow_points
+from supple.files.tracks import follow_tracks
 from supple.files.volumes import open_volume
 from supple.media import image
 from supple.plot import figure
@@ -86,7 +86,7 @@ def time_filtered(folder: Path) -> None:
 def nose_followed(folder: Path) -> None:
     """Five frames of the clip, and what they are with a stroke that follows the nose."""
     still = supple.Recipe(strokes=[supple.Stroke.scale((345, 58), factor=1.8, radius=24)])
-    recipe = follow_points(still, smile.CLIP, frame=10)
+    recipe = follow_tracks(still, None, smile.CLIP, frame=10)
     before = dict(smile.frames_of(smile.CLIP, (0, 20, 36, 45, 62)))
     after = [
         supple.Deformation.from_recipe(recipe.at_frame(k), pixels.shape[:2]).warp(pixels)

@@ -216,7 +216,9 @@ def test_what_cannot_be_tracked_is_refused_and_nothing_written(run: Run) -> None
     refused(run(*one, "--at", "100,x,1"), "--at must be X,Y,K")
     refused(run(*one, "--at", "100,75,1.5"), "--at must be X,Y,K")
     refused(run(*one, "--at", "100,75,4"), "is of frame 4, and in.mkv has frames 0 to 3")
-    refused(run(*one, "--at", "200,75,1"), "the point (200, 75) is not in the picture of in.mkv, which is 200 x 150")
+    refused(
+        run(*one, "--at", "200,75,1"), "the point (200, 75) is not in the picture of in.mkv, 200 x 150: give one in it"
+    )
     refused(run(*one, "--at", "nan,75,1"), "must be a number from")
     refused(run("track", "in.mkv", "t.mp4", "--at", "9,9,0"), "the suffix .mp4 is not that of a table")
     refused(run("track", "none.mkv", "t.csv", "--at", "9,9,0"), "cannot read none.mkv")

@@ -252,25 +252,25 @@ class TrackOptions:
             return recipe
         if not count:
             raise SuppleError("--track moves strokes of the command line, and there are none: give a --grab")
+        auto = self.track == "auto"
+        if auto and (len(paths) != 2 or paths[0] == STREAM):
+            raise SuppleError("--track auto follows points through one clip: give the name of one, and of one to write")
         from supple.engine.progress import counted
-        from supple.files.tracks import follow_points, follow_tracks
+        from supple.files.tracks import follow_tracks
 
         total = len(recipe.strokes)
-        strokes, outside = range(total - count, total), self.outside_track or "fade"
-        if self.track != "auto":
-            return follow_tracks(
-                recipe, self.track, paths[0], names=self.track_name, frame=self.track_frame, strokes=strokes,
-                convention=self.track_from, first=self.track_first, turn=self.track_turn, outside=outside,
-            )  # fmt: skip
-        if len(paths) != 2 or paths[0] == STREAM:
-            raise SuppleError("--track auto follows points through one clip: give the name of one, and of one to write")
         with counted(current().terminal) as tell:
-            return follow_points(
+            return follow_tracks(
                 recipe,
+                None if auto else self.track,
                 paths[0],
-                frame=self.track_frame or 0,
-                strokes=strokes,
-                outside=outside,
+                names=self.track_name,
+                frame=self.track_frame,
+                strokes=range(total - count, total),
+                convention=self.track_from,
+                first=self.track_first,
+                turn=self.track_turn,
+                outside=self.outside_track or "fade",
                 memory=memory,
                 tell=tell,
             )

@@ -16,12 +16,11 @@ from supple.media.tracks import Convention, read_tracks
 from supple.strokes import Recipe, Stroke
 
 PathLike = str | os.PathLike[str]
-Outside = Literal["fade", "hold"]
 
 
 def follow_tracks(
     recipe: Recipe,
-    path: PathLike,
+    path: PathLike | None,
     clip: PathLike,
     *,
     names: Sequence[str] = (),
@@ -30,22 +29,26 @@ def follow_tracks(
     convention: Convention | None = None,
     first: int | None = None,
     turn: bool = False,
-    outside: Outside = "fade",
+    outside: Literal["fade", "hold"] = "fade",
+    memory: float = 2 * GB,
+    tell: Tell = silent,
 ) -> Recipe:
-    """Return a recipe whose strokes move along with the tracks of a file.
+    """Return a recipe whose strokes move along with the tracks of a file, or with what is under them.
 
     Parameters
     ----------
     recipe : Recipe
         Its strokes have points of two numbers.
-    path : str or os.PathLike
-        A file that `supple.media.tracks.read_tracks` reads.
+    path : str, os.PathLike or None
+        A file that `supple.media.tracks.read_tracks` reads. None: the point ``at`` of each stroke is tracked through
+        the clip from ``frame`` on, by `supple.track`.
     clip : str or os.PathLike
         The clip, whose height is needed for positions of Nuke.
     names : sequence of str
         The tracks to follow: one for all strokes, or one for each, in order. By default all tracks of the file.
     frame : int, optional
-        The frame in which the strokes are where the recipe has them; by default, the first of each track.
+        The frame in which the strokes are where the recipe has them; by default, the first of each track, or of the
+        clip.
     strokes : sequence of int, optional
         The indices of the strokes; by default, all.
     convention, first
@@ -55,25 +58,40 @@ def follow_tracks(
         with the way to the second.
     outside : str
         What strokes do before and after their tracks, as in `supple.Stroke.following`.
+    memory, tell
+        As in `supple.track`.
 
     Raises
     ------
     SuppleError
         If the file cannot be read, a name is not in it, or there are neither one track nor as many as strokes (with
-        ``turn``, two, or twice as many).
+        ``turn``, two, or twice as many); or as in `supple.track`.
     """
 
     def height() -> int:
         with open_clip(clip) as opened:
             return opened.layout.shape[0]
 
+    made: list[Stroke] = list(recipe.strokes)
+    which = range(len(made)) if strokes is None else strokes
+    if path is None:
+        for k in which:
+            if made[k].ndim == 3:
+                x, y, t = made[k].at
+                raise SuppleError(
+                    f"a stroke with a time is not tracked, and ({x:g}, {y:g}, {t:g}) has one: leave out the times of "
+                    f"its points, and give {argument('track_frame', round(t))}"
+                )
+        found = track(clip, [(*made[k].at, frame or 0) for k in which], memory=memory, tell=tell)
+        for k, seen in zip(which, found, strict=True):
+            made[k] = made[k].following(seen.keys, frame or 0, outside=outside)
+        return replace(recipe, strokes=tuple(made))
     tracks = read_tracks(path, convention=convention, height=height, first=first)
     known = {track.name: track for track in tracks}
     for name in names:
         if name not in known:
             raise SuppleError(f"{shown(path)} has no track {name!r}: its tracks are {_listed(list(known))}")
     wanted = [known[name] for name in names] or list(tracks)
-    which = range(len(recipe.strokes)) if strokes is None else strokes
     each = 2 if turn else 1
     if len(wanted) not in (each, each * len(which)):
         many = "1 stroke" if len(which) == 1 else f"{len(which)} strokes"
@@ -83,59 +101,9 @@ def follow_tracks(
             f"{shown(path)} has {len(wanted)} tracks, {_listed([track.name for track in wanted])}, for {many}: name "
             f"{one} for each{turning}"
         )
-    made: list[Stroke] = list(recipe.strokes)
     for i, k in enumerate(which):
         own, *second = wanted if len(wanted) == each else wanted[each * i : each * (i + 1)]
         made[k] = made[k].following(own.keys, frame, second=second[0].keys if second else (), outside=outside)
-    return replace(recipe, strokes=tuple(made))
-
-
-def follow_points(
-    recipe: Recipe,
-    clip: PathLike,
-    *,
-    frame: int = 0,
-    strokes: Sequence[int] | None = None,
-    outside: Outside = "fade",
-    memory: float = 2 * GB,
-    tell: Tell = silent,
-) -> Recipe:
-    """Return a recipe whose strokes move along with what their points ``at`` show in a frame of a clip.
-
-    The points are tracked through the clip by `supple.track`, in pixels of its frames.
-
-    Parameters
-    ----------
-    recipe : Recipe
-        Its strokes have points of two numbers.
-    clip : str or os.PathLike
-        A video, a pattern or a folder of pictures.
-    frame : int
-        The frame in which the strokes are where the recipe has them, counted from 0.
-    strokes : sequence of int, optional
-        The indices of the strokes; by default, all.
-    outside : str
-        As in `follow_tracks`.
-    memory, tell
-        As in `supple.track`.
-
-    Raises
-    ------
-    SuppleError
-        If a stroke has a time, or as in `supple.track`.
-    """
-    made = list(recipe.strokes)
-    which = range(len(made)) if strokes is None else strokes
-    for k in which:
-        if made[k].ndim == 3:
-            x, y, t = made[k].at
-            raise SuppleError(
-                f"a stroke with a time is not tracked, and ({x:g}, {y:g}, {t:g}) has one: leave out the times of its "
-                f"points, and give {argument('track_frame', round(t))}"
-            )
-    found = track(clip, [(*made[k].at, frame) for k in which], memory=memory, tell=tell)
-    for k, each in zip(which, found, strict=True):
-        made[k] = made[k].following(each.keys, frame, outside=outside)
     return replace(recipe, strokes=tuple(made))
 
 

@@ -404,12 +404,10 @@ class Stroke:
             return made.real, made.imag
 
         def moved(p: Place) -> Place:
-            arm = [a - b for a, b in zip(p, self.at, strict=True)]
-            changes = zip(p, turned(tuple(arm)), arm, at, self.at, strict=True)
-            return tuple(a + (b - c) + (d - e) for a, b, c, d, e in changes)
+            arm = tuple(a - b for a, b in zip(p, self.at, strict=True))
+            return tuple(a + (b - c) + (d - e) for a, b, c, d, e in zip(p, turned(arm), arm, at, self.at, strict=True))
 
-        axis = self.direction if angle else self.axis
-        made = replace(held, axis=axis).mapped(moved, turned)
+        made = replace(held, axis=self.direction if angle else self.axis).mapped(moved, turned)
         return replace(made, at=at, radius=self.radius * scale)
 
     def following(
@@ -447,26 +445,21 @@ class Stroke:
             refuse("a track", "the positions of a point in one frame or more", track)
         if any((key.at, key.angle, key.scale) != (None,) * 3 for key in self.keys):
             raise SuppleError("the stroke has keys with positions, and cannot follow a track too: leave one out")
-        others = checked_keys([Key(k, tuple(at)) for k, at in second], self.ndim)
-        if others:
-            keys, others = _shared(keys, others)
+        turns, degrees = dict.fromkeys((key.frame for key in keys), 1 + 0j), dict[int, float]()
         begin = keys[0].frame if frame is None else number("frame", frame, "a frame", -LARGEST, LARGEST)
-        origin, turns = position(keys, begin), [1 + 0j] * len(keys)
+        if len(second):
+            turns, degrees = _turns(keys, checked_keys([Key(k, tuple(at)) for k, at in second], self.ndim), begin)
+            keys = tuple(key for key in keys if key.frame in turns)
+        origin = position(keys, begin)
         assert origin is not None
         arm = complex(*self.at) - complex(*origin)
-        more: list[dict[str, Any]] = [{} for _ in keys]
-        if others:
-            turns = _turns(keys, others, begin)
-            degrees = np.rad2deg(np.unwrap(np.angle(turns)))
-            degrees -= 360 * np.round(np.interp(begin, [key.frame for key in keys], degrees) / 360)
-            more = [{"angle": float(a), "scale": abs(z)} for a, z in zip(degrees, turns, strict=True)]
         made = {key.frame: key for key in self.keys}
-        for key, turn, known in zip(keys, turns, more, strict=True):
-            assert key.at is not None
-            away = turn * arm
-            at = key.at[0] + away.real, key.at[1] + away.imag
-            made[key.frame] = replace(made.get(key.frame, key), at=at, **known)
-        if outside == "fade" and all(key.strength is None for key in self.keys):
+        for k, at in ((key.frame, key.at or ()) for key in keys):
+            away = turns[k] * arm
+            place: dict[str, Any] = {"at": (at[0] + away.real, at[1] + away.imag)}
+            place |= {"angle": degrees[k], "scale": abs(turns[k])} if degrees else {}
+            made[k] = replace(made.get(k, Key(k, **place)), **place)
+        if outside == "fade" and not self.keys:
             first, last = keys[0].frame, keys[-1].frame
             for k in (first, last):
                 made[k] = replace(made[k], strength=1.0)
@@ -493,27 +486,20 @@ class Stroke:
         return (0.0, 0.0, 1.0) if self.brush == "twist" else (1.0, 0.0, 0.0)[: self.ndim]
 
 
-def _shared(keys: Sequence[Key], others: Sequence[Key]) -> tuple[tuple[Key, ...], tuple[Key, ...]]:
-    """Return the keys of two tracks in the frames that both have."""
-    both = {key.frame for key in keys} & {key.frame for key in others}
-    if not both:
+def _turns(keys: Sequence[Key], ends: Sequence[Key], begin: float) -> tuple[dict[int, complex], dict[int, float]]:
+    """Return by what the way from one point to another is turned and scaled since a frame, and the degrees of that."""
+    known = {key.frame: complex(*key.at or ()) for key in ends}
+    ways = {key.frame: known[key.frame] - complex(*key.at or ()) for key in keys if key.frame in known}
+    if not ways:
         raise SuppleError("the two tracks have no frame in common: track both points through the same frames")
-    one, two = (tuple(key for key in some if key.frame in both) for some in (keys, others))
-    return one, two
-
-
-def _turns(keys: Sequence[Key], others: Sequence[Key], begin: float) -> list[complex]:
-    """Return by what the way from one point to another is turned and scaled since a frame, as complex numbers."""
-
-    def way(start: Place | None, end: Place | None, frame: float) -> complex:
-        assert start is not None
-        assert end is not None
-        if math.dist(start, end) < 1:
-            raise SuppleError(f"both points are at {start} in frame {frame:g}: track two that are apart")
-        return complex(*end) - complex(*start)
-
-    first = way(position(keys, begin), position(others, begin), begin)
-    return [way(one.at, two.at, one.frame) / first for one, two in zip(keys, others, strict=True)]
+    for k, way in ways.items():
+        if abs(way) < 1:
+            raise SuppleError(f"the two tracks are at the same place in frame {k}: track two points that are apart")
+    first = position([Key(k, (way.real, way.imag)) for k, way in ways.items()], begin)
+    turns = {k: way / complex(*first or ()) for k, way in ways.items()}
+    degrees = np.rad2deg(np.unwrap(np.angle(list(turns.values()))))
+    degrees -= 360 * np.round(np.interp(begin, list(turns), degrees) / 360)
+    return turns, dict(zip(turns, degrees.tolist(), strict=True))
 
 
 def _points(name: str, values: object) -> list[list[float]]:
