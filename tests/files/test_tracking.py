@@ -216,7 +216,9 @@ def test_what_cannot_be_tracked_is_refused_and_nothing_written(run: Run) -> None
     refused(run(*one, "--at", "100,x,1"), "--at must be X,Y,K")
     refused(run(*one, "--at", "100,75,1.5"), "--at must be X,Y,K")
     refused(run(*one, "--at", "100,75,4"), "is of frame 4, and in.mkv has frames 0 to 3")
-    refused(run(*one, "--at", "200,75,1"), "the point (200, 75) is not in the picture of in.mkv, which is 200 x 150")
+    refused(
+        run(*one, "--at", "200,75,1"), "the point (200, 75) is not in the picture of in.mkv, 200 x 150: give one in it"
+    )
     refused(run(*one, "--at", "nan,75,1"), "must be a number from")
     refused(run("track", "in.mkv", "t.mp4", "--at", "9,9,0"), "the suffix .mp4 is not that of a table")
     refused(run("track", "none.mkv", "t.csv", "--at", "9,9,0"), "cannot read none.mkv")
@@ -251,3 +253,37 @@ def test_a_table_is_read_back_as_it_was_written(here: Path) -> None:
     (kept,) = read_tracks("t.csv")
     assert [k for k, _ in kept.keys] == [k for k, _ in found.keys]
     np.testing.assert_allclose([at for _, at in kept.keys], [at for _, at in found.keys], atol=5.1e-4)
+
+
+AUTO = ("--grab", "100,75:104,75", "--radius", "9", "--track", "auto")
+
+
+def test_strokes_follow_what_is_under_them(run: Run) -> None:
+    frames, truth = moved(16)
+    x, y = truth[10]
+    written("in.mkv", frames)
+    drags = ("--grab", f"{x},{y}:{x + 4},{y}", "--scale", f"{x + 20},{y - 14}:1.3", "--radius", "9")
+    how = ("--track", "auto", "--track-frame", "10", "--save-recipe", "r.json", "--memory", "0.0001")
+    assert run("warp", "in.mkv", "out.mkv", *drags, *how) == (0, "", "")
+    recipe = supple.Recipe.from_json(Path("r.json").read_text())
+    for k in range(16):
+        grab, scale = recipe.at_frame(k).strokes
+        assert np.linalg.norm(grab.at - truth[k]) <= 0.1
+        assert np.linalg.norm(scale.at - truth[k] - (20, -14)) <= 0.1
+    assert run("warp", "in.mkv", "start.mkv", *AUTO, "--save-recipe", "s.json")[0] == 0
+    (start,) = supple.Recipe.from_json(Path("s.json").read_text()).strokes
+    assert start.at_frame(0).at == (100, 75)
+
+
+def test_what_no_stroke_can_follow_is_refused(run: Run) -> None:
+    written("in.mkv", moved(4)[0])
+    warp = ("warp", "in.mkv", "out.mkv")
+    timed = ("--grab", "100,75,2:104,75,2", "--radius", "9", "--track", "auto")
+    refused(run(*warp, *timed), "leave out the times of its points, and give --track-frame 2")
+    refused(run(*warp, *AUTO, "--track-name", "a"), "--track-name is for the --track of a file, and there is none")
+    refused(run(*warp, *AUTO, "--track-frame", "4"), "is of frame 4, and in.mkv has frames 0 to 3")
+    refused(run(*warp, "--recipe", "r.json", "--track", "auto"), "r.json")
+    refused(run("warp", "-", "out.mkv", *AUTO), "--track auto follows points through one clip")
+    refused(run("warp", "in.mkv", "in.mkv", "out", *AUTO), "--track auto follows points through one clip")
+    refused(run("warp", str(DATA / "chelsea.jpg"), "out.png", *AUTO), "is no clip")
+    assert not os.path.exists("out.mkv")

@@ -286,17 +286,18 @@ def _recipe(name: str, recipe: Recipe) -> str:
 
 
 def _motion(stroke: Stroke) -> str:
-    """Return over which frames a stroke moves, or changes its strength."""
+    """Return over which frames a stroke moves, turns and grows, or changes its strength."""
 
     def spanned(frames: list[int]) -> str:
         return (
             f"in frames {frames[0]} to {frames[-1]}, {len(frames)} keys" if len(frames) > 1 else f"from {frames[0]} on"
         )
 
-    moved = [key.frame for key in stroke.keys if key.at is not None]
-    changed = [key.frame for key in stroke.keys if key.strength is not None]
-    told = [f"moving {spanned(moved)}"] if moved else []
-    return ", ".join(told + ([f"changing its strength {spanned(changed)}"] if changed else []))
+    told = []
+    for what, names in (("moving", ["at"]), ("turning", ["angle", "scale"]), ("changing its strength", ["strength"])):
+        if frames := [key.frame for key in stroke.keys if any(getattr(key, name) is not None for name in names)]:
+            told.append(f"{what} {spanned(frames)}")
+    return ", ".join(told)
 
 
 def _action(stroke: Stroke) -> str:

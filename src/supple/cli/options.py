@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter, Token
 
-from supple.cli.console import STREAM
+from supple.cli.console import STREAM, current
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
@@ -211,47 +211,69 @@ class TrackOptions:
     ----------
     track
         Move the strokes of the command line, of points X,Y, along with tracked points: a table frame,x,y (CSV, with a
-        column name for several tracks), a script of Nuke, or keyframes copied from After Effects.
+        column name for several tracks), a script of Nuke, or keyframes copied from After Effects; or auto: with what
+        is under each in --track-frame.
     track_name
         Name of the track to follow: once for all strokes, or once for each, in order.
     track_frame
-        Frame, counted from 0, in which the strokes are where --grab has them (default: the first of the track).
+        Frame, counted from 0, in which the strokes are where --grab has them (default: the first of the track, or of
+        the clip).
+    track_turn
+        Follow two tracks with each stroke: it moves with the first point, and turns and grows with the way to the
+        second.
+    outside_track
+        What a stroke does before and after its track: fade, within 5 frames (default), or hold, as at its ends.
     track_from
         How a table without a header counts: pixels (from the centre of the top left one), nuke or ae.
     track_first
         Number that the track gives to the first frame of the clip, if not 0, or in Nuke 1: often 1001.
     """
 
-    track: Annotated[str | None, Parameter(metavar="FILE")] = None
+    track: Annotated[str | None, Parameter(metavar="FILE|auto")] = None
     track_name: Annotated[list[str], Parameter(metavar="NAME", allow_leading_hyphen=True, show_default=False)] = ()  # type: ignore[assignment]
     track_frame: Annotated[int | None, read(_whole, "K")] = None
+    track_turn: bool = False
+    outside_track: Annotated[Literal["fade", "hold"] | None, Parameter(metavar="fade|hold", show_choices=False)] = None
     track_from: Annotated[
         Literal["pixels", "nuke", "ae"] | None, Parameter(metavar="pixels|nuke|ae", show_choices=False)
     ] = None
     track_first: Annotated[int | None, read(_whole, "N")] = None
 
-    def followed(self, recipe: "Recipe", count: int, clip: str) -> "Recipe":
+    def followed(self, recipe: "Recipe", count: int, paths: Sequence[str], memory: float) -> "Recipe":
         """Return a recipe whose last ``count`` strokes, those of the command line, follow the tracks."""
+        loose: tuple[str, ...] = ("track_name", "track_from", "track_first", "track_turn")
         if self.track is None:
-            for name in ("track_name", "track_frame", "track_from", "track_first"):
-                if getattr(self, name) not in (None, (), []):
-                    raise SuppleError(f"--{name.replace('_', '-')} is for a --track, and there is none: leave it out")
+            loose = ("track_frame", "outside_track", *loose)
+        for name in loose if self.track in (None, "auto") else ():
+            if getattr(self, name) not in (None, (), [], False):
+                what = "a --track" if self.track is None else "the --track of a file"
+                raise SuppleError(f"--{name.replace('_', '-')} is for {what}, and there is none: leave it out")
+        if self.track is None:
             return recipe
         if not count:
             raise SuppleError("--track moves strokes of the command line, and there are none: give a --grab")
+        auto = self.track == "auto"
+        if auto and (len(paths) != 2 or paths[0] == STREAM):
+            raise SuppleError("--track auto follows points through one clip: give the name of one, and of one to write")
+        from supple.engine.progress import counted
         from supple.files.tracks import follow_tracks
 
         total = len(recipe.strokes)
-        return follow_tracks(
-            recipe,
-            self.track,
-            clip,
-            names=self.track_name,
-            frame=self.track_frame,
-            strokes=range(total - count, total),
-            convention=self.track_from,
-            first=self.track_first,
-        )
+        with counted(current().terminal) as tell:
+            return follow_tracks(
+                recipe,
+                None if auto else self.track,
+                paths[0],
+                names=self.track_name,
+                frame=self.track_frame,
+                strokes=range(total - count, total),
+                convention=self.track_from,
+                first=self.track_first,
+                turn=self.track_turn,
+                outside=self.outside_track or "fade",
+                memory=memory,
+                tell=tell,
+            )
 
 
 @Parameter(name="*", group=VOLUME)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+import os
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -42,19 +43,28 @@ def track(
     console.started(**options.asked(), file=source)
     from supple.engine.progress import counted
     from supple.files.options import GB
-    from supple.files.tracking import check_target, track, write_track
-    from supple.media.files import check_output
+    from supple.files.tracking import track, write_track
+    from supple.media.files import check_output, check_suffix
 
     if not at:
         raise SuppleError("give a point to track, and the frame in which it is seen: --at X,Y,K")
     points = [_point(text) for text in at]
-    check_target(target)
+    check_suffix(target, os.path.splitext(target)[1], (".csv", ".txt"), "is not that of a table", "name a .csv")
     check_output(target, force=options.force)
     with counted(console.terminal) as tell:
         tracks = track(source, points, memory=2 * GB if memory is None else memory, tell=tell)
     write_track(target, tracks, force=options.force)
     if options.json:
-        facts = [_facts(*pair) for pair in zip(points, tracks, strict=True)]
+        facts = [
+            {
+                "at": at,
+                "first": int(each.frames[0]),
+                "last": int(each.frames[-1]),
+                "error": float(each.errors.max()),
+                "lost": [{"frame": frame, "why": why} for frame, why in each.lost],
+            }
+            for at, each in zip(points, tracks, strict=True)
+        ]
         console.tell({"input": source, "output": target, "points": facts})
 
 
@@ -65,13 +75,3 @@ def _point(text: str) -> tuple[float, float, int]:
         raise SuppleError(f"--at must be {wanted}, found {text!r}")
     x, y = (parse_number("--at", part, wanted) for part in parts[:2])
     return x, y, parse_integer("--at", parts[2], wanted)
-
-
-def _facts(at: tuple[float, float, int], track: Any) -> dict[str, Any]:
-    return {
-        "at": at,
-        "first": int(track.frames[0]),
-        "last": int(track.frames[-1]),
-        "error": float(track.errors.max()),
-        "lost": [{"frame": frame, "why": why} for frame, why in track.lost],
-    }

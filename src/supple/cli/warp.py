@@ -136,7 +136,7 @@ def warp(
         world=volume.world, empty=maps.any or maps.dangling or grid is not None, others=OTHERS,
         place=lambda: volume.place_of(paths[0]), ordered=maps.conventions,
     )  # fmt: skip
-    recipe = tracks.followed(recipe, strokes.count, paths[0])
+    recipe = tracks.followed(recipe, strokes.count, paths, video.to_clip().memory)
     elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given, output)
     if elements and save_recipe is not None:
         raise SuppleError("--save-recipe is for strokes alone, which --field and --affine are not: leave it out")

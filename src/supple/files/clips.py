@@ -369,7 +369,7 @@ def _check_places(
         if len(frames) > 1 and (frames[-1] < 0 or frames[0] >= count):
             warnings.warn(
                 f"{which} has positions in frames {frames[0]} to {frames[-1]}, and the clip has {count}, from 0: it "
-                "stands still (does the track give another number to the first?)",
+                "follows none of them (does the track give another number to the first?)",
                 OutsideWarning,
                 stacklevel=5,
             )
