@@ -5,34 +5,52 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from supple import Key, Recipe, Stroke, SuppleError
 from supple.viewer.document.editing import Document
-from supple.viewer.document.keyframes import Part, animated, edited, moved_key, with_key, with_keys, without
+from supple.viewer.document.keyframes import (
+    PARTS,
+    Part,
+    animated,
+    edited,
+    moved_key,
+    of_key,
+    with_key,
+    with_key_here,
+    without,
+)
 from supple.viewer.document.words import step
 from tests.viewer.tools import click, clip, down, drag, move, press, up, wheel
 
 PULL = Stroke(at=(100, 100), by=(10, 5), radius=30)
 MOVING = replace(PULL, keys=(Key(2, at=(100, 100)), Key(8, at=(160, 100)), Key(12, strength=0.25), Key(16, strength=1)))
 PLACES = st.tuples(st.floats(-200, 400), st.floats(-200, 400))
-PARTS = st.one_of(st.none(), st.floats(0, 1))
+NUMBERS = st.one_of(st.none(), st.floats(0, 1))
 FRAMES = st.integers(-5, 30)
-PARTS_OF: tuple[Part, ...] = ("at", "strength")
 
 
 @st.composite
 def strokes(draw: Any) -> Stroke:
     keys = []
     for frame in sorted(draw(st.sets(FRAMES, max_size=5))):
-        at, strength = draw(st.one_of(st.none(), PLACES)), draw(PARTS)
-        if (at, strength) != (None, None):
-            keys.append(Key(frame, at, strength))
+        angle, scale = draw(st.one_of(st.none(), st.floats(-180, 180))), draw(st.one_of(st.none(), st.floats(0.5, 2)))
+        values = {"at": draw(st.one_of(st.none(), PLACES)), "strength": draw(NUMBERS), "angle": angle, "scale": scale}
+        if any(v is not None for v in values.values()):
+            keys.append(Key(frame, **values))
     also = draw(st.lists(st.tuples(PLACES, st.tuples(st.floats(-9, 9), st.floats(-9, 9))), max_size=2))
     at, strength = draw(PLACES), draw(st.floats(0, 1))
     return Stroke(at=at, by=(3, 4), radius=20, also=tuple(also), strength=strength, keys=tuple(keys))
+
+
+def same(one: Stroke, other: Stroke) -> None:
+    """Two strokes without keys are the same, within rounding."""
+    for a, b in zip(one.handles, other.handles, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
+    assert (one.radius, one.strength) == pytest.approx((other.radius, other.strength), rel=1e-9)
 
 
 @given(strokes(), FRAMES, PLACES, st.booleans())
@@ -40,28 +58,31 @@ def test_an_edit_is_what_is_seen_in_its_frame(
     stroke: Stroke, frame: int, place: tuple[float, float], whole: bool
 ) -> None:
     now = stroke.at_frame(frame)
-    then = replace(now, at=place, radius=33, by=(1, 2))
+    placed = any(key.at is not None for key in stroke.keys)
+    gone = tuple(b - a for a, b in zip(now.at, place, strict=True))
+    also = tuple((tuple(a + d for a, d in zip(p, gone, strict=True)), by) for p, by in now.also)
+    then = replace(now, at=place, also=also, radius=33, by=(1, 2))
     made = edited(stroke, now, then, frame, whole=whole)
-    assert made.at_frame(frame).at == pytest.approx(place, abs=1e-9)
-    assert (made.radius, made.by, made.strength) == (33, (1, 2), stroke.strength)
-    # All else stays as it was, bit for bit.
-    if not animated(stroke, "at"):
-        assert made == replace(stroke, at=place, radius=33, by=(1, 2))
-        return
-    assert made.at == stroke.at
-    assert [at for at, _ in made.also] == [at for at, _ in stroke.also]
-    assert [(k.frame, k.strength) for k in made.keys if k.strength is not None] == [
-        (k.frame, k.strength) for k in stroke.keys if k.strength is not None
+    same(made.at_frame(frame), then)
+    # Of the keys, nothing else changes; and of the stroke, no bit that was not edited.
+    rest = [[replace(key, at=(0, 0)) for key in each.keys if key.frame != frame] for each in (stroke, made)]
+    assert [(k.frame, k.strength, k.angle, k.scale) for k in rest[0]] == [
+        (k.frame, k.strength, k.angle, k.scale) for k in rest[1]
     ]
-    before = {k.frame: k.at for k in stroke.keys if k.at is not None}
-    after = {k.frame: k.at for k in made.keys if k.at is not None}
-    if whole:
-        gone = [b - a for a, b in zip(now.at, place, strict=True)]
+    before, after = ({k.frame: k.at for k in each.keys if k.at is not None} for each in (stroke, made))
+    if whole and placed:
         assert after.keys() == before.keys()
         for k, at in after.items():
             assert at == pytest.approx([a + d for a, d in zip(before[k], gone, strict=True)], abs=1e-9)
-    elif place != now.at:
+    elif placed and place != now.at:
         assert after == {**before, frame: place}
+    if placed:
+        assert (made.at, [at for at, _ in made.also]) == (stroke.at, [at for at, _ in stroke.also])
+    assert made.strength == stroke.strength
+    assert [by for _, by in made.also] == [by for _, by in stroke.also]
+    assert edited(stroke, now, now, frame, whole=whole) == stroke
+    radius = edited(stroke, now, replace(now, radius=50), frame)
+    assert replace(radius, radius=stroke.radius) == stroke
 
 
 @given(strokes(), FRAMES, FRAMES, st.floats(0, 1))
@@ -72,28 +93,40 @@ def test_a_key_of_strength_is_what_was_set(stroke: Stroke, frame: int, other: in
     for k in known:  # others are as strong as they were
         assert made.at_frame(k).strength == pytest.approx(stroke.at_frame(k).strength, abs=1e-12)
     for key in stroke.keys[:1]:
-        for part in (part for part in PARTS_OF if getattr(key, part) is not None):
-            now, to = stroke.at_frame(key.frame), moved_key(stroke, part, key.frame, other)
-            assert getattr(to.at_frame(other), part) == getattr(now, part)
-            frames, moved = ({k.frame for k in s.keys if getattr(k, part) is not None} for s in (stroke, to))
+        for part in (part for part in PARTS if of_key(key, part)):
+            to = moved_key(stroke, part, key.frame, other)
+            there = of_key(next(k for k in to.keys if k.frame == other), part)
+            wanted = of_key(key, part)
+            if part == "strength":
+                wanted = {part: stroke.at_frame(key.frame).strength}
+            assert there.items() >= wanted.items()
+            frames, moved = ({k.frame for k in s.keys if of_key(k, part)} for s in (stroke, to))
             assert moved == frames - {key.frame} | {other}
-            rest = "at" if part == "strength" else "strength"
-            assert [getattr(to.at_frame(k), rest) for k in range(30)] == [
-                getattr(stroke.at_frame(k), rest) for k in range(30)
-            ]
+            rest: Part = "place" if part == "strength" else "strength"
+            kept = [[(k.frame, of_key(k, rest)) for k in s.keys if of_key(k, rest)] for s in (stroke, to)]
+            assert kept[0] == kept[1]
 
 
 @given(strokes(), FRAMES)
 def test_what_is_no_longer_animated_stays_as_it_is_there(stroke: Stroke, frame: int) -> None:
     now, every = stroke.at_frame(frame), {key.frame for key in stroke.keys}
-    plain = with_keys(stroke, (), frame)
-    assert plain == now
-    still = without(stroke, "at", every, frame)
-    assert not animated(still, "at")
+    still = without(stroke, "place", every, frame)
+    assert not animated(still, "place")
     assert [k.strength for k in still.keys] == [k.strength for k in stroke.keys if k.strength is not None]
-    assert still.at_frame(frame).at == now.at
-    assert still.at_frame(frame).strength == now.strength
-    assert without(stroke, None, every, frame) == now
+    assert still.at_frame(frame) == now
+    even = without(stroke, "strength", every, frame)
+    assert not animated(even, "strength")
+    assert even.at_frame(frame) == now
+    assert without(still, "strength", every, frame) == now
+    for part in PARTS:
+        same(with_key_here(stroke, part, frame).at_frame(frame), now)
+
+
+def test_a_turned_stroke_whose_positions_are_removed_stays_where_it_is() -> None:
+    stroke = replace(PULL, also=(((120, 100), (1, 0)),), keys=(Key(0, angle=90), Key(4, at=(50, 60)), Key(9, scale=2)))
+    now = without(stroke, "place", {4}, 4).at_frame(4)
+    assert now.at == (50, 60)
+    same(now, stroke.at_frame(4))
 
 
 def test_a_recipe_with_keys_is_loaded_and_saved_bit_for_bit() -> None:
@@ -160,9 +193,9 @@ def test_steps_are_named() -> None:
     for made in (
         with_key(MOVING, 5, strength=0.5),
         MOVING,
-        moved_key(MOVING, "at", 8, 10),
-        with_key(moved_key(MOVING, "at", 8, 10), 10, at=(7, 7)),
-        with_keys(MOVING, (), 5),
+        moved_key(MOVING, "place", 8, 10),
+        with_key(moved_key(MOVING, "place", 8, 10), 10, at=(7, 7)),
+        replace(MOVING, keys=()),
     ):
         d.replace(0, made)
         names.append(step(d.steps[-2], d.steps[-1]))

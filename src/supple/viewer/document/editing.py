@@ -569,7 +569,7 @@ class Document:
             try:
                 whole, now = made.before(k)
                 applied = now.add(reduced(stroke, rest.amount, whole, now), warn=False)
-                if not animated(state.strokes[i], "at"):  # others may leave the picture
+                if not animated(state.strokes[i], "place"):  # others may leave the picture
                     last_outside(applied)
                 tracks = (*made.tracks, Track.of(stroke, applied))
                 made = Solved(state, visible, (*made.chain, applied), (*made.wholes, whole), tracks)

@@ -327,8 +327,9 @@ class FileCommands:
         if stroke not in strokes:
             self.message = "the stroke was edited while its point was tracked: follow it again"
             return
-        free = without(stroke, "at", [key.frame for key in stroke.keys], frame)
-        self.attempt(lambda: self.document.replace(strokes.index(stroke), free.following(found.keys, frame)))
+        free = without(stroke, "place", [key.frame for key in stroke.keys], frame)
+        made = free.following(found.keys, frame, outside="fade" if found.lost else "hold")
+        self.attempt(lambda: self.document.replace(strokes.index(stroke), made))
         ends = f"the stroke follows its point from frame {found.frames[0]} to {found.frames[-1]}"
         self.message = self.message or "; ".join([ends, *task.warnings])
 

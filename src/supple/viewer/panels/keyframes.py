@@ -10,7 +10,7 @@ from imgui_bundle import imgui
 
 from supple.strokes import Stroke
 from supple.strokes.keys import curve
-from supple.viewer.document.keyframes import PARTS, Part, animated, moved_key, with_key, without
+from supple.viewer.document.keyframes import PARTS, Part, animated, moved_key, of_key, with_key, with_key_here, without
 from supple.viewer.panels import theme
 from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import REST, hint, icon_button, label, progress, wrapped
@@ -57,9 +57,9 @@ def path(view: View, lines: imgui.ImDrawList, placed: Callable[[Pair], Pair]) ->
     """Draw the way of the selected stroke through the clip over the picture, with a diamond for each key."""
     chosen = view.document.selected
     stroke = None if chosen is None else view.document.strokes[chosen]
-    if stroke is None or stroke.hidden or not animated(stroke, "at"):
+    known = {} if stroke is None or stroke.hidden or not stroke.keys else _curves(view, stroke)
+    if stroke is None or "x" not in known:
         return
-    known = _curves(view, stroke)
     points: list[Any] = [placed((x, y)) for (_, x), (_, y) in zip(known["x"], known["y"], strict=True)]
     for shade, thick in ((theme.DARK, 3.0), (theme.SOFT, 1.0)):
         lines.add_polyline(points, col=shade, thickness=thick, flags=imgui.ImDrawFlags_.none)
@@ -116,7 +116,8 @@ def lane(view: View, tools: VideoTools, size: Pair) -> None:
                 lines.add_text((high.x + 12, at), _COLOURS[name], text)
                 at += imgui.get_text_line_height()
         for key in stroke.keys:
-            marks |= {} if key.at is None else {(key.frame, "at"): (placed(key.frame, 0)[0], low.y + 0.5 * _ROW)}
+            place = placed(key.frame, 0)[0], low.y + 0.5 * _ROW
+            marks |= {(key.frame, "place"): place} if of_key(key, "place") else {}
             marks |= (
                 {}
                 if key.strength is None
@@ -133,7 +134,7 @@ def lane(view: View, tools: VideoTools, size: Pair) -> None:
     found = found if away < _NEAR else None
     for (frame, part), place in marks.items():
         colour = theme.WHITE if (view.held_key or found) == (frame, part) else _shade(view, frame)
-        if part == "at":
+        if part == "place":
             _diamond(lines, place, colour, len(marks))
         else:
             lines.add_circle_filled(place, 4.5, colour)
@@ -186,15 +187,14 @@ def fields(view: View, i: int, stroke: Stroke) -> None:
     document, tools = view.document, view.tools
     assert isinstance(tools, VideoTools)
     frame, frames = document.frame, [key.frame for key in stroke.keys]
-    now, made = stroke.at_frame(frame), stroke
+    made = stroke
     label("Animate", _ANIMATE)
     for part, text in zip(PARTS, ("position", "strength"), strict=True):
         changed, on = imgui.checkbox(text, animated(stroke, part))
         hint(_ANIMATE)
         imgui.same_line()
         if changed:
-            on_now = {part: getattr(now, part)}
-            made = with_key(stroke, frame, **on_now) if on else without(stroke, part, frames, frame)
+            made = with_key_here(stroke, part, frame) if on else without(stroke, part, frames, frame)
     imgui.new_line()
     if frames:
         label("Keys")
@@ -205,8 +205,9 @@ def fields(view: View, i: int, stroke: Stroke) -> None:
             hint(f"The key {name} this frame ({'J' if way < 0 else 'K'})")
             imgui.same_line()
         if icon_button("key here", theme.KEY, size, on=here):
-            values = {part: getattr(now, part) for part in PARTS if animated(stroke, part)}
-            made = without(stroke, None, {frame}, frame) if here else with_key(stroke, frame, **values)
+            for part in PARTS:
+                if animated(stroke, part):
+                    made = without(made, part, {frame}, frame) if here else with_key_here(made, part, frame)
         hint("Remove the key of this frame" if here else "Set a key in this frame, of what is animated")
         imgui.same_line()
         imgui.align_text_to_frame_padding()

@@ -531,7 +531,7 @@ def _held(view: View) -> str:
     if document.selected is None:
         return ""
     stroke, own = document.seen(document.selected), document.strokes[document.selected]
-    if held is not None and held.item is not None and held.part == "pivot" and animated(own, "at"):
+    if held is not None and held.item is not None and held.part == "pivot" and animated(own, "place"):
         return "all keys move" if held.shift else f"key of frame {document.frame}; with Shift, all keys move"
     if stroke.brush != "grab":
         return f"{named(stroke)} {done(stroke)}"
