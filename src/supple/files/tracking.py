@@ -105,11 +105,11 @@ class _Walk:
         part, corner = _around(before, at, _REACH * self.window)
         step = part.copy(), _around(image, at, _REACH * self.window)[0].copy(), corner
         place, self._template = self._taken(step, at, self._template)
-        likely, edge = (2 * at - self.points[-2:][0], self.window // 2) if place is None else (place, 0)
+        likely, edge = (2 * at - self.points[-2:][0], self.window) if place is None else (place, 0)
         if not (edge <= likely.min() and (likely + edge < image.shape[::-1]).all()):
             self.why = "it leaves the picture"
         elif place is None:
-            self.why = "nothing there can be followed: it is flat, or gone"
+            self.why = "nothing there can be followed: it is flat, hidden, or at the edge"
         else:
             self._steps.append(step)
             self.points.append(place)

@@ -82,7 +82,7 @@ def position(keys: Sequence[Key], frame: float) -> tuple[float, ...] | None:
 
 def value(keys: Sequence[Key], name: str, frame: float, default: float) -> float:
     """Return the strength, the angle or the scale in a frame; the default if no key has any."""
-    known = [(key.frame, getattr(key, name)) for key in keys if getattr(key, name) is not None]
+    known = [(key.frame, part) for key in keys if (part := getattr(key, name)) is not None]
     return curve([k for k, _ in known], [part for _, part in known], frame) if known else default
 
 
