@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from supple.errors import SuppleError, shown
@@ -24,6 +24,7 @@ def follow_tracks(
     strokes: Sequence[int] | None = None,
     convention: Convention | None = None,
     first: int | None = None,
+    frames: Callable[[str, str], int] | None = None,
 ) -> Recipe:
     """Return a recipe whose strokes move along with the tracks of a file.
 
@@ -41,7 +42,7 @@ def follow_tracks(
         The frame in which the strokes are where the recipe has them; by default, the first of each track.
     strokes : sequence of int, optional
         The indices of the strokes; by default, all.
-    convention, first
+    convention, first, frames
         As in `supple.media.tracks.read_tracks`.
 
     Raises
@@ -54,7 +55,7 @@ def follow_tracks(
         with open_clip(clip) as opened:
             return opened.layout.shape[0]
 
-    tracks = read_tracks(path, convention=convention, height=height, first=first)
+    tracks = read_tracks(path, convention=convention, height=height, first=first, frames=frames)
     known = {track.name: track for track in tracks}
     for name in names:
         if name not in known:
