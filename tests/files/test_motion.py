@@ -220,7 +220,7 @@ def test_options_of_tracks_that_lead_nowhere_are_refused(run: Run) -> None:
     warp = ("warp", "in.mkv", "out.mkv")
     refused(run(*warp, *GRAB_2D, "--track-first", "1"), "--track-first is for a --track, and there is none")
     refused(run(*warp, "--recipe", "r.json", "--track", "t.csv"), "there are none: give a --grab")
-    refused(run(*warp, *GRAB_2D, "--track", "t.csv", "--track-frame", "x"), "--track-frame must be a whole number")
+    refused(run(*warp, *GRAB_2D, "--track", "t.csv", "--track-frame", "x"), "must be the number of a frame (0, say)")
     timed = ("--grab", "30,20,1:33,22,2", "--radius", "10")
     refused(run(*warp, *timed, "--track", "t.csv"), "keys are for strokes with points of 2 numbers")
     assert not os.path.exists("out.mkv")

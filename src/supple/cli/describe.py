@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -14,6 +15,7 @@ from supple.errors import SuppleError, shown
 from supple.files.clips import displayed
 from supple.media.numbering import is_sequence
 from supple.media.suffixes import CLIPS
+from supple.media.timecode import Numbering
 from supple.strokes import Recipe, Stroke, spoken
 
 if TYPE_CHECKING:
@@ -147,6 +149,11 @@ def _described_video(name: str) -> tuple[dict[str, Any], str]:
     facts = info(name)
     for tag, names in _TAGS.items():
         facts[tag] = names.get(facts[tag], "unknown" if facts[tag] in (2, 3) else str(facts[tag]))
+    facts["last_timecode"] = None
+    if not facts["variable"]:
+        known = Numbering(name, facts["frames"], facts["rate"], start=facts["timecode"] or "")
+        with contextlib.suppress(SuppleError):  # it does not fit the rate
+            facts["last_timecode"] = known.timecode(known.count - 1)
     told = {key: str(value) if isinstance(value, Fraction) else value for key, value in facts.items()}
     return {"file": name, "kind": "video", **told}, _video(name, facts)
 
@@ -187,8 +194,9 @@ def _video(name: str, facts: Mapping[str, Any]) -> str:
         lines["aspect"] = f"pixels are {facts['aspect']} as wide as high"
     if facts["interlaced"]:
         lines["fields"] = f"interlaced, {facts['fields']} field first"
-    if facts["timecode"]:
-        lines["timecode"] = facts["timecode"]
+    if facts["timecode"] or facts["last_timecode"]:
+        last = f" to {facts['last_timecode']}" if facts["last_timecode"] else ""
+        lines["timecode"] = f"{facts['timecode'] or 'none: counted from 00:00:00:00'}{last}"
     if facts["plays"] is not None:
         lines["plays"] = f"{facts['plays']} times" if facts["plays"] > 1 else "once" if facts["plays"] else "for ever"
     for key in ("audio", "subtitles", "other"):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Group, Parameter
 
 from supple.cli.console import current
-from supple.cli.options import COORDINATES, parse_number
+from supple.cli.options import COORDINATES, Frames, parse_number
 from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
@@ -67,9 +67,9 @@ class StrokeOptions:
     ----------
     grab
         Drag the first point to the second, or through more of them to the last. Pixels are counted from the top
-        left one, which is 0,0. In a video, a third number is the frame, counted from 0; in a volume, points are
-        voxels x,y,z. Give it and the next four several times, mixed as you like, for several strokes, which are
-        applied in order.
+        left one, which is 0,0. In a video, a third number is the frame, counted from 0, or its timecode,
+        00:00:12:08; in a volume, points are voxels x,y,z. Give it and the next four several times, mixed as you like,
+        for several strokes, which are applied in order.
     twist
         Turn what is around a point by an angle in degrees, clockwise; in a volume, right-handed about an axis: its
         direction DX,DY,DZ (default z).
@@ -194,6 +194,7 @@ class StrokeOptions:
         place: Place = lambda: None,
         convention: str | None = None,
         ordered: Mapping[str, Sequence[str]] | None = None,
+        frames: Frames | None = None,
     ) -> "Recipe":
         """Read the recipe file, if one is given, and add the strokes.
 
@@ -201,11 +202,11 @@ class StrokeOptions:
         are the options that would do, too. ``place`` returns the convention of the volume that the strokes are for, as
         `Geometry` has it; None without one. ``convention`` is that of tables of points that do not say it; instead,
         ``ordered`` has the values of --convention, each of which is about what stands before it, and of the other
-        options that it may be about.
+        options that it may be about. ``frames`` is how the frames of a clip are typed.
         """
         from supple.strokes import Recipe
 
-        found = self._strokes(world, place, convention, ordered)
+        found = self._strokes(world, place, convention, ordered, frames)
         strokes = [one.stroke for one in found]
         space = next((one.space for one in found if one.space is not None), None)
         if not strokes and self.recipe is None and not empty:
@@ -215,7 +216,7 @@ class StrokeOptions:
         else:
             from supple.files.recipes import read_recipe
 
-            made = read_recipe(self.recipe)
+            made = read_recipe(self.recipe, frames=None if frames is None else frames.read)
             if strokes and made.is_world and not world and space is None:
                 option = next(option for option, values in self.given.items() if values)
                 raise SuppleError(
@@ -244,7 +245,12 @@ class StrokeOptions:
         return made if self.on_fold is None else replace(made, on_fold=self.on_fold)
 
     def _strokes(
-        self, world: bool, place: Place, convention: str | None, others: Mapping[str, Sequence[str]] | None
+        self,
+        world: bool,
+        place: Place,
+        convention: str | None,
+        others: Mapping[str, Sequence[str]] | None,
+        frames: Frames | None,
     ) -> "list[_Given]":
         """Return the strokes, in order."""
         from supple.strokes import REACH
@@ -282,7 +288,7 @@ class StrokeOptions:
                 stroke, space = _pull(text, next(asked), place, world, brush)
             else:
                 scale, flat = (next(scales), next(flats)) if option == "--grab" else (1, 0.0)
-                stroke, space = _stroke(option, text, scales=scale, flat=flat, **brush), None
+                stroke, space = _stroke(option, text, frames, scales=scale, flat=flat, **brush), None
             if made and made[0].stroke.ndim != stroke.ndim:
                 first = f"{made[0].told} of {made[0].stroke.ndim}"
                 raise SuppleError(
@@ -354,13 +360,21 @@ def _pull(
         raise SuppleError(f"--pull {text}: {error}") from None
 
 
-def _stroke(option: str, text: str, *, scales: float, flat: float, **brush: float | None) -> "Stroke":
+def _stroke(
+    option: str, text: str, frames: Frames | None, *, scales: float, flat: float, **brush: float | None
+) -> "Stroke":
     """Read a stroke from the command line."""
     from supple.strokes import Stroke
 
     wrong = SuppleError(f"{option} must be {_WANTED[option]}, found {text!r}")
     try:
-        at, *rest = [[float(x) for x in part.split(",")] for part in text.split(":")]
+        plain = text if frames is None else frames.plain(option, text)
+        at, *rest = [[float(x) for x in part.split(",")] for part in plain.split(":")]
+        if frames is not None and frames.first is not None and len(at) == 3:
+            for point in (at, *rest) if option == "--grab" else (at,):
+                point[2:] = [t - frames.first for t in point[2:]]
+    except SuppleError:
+        raise
     except ValueError:
         raise wrong from None
     parts = [len(part) for part in (at, *rest)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -32,6 +32,7 @@ def follow_tracks(
     outside: Literal["fade", "hold"] = "fade",
     memory: float = 2 * GB,
     tell: Tell = silent,
+    frames: Callable[[str, str], int] | None = None,
 ) -> Recipe:
     """Return a recipe whose strokes move along with the tracks of a file, or with what is under them.
 
@@ -51,7 +52,7 @@ def follow_tracks(
         clip.
     strokes : sequence of int, optional
         The indices of the strokes; by default, all.
-    convention, first
+    convention, first, frames
         As in `supple.media.tracks.read_tracks`.
     turn : bool
         Whether each stroke follows two tracks, one after the other: it moves with the first point, and turns and grows
@@ -86,7 +87,7 @@ def follow_tracks(
         for k, seen in zip(which, found, strict=True):
             made[k] = made[k].following(seen.keys, frame or 0, outside=outside)
         return replace(recipe, strokes=tuple(made))
-    tracks = read_tracks(path, convention=convention, height=height, first=first)
+    tracks = read_tracks(path, convention=convention, height=height, first=first, frames=frames)
     known = {track.name: track for track in tracks}
     for name in names:
         if name not in known:
