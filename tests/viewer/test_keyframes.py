@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from supple import Key, Recipe, Stroke, SuppleError
+from supple.files.clips import deformation_of, motion_of
 from supple.viewer.document.editing import Document
 from supple.viewer.document.keyframes import (
     PARTS,
@@ -306,3 +307,29 @@ class TestHands:
         assert at == pytest.approx((140.5, 50), abs=1)  # where it is in the recipe: 60 pixels before
         assert tools.document.strokes[0].at == MOVING.at
         assert tools.document.strokes[0].keys == MOVING.keys
+
+
+@pytest.mark.parametrize("stroke", [MOVING, PULL, Stroke(at=(100, 100, 9), by=(10, 5, 2), radius=30)], ids=str)
+def test_frames_that_are_kept_are_those_of_an_export(stroke: Stroke) -> None:
+    recipe, count = Recipe(strokes=(stroke,)), 20
+    d = Document((count, 200, 300), recipe=recipe, kind="video")
+    d.compare(0)
+    d.set_hold(2)
+    if d.timed:
+        assert d.deformation == deformation_of(recipe, count, (200, 300), None, "a.mp4", hold=2)
+        assert d.base == d.deformation
+    else:
+        for frame, wanted in enumerate(motion_of(recipe, count, (200, 300), hold=2)):
+            d.seek(frame)
+            assert d.deformation == wanted
+            assert d.base == wanted
+    assert d.recipe == replace(recipe, size=d.size, space="pixels", time_scale=1.0 if d.timed else None)
+    assert len(d.steps) == 1
+    with pytest.raises(SuppleError, match="hold must be a number of frames from 0 to 9, found 10"):
+        d.set_hold(10)
+    assert d.hold == 2
+    d.set_hold(0)
+    d.seek(1)
+    plain = Document((count, 200, 300), recipe=recipe, kind="video")
+    plain.seek(1)
+    assert d.deformation == plain.deformation

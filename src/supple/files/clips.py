@@ -9,6 +9,7 @@ import shutil
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -302,10 +303,15 @@ def deformation_of(
         worth *= scaling.frame  # so that the brush covers the same part of the clip
     recipe = fit_recipe(recipe, size, fit, name, time=True).placed((x, y, 0), (*shape[::-1], count))
     if hold:
-        widths = Domain((count, *shape), (1.0, 1.0, worth), recipe.border).border_widths
-        ends = fade_of(count, hold, None if widths is None else widths[2] / worth)
-        recipe = replace(recipe, freeze=ends.over(recipe.freeze, shape))
+        recipe = with_ends(recipe, hold, (count, *shape), worth)
     return Deformation.from_recipe(recipe, Grid((count, *shape), (1.0, 1.0, worth), (-x, -y, 0)), time=True)
+
+
+def with_ends(recipe: Recipe, hold: int, shape: tuple[int, ...], worth: float) -> Recipe:
+    """Return a recipe in time whose mask freezes some frames at each end, of frames that count as ``worth`` pixels."""
+    widths = Domain(shape, (1.0, 1.0, worth), recipe.border).border_widths
+    ends = fade_of(shape[0], hold, None if widths is None else widths[2] / worth)
+    return replace(recipe, freeze=ends.over(recipe.freeze, (shape[1], shape[2])))
 
 
 def fade_of(count: int, hold: int, width: float | None = None) -> Freeze:
@@ -316,6 +322,12 @@ def fade_of(count: int, hold: int, width: float | None = None) -> Freeze:
     held = np.zeros((count, 1, 1), bool)
     held[:hold] = held[count - hold :] = True
     return Freeze.of(held, width=max(4.0, AUTO * count if width is None else width))
+
+
+@lru_cache(maxsize=4)
+def parts_of(count: int, hold: int) -> tuple[float, ...]:
+    """Return the part of its strength that a stroke without a time has in each frame, as some are held at each end."""
+    return tuple(map(float, fade_of(count, hold).at([[0], [0], np.arange(count)]).ravel()))
 
 
 def deformations_of(
@@ -443,8 +455,8 @@ def motion_of(
     roaming = {i for i, stroke in enumerate(recipe.strokes) if any(key.at is not None for key in stroke.keys)}
     frames = [recipe.at_frame(k) for k in range(count)]
     if hold:
-        parts = fade_of(count, hold).at([[0], [0], np.arange(count)]).ravel().astype(float)
-        frames = [replace(now, amount=now.amount * part) for now, part in zip(frames, parts.tolist(), strict=True)]
+        parts = parts_of(count, hold)
+        frames = [replace(now, amount=now.amount * part) for now, part in zip(frames, parts, strict=True)]
     known: dict[Recipe, Deformation] = {}
     still = Deformation.from_recipe(replace(recipe, strokes=()), shape)
     told: dict[tuple[type[Warning], str], tuple[str, set[Recipe]]] = {}

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from supple.deformation import Arrival, Deformation, after, last_outside, reduced
 from supple.errors import SuppleError
+from supple.files.clips import parts_of, with_ends
 from supple.files.volumes import indexed, placed
 from supple.folding.limits import NEAR
 from supple.space.checks import integer, refuse
@@ -98,6 +99,7 @@ class Solved:
     """
 
     state: State
+    amount: float  # of the recipe, in the frame shown
     visible: tuple[tuple[int, Stroke], ...]
     chain: tuple[Deformation, ...]
     wholes: tuple[Deformation, ...] = ()
@@ -110,13 +112,13 @@ class Solved:
         if k == 0:
             return self.chain[0], self.chain[0]
         stroke = self.visible[k - 1][1]
-        whole = after(stroke, self.state.rest.amount, self.wholes[k - 1], self.chain[k - 1], self.chain[k])
+        whole = after(stroke, self.amount, self.wholes[k - 1], self.chain[k - 1], self.chain[k])
         return whole, self.chain[k]
 
     def kept(self, stroke: Stroke, k: int) -> Stroke:
         """Return a stroke drawn on screen before visible stroke number ``k``, in coordinates of the recipe."""
         whole, now = self.before(k)
-        part = self.state.rest.amount * stroke.strength
+        part = self.amount * stroke.strength
         if whole is not now:
             stroke = replace(stroke, at=tuple(whole.forward(now.inverse(stroke.at).points).tolist()))
         return replace(stroke.weakened(1 / part), strength=stroke.strength) if 0 < part < 1 else stroke
@@ -170,7 +172,7 @@ class Document:
         self.on_change: list[Callable[[], None]] = []  # called after each change
         self.trouble: str | None = None  # the reason why the current drag is refused, for the status line
         self._drag: tuple[Solved, int | None] | None = None
-        self.frame = 0  # the frame shown, of a clip
+        self.frame, self.hold = 0, 0  # of a clip: the frame shown, and how many stay as they are at each end
         self._timed = True  # the kind of the next stroke of a clip that has none
         self._now = self._solved(self._state(recipe or Recipe()), None)
         self.steps: tuple[State, ...] = (self._now.state,)
@@ -228,16 +230,29 @@ class Document:
         """Show the strokes as they are in another frame of a clip."""
         if frame == self.frame:
             return
-        self.frame, moves = frame, self.state.recipe.moves
-        if moves:
+        self.frame, faded = frame, self.hold > 0 and not self.timed
+        if faded or self.state.recipe.moves:
             self.trouble = None
             try:
                 self._now = self._solved(self.state, self._now)
             except SuppleError as error:  # as in an export
                 self.trouble = f"frame {frame}: {error}"
-        if self._base is not None and self._base[0].recipe.moves:
+        if self._base is not None and (faded or self._base[0].recipe.moves):
             with contextlib.suppress(SuppleError):
                 self._base = self._base[0], self._solved(self._base[0], self._now).chain[-1]
+
+    def set_hold(self, hold: int) -> None:
+        """Keep some frames at each end of a clip, as `ClipOptions` has it; SuppleError if no others are left."""
+        self._rest()
+        most = (self.shape[0] - 1) // 2
+        before, self.hold = self.hold, integer("hold", hold, f"a number of frames from 0 to {most}", 0, most)
+        try:
+            self._show(self._solved(self.state, None))
+        except SuppleError:
+            self.hold = before
+            raise
+        if self._base is not None:
+            self._base = self._base[0], self._solved(self._base[0], None).chain[-1]
 
     @property
     def recipe(self) -> Recipe:
@@ -550,29 +565,34 @@ class Document:
     def _solved(self, state: State, known: Solved | None) -> Solved:
         """Return the deformation of a state; strokes shared with a known state are not resolved again."""
         rest, timed = state.rest, self._is_timed(state)
-        shape = self._shape(timed)
+        shape, amount = self._shape(timed), rest.amount
+        if self.hold and not timed:
+            amount *= parts_of(self.shape[0], self.hold)[self.frame]
         if known is not None and known.state.rest == rest and known.chain[0].ndim == len(shape):
             empty = known.chain[0]
         else:
             spacing = self.spacing if shape == self.shape else np.broadcast_to(self.spacing, 3)[:2].tolist()
-            empty = Deformation.from_recipe(replace(rest, space=None), shape, spacing=spacing, time=timed)
+            plain = replace(rest, space=None)
+            if self.hold and timed:
+                plain = with_ends(plain, self.hold, self.shape, Domain(shape, spacing, rest.border).spacing[2])
+            empty = Deformation.from_recipe(plain, shape, spacing=spacing, time=timed)
         seen = ((i, stroke.at_frame(self.frame)) for i, stroke in enumerate(state.strokes) if not stroke.hidden)
-        made = Solved(state, tuple(seen), (empty,))
+        made = Solved(state, amount, tuple(seen), (empty,))
         visible, same = made.visible, 0
-        if known is not None and known.chain[0] == empty and known.state.rest.amount == rest.amount:
+        if known is not None and known.chain[0] == empty and known.amount == amount:
             for (_, stroke), (_, before) in zip(visible, known.visible, strict=False):
                 if stroke is not before and stroke != before:
                     break
                 same += 1
-            made = Solved(state, visible, known.chain[: same + 1], known.wholes[:same], known.tracks[:same])
+            made = Solved(state, amount, visible, known.chain[: same + 1], known.wholes[:same], known.tracks[:same])
         for k, (i, stroke) in enumerate(visible[same:], same):
             try:
                 whole, now = made.before(k)
-                applied = now.add(reduced(stroke, rest.amount, whole, now), warn=False)
+                applied = now.add(reduced(stroke, amount, whole, now), warn=False)
                 if not animated(state.strokes[i], "place"):  # others may leave the picture
                     last_outside(applied)
                 tracks = (*made.tracks, Track.of(stroke, applied))
-                made = Solved(state, visible, (*made.chain, applied), (*made.wholes, whole), tracks)
+                made = Solved(state, amount, visible, (*made.chain, applied), (*made.wholes, whole), tracks)
             except SuppleError as error:
                 many = len(state.strokes) > 1
                 raise type(error)(f"stroke {i + 1}: {error}" if many else str(error)) from None
