@@ -28,7 +28,7 @@ from measure import milliseconds
 from wgpu.backends.wgpu_native import _api, _ffi, _helpers
 
 import supple
-from supple import arrays
+from supple.engine import core
 from supple.gpu.device import open_gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
@@ -89,7 +89,7 @@ class Clock:
 
     def __init__(self) -> None:
         self.native, self._main, self._plain = 0.0, threading.get_ident(), _api.libf
-        self.warp, self._run = 0.0, arrays.run
+        self.warp, self._run = 0.0, core.sample
         self._timing = _helpers.SafeLibCalls(SimpleNamespace(**dict(self._timed())), _api.error_handler)
 
     def _timed(self) -> Iterator[tuple[str, Any]]:
@@ -122,7 +122,7 @@ class Clock:
         By turns, they are timed as they are, and with each call into native code timed: that takes a little itself.
         """
         wholes, natives, warps = [], [], []
-        arrays.run = self._warped
+        core.sample = self._warped
         for k, work in enumerate(works):
             _api.libf = self._timing if k % 2 else self._plain
             self.native = self.warp = 0.0
@@ -134,7 +134,7 @@ class Clock:
                 natives.append(self.native)
             else:
                 wholes.append(whole)
-        _api.libf, arrays.run = self._plain, self._run
+        _api.libf, core.sample = self._plain, self._run
         whole, native = statistics.median(wholes), statistics.median(natives)
         return whole - native, native, statistics.median(warps)
 

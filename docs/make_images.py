@@ -22,6 +22,7 @@ from scipy import ndimage
 
 import supple
 from supple.augment import RandomElastic, apply
+from supple.files.tracks import follow_tracks
 from supple.files.volumes import open_volume
 from supple.media import image
 from supple.plot import figure
@@ -80,6 +81,20 @@ def time_filtered(folder: Path) -> None:
     halves = [pyvips.Image.arrayjoin(rows[k : k + 3], shim=8, background=WHITE) for k in (0, 3)]
     joined = halves[0].join(halves[1], "vertical", shim=8, background=WHITE)
     joined.jpegsave(folder / "time.jpg", Q=80, keep="none")
+
+
+def nose_followed(folder: Path) -> None:
+    """Five frames of the clip, and what they are with a stroke that follows the nose."""
+    still = supple.Recipe(strokes=[supple.Stroke.scale((345, 58), factor=1.8, radius=24)])
+    recipe = follow_tracks(still, None, smile.CLIP, frame=10)
+    before = dict(smile.frames_of(smile.CLIP, (0, 20, 36, 45, 62)))
+    after = [
+        supple.Deformation.from_recipe(recipe.at_frame(k), pixels.shape[:2]).warp(pixels)
+        for k, pixels in before.items()
+    ]
+    side_by_side(
+        folder / "track.webp", [shown(pixels[24:184, 280:430], 1.2) for pixels in (*before.values(), *after)], 5
+    )
 
 
 def volumes_bent(folder: Path) -> None:
@@ -490,6 +505,7 @@ def main() -> None:
     paper = supple.Deformation((512, 512)).grab((256, 256), by=(0, 90), radius=100, reach=None)
     bunny_smiles(folder)
     time_filtered(folder)
+    nose_followed(folder)
     volumes_bent(folder)
     cut_open(folder)
     marked(folder)

@@ -97,7 +97,7 @@ def test_keys_are_scaled_and_mirrored_with_their_stroke() -> None:
 def test_a_stroke_follows_a_track_at_its_own_distance() -> None:
     track = [(1, (100.0, 50.0)), (2, (104.0, 52.0)), (5, (110.0, 40.0))]
     stroke = Stroke(at=(103, 45), by=(1, 0), radius=5)
-    made = stroke.following(track)
+    made = stroke.following(track, outside="hold")
     assert made.keys == (Key(1, at=(103, 45)), Key(2, at=(107, 47)), Key(5, at=(113, 35)))
     assert stroke.following(track, 5).at_frame(5).at == (103, 45)
     assert stroke.following(track, 5).at_frame(0).at == (93, 55)
@@ -110,6 +110,104 @@ def test_a_stroke_follows_a_track_at_its_own_distance() -> None:
         made.following(track)
     with pytest.raises(SuppleError, match="a track must be the positions of a point"):
         stroke.following([])
+
+
+def test_outside_of_its_track_a_stroke_fades_smoothly() -> None:
+    stroke = Stroke(at=(103, 45), by=(1, 0), radius=5, strength=0.5)
+    made = stroke.following([(4, (100, 50)), (6, (104, 52)), (9, (110, 40))], 4)
+    strengths = [made.at_frame(k).strength for k in range(-3, 17)]
+    assert strengths[7:13] == [0.5] * 6
+    assert [k - 3 for k, part in enumerate(strengths) if part == 0] == [-3, -2, -1, 14, 15, 16]
+    u = np.arange(1, 5) / 5
+    np.testing.assert_allclose(strengths[3:7], 0.5 * (3 * u**2 - 2 * u**3))  # without a slope at both ends
+    np.testing.assert_allclose(strengths[16:12:-1], 0.5 * (3 * u**2 - 2 * u**3))
+    assert made.at_frame(12).at == made.at_frame(9).at
+    held = stroke.following([(4, (100, 50)), (9, (110, 40))], 4, outside="hold")
+    assert {held.at_frame(k).strength for k in range(-3, 17)} == {0.5}
+    assert Recipe.from_json(Recipe(strokes=(made,)).to_json()).strokes == (made,)
+    assert '"supple": 2' in Recipe(strokes=(made,)).to_json()
+    alone = stroke.following([(4, (100, 50))])
+    assert [alone.at_frame(k).strength for k in (-1, 4, 9)] == [0, 0.5, 0]
+    with pytest.raises(SuppleError, match='outside must be "fade" or "hold"'):
+        stroke.following([(4, (100, 50))], outside="stay")  # type: ignore[arg-type]
+
+
+SHAPES = [
+    Stroke(at=(30, 24), by=(3, 1), radius=8, also=[((38, 20), (0, 2))]),
+    Stroke(at=(30, 24), by=(2, 3), path=[(33, 23)], radius=8),
+    Stroke.twist((30, 24), angle=40, radius=8),
+    Stroke.scale((30, 24), factor=1.3, radius=8),
+    Stroke.pinch((30, 24), factor=1.2, radius=8),
+    Stroke.pinch((30, 24), factor=1.2, axis=(1, 2), radius=8),
+]
+
+
+@pytest.mark.parametrize("stroke", SHAPES, ids=lambda stroke: stroke.brush)
+def test_a_stroke_that_is_turned_and_scaled_is_its_map_turned_and_scaled(stroke: Stroke) -> None:
+    keyed = replace(stroke, keys=[Key(0, angle=0, scale=1), Key(8, at=(41, 27), angle=70, scale=1.5)])
+    turn = np.deg2rad(70)
+    matrix = 1.5 * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])  # from x towards y
+
+    def placed(points: Any) -> Any:
+        return (points - (30, 24)) @ matrix.T + (41, 27)
+
+    points = np.random.default_rng(0).uniform((14, 8), (46, 40), (200, 2))
+    shape = (200, 200)
+    before, after = (Recipe(border=None, strokes=(s,)) for s in (stroke, keyed.at_frame(8)))
+    expected = placed(supple.Deformation.from_recipe(before, shape).forward(points))
+    found = supple.Deformation.from_recipe(after, shape).forward(placed(points))
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert np.abs(found - placed(points)).max() > 0.5
+    half = keyed.at_frame(4)
+    assert half.radius == pytest.approx(8 * 1.25)
+
+
+def test_a_stroke_turns_and_grows_with_two_points() -> None:
+    stroke = Stroke(at=(12, 10), by=(2, 0), radius=4)
+    frames = range(3, 40)
+    turns = np.deg2rad(20.0 * (np.arange(3, 40) - 5))  # through more than a whole turn
+    sizes = 1 + 0.02 * (np.arange(3, 40) - 5)
+    a = np.stack([50 + 3.0 * np.arange(37), np.full(37, 20.0)], axis=1)
+    b = a + (sizes * 8)[:, None] * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    first, second = ([(k, tuple(p)) for k, p in zip(frames, points, strict=True)] for points in (a, b))
+    made = stroke.following(first, 5, second=[*second, (99, (0, 0))])
+    now = made.at_frame(5)
+    assert (now.at, now.radius) == (pytest.approx((12, 10)), pytest.approx(4))
+    for k, turn, size, p in zip(frames, turns, sizes, a, strict=True):
+        now = made.at_frame(k)
+        rotation = size * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        assert now.at == pytest.approx(tuple(rotation @ ((12, 10) - a[2]) + p))
+        assert now.by == pytest.approx(tuple(rotation @ (2, 0)))
+        assert now.radius == pytest.approx(4 * size)
+    angles = [key.angle for key in made.keys if key.angle is not None]
+    np.testing.assert_allclose(angles, np.rad2deg(turns), atol=1e-9)
+    with pytest.raises(SuppleError, match="no frame in common"):
+        stroke.following(first, second=[(99, (0, 0))])
+    with pytest.raises(SuppleError, match="at the same place in frame 4: track two points that are apart"):
+        stroke.following(first, second=[*second[:1], first[1], *second[2:]])
+
+
+def test_keys_that_turn_are_of_version_3_and_mirrored_with_their_stroke() -> None:
+    stroke = replace(KEYED, keys=(Key(2, at=(30, 20), angle=-30), Key(6, scale=1.5), Key(9, angle=400, strength=0.5)))
+    text = Recipe(strokes=(stroke,)).to_json()
+    assert '"supple": 3' in text
+    assert '{"frame": 2, "at": [30, 20], "angle": -30}, {"frame": 6, "scale": 1.5}' in text
+    assert Recipe.from_json(text).strokes == (stroke,)
+    with pytest.raises(SuppleError, match=r"unknown key 'angle' in strokes\[0\]: keys\[0\]: it is of version 3"):
+        Recipe.from_json(text.replace('"supple": 3', '"supple": 2'))
+    assert '"supple": 2' in Recipe(strokes=(KEYED,)).to_json()
+    image = stroke.mirrored((32, 0), (1, 0))
+    assert [key.angle for key in image.keys] == [30, None, -400]
+    for k in (2, 5, 8):
+        one, other = image.at_frame(k), stroke.at_frame(k).mirrored((32, 0), (1, 0))
+        assert (one.at, one.by, one.radius) == (
+            pytest.approx(other.at),
+            pytest.approx(other.by),
+            pytest.approx(other.radius),
+        )
+    for bad in ({"scale": 0.001}, {"scale": 101}, {"angle": float("nan")}, {"angle": "x"}):
+        with pytest.raises(SuppleError, match=f"{next(iter(bad))} must be a number"):
+            Key(0, **bad)
 
 
 def test_keys_survive_json_and_are_refused_by_name() -> None:
@@ -125,10 +223,10 @@ def test_keys_survive_json_and_are_refused_by_name() -> None:
             Recipe.from_json(f'{{"supple": 2, "strokes": [{entry}]}}')
 
     refused("3", r"strokes\[0\]: keys must be a list of objects")
-    refused("[3]", r"strokes\[0\]: keys\[0\] must be an object with frame, at and strength, found 3")
+    refused("[3]", r"strokes\[0\]: keys\[0\] must be an object with a frame, .*, found 3")
     refused('[{"at": [1, 2]}]', r'the key "frame" is missing in strokes\[0\]: keys\[0\]')
     refused('[{"frame": 1, "atx": [1, 2]}]', r"unknown key 'atx' in strokes\[0\]: keys\[0\]: did you mean \"at\"")
-    refused('[{"frame": 1}]', r"the key of frame 1 must have at, strength or both")
+    refused('[{"frame": 1}]', r"the key of frame 1 must have at, strength, angle or scale, and has none")
     refused('[{"frame": 1.5, "strength": 1}]', r"frame must be a whole number")
     refused('[{"frame": 1, "strength": 2}]', r"strength must be a number from 0 to 1, found 2")
     refused('[{"frame": 1, "at": [1, 2, 3]}]', r"at must be 2 numbers")

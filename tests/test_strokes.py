@@ -165,7 +165,7 @@ class TestStroke:
 class TestPack:
     def test_layout(self) -> None:
         assert STROKE_DTYPE.isalignedstruct
-        assert STROKE_DTYPE.itemsize == 35 * 8
+        assert STROKE_DTYPE.itemsize == 38 * 8
         assert STROKE_DTYPE.names[:3] == ("pivot", "force", "matrix")
         assert STROKE_DTYPE.names[3:] == ("radius2", "p", "q", "r", "terms", "power", "joined", "reach", "most", "turn")
         table = pack([grab(), grab()], (1, 1))

@@ -15,12 +15,14 @@ if TYPE_CHECKING:
         OutsideWarning,
         SuppleError,
         ToleranceWarning,
+        TrackWarning,
     )
     from supple.fields import Field, Inverted, Placed, compose, read_maps
     from supple.fields.checks import FieldReport
     from supple.files import warp_file
     from supple.files.maps import grid_of
     from supple.files.options import GridOptions
+    from supple.files.tracking import Tracked, track
     from supple.space.affine import Affine
     from supple.space.domain import Domain
     from supple.space.freezing import Freeze
@@ -56,9 +58,12 @@ __all__ = [
     "Stroke",
     "SuppleError",
     "ToleranceWarning",
+    "TrackWarning",
+    "Tracked",
     "compose",
     "grid_of",
     "read_maps",
+    "track",
     "view",
     "warp_batch",
     "warp_file",
@@ -90,9 +95,12 @@ _HOMES = {
     "Stroke": "strokes",
     "SuppleError": "errors",
     "ToleranceWarning": "errors",
+    "TrackWarning": "errors",
+    "Tracked": "files.tracking",
     "compose": "fields",
     "grid_of": "files.maps",
     "read_maps": "fields",
+    "track": "files.tracking",
     "view": "viewer.window.launch",
     "warp_batch": "arrays",
     "warp_file": "files",

@@ -19,7 +19,7 @@ from supple.engine.core import measured, plan_of
 from supple.engine.devices import is_on_device
 from supple.engine.sampling import DEFAULT, Certificate, Sampling, SamplingFields, warn_of
 from supple.engine.work import Space, mask_of
-from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, caller
+from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, argument, caller
 from supple.fields import Field, Placed, check_path, folds_of
 from supple.folding.limits import NEAR, resolve
 from supple.folding.resolved import FREE_ENOUGH, Resolved, apart, described, freedom_at, padded
@@ -28,7 +28,7 @@ from supple.space.checks import choice, colours_hint, flag, integer, length, num
 from supple.space.domain import BorderProfile, Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Grid
-from supple.strokes import PAINTINGS, REACH, FoldPolicy, Point, Recipe, Stroke, spoken
+from supple.strokes import PAINTINGS, REACH, FoldPolicy, Point, Recipe, Stroke, spoken, time_radius_of
 
 _HIT = 1e-6  # samples: a point of a pull that is as near as this has arrived
 _FREE, _TAKEN = -1, -2  # of a point that no later stroke carries away, or one on purpose
@@ -169,8 +169,7 @@ class Deformation:
     spacing : float or sequence of float
         Physical units per sample, x first.
     time : bool
-        Whether the first of three axes is time: a drag along time alone then has no displacement across it, unless the
-        stroke has a Poisson ratio of its own.
+        Whether the first of three axes is time.
     on_fold : str
         The policy for a stroke that would fold the image over itself, or that the border holds back: let it ``"flow"``
         to its target in smaller steps; ``"damp"`` it to a safe length, with a warning; or raise a `FoldError`
@@ -187,6 +186,10 @@ class Deformation:
     looks as natural as no limit, None); ``strength``, the applied part of the movement, from 0 to 1; and ``poisson``,
     the Poisson ratio ν of the material, at most 0.5 (incompressible; 0.4 by default; and -inf, by default for a drag
     along time alone, has no displacement across the drag).
+
+    In a clip (``time``), brushes are ellipsoids: ``time_radius`` is the radius in frames, by default the larger of the
+    drag in time and an eighth of the clip, at most the radius. A drag in the plane moves nothing in time, and one in
+    time nothing in the plane, unless a ``poisson`` is given, by which all three axes are one material.
 
     They raise `SuppleError` if an argument is invalid, if the stroke cannot reach its target, or if no sample is within
     its reach, and `FoldError` if it would fold, or be held back, under ``on_fold="error"``. They warn if it starts
@@ -451,6 +454,8 @@ class Deformation:
         poisson: float | None = None,
         scales: int = 1,
         reach: float | None = REACH,
+        time_radius: float | None = None,
+        flat: float = 0.0,
         strength: float = 1.0,
     ) -> Self:
         """Return the deformation with one more stroke, which drags the material at a point.
@@ -466,14 +471,16 @@ class Deformation:
             The points through which it is dragged on its way; without ``to`` and ``by``, the last one is the target.
         scales : int
             1: a wide effect, fading as 1/r. 2 and 3: more local, as 1/r³ and 1/r⁵.
-        radius, poisson, reach, strength
+        flat : float
+            The part of the radius, in space and time, up to 0.9, within which all moves as the point does; the rest
+            fades as ever. It takes a reach.
+        radius, poisson, reach, time_radius, strength
             As for all brushes (`Deformation`). The reach is measured from the whole way of the point.
         """
         if len(point("at", at)) != self.ndim:
             refuse("at", f"{self._coordinates}, as a point of {self._kind} has{colours_hint(self.shape)}", at)
-        stroke = Stroke.grab(
-            at, to=to, by=by, path=path, radius=radius, poisson=poisson, scales=scales, reach=reach, strength=strength
-        )
+        known: dict[str, Any] = {"poisson": poisson, "scales": scales, "reach": reach, "strength": strength}
+        stroke = Stroke.grab(at, to=to, by=by, path=path, radius=radius, time_radius=time_radius, flat=flat, **known)
         return self.add(stroke)
 
     def pull(
@@ -486,6 +493,7 @@ class Deformation:
         radius: float,
         poisson: float | None = None,
         reach: float | None = REACH,
+        time_radius: float | None = None,
         strength: float = 1.0,
     ) -> Self:
         """Return the deformation with one more stroke, which drags many points at once, each to its own target.
@@ -504,7 +512,7 @@ class Deformation:
             Points that stay where they are.
         radius : float
             About the distance between the points, or more.
-        poisson, reach, strength
+        poisson, reach, time_radius, strength
             As for all brushes. Points that are frozen are released, with a warning; of two that pull against each
             other so that they cannot arrive without a fold, an error names both.
 
@@ -521,9 +529,8 @@ class Deformation:
         array([[180., 250.],
                [250., 250.]])
         """
-        return self.add(
-            Stroke.pull(points, to=to, by=by, pins=pins, radius=radius, poisson=poisson, reach=reach, strength=strength)
-        )
+        known: dict[str, Any] = {"poisson": poisson, "reach": reach, "strength": strength}
+        return self.add(Stroke.pull(points, to=to, by=by, pins=pins, radius=radius, time_radius=time_radius, **known))
 
     def restore(self, at: Point, *, radius: float, strength: float = 1.0, warn: bool = True) -> Self:
         """Return the deformation with one more stroke, which brings the material around a point back to its origin.
@@ -600,6 +607,7 @@ class Deformation:
         radius: float,
         axis: Point | None = None,
         reach: float | None = REACH,
+        time_radius: float | None = None,
         strength: float = 1.0,
     ) -> Self:
         """Return the deformation with one more stroke, which turns the material around a point.
@@ -615,13 +623,21 @@ class Deformation:
             turns, up to ten.
         axis : sequence of float, optional
             In a volume or a clip, the direction of the axis, in samples; by default, that of z or of time.
-        at, radius, reach, strength
+        at, radius, reach, time_radius, strength
             As for all brushes.
         """
-        return self.add(Stroke.twist(at, angle=angle, axis=axis, radius=radius, reach=reach, strength=strength))
+        known: dict[str, Any] = {"reach": reach, "time_radius": time_radius, "strength": strength}
+        return self.add(Stroke.twist(at, angle=angle, axis=axis, radius=radius, **known))
 
     def scale(
-        self, at: Point, *, factor: float, radius: float, reach: float | None = REACH, strength: float = 1.0
+        self,
+        at: Point,
+        *,
+        factor: float,
+        radius: float,
+        reach: float | None = REACH,
+        time_radius: float | None = None,
+        strength: float = 1.0,
     ) -> Self:
         """Return the deformation with one more stroke, which bloats or puckers the material around a point.
 
@@ -634,10 +650,11 @@ class Deformation:
             Above 1 it bloats, below 1 it puckers; from 0.01 to 100.
         strength : float
             The applied part of the factor's logarithm: half of a scale by 4 is one by 2.
-        at, radius, reach
+        at, radius, reach, time_radius
             As for all brushes.
         """
-        return self.add(Stroke.scale(at, factor=factor, radius=radius, reach=reach, strength=strength))
+        known: dict[str, Any] = {"reach": reach, "time_radius": time_radius, "strength": strength}
+        return self.add(Stroke.scale(at, factor=factor, radius=radius, **known))
 
     def pinch(
         self,
@@ -648,6 +665,7 @@ class Deformation:
         axis: Point | None = None,
         poisson: float | None = None,
         reach: float | None = REACH,
+        time_radius: float | None = None,
         strength: float = 1.0,
     ) -> Self:
         """Return the deformation with one more stroke, which pinches the material around a point.
@@ -661,12 +679,11 @@ class Deformation:
             Below 1 it squeezes along the axis, above 1 it stretches; from 0.01 to 100.
         axis : sequence of float, optional
             A direction, in samples; by default, that of x.
-        at, radius, poisson, reach, strength
+        at, radius, poisson, reach, time_radius, strength
             As for all brushes; the strength is a part of the factor's logarithm.
         """
-        return self.add(
-            Stroke.pinch(at, factor=factor, axis=axis, radius=radius, poisson=poisson, reach=reach, strength=strength)
-        )
+        known: dict[str, Any] = {"poisson": poisson, "reach": reach, "time_radius": time_radius, "strength": strength}
+        return self.add(Stroke.pinch(at, factor=factor, axis=axis, radius=radius, **known))
 
     def add(self, stroke: Stroke, *, warn: bool = True) -> Self:
         """Return the deformation with one more stroke, applied to the result of the strokes so far.
@@ -693,6 +710,8 @@ class Deformation:
             raise SuppleError(
                 "the stroke moves from frame to frame (keys), and this is one map: give the stroke of a frame"
             )
+        if stroke.time_radius is not None and not self.domain.time:
+            raise SuppleError(f"{argument('time_radius')} is for clips, and this is {self._kind}: leave it out")
         stroke = reduced(stroke, 1.0, self, self)
         resolved = resolve(stroke, self.domain, self.on_fold)
         rows = np.concatenate([self._space.rows, numbers(resolved.rows)])
@@ -1120,7 +1139,10 @@ def reduced(stroke: Stroke, amount: float, whole: Deformation, now: Deformation)
     if part == 1 and whole is now:
         return stroke
     at = stroke.at if whole is now else tuple(now.forward(whole.inverse(stroke.at).points).tolist())
-    return replace(stroke.weakened(part), at=at)
+    domain, time_radius = now.domain, stroke.time_radius
+    if part != 1 and domain.time and not stroke.isotropic:  # which depends on the drag
+        time_radius = time_radius_of(stroke, domain.shape[0], domain.spacing[2])
+    return replace(stroke.weakened(part), at=at, time_radius=time_radius)
 
 
 def after(stroke: Stroke, amount: float, whole: Deformation, before: Deformation, now: Deformation) -> Deformation:
@@ -1145,6 +1167,8 @@ def last_outside(made: Deformation) -> str | None:
     pivots, spacing = rows["pivot"][:, : made.ndim], np.array(domain.spacing)
     beyond = np.maximum(np.maximum(-0.5 * spacing - pivots, pivots - (sizes - 0.5) * spacing), 0.0)
     text = f"{described(stroke)} starts outside {extent}"
+    if domain.time:
+        beyond[:, 2] *= rows["stretch"]
     if len(rows) and np.all(np.linalg.norm(beyond, axis=1) >= rows["reach"]):
         raise SuppleError(f"{text}, and reaches nothing of it: use a point inside, a larger radius or a longer reach")
     return text

@@ -111,6 +111,10 @@ class OutsideWarning(UserWarning):
     """A stroke starts outside the image, the clip or the volume, or moves nothing; or a map may be of another size."""
 
 
+class TrackWarning(UserWarning):
+    """A tracked point is lost before the clip ends, or begins; the message says in which frame, and why."""
+
+
 class ScaleWarning(UserWarning):
     """A recipe was made for another size of the same proportions, and was scaled."""
 

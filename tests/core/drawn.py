@@ -31,7 +31,13 @@ REACHES = (None, None, 1.0, 2.5, 4.0)
 
 
 def deformation(rng: np.random.Generator, shape: tuple[int, ...], strokes: int, **domain: Any) -> Deformation:
-    """Return strokes of every kind, weak and damped to the fold limit, in the domain and beside it."""
+    """Return strokes of every kind, weak and damped to the fold limit, in the domain and beside it.
+
+    Of three axes, the third is time as often as not.
+    """
+    more = rng.spawn(1)[0]
+    if len(shape) == 3:
+        domain = {"time": bool(more.integers(2)), **domain}
     made = {"border": BORDERS[rng.integers(5)], "border_profile": ("quartic", "sine")[rng.integers(2)]}
     made |= {"on_fold": "damp", **domain}
     d = Deformation(shape, **made)
@@ -45,10 +51,27 @@ def deformation(rng: np.random.Generator, shape: tuple[int, ...], strokes: int, 
         if brush == "grab":
             by, scales = by / d.domain.spacing, int(rng.integers(1, 4))
             stroke = Stroke.grab(at, by=by, radius=radius, poisson=poisson, scales=scales, reach=reach)
+            if reach is not None:
+                stroke = replace(stroke, flat=float(more.choice([0.0, 0.0, 0.2, 0.6, 0.9])))
         else:
             stroke = turning(rng, brush, at=at, radius=radius, reach=reach, poisson=poisson)
+        if d.domain.time:
+            stroke = timed(more, stroke, d.domain.spacing[2])
         d = d.add(stroke, warn=False)
     return d
+
+
+def timed(rng: np.random.Generator, stroke: Stroke, step: float) -> Stroke:
+    """Return a stroke of a clip with a radius in time, or the default, or as it was before; some couple the axes."""
+    kind, frames = rng.integers(4), stroke.radius / step * math.exp(rng.uniform(-2.5, 1))
+    if stroke.brush == "pinch" and stroke.axis is not None:
+        stroke = replace(stroke, axis=(*stroke.axis[:2], 0.0))
+    return replace(
+        stroke,
+        time_radius=None if kind < 2 else frames,
+        isotropic=bool(kind == 0),
+        poisson=stroke.poisson if rng.integers(2) else None,
+    )
 
 
 def turning(rng: np.random.Generator, brush: Any, **given: Any) -> Stroke:

@@ -13,6 +13,7 @@ from supple.cuda import points
 from supple.engine.work import Space
 from tests import reference
 from tests.cuda.driver import on_host, sent
+from tests.test_clip_brushes import strokes_of
 from tests.turns import AFFINE, at_once
 
 pytestmark = [pytest.mark.filterwarnings("ignore::supple.FoldWarning"), pytest.mark.usefixtures("gpu")]
@@ -32,6 +33,22 @@ def test_strokes_that_act_at_once(shape: tuple[int, ...]) -> None:
     d = supple.Deformation(shape, border=3.0)
     table, steps = at_once(d.domain)
     _agrees(replace(d.space, rows=numbers(table)), steps, d)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_brushes_of_clips(seed: int) -> None:
+    shape = (12, 18, 24)
+    d = supple.Deformation(shape, time=True, on_fold="damp")
+    for stroke in strokes_of(seed):
+        own = None if stroke.time_radius is None else stroke.time_radius / 3
+        small = stroke.mapped(lambda p: tuple(x / 3 for x in p), lambda v: tuple(x / 3 for x in v))
+        d = d.add(replace(small, radius=stroke.radius / 3, time_radius=own), warn=False)
+    _agrees(d.space, reference.carried_out(d), d)
+    frames = np.random.default_rng(0).uniform(0, 1, shape).astype(np.float32)
+    made = on_host(d.warp(sent(frames), filter="cubic", outside="edge"))
+    np.testing.assert_allclose(made, d.warp(frames, filter="cubic", outside="edge"), atol=0.02)
+    still = ~reference.reached(reference.carried_out(d), d.domain, reference.grid(shape))
+    np.testing.assert_array_equal(made[still], frames[still])
 
 
 def test_points_beyond_the_reach_keep_every_bit() -> None:

@@ -102,7 +102,9 @@ def test_a_stroke_may_leave_the_picture_and_is_warned_of_if_it_is_never_there(he
     with pytest.warns(OutsideWarning, match="stroke 1 starts outside the picture, which has 64 x 48 .* in every frame"):
         warp_file("in.mkv", "away.mkv", Recipe(strokes=(away,)))
     late = Stroke(at=(9, 20), by=(3, 0), radius=3, keys=[Key(1001, at=(9, 20)), Key(1009, at=(19, 20))])
-    with pytest.warns(OutsideWarning, match="in frames 1001 to 1009, and the clip has 12, from 0: it stands still"):
+    with pytest.warns(
+        OutsideWarning, match="in frames 1001 to 1009, and the clip has 12, from 0: it follows none of them"
+    ):
         warp_file("in.mkv", "late.mkv", Recipe(strokes=(late,)))
 
 
@@ -146,7 +148,7 @@ def test_a_recipe_says_that_its_strokes_move(run: Run) -> None:
 def test_strokes_of_the_command_line_follow_a_track(run: Run) -> None:
     frames = stack(noisy("in.mkv", "yuv444p"))
     Path("t.csv").write_text("frame,x,y\n2,28,20\n5,34,22\n9,36,12\n")
-    follow = ["--track", "t.csv"]
+    follow = ["--track", "t.csv", "--outside-track", "hold"]
     assert run("warp", "in.mkv", "out.mkv", *GRAB_2D, *follow, "--save-recipe", "r.json") == (0, "", "")
     stroke = Stroke.grab((30, 20), to=(34, 23), radius=12)
     keys = (Key(2, at=(30, 20)), Key(5, at=(36, 22)), Key(9, at=(38, 12)))
@@ -155,12 +157,44 @@ def test_strokes_of_the_command_line_follow_a_track(run: Run) -> None:
     expected = warped(frames, Recipe(border=10, strokes=(kept,)))
     np.testing.assert_array_equal(stack("out.mkv"), expected)
     Path("t.nk").write_text("{{curve x1003 28.5 x1006 34.5 x1010 36.5} {curve x1003 27.5 x1006 25.5 x1010 35.5}}")
-    assert run("warp", "in.mkv", "b.mkv", *GRAB_2D, "--track", "t.nk", "--track-first", "1001") == (0, "", "")
+    assert run("warp", "in.mkv", "b.mkv", *GRAB_2D, "--track", "t.nk", "--track-first", "1001", *follow[2:]) == (
+        0,
+        "",
+        "",
+    )
     np.testing.assert_array_equal(stack("b.mkv"), expected)
     at = [*GRAB_2D, *follow, "--track-frame", "5", "--save-recipe", "at.json"]
     assert run("warp", "in.mkv", "c.mkv", *at)[0] == 0
     (late,) = Recipe.from_json(Path("at.json").read_text()).strokes
     assert late.at_frame(5).at == (30, 20)
+    assert run("warp", "in.mkv", "d.mkv", *GRAB_2D, *follow[:2], "--save-recipe", "fading.json")[0] == 0
+    (fading,) = Recipe.from_json(Path("fading.json").read_text()).strokes
+    assert [fading.at_frame(k).strength for k in (-3, 2, 9, 14)] == [0, 1, 1, 0]
+    np.testing.assert_array_equal(stack("d.mkv"), warped(frames, Recipe(border=10, strokes=(fading,))))
+
+
+def test_a_stroke_turns_with_two_tracks(run: Run) -> None:
+    frames = stack(noisy("in.mkv", "yuv444p", 4))
+    Path("t.csv").write_text("frame,x,y,name\n0,30,20,a\n3,33,20,a\n0,40,20,b\n3,33,35,b\n")
+    turn = ["--track", "t.csv", "--track-turn", "--save-recipe", "r.json"]
+    assert run("warp", "in.mkv", "out.mkv", *GRAB_2D, *turn) == (0, "", "")
+    (stroke,) = Recipe.from_json(Path("r.json").read_text()).strokes
+    now = stroke.at_frame(3)
+    assert now.at == (33, 20)
+    assert (now.by, now.radius) == (pytest.approx((-4.5, 6)), 18)  # turned by 90 degrees, and 1.5 times as large
+    np.testing.assert_array_equal(stack("out.mkv"), warped(frames, Recipe(border=10, strokes=(stroke,))))
+    assert "turning in frames 0 to 3" in run("info", "r.json")[1]
+    two = (*GRAB_2D, "--grab", "40,20:44,20")
+    warp = ("warp", "in.mkv", "none.mkv")
+    refused(run(*warp, *GRAB_2D, *turn[:2]), "name one for all, or one for each, or --track-turn to turn with two")
+    refused(run(*warp, *two, *turn[:3], "--track-name", "a"), "1 tracks, 'a', for 2 strokes: name two for all, or two")
+    four = [word for name in "abba" for word in ("--track-name", name)]
+    assert run("warp", "in.mkv", "two.mkv", *two, *turn[:3], *four)[0] == 0
+    refused(run(*warp, *GRAB_2D, "--track-turn"), "--track-turn is for a --track, and there is none")
+    refused(run(*warp, *GRAB_2D, "--outside-track", "hold"), "--outside-track is for a --track, and there is none")
+    refused(run(*warp, *GRAB_2D, "--track", "auto", "--track-turn"), "--track-turn is for the --track of a file")
+    Path("t.csv").write_text("frame,x,y,name\n0,30,20,a\n0,30,20,b\n")
+    refused(run(*warp, *GRAB_2D, *turn[:3]), "the two tracks are at the same place in frame 0")
 
 
 def test_tracks_by_name(run: Run) -> None:
@@ -186,7 +220,7 @@ def test_options_of_tracks_that_lead_nowhere_are_refused(run: Run) -> None:
     warp = ("warp", "in.mkv", "out.mkv")
     refused(run(*warp, *GRAB_2D, "--track-first", "1"), "--track-first is for a --track, and there is none")
     refused(run(*warp, "--recipe", "r.json", "--track", "t.csv"), "there are none: give a --grab")
-    refused(run(*warp, *GRAB_2D, "--track", "t.csv", "--track-frame", "x"), "--track-frame must be a whole number")
+    refused(run(*warp, *GRAB_2D, "--track", "t.csv", "--track-frame", "x"), "must be the number of a frame (0, say)")
     timed = ("--grab", "30,20,1:33,22,2", "--radius", "10")
     refused(run(*warp, *timed, "--track", "t.csv"), "keys are for strokes with points of 2 numbers")
     assert not os.path.exists("out.mkv")

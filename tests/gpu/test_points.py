@@ -21,6 +21,7 @@ from supple.strokes import pack
 from tests import effort, reference
 from tests.gpu import points as shaders
 from tests.gpu.scenes import ball, frozen, turned
+from tests.test_clip_brushes import SHAPE, strokes_of
 from tests.turns import at_once
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.MissWarning", "ignore::supple.FoldWarning")
@@ -110,6 +111,25 @@ def test_every_brush(gpu: Gpu, shape: tuple[int, ...], spacing: Any, border: flo
     np.testing.assert_allclose(scaled, reference.jacobian(strokes, d.domain, points), atol=1e-3)
     shift, residual, _ = shaders.inverse(gpu, d.space.table, d.space.axes, anchors, 1e-4)
     np.testing.assert_allclose((anchors + shift)[:, :n] / steps, d.inverse(points).points, atol=5e-3)
+    assert residual.max() < 5e-3
+
+
+@pytest.mark.parametrize("border", [None, 9.0])
+@pytest.mark.parametrize("seed", range(6))
+def test_brushes_of_clips(gpu: Gpu, seed: int, border: float | None) -> None:
+    d = supple.Deformation(SHAPE, time=True, border=border, on_fold="damp")
+    for stroke in strokes_of(seed):
+        d = d.add(stroke, warn=False)
+    steps, points = np.array(d.domain.spacing), np.random.default_rng(1).uniform(-0.05, 1.05, (600, 3)) * SHAPE[::-1]
+    anchors, offsets = columns(d, points)
+    moved, jacobian = shaders.forward(gpu, d.space.table, d.space.axes, anchors, offsets)
+    np.testing.assert_allclose(anchors + moved, d.forward(points), atol=1e-3)
+    np.testing.assert_allclose(jacobian, d.jacobian(points), atol=2e-3)
+    outside = ~reference.reached(reference.carried_out(d), d.domain, points)
+    np.testing.assert_array_equal(moved[outside], offsets[outside].astype(np.float32))
+    anchors, _ = columns(d, np.rint(points))
+    shift, residual, _ = shaders.inverse(gpu, d.space.table, d.space.axes, anchors, 1e-4)
+    np.testing.assert_allclose((anchors + shift) / steps, d.inverse(np.rint(points)).points, atol=5e-3)
     assert residual.max() < 5e-3
 
 
@@ -303,7 +323,7 @@ def test_what_is_compiled_for_grabs_is_for_them_alone() -> None:
 def test_shaders_see_what_the_cpu_packs() -> None:
     d = grabs((40, 60, 80), 2, 3)
     table = field.packed(d.space.table)
-    assert table.dtype.itemsize == 11 * 16
+    assert table.dtype.itemsize == 12 * 16
     whole = table["pivot"].astype(np.float64) + table["rest"][:, :3]
     np.testing.assert_allclose(whole, d.space.table["pivot"], atol=1e-12 * 80)
     axes = Domain((40, 60, 80), (1, 2, 3), 20.0, "sine").packed()

@@ -65,7 +65,7 @@ def test_the_commands_of_the_how_to_page_run_without_a_warning(
     copy_inputs(tmp_path)
     page = (ROOT / "docs" / "how-to.md").read_text(encoding="utf-8").replace("\\\n", " ")
     lines = [shlex.split(line) for line in re.findall(r"^supple (.*)$", page, re.MULTILINE)]
-    assert len(lines) == 10
+    assert len(lines) == 11
     for line in lines:
         assert (command(line), capsys.readouterr().err) == (0, ""), line
         assert Path(line[2]).exists()
@@ -102,7 +102,20 @@ def test_every_option_that_is_named_exists_and_every_one_that_exists_is_named(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     helps = {}
-    verbs = ("warp", "render", "points", "plot", "info", "demo", "view", "invert", "check", "compose", "convert")
+    verbs = (
+        "warp",
+        "track",
+        "render",
+        "points",
+        "plot",
+        "info",
+        "demo",
+        "view",
+        "invert",
+        "check",
+        "compose",
+        "convert",
+    )
     for verb in ("", *verbs):
         assert command([*verb.split(), "--help"]) == 0
         helps[verb] = set(re.findall(OPTION, capsys.readouterr().out))

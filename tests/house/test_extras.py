@@ -18,6 +18,7 @@ DATA = Path(supple.__file__).parent / "examples" / "data"
 GRAB = ("--grab", "20,20:23,20", "--radius", "6")
 EXTRAS = {
     "video": ["av"],
+    "flow": ["cv2"],
     "volume": ["SimpleITK", "nibabel", "pydicom"],
     "plot": ["matplotlib"],
     "gpu": ["wgpu"],
@@ -87,6 +88,7 @@ NEEDED = {
         ("warp", "in.png", "out.bmp", *GRAB): "BMP, TGA and PNM pictures need av",
         ("render", HEAD, "out.mp4", "--turntable", "2"): "videos need av",
     },
+    "flow": {("track", CLIP, "t.csv", "--at", "345,58,10"): "tracked points need cv2"},
     "volume": {
         ("render", HEAD, "out.png"): "NIfTI files need nibabel",
         ("warp", HEAD, "out.nii", *GRAB): "NIfTI files need nibabel",

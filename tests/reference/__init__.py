@@ -34,6 +34,7 @@ from tests.reference.motion import (
     matrices,
     moved,
     reached,
+    stretch,
     support,
     turn,
 )
@@ -72,6 +73,7 @@ __all__ = [
     "sample",
     "sample_frames",
     "stored",
+    "stretch",
     "supersampled",
     "support",
     "turn",

@@ -85,6 +85,40 @@ def grab(f: Floats, radius: float, poisson: float, scales: int, r: Floats) -> tu
     return k * scale, j * scale
 
 
+def apart(f: Floats, radius: float, poisson: float, scales: int, r: Floats) -> tuple[Floats, Floats]:
+    """Return K of a grab in a clip that does not couple time to the plane, and its Jacobian.
+
+    The plane's part is that of the drag in it, and time's is A f. A depends on |r| alone, and K across the drag is A f:
+    so that is K of as far away, but across.
+    """
+    k, j = grab(f * (1.0, 1.0, 0.0), radius, poisson, scales, r)
+    length = np.linalg.norm(r, axis=-1)[..., None]
+    own, slopes = grab(f * (0.0, 0.0, 1.0), radius, poisson, scales, length * (1.0, 0.0, 0.0))
+    k[..., 2] = own[..., 2]
+    j[..., 2, :] = slopes[..., 2, :1] * np.divide(r, length, out=np.zeros_like(r), where=length > 0)
+    return k, j
+
+
+def eased(flat: float, r: Floats) -> tuple[Floats, Floats]:
+    """Return g r / |r| of a plateau of the radius ``flat``, g = x² / (x + flat/2), x = |r| - flat; and its Jacobian."""
+    rho = np.maximum(np.linalg.norm(r, axis=-1), 1e-300)[..., None]
+    x, way = np.maximum(rho - flat, 0.0), r / rho
+    g, slope = x**2 / (x + flat / 2), x * (x + flat) / (x + flat / 2) ** 2
+    along = way[..., :, None] * way[..., None, :]
+    return g * way, (slope - g / rho)[..., None] * along + (g / rho)[..., None] * np.eye(r.shape[-1])
+
+
+def stretch(stroke: Stroke, domain: Domain) -> float:
+    """Return how much longer time is in a stroke's own metric: there, its radius in time is that in space."""
+    if not domain.time or stroke.isotropic:
+        return 1.0
+    frames = stroke.time_radius
+    if frames is None:
+        ends = [by[2] for _, by in stroke.handles] + [p[2] - stroke.at[2] for p in stroke.path]
+        frames = min(max(*np.abs(ends), domain.shape[0] / 8), stroke.radius / domain.spacing[2])
+    return stroke.radius / (domain.spacing[2] * frames)
+
+
 def kelvinlet_matrix(
     f: Floats, radius: float, poisson: float, r: Floats, trace: float | None = None
 ) -> tuple[Floats, Floats]:
@@ -239,18 +273,29 @@ def displacement(step: Step, domain: Domain, points: Floats) -> tuple[Floats, Fl
     steps, (first, last) = np.array(domain.spacing), faces(domain)
     near = points if domain.border is None else np.clip(points, first, last)
     r, material = near - np.array(stroke.at) * steps, poisson_of(stroke, time=domain.time)
+    metric, coupled = np.ones(domain.ndim), not domain.time or stroke.isotropic or stroke.poisson is not None
+    metric[2:] = stretch(stroke, domain)
+    r, change_of_r, reach = metric * r, np.eye(domain.ndim), radius_of_support(stroke)
+    if stroke.flat:
+        flat = stroke.flat * stroke.radius
+        reach = float(eased(flat, np.array([reach]))[0][0])
+        r, change_of_r = eased(flat, r)
     turns = stroke.brush == "twist" and not stroke.chord
     if turns:
-        k, j = twist(stroke, steps, r)
+        k, j = twist(stroke, steps * metric, r)
         if isinstance(step, Turned):
             k, j = k @ step.matrix.T, step.matrix @ j
     elif stroke.brush == "grab":
-        k, j = grab(np.array(stroke.by) * steps, stroke.radius, material, stroke.scales, r)
+        field = grab if coupled else apart
+        k, j = field(np.array(stroke.by) * steps * metric, stroke.radius, material, stroke.scales, r)
     else:
-        whole = step.matrix if isinstance(step, Turned) else matrix_of(stroke, domain.spacing, time=domain.time)
+        whole = step.matrix if isinstance(step, Turned) else matrix_of(stroke, steps * metric, time=domain.time)
         k, j = turn(whole[: domain.ndim, : domain.ndim], stroke.brush, stroke.radius, material, r)
-    m, slope = support(r, math.inf if turns else radius_of_support(stroke))
+        if not coupled:
+            k[..., 2], j[..., 2, :] = 0.0, 0.0
+    m, slope = support(r, math.inf if turns else reach)
     k, j = m[..., None] * k, m[..., None, None] * j + k[..., :, None] * slope[..., None, :]
+    k, j = k / metric, j @ change_of_r * metric / metric[:, None]
     if domain.freeze is not None:
         m = freedom(domain.freeze, near / steps)
         slope = np.stack([freedom(domain.freeze, near / steps, i) for i in range(domain.ndim)], -1) / steps
@@ -344,7 +389,9 @@ def reached(strokes: Iterable[Step], domain: Domain, points: Floats) -> npt.NDAr
         for one in step if isinstance(step, tuple) else (step,):
             stroke = one.stroke if isinstance(one, Turned) else one
             if not stroke.is_still:
-                found |= np.linalg.norm(near - np.array(stroke.at) * steps, axis=-1) < radius_of_support(stroke)
+                r = near - np.array(stroke.at) * steps
+                r[..., 2:] *= stretch(stroke, domain)
+                found |= np.linalg.norm(r, axis=-1) < radius_of_support(stroke)
     return found
 
 
@@ -354,6 +401,9 @@ def carried_out(d: Deformation) -> list[Step]:
     n, steps = d.ndim, np.array(d.domain.spacing)
     for stroke in d.strokes:
         resolved = resolve(stroke, d.domain, d.on_fold)
+        if d.domain.time and not stroke.isotropic:  # by that of the whole drag
+            own = stroke.radius / (steps[2] * stretch(stroke, d.domain))
+            stroke = replace(stroke, time_radius=own)
         if stroke.brush == "twist" and not stroke.chord:
             part = stroke.weakened(resolved.alpha / max(len(resolved.rows), 1))
             made += [Turned(part, np.diag(row["turn"][:n])) for row in resolved.rows]

@@ -48,6 +48,15 @@ def frozen(shape: Shape, **options: Any) -> tuple[supple.Deformation, np.ndarray
     return d.grab(0.6 * size, by=-0.03 * size, radius=5), mask == 1
 
 
+def in_time(shape: Shape) -> supple.Deformation:
+    """Return drags with plateaus; of three axes, of a clip: with radii in time by the drag, and of their own."""
+    size, clip = np.array(shape[::-1]) - 1.0, len(shape) == 3
+    d = supple.Deformation(shape, border=4.0, time=clip, on_fold="damp")
+    d = d.grab(0.45 * size, by=(0.5, -0.4, 1.1)[: len(shape)], radius=0.4 * float(size.max()), flat=0.3)
+    d = d.grab(0.62 * size, by=(0.4, 0.3, 0.0)[: len(shape)], radius=4.5, **({"time_radius": 2.5} if clip else {}))
+    return d.grab(0.6 * size, by=(0.4, 0.3, 0.3)[: len(shape)], radius=4.0, poisson=0.3, reach=3, flat=0.5)
+
+
 MAPS: dict[str, Callable[[Shape], supple.Deformation]] = {
     "free": lambda shape: bent(shape, border=None, spacing=(1.0, 1.7, 0.7)[: len(shape)]),
     "border": lambda shape: bent(shape, border=3.0),
@@ -58,6 +67,7 @@ MAPS: dict[str, Callable[[Shape], supple.Deformation]] = {
     "turned, flow": lambda shape: turned(shape, border=4.0),
     "turned, flow, sine": lambda shape: turned(shape, border=4.0, border_profile="sine"),
     "frozen": lambda shape: frozen(shape, border=4.0)[0],
+    "in time": in_time,
     "pulled": lambda shape: supple.Deformation(shape, border=4.0).pull(
         np.multiply([[0.4], [0.6]], np.array(shape[::-1]) - 1), by=[(0.4, -0.3, 0.2)[: len(shape)]] * 2, radius=5
     ),

@@ -227,3 +227,8 @@ def test_dask_arrays() -> None:
 def test_matplotlib(folder: Path) -> None:
     for what in ("grid", "residual", "stretch"):
         assert command(["plot", "in.png", f"{what}.png", "--what", what, *GRAB]) == 0
+
+
+def test_opencv(folder: Path) -> None:
+    assert command(["track", str(DATA / "bunny.mp4"), "out.csv", "--at", "345,58,4"]) == 0
+    assert len(Path("out.csv").read_text().splitlines()) == 65

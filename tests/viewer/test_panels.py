@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import supple
 from supple.gpu.device import Gpu
 from supple.media import video
 from supple.strokes import Recipe, Stroke
+from supple.strokes.keys import Key
 from supple.viewer.document.editing import Document
 from supple.viewer.document.files import FileCommands
 from supple.viewer.panels.view import WIDE
@@ -64,10 +66,12 @@ def all_open(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("all_open")
-@pytest.mark.parametrize("kind", ["photo", "clip", "head"])
+@pytest.mark.parametrize("kind", ["photo", "clip", "moving", "head"])
 def test_every_control_can_be_clicked(gpu: Gpu, seen: dict[str, tuple[float, float]], kind: str) -> None:
     if kind == "photo":
         source, strokes = DATA / "coffee.jpg", FLAT
+    elif kind == "moving":
+        source, strokes = DATA / "bunny.mp4", (replace(FLAT[0], keys=(Key(0, at=(200, 120)), Key(9, strength=0.5))),)
     elif kind == "clip":
         source, strokes = DATA / "bunny.mp4", (Stroke(at=(200, 120, 9), by=(20, 10, 3), radius=40),)
     else:
@@ -330,8 +334,13 @@ def test_a_recipe_of_another_medium_is_refused_in_a_sentence(gpu: Gpu, tmp_path:
     view.close()
     with pytest.raises(supple.SuppleError, match="and this is a volume, with points x, y, z"):
         opened(DATA / "head.nii.gz", Recipe(border=None, strokes=FLAT))
-    with pytest.raises(supple.SuppleError, match=r"strokes of a clip need X,Y,T: supple warp takes X,Y, for all"):
-        opened(DATA / "bunny.mp4", Recipe(border=None, strokes=FLAT))
+    view, _ = opened(DATA / "bunny.mp4", Recipe(border=None, strokes=FLAT))  # in every frame
+    view.close()
+    moving = replace(FLAT[0], keys=(Key(3, strength=0),))
+    with pytest.raises(
+        supple.SuppleError, match="stroke 1 of the recipe moves from frame to frame, and this is no clip"
+    ):
+        opened(DATA / "coffee.jpg", Recipe(border=None, strokes=(moving,)))
 
 
 def test_what_is_not_kept_yet_may_wait(gpu: Gpu) -> None:

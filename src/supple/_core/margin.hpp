@@ -49,6 +49,17 @@
 // (1-t)², 10/√3 and 60, over R, R² and R³; those of the product follow by Leibniz. The third jumps at t = 0 and 1, but
 // the second derivatives of S are bounded all the same, which is all that (1) asks for.
 //
+// With a plateau, K is K'(r') of r' = g(ρ) r/ρ: with N'_n, the bounds of K' where |r'| is, and G_n those of r',
+//
+//     N₁ = N'₁ G₁,    N₂ = N'₂ G₁² + N'₁ G₂,    N₃ = N'₃ G₁³ + 3 N'₂ G₁ G₂ + N'₁ G₃                          (7)
+//
+// and for a unit vector u at an angle of cosine c to r, h = g/ρ, r' has the derivatives 2h'c u + (h' + (ρh'' - h') c²)
+// r/ρ and 3 (h'/ρ + (h'' - h'/ρ) c²) u + (3c (1-c²) (h'' - h'/ρ) + c³ ρ h''') r/ρ, in which c (1-c²) ≤ 0.385.
+//
+// Axes along which no stroke of a group moves anything (a clip's time, or its plane) play no part: T is one-to-one if
+// it is along the others, wherever it is along these. Lengths are in the metric of the strokes, which is not stretched
+// here.
+//
 // Bounds are reduced by the rounding error.
 #pragma once
 #include <algorithm>
@@ -205,6 +216,20 @@ inline Derivatives displacement_bounds(const Stroke& stroke, double near2, doubl
     return stroke.per_reach == 0 ? n : product(support_bounds(stroke, near2, far2), n);
 }
 
+// Of K with a plateau, by (7), where near² ≤ |r|² ≤ far².
+inline Derivatives eased_bounds(const Stroke& stroke, double near2, double far2) {
+    const double near = std::max(std::sqrt(near2), stroke.flat), far = std::max(std::sqrt(far2), near);
+    const double x = near - stroke.flat, w = 0.5 * stroke.flat, end = far - stroke.flat + w;
+    const double g0 = eased(stroke, near), g1 = eased(stroke, far);
+    // g' grows, g'' and |g'''| fall; h' = (g' - h) / ρ, ρ h'' = g'' - 2 h', ρ h''' = g''' - 3 h''.
+    const double slope = (end - w) * (end + w) / (end * end), bend = 2 * w * w / std::pow(x + w, 3);
+    const double h1 = slope / near, most = std::max(bend, 2 * h1), h2 = most / near, third = 3 * bend / (x + w);
+    const double G2 = 2 * h1 + most, G3 = 3 * h2 + 1.155 * (h2 + h1 / near) + third + 3 * h2;
+    const Derivatives n = displacement_bounds(stroke, g0 * g0, g1 * g1);
+    return {n[0], n[1] * slope, n[2] * slope * slope + n[1] * G2,
+            n[3] * slope * slope * slope + 3 * n[2] * slope * G2 + n[1] * G3};
+}
+
 // ---- S at points, and its smallest eigenvalue ----------------------------------------------------------------------
 
 template <class V>
@@ -212,8 +237,8 @@ struct Symmetric {
     V xx, yy, zz, xy, xz, yz;
 };
 
-// S at points, of some strokes of a table.
-inline Symmetric<Lanes> strain(const Chain& group, const Axis* axes, const Lanes* x) {
+// S at points, of some strokes of a table, for the axes along which points move.
+inline Symmetric<Lanes> strain(const Chain& group, const Axis* axes, const bool* moving, const Lanes* x) {
     Lanes beta[3][2], J[3][3] = {};
     for (int i = 0; i < 3; i++) fade<1>(x[i], axes[i], beta[i]);
     const Axis free[3] = {{0, 0, -1, 1, QUARTIC}, {0, 0, -1, 1, QUARTIC}, {0, 0, -1, 1, QUARTIC}};
@@ -231,10 +256,7 @@ inline Symmetric<Lanes> strain(const Chain& group, const Axis* axes, const Lanes
         for (int j = 0; j < 3; j++) J[i][j] = beta[i][0] * moved.t[j][i];
         J[i][i] += beta[i][1] * moved.x[i];
     }
-    // An axis without extent has no points along it that could fold.
-    const auto s = [&](int i, int j) {
-        return axes[i].extent() > 0 && axes[j].extent() > 0 ? 0.5 * (J[i][j] + J[j][i]) : Lanes{};
-    };
+    const auto s = [&](int i, int j) { return moving[i] && moving[j] ? 0.5 * (J[i][j] + J[j][i]) : Lanes{}; };
     return {s(0, 0), s(1, 1), s(2, 2), s(0, 1), s(0, 2), s(1, 2)};
 }
 
@@ -278,7 +300,13 @@ public:
                 sum += std::abs(k.p[i]) + std::abs(k.r[i]) + std::abs(k.q[i]) / k.radius2[i];
             noise.push_back(2e-14 * strength_of(k) * sum);
             if (k.freeze) freeze = &mask_of(k);
+            const bool still = k.force[0] == 0 && k.force[1] == 0 && k.power == 1;  // in the plane
+            for (int i = 0; i < 2; i++) moving[i] = moving[i] || k.coupled != 0 || !still;
+            const double* row = k.matrix[2];
+            moving[2] = moving[2] || k.coupled != 0 || k.force[2] != 0 || row[0] != 0 || row[1] != 0 || row[2] != 0;
         }
+        // An axis without extent has no points along it that could fold.
+        for (int i = 0; i < 3; i++) moving[i] = moving[i] && axes[i].extent() > 0;
     }
 
     Bounds known;
@@ -303,7 +331,8 @@ public:
             }
             if (std::sqrt(near2) >= stroke.reach) continue;  // the displacement is 0 there
             near.push_back(s);
-            Derivatives own = displacement_bounds(stroke, near2, far2);
+            Derivatives own =
+                stroke.flat > 0 ? eased_bounds(stroke, near2, far2) : displacement_bounds(stroke, near2, far2);
             for (int i = 0; i < 2; i++) plain[i] += own[i];
             if (stroke.freeze) own = product(mask, own);
             for (int i = 0; i < 4; i++) n[i] += own[i];
@@ -343,7 +372,7 @@ public:
             Lanes x[3];
             for (int i = 0; i < 3; i++)
                 for (int l = 0; l < LANES; l++) x[i][l] = (v + l) >> i & 1 ? box.high[i] : box.low[i];
-            const Symmetric<Lanes> s = strain({strokes.data(), near.data(), (int)near.size()}, axes, x);
+            const Symmetric<Lanes> s = strain({strokes.data(), near.data(), (int)near.size()}, axes, moving, x);
             for (int l = 0; l < LANES; l++) {
                 const Symmetric<double> lowered = less(s, l, errors.all);
                 if (is_at_least(lowered, worst + errors.rounding)) continue;
@@ -384,7 +413,7 @@ private:
         for (int k = 0; k < 3; k++) {
             b[k] = fade_bounds(axes[k], box.low[k], box.high[k]);
             value = std::max(value, b[k][0]);
-            steepest = std::max(steepest, b[k][1]);
+            steepest = std::max(steepest, moving[k] ? b[k][1] : 0);
         }
         Errors found;
         const Derivatives n = sum_in(box);
@@ -405,7 +434,7 @@ private:
             const double own = mixed + 2 * b[k][2] * n[1] + b[k][3] * n[0];
             double added = 0;
             for (int i = 0; i < 3; i++) {
-                if (axes[i].extent() == 0) continue;
+                if (!moving[i]) continue;
                 const double part = value * n[3] + b[i][1] * n[2] + 0.25 * mixed + (i == k ? own : 0);
                 const double d = std::min(share * part * (1 + 1e-14), HUGE_BOUND);
                 found.all[i] += d;
@@ -436,15 +465,14 @@ private:
             k.freeze = nullptr;
             supple::add(k, axes, at, moved);
         }
-        // Along an axis without extent, nothing can fold.
         for (int i = 0; i < 3; i++)
-            if (axes[i].extent() == 0) moved.x[i] = 0;
+            if (!moving[i]) moved.x[i] = 0;
         const double away = value * plain[1] + steepest * plain[0], delta = away * std::sqrt(across2);
         const double size = std::sqrt(dot<3>(moved.x, moved.x));
         double lowest = 0, longest = 0;
         for (int n = 0; n < count; n++) {
             for (int i = 0; i < 3; i++)
-                if (axes[i].extent() == 0) g[n][i] = 0;
+                if (!moving[i]) g[n][i] = 0;
             const double length = std::sqrt(dot<3>(g[n], g[n]));
             longest = std::max(longest, length);
             lowest = std::min(lowest, 0.5 * (dot<3>(moved.x, g[n]) - size * length));
@@ -463,6 +491,7 @@ private:
     const double free, target, gap;
     const Frozen* freeze = nullptr;  // the mask, if a stroke is subject to it
     std::vector<double> noise;       // of each stroke
+    bool moving[3] = {};             // along which axes points move
     std::vector<Region> waiting;     // a heap
 };
 

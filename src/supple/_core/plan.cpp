@@ -17,14 +17,14 @@ inline double widest_of(double xx, double xy, double yx, double yy) {
 
 // ---- which strokes reach which cells ------------------------------------------------------------------------------
 
-// Bounds of |K_β| and |J_β|, with the additional terms of a border's slope and a mask's.
+// Bounds of |K_β| and |J_β| in a stroke's own metric, with the additional terms of a border's slope and a mask's.
 inline Bound bound_within(const Stroke& k, const Axis* axes, int dimensions) {
     Bound bound = bound_of(k);
     for (int i = 0; i < dimensions; i++)
-        if (axes[i].sigma > 0 && !k.inner) bound.slope += 2 * bound.value / axes[i].sigma;
+        if (axes[i].sigma > 0 && !k.inner) bound.slope += 2 * bound.value / (axes[i].sigma * (i == 2 ? k.stretch : 1));
     if (k.freeze) {
         const Vicinity near(k);
-        bound.slope += bound.value * mask_of(k).bounds_in(near.low, near.high)[1];
+        bound.slope += bound.value * mask_of(k).bounds_in(near.low, near.high)[1] * std::max(1.0, 1 / k.stretch);
     }
     return bound;
 }
@@ -92,7 +92,8 @@ Chain Plan<D>::chain_of(Work& w, RootOf root_of) const {
 }
 
 // A ball around each root of a row is carried back through the chain: its centre by a fixed point of each group of
-// strokes that it touches, its radius by a bound of that inverse's slope, or of the displacement.
+// strokes that it touches, its radius by a bound of that inverse's slope, or of the displacement. It is a ball in the
+// metric of the last group, in which the third axis is `metric` times as long: in any, as long as it is flat.
 template <int D>
 void Plan<D>::find_reaching(int j, int left, int right) {
     // The same groups of roots as of the whole row.
@@ -112,6 +113,7 @@ void Plan<D>::find_reaching(int j, int left, int right) {
         }
         Lanes radius = root(radius2) * (1 + 1e-9);
         Mask rim = radius == radius;
+        double metric = std::numeric_limits<double>::infinity();
         const Chain whole{strokes.data(), all.data(), (int)all.size()};
         for (int end = whole.count; end > 0;) {
             const Chain group = whole.last_before(end);
@@ -124,29 +126,36 @@ void Plan<D>::find_reaching(int j, int left, int right) {
                 size += bounds[n].value;
                 bend += bounds[n].slope;
             }
-            const double known = strokes[begin].most;
+            const double known = strokes[begin].most, stretch = strokes[begin].stretch;
             size = std::min(size, known);
+            const Lanes own = stretch > metric ? Lanes(radius * (stretch / metric)) : radius;  // in its metric
+            const auto from_pivot = [&](const Stroke& k, const Lanes* x, int d) {
+                return d < 2 ? Lanes(x[d] - k.pivot[d]) : Lanes((x[d] - k.pivot[d]) * stretch);
+            };
             Mask touched = radius != radius;
             const auto away = [&](const Stroke& k) {
                 Lanes distance2{};
-                for (int d = 0; d < D; d++) distance2 += (centre[d] - k.pivot[d]) * (centre[d] - k.pivot[d]);
+                for (int d = 0; d < D; d++) {
+                    const Lanes r = from_pivot(k, centre, d);
+                    distance2 += r * r;
+                }
                 return root(distance2);
             };
             for (int n = begin; n < begin + group.count; n++) {
                 const Stroke& k = strokes[n];
                 Lanes far2{};
                 for (int d = 0; d < D; d++) {
-                    Lanes corner = most(magnitude(Lanes(low[d] - k.pivot[d])), magnitude(Lanes(high[d] - k.pivot[d])));
+                    Lanes corner = most(magnitude(from_pivot(k, low, d)), magnitude(from_pivot(k, high, d)));
                     far2 += corner * corner;
                 }
-                Mask by = without(Mask{} == 0, away(k) >= k.reach + radius);  // also for NaN
+                Mask by = without(Mask{} == 0, away(k) >= k.reach + own);  // also for NaN
                 rim = without(rim, both(by, far2 < k.reach * k.reach));
                 touched = either(touched, by);
             }
             for (int n = begin; n < begin + group.count; n++) {
                 const Stroke& k = strokes[n];
                 const double reach = k.reach + (group.count > 1 ? size : 0);
-                Mask by = without(touched, away(k) >= reach + radius);
+                Mask by = without(touched, away(k) >= reach + own);
                 for (int l = 0; l < LANES && first + l < across; l++)
                     if (by[l]) reaching[((size_t)j * across + first + l) * words + n / 64] |= 1ull << (n % 64);
             }
@@ -160,8 +169,8 @@ void Plan<D>::find_reaching(int j, int left, int right) {
                 apply<D>(group, axes, y);
                 off2 = Lanes{};
                 for (int d = 0; d < D; d++) {
-                    Lanes e = centre[d] - y[d];
-                    off2 += e * e;
+                    Lanes e = centre[d] - y[d], there = d < 2 ? e : Lanes(e * stretch);
+                    off2 += there * there;
                     if (round < 2) x[d] += e;
                 }
             }
@@ -169,16 +178,18 @@ void Plan<D>::find_reaching(int j, int left, int right) {
             // pivot.
             Lanes zero{}, one = splat<Lanes>(1.0), off = root(off2), moved{};
             for (int n = begin; n < begin + group.count; n++) {
-                Lanes near = (away(strokes[n]) - most(radius, off) - size) * strokes[n].per_reach;
-                Lanes t = least(most(near, zero), one), v = one - t;
+                Lanes near = most(Lanes(away(strokes[n]) - most(own, off) - size), zero);
+                if (strokes[n].flat > 0) near = eased(strokes[n], near);
+                Lanes t = least(Lanes(near * strokes[n].per_reach), one), v = one - t;
                 Lanes faded = bounds[n].unlimited * v * v * v * (1.0 + t * (3.0 + 6.0 * t));
                 moved += least(faded, splat<Lanes>(bounds[n].value));
             }
-            Lanes grown = radius + off + 2.0 * least(moved, splat<Lanes>(known));
-            if (bend < 0.9) grown = least(grown, Lanes((radius + off) * (1 / (1 - bend))));
+            Lanes grown = own + off + 2.0 * least(moved, splat<Lanes>(known));
+            if (bend < 0.9) grown = least(grown, Lanes((own + off) * (1 / (1 - bend))));
             // A twist is a rotation of a shear.
-            if (is_whole(strokes[begin]) && group.count == 1) grown = least(grown, Lanes((radius + off) * (1 + bend)));
-            radius = choose(touched, grown, radius);
+            if (is_whole(strokes[begin]) && group.count == 1) grown = least(grown, Lanes((own + off) * (1 + bend)));
+            radius = choose(touched, grown, own);
+            metric = stretch;
             for (int d = 0; d < D; d++) centre[d] = choose(touched, x[d], centre[d]);
         }
         for (int l = 0; l < LANES && first + l < across; l++) {
@@ -683,7 +694,8 @@ void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, 
         for (uint64_t set = reaching[(size_t)index * words + word]; set; set &= set - 1) {
             const Stroke& k = strokes[64 * word + __builtin_ctzll(set)];
             double chord = k.reach * k.reach - (py - k.pivot[1]) * (py - k.pivot[1]);
-            if (D == 3) chord -= (z * axes[2].spacing - k.pivot[2]) * (z * axes[2].spacing - k.pivot[2]);
+            const double deep = (z * axes[2].spacing - k.pivot[2]) * k.stretch;
+            if (D == 3) chord -= deep * deep;
             if (chord < 0) continue;
             chord = sqrt(chord);
             // In samples from x on; the rim itself, where the displacement is 0, is left out despite rounding.

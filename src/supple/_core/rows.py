@@ -20,6 +20,9 @@ STROKE_DTYPE = np.dtype(
         ("reach", np.float64),
         ("most", np.float64),
         ("turn", np.float64, (3,)),
+        ("stretch", np.float64),
+        ("coupled", np.float64),
+        ("flat", np.float64),
     ],
     align=True,
 )

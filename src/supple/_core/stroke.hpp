@@ -20,6 +20,12 @@
 //
 // With a freeze mask (`freeze.hpp`), K and J are those of m K: m J u + (∇m·u) K, before β.
 //
+// In a clip, a stroke has a stretch of the third axis: with D = diag(1, 1, stretch), K(p) = D⁻¹ K'(D r), K' with the
+// force D f. Lengths, such as the reach, are those of D r. Unless it couples time to the plane, both r beside B are
+// diag(1, 1, 0) r: then K has only the components of v. A grab with a plateau of the radius a has K'(h r), h = g(|r|) /
+// |r|, with g(ρ) = x² / (x + a/2), x = max(ρ - a, 0): K is constant within it, C³ at its rim, and no steeper anywhere,
+// as g' ≤ 1.
+//
 // All is a template over the number V (`double`, or a vector of doubles) and the dimension D. It uses no std::,
 // allocation or exceptions, so that compilers for GPUs accept this file.
 #pragma once
@@ -37,7 +43,11 @@ struct Stroke {
     double reach;          // R, or infinity
     double most;           // a bound of the displacement of the strokes that act at once, or infinity
     double turn[3];        // of a twist: the factor of each component of its displacement; of others 0
-    double per_reach;      // 1/R, or 0
+    double stretch;        // of the third axis; `force` is stretched, too
+    double coupled;        // 1, or 0 if r beside B has no third component
+    double flat;           // the radius a of the plateau, or 0
+    double per_reach;      // 1/R, or 0; with a plateau, 1/g(R)
+    double rim;            // the length over which a stroke stays as it is at the rim of a plateau
     bool shared;           // others act at once with it
     bool inner;            // the ball of its reach touches no fixed border: β is 1 in all of it
     const Freeze* freeze;  // or null: m is 1 in all of its ball
@@ -137,6 +147,13 @@ struct Radial {
     V A[3], B[3];
 };
 
+// g of a distance ρ from a pivot with a plateau.
+template <class V>
+INLINE V eased(const Stroke& k, V rho) {
+    V x = most(V(rho - k.flat), V{});
+    return x * x / (x + 0.5 * k.flat);
+}
+
 // The radial profiles of a stroke at s = |r|².
 template <int ORDER, class V>
 INLINE Radial<V> radial(const Stroke& k, V s) {
@@ -178,6 +195,18 @@ INLINE Radial<V> radial(const Stroke& k, V s) {
     return f;
 }
 
+// The square of the length over which a stroke stays as it is, at s = |r|²: ρ; beside the rim of a plateau, where the
+// third derivative is of the order 1 / (e a), less.
+template <class V>
+INLINE V scale2_of(const Stroke& k, V s) {
+    V rho2 = s + k.radius2[0];
+    if (k.flat > 0) {
+        const V rho = root(s), g = eased(k, rho), near = magnitude(V(rho - k.flat)) + k.rim;
+        rho2 = least(V(g * g + k.radius2[0]), V(near * near));
+    }
+    return rho2;
+}
+
 // The jet beside the point x: tangents t[j] = ∂x/∂u_j and, if MIXED, ∂²x/∂u₀∂u₁; and the squared length scales of the
 // map along u₀ and u₁: ρ² / |t|², 4 max(D_i, σ_i)² / t_i² at the distance D_i from a fixed face of axis i, and that of
 // the freeze mask.
@@ -195,6 +224,32 @@ struct Moving {
     V K[D], J[TANGENTS > 0 ? TANGENTS : 1][D], second[MIXED ? D : 1];
 };
 
+// Send r, s = |r|², the tangents u and the mixed derivative n through h r, r with a plateau.
+template <int D, int TANGENTS, bool MIXED, class V>
+INLINE void ease(const Stroke& k, V* r, V& s, V (*u)[D], V* n) {
+    const V rho = root(most(s, splat<V>(1e-60))), x = most(V(rho - k.flat), V{}), over = 1.0 / (x + 0.5 * k.flat);
+    const V rho2 = rho * rho, h = x * x * over / rho;
+    if constexpr (TANGENTS > 0) {
+        // h1 = h'/ρ, h2 = h1'/ρ
+        const V slope = x * (x + k.flat) * over * over, h1 = (slope - h) / rho2;
+        V ru[TANGENTS];
+        for (int j = 0; j < TANGENTS; j++) ru[j] = dot<D>(r, u[j]);
+        if constexpr (MIXED) {
+            V bend = choose(x > 0.0, V(0.5 * k.flat * k.flat * over * over * over), V{});
+            V h2 = (bend - 3.0 * rho * h1) / (rho * rho2), rn = dot<D>(r, n), along = h1 * (dot<D>(u[0], u[1]) + rn);
+            along += h2 * ru[0] * ru[1];
+            for (int i = 0; i < D; i++) {
+                V turned = h1 * (ru[0] * u[1][i] + ru[1] * u[0][i]);
+                n[i] = h * n[i] + turned + along * r[i];
+            }
+        }
+        for (int j = 0; j < TANGENTS; j++)
+            for (int i = 0; i < D; i++) u[j][i] = h * u[j][i] + h1 * ru[j] * r[i];
+    }
+    for (int i = 0; i < D; i++) r[i] = h * r[i];
+    s = h * h * s;
+}
+
 template <int D, int TANGENTS, bool MIXED, class V>
 INLINE void displace(const Stroke& k, const V* r, V s, const V (*u)[D], const V* n,
                      Moving<D, TANGENTS, MIXED, V>& part) {
@@ -204,35 +259,40 @@ INLINE void displace(const Stroke& k, const V* r, V s, const V (*u)[D], const V*
     V f[D];
     for (int i = 0; i < D; i++) f[i] = affine ? turned<D>(k, r, i) : splat<V>(k.force[i]);
     Radial<V> g = radial<ORDER>(k, s);
-    V rf = dot<D>(r, f);
-    for (int i = 0; i < D; i++) part.K[i] = g.A[0] * f[i] + g.B[0] * rf * r[i];
+    V c[D];  // r beside B
+    for (int i = 0; i < D; i++) c[i] = i < 2 ? r[i] : V(k.coupled * r[i]);
+    V rf = dot<D>(c, f);
+    for (int i = 0; i < D; i++) part.K[i] = g.A[0] * f[i] + g.B[0] * rf * c[i];
     if constexpr (TANGENTS > 0) {
         // w = M u, and uf = u·v + r·w, the derivative of r·v.
-        V w[N][D], ru[N], uf[N], h[N];
+        V w[N][D], ru[N], uf[N], h[N], cu[N][D];
         for (int j = 0; j < TANGENTS; j++) {
+            for (int i = 0; i < D; i++) cu[j][i] = i < 2 ? u[j][i] : V(k.coupled * u[j][i]);
             ru[j] = dot<D>(r, u[j]);
-            uf[j] = dot<D>(u[j], f);
+            uf[j] = dot<D>(cu[j], f);
             for (int i = 0; i < D; i++) w[j][i] = affine ? turned<D>(k, u[j], i) : V{};
-            if (affine) uf[j] += dot<D>(r, w[j]);
+            if (affine) uf[j] += dot<D>(c, w[j]);
             h[j] = g.B[1] * ru[j] * rf + g.B[0] * uf[j];
-            for (int i = 0; i < D; i++) part.J[j][i] = g.A[1] * ru[j] * f[i] + h[j] * r[i] + g.B[0] * rf * u[j][i];
+            for (int i = 0; i < D; i++) part.J[j][i] = g.A[1] * ru[j] * f[i] + h[j] * c[i] + g.B[0] * rf * cu[j][i];
             if (affine)
                 for (int i = 0; i < D; i++) part.J[j][i] += g.A[0] * w[j][i];
         }
         if constexpr (MIXED) {
             V uv = dot<D>(u[0], u[1]), a = g.A[2] * ru[0] * ru[1] + g.A[1] * uv;
             V b = g.B[2] * ru[0] * ru[1] * rf + g.B[1] * (uv * rf + ru[0] * uf[1] + ru[1] * uf[0]);
-            V rn = dot<D>(r, n), nf = dot<D>(n, f), wn[D];
+            V cn[D], wn[D];
+            for (int i = 0; i < D; i++) cn[i] = i < 2 ? n[i] : V(k.coupled * n[i]);
+            V rn = dot<D>(r, n), nf = dot<D>(cn, f);
             for (int i = 0; i < D; i++) wn[i] = V{};
             if (affine) {
                 for (int i = 0; i < D; i++) wn[i] = turned<D>(k, n, i);
-                nf += dot<D>(r, wn);
-                b += g.B[0] * (dot<D>(u[0], w[1]) + dot<D>(u[1], w[0]));
+                nf += dot<D>(c, wn);
+                b += g.B[0] * (dot<D>(cu[0], w[1]) + dot<D>(cu[1], w[0]));
             }
             V hn = g.B[1] * rn * rf + g.B[0] * nf;
             for (int i = 0; i < D; i++) {
-                V Jn = g.A[1] * rn * f[i] + hn * r[i] + g.B[0] * rf * n[i];
-                part.second[i] = a * f[i] + b * r[i] + h[0] * u[1][i] + h[1] * u[0][i] + Jn;
+                V Jn = g.A[1] * rn * f[i] + hn * c[i] + g.B[0] * rf * cn[i];
+                part.second[i] = a * f[i] + b * c[i] + h[0] * cu[1][i] + h[1] * cu[0][i] + Jn;
                 if (affine) part.second[i] += g.A[0] * wn[i] + g.A[1] * (ru[0] * w[1][i] + ru[1] * w[0][i]);
             }
         }
@@ -299,6 +359,7 @@ ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V
         }
         place[i] = near;
         r[i] = near - k.pivot[i];
+        if (i == 2) r[i] *= k.stretch;
         s += r[i] * r[i];
     }
     // The tangents as they are at the nearest point.
@@ -308,10 +369,23 @@ ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V
     if constexpr (MIXED)
         for (int i = 0; i < D; i++) n[i] = inside[i] * at.mixed[i];
     Moving<D, TANGENTS, MIXED, V> part;
+    const V round2 = scale2_of(k, s);
+    V v[N][D], bent[MIXED ? D : 1];  // u and n, stretched and flattened
+    for (int i = 0; i < D; i++) {
+        for (int j = 0; j < TANGENTS; j++) v[j][i] = i < 2 ? u[j][i] : V(k.stretch * u[j][i]);
+        if constexpr (MIXED) bent[i] = i < 2 ? n[i] : V(k.stretch * n[i]);
+    }
+    if (k.flat > 0) ease<D, TANGENTS, MIXED>(k, r, s, v, bent);
     if (k.turns())
-        swing<D>(k, r, s, u, n, part, steep2);
+        swing<D>(k, r, s, v, bent, part, steep2);
     else
-        displace<D>(k, r, s, u, n, part);
+        displace<D>(k, r, s, v, bent, part);
+    if constexpr (D == 3) {
+        const double back = 1.0 / k.stretch;
+        part.K[2] *= back;
+        for (int j = 0; j < TANGENTS; j++) part.J[j][2] *= back;
+        if constexpr (MIXED) part.second[2] *= back;
+    }
     V(&K)[D] = part.K;
     Freed<D, ORDER, V> free{};
     if (k.freeze) free = freed<D, ORDER, V>(*k.freeze, place);
@@ -336,10 +410,14 @@ ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V
                 jet.mixed[i] += beta[i][0] * second + beta[i][1] * (u[0][i] * J1 + u[1][i] * J0 + n[i] * moved) +
                                 beta[i][2] * u[0][i] * u[1][i] * moved;
             }
-            V round2 = s + k.radius2[0];
-            if (k.freeze) round2 = least(round2, V(free.smooth * free.smooth));
             for (int j = 0; j < 2; j++) {
-                V scale2 = round2 / dot<D>(at.t[j], at.t[j]);
+                V along2 = at.t[j][0] * at.t[j][0];
+                for (int i = 1; i < D; i++) {
+                    const V along = i < 2 ? at.t[j][i] : V(k.stretch * at.t[j][i]);
+                    along2 += along * along;
+                }
+                V scale2 = round2 / along2;
+                if (k.freeze) scale2 = least(scale2, V(free.smooth * free.smooth / dot<D>(at.t[j], at.t[j])));
                 for (int i = 0; i < D; i++)
                     if (axes[i].sigma > 0 && !k.inner) {
                         // β varies along its own axis alone: over σ at a face, and it is constant farther in.

@@ -11,9 +11,9 @@
 
 namespace supple {
 
-constexpr int STROKE_NUMBERS =
-    35;  // pivot, force; matrix; radius2, p, q, r; terms, power, joined, of int64; reach, most; turn
-constexpr int AXIS_NUMBERS = 5;  // first, last, sigma, spacing, profile
+constexpr int STROKE_NUMBERS = 38;  // pivot, force; matrix; radius2, p, q, r; terms, power, joined, of int64; reach,
+                                    // most; turn; stretch, coupled, flat
+constexpr int AXIS_NUMBERS = 5;     // first, last, sigma, spacing, profile
 
 typedef std::array<Axis, 3> Axes;
 
@@ -29,9 +29,10 @@ inline Axes load_axes(const double* rows) {
 inline bool is_inner(const Stroke& k, const Axis* axes) {
     for (int i = 0; i < 3; i++) {
         const Axis& a = axes[i];
-        const double *row = k.matrix[i], across = fabs(row[(i + 1) % 3]) + fabs(row[(i + 2) % 3]);
+        const double *row = k.matrix[i], across = fabs(row[(i + 1) % 3]) + fabs(row[(i + 2) % 3]),
+                     per = i == 2 ? k.stretch : 1;
         bool flat = a.extent() == 0 && k.pivot[i] == a.first && k.force[i] == 0 && across == 0;
-        bool clear = a.sigma > 0 && depth(k.pivot[i], a) - k.reach >= a.sigma;
+        bool clear = a.sigma > 0 && depth(k.pivot[i], a) - k.reach / per >= a.sigma;
         if (a.fixed() && !flat && !clear) return false;
     }
     return true;
@@ -48,7 +49,8 @@ inline double strength_of(const Stroke& k) {
     return sqrt(sum);
 }
 
-// Bounds of |K| and |J| of a stroke, without a border, from samples along the distance r: with V = |v| = |f| or |M| r,
+// Bounds of |K| and |J| of a stroke in its own, stretched metric, without a border, from samples along the distance r:
+// with V = |v| = |f| or |M| r,
 //
 //     |K| ≤ (|A| + |B| r²) V,    |J| ≤ (|2A'| r + |2B'| r³ + 2 |B| r) V + (|A| + |B| r²) |M|.
 //
@@ -58,7 +60,8 @@ struct Bound {
     double value, slope, unlimited;
 };
 inline Bound bound_of(const Stroke& k) {
-    const double farthest = std::min(k.reach, 8 * sqrt(k.radius2[0])), strength = 1.05 * strength_of(k);
+    const double end = k.per_reach > 0 ? 1 / k.per_reach : k.reach;
+    const double farthest = std::min(end, 8 * sqrt(k.radius2[0])), strength = 1.05 * strength_of(k);
     Stroke free = k;
     free.per_reach = 0;
     Bound most{};
@@ -75,13 +78,14 @@ inline Bound bound_of(const Stroke& k) {
     return {strength * most.value, strength * most.slope, strength * most.unlimited};
 }
 
-// The box around a stroke's ball.
+// The box around a stroke's ball, which is an ellipsoid where time is stretched.
 struct Vicinity {
     double low[3], high[3];
     explicit Vicinity(const Stroke& k) {
         for (int i = 0; i < 3; i++) {
-            low[i] = k.pivot[i] - k.reach;
-            high[i] = k.pivot[i] + k.reach;
+            const double reach = i == 2 ? k.reach / k.stretch : k.reach;
+            low[i] = k.pivot[i] - reach;
+            high[i] = k.pivot[i] + reach;
         }
     }
 };
@@ -113,7 +117,12 @@ inline std::vector<Stroke> load_strokes(const double* rows, size_t count, const 
         k.reach = *rows++;
         k.most = *rows++;
         for (double& factor : k.turn) factor = *rows++;
-        k.per_reach = std::isfinite(k.reach) ? 1.0 / k.reach : 0.0;
+        k.stretch = *rows++;
+        k.coupled = *rows++;
+        k.flat = *rows++;
+        k.force[2] *= k.stretch;
+        k.per_reach = std::isfinite(k.reach) ? 1.0 / (k.flat > 0 ? eased(k, k.reach) : k.reach) : 0.0;
+        k.rim = cbrt(0.25 * k.radius2[0] * k.flat);
         k.inner = is_inner(k, axes);
         k.freeze = is_free(k, freeze) ? nullptr : freeze;
         k.shared = joined != 0;

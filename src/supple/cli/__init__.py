@@ -56,6 +56,12 @@ Examples:
   supple points marks.fcsv moved.fcsv --on head.nii.gz --grab 45,88,62:45,76,58 --radius 40
   supple points clicked.csv origin.csv --on photo.jpg --recipe strokes.json --inverse
 """
+_TRACK_EXAMPLES = """\
+Examples:
+
+  supple track clip.mp4 nose.csv --at 345,58,10
+  supple warp clip.mp4 nose.mp4 --scale 345,58:1.6 --radius 24 --track nose.csv --track-frame 10
+"""
 _VIEW_EXAMPLES = """\
 Examples:
 
@@ -95,6 +101,7 @@ _COMMANDS = (
     ("cli.plot:plot", f"plot IN OUT.png {_GRAB}", ""),
     ("cli.volume:render", f"render VOLUME OUT [{_GRAB}]", _RENDER_EXAMPLES),
     ("cli.volume:points", f"points IN OUT --on FILE {_GRAB}", _POINTS_EXAMPLES),
+    ("cli.track:track", "track CLIP OUT.csv --at X,Y,K [--at X,Y,K]... [OPTIONS]", _TRACK_EXAMPLES),
     ("cli.stores:plan", f"plan IN {_GRAB}", _PLAN_EXAMPLES),
     ("cli.info:info", "info FILE... [--gpu] [--json]", ""),
     ("cli.view:view", "view FILE [--serve] [OPTIONS]", _VIEW_EXAMPLES),

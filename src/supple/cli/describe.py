@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -14,6 +15,7 @@ from supple.errors import SuppleError, shown
 from supple.files.clips import displayed
 from supple.media.numbering import is_sequence
 from supple.media.suffixes import CLIPS
+from supple.media.timecode import Numbering
 from supple.strokes import Recipe, Stroke, spoken
 
 if TYPE_CHECKING:
@@ -147,6 +149,11 @@ def _described_video(name: str) -> tuple[dict[str, Any], str]:
     facts = info(name)
     for tag, names in _TAGS.items():
         facts[tag] = names.get(facts[tag], "unknown" if facts[tag] in (2, 3) else str(facts[tag]))
+    facts["last_timecode"] = None
+    if not facts["variable"]:
+        known = Numbering(name, facts["frames"], facts["rate"], start=facts["timecode"] or "")
+        with contextlib.suppress(SuppleError):  # it does not fit the rate
+            facts["last_timecode"] = known.timecode(known.count - 1)
     told = {key: str(value) if isinstance(value, Fraction) else value for key, value in facts.items()}
     return {"file": name, "kind": "video", **told}, _video(name, facts)
 
@@ -187,8 +194,9 @@ def _video(name: str, facts: Mapping[str, Any]) -> str:
         lines["aspect"] = f"pixels are {facts['aspect']} as wide as high"
     if facts["interlaced"]:
         lines["fields"] = f"interlaced, {facts['fields']} field first"
-    if facts["timecode"]:
-        lines["timecode"] = facts["timecode"]
+    if facts["timecode"] or facts["last_timecode"]:
+        last = f" to {facts['last_timecode']}" if facts["last_timecode"] else ""
+        lines["timecode"] = f"{facts['timecode'] or 'none: counted from 00:00:00:00'}{last}"
     if facts["plays"] is not None:
         lines["plays"] = f"{facts['plays']} times" if facts["plays"] > 1 else "once" if facts["plays"] else "for ever"
     for key in ("audio", "subtitles", "other"):
@@ -273,7 +281,10 @@ def _recipe(name: str, recipe: Recipe) -> str:
         lines.append(f"  a frame     is worth {recipe.time_scale:g} pixels")
     for i, s in enumerate(recipe.strokes):
         kind = f"radius {s.radius:g}, reach {'none' if s.reach is None else format(s.reach, 'g')}"
+        kind += "" if s.time_radius is None else f", {s.time_radius:g} frames in time"
+        kind += ", as long in time as in space" if s.isotropic else ""
         kind += f", scales {s.scales}" if s.brush == "grab" else ""
+        kind += f", flat {s.flat:g}" if s.flat else ""
         kind += ("" if s.poisson is None else f", poisson {s.poisson:g}") + (", hidden" if s.hidden else "")
         kind += "" if s.strength == 1 else f", strength {100 * s.strength:g}%"
         kind += f", {_motion(s)}" if s.keys else ""
@@ -283,17 +294,18 @@ def _recipe(name: str, recipe: Recipe) -> str:
 
 
 def _motion(stroke: Stroke) -> str:
-    """Return over which frames a stroke moves, or changes its strength."""
+    """Return over which frames a stroke moves, turns and grows, or changes its strength."""
 
     def spanned(frames: list[int]) -> str:
         return (
             f"in frames {frames[0]} to {frames[-1]}, {len(frames)} keys" if len(frames) > 1 else f"from {frames[0]} on"
         )
 
-    moved = [key.frame for key in stroke.keys if key.at is not None]
-    changed = [key.frame for key in stroke.keys if key.strength is not None]
-    told = [f"moving {spanned(moved)}"] if moved else []
-    return ", ".join(told + ([f"changing its strength {spanned(changed)}"] if changed else []))
+    told = []
+    for what, names in (("moving", ["at"]), ("turning", ["angle", "scale"]), ("changing its strength", ["strength"])):
+        if frames := [key.frame for key in stroke.keys if any(getattr(key, name) is not None for name in names)]:
+            told.append(f"{what} {spanned(frames)}")
+    return ", ".join(told)
 
 
 def _action(stroke: Stroke) -> str:

@@ -3,14 +3,15 @@
 import glob
 import math
 import os
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter, Token
 
-from supple.cli.console import STREAM
+from supple.cli.console import STREAM, current
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from supple.files.options import ClipOptions
     from supple.files.options import VolumeOptions as Reading
     from supple.files.tasks import Running
+    from supple.media.timecode import Numbering
     from supple.strokes import Recipe
 
 VIDEO = Group("Videos and image sequences", sort_key=4)
@@ -95,6 +97,11 @@ def _memory(option: str, text: str) -> float:
     return min(memory, 1e12) * GB
 
 
+def memory_option(**more: Any) -> Parameter:
+    """Return an option in gigabytes, read as bytes."""
+    return read(_memory, "GB", **more)
+
+
 @Parameter(name="*", group=RUNNING)
 @dataclass(kw_only=True, eq=False, repr=False)
 class RunOptions:
@@ -125,6 +132,62 @@ class RunOptions:
         return {"quiet": self.quiet, "strict": self.strict, "threads": self.threads}
 
 
+def _first(option: str, text: str) -> "int | str":
+    return text if text == "files" else parse_integer(option, text, "a whole number, or files")
+
+
+class Frames:
+    """How the frames of a clip are typed: from the number of the ``first`` one, or as timecodes; others count from 0.
+
+    The clip is opened where that is needed. ``first`` is None if it is not given, or "files".
+    """
+
+    def __init__(self, source: str, first: "int | str | None" = None, rate: Any = None) -> None:
+        self._source, self._first, self._rate = source, first, rate
+
+    @cached_property
+    def _numbering(self) -> "Numbering":
+        from supple.files.clips import numbering_of
+        from supple.media.numbering import of_star
+
+        source = self._source
+        if "*" in os.path.basename(source) and not os.path.exists(source):
+            source = of_star(source) or source
+        first = None if self._first == "files" else int(self._first or 0)
+        return numbering_of(source, first=first, rate=self._rate)
+
+    @property
+    def first(self) -> int | None:
+        """The number of the first frame; None if it is not given."""
+        return None if self._first is None else self._numbering.first
+
+    def read(self, option: str, text: str) -> int:
+        """Return a frame, counted from 0; SuppleError if the clip does not have it."""
+        if self._first is None and text.lstrip("+-").isdecimal():
+            return int(text)  # checked where it is used
+        return self._numbering.read(option, text)
+
+    def part(self, option: str, text: str) -> tuple[int, int]:
+        """Return the first and the last frame of a part, A-B."""
+        ends = text.split("-")
+        if len(ends) != 2:
+            raise SuppleError(f"{option} must be the first and the last frame, A-B (1010-1035, say), found {text!r}")
+        first, last = (self.read(option, end.strip()) for end in ends)
+        return first, last
+
+    def plain(self, option: str, text: str) -> str:
+        """Return the points of a stroke with numbers in place of timecodes, each the third number of a point.
+
+        A timecode has four numbers between colons, and no stroke has more than two: so it cannot be taken for others.
+        """
+        from supple.media.timecode import PATTERN
+
+        def counted(found: re.Match[str]) -> str:
+            return str(self._numbering.read(option, found[0]) + self._numbering.first)
+
+        return re.sub(rf"(?<=,){PATTERN}(?=:|$)", counted, text)
+
+
 @Parameter(name="*", group=VIDEO)
 @dataclass(kw_only=True, eq=False, repr=False)
 class TimeOptions:
@@ -134,9 +197,17 @@ class TimeOptions:
     ----------
     time_scale
         How many pixels one frame counts as, for radius and border (default: what the recipe says, or 1).
+    first_frame
+        Number of the first frame, from which all frames of the command line count: 1001, say; or files: the number
+        in the name of the first picture of a sequence (default 0). Frames may be timecodes, too: 00:00:12:08.
     """
 
     time_scale: Annotated[float | None, read(_scale, "PX")] = None
+    first_frame: Annotated[Any, read(_first, "N|files")] = None
+
+    def frames(self, source: str) -> Frames:
+        """Return how frames of a clip are typed."""
+        return Frames(source, self.first_frame, getattr(self, "rate", None))
 
 
 @Parameter(name="*", group=VIDEO)
@@ -171,13 +242,14 @@ class VideoOptions(TimeOptions):
     preset: Annotated[str | None, Parameter(metavar="NAME")] = None
     pixel_format: Annotated[str | None, Parameter(metavar="NAME")] = None
     rate: Annotated[Any, read(_rate, "N", name="--fps")] = None
-    memory: Annotated[float | None, read(_memory, "GB")] = None
+    memory: Annotated[float | None, memory_option()] = None
 
     def to_clip(self) -> "ClipOptions":
         """Return the options as the library takes them."""
         from supple.files.options import ClipOptions
 
-        return ClipOptions(**{name: value for name, value in vars(self).items() if value is not None})
+        given = {name: value for name, value in vars(self).items() if value not in (None, "files")}
+        return ClipOptions(**given)
 
 
 def parse_numbers(name: str, text: str, count: int, wanted: str) -> tuple[float, ...]:
@@ -206,47 +278,70 @@ class TrackOptions:
     ----------
     track
         Move the strokes of the command line, of points X,Y, along with tracked points: a table frame,x,y (CSV, with a
-        column name for several tracks), a script of Nuke, or keyframes copied from After Effects.
+        column name for several tracks), a script of Nuke, or keyframes copied from After Effects; or auto: with what
+        is under each in --track-frame.
     track_name
         Name of the track to follow: once for all strokes, or once for each, in order.
     track_frame
-        Frame, counted from 0, in which the strokes are where --grab has them (default: the first of the track).
+        Frame in which the strokes are where --grab has them (default: the first of the track, or of
+        the clip).
+    track_turn
+        Follow two tracks with each stroke: it moves with the first point, and turns and grows with the way to the
+        second.
+    outside_track
+        What a stroke does before and after its track: fade, within 5 frames (default), or hold, as at its ends.
     track_from
         How a table without a header counts: pixels (from the centre of the top left one), nuke or ae.
     track_first
-        Number that the track gives to the first frame of the clip, if not 0, or in Nuke 1: often 1001.
+        Number that the track gives to the first frame of the clip (default: --first-frame; or 0, or in Nuke 1).
     """
 
-    track: Annotated[str | None, Parameter(metavar="FILE")] = None
+    track: Annotated[str | None, Parameter(metavar="FILE|auto")] = None
     track_name: Annotated[list[str], Parameter(metavar="NAME", allow_leading_hyphen=True, show_default=False)] = ()  # type: ignore[assignment]
-    track_frame: Annotated[int | None, read(_whole, "K")] = None
+    track_frame: Annotated[str | None, Parameter(metavar="K", allow_leading_hyphen=True)] = None
+    track_turn: bool = False
+    outside_track: Annotated[Literal["fade", "hold"] | None, Parameter(metavar="fade|hold", show_choices=False)] = None
     track_from: Annotated[
         Literal["pixels", "nuke", "ae"] | None, Parameter(metavar="pixels|nuke|ae", show_choices=False)
     ] = None
     track_first: Annotated[int | None, read(_whole, "N")] = None
 
-    def followed(self, recipe: "Recipe", count: int, clip: str) -> "Recipe":
+    def followed(self, recipe: "Recipe", count: int, paths: Sequence[str], memory: float, frames: Frames) -> "Recipe":
         """Return a recipe whose last ``count`` strokes, those of the command line, follow the tracks."""
+        loose: tuple[str, ...] = ("track_name", "track_from", "track_first", "track_turn")
         if self.track is None:
-            for name in ("track_name", "track_frame", "track_from", "track_first"):
-                if getattr(self, name) not in (None, (), []):
-                    raise SuppleError(f"--{name.replace('_', '-')} is for a --track, and there is none: leave it out")
+            loose = ("track_frame", "outside_track", *loose)
+        for name in loose if self.track in (None, "auto") else ():
+            if getattr(self, name) not in (None, (), [], False):
+                what = "a --track" if self.track is None else "the --track of a file"
+                raise SuppleError(f"--{name.replace('_', '-')} is for {what}, and there is none: leave it out")
+        if self.track is None:
             return recipe
         if not count:
             raise SuppleError("--track moves strokes of the command line, and there are none: give a --grab")
+        auto = self.track == "auto"
+        if auto and (len(paths) != 2 or paths[0] == STREAM):
+            raise SuppleError("--track auto follows points through one clip: give the name of one, and of one to write")
+        from supple.engine.progress import counted
         from supple.files.tracks import follow_tracks
 
         total = len(recipe.strokes)
-        return follow_tracks(
-            recipe,
-            self.track,
-            clip,
-            names=self.track_name,
-            frame=self.track_frame,
-            strokes=range(total - count, total),
-            convention=self.track_from,
-            first=self.track_first,
-        )
+        with counted(current().terminal) as tell:
+            return follow_tracks(
+                recipe,
+                None if auto else self.track,
+                paths[0],
+                names=self.track_name,
+                frame=None if self.track_frame is None else frames.read("--track-frame", self.track_frame),
+                strokes=range(total - count, total),
+                convention=self.track_from,
+                first=frames.first if self.track_first is None else self.track_first,
+                frames=frames.read,
+                turn=self.track_turn,
+                outside=self.outside_track or "fade",
+                memory=memory,
+                tell=tell,
+            )
 
 
 @Parameter(name="*", group=VOLUME)

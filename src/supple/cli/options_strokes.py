@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Group, Parameter
 
 from supple.cli.console import current
-from supple.cli.options import COORDINATES, parse_number
+from supple.cli.options import COORDINATES, Frames, parse_number
 from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
@@ -25,8 +25,9 @@ BRUSHES = ("--grab", "--twist", "--scale", "--pinch", "--pull")
 """The options that are strokes."""
 
 _ONE_OF = "give --grab, --twist, --scale, --pinch or --pull"
-_OF_EACH = ("radius", "poisson", "scales", "reach")  # options about one stroke, and about all of them
+_OF_EACH = ("radius", "poisson", "scales", "reach", "time_radius", "flat")  # of one stroke, and of all of them
 _OF_ALL = ("border", "border_profile", "freeze", "freeze_width", "on_fold")
+_FLAT = "a part of the radius from 0 to 0.9"
 _TWIST = "X,Y[,T|Z]:ANGLE[:AXIS]"
 _SCALE = "X,Y[,T|Z]:FACTOR"
 _PINCH = "X,Y[,T|Z]:FACTOR[:AXIS]"
@@ -66,9 +67,9 @@ class StrokeOptions:
     ----------
     grab
         Drag the first point to the second, or through more of them to the last. Pixels are counted from the top
-        left one, which is 0,0. In a video, a third number is the frame, counted from 0; in a volume, points are
-        voxels x,y,z. Give it and the next four several times, mixed as you like, for several strokes, which are
-        applied in order.
+        left one, which is 0,0. In a video, a third number is the frame, counted from 0, or its timecode,
+        00:00:12:08; in a volume, points are voxels x,y,z. Give it and the next four several times, mixed as you like,
+        for several strokes, which are applied in order.
     twist
         Turn what is around a point by an angle in degrees, clockwise; in a volume, right-handed about an axis: its
         direction DX,DY,DZ (default z).
@@ -83,17 +84,22 @@ class StrokeOptions:
         RAS) are taken as they say; give --world if other strokes are in millimetres too. For a volume, a table that
         does not say what its numbers are needs --convention LPS, RAS or index (voxels).
     radius
-        Radius of the brush: in pixels, in volumes in millimetres. Give --radius, --poisson and --reach once for all
-        strokes, or once for each; --scales once for all grabs, or once for each.
+        Radius of the brush: in pixels, in volumes in millimetres. Give --radius, --poisson, --reach and --time-radius
+        once for all strokes, or once for each; --scales and --flat once for all grabs, or once for each.
     poisson
         Poisson's ratio of the material, at most 0.5 (default 0.4). The higher it is, the more the material gives
-        way sideways, which keeps volume in 3-D, but not area in a picture. -inf moves nothing sideways, and is
-        the default for a drag in time only.
+        way sideways, which keeps volume in 3-D, but not area in a picture. -inf moves nothing sideways. In a video,
+        a drag in the picture moves nothing in time, and one in time nothing in the picture, unless this is given.
     scales
         How fast the movement of a grab fades with distance r: 1 as 1/r (default), 2 as 1/r³, 3 as 1/r⁵.
     reach
         Distance from the line between a stroke's start and its target, in radii, beyond which nothing moves and
         values stay as they are: at least 1 (default 4), or none for no limit.
+    time_radius
+        Radius of the brush in time, in frames, for strokes with a time (default: the larger of the drag in time and an
+        eighth of the video, at most the radius).
+    flat
+        Part of a grab's radius, in space and time, within which all moves as its point does, from 0 (default) to 0.9.
     recipe
         Read strokes from a recipe (JSON). They are applied before those of the command line, which are in pixels of
         the size that the recipe names, if it names one.
@@ -132,6 +138,8 @@ class StrokeOptions:
     poisson: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="N", show_default=False)] = ()  # type: ignore[assignment]
     scales: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="1|2|3", show_default=False)] = ()  # type: ignore[assignment]
     reach: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="R|none", show_default=False)] = ()  # type: ignore[assignment]
+    time_radius: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="F", show_default=False)] = ()  # type: ignore[assignment]
+    flat: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="P", show_default=False)] = ()  # type: ignore[assignment]
     recipe: Annotated[str | None, Parameter(metavar="FILE")] = None
     border: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="auto|none|N|N,N")] = None
     border_profile: Annotated[
@@ -186,6 +194,7 @@ class StrokeOptions:
         place: Place = lambda: None,
         convention: str | None = None,
         ordered: Mapping[str, Sequence[str]] | None = None,
+        frames: Frames | None = None,
     ) -> "Recipe":
         """Read the recipe file, if one is given, and add the strokes.
 
@@ -193,11 +202,11 @@ class StrokeOptions:
         are the options that would do, too. ``place`` returns the convention of the volume that the strokes are for, as
         `Geometry` has it; None without one. ``convention`` is that of tables of points that do not say it; instead,
         ``ordered`` has the values of --convention, each of which is about what stands before it, and of the other
-        options that it may be about.
+        options that it may be about. ``frames`` is how the frames of a clip are typed.
         """
         from supple.strokes import Recipe
 
-        found = self._strokes(world, place, convention, ordered)
+        found = self._strokes(world, place, convention, ordered, frames)
         strokes = [one.stroke for one in found]
         space = next((one.space for one in found if one.space is not None), None)
         if not strokes and self.recipe is None and not empty:
@@ -207,7 +216,7 @@ class StrokeOptions:
         else:
             from supple.files.recipes import read_recipe
 
-            made = read_recipe(self.recipe)
+            made = read_recipe(self.recipe, frames=None if frames is None else frames.read)
             if strokes and made.is_world and not world and space is None:
                 option = next(option for option, values in self.given.items() if values)
                 raise SuppleError(
@@ -236,7 +245,12 @@ class StrokeOptions:
         return made if self.on_fold is None else replace(made, on_fold=self.on_fold)
 
     def _strokes(
-        self, world: bool, place: Place, convention: str | None, others: Mapping[str, Sequence[str]] | None
+        self,
+        world: bool,
+        place: Place,
+        convention: str | None,
+        others: Mapping[str, Sequence[str]] | None,
+        frames: Frames | None,
     ) -> "list[_Given]":
         """Return the strokes, in order."""
         from supple.strokes import REACH
@@ -244,7 +258,8 @@ class StrokeOptions:
         if not self.count:
             loose = [name for name in _OF_EACH if getattr(self, name)]
             if loose:
-                raise SuppleError(f"--{loose[0]} is for strokes given beside it: {_ONE_OF}, or leave it out")
+                option = f"--{loose[0].replace('_', '-')}"
+                raise SuppleError(f"{option} is for strokes given beside it: {_ONE_OF}, or leave it out")
             return []
         ordered = in_order(current().arguments, {**self.given, **(others or {})})
         found = [one for one in ordered if one[0] in BRUSHES]
@@ -262,13 +277,18 @@ class StrokeOptions:
             texts = ["inf" if x.strip().lower() == "none" else x for x in self.reach]
             read = _spread("--reach", texts, count, "a number of radii from 1, or none")
             reaches = [None if x == math.inf else x for x in read]
+        times: list[float | None] = [None] * count
+        if self.time_radius:
+            times = [*_spread("--time-radius", self.time_radius, count, "a number of frames above 0")]
+        flats = iter(_spread("--flat", self.flat, len(self.grab), _FLAT, "grab") or [0.0] * len(self.grab))
         made: list[_Given] = []
-        for (option, text), radius, ratio, reach in zip(found, radii, ratios, reaches, strict=True):
+        for (option, text), radius, ratio, reach, time in zip(found, radii, ratios, reaches, times, strict=True):
+            brush = {"radius": radius, "poisson": ratio, "reach": reach, "time_radius": time}
             if option == "--pull":
-                stroke, space = _pull(text, next(asked), place, world, radius=radius, poisson=ratio, reach=reach)
+                stroke, space = _pull(text, next(asked), place, world, brush)
             else:
-                scale = next(scales) if option == "--grab" else 1
-                stroke, space = _stroke(option, text, radius=radius, poisson=ratio, reach=reach, scales=scale), None
+                scale, flat = (next(scales), next(flats)) if option == "--grab" else (1, 0.0)
+                stroke, space = _stroke(option, text, frames, scales=scale, flat=flat, **brush), None
             if made and made[0].stroke.ndim != stroke.ndim:
                 first = f"{made[0].told} of {made[0].stroke.ndim}"
                 raise SuppleError(
@@ -324,7 +344,7 @@ def _conventions(found: Sequence[tuple[str, str]]) -> list[str | None]:
 
 
 def _pull(
-    text: str, convention: str | None, place: Place, world: bool, **brush: float | None
+    text: str, convention: str | None, place: Place, world: bool, brush: dict[str, float | None]
 ) -> "tuple[Stroke, CoordinateSpace | None]":
     """Read a pull from two files, named with a colon between them."""
     from supple.files.landmarks import read_pull
@@ -340,13 +360,21 @@ def _pull(
         raise SuppleError(f"--pull {text}: {error}") from None
 
 
-def _stroke(option: str, text: str, *, scales: float, **brush: float | None) -> "Stroke":
+def _stroke(
+    option: str, text: str, frames: Frames | None, *, scales: float, flat: float, **brush: float | None
+) -> "Stroke":
     """Read a stroke from the command line."""
     from supple.strokes import Stroke
 
     wrong = SuppleError(f"{option} must be {_WANTED[option]}, found {text!r}")
     try:
-        at, *rest = [[float(x) for x in part.split(",")] for part in text.split(":")]
+        plain = text if frames is None else frames.plain(option, text)
+        at, *rest = [[float(x) for x in part.split(",")] for part in plain.split(":")]
+        if frames is not None and frames.first is not None and len(at) == 3:
+            for point in (at, *rest) if option == "--grab" else (at,):
+                point[2:] = [t - frames.first for t in point[2:]]
+    except SuppleError:
+        raise
     except ValueError:
         raise wrong from None
     parts = [len(part) for part in (at, *rest)]
@@ -365,7 +393,7 @@ def _stroke(option: str, text: str, *, scales: float, **brush: float | None) -> 
     known = {**brush, "scales": int(scales) if float(scales).is_integer() else scales}
     try:
         if option == "--grab":
-            return Stroke.grab(at, path=rest, **known)  # type: ignore[arg-type]
+            return Stroke.grab(at, path=rest, flat=flat, **known)  # type: ignore[arg-type]
         amount = {"angle" if option == "--twist" else "factor": rest[0][0]}
         axis = tuple(rest[1]) if len(rest) > 1 else None
         return Stroke(brush=option[2:], at=tuple(at), axis=axis, **amount, **known)  # type: ignore[arg-type]

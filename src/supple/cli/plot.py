@@ -50,7 +50,7 @@ def plot(
         Deformed grid lines, stretch, its principal axes, residual of the inverse map, or its iterations. For a
         video also a slice along time, or a sheet of frames before and after.
     frame
-        Frame of a video, counted from 0.
+        Frame of a video, counted from 0, or its timecode.
     x
         Column that a slice shows over time.
     y
@@ -60,7 +60,10 @@ def plot(
     console.started(**options.asked(), file=source)
     if (convention := maps.coordinates) is not None and not strokes.pull:
         raise SuppleError("--convention of points is of tables of --pull, and there are none: leave it out")
-    recipe = strokes.to_recipe(empty=maps.any, others="--field FILE, --affine FILE or ", convention=convention)
+    typed = video.frames(source)
+    recipe = strokes.to_recipe(
+        empty=maps.any, others="--field FILE, --affine FILE or ", convention=convention, frames=typed
+    )
     elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given)
     from supple.cli.warp import picture_facts
     from supple.files.jobs import Job
@@ -71,7 +74,7 @@ def plot(
         target,
         recipe,
         what,
-        frame=None if frame is None else parse_integer("--frame", frame, "a whole number, counted from 0"),
+        frame=None if frame is None else typed.read("--frame", frame),
         x=None if x is None else parse_integer("--x", x, "a whole number of pixels"),
         y=None if y is None else parse_integer("--y", y, "a whole number of pixels"),
         clip=video.to_clip(),

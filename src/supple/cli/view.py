@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from supple.cli.console import current
-from supple.cli.options import VOLUME, TimeOptions, VolumeArguments
+from supple.cli.options import VIDEO, VOLUME, TimeOptions, VolumeArguments
 from supple.cli.options_maps import MapOptions
 from supple.cli.options_strokes import StrokeOptions
 from supple.errors import SuppleError
@@ -21,6 +21,7 @@ def view(
     *,
     serve: bool = False,
     port: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 0,
+    frame: Annotated[str | None, Parameter(group=VIDEO, metavar="K", allow_leading_hyphen=True)] = None,
     strokes: StrokeOptions = _STROKES,
     maps: MapOptions = _MAPS,
     time: TimeOptions = _TIME,
@@ -40,6 +41,8 @@ def view(
         Show the window in a web browser, on this machine or through a tunnel: the address is printed.
     port
         Port for --serve (default: any free port).
+    frame
+        Frame of a video to show first, counted from 0, or its timecode.
     labels
         The volume is a label map: exports take the label of the nearest voxel, and labels are not mixed.
     points
@@ -51,7 +54,9 @@ def view(
     current().started(quiet=False, threads=None)
     strokes.refuse_alone()
     convention = maps.coordinates
+    typed = time.frames(source)
     given: dict[str, Any] = {"world": volume.world, "place": lambda: volume.place_of(source), "convention": convention}
+    given["frames"] = typed
     recipe = strokes.to_recipe(**given) if strokes.any else None
     if volume.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
@@ -70,6 +75,7 @@ def view(
         fit=strokes.to_fit(),
         points=points,
         convention=convention,
+        frame=None if frame is None else typed.read("--frame", frame),
     )
     if port and not serve:
         raise SuppleError("--port is for --serve: leave it out, or serve")

@@ -334,7 +334,7 @@ def points(
     convention = maps.coordinates
     recipe = strokes.to_recipe(
         world=volume.world, empty=maps.any, others="--field FILE, --affine FILE or ",
-        place=lambda: volume.place_of(on), convention=convention,
+        place=lambda: volume.place_of(on), convention=convention, frames=video.frames(on),
     )  # fmt: skip
     elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given, points=True)
     deformation, geometry = _deformation(on, recipe, elements, volume.to_reading(), video, strokes.to_fit(), source)

@@ -24,6 +24,7 @@ from supple.cli.console import (
 from supple.cli.options import (
     RUNNING,
     SAMPLING,
+    VIDEO,
     VOLUME,
     RunOptions,
     SamplingOptions,
@@ -78,6 +79,9 @@ def warp(
     quality: Annotated[int | None, Parameter(group=WRITING, metavar="1..100", allow_leading_hyphen=True)] = None,
     lossless: Annotated[bool, Parameter(group=WRITING)] = False,
     save_recipe: Annotated[str | None, Parameter(group=WRITING, metavar="FILE")] = None,
+    frames: Annotated[str | None, Parameter(group=VIDEO, metavar="A-B", allow_leading_hyphen=True)] = None,
+    frame: Annotated[str | None, Parameter(group=VIDEO, metavar="K", allow_leading_hyphen=True)] = None,
+    hold: Annotated[int, Parameter(group=VIDEO, metavar="N", allow_leading_hyphen=True)] = 0,
     video: VideoOptions = _VIDEO,
     tracks: TrackOptions = _TRACKS,
     labels: Annotated[bool, Parameter(group=VOLUME)] = False,
@@ -111,6 +115,12 @@ def warp(
         Write WebP and AVIF without loss, and videos with FFV1 or --codec. PNG and TIFF are always lossless.
     save_recipe
         Write the strokes to a recipe (JSON), for --recipe.
+    frames
+        Bend frames A to B of a video, and pass on the others as they are. Strokes count in the whole video.
+    frame
+        Write this frame of a video alone, bent, as a picture.
+    hold
+        Keep every bit of the first and the last N frames of a video: strokes fade towards them.
     labels
         The volume is a label map: each voxel takes the label of the nearest one, and labels are not mixed.
     save_field
@@ -131,12 +141,12 @@ def warp(
     if len(paths) < 2:
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
     console.started(**options.asked(), file=paths[0] if len(paths) == 2 else "")
-    grid = output.to_grid()
+    grid, typed = output.to_grid(), video.frames(paths[0])
     recipe = strokes.to_recipe(
         world=volume.world, empty=maps.any or maps.dangling or grid is not None, others=OTHERS,
-        place=lambda: volume.place_of(paths[0]), ordered=maps.conventions,
+        place=lambda: volume.place_of(paths[0]), ordered=maps.conventions, frames=typed,
     )  # fmt: skip
-    recipe = tracks.followed(recipe, strokes.count, paths[0])
+    recipe = tracks.followed(recipe, strokes.count, paths, video.to_clip().memory, typed)
     elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given, output)
     if elements and save_recipe is not None:
         raise SuppleError("--save-recipe is for strokes alone, which --field and --affine are not: leave it out")
@@ -147,9 +157,13 @@ def warp(
             f"{FINEST:g} pixels"
         )
     reading = volume.to_reading(labels=labels, save_field=save_field)
+    shot = replace(
+        video.to_clip(), hold=hold, frame=None if frame is None else typed.read("--frame", frame),
+        frames=None if frames is None else typed.part("--frames", frames),
+    )  # fmt: skip
     known, outside = sampling.to_sampling(bool(elements) or output.reference is not None, linear_light)
     template = Job(
-        paths[0], paths[-1], recipe, known, outside, clamp, quality, lossless, device, options.force, video.to_clip(),
+        paths[0], paths[-1], recipe, known, outside, clamp, quality, lossless, device, options.force, shot,
         reading, strokes.to_fit(), grid=grid,
     )  # fmt: skip
     if options.json and paths[-1] == STREAM:

@@ -56,8 +56,8 @@ def counted(
             if step in ("read", "write"):
                 return
             if step not in tasks:
-                names = {"plan": "planning", "warp": unit, "render": "rendering", "reduce": "levels", "field": "field"}
-                tasks[step] = bar.add_task(names[step], total=total)
+                names = {"plan": "planning", "warp": unit, "render": "rendering", "reduce": "levels"}
+                tasks[step] = bar.add_task(names.get(step, step), total=total)
             bar.update(tasks[step], completed=done)
 
         yield show

@@ -80,12 +80,15 @@ def run(
     plan = make_plan(work, range(count), tell)
     certificate = Certificate(0.0, 0.0)
     buffered = _AHEAD + 1 if sink.aside else 1
-    made = stream(work, plan, source.frames(), memory=memory, buffered=buffered)
+    frames = iter(source.frames())
+    made = stream(work, plan, frames, memory=memory, buffered=buffered)
     with contextlib.closing(made), _writing(sink) as write:
         for z, arrays, known in made:
             write(arrays, z, still=bool(plan.still[z]))
             certificate |= known
             tell("warp", z + 1, count)
+        for _ in frames:
+            pass
     return Done(certificate, int(plan.still.sum()), plan.capacity)
 
 
@@ -117,14 +120,17 @@ def make_plan(work: Work, planes: Sequence[int], tell: Tell = silent) -> Plan:
     n, count = len(planes), space.count
     first, last = np.array(planes, np.int64), np.array(planes, np.int64)
     still = np.array([space.is_identity if work.items is None else work.items[z].is_identity for z in planes], bool)
+    if work.bent is not None:
+        still |= [z not in work.bent for z in planes]
     if space.ndim == 3 and not space.is_identity:
         support = SUPPORT[sampling.between_frames]
         earliest, latest = _times_seen(sampling.outside, count, sampling.averages_frames)
         step = work.layout.step
         for k, z in enumerate(planes):
-            plan = plan_of(space, z, sampling.tolerance, step)
-            low, high, moved, rate = plan.extent()
-            still[k] = plan.identity or moved * 3**0.5 <= sampling.tolerance
+            if not still[k]:
+                plan = plan_of(space, z, sampling.tolerance, step)
+                low, high, moved, rate = plan.extent()
+                still[k] = plan.identity or moved * 3**0.5 <= sampling.tolerance
             if not still[k]:
                 # A chroma sample covers several pixels; and derivatives between nodes may be larger.
                 wide = 1.5 * rate * math.hypot(*step, 1)
@@ -165,13 +171,14 @@ def stream(
     *,
     memory: float = math.inf,
     buffered: int = 1,
+    first: int = 0,
 ) -> Generator[tuple[int, list[Array], Certificate], None, None]:
     """Yield planes of the output: the index of each, its samples, and the certificate of its map.
 
-    Frames are read in order, to the end, into a window of those that the plan needs at once: in memory, or beyond so
-    many bytes in a temporary file. The samples are one array (h, w, channels) for each group, reused for the next
-    plane, or for a later one if more are ``buffered``. SuppleError if there are fewer frames than the plan needs, or no
-    room for the file.
+    Frames are read in order, from number ``first`` on, into a window of those that the plan needs at once: in memory,
+    or beyond so many bytes in a temporary file. The samples are one array (h, w, channels) for each group, reused for
+    the next plane, or for a later one if more are ``buffered``. SuppleError if there are fewer frames than the plan
+    needs, or no room for the file.
     """
     layout = work.layout
     with contextlib.ExitStack() as stack:
@@ -190,8 +197,7 @@ def stream(
         every = None  # one map for all frames
         if space.ndim == 2 and work.items is None:
             every = plan_of(space, 0, tolerance, step)
-        source = iter(frames)
-        read = _reading(source, work, plan, window)
+        read = _reading(iter(frames), work, plan, window, first)
         for k, z in enumerate(plan.planes):
             read(k)
             outs, known = sets[k % buffered], Certificate(0.0, 0.0)
@@ -208,13 +214,12 @@ def stream(
                     solved.sample(each)
                 known = certificate_of(solved, space)
             yield z, outs, known
-        for _ in source:
-            pass
 
 
-def _reading(source: Iterator[Frame], work: Work, plan: Plan, window: Sequence[Array]) -> Callable[[int], None]:
-    """Return a function that reads the frames of a plane into their slots."""
-    have = 0
+def _reading(
+    source: Iterator[Frame], work: Work, plan: Plan, window: Sequence[Array], have: int
+) -> Callable[[int], None]:
+    """Return a function that reads the frames of a plane into their slots; the source begins at frame ``have``."""
     floats = work.layout.dtype.kind == "f" and work.sampling.filter != "nearest"
     averaged = [number for number, group in enumerate(work.layout.groups) if floats and not group.exact]
     warned = False

@@ -158,13 +158,14 @@ class Work:
     """One job: a map, the layout of the frames, and how they are sampled.
 
     ``items`` are the maps of a batch along the first axis, one for all items or one for each; or of a clip each of
-    whose frames has its own.
+    whose frames has its own. ``bent`` are the frames of a clip that are warped, by default all; others are unchanged.
     """
 
     space: Space
     layout: Layout
     sampling: Sampling
     items: tuple[Space, ...] | None = None
+    bent: range | None = None
 
     @property
     def spaces(self) -> tuple[Space, ...]:

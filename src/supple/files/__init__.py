@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from supple.engine.sampling import Sampling
 from supple.fields import Placed
@@ -35,6 +36,9 @@ def warp_file(
     fit: Fit | None = None,
     maps: Sequence[Placed] = (),
     grid: GridOptions | None = None,
+    frames: tuple[int, int] | None = None,
+    frame: int | None = None,
+    hold: int | None = None,
 ) -> Warped:
     """Warp an image file, a video, an image sequence, or a volume.
 
@@ -90,6 +94,10 @@ def warp_file(
         millimetres in LPS for volumes, in pixels for pictures. Not for clips.
     grid : GridOptions, optional
         The grid of the output: that of another image, a part, or of another spacing. Not for clips.
+    frames, frame, hold : optional
+        As in `ClipOptions`, which they complete: the part of a clip that is bent, ``(first, last)``; the one frame that
+        is written as a picture, for which no more frames are decoded than it needs; and the frames at each end that
+        keep every bit.
 
     Returns
     -------
@@ -106,7 +114,9 @@ def warp_file(
     >>> recipe = Recipe(strokes=[Stroke.grab((256, 256), to=(256, 346), radius=100)])  # doctest: +SKIP
     >>> warp_file("photo.jpg", "bent.jpg", recipe).report().error  # doctest: +SKIP
     """
+    shot = {"frames": frames, "frame": frame, "hold": hold}
+    known = replace(clip or ClipOptions(), **{name: value for name, value in shot.items() if value is not None})  # type: ignore[arg-type]
     return Job(
         source, target, recipe, Sampling(filter, tolerance, outside or "edge", fill, linear_light), outside, clamp,
-        quality, lossless, device, force, clip or ClipOptions(), volume or VolumeOptions(), fit, maps, grid,
+        quality, lossless, device, force, known, volume or VolumeOptions(), fit, maps, grid,
     ).warp(progress, tell)  # fmt: skip

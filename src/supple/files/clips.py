@@ -9,6 +9,8 @@ import shutil
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -16,7 +18,7 @@ import numpy as np
 
 from supple.deformation import Deformation
 from supple.engine.sampling import DEFAULT, Certificate, Sampling, warn_of
-from supple.engine.stream import Done, make_plan, run, stream
+from supple.engine.stream import Done, Frame, Plan, make_plan, run, stream
 from supple.engine.work import Array, Layout, Tell, Work
 from supple.errors import OutsideWarning, SuppleError, argument, caller, shown
 from supple.files.jobs import Job, Warped
@@ -30,7 +32,10 @@ from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.medium import VIDEOS_OUT, is_animated
 from supple.media.numbering import has_number, is_sequence
 from supple.media.suffixes import suffix_of
-from supple.space.checks import length, number, refuse
+from supple.media.timecode import Numbering
+from supple.space.checks import LONGEST_AXIS, integer, items, length, number, refuse
+from supple.space.domain import AUTO, Domain
+from supple.space.freezing import Freeze
 from supple.space.geometry import Grid
 from supple.strokes import Fit, Recipe, Stroke, fit_recipe, scaling_of
 
@@ -62,6 +67,20 @@ def open_clip(
         raise SuppleError(f"{argument('rate')} is for image sequences, and {shown(source)} has its own: leave it out")
     with video.open_clip(source, count=count) as clip:
         yield clip
+
+
+def numbering_of(source: PathLike, *, first: int | None = 0, rate: float | Fraction | None = None) -> Numbering:
+    """Return the numbers and the timecodes of a clip's frames, from the number of the ``first`` one.
+
+    Without that, it is the number in the name of a sequence's first picture; SuppleError if it has none.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # given when it is warped
+        with open_clip(source, rate=rate) as clip:
+            if first is None and (first := getattr(clip, "first", None)) is None:
+                raise SuppleError(f"{clip.name} has no numbers in its names: give {argument('first_frame')} a number")
+            varies = bool(clip.info().get("variable"))
+            return Numbering(clip.name, clip.count, clip.rate, first, getattr(clip, "timecode", ""), varies)
 
 
 def refuse_picture(path: PathLike) -> None:
@@ -96,24 +115,51 @@ def warp(job: Job, tell: Tell) -> Warped:
     while True:  # twice at most: what a container says of the number of frames may be wrong
         try:
             with open_clip(job.source, rate=job.clip.rate, count=count, target=job.target) as clip:
-                deformations = deformations_of(job.recipe, clip, job.clip.time_scale, job.fit, tell)
+                bent, known = bent_of(clip, job.clip), job.clip
+                deformations = deformations_of(
+                    job.recipe, clip, known.time_scale, job.fit, tell, hold=known.hold, bent=bent
+                )
                 if count is None:
                     warn_of_still(job.recipe.strokes)
                     warn_of_frames(clip, deformations)
-                return _written(job, clip, deformations, tell)
+                return _written(job, clip, deformations, bent, tell)
         except CountError as miscounted:
             if count is not None:
                 raise fickle(job.source) from None
             count = miscounted.found
 
 
-def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], tell: Tell) -> Warped:
-    """Write an open clip, bent by the deformations of its frames."""
+def bent_of(clip: Clip, options: ClipOptions) -> range:
+    """Return the frames that are bent; SuppleError for others than the clip has, or if all are held."""
+    last, one = clip.count - 1, options.frame
+    if 2 * options.hold > last:
+        raise SuppleError(
+            f"{argument('hold')} {options.hold} keeps all {clip.count} frames of {clip.name}: keep fewer than half"
+        )
+    first, end = (one, one) if one is not None else options.frames or (0, last)
+    if end > last:
+        what = argument("frames" if one is None else "frame")
+        raise SuppleError(f"{what} must be from 0 to {last}, the frames of {clip.name}, found {end}")
+    return range(first, end + 1)
+
+
+def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], bent: range, tell: Tell) -> Warped:
+    """Write an open clip, some of whose frames are bent by their deformations."""
     source, target, known = job.source, job.target, job.clip
     sampling = sampling_of(clip, replace(job.sampling, between=known.between, time_filter=known.time_filter))
-    work = work_on(clip, deformations, sampling)
-    untouched = work.is_identity and not job.lossless and known == ClipOptions(memory=known.memory)
-    if untouched and os.path.isfile(source) and suffix_of(source) == suffix_of(target):
+    work = replace(work_on(clip, deformations, sampling), bent=bent)
+    plain = replace(known, memory=ClipOptions().memory, frames=None, hold=0, first_frame=1)
+    untouched = work.is_identity and not job.lossless and plain == ClipOptions()
+    count, copied = clip.count, 0
+    if known.frame is not None:
+        with _writer(clip, job) as sink:
+            plan = make_plan(work, bent)
+            for z, arrays, certificate in _streamed(clip, work, plan, known.memory):
+                sink.write(arrays, z)
+                warn_of(certificate, sampling.tolerance, 3)
+                tell("warp", 1, 1)
+        done, count = Done(certificate, int(plan.still.sum()), plan.capacity), 1
+    elif untouched and os.path.isfile(source) and suffix_of(source) == suffix_of(target):
         # Encoding a clip again would change it.
         _warn_of_none(job.recipe, clip)
         with replacing(target, force=job.force) as place:
@@ -127,13 +173,13 @@ def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], tell: 
             warn_of(done.certificate, sampling.tolerance, 3)  # before the target is renamed
             if done.still == clip.count:
                 _warn_of_none(job.recipe, clip)
-        copied = getattr(sink, "copied", 0)
+        copied = sink.copied
     own = None
     if clip.display is not None:
         grid, (width, height) = deformations[0].grid, clip.display[2:]
         own = Grid((*grid.shape[:-2], height, width), grid.spacing)
     return Warped(
-        Path(source), Path(target), "clip", deformations, sampling.tolerance, done.certificate.error, clip.count,
+        Path(source), Path(target), "clip", deformations, sampling.tolerance, done.certificate.error, count,
         done.still, copied, done.held, own=own,
     )  # fmt: skip
 
@@ -158,6 +204,13 @@ def check(job: Job) -> None:
         refuse_maps(job.source)
     refuse_picture(job.source)
     number("memory", job.clip.memory, "a number of bytes from 0", 0.0, 1e30)
+    _check_shot(job.clip)
+    if job.clip.frame is not None:
+        check_target(target)
+        refuse_encoding(job.clip, target, "a picture")
+        check_quality(target, job.quality)
+        check_output(target, force=job.force)
+        return
     if not os.fspath(target):
         raise SuppleError("cannot write '': no file can have that name: choose another")
     if not is_picture_target(target):
@@ -179,6 +232,21 @@ def check(job: Job) -> None:
     check_quality(target, job.quality)
 
 
+def _check_shot(options: ClipOptions) -> None:
+    """Raise SuppleError for an invalid part of a clip."""
+    for name in ("frame", "hold", "first_frame"):
+        if (value := getattr(options, name)) is not None:
+            integer(name, value, "a whole number from 0", 0, LONGEST_AXIS)
+    if options.frames is not None:
+        wanted = "the first and the last frame, counted from 0, in this order"
+        first, last = items("frames", options.frames, wanted, (2,))
+        integer("frames", last, wanted, integer("frames", first, wanted, 0, LONGEST_AXIS), LONGEST_AXIS)
+        if options.frame is not None:
+            raise SuppleError(
+                f"{argument('frame')} writes one frame, and {argument('frames')} are some: give one of them"
+            )
+
+
 def refuse_encoding(options: ClipOptions, target: PathLike, what: str) -> None:
     """Raise SuppleError for options of encoders, where no video is written."""
     for option in ("codec", "crf", "preset", "pixel_format"):
@@ -189,10 +257,13 @@ def refuse_encoding(options: ClipOptions, target: PathLike, what: str) -> None:
 def _writer(clip: Any, job: Job) -> contextlib.AbstractContextManager[Any]:
     """Return the writer for a target: a video file, or an image sequence."""
     shared: dict[str, Any] = {"force": job.force, "lossless": job.lossless}
-    if is_picture_target(job.target):
+    if job.clip.frame is not None or is_picture_target(job.target):
         from supple.media import sequence
 
-        return sequence.writer(clip, job.target, quality=job.quality, **shared)
+        known = job.clip
+        return sequence.writer(
+            clip, job.target, quality=job.quality, only=known.frame, first=known.first_frame, **shared
+        )
     from supple.media import video
 
     known = job.clip
@@ -214,10 +285,11 @@ def deformation_of(
     name: str,
     fit: Fit | None = None,
     display: tuple[int, int, int, int] | None = None,
+    hold: int = 0,
 ) -> Deformation:
     """Return a recipe on a clip: strokes with a time warp the clip, those without one warp each of its frames.
 
-    Points count in the part ``display`` of frames, as in `supple.media.base.Clip`.
+    Points count in the part ``display`` of frames, as in `supple.media.base.Clip`; ``hold`` is as in `ClipOptions`.
     """
     known = recipe.time_scale if time_scale is None else length("time_scale", time_scale)
     worth = 1.0 if known is None else known
@@ -230,7 +302,32 @@ def deformation_of(
     if scaling is not None:
         worth *= scaling.frame  # so that the brush covers the same part of the clip
     recipe = fit_recipe(recipe, size, fit, name, time=True).placed((x, y, 0), (*shape[::-1], count))
+    if hold:
+        recipe = with_ends(recipe, hold, (count, *shape), worth)
     return Deformation.from_recipe(recipe, Grid((count, *shape), (1.0, 1.0, worth), (-x, -y, 0)), time=True)
+
+
+def with_ends(recipe: Recipe, hold: int, shape: tuple[int, ...], worth: float) -> Recipe:
+    """Return a recipe in time whose mask freezes some frames at each end, of frames that count as ``worth`` pixels."""
+    widths = Domain(shape, (1.0, 1.0, worth), recipe.border).border_widths
+    ends = fade_of(shape[0], hold, None if widths is None else widths[2] / worth)
+    return replace(recipe, freeze=ends.over(recipe.freeze, (shape[1], shape[2])))
+
+
+def fade_of(count: int, hold: int, width: float | None = None) -> Freeze:
+    """Return a mask along time alone, of samples (1, 1, count): the frames held at each end are frozen.
+
+    ``width`` is that of the fade beside them, in frames: by default a tenth of the clip, as that of a border.
+    """
+    held = np.zeros((count, 1, 1), bool)
+    held[:hold] = held[count - hold :] = True
+    return Freeze.of(held, width=max(4.0, AUTO * count if width is None else width))
+
+
+@lru_cache(maxsize=4)
+def parts_of(count: int, hold: int) -> tuple[float, ...]:
+    """Return the part of its strength that a stroke without a time has in each frame, as some are held at each end."""
+    return tuple(map(float, fade_of(count, hold).at([[0], [0], np.arange(count)]).ravel()))
 
 
 def deformations_of(
@@ -239,13 +336,20 @@ def deformations_of(
     time_scale: float | None,
     fit: Fit | None = None,
     tell: Tell = lambda step, done, total: None,
+    *,
+    hold: int = 0,
+    bent: range | None = None,
 ) -> tuple[Deformation, ...]:
-    """Return a recipe on a clip: one deformation, or, if its strokes move, one for each frame."""
+    """Return a recipe on a clip: one deformation, or one for each frame, if its strokes move or fade.
+
+    ``hold`` is as in `ClipOptions`; of frames that are not ``bent``, the deformation may be any.
+    """
     count, shape, name = clip.count, clip.layout.shape, clip.name
-    if not recipe.moves:
-        return (deformation_of(recipe, count, shape, time_scale, name, fit, clip.display),)
+    if not (recipe.moves or (hold and recipe.strokes and recipe.strokes[0].ndim == 2)):
+        return (deformation_of(recipe, count, shape, time_scale, name, fit, clip.display, hold),)
     x, y, *size = clip.display or (0, 0, *shape[::-1])
-    return motion_of(fit_recipe(recipe, size, fit, name).placed((x, y), shape[::-1]), count, shape, tell)
+    fitted = fit_recipe(recipe, size, fit, name).placed((x, y), shape[::-1])
+    return motion_of(fitted, count, shape, tell, hold=hold, bent=bent)
 
 
 def sampling_of(clip: Clip, sampling: Sampling = DEFAULT) -> Sampling:
@@ -287,8 +391,17 @@ def frames_of(
 ) -> Iterator[tuple[int, list[Array]]]:
     """Yield some frames of a warped clip, in order, as arrays that are reused for the next one."""
     work = work_on(clip, deformations, sampling)
-    for z, arrays, _ in stream(work, make_plan(work, planes), clip.frames(), memory=memory):
+    for z, arrays, _ in _streamed(clip, work, make_plan(work, planes), memory):
         yield z, arrays
+
+
+def _streamed(clip: Any, work: Work, plan: Plan, memory: float) -> Iterator[tuple[int, list[Array], Certificate]]:
+    """Yield the frames of a plan, as `stream` does; the clip is read from the first that they need to the last."""
+    first = int(plan.keep[0]) if plan.planes else 0
+    frames: Iterable[Frame] = islice(clip.frames(), first, None)  # of a sequence, files are read where they are copied
+    if first and hasattr(clip, "frames_from"):
+        frames = (frame for _, frame in clip.frames_from(first))
+    yield from stream(work, plan, frames, memory=memory, first=first)
 
 
 def work_on(clip: Clip, deformations: Sequence[Deformation], sampling: Sampling) -> Work:
@@ -323,18 +436,29 @@ def warn_of_frames(clip: Clip, deformations: Sequence[Deformation]) -> None:
 
 
 def motion_of(
-    recipe: Recipe, count: int, shape: tuple[int, int], tell: Tell = lambda step, done, total: None
+    recipe: Recipe,
+    count: int,
+    shape: tuple[int, int],
+    tell: Tell = lambda step, done, total: None,
+    *,
+    hold: int = 0,
+    bent: range | None = None,
 ) -> tuple[Deformation, ...]:
-    """Return the deformation of each frame, of a recipe whose strokes have keys, and which fits the frames.
+    """Return the deformation of each frame, of a recipe whose strokes have keys or fade, and which fits the frames.
 
     Frames that are alike share one. A stroke that moves may leave the picture; what is known of a stroke in many frames
     is one warning, that of the first of them, or an OutsideWarning if it begins outside in every frame. ``shape`` has
     the rows and columns of a frame; ``tell`` is called with ``"plan"``, the number of frames that are planned, and
-    ``count``. Errors are those of `Deformation.from_recipe`, with the frame.
+    ``count``. Errors are those of `Deformation.from_recipe`, with the frame. ``hold`` is as in `ClipOptions`; of frames
+    that are not ``bent``, the deformation is the identity.
     """
     roaming = {i for i, stroke in enumerate(recipe.strokes) if any(key.at is not None for key in stroke.keys)}
     frames = [recipe.at_frame(k) for k in range(count)]
+    if hold:
+        parts = parts_of(count, hold)
+        frames = [replace(now, amount=now.amount * part) for now, part in zip(frames, parts, strict=True)]
     known: dict[Recipe, Deformation] = {}
+    still = Deformation.from_recipe(replace(recipe, strokes=()), shape)
     told: dict[tuple[type[Warning], str], tuple[str, set[Recipe]]] = {}
     for k, now in enumerate(frames):
 
@@ -342,18 +466,20 @@ def motion_of(
             about = _STROKE.match(text)
             told.setdefault((kind, about[0] if about else ""), (text, set()))[1].add(now)
 
+        if bent is not None and k not in bent:
+            continue
         if now not in known:
             try:
                 known[now] = Deformation.from_recipe(now, shape, roaming=roaming, say=say)
             except SuppleError as error:
                 raise type(error)(f"frame {k}: {error}") from None
         tell("plan", k + 1, count)
-    _check_places(recipe, roaming, {now.strokes for now in known}, count, shape)
+    _check_places(recipe, roaming, {now.strokes for now in frames}, count, shape)
     for (kind, _), (text, some) in told.items():
         at = [k for k, now in enumerate(frames) if now in some]
         more = f" (and in {len(at) - 1} more)" if len(at) > 1 else ""
         warnings.warn(f"frame {at[0]}{more}: {text}", kind, stacklevel=4)
-    return tuple(known[now] for now in frames)
+    return tuple(still if bent is not None and k not in bent else known[now] for k, now in enumerate(frames))
 
 
 def _check_places(
@@ -369,7 +495,7 @@ def _check_places(
         if len(frames) > 1 and (frames[-1] < 0 or frames[0] >= count):
             warnings.warn(
                 f"{which} has positions in frames {frames[0]} to {frames[-1]}, and the clip has {count}, from 0: it "
-                "stands still (does the track give another number to the first?)",
+                "follows none of them (does the track give another number to the first?)",
                 OutsideWarning,
                 stacklevel=5,
             )

@@ -79,8 +79,9 @@ class Job:
         """What the source is taken for."""
         axes = [*(each.ndim for each in self.recipe.strokes[:1]), *(each.map.ndim for each in self.maps[:1])]
         axes += [self.grid.ndim or 2] if self.grid is not None else []
-        known = self.volume
+        known, shot = self.volume, self.clip
         moves = self.recipe.moves or any(each.ndim == 3 for each in self.recipe.strokes[:1])
+        moves |= shot.hold != 0 or shot.frame is not None or shot.frames is not None
         return media.open(
             self.source, self.target, axes=max(axes, default=2), moves=moves, layout=known.layout, series=known.series
         )

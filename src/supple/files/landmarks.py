@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -237,6 +238,7 @@ def read_pull(
     radius: float,
     poisson: float | None = None,
     reach: float | None = REACH,
+    time_radius: float | None = None,
     convention: str | None = None,
     place: str | None = None,
     world: bool = False,
@@ -280,7 +282,8 @@ def read_pull(
         raise SuppleError(
             f"{start.name} has {len(start.points)} points, and {end.name} has {len(end.points)}: give as many in both"
         )
-    stroke = Stroke.pull(start.points, to=places[order], radius=radius, poisson=poisson, reach=reach)
+    brush: Any = {"radius": radius, "poisson": poisson, "reach": reach, "time_radius": time_radius}
+    stroke = Stroke.pull(start.points, to=places[order], **brush)
     stroke = replace(stroke, name=f"{start.name}:{end.name}")
     return stroke, None if space == "index" else space  # type: ignore[return-value]
 

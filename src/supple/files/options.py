@@ -39,6 +39,15 @@ class ClipOptions:
         As in `supple.media.video.writer`.
     memory : float
         The bytes of memory for frames; frames beyond that go to a temporary file.
+    frames : tuple of int, optional
+        The first and the last frame that are bent, counted from 0; the others are passed on as they are.
+    frame : int, optional
+        The one frame that is written, as a picture.
+    hold : int
+        The number of frames at each end that keep every bit. Strokes fade towards them, over a tenth of the clip or, of
+        strokes with a time, over the width of the border along time.
+    first_frame : int
+        The number in the name of the first picture, where a video becomes pictures.
     """
 
     between: str | None = None
@@ -50,6 +59,10 @@ class ClipOptions:
     preset: str | None = None
     pixel_format: str | None = None
     memory: float = 2 * GB
+    frames: tuple[int, int] | None = None
+    frame: int | None = None
+    hold: int = 0
+    first_frame: int = 1
 
 
 @dataclass(frozen=True, slots=True)

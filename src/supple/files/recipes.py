@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 from supple.errors import JSON, SuppleError, shown, spelling
@@ -10,8 +12,10 @@ from supple.files.options import PathLike
 from supple.media.files import check_output, replacing
 from supple.media.image.formats import SUFFIXES as PICTURES
 from supple.media.suffixes import CLIPS, CLIPS_OUT, VOLUMES, VOLUMES_OUT, suffix_of
+from supple.media.timecode import PATTERN
 from supple.strokes import Recipe
 
+_TIMECODE = re.compile(rf'("name"\s*:\s*)?"({PATTERN})"')
 _MEDIA = frozenset({*PICTURES, *CLIPS, *CLIPS_OUT, *VOLUMES, *VOLUMES_OUT})
 
 
@@ -20,8 +24,12 @@ def is_media_name(path: PathLike) -> bool:
     return not os.fspath(path).endswith(("/", os.sep)) and suffix_of(path) in _MEDIA
 
 
-def read_recipe(path: PathLike) -> Recipe:
-    """Read a recipe from a JSON file; SuppleError, with the file and the fault, if it is none."""
+def read_recipe(path: PathLike, *, frames: Callable[[str, str], int] | None = None) -> Recipe:
+    """Read a recipe from a JSON file; SuppleError, with the file and the fault, if it is none.
+
+    ``frames`` returns the frame, counted from 0, of a timecode, which may stand for a number; its first argument names
+    the file in messages.
+    """
     name = shown(path)
     try:
         text = Path(path).read_bytes().decode("utf-8-sig")
@@ -32,6 +40,8 @@ def read_recipe(path: PathLike) -> Recipe:
     except ValueError as error:
         raise SuppleError(f"cannot read {name}: no file can have that name: check it") from error
     try:
+        if frames is not None:
+            text = _TIMECODE.sub(lambda code: code[0] if code[1] else str(frames(name, code[2])), text)
         with spelling(JSON):
             return Recipe.from_json(text)
     except SuppleError as error:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Literal
 
-from supple.errors import SuppleError, shown
+from supple.engine.work import Tell, silent
+from supple.errors import SuppleError, argument, shown
 from supple.files.clips import open_clip
+from supple.files.options import GB
+from supple.files.tracking import track
 from supple.media.tracks import Convention, read_tracks
 from supple.strokes import Recipe, Stroke
 
@@ -16,7 +20,7 @@ PathLike = str | os.PathLike[str]
 
 def follow_tracks(
     recipe: Recipe,
-    path: PathLike,
+    path: PathLike | None,
     clip: PathLike,
     *,
     names: Sequence[str] = (),
@@ -24,52 +28,83 @@ def follow_tracks(
     strokes: Sequence[int] | None = None,
     convention: Convention | None = None,
     first: int | None = None,
+    turn: bool = False,
+    outside: Literal["fade", "hold"] = "fade",
+    memory: float = 2 * GB,
+    tell: Tell = silent,
+    frames: Callable[[str, str], int] | None = None,
 ) -> Recipe:
-    """Return a recipe whose strokes move along with the tracks of a file.
+    """Return a recipe whose strokes move along with the tracks of a file, or with what is under them.
 
     Parameters
     ----------
     recipe : Recipe
         Its strokes have points of two numbers.
-    path : str or os.PathLike
-        A file that `supple.media.tracks.read_tracks` reads.
+    path : str, os.PathLike or None
+        A file that `supple.media.tracks.read_tracks` reads. None: the point ``at`` of each stroke is tracked through
+        the clip from ``frame`` on, by `supple.track`.
     clip : str or os.PathLike
         The clip, whose height is needed for positions of Nuke.
     names : sequence of str
         The tracks to follow: one for all strokes, or one for each, in order. By default all tracks of the file.
     frame : int, optional
-        The frame in which the strokes are where the recipe has them; by default, the first of each track.
+        The frame in which the strokes are where the recipe has them; by default, the first of each track, or of the
+        clip.
     strokes : sequence of int, optional
         The indices of the strokes; by default, all.
-    convention, first
+    convention, first, frames
         As in `supple.media.tracks.read_tracks`.
+    turn : bool
+        Whether each stroke follows two tracks, one after the other: it moves with the first point, and turns and grows
+        with the way to the second.
+    outside : str
+        What strokes do before and after their tracks, as in `supple.Stroke.following`.
+    memory, tell
+        As in `supple.track`.
 
     Raises
     ------
     SuppleError
-        If the file cannot be read, a name is not in it, or there are neither one track nor as many as strokes.
+        If the file cannot be read, a name is not in it, or there are neither one track nor as many as strokes (with
+        ``turn``, two, or twice as many); or as in `supple.track`.
     """
 
     def height() -> int:
         with open_clip(clip) as opened:
             return opened.layout.shape[0]
 
-    tracks = read_tracks(path, convention=convention, height=height, first=first)
+    made: list[Stroke] = list(recipe.strokes)
+    which = range(len(made)) if strokes is None else strokes
+    if path is None:
+        for k in which:
+            if made[k].ndim == 3:
+                x, y, t = made[k].at
+                raise SuppleError(
+                    f"a stroke with a time is not tracked, and ({x:g}, {y:g}, {t:g}) has one: leave out the times of "
+                    f"its points, and give {argument('track_frame', round(t))}"
+                )
+        found = track(clip, [(*made[k].at, frame or 0) for k in which], memory=memory, tell=tell)
+        for k, seen in zip(which, found, strict=True):
+            made[k] = made[k].following(seen.keys, frame or 0, outside=outside)
+        return replace(recipe, strokes=tuple(made))
+    tracks = read_tracks(path, convention=convention, height=height, first=first, frames=frames)
     known = {track.name: track for track in tracks}
     for name in names:
         if name not in known:
             raise SuppleError(f"{shown(path)} has no track {name!r}: its tracks are {_listed(list(known))}")
     wanted = [known[name] for name in names] or list(tracks)
-    which = range(len(recipe.strokes)) if strokes is None else strokes
-    if len(wanted) not in (1, len(which)):
+    each = 2 if turn else 1
+    if len(wanted) not in (each, each * len(which)):
         many = "1 stroke" if len(which) == 1 else f"{len(which)} strokes"
+        one = "two for all, or two" if turn else "one for all, or one"
+        turning = f", or {argument('track_turn')} to turn with two" if len(wanted) == 2 * len(which) else ""
         raise SuppleError(
             f"{shown(path)} has {len(wanted)} tracks, {_listed([track.name for track in wanted])}, for {many}: name "
-            "one for all, or one for each"
+            f"{one} for each{turning}"
         )
-    made: list[Stroke] = list(recipe.strokes)
-    for k, track in zip(which, wanted * len(which) if len(wanted) == 1 else wanted, strict=True):
-        made[k] = made[k].following(track.keys, frame)
+    for i, k in enumerate(which):
+        own, *second = wanted if len(wanted) == each else wanted[each * i : each * (i + 1)]
+        made[k] = made[k].following(own.keys, frame, second=second[0].keys if second else (), outside=outside)
     return replace(recipe, strokes=tuple(made))
 
 

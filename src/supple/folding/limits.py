@@ -54,7 +54,7 @@ from supple.folding.resolved import (
 )
 from supple.folding.strain import CLEARLY_SAFE, GAP, MARGIN, largest, limit, sampled, weakest
 from supple.space.domain import Domain
-from supple.strokes import FoldPolicy, Stroke, legs, matrix_of, pack, poisson_of
+from supple.strokes import FoldPolicy, Stroke, legs, matrix_of, pack, poisson_of, time_radius_of
 
 NEAR = 0.5
 """The distance from its target, in samples, within which a stroke's point has arrived."""
@@ -70,7 +70,8 @@ def resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     its target: a fixed border does not hold it back either. ``"damp"`` scales a drag that folds to the largest one that
     does not, within 0.2 %; ``"error"`` refuses it (`FoldError`), and one that the border or a freeze mask holds back by
     more than half a sample; the paper's border, ``"sine"``, only warns of that. SuppleError if the stroke does not fit
-    the domain; or if it cannot flow to its target, at all or in `MOST_SUBSTROKES` strokes.
+    the domain; or if it cannot flow to its target, at all or in `MOST_SUBSTROKES` strokes. In a clip, sym(J) is that
+    in the stroke's own metric, along the axes along which it moves points.
     """
     return _resolved(stroke, domain, on_fold, current_spelling())  # which its warning follows
 
@@ -78,9 +79,19 @@ def resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
 # A stroke does not depend on those before it: after an edit, the rows of the others are reused.
 @lru_cache(maxsize=4096)
 def _resolved(stroke: Stroke, domain: Domain, on_fold: FoldPolicy, spelling: Spelling) -> Resolved:
+    # In a clip, in the stroke's own metric, where a radius in time is as long as one in space.
+    stretch = 1.0
+    if domain.time:
+        stretch = stroke.radius / (domain.spacing[2] * time_radius_of(stroke, domain.shape[0], domain.spacing[2]))
+    domain = domain if stretch == 1 else domain.stretched(stretch)
     made = _resolve(stroke, domain, on_fold)
     if mask_of(domain) is not None and not stroke.also and not stroke.is_still and made.warning is None:
         made = _held_back(stroke, domain, on_fold, made)
+    if stretch != 1:
+        made = replace(made, rows=made.rows.copy())
+        made.rows["stretch"] = stretch
+        for name in ("pivot", "force"):
+            made.rows[name][:, 2] /= stretch
     made.rows.flags.writeable = False
     return made
 
@@ -265,7 +276,7 @@ def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
         return Resolved(table[:0], stroke.at)
     # A point outside a fixed border is not moved; a brush only passes there.
     weights = axes if held and fixed.any() else None
-    longest = (1 - FLOW_MARGIN) * limit(poisson, stroke.scales, stroke.reach) * stroke.radius
+    longest = (1 - FLOW_MARGIN) * limit(poisson, stroke.scales, stroke.reach, stroke.flat) * stroke.radius
     refused = held and math.hypot(*drag.tolist()) > MOST_SUBSTROKES * longest
     rows: list[Floats] = []
     margin, pieces = 1.0, 2.0

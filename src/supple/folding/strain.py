@@ -32,26 +32,28 @@ GAP = 0.002
 _LOOKED_AT = 128  # strokes of a group, the strongest
 _CLOSER = 16  # points around which a search goes on
 _FREE_GAP = 1e-9  # computed once for all strokes of a kind
+_FLAT_GAP = 1e-3  # bounds of a plateau are wider
 _FARTHEST = 1000.0  # radii: without a limit, the strain is below 5e-6 of that at the pivot from there on
 _BEYOND = 5e-6
 
 
-def limit(poisson: float, scales: int, reach: float | None = None) -> float:
+def limit(poisson: float, scales: int, reach: float | None = None, flat: float = 0.0) -> float:
     """Return the largest |f|/ε of a stroke with a free border: there, λ_min(sym(I + J)) reaches 0.
 
-    With a reach, in radii, the value is smaller by a factor of 1 - 10⁻⁹ at most.
+    With a reach, in radii, the value is smaller by a factor of 1 - 10⁻⁹ at most, and with a plateau (``flat``, a part
+    of the radius) of 1 - 10⁻³.
     """
-    return -1 / _free(poisson, scales, math.inf if reach is None else reach)[0]
+    return -1 / _free(poisson, scales, math.inf if reach is None else reach, flat)[0]
 
 
 @lru_cache(maxsize=1024)
-def _free(poisson: float, scales: int, reach: float) -> tuple[float, float, float]:
+def _free(poisson: float, scales: int, reach: float, flat: float = 0.0) -> tuple[float, float, float]:
     """Return bounds of μ for |f| = ε = 1 and a free border, and the place of the upper bound ahead of the pivot."""
     stroke = Stroke(at=(0.0, 0.0), by=(1.0, 0.0), radius=1.0, poisson=poisson, scales=scales)
     row = pack([stroke], (1.0, 1.0))[0]
     if reach < math.inf:
-        row["reach"] = reach
-        return _core.smallest_free_strain(_numbers(row), _FREE_GAP)
+        row["reach"], row["flat"] = reach, flat
+        return _core.smallest_free_strain(_numbers(row), _FLAT_GAP if flat else _FREE_GAP)
     e, a, g = row["radius2"], row["p"] + row["r"], row["q"] - row["r"] * row["radius2"]
 
     def slope(u: float) -> float:
@@ -85,7 +87,7 @@ def weakest(
     apart by the relative ``gap``, or three times that with a mask; rounding and the limited number of boxes can leave
     more, if |μ| is very small or the volume very anisotropic.
     """
-    if len(rows) > 1 or rows["power"][0] != 1 or mask is not None:
+    if len(rows) > 1 or rows["power"][0] != 1 or mask is not None or _slants(rows[0]):
         around, beyond = _around(rows, axes)
         if mask is not None:
             gap *= 3  # beside what is frozen, close bounds take long
@@ -105,7 +107,7 @@ def weakest(
     if size == 0:
         return 0.0, 0.0
     radius = math.sqrt(row["radius2"][0])
-    lower, upper, distance = _free(_poisson(row), int(row["terms"]), row["reach"] / radius)
+    lower, upper, distance = _free(_poisson(row), int(row["terms"]), row["reach"] / radius, row["flat"] / radius)
     lower, upper, distance = lower / radius, upper / radius, distance * radius
     if bounded:
         unit = row.copy()
@@ -176,6 +178,11 @@ def _around(rows: Table, axes: Floats) -> tuple[Floats, float]:
 
 def _numbers(row: np.void) -> Floats:
     return numbers(np.array([row]))
+
+
+def _slants(row: np.void) -> bool:
+    """Return whether a drag goes both across and along a clip's time, which it does not couple."""
+    return bool(not row["coupled"] and row["force"][2] and row["force"][:2].any())
 
 
 def _poisson(row: np.void) -> float:

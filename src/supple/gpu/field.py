@@ -32,8 +32,13 @@ def packed(table: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
     with np.errstate(over="ignore"):  # checked by `fits`
         out["pivot"] = table["pivot"]
         out["rest"][:, :3] = table["pivot"] - out["pivot"].astype(np.float64)
-        out["rest"][:, 3] = 1.0 / table["reach"]
+        flat = table["flat"]
+        beyond = np.where(flat > 0, table["reach"] - flat, 1.0)
+        out["rest"][:, 3] = np.where(flat > 0, (beyond + flat / 2) / beyond**2, 1.0 / table["reach"])
+        rim = np.cbrt(0.25 * flat * table["radius2"][:, 0])
+        out["metric"] = np.stack([table["stretch"], table["coupled"], flat, rim], axis=1)
         out["force"], out["terms"], out["power"] = table["force"], table["terms"], table["power"]
+        out["force"][:, 2] *= table["stretch"]
         out["matrix"][..., :3] = np.swapaxes(table["matrix"], 1, 2)  # columns
         out["joined"], out["turn"] = table["joined"], table["turn"]
         out["radius2"][:, :3] = table["radius2"]

@@ -110,7 +110,8 @@ class _Drawn:
             "nodes": (columns, rows),
             "origin": sight.origin,
             "scale": sight.scale,
-            "time": sight.time,
+            "frame": sight.time,
+            "time": 0.0 if (axes[2, :3] == (0.0, 0.0, 0.0)).all() else sight.time,  # frames may be pictures
             "source": self.size,
             "strokes": table.size,
             "overlay": OVERLAYS[sight.overlay],

@@ -76,6 +76,7 @@ CODECS = {
     "av1": Codec("libsvtav1", colours=True, hides=True),
     "prores": Codec("prores_ks", colours=True, limited_in=_ALL, alone=True),
     "ffv1": Codec("ffv1", alone=True),
+    "dnxhd": Codec(alone=True),
     "mpeg4": Codec("mpeg4", aspect=True, limited_in=frozenset(("mov",))),
     "mpeg2video": Codec("mpeg2video", colours=True, aspect=True, limited_in=_ALL),
     "mjpeg": Codec("mjpeg", aspect=True, bt601=True, centred=True, alone=True),

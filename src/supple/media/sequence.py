@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
+import shutil
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -353,11 +354,16 @@ class PictureSink:
         self._clip, self._folder, self._temporary, self._names = clip, folder, temporary, names
         self._options = options
         self._said: set[str] = set()
+        self.copied = 0  # files that are those of the source
 
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
         """Write frame ``k``: arrays in the clip's layout."""
         name = self._names(k)
         like = None
+        if still and self._is_copied(name, k):
+            shutil.copyfile(self._clip.paths[k], self._temporary / name)  # type: ignore[attr-defined]
+            self.copied += 1
+            return
         if isinstance(self._clip, Layered):
             like, pixels = self._clip.layered(arrays, k), arrays[0]
         elif isinstance(self._clip, Pictures):
@@ -381,6 +387,13 @@ class PictureSink:
             text = str(warning.message).replace(temporary, final)
             self._say(warning.category, text, text.replace(final, ""))
 
+    def _is_copied(self, name: str, k: int) -> bool:
+        """Return whether the file of an unchanged frame is what would be written: of the same format, as it is."""
+        clip = self._clip
+        if not isinstance(clip, Pictures) or isinstance(clip, Animation) or any(self._options.values()):
+            return False
+        return Path(name).suffix.lower() == clip.paths[k].suffix.lower()
+
     def _as_rgb(self, arrays: Sequence[Array]) -> Array:
         """Return a video's frame, upright, in RGB or RGBA."""
         layout = self._clip.layout
@@ -400,49 +413,63 @@ class PictureSink:
 
 @contextlib.contextmanager
 def writer(
-    clip: Clip, target: PathLike, *, force: bool = False, quality: int | None = None, lossless: bool = False
+    clip: Clip,
+    target: PathLike,
+    *,
+    force: bool = False,
+    quality: int | None = None,
+    lossless: bool = False,
+    only: int | None = None,
+    first: int = 1,
 ) -> Iterator[PictureSink]:
-    """Write a clip's frames as images, which appear all together or not at all.
+    """Write a clip's frames as images, which appear all together or not at all; or ``only`` one, as an image file.
 
     Each image gets the profile, the EXIF and the like of its source. A video's frames become RGB or RGBA of 8 bits, or
     of 16 if it has more than 8 and they can be converted; and are turned upright. ``target`` is a pattern such as
     ``out/%05d.png``, or a folder, which is created if it is missing. Numbers, and names in a folder, are those of the
-    source's images; a video's start at 1, and are ``%05d.png``. ``quality`` and ``lossless`` are as in
+    source's images; a video's start at ``first``, 1 by default, and are ``%05d.png``. Unchanged frames of a sequence
+    are copies of its files, if these are of the same format. ``quality`` and ``lossless`` are as in
     `supple.media.image.write`.
 
     SuppleError if an image exists already, the format cannot hold these pixels, or nothing can be written there.
     """
     text = os.fspath(target)
     check_target(text)
-    if has_number(text):
-        folder, name = Path(text).parent, _numbers(clip, text)
+    if only is not None:
+        folder, name = Path(text).parent, _one(text)
+    elif has_number(text):
+        folder, name = Path(text).parent, _numbers(clip, text, first)
     else:
-        folder, name = Path(text), _mirrored(clip)
-    listed = [name(k) for k in range(clip.count)]
+        folder, name = Path(text), _mirrored(clip, first)
+    listed = [name(k) for k in (range(clip.count) if only is None else (only,))]
     check_outputs((folder / each for each in listed), force=force)
     options = {"quality": quality, "lossless": lossless}
-    if clip.unpictured:
+    if clip.unpictured and only is None:
         text = f"{shown(folder)} gets pictures alone, without the {' and the '.join(clip.unpictured)} of {clip.name}"
         warnings.warn(text, ClipWarning, stacklevel=3)
     with replacing_all(folder, force=force) as temporary:
         yield PictureSink(clip, folder, temporary, name, options)
         left = len(set(_others(folder, text)) - set(listed))
-        if left:
+        if left and only is None:
             text = f"{shown(folder)} also holds {left} other pictures, which are left as they were"
             warnings.warn(text, ImageWarning, stacklevel=3)
 
 
-def _numbers(clip: Clip, text: str) -> Callable[[int], str]:
-    """Return the names of a pattern, with the numbers of the source."""
+def _one(text: str) -> Callable[[int], str]:
+    return lambda _: Path(text).name
+
+
+def _numbers(clip: Clip, text: str, first: int) -> Callable[[int], str]:
+    """Return the names of a pattern, with the numbers of the source, or from the first one."""
     spell = spelling(Path(percent(text)).name, text)
-    first = clip.first if isinstance(clip, Pictures) and clip.first is not None else 1
+    first = clip.first if isinstance(clip, Pictures) and clip.first is not None else first
     return lambda k: spell(first + k)
 
 
-def _mirrored(clip: Clip) -> Callable[[int], str]:
+def _mirrored(clip: Clip, first: int) -> Callable[[int], str]:
     """Return the names in a folder: those of the source, in a writable format."""
     if not isinstance(clip, Pictures):
-        return lambda k: f"{k + 1:05d}.png"
+        return lambda k: f"{first + k:05d}.png"
     other = ".tif" if clip.layout.dtype.kind == "f" else ".png"
     names = [p.name if p.suffix.lower() in SUFFIXES_OUT else p.with_suffix(other).name for p in clip.paths]
     taken: dict[str, Path] = {}

@@ -8,7 +8,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
+from supple.errors import shown
 from supple.media.files import PathLike, head_of, unreadable
+from supple.media.timecode import PATTERN
 from supple.space.checks import LARGEST, LONGEST_AXIS, choice, value_shown
 
 Convention = Literal["pixels", "nuke", "ae"]
@@ -57,6 +59,7 @@ def read_tracks(
     convention: Convention | None = None,
     height: int | Callable[[], int] | None = None,
     first: int | None = None,
+    frames: Callable[[str, str], int] | None = None,
 ) -> tuple[Track, ...]:
     """Return the tracks of a table, of a script of Nuke, or of keyframes copied from After Effects.
 
@@ -68,7 +71,8 @@ def read_tracks(
     from 0; ``"nuke"``: from the lower left corner, y upwards, with pixel centres at halves, and frames from 1; for it,
     ``height`` is that of the frames; ``"ae"``: from the top left corner, with pixel centres at halves, and frames from
     0. Scripts and keyframes have their own; a table with a header is in pixels by default. ``first`` is the number that
-    the file gives to the first frame of the clip, if it is another one: 1001, for instance.
+    the file gives to the first frame of the clip, if it is another one: 1001, for instance. Of the frames of a table,
+    ``frames`` returns those that are timecodes, counted from 0; its first argument names the file in messages.
 
     SuppleError, with the line or the track, if it cannot be read or holds no tracks, or its convention is not known.
     """
@@ -83,6 +87,9 @@ def read_tracks(
     elif _CURVE.search(text):
         own, found = "nuke", _nuke(path, text)
     else:
+        if frames is not None:  # before the cells are split, perhaps at semicolons
+            start = _FIRST[convention or "pixels"] if first is None else first
+            text = re.sub(PATTERN, lambda code: str(frames(shown(path), code[0]) + start), text)
         headed, found = _table(path, text)
         own = convention or ("pixels" if headed else "")
         if not own:

@@ -157,6 +157,15 @@ class Domain:
         wanted = self.border if isinstance(self.border, tuple) else (self.border,) * self.ndim
         return tuple(min(width, extent / 2) for width, extent in zip(wanted, self.extent, strict=True))
 
+    def stretched(self, factor: float) -> Domain:
+        """Return the domain of a clip with its time axis, and the border along it, a factor longer."""
+        border = self.border
+        if isinstance(border, float | tuple):
+            x, y, along = border if isinstance(border, tuple) else (border,) * 3
+            border = (x, y, along * factor)
+        spacing = (*self.spacing[:2], self.spacing[2] * factor)
+        return Domain(self.shape, spacing, border, self.border_profile, self.time, self.freeze)
+
     def packed(self) -> npt.NDArray[np.float64]:
         """Return the domain in the layout of the core.
 

@@ -284,6 +284,21 @@ class Freeze:
         step = tuple(b - a for a, b in zip(first, next_, strict=True))
         return replace(self, samples=some, first=tuple(first), step=step)
 
+    def over(self, plane: Self | None, shape: tuple[int, int]) -> Self:
+        """Return the product of a mask along time alone, and one of a frame of a shape, if any, the same in all frames.
+
+        It is exact: the product of two splines along different axes is one, whose coefficients are products.
+        """
+        if plane is None:
+            return replace(self, samples=(*reversed(shape), self.samples[2]))
+        if plane.ndim != 2:
+            raise SuppleError(f"{plane.told} has times of its own, and frames cannot be held besides: leave one out")
+        values = np.rint(self.coefficients * (plane.coefficients / _FREE)).astype(np.uint8)
+        parts: dict[str, Any] = {
+            name: (*getattr(plane, name), getattr(self, name)[2]) for name in ("samples", "size", "first", "step")
+        }
+        return replace(plane, values=values.tobytes(), **parts)
+
     def entry(self) -> dict[str, Any]:
         """Return the mask as JSON has it; the coefficients are compressed (zlib) and in base 64."""
         packed = base64.b64encode(zlib.compress(self.values, 9)).decode()

@@ -1,4 +1,4 @@
-"""Keyframes: where a stroke is, and how strong, in some frames of a clip; and the curves between them."""
+"""Keyframes: where a stroke is, how it is turned, and how large and strong it is; and the curves between them."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from supple.errors import SuppleError
-from supple.space.checks import LONGEST_AXIS, integer, number, point, refuse
+from supple.space.checks import LARGEST, LONGEST_AXIS, integer, number, point, refuse
 
 _PART = "a number from 0 to 1"
+_FACTOR = "a number from 0.01 to 100"
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,21 +26,31 @@ class Key:
         The position, x and y in pixels, of the point that is the stroke's ``at``.
     strength : float, optional
         The applied fraction of the stroke, from 0 to 1: a factor beside the stroke's own strength.
+    angle : float, optional
+        The degrees by which the stroke is turned about its ``at``, from x towards y: its points, drags and axis.
+    scale : float, optional
+        The factor of its lengths: the distances of its points from ``at``, its drags and its radius.
     """
 
     frame: int
     at: tuple[float, ...] | None = None
     strength: float | None = None
+    angle: float | None = None
+    scale: float | None = None
 
     def __post_init__(self) -> None:
         frame = integer("frame", self.frame, "a whole number, counted from 0", -LONGEST_AXIS, LONGEST_AXIS)
         object.__setattr__(self, "frame", frame)
-        if self.at is None and self.strength is None:
-            raise SuppleError(f"the key of frame {frame} must have at, strength or both, and has neither")
+        if (self.at, self.strength, self.angle, self.scale) == (None,) * 4:
+            raise SuppleError(f"the key of frame {frame} must have at, strength, angle or scale, and has none")
         if self.at is not None:
             object.__setattr__(self, "at", point("at", self.at, (2,)))
         if self.strength is not None:
             object.__setattr__(self, "strength", number("strength", self.strength, _PART, 0.0, 1.0))
+        if self.angle is not None:
+            object.__setattr__(self, "angle", number("angle", self.angle, "a number of degrees", -LARGEST, LARGEST))
+        if self.scale is not None:
+            object.__setattr__(self, "scale", number("scale", self.scale, _FACTOR, 0.01, 100.0))
 
 
 def checked_keys(given: object, ndim: int) -> tuple[Key, ...]:
@@ -69,10 +80,10 @@ def position(keys: Sequence[Key], frame: float) -> tuple[float, ...] | None:
     return tuple(curve(frames, values, frame) for values in zip(*(at for _, at in known), strict=True))
 
 
-def strength(keys: Sequence[Key], frame: float) -> float:
-    """Return the strength in a frame; 1 if no key has any."""
-    known = [(key.frame, key.strength) for key in keys if key.strength is not None]
-    return curve([k for k, _ in known], [part for _, part in known], frame) if known else 1.0
+def value(keys: Sequence[Key], name: str, frame: float, default: float) -> float:
+    """Return the strength, the angle or the scale in a frame; the default if no key has any."""
+    known = [(key.frame, part) for key in keys if (part := getattr(key, name)) is not None]
+    return curve([k for k, _ in known], [part for _, part in known], frame) if known else default
 
 
 def curve(frames: Sequence[int], values: Sequence[float], frame: float) -> float:

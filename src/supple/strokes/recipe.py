@@ -161,7 +161,11 @@ class Recipe:
 
     def _scaled(self, scaling: Scaling, size: tuple[int, ...]) -> Self:
         strokes = [
-            replace(stroke.mapped(scaling.point, scaling.drag), radius=stroke.radius * scaling.length)
+            replace(
+                stroke.mapped(scaling.point, scaling.drag),
+                radius=stroke.radius * scaling.length,
+                time_radius=None if stroke.time_radius is None else stroke.time_radius * scaling.factors[2],
+            )
             for stroke in self.strokes
         ]
         border = self.border
@@ -191,7 +195,8 @@ class Recipe:
         text : str
             The JSON text. All keys but ``supple`` and ``strokes``, and of a stroke ``brush``, ``at``, ``radius`` and
             ``by`` (or ``to``), have defaults. A recipe of version 1 has no ``reach``, and the border is ``"sine"``.
-            Twists of version 2 move points along chords (``chord``).
+            Twists of version 2 move points along chords (``chord``), and in clips its strokes are as long in time as in
+            space, and move both (``isotropic``).
 
         Raises
         ------

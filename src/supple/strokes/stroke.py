@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -12,8 +13,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError, none
 from supple.space.checks import LARGEST, choice, integer, length, number, point, refuse
-from supple.strokes.keys import Key, checked_keys, position
-from supple.strokes.keys import strength as strength_of
+from supple.strokes.keys import Key, checked_keys, position, value
 
 Brush = Literal["grab", "twist", "scale", "pinch"]
 Point = Sequence[float] | npt.NDArray[Any]
@@ -22,10 +22,12 @@ Place = tuple[float, ...]
 REACH = 4.0  # as natural as an unlimited reach, and local
 LARGEST_ANGLE = 3600.0  # degrees
 LARGEST_FACTOR = 100.0
+MOST_FLAT = 0.9
 MOST_HANDLES = 1000
 PAINTINGS = frozenset(("restore", "smooth"))
 """The names of strokes that were painted, many at a time."""
 PART = "a number from 0 to 1"
+FADE = 5  # frames beyond a track, within which what follows it fades
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +50,13 @@ class Stroke:
     reach : float or None
         The reach in radii, from 1: farther than that from the way of its points, from start to target, the displacement
         is exactly 0. None: unlimited, as in the paper.
+    time_radius : float or None
+        In a clip, the brush's radius in time, in frames: the brush is an ellipsoid, and the reach is so many radii of
+        either kind. None: the larger of the drag in time and an eighth of the clip, but no more than the radius is in
+        frames (`supple.strokes.time_radius_of`).
+    flat : float
+        Of a grab with a reach: the part of its radius, in space and time, up to 0.9, within which all moves as its
+        point does.
     brush : str
         ``"grab"`` moves the pivot by the drag. The others are affine at the pivot, and fade with the distance:
         ``"twist"`` turns it by the angle; ``"scale"`` magnifies it by the factor (in a clip, in x and y alone);
@@ -62,6 +71,10 @@ class Stroke:
     chord : bool
         Of a twist: whether points move along chords, and so nearer to the pivot, as in recipes before version 3.
         Otherwise they keep their distance from it.
+    isotropic : bool
+        In a clip, whether time counts as a direction in space, as in recipes before version 3: the radius is as long in
+        time, and a drag in the plane moves points in time as well. Otherwise what is not dragged stays, the plane or
+        time, unless ``poisson`` is given.
     also : sequence of (sequence of float, sequence of float)
         Of a grab: further points and their drags, in samples. All are carried out at once, so that each point arrives;
         a point with a drag of 0 is a pin.
@@ -74,8 +87,8 @@ class Stroke:
     strength : float
         The applied fraction of the drag, from 0 to 1; see `Deformation.from_recipe`.
     keys : sequence of Key
-        In a clip, of a stroke of two coordinates: where its point ``at`` is, and how strong it is, in some frames, in
-        ascending order. The whole stroke moves along with ``at``; see `Recipe.at_frame`.
+        In a clip, of a stroke of two coordinates: where its point ``at`` is, how it is turned and scaled, and how
+        strong it is, in some frames, in ascending order. The whole stroke moves along; see `Recipe.at_frame`.
     """
 
     at: Place
@@ -84,11 +97,14 @@ class Stroke:
     poisson: float | None = None
     scales: int = 1
     reach: float | None = REACH
+    time_radius: float | None = None
+    flat: float = 0.0
     brush: Brush = "grab"
     angle: float | None = None
     factor: float | None = None
     axis: Place | None = None
     chord: bool = False
+    isotropic: bool = False
     also: tuple[tuple[Place, Place], ...] = ()
     path: tuple[Place, ...] = ()
     hidden: bool = False
@@ -98,10 +114,9 @@ class Stroke:
 
     def __post_init__(self) -> None:
         choice("brush", self.brush, get_args(Brush))
-        if not isinstance(self.hidden, bool):
-            refuse("hidden", "true or false", self.hidden)
-        if not isinstance(self.chord, bool):
-            refuse("chord", "true or false", self.chord)
+        for name in ("hidden", "chord", "isotropic"):
+            if not isinstance(getattr(self, name), bool):
+                refuse(name, "true or false", getattr(self, name))
         if not isinstance(self.name, str | None):
             refuse("name", "text", self.name)
         at = point("at", self.at)
@@ -114,14 +129,31 @@ class Stroke:
             else number("poisson", self.poisson, "a number up to 0.5, or -inf", -math.inf, 0.5),
             "scales": integer("scales", self.scales, "1, 2 or 3", 1, 3),
             "reach": _checked_reach(self.reach),
+            "time_radius": self._checked_time_radius(len(at)),
+            "flat": self._checked_flat(),
             "strength": number("strength", self.strength, PART, 0.0, 1.0),
             **self._checked_shape(len(at)),
             "also": self._checked_pairs(len(at)),
             "path": self._checked_path(len(at)),
             "keys": checked_keys(self.keys, len(at)),
         }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        for name, item in checked.items():
+            object.__setattr__(self, name, item)
+
+    def _checked_time_radius(self, ndim: int) -> float | None:
+        if self.time_radius is None:
+            return None
+        if ndim == 2 or self.isotropic:
+            which = "a stroke that is isotropic" if self.isotropic else "points of 2 numbers, which have no time"
+            refuse("time_radius", f"left out for {which}", self.time_radius)
+        return length("time_radius", self.time_radius)
+
+    def _checked_flat(self) -> float:
+        flat = number("flat", self.flat, f"a part of the radius from 0 to {MOST_FLAT}", 0.0, MOST_FLAT)
+        if flat and (self.brush != "grab" or self.also or self.reach is None):
+            which = "a pull" if self.also else f"a {self.brush}" if self.brush != "grab" else "a grab without a reach"
+            refuse("flat", f"left out for {which}", flat)
+        return flat
 
     def _checked_by(self, at: Place) -> Place:
         if self.brush == "grab":
@@ -194,6 +226,8 @@ class Stroke:
         poisson: float | None = None,
         scales: int = 1,
         reach: float | None = REACH,
+        time_radius: float | None = None,
+        flat: float = 0.0,
         strength: float = 1.0,
     ) -> Self:
         """Return a stroke that drags the point ``at`` ``to`` another, or ``by`` a distance, or along a ``path``."""
@@ -208,7 +242,7 @@ class Stroke:
         else:
             raise SuppleError(f"a grab takes one of to and by, found {'neither' if to is None else 'both'}")
         known: dict[str, Any] = {"poisson": poisson, "scales": scales, "reach": reach, "strength": strength}
-        return cls(at=start, by=drag, path=path, radius=radius, **known)  # type: ignore[arg-type]
+        return cls(at=start, by=drag, path=path, radius=radius, time_radius=time_radius, flat=flat, **known)  # type: ignore[arg-type]
 
     @classmethod
     def twist(
@@ -219,17 +253,27 @@ class Stroke:
         radius: float,
         axis: Point | None = None,
         reach: float | None = REACH,
+        time_radius: float | None = None,
         strength: float = 1.0,
     ) -> Self:
         """Return a stroke that turns what is around a point; see `supple.Deformation.twist`."""
-        return cls(brush="twist", at=at, angle=angle, axis=axis, radius=radius, reach=reach, strength=strength)  # type: ignore[arg-type]
+        known: dict[str, Any] = {"reach": reach, "time_radius": time_radius, "strength": strength}
+        return cls(brush="twist", at=at, angle=angle, axis=axis, radius=radius, **known)  # type: ignore[arg-type]
 
     @classmethod
     def scale(
-        cls, at: Point, *, factor: float, radius: float, reach: float | None = REACH, strength: float = 1.0
+        cls,
+        at: Point,
+        *,
+        factor: float,
+        radius: float,
+        reach: float | None = REACH,
+        time_radius: float | None = None,
+        strength: float = 1.0,
     ) -> Self:
         """Return a stroke that magnifies what is around a point; see `supple.Deformation.scale`."""
-        return cls(brush="scale", at=at, factor=factor, radius=radius, reach=reach, strength=strength)  # type: ignore[arg-type]
+        known: dict[str, Any] = {"reach": reach, "time_radius": time_radius, "strength": strength}
+        return cls(brush="scale", at=at, factor=factor, radius=radius, **known)  # type: ignore[arg-type]
 
     @classmethod
     def pinch(
@@ -241,11 +285,12 @@ class Stroke:
         axis: Point | None = None,
         poisson: float | None = None,
         reach: float | None = REACH,
+        time_radius: float | None = None,
         strength: float = 1.0,
     ) -> Self:
         """Return a stroke that squeezes what is around a point; see `supple.Deformation.pinch`."""
         known: dict[str, Any] = {"axis": axis, "poisson": poisson, "reach": reach, "strength": strength}
-        return cls(brush="pinch", at=at, factor=factor, radius=radius, **known)  # type: ignore[arg-type]
+        return cls(brush="pinch", at=at, factor=factor, radius=radius, time_radius=time_radius, **known)  # type: ignore[arg-type]
 
     @classmethod
     def pull(
@@ -258,6 +303,7 @@ class Stroke:
         radius: float,
         poisson: float | None = None,
         reach: float | None = REACH,
+        time_radius: float | None = None,
         strength: float = 1.0,
     ) -> Self:
         """Return a stroke that drags many points at once; see `supple.Deformation.pull`."""
@@ -280,7 +326,8 @@ class Stroke:
         if len(pairs) > MOST_HANDLES:
             refuse("points", f"at most {MOST_HANDLES} points, pins among them", len(pairs))
         (at, drag), *also = pairs
-        return cls(at=at, by=drag, also=also, radius=radius, poisson=poisson, reach=reach, strength=strength)  # type: ignore[arg-type]
+        known: dict[str, Any] = {"poisson": poisson, "reach": reach, "strength": strength}
+        return cls(at=at, by=drag, also=also, radius=radius, time_radius=time_radius, **known)  # type: ignore[arg-type]
 
     @property
     def ndim(self) -> int:
@@ -321,8 +368,10 @@ class Stroke:
             return tuple((np.array(p) - 2 * np.dot(np.array(p) - origin, n) * n).tolist())
 
         axis = None if self.direction is None else turned(self.direction)
+        image = self.mapped(placed, turned)
         return replace(
-            self.mapped(placed, turned),
+            image,
+            keys=tuple(key if key.angle is None else replace(key, angle=-key.angle) for key in image.keys),
             angle=None if self.angle is None else -self.angle,
             axis=self.axis if axis == self.direction else axis,
         )
@@ -382,25 +431,39 @@ class Stroke:
         )
 
     def at_frame(self, frame: float) -> Self:
-        """Return what the stroke is in a frame of a clip, by its keys: moved as a whole, and of another strength.
+        """Return what the stroke is in a frame of a clip, by its keys: moved, turned and scaled as a whole, and weaker.
 
-        Between two keys, each coordinate and the strength follow a smooth curve that never leaves their range; before
-        the first and after the last, they are constant.
+        Between two keys, each coordinate, the angle, the scale and the strength follow a smooth curve that never leaves
+        their range; before the first and after the last, they are constant.
         """
         if not self.keys:
             return self
-        held = replace(self, keys=(), strength=self.strength * strength_of(self.keys, frame))
-        at = position(self.keys, frame)
-        if at is None or at == self.at:
+        held = replace(self, keys=(), strength=self.strength * value(self.keys, "strength", frame, 1.0))
+        angle, scale = value(self.keys, "angle", frame, 0.0), value(self.keys, "scale", frame, 1.0)
+        at = position(self.keys, frame) or self.at
+        if (at, angle, scale) == (self.at, 0.0, 1.0):
             return held
-        shift = [b - a for a, b in zip(self.at, at, strict=True)]
+        turn = cmath.rect(scale, math.radians(angle))
+
+        def turned(v: Place) -> Place:
+            made = turn * complex(*v)
+            return made.real, made.imag
 
         def moved(p: Place) -> Place:
-            return tuple(a + d for a, d in zip(p, shift, strict=True))
+            arm = tuple(a - b for a, b in zip(p, self.at, strict=True))
+            return tuple(a + (b - c) + (d - e) for a, b, c, d, e in zip(p, turned(arm), arm, at, self.at, strict=True))
 
-        return replace(held.mapped(moved, lambda v: v), at=at)
+        made = replace(held, axis=self.direction if angle else self.axis).mapped(moved, turned)
+        return replace(made, at=at, radius=self.radius * scale)
 
-    def following(self, track: Sequence[tuple[int, Point]], frame: float | None = None) -> Self:
+    def following(
+        self,
+        track: Sequence[tuple[int, Point]],
+        frame: float | None = None,
+        *,
+        second: Sequence[tuple[int, Point]] = (),
+        outside: Literal["fade", "hold"] = "fade",
+    ) -> Self:
         """Return the stroke with keys that move it along with a tracked point.
 
         Parameters
@@ -410,27 +473,44 @@ class Stroke:
         frame : float, optional
             The frame in which the stroke is where it is now: there, it keeps its distance from the tracked point, as
             it does in all frames. By default, the first of the track.
+        second : sequence of (int, point)
+            A second point of the same thing: the stroke turns and grows with the way from the first to this one, in
+            the frames that both have.
+        outside : str
+            ``"fade"``: before and after the track, the stroke is weakened to nothing within 5 frames, unless it has
+            keys with a strength. ``"hold"``: it stays as it is at the ends of the track.
 
         Raises
         ------
         SuppleError
             If the track is none, or the stroke has positions in its keys already.
         """
+        choice("outside", outside, ("fade", "hold"))
         keys = checked_keys([Key(k, tuple(at)) for k, at in track], self.ndim)
         if not keys:
             refuse("a track", "the positions of a point in one frame or more", track)
-        if any(key.at is not None for key in self.keys):
+        if any((key.at, key.angle, key.scale) != (None,) * 3 for key in self.keys):
             raise SuppleError("the stroke has keys with positions, and cannot follow a track too: leave one out")
-        origin = position(
-            keys, keys[0].frame if frame is None else number("frame", frame, "a frame", -LARGEST, LARGEST)
-        )
+        turns, degrees = dict.fromkeys((key.frame for key in keys), 1 + 0j), dict[int, float]()
+        begin = keys[0].frame if frame is None else number("frame", frame, "a frame", -LARGEST, LARGEST)
+        if len(second):
+            turns, degrees = _turns(keys, checked_keys([Key(k, tuple(at)) for k, at in second], self.ndim), begin)
+            keys = tuple(key for key in keys if key.frame in turns)
+        origin = position(keys, begin)
         assert origin is not None
-        shift = [a - b for a, b in zip(self.at, origin, strict=True)]
+        arm = complex(*self.at) - complex(*origin)
         made = {key.frame: key for key in self.keys}
-        for key in keys:
-            assert key.at is not None
-            at = tuple(a + d for a, d in zip(key.at, shift, strict=True))
-            made[key.frame] = replace(made.get(key.frame, key), at=at)
+        for k, at in ((key.frame, key.at or ()) for key in keys):
+            away = turns[k] * arm
+            place: dict[str, Any] = {"at": (at[0] + away.real, at[1] + away.imag)}
+            place |= {"angle": degrees[k], "scale": abs(turns[k])} if degrees else {}
+            made[k] = replace(made.get(k, Key(k, **place)), **place)
+        if outside == "fade" and not self.keys:
+            first, last = keys[0].frame, keys[-1].frame
+            for k in (first, last):
+                made[k] = replace(made[k], strength=1.0)
+            for k in (FADE, FADE + 1):  # twice, so that the curve begins and ends without a slope
+                made[first - k], made[last + k] = Key(first - k, strength=0.0), Key(last + k, strength=0.0)
         return replace(self, keys=tuple(made[k] for k in sorted(made)))
 
     @property
@@ -450,6 +530,22 @@ class Stroke:
         if self.axis is not None or self.brush not in ("twist", "pinch") or (self.brush == "twist" and self.ndim == 2):
             return self.axis
         return (0.0, 0.0, 1.0) if self.brush == "twist" else (1.0, 0.0, 0.0)[: self.ndim]
+
+
+def _turns(keys: Sequence[Key], ends: Sequence[Key], begin: float) -> tuple[dict[int, complex], dict[int, float]]:
+    """Return by what the way from one point to another is turned and scaled since a frame, and the degrees of that."""
+    known = {key.frame: complex(*key.at or ()) for key in ends}
+    ways = {key.frame: known[key.frame] - complex(*key.at or ()) for key in keys if key.frame in known}
+    if not ways:
+        raise SuppleError("the two tracks have no frame in common: track both points through the same frames")
+    for k, way in ways.items():
+        if abs(way) < 1:
+            raise SuppleError(f"the two tracks are at the same place in frame {k}: track two points that are apart")
+    first = position([Key(k, (way.real, way.imag)) for k, way in ways.items()], begin)
+    turns = {k: way / complex(*first or ()) for k, way in ways.items()}
+    degrees = np.rad2deg(np.unwrap(np.angle(list(turns.values()))))
+    degrees -= 360 * np.round(np.interp(begin, list(turns), degrees) / 360)
+    return turns, dict(zip(turns, degrees.tolist(), strict=True))
 
 
 def _points(name: str, values: object) -> list[list[float]]:

@@ -23,7 +23,9 @@ _WEIGHTS = {1: np.array([1.0]), 2: np.array([11.0, -11.0]), 3: np.array([14641.0
 _RADIUS2 = (1.0, 1.21, 1.4641)
 
 
-def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = False) -> npt.NDArray[np.void]:
+def pack(
+    strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = False, frames: int = 0
+) -> npt.NDArray[np.void]:
     """Return the strokes as the table that the core reads.
 
     With ``d = point - pivot`` and ``rho_i² = |d|² + radius2_i``, a row is the displacement
@@ -34,7 +36,10 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = Fa
     makes the cross product with it, and ``turn`` has a factor for each component of the displacement, 0 for others.
     Where ``reach`` is finite, that is multiplied by ``1 - 10t³ + 15t⁴ - 6t⁵``, ``t = |d| / reach``, and 0 beyond.
     Rows that are ``joined`` act at once with the one before them: all are evaluated at the same point, and added;
-    ``most`` bounds their displacement, if it is known, and is infinite otherwise.
+    ``most`` bounds their displacement, if it is known, and is infinite otherwise. With a ``flat``, d is multiplied by
+    ``x² / (x + flat / 2) / |d|``, ``x = max(|d| - flat, 0)``, and t is that length by what it is at the reach. Unless
+    it is ``coupled``, both d beside r have no third component. All these lengths, and the matrix, are in the row's own
+    metric, in which the third axis is ``stretch`` times as long.
 
     Parameters
     ----------
@@ -43,6 +48,8 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = Fa
         Physical units per sample, x first; as many as the strokes have coordinates.
     time : bool
         Whether the third axis is time.
+    frames : int
+        The frames of the clip, by which rows get their stretch; 0 for 1, where the spacing is stretched.
 
     Returns
     -------
@@ -53,16 +60,20 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = Fa
     for i, stroke in enumerate(strokes):
         if stroke.ndim != n:
             refuse(f"strokes[{i}].at", f"a point of {n} numbers, as the medium has {n} axes", stroke.at)
+        stretch = stroke.radius / (spacing[2] * time_radius_of(stroke, frames, spacing[2])) if frames else 1.0
+        metric = (*spacing[:2], spacing[2] * stretch) if frames else spacing
         pivot, force = (
             (*(x * step for x, step in zip(v, spacing, strict=True)), 0.0)[:3] for v in (stroke.at, stroke.by)
         )
-        matrix, power = matrix_of(stroke, spacing, time=time), 1 if stroke.brush == "grab" else 3
+        matrix, power = matrix_of(stroke, metric, time=time), 1 if stroke.brush == "grab" else 3
         terms, turn = _terms(stroke.radius, poisson_of(stroke, time=time), stroke.scales, stroke.brush), 0.0
         if stroke.angle is not None and not stroke.chord:
-            matrix, turn = _skew(_axis_of(stroke, spacing)), 1.0
+            matrix, turn = _skew(_axis_of(stroke, metric)), 1.0
             terms = np.concatenate([terms[:1], math.radians(stroke.angle) * terms[1:]])
         reach = math.inf if stroke.reach is None else stroke.reach * stroke.radius
-        rows.append((pivot, force, matrix, *terms, stroke.scales, power, 0, reach, math.inf, (turn,) * 3))
+        coupled = not time or stroke.isotropic or stroke.poisson is not None
+        own = reach, math.inf, (turn,) * 3, stretch, coupled, stroke.flat * stroke.radius
+        rows.append((pivot, force, matrix, *terms, stroke.scales, power, 0, *own))
     return np.array(rows, STROKE_DTYPE)
 
 
@@ -107,6 +118,15 @@ def poisson_of(stroke: Stroke, *, time: bool = False) -> float:
     if stroke.poisson is not None:
         return stroke.poisson
     return -math.inf if time and not any(stroke.by[:2]) else POISSON
+
+
+def time_radius_of(stroke: Stroke, frames: int, time_scale: float) -> float:
+    """Return a stroke's radius in time, in frames, in a clip of some ``frames``, each ``time_scale`` pixels long."""
+    whole = stroke.radius / time_scale
+    if stroke.isotropic or stroke.time_radius is not None:
+        return stroke.time_radius or whole
+    drags = [by[2] for _, by in stroke.handles] + [p[2] - stroke.at[2] for p in stroke.path]
+    return min(max(*map(abs, drags), frames / 8), whole)
 
 
 @lru_cache(maxsize=256)

@@ -23,14 +23,18 @@ _NEW = (
     "border_profile", "reach", "size", "space", "amount", "time_scale", "name", "strength", "to", "angle", "factor",
     "axis", "also", "path", "keys", "freeze",
 )  # fmt: skip
-_NEWER = ("chord",)  # and after version 2
+_NEWER = ("chord", "isotropic", "time_radius", "flat")  # and after version 2
+_OF_KEYS = ("angle", "scale")  # the same, of the keys of strokes
 
 
 def written(members: Mapping[str, object], strokes: Iterable[Stroke]) -> str:
     """Return the text of a recipe of some fields and strokes; fields that are None are left out, but for the border."""
     strokes = list(strokes)
-    # Twists alone differ from those of version 2.
-    version = VERSION if any(stroke.brush == "twist" for stroke in strokes) else 2
+    # Twists and strokes in time differ from those of version 2, and keys that turn or scale are new.
+    world = members.get("space") in ("LPS", "RAS")
+    turning = any((key.angle, key.scale) != (None, None) for stroke in strokes for key in stroke.keys)
+    newer = (stroke.brush == "twist" or (stroke.ndim == 3 and not world) or stroke.flat for stroke in strokes)
+    version = VERSION if turning or any(newer) else 2
     head = {"supple": version, **{k: v for k, v in members.items() if v is not None or k == "border"}}
     lines = [f"  {_dump(key)}: {_dump(_plain(value))}" for key, value in head.items()]
     entries = ",\n".join(f"    {_dump(_entry(stroke))}" for stroke in strokes)
@@ -53,7 +57,8 @@ def read(text: str, names: Sequence[str]) -> dict[str, Any]:
         refuse("strokes", "a list", data["strokes"])
     if data.get("freeze") is not None:
         data["freeze"] = Freeze.from_entry(data["freeze"])
-    data["strokes"] = [_stroke(f"strokes[{i}]", entry, version) for i, entry in enumerate(data["strokes"])]
+    world = data.get("space") in ("LPS", "RAS")
+    data["strokes"] = [_stroke(f"strokes[{i}]", entry, version, world) for i, entry in enumerate(data["strokes"])]
     return data
 
 
@@ -79,8 +84,7 @@ def _entry(stroke: Stroke) -> dict[str, object]:
     shape.update({name: x for name, x in (("also", stroke.also), ("path", stroke.path)) if x})
     if stroke.axis is not None:
         shape["axis"] = stroke.axis
-    if stroke.chord:
-        shape["chord"] = True
+    shape.update({name: True for name in ("chord", "isotropic") if getattr(stroke, name)})
     entry: dict[str, object] = {
         "brush": stroke.brush,
         "at": stroke.at,
@@ -88,6 +92,8 @@ def _entry(stroke: Stroke) -> dict[str, object]:
         "radius": stroke.radius,
         "scales": stroke.scales,
         "reach": stroke.reach,
+        **({} if stroke.time_radius is None else {"time_radius": stroke.time_radius}),
+        **({"flat": stroke.flat} if stroke.flat else {}),
         "poisson": "-inf" if stroke.poisson == -math.inf else stroke.poisson,
         "strength": stroke.strength,
     }
@@ -101,7 +107,7 @@ def _entry(stroke: Stroke) -> dict[str, object]:
 
 
 def _key_entry(key: Key) -> dict[str, object]:
-    entry = {"frame": key.frame, "at": key.at, "strength": key.strength}
+    entry = {field.name: getattr(key, field.name) for field in fields(Key)}
     return {name: _plain(value) for name, value in entry.items() if value is not None}
 
 
@@ -110,7 +116,7 @@ def _known(names: Iterable[str], version: int) -> list[str]:
     return [name for name in names if (version > 1 or name not in _NEW) and (version > 2 or name not in _NEWER)]
 
 
-def _stroke(where: str, entry: object, version: int) -> Stroke:
+def _stroke(where: str, entry: object, version: int, world: bool) -> Stroke:
     if not isinstance(entry, dict):
         refuse(where, "a JSON object", entry)
     known, end = (
@@ -130,25 +136,32 @@ def _stroke(where: str, entry: object, version: int) -> Stroke:
         entry = {"poisson": POISSON, **entry, "reach": None}
     if version < 3 and entry["brush"] == "twist":
         entry = {**entry, "chord": True}
+    if version < 3 and not world and isinstance(entry["at"], list) and len(entry["at"]) == 3:
+        entry = {**entry, "isotropic": True}
     if entry.get("poisson") == "-inf":
         entry["poisson"] = -math.inf
     if "keys" in entry:
-        entry = {**entry, "keys": _keys(where, entry["keys"])}
+        entry = {**entry, "keys": _keys(where, entry["keys"], version)}
     try:
         return Stroke(**entry)
     except SuppleError as error:
         raise SuppleError(f"{where}: {error}") from None
 
 
-def _keys(where: str, entries: object) -> list[Key]:
+def _keys(where: str, entries: object, version: int) -> list[Key]:
     if not isinstance(entries, list):
-        refuse(f"{where}: keys", "a list of objects with frame, at and strength", entries)
+        refuse(f"{where}: keys", "a list of objects with a frame", entries)
     made = []
     for i, entry in enumerate(entries):
         name = f"{where}: keys[{i}]"
         if not isinstance(entry, dict):
-            refuse(name, "an object with frame, at and strength", entry)
-        _check_keys(name, entry, [field.name for field in fields(Key)], ["frame"])
+            refuse(name, "an object with a frame, at, strength, angle or scale", entry)
+        known = [field.name for field in fields(Key) if version > 2 or field.name not in _OF_KEYS]
+        if new := next((key for key in entry if key in _OF_KEYS and key not in known), None):
+            raise SuppleError(
+                f'unknown key {value_shown(new)} in {name}: it is of version {VERSION} ("supple": {VERSION})'
+            )
+        _check_keys(name, entry, known, ["frame"])
         try:
             made.append(Key(**entry))
         except SuppleError as error:

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from supple.deformation import Deformation
+from supple.deformation import Deformation, reduced
 from supple.engine.work import Mask
 from supple.errors import FoldWarning, MissWarning, SuppleError, caller
 from supple.space.checks import refuse
@@ -36,9 +36,9 @@ Given = dict[str, torch.Tensor]  # at, by and radius, which replace numbers of a
 class Strokes:
     """Strokes as a table, of whose n rows some numbers are tensors: composed in order, they make T.
 
-    The numbers (n, 3 D + 1) are pivots and forces, in physical units; the factors of displacements along each axis;
-    and radii, in physical units. ``axes`` (D, 5) are those of the packed domain; ``mask``, the freeze mask and its
-    coefficients, from 0 to 1.
+    The numbers (n, 3 D + 2) are pivots and forces, in physical units; the factors of displacements along each axis;
+    radii, in physical units; and the stretches of time. ``axes`` (D, 5) are those of the packed domain; ``mask``, the
+    freeze mask and its coefficients, from 0 to 1.
     """
 
     numbers: torch.Tensor
@@ -51,12 +51,17 @@ class Strokes:
         n, steps = len(points), _tensor(self.axes[:, 3:4], points)
         points = start = points * steps
         for row, own in zip(self.table, self.numbers, strict=True):
-            pivot, force, gain = own[:-1].reshape(3, n, 1)
+            pivot, force, gain = own[:-2].reshape(3, n, 1)
+            stretch = torch.cat([torch.ones_like(own[:2]), own[-1:]])[:n, None]
+            apart = _tensor([1.0, 1.0, row["coupled"]], points)[:n, None]
             start = start if row["joined"] else points
             near, beta = _edges(start, self.axes)
-            r = near - pivot
-            a, b = _profiles((r * r).sum(0), own[-1], row)
-            v = force
+            r = stretch * (near - pivot)
+            if row["flat"] > 0:  # the root has no derivative at 0, where r is 0
+                plateau, rho = own[-2] * _flat(row), (r * r).sum(0).clamp(min=1e-30).sqrt()
+                r = r * _eased(rho, plateau) / rho
+            a, b = _profiles((r * r).sum(0), own[-2], row)
+            v = stretch * force
             if row["power"] == 3:
                 matrix = _tensor(row["matrix"][:n, :n], points)
                 v = matrix @ r
@@ -66,7 +71,8 @@ class Strokes:
             v = v * gain
             if self.mask is not None:
                 beta = beta * _freedom(near, *self.mask)
-            points = points + beta * (a * v + b * (r * v).sum(0) * r)
+            c = apart * r
+            points = points + beta * (a * v + b * (c * v).sum(0) * c) / stretch
         return points / steps
 
     def gradient(self, points: torch.Tensor, adjoint: torch.Tensor) -> torch.Tensor:
@@ -90,8 +96,9 @@ def strokes_of(d: Deformation, given: Given, like: torch.Tensor, dtype: torch.dt
             several = "flows in several; use on_fold='damp', a larger radius or less of it"
             several = "pulls several points; use grabs" if pulls else several
             raise SuppleError(f"gradients need strokes that are carried out in one go, found one that {several}")
-        parts = [stroke.weakened(part) for part, stroke in zip(damping, d.strokes, strict=True)]
-        table = pack(parts, d.domain.spacing, time=d.domain.time)
+        frames = d.shape[0] if d.domain.time else 0
+        parts = [reduced(stroke, part, d, d) for part, stroke in zip(damping, d.strokes, strict=True)]
+        table = pack(parts, d.domain.spacing, time=d.domain.time, frames=frames)
     like = torch.empty(0, dtype=dtype, device=like.device)
     given = {name: x.to(like) for name, x in given.items()}
     pivot, force = (_tensor(table[name][:, :n], like).reshape(-1, n) for name in ("pivot", "force"))
@@ -105,10 +112,22 @@ def strokes_of(d: Deformation, given: Given, like: torch.Tensor, dtype: torch.dt
         near, beta = _edges(pivot.T, axes)
         correction = (beta > 0) / torch.where(beta > 0, beta, 1)
         gain = torch.where((near == pivot.T).all(0), correction, 1).T.expand_as(pivot)
-    numbers = torch.cat([pivot, force, gain, radius[:, None]], 1)
+    numbers = torch.cat([pivot, force, gain, radius[:, None], _stretches(d, table, given, radius)[:, None]], 1)
     freeze = d.space.freeze
     mask = None if freeze is None else (freeze, _tensor(freeze.coefficients / 255, like).flatten())
     return Strokes(numbers, table, axes, mask)
+
+
+def _stretches(d: Deformation, table: npt.NDArray[np.void], given: Given, radius: torch.Tensor) -> torch.Tensor:
+    """Return the stretch of time of each stroke by its radius and drag, as `supple.strokes.time_radius_of` has it."""
+    if not (given and d.domain.time):
+        return _tensor(table["stretch"], radius)
+    whole = radius / d.domain.spacing[2]
+    drag = given["by"][:, 2] if "by" in given else _tensor([stroke.by[2] for stroke in d.strokes], radius)
+    own = torch.minimum(drag.abs().clamp(min=d.shape[0] / 8), whole)
+    known = [math.nan if stroke.time_radius is None else stroke.time_radius for stroke in d.strokes]
+    own = torch.where(_tensor(np.isnan(known), radius) > 0, own, _tensor(np.nan_to_num(known), radius))
+    return torch.where(_tensor([stroke.isotropic for stroke in d.strokes], radius) > 0, 1.0, whole / own)
 
 
 def _edges(points: torch.Tensor, axes: npt.NDArray[np.float64]) -> tuple[torch.Tensor, torch.Tensor]:
@@ -135,10 +154,24 @@ def _profiles(distance2: torch.Tensor, radius: torch.Tensor, row: np.void) -> tu
         a, b = a + v * (p + q * share), b + v * near * r
     if row["reach"] < math.inf:
         # The root has no derivative at 0, where that of m is 0.
-        t = (distance2 / (radius * (float(row["reach"]) / own)) ** 2).clamp(1e-30, 1).sqrt()
+        end = radius * (float(row["reach"]) / own)
+        if row["flat"] > 0:
+            end = _eased(end, radius * _flat(row))
+        t = (distance2 / end**2).clamp(1e-30, 1).sqrt()
         m = (1 - t) ** 3 * (1 + (3 + 6 * t) * t)
         a, b = m * a, m * b
     return a, b
+
+
+def _flat(row: np.void) -> float:
+    """Return the part of the radius of a row that is its plateau."""
+    return float(row["flat"] / math.sqrt(row["radius2"][0]))
+
+
+def _eased(rho: torch.Tensor, flat: torch.Tensor) -> torch.Tensor:
+    """Return g of a plateau at a distance ρ."""
+    x = (rho - flat).clamp(min=0)
+    return x * x / (x + flat / 2)
 
 
 def _freedom(points: torch.Tensor, mask: Mask, coefficients: torch.Tensor) -> torch.Tensor:

@@ -86,8 +86,9 @@ INLINE int reached(const Map& map, const double* low, const double* high) {
                 a = nearest(a, map.axes[d]);
                 b = nearest(b, map.axes[d]);
             }
-            const double near = least(most(k.pivot[d], a), b) - k.pivot[d];
-            const double far = most(magnitude(a - k.pivot[d]), magnitude(b - k.pivot[d]));
+            const double longer = d == 2 ? k.stretch : 1;
+            const double near = (least(most(k.pivot[d], a), b) - k.pivot[d]) * longer;
+            const double far = most(magnitude(a - k.pivot[d]), magnitude(b - k.pivot[d])) * longer;
             near2 += near * near;
             far2 += far * far;
         }

@@ -5,7 +5,8 @@
 // and m = (1-t)³(1+3t+6t²), t = √s/R, and 0 from t = 1 on. A grab has n = 1 and v = f; the brushes that are affine at
 // their pivot have n = 3 and v = M r. A twist turns r by the angle m A about an axis, with M r the cross product of
 // both, and `turn` multiplies the components of its displacement. Strokes that are joined to the one before them act at
-// the same point as that. With a freeze mask (freeze.wgsl), K is multiplied by its m as well.
+// the same point as that. With a freeze mask (freeze.wgsl), K is multiplied by its m as well. In a clip, r is stretched
+// along time, and with a plateau multiplied by h; see _core/stroke.hpp.
 //
 // A point is an anchor q and an offset w from it, in physical units: the accuracy of w, and of distances to pivots, in
 // float32 does not depend on the distance of q from the origin. Likewise, a pivot is the sum of two numbers.
@@ -19,7 +20,8 @@ override GRABS: bool = false; // true if all strokes are grabs, one after the ot
 
 struct Stroke {
     pivot: vec3f, terms: f32,
-    rest: vec4f, // of the pivot, and 1/R, which is 0 where the reach is unlimited
+    rest: vec4f, // of the pivot, and 1/R, which is 0 where the reach is unlimited; with a plateau, 1/g(R)
+    metric: vec4f, // the stretch of the third axis; 1 or 0, if r beside B has that component; a plateau's radius, and rim
     force: vec3f, power: f32, // n
     matrix: mat3x3f,
     radius2: vec4f,
@@ -137,10 +139,30 @@ fn profile_of(k: u32, d2: f32) -> vec4f {
     return vec4f(m_ * a, m_ * b, m_ * da + dm * a, m_ * db + dm * b);
 }
 
+// From a pivot, in the stroke's metric.
+fn from_pivot(k: u32, q: vec3f, w: vec3f) -> vec3f {
+    let d = (q - strokes[k].pivot) + (w - strokes[k].rest.xyz);
+    return vec3f(d.xy, d.z * strokes[k].metric.x);
+}
+
+// h of a plateau at a distance ρ, and h'/ρ.
+fn eased(flat_: f32, rho: f32) -> vec2f {
+    let x = max(rho - flat_, 0.0);
+    let over = 1.0 / (x + 0.5 * flat_);
+    let h = x * x * over / rho;
+    return vec2f(h, (x * (x + flat_) * over * over - h) / (rho * rho));
+}
+
 // A point and its Jacobian after stroke k, too, which acts at `start`, where the strokes that act at once begin.
 fn moved_by(k: u32, q: vec3f, start: Moved, at: Moved) -> Moved {
     let near = clamped_to_domain(q, start.offset);
-    let d = (q - strokes[k].pivot) + (near - strokes[k].rest.xyz);
+    let r = from_pivot(k, q, near);
+    let metric = strokes[k].metric;
+    var ease = vec2f(1.0, 0.0);
+    if (metric.z > 0.0) {
+        ease = eased(metric.z, max(length(r), 1e-12));
+    }
+    let d = ease.x * r;
     let d2 = dot(d, d);
     let over = strokes[k].rest.w; // 1/R
     let t2 = d2 * over * over;
@@ -163,13 +185,15 @@ fn moved_by(k: u32, q: vec3f, start: Moved, at: Moved) -> Moved {
     if (affine) {
         v = strokes[k].matrix * d;
     }
-    let rv = dot(d, v);
-    var g = b * rv;
-    var moving = a * v + g * d;
-    let c = da * v + db * rv * d;
-    let along = b * d;
+    let own_axes = vec3f(1.0, 1.0, metric.y);
+    let e = own_axes * d; // beside B
+    let rv = dot(e, v);
+    var g = b * rv * own_axes;
+    var moving = a * v + b * rv * e;
+    let c = da * v + db * rv * e;
+    let along = b * e;
     // Column j of β (c dᵀ + b d (v + Mᵀd)ᵀ + A M + g I) + diag(β' K): 0 along j beyond a fixed face.
-    var m = mat3x3f(c * d.x + along * v.x, c * d.y + along * v.y, c * d.z + along * v.z);
+    var m = mat3x3f(c * d.x + along * v.x, c * d.y + along * v.y, c * d.z + along * (metric.y * v.z));
     if (affine && strokes[k].turn.x > 0.0) {
         let half = half_turn(a);
         let turn = strokes[k].turn;
@@ -179,9 +203,18 @@ fn moved_by(k: u32, q: vec3f, start: Moved, at: Moved) -> Moved {
         let way = da * turn * (v + rotation * v);
         m = mat3x3f(turn * rotation[0] + way * d.x, turn * rotation[1] + way * d.y, turn * rotation[2] + way * d.z);
     } else if (affine) {
-        let bent = d * strokes[k].matrix;
+        let bent = e * strokes[k].matrix;
         m += a * strokes[k].matrix + mat3x3f(along * bent.x, along * bent.y, along * bent.z);
     }
+    if (metric.z > 0.0) {
+        m += mat3x3f(g.x, 0.0, 0.0, 0.0, g.y, 0.0, 0.0, 0.0, g.z);
+        let mr = m * r;
+        m = ease.x * m + ease.y * mat3x3f(mr * r.x, mr * r.y, mr * r.z);
+        g = vec3f(0.0);
+    }
+    let back = vec3f(1.0, 1.0, 1.0 / metric.x);
+    m = mat3x3f(back * m[0], back * m[1], metric.x * back * m[2]);
+    moving *= back;
     if (FROZEN) {
         let free = freed(q, near);
         m = free.m * m + mat3x3f(free.slope.x * moving, free.slope.y * moving, free.slope.z * moving);

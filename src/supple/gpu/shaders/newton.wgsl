@@ -65,9 +65,10 @@ fn newton(first: u32, last: u32, q: vec3f, goal: vec3f, guess: vec3f, tolerance:
 // A point sent back by a twist: turned to the other side, which mirrors its way about the plane of the axis and the
 // point. That is T⁻¹ where there is neither a border nor a mask, and a guess otherwise.
 fn turned_back(k: u32, q: vec3f, w: vec3f) -> vec3f {
-    let v = strokes[k].matrix * ((q - strokes[k].pivot) + (w - strokes[k].rest.xyz));
-    let way = moved(k, k + 1u, q, w).offset - w;
-    return w + way - v * (2.0 * dot(way, v) / max(dot(v, v), 1e-30));
+    let longer = vec3f(1.0, 1.0, strokes[k].metric.x);
+    let v = strokes[k].matrix * from_pivot(k, q, w);
+    let way = longer * (moved(k, k + 1u, q, w).offset - w);
+    return w + (way - v * (2.0 * dot(way, v) / max(dot(v, v), 1e-30))) / longer;
 }
 
 // T⁻¹(q) without a guess: strokes, or those that act at once, undone from last to first, and polished together.

@@ -10,7 +10,8 @@ struct Settings {
     nodes: vec2u,
     origin: vec2f, // the position of the first one, in pixels of the image
     scale: f32, // pixels of the image from pixel to pixel
-    time: f32, // the frame
+    time: f32, // the frame as a coordinate; 0 where each is a picture
+    frame: f32, // and as what is shown
     source: vec2u, // pixels of the image
     frames: u32, // of the whole clip
     earliest: u32, // of the frames held
@@ -169,7 +170,7 @@ fn paint(@builtin(global_invocation_id) thread: vec3u) {
     }
     let seen = source_of(at);
     let p = q + seen.w.xy / domain.spacing.xy;
-    let time = settings.time + seen.w.z / domain.spacing.z;
+    let time = settings.frame + seen.w.z / domain.spacing.z;
     // The footprint of a pixel in the image.
     let right = settings.scale * seen.right.xy * domain.spacing.x / domain.spacing.xy;
     let below = settings.scale * seen.below.xy * domain.spacing.y / domain.spacing.xy;

@@ -35,10 +35,21 @@ fn smoothness(q: vec3f, w: vec3f, m: mat3x3f) -> f32 {
         }
         let x = start.jacobian * (m[0] * domain.spacing.xyz);
         let y = start.jacobian * (m[1] * domain.spacing.xyz);
-        let d = (q - strokes[k].pivot) + (start.offset - strokes[k].rest.xyz);
-        least = min(least, sqrt((dot(d, d) + strokes[k].radius2.x) / max(dot(x, x), dot(y, y))));
+        let d = from_pivot(k, q, start.offset);
+        let longer = vec3f(1.0, 1.0, strokes[k].metric.x);
+        let u = longer * x;
+        let v = longer * y;
+        var scale2 = dot(d, d) + strokes[k].radius2.x;
+        let flat_ = strokes[k].metric.z;
+        if (flat_ > 0.0) {
+            let rho = max(length(d), 1e-12);
+            let g = eased(flat_, rho).x * rho;
+            let near = abs(rho - flat_) + strokes[k].metric.w;
+            scale2 = min(g * g + strokes[k].radius2.x, near * near);
+        }
+        least = min(least, sqrt(scale2 / max(dot(u, u), dot(v, v))));
         if (!GRABS && strokes[k].turn.x > 0.0) {
-            let steep = abs(profile_of(k, dot(d, d)).z) * max(abs(dot(d, x)), abs(dot(d, y)));
+            let steep = abs(profile_of(k, dot(d, d)).z) * max(abs(dot(d, u)), abs(dot(d, v)));
             least = min(least, 1.0 / max(steep, 1e-12));
         }
         if (FROZEN) {

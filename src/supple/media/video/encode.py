@@ -132,8 +132,10 @@ class Sink:
             and codec == video.codec
             and self._plan.match.same
             and context.pix_fmt == video.form.name
-            and (context.extradata or b"") == video.header
-            and (codec != "prores" or context.profile == video.profile)
+            and (
+                codec == "dnxhd" or (context.extradata or b"") == video.header
+            )  # its frames have all, and MOV adds atoms
+            and (codec not in ("prores", "dnxhd") or context.profile == video.profile)
         )
 
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:

@@ -115,32 +115,22 @@ class Certifier:
 
 
 # The start and the share of each stage. For a clip, writing begins first, and ends with the last frame.
-_PARTS = {"read": (0.0, 0.05), "plan": (0.05, 0.1), "warp": (0.15, 0.75), "write": (0.9, 0.1)}
-_TEXTS = {"read": "reading", "plan": "planning", "warp": "warping", "write": "writing"}
+_PARTS = {"read": (0.0, 0.05), "plan": (0.05, 0.1), "warp": (0.15, 0.75), "write": (0.9, 0.1), "track": (0.0, 1.0)}
+_TEXTS = {"read": "reading", "plan": "planning", "warp": "warping", "write": "writing", "track": "tracking"}
 _BEGUN = "starting"
 
 
 class _Cancelled(Exception):  # noqa: N818, it is no error
-    """The export was cancelled."""
+    """The work was cancelled."""
 
 
-class Export:
-    """A file that is warped in a thread, which starts at once.
+class Task:
+    """Work in a thread, which starts at once: a function that is given ``tell``, for its progress.
 
-    The target appears whole, or not at all; later edits have no effect on it. Call `join` before the program ends, or a
-    running export fails. Options are those of `supple.warp_file`.
+    Call `join` before the program ends, or running work fails.
     """
 
-    def __init__(
-        self,
-        source: PathLike,
-        target: PathLike,
-        recipe: Recipe,
-        *,
-        warp: Callable[..., Any] = warp_file,
-        **options: Any,
-    ) -> None:
-        self.target = Path(target)
+    def __init__(self, work: Callable[..., Any]) -> None:
         self.progress = 0.0  # the finished part, from 0 to 1; it never decreases
         self.text = _BEGUN  # the text of the progress, or of the result
         self.error: str | None = None  # the error, in one line
@@ -148,7 +138,7 @@ class Export:
         self.cancelled = False  # whether it was cancelled before a file was written
         self._warnings: list[str] = []
         self._stop = threading.Event()
-        self._work = partial(warp, source, target, recipe, tell=self._tell, **options)
+        self._work = partial(work, tell=self._tell)
         self._thread = threading.Thread(target=self._run, name="supple-export")
         self._thread.start()
 
@@ -174,7 +164,7 @@ class Export:
     def _tell(self, part: str, count: int, total: int) -> None:
         if self._stop.is_set():
             raise _Cancelled
-        counted = part in ("plan", "warp") and total > 3
+        counted = part in ("plan", "warp", "track") and total > 3
         if part == "write" and self.text == _BEGUN:
             return  # the opening of a clip's file
         begin, size = _PARTS[part]
@@ -192,6 +182,25 @@ class Export:
             self.error = self.text = _line(f"{kind}{error}")
         else:
             self.progress, self.text = 1.0, "done"
+
+
+class Export(Task):
+    """A file that is warped in a thread.
+
+    The target appears whole, or not at all; later edits have no effect on it. Options are those of `supple.warp_file`.
+    """
+
+    def __init__(
+        self,
+        source: PathLike,
+        target: PathLike,
+        recipe: Recipe,
+        *,
+        warp: Callable[..., Any] = warp_file,
+        **options: Any,
+    ) -> None:
+        self.target = Path(target)
+        super().__init__(partial(warp, source, target, recipe, **options))
 
 
 def _line(text: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
@@ -12,6 +13,7 @@ import numpy.typing as npt
 
 from supple.deformation import Arrival, Deformation, after, last_outside, reduced
 from supple.errors import SuppleError
+from supple.files.clips import parts_of, with_ends
 from supple.files.volumes import indexed, placed
 from supple.folding.limits import NEAR
 from supple.space.checks import integer, refuse
@@ -19,6 +21,7 @@ from supple.space.domain import Border, Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Geometry
 from supple.strokes import PAINTINGS, CoordinateSpace, FoldPolicy, Recipe, Stroke, spoken
+from supple.viewer.document.keyframes import animated, edited
 
 Kind = Literal["image", "video", "volume"]
 Point = tuple[float, ...]
@@ -91,19 +94,16 @@ def handles_of(stroke: Stroke) -> tuple[Handle, ...]:
 class Solved:
     """A state, and the deformation after none, one, two, … of its visible strokes.
 
-    ``wholes`` are the deformations before each visible stroke at full strength; those of the chain itself where they
-    are equal.
+    ``visible`` are these, as they are in the frame shown, with their indices; ``wholes`` the deformations before each
+    of them at full strength, those of the chain itself where they are equal.
     """
 
     state: State
+    amount: float  # of the recipe, in the frame shown
+    visible: tuple[tuple[int, Stroke], ...]
     chain: tuple[Deformation, ...]
     wholes: tuple[Deformation, ...] = ()
     tracks: tuple[Track, ...] = ()
-
-    @property
-    def visible(self) -> list[tuple[int, Stroke]]:
-        """The visible strokes, with their indices."""
-        return [(i, stroke) for i, stroke in enumerate(self.state.strokes) if not stroke.hidden]
 
     def before(self, k: int) -> tuple[Deformation, Deformation]:
         """Return the deformation before a visible stroke, or the next one: at full strength, and as applied."""
@@ -112,13 +112,13 @@ class Solved:
         if k == 0:
             return self.chain[0], self.chain[0]
         stroke = self.visible[k - 1][1]
-        whole = after(stroke, self.state.rest.amount, self.wholes[k - 1], self.chain[k - 1], self.chain[k])
+        whole = after(stroke, self.amount, self.wholes[k - 1], self.chain[k - 1], self.chain[k])
         return whole, self.chain[k]
 
     def kept(self, stroke: Stroke, k: int) -> Stroke:
         """Return a stroke drawn on screen before visible stroke number ``k``, in coordinates of the recipe."""
         whole, now = self.before(k)
-        part = self.state.rest.amount * stroke.strength
+        part = self.amount * stroke.strength
         if whole is not now:
             stroke = replace(stroke, at=tuple(whole.forward(now.inverse(stroke.at).points).tolist()))
         return replace(stroke.weakened(1 / part), strength=stroke.strength) if 0 < part < 1 else stroke
@@ -141,6 +141,7 @@ class Landmarks:
 
 
 _HIDDEN = attrgetter("hidden")
+_DRAWN = ("at", "by", "angle", "factor", "also", "path")
 
 
 class Document:
@@ -171,7 +172,8 @@ class Document:
         self.on_change: list[Callable[[], None]] = []  # called after each change
         self.trouble: str | None = None  # the reason why the current drag is refused, for the status line
         self._drag: tuple[Solved, int | None] | None = None
-        self._timed = kind == "video" and len(self.shape) == 3
+        self.frame, self.hold = 0, 0  # of a clip: the frame shown, and how many stay as they are at each end
+        self._timed = True  # the kind of the next stroke of a clip that has none
         self._now = self._solved(self._state(recipe or Recipe()), None)
         self.steps: tuple[State, ...] = (self._now.state,)
         """The states that undo and redo go through, from the first to the last; as many as there were edits."""
@@ -186,6 +188,11 @@ class Document:
         return self._now.state
 
     @property
+    def size(self) -> tuple[int, ...]:
+        """The samples along each axis of the points of strokes, x first."""
+        return self.deformation.shape[::-1]
+
+    @property
     def strokes(self) -> tuple[Stroke, ...]:
         """The strokes, with the hidden ones."""
         return self._now.state.strokes
@@ -197,14 +204,61 @@ class Document:
 
     @property
     def deformation(self) -> Deformation:
-        """The deformation of the visible strokes; the same object until they change."""
+        """The deformation of the visible strokes, in the frame shown; the same object until they change."""
         return self._now.chain[-1]
+
+    @property
+    def timed(self) -> bool:
+        """Whether strokes are in time, with points of three numbers; otherwise, those of a clip are in every frame."""
+        return self._is_timed(self.state)
+
+    @timed.setter
+    def timed(self, timed: bool) -> None:
+        self._rest()
+        if self.strokes:
+            raise SuppleError("the strokes of a recipe are all in time, or all in every frame: remove them first")
+        self._timed = timed
+        self._show(self._solved(self.state, None))
+
+    def _is_timed(self, given: State | Recipe) -> bool:
+        return self.kind == "video" and (len(given.strokes[0].at) == 3 if given.strokes else self._timed)
+
+    def _shape(self, timed: bool) -> tuple[int, ...]:
+        return self.shape[-2:] if self.kind == "video" and not timed else self.shape
+
+    def seek(self, frame: int) -> None:
+        """Show the strokes as they are in another frame of a clip."""
+        if frame == self.frame:
+            return
+        self.frame, faded = frame, self.hold > 0 and not self.timed
+        if faded or self.state.recipe.moves:
+            self.trouble = None
+            try:
+                self._now = self._solved(self.state, self._now)
+            except SuppleError as error:  # as in an export
+                self.trouble = f"frame {frame}: {error}"
+        if self._base is not None and (faded or self._base[0].recipe.moves):
+            with contextlib.suppress(SuppleError):
+                self._base = self._base[0], self._solved(self._base[0], self._now).chain[-1]
+
+    def set_hold(self, hold: int) -> None:
+        """Keep some frames at each end of a clip, as `ClipOptions` has it; SuppleError if no others are left."""
+        self._rest()
+        most = (self.shape[0] - 1) // 2
+        before, self.hold = self.hold, integer("hold", hold, f"a number of frames from 0 to {most}", 0, most)
+        try:
+            self._show(self._solved(self.state, None))
+        except SuppleError:
+            self.hold = before
+            raise
+        if self._base is not None:
+            self._base = self._base[0], self._solved(self._base[0], None).chain[-1]
 
     @property
     def recipe(self) -> Recipe:
         """The recipe for `supple.warp_file` and for saving, with the hidden strokes."""
-        scale = self.deformation.domain.spacing[2] if self._timed else None
-        made = replace(self.state.recipe, size=self.shape[::-1], space="pixels", time_scale=scale)
+        scale = self.deformation.domain.spacing[2] if self.timed else None
+        made = replace(self.state.recipe, size=self.size, space="pixels", time_scale=scale)
         space = self.state.rest.space
         return made if space is None or self.geometry is None else placed(made, self.geometry, space)
 
@@ -262,6 +316,11 @@ class Document:
         """Replace a stroke; its hidden state is kept."""
         self._edit(self._replaced(self.state, self._checked(i), stroke))
 
+    def change(self, i: int, then: Stroke) -> None:
+        """Replace a stroke by what it is after an edit of what it is in the frame shown; see `edited`."""
+        stroke = self.strokes[self._checked(i)]
+        self.replace(i, edited(stroke, stroke.at_frame(self.frame), then, self.frame))
+
     def remove(self, i: int) -> None:
         """Remove a stroke."""
         i, selected = self._checked(i), self.selected
@@ -316,18 +375,12 @@ class Document:
         """Return a recipe in samples of this medium, scaled if its size differs; SuppleError if it does not fit."""
         if not isinstance(recipe, Recipe):
             refuse("a recipe", "a Recipe, as Recipe.from_json reads one", recipe)
-        count = len(self.shape)
+        timed = self._is_timed(recipe)
+        shape = self._shape(timed)
+        count = len(shape)
         for k, stroke in enumerate(recipe.strokes, 1):
-            if stroke.keys:
-                raise SuppleError(
-                    f"stroke {k} of the recipe moves from frame to frame, which the window does not show: supple warp "
-                    "carries it out"
-                )
-            if self.kind == "video" and count == 3 and len(stroke.at) == 2:
-                raise SuppleError(
-                    f"stroke {k} has a point of 2 numbers, and in the window strokes of a clip need X,Y,T: supple warp "
-                    "takes X,Y, for all frames"
-                )
+            if stroke.keys and self.kind != "video":
+                raise SuppleError(f"stroke {k} of the recipe moves from frame to frame, and this is no clip: open one")
             if len(stroke.at) != count:
                 what = {"image": "a picture, with points x, y", "video": "a clip, with points x, y, t"}.get(
                     self.kind or ("image" if count == 2 else ""), "a volume, with points x, y, z"
@@ -336,15 +389,15 @@ class Document:
                     f"stroke {k} has points of {len(stroke.at)} numbers, and this is {what}: "
                     "give as many, or open a file of that kind"
                 )
-        size = self.shape[::-1]
-        fitted = recipe.fitted(size, time=self.kind == "video")
-        if self._timed and fitted.strokes != recipe.strokes:
+        size = shape[::-1]
+        fitted = recipe.fitted(size, time=timed)
+        if timed and fitted.strokes != recipe.strokes:
             raise SuppleError(
                 f"the recipe was made for {spoken(recipe.size or size)}, and this clip is {spoken(size)}: "
                 "supple warp scales it, and the window does not"
             )
         worth = Domain(self.shape, self.spacing).spacing[-1]
-        if self._timed and recipe.time_scale not in (None, worth):
+        if timed and recipe.time_scale not in (None, worth):
             raise SuppleError(
                 f"in the recipe, a frame is worth {recipe.time_scale:g} pixels, and here {worth:g}: open the clip with "
                 f"--time-scale {recipe.time_scale:g}"
@@ -433,20 +486,34 @@ class Document:
         self._drag = (self._now, None if i is None else self._checked(i))
         self.trouble = None
 
-    def preview(self, *strokes: Stroke, select: bool = True) -> bool:
+    def preview(self, *strokes: Stroke, select: bool = True, whole: bool = False) -> bool:
         """Show the current drag of one or several strokes, in coordinates of the screen; return whether it is valid.
 
         The first is selected, if that is asked for. If it is not valid, the last preview stays, and `trouble` has the
-        reason.
+        reason. A stroke that is animated gets a key in the frame shown; with ``whole``, all its positions move.
         """
         before, i = self._dragged()
-        state, had, self.trouble = before.state, self.trouble, None
-        kept = [before.kept(stroke, sum(not each.hidden for each in state.strokes[:i])) for stroke in strokes]
+        state = before.state
+        k = sum(not each.hidden for each in state.strokes[:i])
+        kept = [before.kept(stroke, k) for stroke in strokes]
         if i is None:
             chosen = len(state.strokes) if select else state.selected
-            state = replace(state, strokes=(*state.strokes, *kept), selected=chosen)
-        else:
-            state = replace(self._replaced(state, i, kept[0]), selected=i)
+            return self._tried(replace(state, strokes=(*state.strokes, *kept), selected=chosen))
+        stroke = state.strokes[i]
+        now = stroke.at_frame(self.frame)
+        seen = now if stroke.hidden else before.tracks[k].stroke
+        alike = {name: getattr(now, name) for name in _DRAWN if getattr(strokes[0], name) == getattr(seen, name)}
+        then = replace(kept[0], **alike)  # what was not dragged keeps every bit
+        return self.preview_as(edited(stroke, now, then, self.frame, whole=whole))
+
+    def preview_as(self, stroke: Stroke) -> bool:
+        """Show the stroke of the current drag as another one, in coordinates of the recipe, as `preview` does."""
+        before, i = self._dragged()
+        assert i is not None
+        return self._tried(replace(self._replaced(before.state, i, stroke), selected=i))
+
+    def _tried(self, state: State) -> bool:
+        had, self.trouble = self.trouble, None
         try:
             made = self._solved(state, self._now)
         except SuppleError as error:
@@ -497,34 +564,42 @@ class Document:
 
     def _solved(self, state: State, known: Solved | None) -> Solved:
         """Return the deformation of a state; strokes shared with a known state are not resolved again."""
-        rest = state.rest
-        if known is not None and known.state.rest == rest:
+        rest, timed = state.rest, self._is_timed(state)
+        shape, amount = self._shape(timed), rest.amount
+        if self.hold and not timed:
+            amount *= parts_of(self.shape[0], self.hold)[self.frame]
+        if known is not None and known.state.rest == rest and known.chain[0].ndim == len(shape):
             empty = known.chain[0]
         else:
+            spacing = self.spacing if shape == self.shape else np.broadcast_to(self.spacing, 3)[:2].tolist()
             plain = replace(rest, space=None)
-            empty = Deformation.from_recipe(plain, self.shape, spacing=self.spacing, time=self._timed)
-        made = Solved(state, (empty,))
+            if self.hold and timed:
+                plain = with_ends(plain, self.hold, self.shape, Domain(shape, spacing, rest.border).spacing[2])
+            empty = Deformation.from_recipe(plain, shape, spacing=spacing, time=timed)
+        seen = ((i, stroke.at_frame(self.frame)) for i, stroke in enumerate(state.strokes) if not stroke.hidden)
+        made = Solved(state, amount, tuple(seen), (empty,))
         visible, same = made.visible, 0
-        if known is not None and known.chain[0] == empty and known.state.rest.amount == rest.amount:
+        if known is not None and known.chain[0] == empty and known.amount == amount:
             for (_, stroke), (_, before) in zip(visible, known.visible, strict=False):
                 if stroke is not before and stroke != before:
                     break
                 same += 1
-            made = Solved(state, known.chain[: same + 1], known.wholes[:same], known.tracks[:same])
+            made = Solved(state, amount, visible, known.chain[: same + 1], known.wholes[:same], known.tracks[:same])
         for k, (i, stroke) in enumerate(visible[same:], same):
             try:
                 whole, now = made.before(k)
-                applied = now.add(reduced(stroke, rest.amount, whole, now), warn=False)
-                last_outside(applied)
+                applied = now.add(reduced(stroke, amount, whole, now), warn=False)
+                if not animated(state.strokes[i], "place"):  # others may leave the picture
+                    last_outside(applied)
                 tracks = (*made.tracks, Track.of(stroke, applied))
-                made = Solved(state, (*made.chain, applied), (*made.wholes, whole), tracks)
+                made = Solved(state, amount, visible, (*made.chain, applied), (*made.wholes, whole), tracks)
             except SuppleError as error:
                 many = len(state.strokes) > 1
                 raise type(error)(f"stroke {i + 1}: {error}" if many else str(error)) from None
         return made
 
     def _show(self, made: Solved) -> None:
-        self._now = made
+        self._now, self._timed = made, self._is_timed(made.state)
         self._tell()
 
     def _tell(self) -> None:

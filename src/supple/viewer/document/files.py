@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, Protocol
 
@@ -23,15 +24,17 @@ from supple.files import Job
 from supple.files.clips import is_picture_target
 from supple.files.options import PathLike
 from supple.files.recipes import read_recipe, write_recipe
+from supple.files.tracking import track
 from supple.media.files import check_output, locked, replacing, same_file
 from supple.media.image import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.image import check_target
 from supple.media.medium import VIDEOS_OUT
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import suffix_of
-from supple.strokes import Recipe, spoken
-from supple.viewer.document.background import Export
+from supple.strokes import Recipe, Stroke, spoken
+from supple.viewer.document.background import Export, Task
 from supple.viewer.document.editing import Document, Kind
+from supple.viewer.document.keyframes import without
 
 EVERY = 1.0  # seconds between two saves, at least
 _VERSION = 1
@@ -265,6 +268,7 @@ class FileCommands:
         self.choose: Callable[[Question], Dialog] | None = None  # opens a dialog of the system, where there is one
         self.choosing: tuple[Question, Dialog, float] | None = None  # that is open, and since when
         self.export: Export | None = None
+        self.following: tuple[Stroke, int, Task] | None = None  # what is tracked: a stroke, and from which frame
         self.recipe_path: Path | None = None  # the last saved or opened recipe
         self._told: Export | None = None
         self.autosave = None if self.source is None else Autosave(self.source, self.document)
@@ -279,8 +283,9 @@ class FileCommands:
             self.asked = Question("restore", "Restore?", text, ("Restore", "Keep for later"))
 
     def tick(self) -> None:
-        """Save the autosave if it is time to; and report the end of an export, or of a dialog."""
+        """Save the autosave if it is time to; and report the end of an export, of a track, or of a dialog."""
         self._chosen()
+        self._followed()
         if self.autosave is not None:
             self.autosave.tick()
         export = self.export
@@ -302,6 +307,31 @@ class FileCommands:
             self.answer("Replace" if "Replace" in question.choices else question.choices[0])  # it has asked that
         elif time.monotonic() - begun < FAILED:
             self.asked, self.choose = question, None
+
+    def follow(self, i: int) -> None:
+        """Start to track what a stroke's point shows in this frame, in the background; its keys follow that."""
+        if self.source is None or self.following is not None:
+            raise SuppleError("a point is tracked already: cancel that, or wait for it")
+        stroke, frame = self.document.strokes[i], self.document.frame
+        point = (*stroke.at_frame(frame).at, frame)
+        self.message, self.following = "", (stroke, frame, Task(partial(track, self.source, [point])))
+
+    def _followed(self) -> None:
+        if self.following is None or not self.following[2].done or self.document.dragging:
+            return
+        (stroke, frame, task), self.following = self.following, None
+        self.message = task.error or task.text
+        if task.result is None:
+            return
+        (found,), strokes = task.result, self.document.strokes
+        if stroke not in strokes:
+            self.message = "the stroke was edited while its point was tracked: follow it again"
+            return
+        free = without(stroke, "place", [key.frame for key in stroke.keys], frame)
+        made = free.following(found.keys, frame, outside="fade" if found.lost else "hold")
+        self.attempt(lambda: self.document.replace(strokes.index(stroke), made))
+        ends = f"the stroke follows its point from frame {found.frames[0]} to {found.frames[-1]}"
+        self.message = self.message or "; ".join([ends, *task.warnings])
 
     def attempt(self, work: Callable[[], object]) -> None:
         """Call a function, and show its error in the status line."""
@@ -424,7 +454,7 @@ class FileCommands:
         self.document.load(recipe)
         self.recipe_path = Path(path)
         self.document.mark_saved()
-        size = self.document.shape[::-1]
+        size = self.document.size
         scaled = recipe.size not in (None, size) and recipe.strokes and not recipe.is_world
         self.message = f"opened {shown(path)}" + (f", scaled to {spoken(size)}" if scaled else "")
 
@@ -463,9 +493,10 @@ class FileCommands:
         """End properly: the autosave of discarded strokes is deleted."""
         if self.choosing is not None:
             self.choosing[1].close()
-        if self.export is not None:
-            self.export.cancel()
-            self.export.join(10.0)
+        for task in (self.export, self.following and self.following[2]):
+            if task is not None:
+                task.cancel()
+                task.join(10.0)
         if self.autosave is not None:
             # A window closed without a question leaves its autosave for the next time.
             self.autosave.clear(keep=self.document.dirty)

@@ -152,6 +152,15 @@ def _edit(i: int, old: Stroke, new: Stroke) -> str:
     if old.hidden != new.hidden:
         return f"{'Hide' if new.hidden else 'Show'} stroke {i + 1}"
     changed = [f.name for f in fields(Stroke) if getattr(old, f.name) != getattr(new, f.name)]
+    if "keys" in changed:
+        return f"{_keyed(old, new)} of stroke {i + 1}"
     if len(changed) != 1:
         return f"Edit stroke {i + 1}"
     return f"{_FIELDS.get(changed[0], changed[0].capitalize())} of stroke {i + 1}"
+
+
+def _keyed(old: Stroke, new: Stroke) -> str:
+    gone, come = (sorted({k.frame for k in a.keys} - {k.frame for k in b.keys}) for a, b in ((old, new), (new, old)))
+    changed = come or gone or [a.frame for a, b in zip(old.keys, new.keys, strict=True) if a != b]
+    said = f"Key {changed[0]}" if len(changed) == 1 else "Keys"
+    return f"Remove {said.lower()}" if gone and not come else said

@@ -13,10 +13,11 @@ from supple.render.box import whole_box
 from supple.render.camera import rounded
 from supple.space.geometry import SIDES
 from supple.strokes import PAINTINGS
+from supple.viewer.document.keyframes import animated
 from supple.viewer.document.words import done, named
-from supple.viewer.panels import theme
+from supple.viewer.panels import keyframes, theme
 from supple.viewer.panels.stages import VideoStage, VolumeStage
-from supple.viewer.panels.view import BAR, COMPUTING, LINE, View
+from supple.viewer.panels.view import COMPUTING, LANE, LINE, View
 from supple.viewer.panels.widgets import hint, icon_button, shortened
 from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.drawing import MASKS, PAINTED, Pair, Place, Point
@@ -396,17 +397,19 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
     assert isinstance(tools, ImageTools)
     (left, top), zoom = tools.view.to_canvas(0.0, 0.0), tools.view.zoom
     a, b, c, d = (zoom * n for n in tools.view.turn)
+    timed = view.document.timed
 
     def placed(point: Point) -> Pair:  # as the viewport does, which finds its zoom anew for each
         return left + a * point[0] + b * point[1], top + c * point[0] + d * point[1]
 
     def there(point: Point) -> bool:
-        return not isinstance(tools, VideoTools) or abs(point[2] - view.frame) <= 0.5
+        return not timed or abs(point[2] - view.frame) <= 0.5
 
     def ball(start: Pair, point: Point, radius: float) -> None:
         if there(point):
             ring(lines, start, radius * zoom, tools.stretch, theme.BALL)
 
+    keyframes.path(view, lines, placed)
     strokes(view, lines, placed, there, ball)
 
 
@@ -415,7 +418,7 @@ def _timeline(view: View, stage: VideoStage) -> None:
     assert isinstance(tools, VideoTools)
     playback = tools.playback
     width, height = view.area[0], view.logical[1]
-    _begin_bar("timeline", height - LINE - BAR, width, BAR, (8, 8))
+    _begin_bar("timeline", height - LINE - view.bar, width, view.bar, (8, 8))
     if icon_button("play", theme.PAUSE if playback.playing else theme.PLAY, imgui.get_frame_height()):
         tools.press(" ")
     hint("Pause (Space)" if playback.playing else "Play (Space)")
@@ -431,6 +434,7 @@ def _timeline(view: View, stage: VideoStage) -> None:
     if changed:
         playback.seek(frame)
     _marked(playback)
+    begin, end = imgui.get_item_rect_min(), imgui.get_item_rect_max()
     for at, selected in tools.stroke_frames.items():
         x, high = round(_at_frame(at, playback)) + 0.5, imgui.get_item_rect_max()
         imgui.get_window_draw_list().add_line((x, high.y - 6), (x, high.y), theme.BLUE if selected else theme.SOFT, 2.0)
@@ -442,6 +446,9 @@ def _timeline(view: View, stage: VideoStage) -> None:
     if changed:
         playback.set_loop(loop)
     hint("Play again and again (L)")
+    if not view.document.timed:
+        imgui.set_cursor_screen_pos((begin.x, end.y + 6))
+        keyframes.lane(view, tools, (end.x - begin.x, LANE - 6))
     _end_bar()
 
 
@@ -523,7 +530,9 @@ def _held(view: View) -> str:
         return f"{held.tool}: {len(held.made)} {'stroke' if len(held.made) == 1 else 'strokes'}"
     if document.selected is None:
         return ""
-    stroke = document.seen(document.selected)
+    stroke, own = document.seen(document.selected), document.strokes[document.selected]
+    if held is not None and held.item is not None and held.part == "pivot" and animated(own, "place"):
+        return "all keys move" if held.shift else f"key of frame {document.frame}; with Shift, all keys move"
     if stroke.brush != "grab":
         return f"{named(stroke)} {done(stroke)}"
     return "by " + " ".join(f"{v:+.1f}" for v in stroke.by)  # the held point stays under the pointer
@@ -567,7 +576,7 @@ def certified(view: View) -> str:
     if view.document.dragging or (isinstance(tools, VideoTools) and tools.playback.playing):
         return ""
     film = stage.kind == "video"
-    report = view.certifier.report(deformation, round(view.frame) if film else None)
+    report = view.certifier.report(deformation, round(view.frame) if view.document.timed else None)
     where = " in this frame" if film else ""
     if report is None:
         return "checking the pixels \u2026"

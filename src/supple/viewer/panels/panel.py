@@ -9,6 +9,7 @@ from typing import Any
 
 from imgui_bundle import imgui
 
+from supple.engine.sampling import BETWEEN
 from supple.errors import shown
 from supple.files.options import ClipOptions
 from supple.gpu.plate import OVERLAYS
@@ -29,6 +30,7 @@ from supple.viewer.panels.widgets import (
     label,
     listing,
     primary,
+    progress,
     section,
     slider,
     typed,
@@ -125,6 +127,12 @@ def _accuracy(view: View) -> None:
         )
 
 
+_HOLD = (
+    "How many frames at each end keep every bit, so that a shot is cut back in: strokes fade towards them, here as well"
+)
+_BETWEEN = "How an export samples between two frames; here, they are mixed (linear)"
+
+
 def _exports(view: View) -> None:
     kind, commands = view.stage.kind, view.commands
     if kind == "volume" or view.source is None or not section(view, "Export options"):
@@ -145,6 +153,27 @@ def _exports(view: View) -> None:
     entered, number = typed(view, "##crf", -1.0 if clip.crf is None else clip.crf, "%.1f")
     if entered:
         made["crf"] = number if 0 <= number < math.inf else None
+    label("Keep ends", _HOLD)
+    entered, number = typed(view, "##hold", float(view.document.hold), "%.0f")
+    hint(_HOLD)
+    if entered and math.isfinite(number):
+        view.attempt(lambda: view.document.set_hold(round(number)))
+        made["hold"] = view.document.hold
+    if view.document.timed:
+        made |= _of_time(view, clip)
+    if made:
+        commands.options = {**commands.options, "clip": replace(clip, **made)}
+
+
+def _of_time(view: View, clip: ClipOptions) -> dict[str, Any]:
+    """Draw what is for strokes in time alone; return what was changed."""
+    made: dict[str, Any] = {}
+    label("Between", _BETWEEN)
+    names = [None, *BETWEEN]
+    changed, index = imgui.combo("##between", names.index(clip.between), ["usual", *BETWEEN])
+    hint(_BETWEEN)
+    if changed:
+        made["between"] = names[index]
     label("Time scale", "How many pixels a frame is long, for the brush: here, only in the export")
     length = view.stage.spacing[2] if clip.time_scale is None else clip.time_scale
     entered, number = typed(view, "##time scale", length, "%.2f")
@@ -154,8 +183,7 @@ def _exports(view: View) -> None:
     changed, on = imgui.checkbox("##time filter", clip.time_filter)
     if changed:
         made["time_filter"] = on
-    if made:
-        commands.options = {**commands.options, "clip": replace(clip, **made)}
+    return made
 
 
 def _files(view: View) -> None:
@@ -193,11 +221,7 @@ def _exporting(view: View, job: Export) -> None:
             view.commands.end_export()
         hint("Close")
         return
-    imgui.push_style_color(imgui.Col_.plot_histogram, theme.FULL)
-    imgui.progress_bar(job.progress, (-80, imgui.get_frame_height()), f"{100 * job.progress:.0f} %")
-    imgui.pop_style_color()
-    imgui.same_line()
-    if imgui.button("Cancel", (REST, 0)):
+    if progress(job):
         view.commands.end_export()
 
 

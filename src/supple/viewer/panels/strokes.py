@@ -10,14 +10,17 @@ from typing import Any, get_args
 from imgui_bundle import imgui
 
 from supple.folding.limits import NEAR
-from supple.strokes import PAINTINGS, POISSON, REACH, FoldPolicy, Stroke
+from supple.strokes import PAINTINGS, POISSON, REACH, FoldPolicy, Stroke, time_radius_of
+from supple.strokes.stroke import MOST_FLAT
+from supple.viewer.document.keyframes import edited
 from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, frozen, listed, others
-from supple.viewer.panels import theme
+from supple.viewer.panels import keyframes, theme
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.panels.theme import HIDDEN, SEEN
 from supple.viewer.panels.view import FROZEN, View
 from supple.viewer.panels.widgets import REST, hint, icon_button, label, listing, section, slider, typed, wrapped
+from supple.viewer.tools.brushes import VideoTools
 from supple.viewer.tools.drawing import IMMATERIAL, MASKS, SHAPES
 
 NAMES = {
@@ -105,6 +108,16 @@ _REACH = (
     "ends"
 )
 
+_IN_TIME = (
+    "How long before and after a stroke is felt; by default as long as its drag in time or an eighth of the clip, "
+    "and at most as the radius is in frames"
+)
+_FLAT = "The part of the radius within which all moves as the point does, before it fades"
+_KIND = (
+    "In time: a drag may go through time, and fades with it. In every frame: a stroke bends each frame like a picture, "
+    "and may move and come and go, by keys. All strokes of a recipe are of one kind"
+)
+
 
 def brush(view: View) -> None:
     """Draw the section of the brush."""
@@ -133,6 +146,8 @@ def brush(view: View) -> None:
         if changed:
             tools.strength = min(max(value / 100, 0.01), 1.0)
         return
+    if view.stage.kind == "video":
+        _kind(view)
     if tools.brush not in SHAPES:  # those fade in one way
         label("Fall-off", _FALLOFF)
         changed, index = imgui.combo("##falloff", tools.scales - 1, list(FALLOFFS))
@@ -145,6 +160,23 @@ def brush(view: View) -> None:
         if changed:
             tools.poisson = value
     changed, tools.reach = _reach(tools.reach, "")
+    if tools.brush not in SHAPES and tools.reach is not None:
+        changed, tools.flat = _plateau(tools.flat, "")
+    if view.document.timed:
+        begun = tools._begun((0.0, 0.0, 0.0))
+        changed, tools.time_radius = _time_radius(view, begun, "")
+
+
+def _kind(view: View) -> None:
+    """Draw the choice of what strokes of a clip are, which all those of a recipe are."""
+    document = view.document
+    label("Strokes", _KIND)
+    imgui.begin_disabled(bool(document.strokes))
+    changed, index = imgui.combo("##kind", int(not document.timed), ["in time", "in every frame"])
+    imgui.end_disabled()
+    hint(_KIND)
+    if changed:
+        view.attempt(partial(setattr, document, "timed", index == 0))
 
 
 def _masks(view: View) -> None:
@@ -166,15 +198,37 @@ def _masks(view: View) -> None:
 def _reach(reach: float | None, of: str) -> tuple[bool, float | None]:
     """Draw the controls of a reach; return whether it was changed, and its value."""
     label("Reach", _REACH)
-    changed, limited = imgui.checkbox(f"##limited{of}", reach is not None)
-    hint(_REACH)
+    return _optional(f"reach{of}", reach, REACH, "no limit", (1.0, 10.0, "%.1f radii"), _REACH)
+
+
+def _time_radius(view: View, stroke: Stroke, of: str) -> tuple[bool, float | None]:
+    """Draw the controls of a radius in time, in frames; return whether it was changed, and its value."""
+    label("Radius in time", _IN_TIME)
+    count = view.document.shape[0]
+    usual = time_radius_of(stroke, count, view.stage.spacing[2])
+    limits = (0.5, max(0.5 * count, 1.0), "%.1f frames")
+    return _optional(f"time radius{of}", stroke.time_radius, usual, f"{usual:.1f} frames", limits, _IN_TIME)
+
+
+def _optional(
+    name: str, value: float | None, usual: float, none: str, limits: tuple[float, float, str], tip: str
+) -> tuple[bool, float | None]:
+    """Draw a switch, and the slider of a value if there is one; return whether it was changed, and the value."""
+    changed, own = imgui.checkbox(f"##limited {name}", value is not None)
+    hint(tip)
     imgui.same_line()
-    if changed or reach is None:
-        imgui.text_disabled("no limit")
-        return changed, REACH if changed and limited else None
+    if changed or value is None:
+        imgui.text_disabled(none)
+        return changed, usual if changed and own else None
     imgui.set_next_item_width(REST)
-    changed, value = slider(f"##reach{of}", reach, 1.0, 10.0, "%.1f radii")
-    return changed, max(float(value), 1.0) if changed else reach
+    changed, now = slider(f"##{name}", value, *limits)
+    return changed, max(float(now), limits[0]) if changed else value
+
+
+def _plateau(flat: float, of: str) -> tuple[bool, float]:
+    label("Plateau", _FLAT)
+    changed, value = slider(f"##flat{of}", 100 * flat, 0.0, 100 * MOST_FLAT, "%.0f %%")
+    return changed, min(max(value / 100, 0.0), MOST_FLAT) if changed else flat
 
 
 def strokes(view: View) -> None:
@@ -235,7 +289,8 @@ def selected(view: View) -> None:
         return
     if not section(view, "Selected stroke", f"Stroke {i + 1}"):
         return
-    stroke = document.state.strokes[i]
+    own = document.state.strokes[i]
+    stroke = own.at_frame(document.frame)
     axes = "xyt" if view.stage.kind == "video" else "xyz"
     made: dict[str, Any] = {}
     gap = imgui.get_style().item_inner_spacing.x
@@ -275,10 +330,21 @@ def selected(view: View) -> None:
     changed, reach = _reach(stroke.reach, " own")
     if changed:
         made["reach"] = reach
+    if grabs and not stroke.also and stroke.reach is not None:
+        changed, flat = _plateau(stroke.flat, " own")
+        if changed:
+            made["flat"] = flat
+    if document.timed and not stroke.isotropic:
+        changed, time_radius = _time_radius(view, stroke, " own")
+        if changed:
+            made["time_radius"] = time_radius
+    _strength(view, i, own, stroke)
     if stroke.also:
         wrapped(f"Also to drag in the picture: {others(stroke)}.")
+    if view.stage.kind == "video" and not document.timed:
+        keyframes.fields(view, i, own)
     if made:
-        view.attempt(lambda: document.replace(i, view.tools.paired(stroke, replace(stroke, **made))))
+        view.attempt(lambda: document.change(i, view.tools.paired(stroke, replace(stroke, **made))))
     _arrival(view, i)
     count = len(document.state.strokes)
     wide = (imgui.get_content_region_avail().x - 2 * imgui.get_style().item_spacing.x) / 3
@@ -292,6 +358,21 @@ def selected(view: View) -> None:
     if imgui.button("Delete", (wide, 0)):
         view.attempt(lambda: document.remove(i))
     hint("Delete the stroke (Delete)")
+
+
+def _strength(view: View, i: int, stroke: Stroke, now: Stroke) -> None:
+    document = view.document
+    label("Strength", "The part of the stroke that is applied; of an animated one, in this frame")
+    changed, value = slider("##strength own", 100 * now.strength, 0.0, 100.0, "%.0f %%")
+    if imgui.is_item_activated():
+        if isinstance(view.tools, VideoTools):
+            view.tools.playback.pause()
+        view.attempt(lambda: document.begin_drag(i))
+    if changed and document.dragging:
+        then = replace(now, strength=min(max(value / 100, 0.0), 1.0))
+        view.attempt(lambda: document.preview_as(edited(stroke, now, then, document.frame)))
+    if imgui.is_item_deactivated() and document.dragging:
+        document.commit()
 
 
 def _arrival(view: View, i: int) -> None:

@@ -87,6 +87,7 @@ def style() -> None:
     style.scrollbar_size, style.scrollbar_rounding, style.grab_min_size = 10.0, 5.0, 10.0
 
 
+BEFORE, AFTER, KEY = "\uf053", "\uf054", "\uf219"
 SEEN, HIDDEN, PLAY, PAUSE, CROSS = "\uf06e", "\uf070", "\uf04b", "\uf04c", "\uf00d"
 ICONS = {
     "grab": "\uf256",

@@ -30,6 +30,7 @@ from supple.strokes import Recipe
 from supple.viewer.document.background import Certifier
 from supple.viewer.document.editing import Document, Landmarks
 from supple.viewer.document.files import FileCommands
+from supple.viewer.document.keyframes import Part as KeyPart
 from supple.viewer.panels import theme
 from supple.viewer.panels.slices import Slices, physical
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage, filled
@@ -203,7 +204,7 @@ class Painter:
 
 
 WIDE, STRIP = 348, 44  # logical pixels of the tools and the panel, and of the tools alone
-BAR, LINE = 44, 24  # and of the timeline and the status line
+BAR, LANE, LINE = 44, 62, 24  # and of the timeline, the keys below it, and the status line
 SETTLED = 0.15  # seconds without a change, after which an image is drawn at full size
 FROZEN = "frozen"
 """The name of the overlay of what is frozen."""
@@ -233,6 +234,8 @@ class View:
         self.sections = read_sections()  # those that were folded or opened
         self.copy_text: Callable[[str], None] | None = None  # to the clipboard, if there is one
         self.typed: dict[str, float] = {}  # numbers being typed in the panel
+        self.curves: Any = None, {}  # a stroke with keys, and what is drawn of them
+        self.held_key: tuple[int, KeyPart] | None = None  # the key in the pointer's hand, and what of it
         self.filled = 0.0
         self.computing = False  # whether the image comes after this frame, as it takes long
         self.painter, self.veil = Painter(self.gpu, self.stage), Veil(self.gpu)
@@ -276,8 +279,12 @@ class View:
     def area(self) -> tuple[float, float]:
         """The size of the image's area, at the upper left corner."""
         width, height = self.logical
-        below = LINE + (BAR if self.stage.kind == "video" else 0)
-        return max(width - WIDE, 64.0), max(height - below, 64.0)
+        return max(width - WIDE, 64.0), max(height - LINE - self.bar, 64.0)
+
+    @property
+    def bar(self) -> int:
+        """The height of the timeline, and of the lane of keys, which strokes in time do not have."""
+        return 0 if self.stage.kind != "video" else BAR if self.document.timed else BAR + LANE
 
     def refresh(self) -> None:
         """Draw again, at full size."""
@@ -308,6 +315,7 @@ class View:
 
     def _shot(self, moving: bool) -> Shot:
         tools, document, ratio = self.tools, self.document, self.canvas.get_pixel_ratio()
+        document.seek(round(self.frame))
         width, height = (round(n * ratio) for n in self.area)
         overlay, square = "" if self.overlay == FROZEN else self.overlay, 8.0 * ratio
         first, scale, size, part = (0.0, 0.0), 1.0, (width, height), ALL

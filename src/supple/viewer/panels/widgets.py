@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from imgui_bundle import imgui
 
+from supple.viewer.document.background import Task
 from supple.viewer.panels import theme
 from supple.viewer.panels.view import View, write_sections
 
@@ -104,6 +105,15 @@ def icon_button(name: str, icon: str, size: float, on: bool = False, enabled: bo
     colour = theme.packed((1.0, 1.0, 1.0, 1.0) if on else theme.TEXT, 1.0 if enabled else 0.3)
     theme.draw_icon(lines, icon, (0.5 * (low.x + high.x), 0.5 * (low.y + high.y)), round(0.5 * size), colour)
     return bool(pressed)
+
+
+def progress(task: Task) -> bool:
+    """Draw how far a task is, and the button that cancels it; return whether that was pressed."""
+    imgui.push_style_color(imgui.Col_.plot_histogram, theme.FULL)
+    imgui.progress_bar(task.progress, (-80, imgui.get_frame_height()), f"{100 * task.progress:.0f} %")
+    imgui.pop_style_color()
+    imgui.same_line()
+    return bool(imgui.button("Cancel", (REST, 0)))
 
 
 def slider(

@@ -103,7 +103,10 @@ class ImageTools(Tools[Viewport]):
 
 
 class VideoTools(ImageTools):
-    """The tools of a clip: the held point can be moved through time, too, by the wheel or the arrow keys."""
+    """The tools of a clip: of strokes in time, the held point can be moved through it, by the wheel or the arrow keys.
+
+    Of those in every frame, an edit of what is animated sets a key in the frame shown; with Shift, all keys move.
+    """
 
     def __init__(
         self,
@@ -125,29 +128,42 @@ class VideoTools(ImageTools):
 
     @property
     def stroke_frames(self) -> dict[float, bool]:
-        """The frames of the clip at which visible strokes begin or end, and whether a stroke there is selected."""
+        """The frames of the clip where visible strokes begin, end or have keys, and whether one there is selected."""
         found: dict[float, bool] = {}
         for i, stroke in enumerate(self.document.strokes):
-            for at, by in () if stroke.hidden else stroke.handles:
-                for t in {at[2], at[2] + by[2]}:
-                    if 0 <= t <= self.playback.count - 1:
-                        found[t] = found.get(t, False) or i == self.document.selected
+            frames = {float(key.frame) for key in stroke.keys}
+            if self.document.timed:
+                frames = {t for at, by in stroke.handles for t in (at[2], at[2] + by[2])}
+            for t in () if stroke.hidden else frames:
+                if 0 <= t <= self.playback.count - 1:
+                    found[t] = found.get(t, False) or i == self.document.selected
         return found
+
+    def go_to_key(self, way: int) -> None:
+        """Show the frame of the next key of the selected stroke, or, with -1, of the one before."""
+        chosen, here = self.document.selected, self.playback.frame
+        frames = [] if chosen is None else [key.frame for key in self.document.strokes[chosen].keys]
+        found = [k for k in frames if (k - here) * way > 0]
+        if found:
+            self.playback.pause()
+            self.playback.seek(min(found, key=lambda k: abs(k - here)))
 
     def _taken(self, x: float, y: float) -> Held | None:
         self.playback.pause()
         self._frame = self.playback.frame
+        self.document.seek(self._frame)
         return super()._taken(x, y)
 
     def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
         under = super()._grab(x, y)
-        return None if under is None else (*under, float(self._frame))
+        return under if under is None or not self.document.timed else (*under, float(self._frame))
 
     def _seen(self, point: tuple[float, ...]) -> Pair | None:
-        return super()._seen(point) if abs(point[2] - self.playback.frame) <= 0.5 else None
+        there = len(point) == 2 or abs(point[2] - self.playback.frame) <= 0.5
+        return super()._seen(point) if there else None
 
     def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
-        return (*super()._carried(held, x, y), held.time)
+        return (*super()._carried(held, x, y), held.time)[: len(held.point)]
 
     def _put_back(self, held: Held) -> None:
         self.playback.seek(self._frame)
@@ -163,10 +179,14 @@ class VideoTools(ImageTools):
 
     def _turn(self, event: Event, amount: float) -> None:
         held = self.held
-        if held is None or held.shapes or held.masks or commanded(event) or shifted(event):
+        if held is None or not self._flows(held) or commanded(event) or shifted(event):
             super()._turn(event, amount)
         else:
             self._carry(held, -amount / 100)
+
+    def _flows(self, held: Held) -> bool:
+        """Return whether what is held can be dragged through time; the rest stays in its frame."""
+        return self.document.timed and not (held.shapes or held.masks)
 
     def _key(self, key: str) -> bool:
         playback, held = self.playback, self.held
@@ -179,9 +199,11 @@ class VideoTools(ImageTools):
             "o": playback.mark_out,
             "u": playback.unmark,
             "l": lambda: playback.set_loop(not playback.loop),
+            "j": lambda: self.go_to_key(-1),
+            "k": lambda: self.go_to_key(1),
         }
         if held is not None and step is not None:
-            if not (held.shapes or held.masks):  # those stay in their frame
+            if self._flows(held):
                 self._carry(held, step)
         elif step is not None:
             playback.step(step)

@@ -194,6 +194,8 @@ class Drawing(ABC):
         self.poisson: float | None = None
         self.scales = 1
         self.reach: float | None = REACH
+        self.time_radius: float | None = None  # of strokes in time, in frames
+        self.flat = 0.0  # the part of the radius of a pull that is a plateau
         self.strength = 1.0  # of a dab of a painting: the part of the way that it goes
         self.pen = False  # whether a pen was here
         self.pressing = True  # whether its pressure sets how much of a new stroke is made
@@ -277,6 +279,10 @@ class Drawing(ABC):
 
     def _begun(self, point: tuple[float, ...]) -> Stroke:
         shape = SHAPES.get(self.brush, {"by": (0.0,) * len(point), "scales": self.scales})
+        if shape.get("brush", "grab") == "grab" and self.reach is not None:
+            shape = {**shape, "flat": self.flat}
+        if self.document.timed:
+            shape = {**shape, "time_radius": self.time_radius}
         poisson = None if self.brush in IMMATERIAL else self.poisson
         return Stroke(at=point, radius=self.radius, poisson=poisson, reach=self.reach, **shape)
 
@@ -318,7 +324,7 @@ class Drawing(ABC):
             elif self.document.dragging or held.moved or held.grown or held.clicks:
                 if not self.document.dragging:
                     self.document.begin_drag(held.item)
-                self.document.preview(*self._drawn(held))
+                self.document.preview(*self._drawn(held), whole=held.shift)
         except SuppleError as error:  # the drag goes on
             self.document.trouble = str(error)
 
@@ -403,7 +409,7 @@ class Drawing(ABC):
                 continue
             for nth, (pivot, end) in enumerate(track.handles):
                 parts: dict[Part, tuple[float, ...]] = {"pivot": pivot, "end": end}
-                if track.stroke.brush != "grab":  # its point stays where it is
+                if track.stroke.brush != "grab" or not track.stroke.strength:  # its point stays where it is
                     del parts["end"]
                 for part, point in parts.items():
                     place = self._seen(point)

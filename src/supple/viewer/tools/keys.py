@@ -59,6 +59,8 @@ KEYS: Mapping[str, Rows] = {
         "Home, End": "the first frame, and the last",
         "I  O  U": "begin and end of the part that is played; the whole clip",
         "L": "play again and again",
+        "J  K": "the key before of the selected stroke, and the next",
+        "Shift+drag": "move all positions of a stroke that moves, and not only the one in this frame",
         **_ALWAYS,
     },
     "volume": {

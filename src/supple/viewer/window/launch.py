@@ -28,7 +28,7 @@ from supple.gpu.device import Gpu, open_gpu
 from supple.media.image import Picture, read
 from supple.media.volume import Volume
 from supple.render.camera import Camera
-from supple.space.checks import length, point
+from supple.space.checks import integer, length, point
 from supple.space.geometry import Geometry, Grid, check_upright
 from supple.strokes import Fit, Recipe, fit_recipe
 from supple.viewer.document.editing import Document, Landmarks
@@ -62,6 +62,7 @@ class ViewOptions:
     points: str | os.PathLike[str] | None = None  # a file of landmarks, shown in a volume
     convention: str | None = None  # of a table of them that does not name its own, as in `supple points`
     maps: tuple[Placed, ...] = ()  # fields and affine maps before all strokes, through which the source is seen
+    frame: int | None = None  # of a clip, the one that is shown first
 
     def __post_init__(self) -> None:
         length("time_scale", self.time_scale)
@@ -204,11 +205,19 @@ def opened(
     if isinstance(stage, VolumeStage):
         geometry = stage.volume.geometry
         recipe = in_space(recipe, geometry, stage.name, options.volume.world)
-    if stage.kind != "video" or options.fit == "pixels":  # the length of a frame would have to be scaled
-        recipe = fit_recipe(recipe, stage.shape[::-1], options.fit, stage.name)
+    size, in_time = stage.shape[::-1], stage.kind == "video"
+    if in_time and recipe.strokes and recipe.strokes[0].ndim == 2:
+        size, in_time = size[:2], False
+    if not in_time or options.fit == "pixels":  # the length of a frame would have to be scaled
+        recipe = fit_recipe(recipe, size, options.fit, stage.name)
     landmarks = _landmarks(stage, options)
     document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind, geometry=geometry)
     tools = tools_of(stage, document, canvas.get_logical_size())
+    if options.frame is not None:
+        if not isinstance(tools, VideoTools):
+            raise SuppleError(f"{argument('frame')} is for clips, and {stage.name} is none: leave it out")
+        last = tools.playback.count - 1
+        tools.playback.seek(integer("frame", options.frame, f"from 0 to {last}", 0, last))
     path = Path(source) if isinstance(source, str | os.PathLike) else None
     return Window(stage, document, tools, canvas, gpu, path, options.export, loop.call_later, landmarks)
 

@@ -358,8 +358,9 @@ class Window(View):
             self._waking.later(max(self._changed_at + SETTLED - time.perf_counter(), 0.01))
         elif isinstance(self.stage, VolumeStage) and not self.tools.dragging and not shot.original:
             self._fill(shot)
-        exporting = self.commands.export is not None and not self.commands.export.done
-        if exporting or (self.commands.autosave is not None and self.commands.autosave.due):
+        commands = self.commands
+        busy = (commands.export is not None and not commands.export.done) or commands.following is not None
+        if busy or (commands.autosave is not None and commands.autosave.due):
             self._waking.later(0.25)  # to show progress, and to autosave
         self._waking.answer()
         if self.commands.asked is not None or self.commands.choosing is not None:

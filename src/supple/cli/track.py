@@ -1,0 +1,77 @@
+"""The command that tracks points through a clip."""
+
+from __future__ import annotations
+
+import os
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from supple.cli.console import current
+from supple.cli.options import RUNNING, RunOptions, memory_option, parse_integer, parse_number
+from supple.errors import SuppleError
+
+_RUN = RunOptions()
+
+
+def track(
+    source: Annotated[str, Parameter(name="IN")],
+    target: Annotated[str, Parameter(name="OUT")],
+    /,
+    *,
+    at: Annotated[list[str], Parameter(metavar="X,Y,K", allow_leading_hyphen=True, show_default=False)] = (),  # type: ignore[assignment]
+    memory: Annotated[float | None, memory_option(group=RUNNING)] = None,
+    options: RunOptions = _RUN,
+) -> None:
+    """Track points through a video, for --track of supple warp.
+
+    Each point is followed to the last and to the first frame, or to where it is lost, which is said. The table has the
+    frames in which it was seen, and the distance in pixels between the ways forwards and backwards (error).
+
+    Parameters
+    ----------
+    source
+        A video, a pattern or a folder of pictures.
+    target
+        The table to write: a .csv with the columns frame, x, y, error and, of several points, name (1, 2, …).
+    at
+        A point that is seen in frame K, counted from 0: a corner or a spot. Give it again for each further point.
+    memory
+        Memory for frames on the way to the first one, in gigabytes (default 2).
+    """
+    console = current()
+    console.started(**options.asked(), file=source)
+    from supple.engine.progress import counted
+    from supple.files.options import GB
+    from supple.files.tracking import track, write_track
+    from supple.media.files import check_output, check_suffix
+
+    if not at:
+        raise SuppleError("give a point to track, and the frame in which it is seen: --at X,Y,K")
+    points = [_point(text) for text in at]
+    check_suffix(target, os.path.splitext(target)[1], (".csv", ".txt"), "is not that of a table", "name a .csv")
+    check_output(target, force=options.force)
+    with counted(console.terminal) as tell:
+        tracks = track(source, points, memory=2 * GB if memory is None else memory, tell=tell)
+    write_track(target, tracks, force=options.force)
+    if options.json:
+        facts = [
+            {
+                "at": at,
+                "first": int(each.frames[0]),
+                "last": int(each.frames[-1]),
+                "error": float(each.errors.max()),
+                "lost": [{"frame": frame, "why": why} for frame, why in each.lost],
+            }
+            for at, each in zip(points, tracks, strict=True)
+        ]
+        console.tell({"input": source, "output": target, "points": facts})
+
+
+def _point(text: str) -> tuple[float, float, int]:
+    wanted = "X,Y,K, a point in pixels and the frame in which it is seen"
+    parts = text.split(",")
+    if len(parts) != 3:
+        raise SuppleError(f"--at must be {wanted}, found {text!r}")
+    x, y = (parse_number("--at", part, wanted) for part in parts[:2])
+    return x, y, parse_integer("--at", parts[2], wanted)

@@ -1,0 +1,321 @@
+"""Points of a clip, tracked through its frames by pyramidal Lucas-Kanade, forwards and backwards."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.engine.work import Array, Tell, silent
+from supple.errors import SuppleError, TrackWarning, caller, need, shown
+from supple.files.clips import displayed, fickle, open_clip, refuse_picture
+from supple.files.options import GB, PathLike
+from supple.media.base import Clip, ClipWarning, CountError
+from supple.media.files import replacing
+from supple.media.medium import opened
+from supple.space.checks import point, refuse
+
+Numbers = npt.NDArray[np.float64]
+Step = tuple[Array, Array, Numbers]  # the same part of two frames, one after the other, and its first pixel, x and y
+
+_STRETCH = 16  # frames that are followed back before the way forwards counts
+_WINDOW = 21  # pixels that are compared, at least: a 36th of the height of larger frames
+_REACH = 8  # windows on each side of a point: the part in which it is searched
+_FARTHEST = 1.0  # pixels between both ways, and between Lucas-Kanade and the template
+_ALIKE = 0.8  # correlation with the template, below which another one is taken
+_LUMA = np.array((0.2126, 0.7152, 0.0722), np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracked:
+    """Where a point is in the frames of a clip.
+
+    Parameters
+    ----------
+    frames : array of int64, shape (N,)
+        Consecutive frames, counted from 0.
+    points : array of float64, shape (N, 2)
+        x and y in each frame, in pixels.
+    errors : array of float64, shape (N,)
+        The distance in pixels between the way forwards and the way back; 0 in the frame of the given point.
+    lost : tuple of (int, str)
+        The frames before and after these in which the point was lost, and why; none where the clip begins and ends.
+    """
+
+    frames: npt.NDArray[np.int64]
+    points: Numbers
+    errors: Numbers
+    lost: tuple[tuple[int, str], ...]
+
+    @property
+    def keys(self) -> tuple[tuple[int, tuple[float, float]], ...]:
+        """The positions, as `supple.Stroke.following` takes them."""
+        return tuple((int(k), (float(x), float(y))) for k, (x, y) in zip(self.frames, self.points, strict=True))
+
+
+class _Template:
+    """What is around a point in a frame, and the affine map from there to the frame that was seen last."""
+
+    def __init__(self, image: Array, at: Numbers, half: int) -> None:
+        part, corner = _around(image, at, half)
+        self.half, self.pixels, self.at, self.turn = half, part.astype(np.float32), at - corner, np.eye(2)
+
+    def refined(self, image: Array, at: Numbers) -> Numbers | None:
+        """Return a position near ``at`` at which the image looks like the template; None if there is none."""
+        import cv2
+
+        start = np.c_[self.turn, at - self.turn @ self.at].astype(np.float32)
+        how = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-4)
+        seen = image.astype(np.float32)
+        try:
+            alike, found = cv2.findTransformECC(self.pixels, seen, start, cv2.MOTION_AFFINE, how, None, 1)
+        except cv2.error:  # it does not converge
+            return None
+        turn = found[:, :2].astype(np.float64)
+        place: Numbers = turn @ self.at + found[:, 2]
+        if alike < _ALIKE or math.dist(place, at) > _FARTHEST or not 0.25 < np.linalg.det(turn) < 4:
+            return None
+        self.turn = turn
+        return place
+
+
+class _Walk:
+    """A point on its way through frames in one direction of time."""
+
+    def __init__(self, at: Sequence[float], frame: int, shape: tuple[int, ...]) -> None:
+        self.frame, self.points, self.errors = frame, [np.array(at, np.float64)], [0.0]
+        self.window = max(_WINDOW, min(shape) // 36 | 1)
+        self.why = ""  # it was lost, if not empty
+        self._steps: list[Step] = []
+        self._image: Array | None = None  # the frame before
+        self._template: _Template | None = None
+
+    def see(self, image: Array) -> None:
+        """Go on to the next frame; the first is that in which the point was given."""
+        before, self._image, at = self._image, image, self.points[-1]
+        if before is None:
+            self._template = self._look(image, at)
+            return
+        part, corner = _around(before, at, _REACH * self.window)
+        step = part.copy(), _around(image, at, _REACH * self.window)[0].copy(), corner
+        place, self._template = self._taken(step, at, self._template)
+        likely, edge = (2 * at - self.points[-2:][0], self.window) if place is None else (place, 0)
+        if not (edge <= likely.min() and (likely + edge < image.shape[::-1]).all()):
+            self.why = "it leaves the picture"
+        elif place is None:
+            self.why = "nothing there can be followed: it is flat, hidden, or at the edge"
+        else:
+            self._steps.append(step)
+            self.points.append(place)
+        if self.why or len(self._steps) == _STRETCH:
+            self.settle()
+
+    def settle(self) -> None:
+        """Follow the last steps back; leave out those that do not lead to where they began.
+
+        Where the template misleads, as on smooth things that change their shape, they are taken without one.
+        """
+        steps, count = self._steps, len(self._steps)
+        refined, missed = self.points[-count - 1 :], math.inf
+        plain: list[Numbers] = []
+        del self.points[len(self.points) - count :]
+        for n, looks in itertools.product(range(count, 0, -1), (True, False)):
+            plain = plain if looks or plain else self._way(steps, refined[0], looks=False)
+            way = refined if looks else plain
+            if n >= len(way):
+                continue
+            back = self._way([(after, before, corner) for before, after, corner in steps[n - 1 :: -1]], way[n], looks)
+            distances = [math.dist(p, q) for p, q in zip(back[1:], way[n - 1 :: -1], strict=False)]
+            apart = max(distances) if len(back) > n else math.inf
+            if apart <= _FARTHEST:
+                self.points += way[1 : n + 1]
+                self.errors += distances[::-1]
+                if not looks:
+                    self._template = self._look(steps[n - 1][1], way[n] - steps[n - 1][2])
+                break
+            missed = apart
+        else:
+            n = 0
+        if n < count:
+            by = "" if math.isinf(missed) else f" by {missed:.2g} pixels"
+            self.why = f"the ways forwards and backwards differ{by}"
+        self._steps = []
+
+    def _way(self, steps: Sequence[Step], at: Numbers, looks: bool) -> list[Numbers]:
+        """Return the positions after steps, from ``at`` on, as far as something is seen."""
+        way, template = [at], self._look(steps[0][0], at - steps[0][2]) if looks else None
+        for step in steps:
+            place, template = self._taken(step, way[-1], template)
+            if place is None:
+                break
+            way.append(place)
+        return way
+
+    def _taken(self, step: Step, at: Numbers, template: _Template | None) -> tuple[Numbers | None, _Template | None]:
+        """Return where a point is after a step, None if nothing is seen of it; and the template from then on."""
+        import cv2
+
+        before, after, corner = step
+        low = before.min()
+        scale = 255 / max(float(before.max()) - float(low), 1e-9)
+        eight = [np.clip((image - np.float32(low)) * scale, 0, 255).astype(np.uint8) for image in (before, after)]
+        start = (at - corner).astype(np.float32).reshape(1, 1, 2)
+        lucas_kanade: Any = cv2.calcOpticalFlowPyrLK
+        ended, seen, _ = lucas_kanade(*eight, start, None, winSize=(self.window, self.window), maxLevel=3)
+        place: Numbers = ended[0, 0].astype(np.float64)
+        if not seen[0, 0] or place.min() < 0 or (place > np.subtract(after.shape[::-1], 1)).any():
+            return None, template
+        if template is not None:
+            better = template.refined(after, place)
+            place, template = (place, self._look(after, place)) if better is None else (better, template)
+        return place + corner, template
+
+    def _look(self, image: Array, at: Numbers) -> _Template:
+        return _Template(image, at, self.window * 3 // 4)
+
+
+def track(
+    path: PathLike, at: Sequence[Sequence[float]], *, memory: float = 2 * GB, tell: Tell = silent
+) -> tuple[Tracked, ...]:
+    """Return where points of a clip are in its frames.
+
+    Each point is followed from its frame to the last and to the first one by pyramidal Lucas-Kanade (Bouguet, 2000) on
+    luma, and placed where the frame looks like the one in which it was given (an affine map of what is around it, by
+    the enhanced correlation of Evangelidis and Psarakis, 2008), so that it does not drift. It is followed back, too:
+    where both ways are more than a pixel apart within 16 frames, it is lost (Kalal and others, 2010), with a
+    `TrackWarning` that names the frame.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        A video, a pattern or a folder of pictures.
+    at : sequence of (float, float, int)
+        The points: x and y in pixels, and the frame, counted from 0.
+    memory : float
+        The bytes that decoded frames may take, on the way to the first frame.
+    tell : function of (str, int, int), optional
+        Called with ``"track"``, the number of frames seen, and their total.
+
+    Returns
+    -------
+    tuple of Tracked
+        One for each point, in order.
+
+    Raises
+    ------
+    SuppleError
+        If the clip cannot be read, OpenCV is missing, a point is not in the clip, or all points are lost at once.
+    """
+    need("flow", "tracked points", "cv2")
+    if opened(path, moves=True).kind != "clip":
+        raise SuppleError(f"{shown(path)} is no clip, and has no frames through which a point goes: give a clip")
+    refuse_picture(path)
+    count: int | None = None
+    while True:  # twice at most: what a container says of the number of frames may be wrong
+        try:
+            with open_clip(path, count=count) as clip:
+                return _tracked(clip, at, memory, tell)
+        except CountError as miscounted:
+            if count is not None:
+                raise fickle(path) from None
+            count = miscounted.found
+
+
+def _tracked(clip: Clip, at: Sequence[Sequence[float]], memory: float, tell: Tell) -> tuple[Tracked, ...]:
+    x0, y0, width, height = clip.display or (0, 0, *clip.layout.shape[::-1])
+    points = [point(f"at[{i}]", each, (3,)) for i, each in enumerate(at)]
+    for x, y, k in points:
+        where, frames = f"the point ({x:g}, {y:g})", f"frames 0 to {clip.count - 1}"
+        if not (k.is_integer() and 0 <= k < clip.count):
+            raise SuppleError(f"{where} is of frame {k:g}, and {clip.name} has {frames}: give one of these")
+        if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
+            raise SuppleError(f"{where} is not in the picture of {clip.name}, {width} x {height}: give one in it")
+    if not points:
+        refuse("at", "one point or more, (x, y, frame)", at)
+    if how := displayed(clip.rotation, clip.mirrored):
+        what = f"is {how} when it is played: points are in the frame as it is stored, {width} x {height}"
+        warnings.warn(f"{clip.name} {what}", ClipWarning, stacklevel=caller())
+    onwards, backwards = ([_Walk((x + x0, y + y0), int(k), clip.layout.shape) for x, y, k in points] for _ in range(2))
+    first, last = (choose(walk.frame for walk in onwards) for choose in (min, max))
+    done, total = 0, clip.count - first + last + 1
+    for walks, sign in ((onwards, 1), (backwards, -1)):
+        for k, image in _from(clip, first) if sign > 0 else _back(clip, last, memory):
+            going = [walk for walk in walks if not walk.why]
+            for walk in going:
+                if sign * (k - walk.frame) >= 0:
+                    walk.see(image)
+            done += 1
+            tell("track", done, total)
+            if not going:
+                break
+        for walk in walks:
+            walk.settle()
+    return _joined(onwards, backwards, np.array([x0, y0]), clip.name)
+
+
+def _joined(onwards: Sequence[_Walk], backwards: Sequence[_Walk], corner: Numbers, name: str) -> tuple[Tracked, ...]:
+    """Return both ways of each point as one; warn of those that are lost."""
+    tracks, lines = [], []
+    for later, earlier in zip(onwards, backwards, strict=True):
+        points = np.array([*earlier.points[:0:-1], *later.points]) - corner
+        frames = later.frame - len(earlier.points) + 1 + np.arange(len(points))
+        ends = ((int(frames[0]) - 1, earlier.why), (int(frames[-1]) + 1, later.why))
+        lost = tuple(end for end in ends if end[1])
+        tracks.append(Tracked(frames, points, np.array([*earlier.errors[:0:-1], *later.errors]), lost))
+        x, y = later.points[0] - corner
+        lines += [f"{name}: the point ({x:g}, {y:g}) of frame {later.frame} is lost in frame {k}: {w}" for k, w in lost]
+    if lines and all(len(each.frames) == 1 for each in tracks):
+        raise SuppleError(f"{lines[0]}: choose a corner or a spot that stays in sight")
+    for line in lines:
+        warnings.warn(line, TrackWarning, stacklevel=caller())
+    return tuple(tracks)
+
+
+def _from(clip: Any, first: int) -> Iterator[tuple[int, Array]]:
+    """Yield the luma of frames from ``first`` on, as stored; of floats its root, as these are linear light."""
+    arrays = [np.empty((*group.shape, group.channels), clip.layout.dtype) for group in clip.layout.groups]
+    samples, group = arrays[0], clip.layout.groups[0]
+    family = clip.form.kind.family if hasattr(clip, "form") else "rgb"
+    colours = group.channels - group.alpha >= 3 and family != "yuv"
+    seeks = hasattr(clip, "frames_from")  # image sequences need none
+    for k, frame in clip.frames_from(first) if seeks else itertools.islice(enumerate(clip.frames()), first, None):
+        frame.copy_to(arrays)
+        luma = (samples[..., :3] @ _LUMA).astype(samples.dtype) if colours else samples[..., 0].copy()
+        yield k, np.sqrt(np.maximum(np.nan_to_num(luma), 0)) if luma.dtype.kind == "f" else luma
+
+
+def _back(clip: Any, last: int, memory: float) -> Iterator[tuple[int, Array]]:
+    """Yield the luma of frames from ``last`` to 0: decoded from key frames on, as many at once as memory allows."""
+    most = max(2, int(memory // (math.prod(clip.layout.shape) * clip.layout.dtype.itemsize)))
+    while last >= 0:
+        begin = max(last - _STRETCH, 0)
+        begin = max(clip.key_before(begin) if hasattr(clip, "key_before") else begin, last + 1 - most)
+        yield from reversed(list(itertools.islice(_from(clip, begin), last + 1 - begin)))
+        last = begin - 1
+
+
+def _around(image: Array, at: Numbers, half: int) -> tuple[Array, Numbers]:
+    """Return the part of an image around a point, and x and y of its first pixel."""
+    x, y = (round(float(value)) for value in at)
+    corner = max(x - half, 0), max(y - half, 0)
+    return image[corner[1] : y + half + 1, corner[0] : x + half + 1], np.array(corner, np.float64)
+
+
+def write_track(path: PathLike, tracks: Sequence[Tracked], *, force: bool = False) -> None:
+    """Write a table that `supple.media.tracks.read_tracks` reads: frame, x, y and error; of several tracks, a name.
+
+    The names are 1, 2 and so on. SuppleError if the file exists and ``force`` is false, or it cannot be written.
+    """
+    lines = ["frame,x,y,error" + ",name" * (len(tracks) > 1)]
+    for n, each in enumerate(tracks, 1):
+        for k, *values in zip(each.frames, *each.points.T, each.errors, strict=True):
+            cells = [str(k), *(str(round(float(value), 3)) for value in values), *[str(n)] * (len(tracks) > 1)]
+            lines.append(",".join(cells))
+    with replacing(path, force=force) as place:
+        place.write_text("\n".join(lines) + "\n", "utf-8")
