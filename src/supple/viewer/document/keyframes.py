@@ -99,24 +99,13 @@ def edited(stroke: Stroke, now: Stroke, then: Stroke, frame: int, *, whole: bool
         arm = tuple(a - b for a, b in zip(p, then.at, strict=True))
         return tuple(a + (b - c) + (d - e) for a, b, c, d, e in zip(p, back(arm), arm, at, then.at, strict=True))
 
-    def kept(k: int) -> bool:  # it stays, or moves along
-        return k < len(stroke.also) and ((placed and moved) or (then.also[k][0] == now.also[k][0] and not moved))
-
-    also = []
-    for k, (p, by) in enumerate(then.also):
-        same = k < len(stroke.also) and by == now.also[k][1]
-        also.append((stroke.also[k][0] if kept(k) else point(p), stroke.also[k][1] if same else back(by)))
-    made = replace(
-        then,
-        at=at,
-        by=stroke.by if then.by == now.by else back(then.by),
-        also=tuple(also),
-        path=stroke.path if placed or then.path == now.path else tuple(map(point, then.path)),
-        axis=stroke.axis if then.axis == now.axis or then.axis is None else back(then.axis),
-        radius=stroke.radius if then.radius == now.radius else then.radius / scale,
-        keys=stroke.keys,
-        strength=stroke.strength,
-    )
+    made = then.mapped(point, back)
+    known = dict(zip(now.also, stroke.also, strict=True)) if placed or not moved else {}
+    also = tuple(known.get(pair, pulled) for pair, pulled in zip(then.also, made.also, strict=True))
+    same = [name for name in ("by", "path", "axis") if getattr(then, name) == getattr(now, name)]
+    alike = {name: getattr(stroke, name) for name in (*same, *["path"][:placed])}  # which moves along
+    radius = stroke.radius if then.radius == now.radius else then.radius / scale
+    made = replace(made, at=at, radius=radius, also=also, keys=stroke.keys, strength=stroke.strength, **alike)
     if then.strength != now.strength:
         keyed = animated(stroke, "strength")
         made = with_key(made, frame, strength=then.strength) if keyed else replace(made, strength=then.strength)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -73,9 +74,12 @@ def _shade(view: View, frame: int) -> int:
 
 
 def _diamond(lines: imgui.ImDrawList, at: Pair, colour: int, count: int) -> None:
-    """Draw the mark of a position, small among many."""
-    (x, y), size = at, 4.5 if count < _MANY else 2.5
-    corners: list[Any] = [(x, y - size), (x + size, y), (x, y + size), (x - size, y)]
+    """Draw the mark of a position: a small square among many."""
+    x, y = at
+    if count > _MANY:
+        lines.add_rect_filled((x - 1.5, y - 1.5), (x + 1.5, y + 1.5), colour)
+        return
+    corners: list[Any] = [(x, y - 4.5), (x + 4.5, y), (x, y + 4.5), (x - 4.5, y)]
     lines.add_convex_poly_filled(corners, colour)
     lines.add_polyline([*corners, corners[0]], theme.DARK, 1.0, 0)
 
@@ -115,9 +119,11 @@ def lane(view: View, tools: VideoTools, size: Pair) -> None:
             if name in view.curves[1]:
                 lines.add_text((high.x + 12, at), _COLOURS[name], text)
                 at += imgui.get_text_line_height()
+        last = -math.inf
         for key in stroke.keys:
-            place = placed(key.frame, 0)[0], low.y + 0.5 * _ROW
-            marks |= {(key.frame, "place"): place} if of_key(key, "place") else {}
+            x = placed(key.frame, 0)[0]
+            if x - last >= 1.0 and of_key(key, "place"):  # others would lie on each other
+                marks[key.frame, "place"], last = (x, low.y + 0.5 * _ROW), x
             marks |= (
                 {}
                 if key.strength is None
