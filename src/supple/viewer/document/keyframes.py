@@ -5,7 +5,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, Literal
 
 from supple.strokes import Stroke
@@ -84,8 +84,6 @@ def edited(stroke: Stroke, now: Stroke, then: Stroke, frame: int, *, whole: bool
     What is animated gets a key in that frame; all else is the same in all frames. With ``whole``, all positions move.
     What was not edited keeps every bit.
     """
-    if not stroke.keys:
-        return then
     scale = value(stroke.keys, "scale", frame, 1.0)
     turn = cmath.rect(scale, math.radians(value(stroke.keys, "angle", frame, 0.0)))
     placed = any(key.at is not None for key in stroke.keys)
@@ -102,13 +100,11 @@ def edited(stroke: Stroke, now: Stroke, then: Stroke, frame: int, *, whole: bool
     made = then.mapped(point, back)
     known = dict(zip(now.also, stroke.also, strict=True)) if placed or not moved else {}
     also = tuple(known.get(pair, pulled) for pair, pulled in zip(then.also, made.also, strict=True))
-    same = [name for name in ("by", "path", "axis") if getattr(then, name) == getattr(now, name)]
-    alike = {name: getattr(stroke, name) for name in (*same, *["path"][:placed])}  # which moves along
-    radius = stroke.radius if then.radius == now.radius else then.radius / scale
-    made = replace(made, at=at, radius=radius, also=also, keys=stroke.keys, strength=stroke.strength, **alike)
-    if then.strength != now.strength:
-        keyed = animated(stroke, "strength")
-        made = with_key(made, frame, strength=then.strength) if keyed else replace(made, strength=then.strength)
+    names = (name for name in (field.name for field in fields(stroke)) if getattr(then, name) == getattr(now, name))
+    alike = {name: getattr(stroke, name) for name in (*names, *["path"][:placed])}  # which moves along
+    made = replace(made, **{"radius": then.radius / scale, **alike, "at": at, "also": also})
+    if then.strength != now.strength and animated(stroke, "strength"):
+        made = with_key(replace(made, strength=stroke.strength), frame, strength=then.strength)
     if not (placed and moved):
         return made
     if not whole:
