@@ -84,6 +84,10 @@ def edited(stroke: Stroke, now: Stroke, then: Stroke, frame: int, *, whole: bool
     What is animated gets a key in that frame; all else is the same in all frames. With ``whole``, all positions move.
     What was not edited keeps every bit.
     """
+    names = [field.name for field in fields(stroke)]
+    alike = {name: getattr(stroke, name) for name in names if getattr(then, name) == getattr(now, name)}
+    if not stroke.keys:
+        return replace(then, **alike)
     scale = value(stroke.keys, "scale", frame, 1.0)
     turn = cmath.rect(scale, math.radians(value(stroke.keys, "angle", frame, 0.0)))
     placed = any(key.at is not None for key in stroke.keys)
@@ -100,9 +104,8 @@ def edited(stroke: Stroke, now: Stroke, then: Stroke, frame: int, *, whole: bool
     made = then.mapped(point, back)
     known = dict(zip(now.also, stroke.also, strict=True)) if placed or not moved else {}
     also = tuple(known.get(pair, pulled) for pair, pulled in zip(then.also, made.also, strict=True))
-    names = (name for name in (field.name for field in fields(stroke)) if getattr(then, name) == getattr(now, name))
-    alike = {name: getattr(stroke, name) for name in (*names, *["path"][:placed])}  # which moves along
-    made = replace(made, **{"radius": then.radius / scale, **alike, "at": at, "also": also})
+    moves = {"at": at, "also": also, **({"path": stroke.path} if placed else {})}
+    made = replace(made, **{"radius": then.radius / scale, **alike, **moves})
     if then.strength != now.strength and animated(stroke, "strength"):
         made = with_key(replace(made, strength=stroke.strength), frame, strength=then.strength)
     if not (placed and moved):
