@@ -5,7 +5,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, Literal
 
 from supple.strokes import Stroke
@@ -84,8 +84,10 @@ def edited(stroke: Stroke, now: Stroke, then: Stroke, frame: int, *, whole: bool
     What is animated gets a key in that frame; all else is the same in all frames. With ``whole``, all positions move.
     What was not edited keeps every bit.
     """
+    names = [field.name for field in fields(stroke)]
+    alike = {name: getattr(stroke, name) for name in names if getattr(then, name) == getattr(now, name)}
     if not stroke.keys:
-        return then
+        return replace(then, **alike)
     scale = value(stroke.keys, "scale", frame, 1.0)
     turn = cmath.rect(scale, math.radians(value(stroke.keys, "angle", frame, 0.0)))
     placed = any(key.at is not None for key in stroke.keys)
@@ -99,27 +101,13 @@ def edited(stroke: Stroke, now: Stroke, then: Stroke, frame: int, *, whole: bool
         arm = tuple(a - b for a, b in zip(p, then.at, strict=True))
         return tuple(a + (b - c) + (d - e) for a, b, c, d, e in zip(p, back(arm), arm, at, then.at, strict=True))
 
-    def kept(k: int) -> bool:  # it stays, or moves along
-        return k < len(stroke.also) and ((placed and moved) or (then.also[k][0] == now.also[k][0] and not moved))
-
-    also = []
-    for k, (p, by) in enumerate(then.also):
-        same = k < len(stroke.also) and by == now.also[k][1]
-        also.append((stroke.also[k][0] if kept(k) else point(p), stroke.also[k][1] if same else back(by)))
-    made = replace(
-        then,
-        at=at,
-        by=stroke.by if then.by == now.by else back(then.by),
-        also=tuple(also),
-        path=stroke.path if placed or then.path == now.path else tuple(map(point, then.path)),
-        axis=stroke.axis if then.axis == now.axis or then.axis is None else back(then.axis),
-        radius=stroke.radius if then.radius == now.radius else then.radius / scale,
-        keys=stroke.keys,
-        strength=stroke.strength,
-    )
-    if then.strength != now.strength:
-        keyed = animated(stroke, "strength")
-        made = with_key(made, frame, strength=then.strength) if keyed else replace(made, strength=then.strength)
+    made = then.mapped(point, back)
+    known = dict(zip(now.also, stroke.also, strict=True)) if placed or not moved else {}
+    also = tuple(known.get(pair, pulled) for pair, pulled in zip(then.also, made.also, strict=True))
+    moves = {"at": at, "also": also, **({"path": stroke.path} if placed else {})}
+    made = replace(made, **{"radius": then.radius / scale, **alike, **moves})
+    if then.strength != now.strength and animated(stroke, "strength"):
+        made = with_key(replace(made, strength=stroke.strength), frame, strength=then.strength)
     if not (placed and moved):
         return made
     if not whole:

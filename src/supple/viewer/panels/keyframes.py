@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -45,10 +46,8 @@ def _curves(view: View, stroke: Stroke) -> dict[str, list[Pair]]:
         for name, part, axis in (("x", "at", 0), ("y", "at", 1), ("strength", "strength", None)):
             pairs = [(k.frame, getattr(k, part)) for k in stroke.keys if getattr(k, part) is not None]
             if pairs:
-                at, values = zip(
-                    *((k, stroke.strength * v if axis is None else v[axis]) for k, v in pairs), strict=True
-                )
-                made[name] = [(float(frame), curve(at, values, frame)) for frame in frames]
+                values = [stroke.strength * v if axis is None else v[axis] for _, v in pairs]
+                made[name] = [(float(frame), curve([k for k, _ in pairs], values, frame)) for frame in frames]
         view.curves = stroke, made
     return made
 
@@ -73,9 +72,12 @@ def _shade(view: View, frame: int) -> int:
 
 
 def _diamond(lines: imgui.ImDrawList, at: Pair, colour: int, count: int) -> None:
-    """Draw the mark of a position, small among many."""
-    (x, y), size = at, 4.5 if count < _MANY else 2.5
-    corners: list[Any] = [(x, y - size), (x + size, y), (x, y + size), (x - size, y)]
+    """Draw the mark of a position: a small square among many."""
+    x, y = at
+    if count > _MANY:
+        lines.add_rect_filled((x - 1.5, y - 1.5), (x + 1.5, y + 1.5), colour)
+        return
+    corners: list[Any] = [(x, y - 4.5), (x + 4.5, y), (x, y + 4.5), (x - 4.5, y)]
     lines.add_convex_poly_filled(corners, colour)
     lines.add_polyline([*corners, corners[0]], theme.DARK, 1.0, 0)
 
@@ -107,25 +109,20 @@ def lane(view: View, tools: VideoTools, size: Pair) -> None:
             lines.add_polyline(points, col=_COLOURS[name], thickness=thick, flags=imgui.ImDrawFlags_.none)
         lines.pop_clip_rect()
         now, at = stroke.at_frame(document.frame), high.y - size[1]
-        for name, text in (
-            ("x", f"x {now.at[0]:.1f}"),
-            ("y", f"y {now.at[1]:.1f}"),
-            ("strength", f"strength {now.strength:.0%}"),
-        ):
-            if name in view.curves[1]:
-                lines.add_text((high.x + 12, at), _COLOURS[name], text)
-                at += imgui.get_text_line_height()
+        said = {"x": f"x {now.at[0]:.1f}", "y": f"y {now.at[1]:.1f}", "strength": f"strength {now.strength:.0%}"}
+        for name in view.curves[1]:
+            lines.add_text((high.x + 12, at), _COLOURS[name], said[name])
+            at += imgui.get_text_line_height()
+        last = -math.inf
         for key in stroke.keys:
-            place = placed(key.frame, 0)[0], low.y + 0.5 * _ROW
-            marks |= {(key.frame, "place"): place} if of_key(key, "place") else {}
-            marks |= (
-                {}
-                if key.strength is None
-                else {(key.frame, "strength"): placed(key.frame, stroke.strength * key.strength)}
-            )
+            x = placed(key.frame, 0)[0]
+            if x - last >= 1.0 and of_key(key, "place"):  # others would lie on each other
+                marks[key.frame, "place"], last = (x, low.y + 0.5 * _ROW), x
+            if key.strength is not None:
+                marks[key.frame, "strength"] = placed(key.frame, stroke.strength * key.strength)
     else:
-        said = "No keys: animate the selected stroke in the panel" if stroke else "Select a stroke to see its keys"
-        lines.add_text((low.x + 10, 0.5 * (low.y + high.y - imgui.get_text_line_height())), theme.DIM, said)
+        none = "No keys: animate the selected stroke in the panel" if stroke else "Select a stroke to see its keys"
+        lines.add_text((low.x + 10, 0.5 * (low.y + high.y - imgui.get_text_line_height())), theme.DIM, none)
     here = round(placed(playback.frame, 0)[0]) + 0.5
     lines.add_line((here, low.y), (here, high.y), theme.PALE)
     x, y = imgui.get_mouse_pos()
@@ -140,12 +137,7 @@ def lane(view: View, tools: VideoTools, size: Pair) -> None:
             lines.add_circle_filled(place, 4.5, colour)
             lines.add_circle(place, 4.5, theme.DARK, 0, 1.0)
     hint(_LANE)
-    if (
-        found is not None
-        and stroke is not None
-        and chosen is not None
-        and imgui.is_item_clicked(imgui.MouseButton_.right)
-    ):
+    if found and stroke and chosen is not None and imgui.is_item_clicked(imgui.MouseButton_.right):
         view.attempt(partial(document.replace, chosen, without(stroke, found[1], {found[0]}, document.frame)))
     elif imgui.is_mouse_down(imgui.MouseButton_.left) or view.held_key:
         _drag(view, tools, found, (x - first) / per_frame, per_frame, rise)
@@ -176,9 +168,8 @@ def _drag(view: View, tools: VideoTools, found: Mark | None, frame: float, per_f
             strength = stroke.at_frame(held[0]).strength - gone.y / rise
             stroke = with_key(stroke, held[0], strength=min(max(strength, 0.0), 1.0))
         elif gone.x:
-            stroke = moved_key(
-                stroke, held[1], held[0], min(max(to, min(held[0], 0)), max(held[0], playback.count - 1))
-            )
+            low, high = min(held[0], 0), max(held[0], playback.count - 1)
+            stroke = moved_key(stroke, held[1], held[0], min(max(to, low), high))
         view.attempt(partial(document.preview_as, stroke))
 
 
