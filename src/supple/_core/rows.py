@@ -20,6 +20,7 @@ STROKE_DTYPE = np.dtype(
         ("reach", np.float64),
         ("most", np.float64),
         ("turn", np.float64, (3,)),
+        ("mask", np.int64),
     ],
     align=True,
 )

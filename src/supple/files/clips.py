@@ -303,19 +303,20 @@ def deformation_of(
     recipe = fit_recipe(recipe, size, fit, name, time=True).placed((x, y, 0), (*shape[::-1], count))
     if hold:
         widths = Domain((count, *shape), (1.0, 1.0, worth), recipe.border).border_widths
-        ends = fade_of(count, hold, None if widths is None else widths[2] / worth)
-        recipe = replace(recipe, freeze=ends.over(recipe.freeze, shape))
+        ends = fade_of((count, *shape), hold, None if widths is None else widths[2] / worth)
+        recipe = replace(recipe, freeze=ends if recipe.freeze is None else ends.times(recipe.freeze))
     return Deformation.from_recipe(recipe, Grid((count, *shape), (1.0, 1.0, worth), (-x, -y, 0)), time=True)
 
 
-def fade_of(count: int, hold: int, width: float | None = None) -> Freeze:
-    """Return a mask along time alone, of samples (1, 1, count): the frames held at each end are frozen.
+def fade_of(shape: tuple[int, int, int], hold: int, width: float | None = None) -> Freeze:
+    """Return a mask along time alone, of a clip of a shape (T, H, W): the frames held at each end are frozen.
 
     ``width`` is that of the fade beside them, in frames: by default a tenth of the clip, as that of a border.
     """
-    held = np.zeros((count, 1, 1), bool)
-    held[:hold] = held[count - hold :] = True
-    return Freeze.of(held, width=max(4.0, AUTO * count if width is None else width))
+    held = np.zeros((shape[0], 1, 1), bool)
+    held[:hold] = held[len(held) - hold :] = True
+    made = Freeze.of(held, width=max(4.0, AUTO * len(held) if width is None else width))
+    return replace(made, samples=shape[::-1])
 
 
 def deformations_of(
@@ -440,10 +441,14 @@ def motion_of(
     ``count``. Errors are those of `Deformation.from_recipe`, with the frame. ``hold`` is as in `ClipOptions`; of frames
     that are not ``bent``, the deformation is the identity.
     """
+    for matte in (stroke.matte for stroke in recipe.strokes):
+        if matte is not None and matte.ndim == 3 and matte.samples[2] != count:
+            what = f"has {matte.samples[2]} frames, and the clip {count}: give one of its length"
+            raise SuppleError(f"the matte {shown(matte.name)} {what}")
     roaming = {i for i, stroke in enumerate(recipe.strokes) if any(key.at is not None for key in stroke.keys)}
     frames = [recipe.at_frame(k) for k in range(count)]
     if hold:
-        parts = fade_of(count, hold).at([[0], [0], np.arange(count)]).ravel().astype(float)
+        parts = fade_of((count, 1, 1), hold).at([[0], [0], np.arange(count)]).ravel().astype(float)
         frames = [replace(now, amount=now.amount * part) for now, part in zip(frames, parts.tolist(), strict=True)]
     known: dict[Recipe, Deformation] = {}
     still = Deformation.from_recipe(replace(recipe, strokes=()), shape)

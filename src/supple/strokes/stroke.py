@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError, none
 from supple.space.checks import LARGEST, choice, integer, length, number, point, refuse
+from supple.space.freezing import Freeze
 from supple.strokes.keys import Key, checked_keys, position
 from supple.strokes.keys import strength as strength_of
 
@@ -73,6 +74,9 @@ class Stroke:
         A name for users.
     strength : float
         The applied fraction of the drag, from 0 to 1; see `Deformation.from_recipe`.
+    matte : Freeze or None
+        A factor m(p) of its displacement, 1 where it applies in full, beside the freeze mask of all strokes
+        (`Freeze.of` and `Freeze.matte_of` make them).
     keys : sequence of Key
         In a clip, of a stroke of two coordinates: where its point ``at`` is, and how strong it is, in some frames, in
         ascending order. The whole stroke moves along with ``at``; see `Recipe.at_frame`.
@@ -95,6 +99,7 @@ class Stroke:
     name: str | None = None
     strength: float = 1.0
     keys: tuple[Key, ...] = ()
+    matte: Freeze | None = None
 
     def __post_init__(self) -> None:
         choice("brush", self.brush, get_args(Brush))
@@ -104,6 +109,8 @@ class Stroke:
             refuse("chord", "true or false", self.chord)
         if not isinstance(self.name, str | None):
             refuse("name", "text", self.name)
+        if not isinstance(self.matte, Freeze | None):
+            refuse("matte", "a Freeze (Freeze.of makes one from an array)", self.matte)
         at = point("at", self.at)
         checked = {
             "at": at,
@@ -287,6 +294,11 @@ class Stroke:
         """The number of coordinates of its points: 2 or 3."""
         return len(self.at)
 
+    @property
+    def changes(self) -> bool:
+        """True if it is another one in each frame of a clip: it has keys, or a matte that moves."""
+        return bool(self.keys) or (self.ndim == 2 and self.matte is not None and self.matte.ndim == 3)
+
     def mapped(self, place: Callable[[Place], Place], turn: Callable[[Place], Place]) -> Self:
         """Return the stroke with all its points sent through one function, its drags and its axis through another."""
         return replace(
@@ -385,11 +397,12 @@ class Stroke:
         """Return what the stroke is in a frame of a clip, by its keys: moved as a whole, and of another strength.
 
         Between two keys, each coordinate and the strength follow a smooth curve that never leaves their range; before
-        the first and after the last, they are constant.
+        the first and after the last, they are constant. A matte is that of the frame.
         """
-        if not self.keys:
+        if not self.changes:
             return self
-        held = replace(self, keys=(), strength=self.strength * strength_of(self.keys, frame))
+        matte = self.matte and self.matte.at_frame(round(frame))
+        held = replace(self, keys=(), matte=matte, strength=self.strength * strength_of(self.keys, frame))
         at = position(self.keys, frame)
         if at is None or at == self.at:
             return held

@@ -34,7 +34,8 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = Fa
     makes the cross product with it, and ``turn`` has a factor for each component of the displacement, 0 for others.
     Where ``reach`` is finite, that is multiplied by ``1 - 10t³ + 15t⁴ - 6t⁵``, ``t = |d| / reach``, and 0 beyond.
     Rows that are ``joined`` act at once with the one before them: all are evaluated at the same point, and added;
-    ``most`` bounds their displacement, if it is known, and is infinite otherwise.
+    ``most`` bounds their displacement, if it is known, and is infinite otherwise; ``mask`` is the number of their mask
+    among those of all strokes (`supple.engine.work.Mattes`), or 0.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = Fa
             matrix, turn = _skew(_axis_of(stroke, spacing)), 1.0
             terms = np.concatenate([terms[:1], math.radians(stroke.angle) * terms[1:]])
         reach = math.inf if stroke.reach is None else stroke.reach * stroke.radius
-        rows.append((pivot, force, matrix, *terms, stroke.scales, power, 0, reach, math.inf, (turn,) * 3))
+        rows.append((pivot, force, matrix, *terms, stroke.scales, power, 0, reach, math.inf, (turn,) * 3, 0))
     return np.array(rows, STROKE_DTYPE)
 
 

@@ -23,14 +23,14 @@ _NEW = (
     "border_profile", "reach", "size", "space", "amount", "time_scale", "name", "strength", "to", "angle", "factor",
     "axis", "also", "path", "keys", "freeze",
 )  # fmt: skip
-_NEWER = ("chord",)  # and after version 2
+_NEWER = ("chord", "matte")  # and after version 2
 
 
 def written(members: Mapping[str, object], strokes: Iterable[Stroke]) -> str:
     """Return the text of a recipe of some fields and strokes; fields that are None are left out, but for the border."""
     strokes = list(strokes)
-    # Twists alone differ from those of version 2.
-    version = VERSION if any(stroke.brush == "twist" for stroke in strokes) else 2
+    # Twists, and strokes with mattes, alone differ from those of version 2.
+    version = VERSION if any(stroke.brush == "twist" or stroke.matte is not None for stroke in strokes) else 2
     head = {"supple": version, **{k: v for k, v in members.items() if v is not None or k == "border"}}
     lines = [f"  {_dump(key)}: {_dump(_plain(value))}" for key, value in head.items()]
     entries = ",\n".join(f"    {_dump(_entry(stroke))}" for stroke in strokes)
@@ -95,6 +95,8 @@ def _entry(stroke: Stroke) -> dict[str, object]:
         entry["hidden"] = True
     if stroke.name is not None:
         entry["name"] = stroke.name
+    if stroke.matte is not None:
+        entry["matte"] = stroke.matte
     if stroke.keys:
         entry["keys"] = [_key_entry(key) for key in stroke.keys]
     return {name: _plain(value) for name, value in entry.items()}
@@ -135,6 +137,8 @@ def _stroke(where: str, entry: object, version: int) -> Stroke:
     if "keys" in entry:
         entry = {**entry, "keys": _keys(where, entry["keys"])}
     try:
+        if entry.get("matte") is not None:
+            entry = {**entry, "matte": Freeze.from_entry(entry["matte"], "matte")}
         return Stroke(**entry)
     except SuppleError as error:
         raise SuppleError(f"{where}: {error}") from None
