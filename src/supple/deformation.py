@@ -18,8 +18,8 @@ from supple.engine import core
 from supple.engine.core import measured, plan_of
 from supple.engine.devices import is_on_device
 from supple.engine.sampling import DEFAULT, Certificate, Sampling, SamplingFields, warn_of
-from supple.engine.work import Space, mask_of
-from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, argument, caller
+from supple.engine.work import Mattes, Space, mask_of
+from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, argument, caller, shown
 from supple.fields import Field, Placed, check_path, folds_of
 from supple.folding.limits import NEAR, resolve
 from supple.folding.resolved import FREE_ENOUGH, Resolved, apart, described, freedom_at, padded
@@ -706,20 +706,27 @@ class Deformation:
             )
         if stroke.hidden:
             return self
-        if stroke.keys:
+        if stroke.changes:
             raise SuppleError(
-                "the stroke moves from frame to frame (keys), and this is one map: give the stroke of a frame"
+                "the stroke moves from frame to frame (keys, or a matte), and this is one map: give that of a frame"
             )
         if stroke.time_radius is not None and not self.domain.time:
             raise SuppleError(f"{argument('time_radius')} is for clips, and this is {self._kind}: leave it out")
         stroke = reduced(stroke, 1.0, self, self)
-        resolved = resolve(stroke, self.domain, self.on_fold)
+        domain, freeze = self._masked(stroke), self._space.freeze
+        resolved = resolve(stroke, domain, self.on_fold)
+        if stroke.matte is not None:
+            freeze, number = Mattes.adding(freeze, mask_of(domain))
+            table = resolved.rows.copy()
+            table["mask"] = number
+            resolved = replace(resolved, rows=table)
         rows = np.concatenate([self._space.rows, numbers(resolved.rows)])
+        space = replace(self._space, rows=rows, freeze=freeze)
         made = self._changed(
             strokes=(*self.strokes, stroke),
             _resolved=(*self._resolved, resolved),
-            _space=replace(self._space, rows=rows),
-            **self._after(stroke, resolved),
+            _space=space,
+            **self._after(stroke, resolved, space),
         )
         if warn:
             _warn(last_outside(made), OutsideWarning)
@@ -727,12 +734,27 @@ class Deformation:
             _warn(made._carried(len(self.strokes), range(len(made.strokes)), len(made.strokes)), MissWarning)
         return made
 
-    def _after(self, stroke: Stroke, resolved: Resolved) -> dict[str, npt.NDArray[Any]]:
+    def _masked(self, stroke: Stroke) -> Domain:
+        """Return the domain with the mask that a stroke is subject to: its matte, times the freeze mask."""
+        domain, matte = self.domain, stroke.matte
+        if matte is None:
+            return domain
+        sizes = domain.shape[::-1]
+        if matte.samples != sizes[: matte.ndim] or (matte.ndim < self.ndim and not domain.time):
+            name = f"the matte {shown(matte.name)}" if matte.name else "the matte"
+            held, wanted = spoken(matte.samples), spoken(sizes)
+            raise SuppleError(
+                f"{name} is of {held} samples, and what is deformed of {wanted}: give a matte of its size"
+            )
+        own = matte if domain.freeze is None else matte.times(domain.freeze)
+        return Domain(domain.shape, domain.spacing, domain.border, domain.border_profile, domain.time, own)
+
+    def _after(self, stroke: Stroke, resolved: Resolved, space: Space) -> dict[str, npt.NDArray[Any]]:
         """Return the points of all strokes, and what carries them, after one more."""
         own = padded([at for at, _ in stroke.handles], self.domain)
         points = np.concatenate([self._points[:, 2], own])
         if resolved.substrokes:
-            points, _ = _core.forward(numbers(resolved.rows), self._space.axes, points, False, self._space.freeze)
+            points, _ = _core.forward(numbers(resolved.rows), self._space.axes, points, False, space.freeze)
         points[len(self._points)] = padded(resolved.arrived, self.domain)
         known, carriers, now = self._points.copy(), self._carriers.copy(), points[: len(self._points)]
         off = np.linalg.norm((now - known[:, 1])[:, : self.ndim] / self.domain.spacing, axis=1)

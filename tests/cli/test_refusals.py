@@ -250,7 +250,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("--what slice --x 3 --y 4", "--x or --y"),
         ("--what slice --x 64", "--x must be from 0 to 63"),
         ("--what slice --x 2.5", "--x must be a whole number of pixels, found '2.5'"),
-        ("--what grid --frame 2.5", "--frame must be the number of a frame (0, say) or a timecode (00:00:00:00), found '2.5'"),
+        ("--what grid --frame 2.5", "--frame must be the number of a frame (0, say) or a timecode"),
         ("--what grid --frame 99", "--frame must be from 0 to 11, found 99"),
         ("--what grid --x 3", "--x and --y are for slices"),
         ("--what slice --y 48", "--y must be from 0 to 47"),

@@ -116,7 +116,7 @@ def test_strokes_fade_smoothly_towards_held_frames(here: Path, recipe: Recipe) -
     weak = Stroke.grab((30, 20, 14), by=(0.5, 0.2, 0.1), radius=14)
     masked = supple.Deformation.from_recipe(replace(recipe, strokes=(weak,), freeze=d.domain.freeze), d.grid, time=True)
     free = plain.add(weak)
-    m = fade_of(30, 2, None if recipe.border is None else (3.0 if recipe.border == "auto" else 4.0)).at(
+    m = fade_of((30, 1, 1), 2, None if recipe.border is None else (3.0 if recipe.border == "auto" else 4.0)).at(
         [[0], [0], points[:, 2]]
     )
     np.testing.assert_allclose(
@@ -126,7 +126,7 @@ def test_strokes_fade_smoothly_towards_held_frames(here: Path, recipe: Recipe) -
 
 def test_frames_of_a_fade_are_the_strokes_in_part(here: Path) -> None:
     noisy("in.mkv", "gray", 30)
-    parts = fade_of(30, 2).at([[0], [0], np.arange(30)]).ravel()
+    parts = fade_of((30, 1, 1), 2).at([[0], [0], np.arange(30)]).ravel()
     assert (parts[:2] == 0).all()
     assert (np.diff(parts[:9]) >= 0).all()
     assert (parts[9:21] == 1).all()
@@ -145,7 +145,7 @@ def test_held_frames_under_a_freeze_mask(here: Path) -> None:
     d = warp_file("in.mkv", "out.mkv", recipe, hold=2).deformation
     m = recipe.freeze.at([np.arange(64), np.arange(48)])
     both = d.domain.freeze.at([np.arange(64), np.arange(48), np.arange(30)])
-    ends = fade_of(30, 2, 3.0).at([[0], [0], np.arange(30)])
+    ends = fade_of((30, 1, 1), 2, 3.0).at([[0], [0], np.arange(30)])
     np.testing.assert_allclose(both, ends * m, atol=1 / 255)
     frames, after = stack("in.mkv"), stack("out.mkv")
     np.testing.assert_array_equal(after[:, :, :12], frames[:, :, :12])

@@ -174,6 +174,12 @@ nb::object freedom(const Frozen& mask, const Doubles& points) {
 void bind_points(nb::module_& m) {
     nb::class_<Frozen>(m, "Freeze", "A freeze mask: the B-spline m, a factor of all strokes' displacement.")
         .def("__init__", &make_frozen, "values"_a, "first"_a, "step"_a)
+        .def(
+            "stand_for",
+            [](Frozen& self, nb::list masks) {
+                for (nb::handle mask : masks) self.masks.push_back(nb::cast<Masking>(mask).value_or(nullptr));
+            },
+            "masks"_a, "Stand for several masks, by their numbers in the rows of strokes; they have to live as long.")
         .def("freedom", &freedom, "points"_a, "Return m of points (N, 3), in physical units, and its gradient.");
     m.def("forward", &forward, "strokes"_a, "axes"_a, "points"_a, "jacobian"_a, "freeze"_a = nb::none(),
           "Return T of points (N, 3), in physical units, and ∂T/∂p (N, 3, 3) or None.");

@@ -24,7 +24,7 @@ inline Axes axes_of(const Doubles& rows) {
 typedef std::optional<const Frozen*> Masking;
 
 inline std::vector<Stroke> strokes_of(const Doubles& rows, const Axis* axes, const Masking& freeze) {
-    if (rows.shape(0) && rows.shape(1) != STROKE_NUMBERS) throw nb::value_error("strokes must have 35 columns");
+    if (rows.shape(0) && rows.shape(1) != STROKE_NUMBERS) throw nb::value_error("strokes must have 39 columns");
     return load_strokes(rows.data(), rows.shape(0), axes, freeze.value_or(nullptr));
 }
 

@@ -45,6 +45,8 @@ public:
     }
     Frozen(const Frozen&) = delete;
 
+    std::vector<const Frozen*> masks;  // if it stands for several: that of all strokes, or null, and those of some
+
     // Of m in a box.
     Derivatives bounds_in(const double* low, const double* high) const {
         int from[3], to[3], level = 0;

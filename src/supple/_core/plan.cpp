@@ -200,15 +200,37 @@ void Plan<D>::find_reaching(int j, int left, int right) {
     }
 }
 
-// What is frozen is the identity: all of a root, or samples of it, as outside of every ball.
+// What is frozen is the identity: all of a root, or samples of it, as outside of every ball, if that holds of each
+// stroke that reaches it.
 template <int D>
 void Plan<D>::thaw(int index) {
     const int i = index % across, j = index / across;
     const double low[3] = {column(i) * axes[0].spacing, line(j) * axes[1].spacing, z * axes[2].spacing};
     const double high[3] = {column(i + 1) * axes[0].spacing, line(j + 1) * axes[1].spacing, low[2]};
-    if (freeze->is_frozen(low, high))
+    const Frozen* last = nullptr;  // neighbours share one
+    bool frozen = true, still = false, some = false;
+    for (size_t word = 0; word < words; word++)
+        for (uint64_t set = reaching[(size_t)index * words + word]; set; set &= set - 1) {
+            const Stroke& k = strokes[64 * word + __builtin_ctzll(set)];
+            if (!k.freeze) {
+                double near2 = 0;
+                for (int d = 0; d < D; d++) {
+                    const double near = std::max({low[d] - k.pivot[d], k.pivot[d] - high[d], 0.0});
+                    near2 += near * near;
+                }
+                frozen = frozen && near2 >= k.reach * k.reach;
+                continue;
+            }
+            if (last != k.freeze) {
+                last = &mask_of(k);
+                still = last->is_frozen(low, high);
+                some = some || !last->is_free(low, high);
+            }
+            frozen = frozen && still;
+        }
+    if (frozen)
         std::fill_n(reaching.data() + (size_t)index * words, words, 0);
-    else if (!freeze->is_free(low, high))
+    else if (some)
         roots[index].rim = true;
 }
 
@@ -689,6 +711,8 @@ void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, 
     row.some_same = false;
     if (!root.rim) return;
     std::fill(row.same, row.same + n, true);
+    const Freeze* last = nullptr;  // neighbours share one
+    bool frozen[STRIDE];
     double py = (y * grid.step[1] + grid.offset[1]) * axes[1].spacing, sx = axes[0].spacing;
     for (size_t word = 0; word < words; word++)
         for (uint64_t set = reaching[(size_t)index * words + word]; set; set &= set - 1) {
@@ -703,12 +727,14 @@ void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, 
             double final = ((k.pivot[0] + chord) / sx - grid.offset[0]) / grid.step[0] - x;
             int from = (int)std::clamp(floor(first + 1e-9) + 1, 0.0, (double)n);
             int to = (int)std::clamp(ceil(final - 1e-9), 0.0, (double)n);
-            for (int i = from; i < to; i++) row.same[i] = false;
-        }
-    if (freeze)
-        for (int i = 0; i < n; i++) {
-            const double at[3] = {((x + i) * grid.step[0] + grid.offset[0]) * sx, py, z * axes[2].spacing};
-            row.same[i] = row.same[i] || is_frozen<3>(*freeze, at);
+            if (k.freeze && k.freeze != last) {
+                last = k.freeze;
+                for (int i = 0; i < n; i++) {
+                    const double at[3] = {((x + i) * grid.step[0] + grid.offset[0]) * sx, py, z * axes[2].spacing};
+                    frozen[i] = is_frozen<3>(*last, at);
+                }
+            }
+            for (int i = from; i < to; i++) row.same[i] = row.same[i] && k.freeze && frozen[i];
         }
     for (int i = 0; i < n; i++) {
         if (!row.same[i]) continue;

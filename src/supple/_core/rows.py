@@ -23,6 +23,7 @@ STROKE_DTYPE = np.dtype(
         ("stretch", np.float64),
         ("coupled", np.float64),
         ("flat", np.float64),
+        ("mask", np.int64),
     ],
     align=True,
 )

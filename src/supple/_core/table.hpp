@@ -11,8 +11,8 @@
 
 namespace supple {
 
-constexpr int STROKE_NUMBERS = 38;  // pivot, force; matrix; radius2, p, q, r; terms, power, joined, of int64; reach,
-                                    // most; turn; stretch, coupled, flat
+constexpr int STROKE_NUMBERS = 39;  // pivot, force; matrix; radius2, p, q, r; terms, power, joined, of int64; reach,
+                                    // most; turn; stretch, coupled, flat; mask, of int64
 constexpr int AXIS_NUMBERS = 5;     // first, last, sigma, spacing, profile
 
 typedef std::array<Axis, 3> Axes;
@@ -102,7 +102,8 @@ inline bool is_whole(const Stroke& k) { return k.turns() && k.inner && !k.freeze
 // The mask that a stroke is subject to, which has one.
 inline const Frozen& mask_of(const Stroke& k) { return *static_cast<const Frozen*>(k.freeze); }
 
-// Read `count` rows of STROKE_NUMBERS, and derive the rest; the mask has to live as long as they do.
+// Read `count` rows of STROKE_NUMBERS, and derive the rest; the mask has to live as long as they do. If it stands for
+// several, each row has the number of its own.
 inline std::vector<Stroke> load_strokes(const double* rows, size_t count, const Axis* axes,
                                         const Frozen* freeze = nullptr) {
     std::vector<Stroke> strokes(count);
@@ -121,10 +122,13 @@ inline std::vector<Stroke> load_strokes(const double* rows, size_t count, const 
         k.coupled = *rows++;
         k.flat = *rows++;
         k.force[2] *= k.stretch;
+        int64_t mask;
+        memcpy(&mask, rows++, sizeof mask);
         k.per_reach = std::isfinite(k.reach) ? 1.0 / (k.flat > 0 ? eased(k, k.reach) : k.reach) : 0.0;
         k.rim = cbrt(0.25 * k.radius2[0] * k.flat);
         k.inner = is_inner(k, axes);
-        k.freeze = is_free(k, freeze) ? nullptr : freeze;
+        const Frozen* own = freeze && !freeze->masks.empty() ? freeze->masks.at(mask) : freeze;
+        k.freeze = is_free(k, own) ? nullptr : own;
         k.shared = joined != 0;
         if (joined && &k != strokes.data()) (&k - 1)->shared = true;
     }

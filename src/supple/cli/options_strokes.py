@@ -25,7 +25,7 @@ BRUSHES = ("--grab", "--twist", "--scale", "--pinch", "--pull")
 """The options that are strokes."""
 
 _ONE_OF = "give --grab, --twist, --scale, --pinch or --pull"
-_OF_EACH = ("radius", "poisson", "scales", "reach", "time_radius", "flat")  # of one stroke, and of all of them
+_OF_EACH = ("radius", "poisson", "scales", "reach", "time_radius", "flat", "matte")  # of one stroke, and of all of them
 _OF_ALL = ("border", "border_profile", "freeze", "freeze_width", "on_fold")
 _FLAT = "a part of the radius from 0 to 0.9"
 _TWIST = "X,Y[,T|Z]:ANGLE[:AXIS]"
@@ -114,8 +114,11 @@ class StrokeOptions:
         in part; or a volume, in which all but 0 is frozen. FILE:LABEL freezes one label, a number. Frozen pixels keep
         their values. In a video, the mask holds for all frames.
     freeze_width
-        Width over which movement fades to 0 beside what is frozen, in pixels, in a volume in millimetres (default: a
-        32nd of the shortest side). It must be at least 4 pixels.
+        Width over which movement fades to 0 beside what is frozen, and inside of a matte, in pixels, in a volume in
+        millimetres (default: a 32nd of the shortest side). It must be at least 4 pixels.
+    matte
+        Picture, video or image sequence that multiplies strokes: white where they apply in full, black where they
+        move nothing; its opacity, if it has some. Give it once for all strokes, or once for each (none: without).
     on_fold
         What to do with a stroke that would fold the picture or that the border holds back. flow (default): carry
         all of it out, in smaller steps. damp: weaken it. error: stop.
@@ -147,6 +150,7 @@ class StrokeOptions:
     ] = None
     freeze: Annotated[str | None, Parameter(metavar="FILE[:LABEL]")] = None
     freeze_width: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="N")] = None
+    matte: Annotated[list[str], Parameter(metavar="FILE|none", show_default=False)] = ()  # type: ignore[assignment]
     on_fold: Annotated[
         Literal["damp", "flow", "error"] | None, Parameter(metavar="flow|damp|error", show_choices=False)
     ] = None
@@ -238,7 +242,7 @@ class StrokeOptions:
             made = replace(made, amount=_amount(self.amount))
         if self.freeze is not None:
             made = replace(made, freeze=_freeze(self.freeze, self.freeze_width))
-        elif self.freeze_width is not None:
+        elif self.freeze_width is not None and not self.matte:
             raise SuppleError("--freeze-width is for a freeze mask, and there is none: give --freeze, or leave it out")
         if self.border_profile is not None:
             made = replace(made, border_profile=self.border_profile)
@@ -281,9 +285,10 @@ class StrokeOptions:
         if self.time_radius:
             times = [*_spread("--time-radius", self.time_radius, count, "a number of frames above 0")]
         flats = iter(_spread("--flat", self.flat, len(self.grab), _FLAT, "grab") or [0.0] * len(self.grab))
+        mattes = self._mattes(count)
         made: list[_Given] = []
-        for (option, text), radius, ratio, reach, time in zip(found, radii, ratios, reaches, times, strict=True):
-            brush = {"radius": radius, "poisson": ratio, "reach": reach, "time_radius": time}
+        for i, (option, text) in enumerate(found):
+            brush = {"radius": radii[i], "poisson": ratios[i], "reach": reaches[i], "time_radius": times[i]}
             if option == "--pull":
                 stroke, space = _pull(text, next(asked), place, world, brush)
             else:
@@ -294,7 +299,7 @@ class StrokeOptions:
                 raise SuppleError(
                     f"{option} {text} has points of {stroke.ndim} numbers, and {first}: give all strokes as many"
                 )
-            made.append(_Given(f"{option} {text}", stroke, space))
+            made.append(_Given(f"{option} {text}", replace(stroke, matte=mattes[i]), space))
         placed = next((one for one in made if one.space is not None), None)
         other = next((one for one in made if one.space is None), None)
         if placed is not None and other is not None and not world:
@@ -303,6 +308,18 @@ class StrokeOptions:
                 "--world"
             )
         return made
+
+    def _mattes(self, count: int) -> "list[Freeze | None]":
+        """Return the matte of each stroke; a file is read once."""
+        if len(self.matte) not in (0, 1, count):
+            raise SuppleError(
+                f"--matte is given {len(self.matte)} times for {count} strokes: give it once, or for each"
+            )
+        from supple.files.freezing import read_matte
+
+        width = _width(self.freeze_width)
+        known = {path: None if path == "none" else read_matte(path, width=width) for path in self.matte}
+        return [known[path] for path in self.matte] * (count if len(self.matte) == 1 else 1) or [None] * count
 
 
 @dataclass(frozen=True)
@@ -413,6 +430,10 @@ def _border(text: str) -> "Border":
     return widths[0] if len(widths) == 1 else widths
 
 
+def _width(text: str | None) -> float | None:
+    return None if text is None else parse_number("--freeze-width", text, "a number of pixels or millimetres above 0")
+
+
 def _freeze(text: str, width: str | None) -> "Freeze":
     """Read the freeze mask that the command line names."""
     from supple.files.freezing import read_freeze
@@ -424,9 +445,8 @@ def _freeze(text: str, width: str | None) -> "Freeze":
     if labelled and not last.lstrip("-").isdigit():
         raise SuppleError(f"--freeze FILE:LABEL needs the number of a label ({shown(name)}:3, say), found {last!r}")
     path, label = (name, int(last)) if labelled else (text, None)
-    wide = None if width is None else parse_number("--freeze-width", width, "a number of pixels or millimetres above 0")
     try:
-        return read_freeze(path, label=label, width=wide)
+        return read_freeze(path, label=label, width=_width(width))
     except SuppleError as error:
         raise SuppleError(str(error).replace("the freeze mask's width", "--freeze-width")) from None
 

@@ -20,7 +20,7 @@ from supple import _core
 from supple.cuda.device import CudaDevice, Memory, Pinned, Stream
 from supple.cuda.programs import JOB, THREADS, TOLD, Program, launch, prepare, record
 from supple.engine.sampling import BETWEEN, FILTERS, OUTSIDE, Certificate
-from supple.engine.work import Space, Work
+from supple.engine.work import Space, Work, refuse_mattes
 
 Samples = tuple[int, ...]
 """The address of the first sample, and the steps to the next plane, row, column and channel, in samples."""
@@ -93,6 +93,8 @@ def positions(first: int, n: int, axis: npt.NDArray[np.float64], size: int) -> n
 def lattice_of(gpu: CudaDevice, spaces: Sequence[Space], tolerance: float = 0.01) -> Lattice:
     """Return the maps of deformations of one shape on a GPU, the current device; the last ones are kept there."""
     # Their arrays are immutable, and kept alive with the lattice, so that their ids stay unique.
+    for each in spaces:
+        refuse_mattes(each, "CUDA")
     parts = [(s.shape, id(s.rows), id(s.axes), id(s.composite), id(s.freeze), s.grid) for s in spaces]
     key = (gpu.number, tolerance, *parts)
     with _lock:

@@ -56,6 +56,41 @@ def mask_of(domain: Domain, origin: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Mask
     return None if domain.freeze is None else _mask(domain.freeze, domain.spacing, origin)
 
 
+class Mattes(_core.Freeze):
+    """The masks of strokes that have some of their own, by their numbers in the rows; the first is that of the others.
+
+    Shaders see the first alone.
+    """
+
+    def __init__(self, masks: tuple[Mask | None, ...]) -> None:
+        super().__init__(np.ones((1, 1, 1), np.float32), [0.0] * 3, [1.0] * 3)
+        self.masks = masks
+        self.stand_for(list(masks))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the arguments, as those of `Mask`."""
+        return Mattes, (self.masks,)
+
+    @classmethod
+    def adding(cls, before: Mask | Mattes | None, mask: Mask | None) -> tuple[Mattes, int]:
+        """Return the masks with one more, and its number."""
+        masks = before.masks if isinstance(before, Mattes) else (before,)
+        if mask not in masks[1:]:
+            masks = (*masks, mask)
+        return cls(masks), 1 + masks[1:].index(mask)
+
+
+def shown_mask(freeze: Mask | Mattes | None) -> Mask | None:
+    """Return the mask that shaders take."""
+    return freeze.masks[0] if isinstance(freeze, Mattes) else freeze
+
+
+def refuse_mattes(space: Space, where: str) -> None:
+    """Raise SuppleError if strokes have mattes, for what takes one mask alone."""
+    if isinstance(space.freeze, Mattes):
+        raise SuppleError(f"strokes have mattes, which {where} does not take: leave them out, or use the CPU")
+
+
 @dataclass(frozen=True, slots=True)
 class Space:
     """The map as the core takes it, and the number and shape of frames.
@@ -64,7 +99,7 @@ class Space:
     sigma, spacing, profile) for each axis, x first (`Domain.packed`). ``ndim`` is 2 for one map of an image, or of each
     of ``count`` frames of a ``shape`` (rows, columns) alike; 3 for a map through a clip or a volume. ``composite`` is
     the whole map, if there is more to it than strokes: affine maps, fields, or another ``grid`` of the output.
-    ``freeze`` is the mask of the strokes.
+    ``freeze`` is the mask of the strokes, or the masks.
     """
 
     rows: npt.NDArray[np.float64]
@@ -74,7 +109,7 @@ class Space:
     shape: tuple[int, int]
     composite: _core.Composite | None = None
     grid: Grid | None = None
-    freeze: Mask | None = None
+    freeze: Mask | Mattes | None = None
 
     @property
     def table(self) -> npt.NDArray[np.void]:

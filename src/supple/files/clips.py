@@ -307,27 +307,28 @@ def deformation_of(
     return Deformation.from_recipe(recipe, Grid((count, *shape), (1.0, 1.0, worth), (-x, -y, 0)), time=True)
 
 
-def with_ends(recipe: Recipe, hold: int, shape: tuple[int, ...], worth: float) -> Recipe:
+def with_ends(recipe: Recipe, hold: int, shape: tuple[int, int, int], worth: float) -> Recipe:
     """Return a recipe in time whose mask freezes some frames at each end, of frames that count as ``worth`` pixels."""
     widths = Domain(shape, (1.0, 1.0, worth), recipe.border).border_widths
-    ends = fade_of(shape[0], hold, None if widths is None else widths[2] / worth)
-    return replace(recipe, freeze=ends.over(recipe.freeze, (shape[1], shape[2])))
+    ends = fade_of(shape, hold, None if widths is None else widths[2] / worth)
+    return replace(recipe, freeze=ends if recipe.freeze is None else ends.times(recipe.freeze))
 
 
-def fade_of(count: int, hold: int, width: float | None = None) -> Freeze:
-    """Return a mask along time alone, of samples (1, 1, count): the frames held at each end are frozen.
+def fade_of(shape: tuple[int, int, int], hold: int, width: float | None = None) -> Freeze:
+    """Return a mask along time alone, of a clip of a shape (T, H, W): the frames held at each end are frozen.
 
     ``width`` is that of the fade beside them, in frames: by default a tenth of the clip, as that of a border.
     """
-    held = np.zeros((count, 1, 1), bool)
-    held[:hold] = held[count - hold :] = True
-    return Freeze.of(held, width=max(4.0, AUTO * count if width is None else width))
+    held = np.zeros((shape[0], 1, 1), bool)
+    held[:hold] = held[len(held) - hold :] = True
+    made = Freeze.of(held, width=max(4.0, AUTO * len(held) if width is None else width))
+    return replace(made, samples=shape[::-1])
 
 
 @lru_cache(maxsize=4)
 def parts_of(count: int, hold: int) -> tuple[float, ...]:
     """Return the part of its strength that a stroke without a time has in each frame, as some are held at each end."""
-    return tuple(map(float, fade_of(count, hold).at([[0], [0], np.arange(count)]).ravel()))
+    return tuple(map(float, fade_of((count, 1, 1), hold).at([[0], [0], np.arange(count)]).ravel()))
 
 
 def deformations_of(
@@ -452,6 +453,10 @@ def motion_of(
     ``count``. Errors are those of `Deformation.from_recipe`, with the frame. ``hold`` is as in `ClipOptions`; of frames
     that are not ``bent``, the deformation is the identity.
     """
+    for matte in (stroke.matte for stroke in recipe.strokes):
+        if matte is not None and matte.ndim == 3 and matte.samples[2] != count:
+            what = f"has {matte.samples[2]} frames, and the clip {count}: give one of its length"
+            raise SuppleError(f"the matte {shown(matte.name)} {what}")
     roaming = {i for i, stroke in enumerate(recipe.strokes) if any(key.at is not None for key in stroke.keys)}
     frames = [recipe.at_frame(k) for k in range(count)]
     if hold:

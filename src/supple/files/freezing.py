@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import warnings
+from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
 
+from supple import media
 from supple.errors import FreezeWarning, SuppleError, shown
+from supple.files.clips import open_clip
 from supple.media import image, volume
+from supple.media.base import Clip, CountError
 from supple.space.freezing import Freeze
 from supple.space.geometry import check_upright
 
 PathLike = str | os.PathLike[str]
+_COLOURED = 12  # of 255: lossy codecs give grey a little colour
 
 
 def read_freeze(path: PathLike, *, label: int | None = None, width: float | None = None) -> Freeze:
@@ -49,16 +55,50 @@ def read_freeze(path: PathLike, *, label: int | None = None, width: float | None
     return made
 
 
-def _grey(path: PathLike) -> npt.NDArray[np.generic]:
+def read_matte(path: PathLike, *, width: float | None = None) -> Freeze:
+    """Read a matte of strokes (`Stroke.matte`): a picture, or a clip or an image sequence, which moves.
+
+    White is where they apply in full; grey counts, or opacity, if it varies. ``width`` is that of the fade inside of
+    what is white, in pixels, as in `Freeze`. SuppleError if it cannot be read, or has colours.
+    """
+    name = os.fspath(path)
+    if media.open(path, "x.mp4" if os.path.isdir(path) else "").kind == "clip":
+        with open_clip(path) as clip:
+            return Freeze.matte_of(_greys(clip), clip.count, width=width, name=name)
+    picture = image.read(path)
+    opacity = picture.pixels[..., -1] if picture.alpha else None
+    if opacity is None or (opacity == opacity.flat[0]).all():
+        opacity = _grey(path, "a matte")
+    return Freeze.of(opacity, width=width, name=name, matte=True)
+
+
+def _greys(clip: Clip) -> Iterator[npt.NDArray[np.float32]]:
+    """Yield the grey values of a clip's frames, or their opacity, from 0 to 1."""
+    layout = clip.layout
+    arrays = [np.empty((*group.shape, group.channels), layout.dtype) for group in layout.groups]
+    with contextlib.suppress(CountError):  # one of another length than the clip is refused
+        for frame in clip.frames():
+            frame.copy_to(arrays)
+            if layout.groups[0].alpha:
+                yield np.clip(arrays[0][..., -1] / np.float32(layout.white), 0, 1, dtype=np.float32)
+                continue
+            colours = clip.to_rgb(arrays)
+            if np.ptp(colours, axis=2).max() > _COLOURED:
+                what = "it has colours; give a grey one, or one with opacity"
+                raise SuppleError(f"{clip.name} cannot be a matte: {what}")
+            yield np.divide(colours[..., 1], 255, dtype=np.float32)
+
+
+def _grey(path: PathLike, what: str = "a freeze mask") -> npt.NDArray[np.generic]:
     """Return the one channel of a picture."""
     pixels = image.read(path).pixels
     if pixels.ndim == 2:
         return pixels
     colours, opacity = (pixels[..., :-1], pixels[..., -1]) if pixels.shape[2] in (2, 4) else (pixels, None)
     if opacity is not None and np.any(opacity != opacity.flat[0]):
-        raise SuppleError(f"{shown(path)} cannot be a freeze mask: parts of it are transparent; give a grey picture")
+        raise SuppleError(f"{shown(path)} cannot be {what}: parts of it are transparent; give a grey picture")
     if np.any(colours != colours[..., :1]):
-        raise SuppleError(f"{shown(path)} cannot be a freeze mask: it has colours; give a grey picture")
+        raise SuppleError(f"{shown(path)} cannot be {what}: it has colours; give a grey picture")
     return np.ascontiguousarray(colours[..., 0])
 
 

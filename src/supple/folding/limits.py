@@ -98,11 +98,13 @@ def _resolved(stroke: Stroke, domain: Domain, on_fold: FoldPolicy, spelling: Spe
 
 def _held_back(stroke: Stroke, domain: Domain, on_fold: FoldPolicy, made: Resolved) -> Resolved:
     """Say if what is frozen holds a stroke back: it multiplies its displacement, and nothing makes up for that."""
+    what = "what is frozen" if stroke.matte is None else "its matte"
     if stroke.brush != "grab":
         part = float(freedom_at(padded(stroke.at, domain)[None], domain)[0])
         if part > 0.99:
             return made
-        why = "its pivot is frozen" if part == 0 else f"at its pivot, it is {part:.0%} of that: what is frozen is near"
+        near = f"at its pivot, it is {part:.0%} of that: {what} is near"
+        why = ("its pivot is frozen" if stroke.matte is None else "its matte is black there") if part == 0 else near
         warning = f"{described(stroke)} is held back: {why}"
         if on_fold == "error":
             raise FoldError(warning)
@@ -111,7 +113,7 @@ def _held_back(stroke: Stroke, domain: Domain, on_fold: FoldPolicy, made: Resolv
     target = np.add(stroke.at, stroke.by).tolist()
     if math.dist(arrived, target) <= NEAR:
         return made
-    warning = f"{described(stroke)} ends {apart(arrived, target, domain)} short: what is frozen holds it back"
+    warning = f"{described(stroke)} ends {apart(arrived, target, domain)} short: {what} holds it back"
     if on_fold == "error":
         raise FoldError(warning)
     return replace(made, arrived=arrived, cause="freeze", warning=warning)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from supple._core.rows import STROKE_DTYPE
 from supple.engine.devices import CPU, note
-from supple.engine.work import Space
+from supple.engine.work import Mattes, Space, shown_mask
 from supple.errors import DeviceWarning
 from supple.gpu.device import Gpu, failures, trouble
 from supple.gpu.field import fits
@@ -75,6 +75,8 @@ def held_scene(
     """
     if space is not None and not fits(space.table):
         raise ArithmeticError("strokes of such sizes are beyond its numbers")
+    if space is not None and isinstance(space.freeze, Mattes):
+        raise ArithmeticError("its shaders take one mask for all strokes, and these have mattes")
     if colours is not None and mode == "buffered" and space is not None:
         raise MemoryError("it has no room for a buffer of colours")
     twice = (mode == "hybrid" and colours is None) or (mode == "buffered" and space is not None)
@@ -89,7 +91,7 @@ def held_scene(
         still[:, 1], still[:, 3] = 1.0, spacing
         return Held(volume, hold_strokes(gpu, np.zeros(0, STROKE_DTYPE), still), PLAIN)
     if mode == "exact":
-        return Held(volume, hold_strokes(gpu, space.table, space.axes, space.freeze), EXACT)
+        return Held(volume, hold_strokes(gpu, space.table, space.axes, shown_mask(space.freeze)), EXACT)
     lattice = lattice_of(gpu, space, tolerance)
     cells = cells_along_rays(lattice, tolerance)
     if not twice:
@@ -109,7 +111,7 @@ def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> Lattice:
     shape, step = (space.count, *space.shape), COARSEST
     try:
         while True:
-            found = solve(gpu, space.table, space.axes, shape, step, space.freeze)
+            found = solve(gpu, space.table, space.axes, shape, step, shown_mask(space.freeze))
             resolved = step <= RESOLVED * found.smooth
             if (found.error <= tolerance and resolved) or step == FINEST:
                 break
@@ -122,7 +124,7 @@ def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> Lattice:
             raise
         with contextlib.suppress(MemoryError):  # some may have been skipped
             while found.step > FINEST:
-                found = solve(gpu, space.table, space.axes, shape, found.step // 2, space.freeze)
+                found = solve(gpu, space.table, space.axes, shape, found.step // 2, shown_mask(space.freeze))
     return found if found.step <= RESOLVED * found.smooth else replace(found, error=math.inf)
 
 

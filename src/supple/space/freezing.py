@@ -6,7 +6,7 @@ import base64
 import binascii
 import math
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
@@ -23,6 +23,7 @@ _EDGE = 3  # coefficients beyond those that differ: from there on, the spline is
 _LEAST = 8  # coefficients along an axis
 _MOST = 2**28
 _MOST_ACROSS = 2  # times as many coefficients as are needed
+_MOST_IN_TIME = 2**22  # coefficients of a matte that moves: 170 MB in the core
 _PART = 1 / 32  # of the shorter side: the width of the fade, unless it is given
 _SHORTEST = 4.0  # samples, likewise
 
@@ -106,8 +107,9 @@ class Freeze:
         spacing: float | Sequence[float] = 1.0,
         place: Sequence[float] = (),
         name: str = "",
+        matte: bool = False,
     ) -> Self:
-        """Return the freeze mask of an image or a volume.
+        """Return the freeze mask of an image or a volume; or the matte of a stroke, which applies where it is white.
 
         Parameters
         ----------
@@ -122,27 +124,61 @@ class Freeze:
             Physical units per sample, x first.
         place, name
             As in `Freeze`.
+        matte : bool
+            Whether it is a matte (`Stroke.matte`): what is said of frozen samples is true of those where the stroke
+            applies in full. Where it is black, nothing moves, exactly; the fade is inside of what is white.
 
         Raises
         ------
         SuppleError
             If the mask is not of such a shape, type or range, or the width is less than 4 samples.
         """
-        array = np.asarray(mask)
+        array, what = np.asarray(mask), "matte" if matte else "freeze"
         if array.ndim not in (2, 3) or 0 in array.shape:
-            refuse("freeze", "an array of shape (H, W) or (Z, H, W)", told=f"shape {array.shape}")
+            refuse(what, "an array of shape (H, W) or (Z, H, W)", told=f"shape {array.shape}")
         if array.dtype.kind not in "buif":
-            refuse("freeze", "an array of bool, integers or floats", told=f"dtype {array.dtype}")
+            refuse(what, "an array of bool, integers or floats", told=f"dtype {array.dtype}")
         checked_shape(array.shape)
         steps = (spacing,) * array.ndim if isinstance(spacing, float | int) else tuple(spacing)
         apart = _apart(array.shape, steps, width)
         least = _freedom_of(array)
+        if matte:
+            least = _FREE - least
         first = []
         for axis in range(array.ndim):
             least, start = _covered(least, axis, apart[array.ndim - 1 - axis])
             first.append(start)
         sizes, samples = tuple(reversed(least.shape)), tuple(reversed(array.shape))
         return cls(samples, sizes, tuple(reversed(first)), apart, least.tobytes(), tuple(place), name)
+
+    @classmethod
+    def matte_of(
+        cls, frames: Iterable[npt.NDArray[Any]], count: int, *, width: float | None = None, name: str = ""
+    ) -> Self:
+        """Return the matte of a stroke that moves with the ``count`` frames of a clip, each an array (H, W).
+
+        Each frame becomes a row of coefficients, as by `of`; between them, m is a cubic spline in time, too, which
+        averages three frames. By default, the fade is as wide as there, or wider, so that there are at most four
+        million coefficients: SuppleError if a given ``width`` needs more.
+        """
+        rows: list[npt.NDArray[np.uint8]] = []
+        apart: tuple[float, ...] = ()
+        starts = [0.0, 0.0]
+        for frame in frames:
+            if not rows:
+                apart, most = _apart(frame.shape, (1.0, 1.0), width), _MOST_IN_TIME / (count + 2 * _EDGE + 2)
+                while math.prod(n / step + 9 for n, step in zip(reversed(frame.shape), apart, strict=True)) > most:
+                    if width is not None:
+                        refuse("the matte's width", f"wider for {count} frames, or left out", told=f"{width:g}")
+                    apart = tuple(1.05 * step for step in apart)
+            least = _FREE - _freedom_of(frame)
+            for axis in range(2):
+                least, starts[axis] = _covered(least, axis, apart[1 - axis])
+            rows.append(least)
+        values = np.stack([*rows[:1] * (_EDGE + 1), *rows, *rows[-1:] * (_EDGE + 1)])
+        samples = (*reversed(frame.shape), len(rows))
+        first = (starts[1], starts[0], -1.0 - _EDGE)
+        return cls(samples, tuple(reversed(values.shape)), first, (*apart, 1.0), values.tobytes(), (), name)
 
     @classmethod
     def free(cls, shape: Sequence[int], spacing: Sequence[float]) -> Self:
@@ -275,29 +311,58 @@ class Freeze:
         moved : function or None
             The place there of a point of this medium, axis by axis; None if it is the same.
         """
-        n, some = self.ndim, tuple(samples)[: self.ndim]
+        n, m = self.ndim, len(samples)
+        some = (*tuple(samples)[:n], *self.samples[m:])
         if moved is None:
             return replace(self, samples=some)
-        rest = (0.0,) * (len(samples) - n)
-        first = moved((*self.first, *rest))[:n]
-        next_ = moved((*np.add(self.first, self.step).tolist(), *rest))[:n]
+        ends = self.first, tuple(np.add(self.first, self.step).tolist())
+        first, next_ = ((*moved((*p, *(0.0,) * (m - n))[:m])[:n], *p[m:]) for p in ends)
         step = tuple(b - a for a, b in zip(first, next_, strict=True))
-        return replace(self, samples=some, first=tuple(first), step=step)
+        return replace(self, samples=some, first=first, step=step)
 
-    def over(self, plane: Self | None, shape: tuple[int, int]) -> Self:
-        """Return the product of a mask along time alone, and one of a frame of a shape, if any, the same in all frames.
+    def at_frame(self, k: int) -> Self:
+        """Return the mask of a frame, of one that moves with a clip; another one itself."""
+        if self.ndim == 2:
+            return self
+        row = min(max(round((k - self.first[2]) / self.step[2]), 0), self.size[2] - 1)
+        parts: dict[str, Any] = {name: getattr(self, name)[:2] for name in ("samples", "size", "first", "step")}
+        return replace(self, values=self.coefficients[row].tobytes(), **parts)
 
-        It is exact: the product of two splines along different axes is one, whose coefficients are products.
+    def times(self, other: Self) -> Self:
+        """Return the product with another mask of the same medium: at most that, and 0 where one of them is.
+
+        It has the lattice of this one, and that of the other along axes on which this one is constant. If there are no
+        others, it is exact: coefficients are products.
         """
-        if plane is None:
-            return replace(self, samples=(*reversed(shape), self.samples[2]))
-        if plane.ndim != 2:
-            raise SuppleError(f"{plane.told} has times of its own, and frames cannot be held besides: leave one out")
-        values = np.rint(self.coefficients * (plane.coefficients / _FREE)).astype(np.uint8)
-        parts: dict[str, Any] = {
-            name: (*getattr(plane, name), getattr(self, name)[2]) for name in ("samples", "size", "first", "step")
-        }
-        return replace(plane, values=values.tobytes(), **parts)
+        if self.ndim < other.ndim:
+            return self._in_time(other.samples[2]).times(other)
+        if self.ndim > other.ndim:
+            other = other._in_time(self.samples[2])
+        parts: dict[str, Any] = {}
+        for name in ("size", "first", "step"):
+            mine = zip(self.size, getattr(self, name), getattr(other, name), strict=True)
+            parts[name] = tuple(own if size > 1 else its for size, own, its in mine)
+        if all(1 in sizes for sizes in zip(self.size, other.size, strict=True)):
+            values = np.rint(self.coefficients * (other.coefficients / _FREE)).astype(np.uint8)
+            return replace(self, values=values.tobytes(), **parts)
+        across = [np.arange(n if size > 1 else 1) for n, size in zip(other.samples, other.size, strict=True)]
+        planes = []
+        for k in across[2] if self.ndim == 3 else (0,):  # each alone, as all of a clip may not fit
+            least = other.at([*across[:2], *[np.array([k])] * (self.ndim - 2)])
+            for axis in (-1, -2):
+                least = _least(least, axis, *(parts[name][-1 - axis] for name in ("size", "first", "step")))
+            planes.append(least)
+        least = planes[0]
+        if self.ndim == 3:
+            least = _least(np.concatenate(planes), 0, *(parts[name][2] for name in ("size", "first", "step")))
+        values = np.floor(self.coefficients * least + 1e-3).astype(np.uint8)
+        _level(values)
+        return replace(self, values=values.tobytes(), **parts)
+
+    def _in_time(self, count: int) -> Self:
+        """Return the mask of a frame as one of a clip."""
+        more = {"samples": count, "size": 1, "first": 0.0, "step": 1.0}
+        return replace(self, **{name: (*getattr(self, name), end) for name, end in more.items()})  # type: ignore[arg-type]
 
     def entry(self) -> dict[str, Any]:
         """Return the mask as JSON has it; the coefficients are compressed (zlib) and in base 64."""
@@ -306,18 +371,18 @@ class Freeze:
         return {**made, "values": packed, **({"place": list(self.place)} if self.place else {})}
 
     @classmethod
-    def from_entry(cls, entry: object) -> Self:
+    def from_entry(cls, entry: object, what: str = "freeze") -> Self:
         """Return the mask of an `entry`; SuppleError for anything else."""
         keys = {"samples", "size", "first", "step", "values"}
         if not isinstance(entry, dict) or set(entry) - {"place"} != keys or not isinstance(entry["values"], str):
-            refuse("freeze", f"an object with {', '.join(sorted(keys))}", entry)
+            refuse(what, f"an object with {', '.join(sorted(keys))}", entry)
         count = math.prod(n for n in entry["size"] if isinstance(n, int)) if isinstance(entry["size"], list) else 0
         try:
             values = zlib.decompressobj().decompress(
                 base64.b64decode(entry["values"], validate=True), min(count, _MOST) + 1
             )
         except (binascii.Error, ValueError, zlib.error):
-            raise SuppleError("freeze: the values are damaged: they must be zlib's, in base 64") from None
+            raise SuppleError(f"{what}: the values are damaged: they must be zlib's, in base 64") from None
         return cls(**{**entry, "values": values})
 
 
@@ -370,6 +435,18 @@ def _covered(least: npt.NDArray[np.uint8], axis: int, step: float) -> tuple[npt.
         rows.append(covered.min(axis, keepdims=True))
     rows = [rows[0]] * _EDGE + rows + [rows[-1]] * _EDGE
     return np.concatenate(rows, axis), (first - _EDGE) * step
+
+
+def _least(m: npt.NDArray[np.float32], axis: int, size: int, first: float, step: float) -> npt.NDArray[np.float32]:
+    """Return the least of samples that the spline of each coefficient of a lattice covers along an axis."""
+    n = m.shape[axis]
+    if n == 1:
+        return m
+    places = first + step * np.arange(size)
+    low = np.clip(np.ceil(places - 2 * step - 0.5), 0, n - 1).astype(int)
+    high = np.clip(np.floor(places + 2 * step + 0.5), 0, n - 1).astype(int)
+    rows = [np.take(m, range(a, max(a, b) + 1), axis).min(axis, keepdims=True) for a, b in zip(low, high, strict=True)]
+    return np.concatenate(rows, axis)
 
 
 def _level(made: npt.NDArray[np.uint8]) -> None:

@@ -91,8 +91,8 @@ class Recipe:
 
     @property
     def moves(self) -> bool:
-        """True if a stroke that is not hidden has keys: it is another one in each frame of a clip."""
-        return any(stroke.keys and not stroke.hidden for stroke in self.strokes)
+        """True if a stroke that is not hidden has keys, or a matte that moves: it is another one in each frame."""
+        return any(stroke.changes and not stroke.hidden for stroke in self.strokes)
 
     def at_frame(self, frame: float) -> Self:
         """Return the recipe of a frame of a clip, by the keys of its strokes: without keys, and for a picture.
@@ -102,7 +102,7 @@ class Recipe:
         frame : float
             The frame, counted from 0.
         """
-        if not any(stroke.keys for stroke in self.strokes):
+        if not any(stroke.changes for stroke in self.strokes):
             return self
         return replace(self, strokes=tuple(stroke.at_frame(frame) for stroke in self.strokes))
 
@@ -160,11 +160,17 @@ class Recipe:
         return self._scaled(Scaling((1.0,) * len(offset), tuple(map(float, offset)), 1.0), tuple(size))
 
     def _scaled(self, scaling: Scaling, size: tuple[int, ...]) -> Self:
+        def masked(freeze: Freeze | None) -> Freeze | None:
+            if freeze is None or self.size is None or freeze.samples[: len(self.size)] != self.size[: freeze.ndim]:
+                return freeze  # it is the medium's, or refused
+            return freeze.fitted(size, scaling.point)
+
         strokes = [
             replace(
                 stroke.mapped(scaling.point, scaling.drag),
                 radius=stroke.radius * scaling.length,
                 time_radius=None if stroke.time_radius is None else stroke.time_radius * scaling.factors[2],
+                matte=masked(stroke.matte),
             )
             for stroke in self.strokes
         ]
@@ -174,12 +180,7 @@ class Recipe:
             if len(given) == len(size):  # else reported when it is applied
                 widths = tuple(width * s for width, s in zip(given, scaling.widths, strict=True))
                 border = widths[0] if isinstance(border, float) and len(set(widths)) == 1 else widths
-        freeze = self.freeze
-        if (
-            freeze is not None and freeze.samples == (self.size or ())[: freeze.ndim]
-        ):  # or it is the medium's, or refused
-            freeze = freeze.fitted(size, scaling.point)
-        return replace(self, size=size, strokes=tuple(strokes), border=border, freeze=freeze)
+        return replace(self, size=size, strokes=tuple(strokes), border=border, freeze=masked(self.freeze))
 
     def to_json(self) -> str:
         """Return the recipe as strict JSON, one stroke a line, from which `from_json` makes an equal one."""

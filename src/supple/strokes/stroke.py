@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError, none
 from supple.space.checks import LARGEST, choice, integer, length, number, point, refuse
+from supple.space.freezing import Freeze
 from supple.strokes.keys import Key, checked_keys, position, value
 
 Brush = Literal["grab", "twist", "scale", "pinch"]
@@ -86,6 +87,9 @@ class Stroke:
         A name for users.
     strength : float
         The applied fraction of the drag, from 0 to 1; see `Deformation.from_recipe`.
+    matte : Freeze or None
+        A factor m(p) of its displacement, 1 where it applies in full, beside the freeze mask of all strokes
+        (`Freeze.of` and `Freeze.matte_of` make them).
     keys : sequence of Key
         In a clip, of a stroke of two coordinates: where its point ``at`` is, how it is turned and scaled, and how
         strong it is, in some frames, in ascending order. The whole stroke moves along; see `Recipe.at_frame`.
@@ -111,6 +115,7 @@ class Stroke:
     name: str | None = None
     strength: float = 1.0
     keys: tuple[Key, ...] = ()
+    matte: Freeze | None = None
 
     def __post_init__(self) -> None:
         choice("brush", self.brush, get_args(Brush))
@@ -119,6 +124,8 @@ class Stroke:
                 refuse(name, "true or false", getattr(self, name))
         if not isinstance(self.name, str | None):
             refuse("name", "text", self.name)
+        if not isinstance(self.matte, Freeze | None):
+            refuse("matte", "a Freeze (Freeze.of makes one from an array)", self.matte)
         at = point("at", self.at)
         checked = {
             "at": at,
@@ -334,6 +341,11 @@ class Stroke:
         """The number of coordinates of its points: 2 or 3."""
         return len(self.at)
 
+    @property
+    def changes(self) -> bool:
+        """True if it is another one in each frame of a clip: it has keys, or a matte that moves."""
+        return bool(self.keys) or (self.ndim == 2 and self.matte is not None and self.matte.ndim == 3)
+
     def mapped(self, place: Callable[[Place], Place], turn: Callable[[Place], Place]) -> Self:
         """Return the stroke with all its points sent through one function, its drags and its axis through another."""
         return replace(
@@ -434,11 +446,12 @@ class Stroke:
         """Return what the stroke is in a frame of a clip, by its keys: moved, turned and scaled as a whole, and weaker.
 
         Between two keys, each coordinate, the angle, the scale and the strength follow a smooth curve that never leaves
-        their range; before the first and after the last, they are constant.
+        their range; before the first and after the last, they are constant. A matte is that of the frame.
         """
-        if not self.keys:
+        if not self.changes:
             return self
-        held = replace(self, keys=(), strength=self.strength * value(self.keys, "strength", frame, 1.0))
+        matte = self.matte and self.matte.at_frame(round(frame))
+        held = replace(self, keys=(), matte=matte, strength=self.strength * value(self.keys, "strength", frame, 1.0))
         angle, scale = value(self.keys, "angle", frame, 0.0), value(self.keys, "scale", frame, 1.0)
         at = position(self.keys, frame) or self.at
         if (at, angle, scale) == (self.at, 0.0, 1.0):

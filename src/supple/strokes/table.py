@@ -36,7 +36,8 @@ def pack(
     makes the cross product with it, and ``turn`` has a factor for each component of the displacement, 0 for others.
     Where ``reach`` is finite, that is multiplied by ``1 - 10t³ + 15t⁴ - 6t⁵``, ``t = |d| / reach``, and 0 beyond.
     Rows that are ``joined`` act at once with the one before them: all are evaluated at the same point, and added;
-    ``most`` bounds their displacement, if it is known, and is infinite otherwise. With a ``flat``, d is multiplied by
+    ``most`` bounds their displacement, if it is known, and is infinite otherwise; ``mask`` is the number of their mask
+    among those of all strokes (`supple.engine.work.Mattes`), or 0. With a ``flat``, d is multiplied by
     ``x² / (x + flat / 2) / |d|``, ``x = max(|d| - flat, 0)``, and t is that length by what it is at the reach. Unless
     it is ``coupled``, both d beside r have no third component. All these lengths, and the matrix, are in the row's own
     metric, in which the third axis is ``stretch`` times as long.
@@ -72,7 +73,7 @@ def pack(
             terms = np.concatenate([terms[:1], math.radians(stroke.angle) * terms[1:]])
         reach = math.inf if stroke.reach is None else stroke.reach * stroke.radius
         coupled = not time or stroke.isotropic or stroke.poisson is not None
-        own = reach, math.inf, (turn,) * 3, stretch, coupled, stroke.flat * stroke.radius
+        own = reach, math.inf, (turn,) * 3, stretch, coupled, stroke.flat * stroke.radius, 0
         rows.append((pivot, force, matrix, *terms, stroke.scales, power, 0, *own))
     return np.array(rows, STROKE_DTYPE)
 

@@ -23,18 +23,20 @@ _NEW = (
     "border_profile", "reach", "size", "space", "amount", "time_scale", "name", "strength", "to", "angle", "factor",
     "axis", "also", "path", "keys", "freeze",
 )  # fmt: skip
-_NEWER = ("chord", "isotropic", "time_radius", "flat")  # and after version 2
+_NEWER = ("chord", "isotropic", "time_radius", "flat", "matte")  # and after version 2
 _OF_KEYS = ("angle", "scale")  # the same, of the keys of strokes
 
 
 def written(members: Mapping[str, object], strokes: Iterable[Stroke]) -> str:
     """Return the text of a recipe of some fields and strokes; fields that are None are left out, but for the border."""
     strokes = list(strokes)
-    # Twists and strokes in time differ from those of version 2, and keys that turn or scale are new.
+    # Twists and strokes in time differ from those of version 2; mattes, plateaus, keys that turn or scale are new.
     world = members.get("space") in ("LPS", "RAS")
     turning = any((key.angle, key.scale) != (None, None) for stroke in strokes for key in stroke.keys)
-    newer = (stroke.brush == "twist" or (stroke.ndim == 3 and not world) or stroke.flat for stroke in strokes)
-    version = VERSION if turning or any(newer) else 2
+    newer = any(
+        stroke.brush == "twist" or (stroke.ndim == 3 and not world) or stroke.flat or stroke.matte for stroke in strokes
+    )
+    version = VERSION if turning or newer else 2
     head = {"supple": version, **{k: v for k, v in members.items() if v is not None or k == "border"}}
     lines = [f"  {_dump(key)}: {_dump(_plain(value))}" for key, value in head.items()]
     entries = ",\n".join(f"    {_dump(_entry(stroke))}" for stroke in strokes)
@@ -101,6 +103,8 @@ def _entry(stroke: Stroke) -> dict[str, object]:
         entry["hidden"] = True
     if stroke.name is not None:
         entry["name"] = stroke.name
+    if stroke.matte is not None:
+        entry["matte"] = stroke.matte
     if stroke.keys:
         entry["keys"] = [_key_entry(key) for key in stroke.keys]
     return {name: _plain(value) for name, value in entry.items()}
@@ -143,6 +147,8 @@ def _stroke(where: str, entry: object, version: int, world: bool) -> Stroke:
     if "keys" in entry:
         entry = {**entry, "keys": _keys(where, entry["keys"], version)}
     try:
+        if entry.get("matte") is not None:
+            entry = {**entry, "matte": Freeze.from_entry(entry["matte"], "matte")}
         return Stroke(**entry)
     except SuppleError as error:
         raise SuppleError(f"{where}: {error}") from None

@@ -22,7 +22,7 @@ import numpy.typing as npt
 import torch
 
 from supple.deformation import Deformation, reduced
-from supple.engine.work import Mask
+from supple.engine.work import Mask, refuse_mattes, shown_mask
 from supple.errors import FoldWarning, MissWarning, SuppleError, caller
 from supple.space.checks import refuse
 from supple.space.domain import PROFILE_CODES
@@ -113,7 +113,8 @@ def strokes_of(d: Deformation, given: Given, like: torch.Tensor, dtype: torch.dt
         correction = (beta > 0) / torch.where(beta > 0, beta, 1)
         gain = torch.where((near == pivot.T).all(0), correction, 1).T.expand_as(pivot)
     numbers = torch.cat([pivot, force, gain, radius[:, None], _stretches(d, table, given, radius)[:, None]], 1)
-    freeze = d.space.freeze
+    refuse_mattes(d.space, "PyTorch")
+    freeze = shown_mask(d.space.freeze)
     mask = None if freeze is None else (freeze, _tensor(freeze.coefficients / 255, like).flatten())
     return Strokes(numbers, table, axes, mask)
 

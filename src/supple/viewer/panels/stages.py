@@ -18,7 +18,7 @@ from supple._core.rows import STROKE_DTYPE, numbers
 from supple.arrays import warp_array
 from supple.deformation import Deformation
 from supple.engine.sampling import DEFAULT
-from supple.engine.work import Space, mask_of
+from supple.engine.work import Space, mask_of, shown_mask
 from supple.errors import SuppleError
 from supple.files.clips import open_clip
 from supple.files.options import PathLike
@@ -261,7 +261,7 @@ class Warped:
         assert self.shown is not None
         space = self.shown.space  # for the overlay
         table = space.table if sight.overlay else _PLAIN
-        self._laid.draw(sight, table, space.axes, texture, encoder, space.freeze)
+        self._laid.draw(sight, table, space.axes, texture, encoder, shown_mask(space.freeze))
 
 
 def changed(before: Space, after: Space) -> tuple[Floats, Floats]:
@@ -401,7 +401,7 @@ class ImageStage:
 
     def _drawn(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any) -> None:
         space = deformation.space
-        self._plate.draw(sight, space.table, space.axes, texture, encoder, space.freeze)
+        self._plate.draw(sight, space.table, space.axes, texture, encoder, shown_mask(space.freeze))
 
     def value(self, point: tuple[float, float], time: float, deformation: Deformation | None = None) -> str:
         """Return the value of the pixel at a point of a frame, through strokes if they are given."""
