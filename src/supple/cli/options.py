@@ -133,7 +133,8 @@ class TimeOptions:
     Parameters
     ----------
     time_scale
-        How many pixels one frame counts as, for radius and border (default: what the recipe says, or 1).
+        How many pixels one frame counts as, for the border and for strokes of recipes before version 3 (default: what
+        the recipe says, or 1). The radius in time of others is --time-radius.
     """
 
     time_scale: Annotated[float | None, read(_scale, "PX")] = None
