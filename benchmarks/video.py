@@ -178,7 +178,7 @@ def whole_clip(here: Path, runs: int, count: int) -> Iterator[Row]:
 def short_clips(here: Path, runs: int) -> Iterator[Row]:
     """Of 40 frames, whose border in time is narrow: a large drag, and ordinary ones, in the plane and in time."""
     for radius, by, bar, before in (
-        (200, (60.0, 40.0, 10.0), 1.6, "7.4"),
+        (200, (60.0, 40.0, 10.0), 1.35, "7.4"),
         (108, (60.0, 40.0, 0.0), 1.35, ""),
         (108, (40.0, 0.0, 8.0), 1.35, ""),
     ):

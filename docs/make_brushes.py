@@ -61,6 +61,7 @@ BY_HAND = (
     ("along a path", (Stroke.grab(WAY[0], path=WAY[1:], radius=RADIUS),)),
     ("with its mirror image", Stroke.grab((110, 150), by=(-30, 35), radius=RADIUS).symmetric((160, 0), (1, 0))),
 )
+PLATEAUS = [(f"flat {p}", (Stroke.grab(AT, by=(45, 0), radius=50, flat=p),)) for p in (0, 0.3, 0.6, 0.9)]
 FROZEN = np.hypot(np.arange(SIDE) - 130, (np.arange(SIDE) - 160)[:, None]) < 40
 BESIDE = (
     ("grab", (Stroke.grab((200, 160), by=(50, 0), radius=RADIUS),)),
@@ -116,6 +117,7 @@ def main(folder: Path = IMAGES) -> None:
     for brush, cases in ON_GRIDS.items():
         made = [(text, (Stroke(brush=brush, at=AT, radius=RADIUS, **numbers),)) for text, numbers in cases]  # type: ignore[arg-type]
         on_grids(folder / f"brush-{brush}.webp", made)
+    on_grids(folder / "brush-flat.webp", PLATEAUS)
     on_grids(folder / "brush-hand.webp", BY_HAND)
     on_grids(folder / "brush-freeze.webp", BESIDE, FROZEN)
 

@@ -13,7 +13,6 @@ import numpy as np
 import supple
 from supple.files import warp_file
 from supple.files.clips import open_clip
-from supple.files.options import ClipOptions
 from supple.media import image
 from supple.plot import draw_sheet
 
@@ -25,7 +24,8 @@ SMILES += [((336, 155, 54), (-9, -9, 0), 16), ((376, 143, 54), (6, -9, 0), 14)]
 
 
 def recipe(grabs: list[tuple]) -> supple.Recipe:
-    return supple.Recipe(strokes=[supple.Stroke.grab(at, by=by, radius=r, scales=2) for at, by, r in grabs])
+    frames = {"time_radius": 6} if len(grabs[0][0]) == 3 else {}
+    return supple.Recipe(strokes=[supple.Stroke.grab(at, by=by, radius=r, scales=2, **frames) for at, by, r in grabs])
 
 
 def frames_of(path: Path, wanted: Container[int]) -> list[tuple[int, np.ndarray]]:
@@ -46,8 +46,7 @@ def main(folder: Path) -> None:
     image.write(folder / "smile.png", pair.repeat(4, axis=0).repeat(4, axis=1), force=True)
     print(f"one frame: every source point within {d.report().error:.4f} px")
 
-    options = ClipOptions(time_scale=2.5)  # a frame counts as 2.5 pixels: a radius of 16 covers about 6 frames
-    made = warp_file(CLIP, folder / "smile.mp4", recipe(SMILES), clip=options, force=True)
+    made = warp_file(CLIP, folder / "smile.mp4", recipe(SMILES), force=True)
     print(f"{made.frames} frames, {made.held} held at once; the map within {made.error:.4f} px and frames")
     sheets = (frames_of(path, range(40, 61, 3)) for path in (CLIP, made.target))
     draw_sheet(*([(k, pixels[FACE]) for k, pixels in some] for some in sheets), folder / "smiles.png", force=True)

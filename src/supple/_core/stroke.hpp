@@ -250,7 +250,7 @@ INLINE void ease(const Stroke& k, V* r, V& s, V (*u)[D], V* n) {
     s = h * h * s;
 }
 
-template <int D, int TANGENTS, bool MIXED, class V>
+template <int D, bool APART, int TANGENTS, bool MIXED, class V>
 INLINE void displace(const Stroke& k, const V* r, V s, const V (*u)[D], const V* n,
                      Moving<D, TANGENTS, MIXED, V>& part) {
     constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
@@ -259,15 +259,25 @@ INLINE void displace(const Stroke& k, const V* r, V s, const V (*u)[D], const V*
     V f[D];
     for (int i = 0; i < D; i++) f[i] = affine ? turned<D>(k, r, i) : splat<V>(k.force[i]);
     Radial<V> g = radial<ORDER>(k, s);
-    V c[D];  // r beside B
-    for (int i = 0; i < D; i++) c[i] = i < 2 ? r[i] : V(k.coupled * r[i]);
+    V plane[2 + N][D];  // r, u and n beside B, where it has no part of time
+    const V *c = r, *cn = n;
+    const V(*cu)[D] = u;
+    if constexpr (APART) {
+        for (int i = 0; i < D; i++) {
+            plane[0][i] = i < 2 ? r[i] : V{};
+            if constexpr (MIXED) plane[1][i] = i < 2 ? n[i] : V{};
+            for (int j = 0; j < TANGENTS; j++) plane[2 + j][i] = i < 2 ? u[j][i] : V{};
+        }
+        c = plane[0];
+        cn = plane[1];
+        cu = plane + 2;
+    }
     V rf = dot<D>(c, f);
     for (int i = 0; i < D; i++) part.K[i] = g.A[0] * f[i] + g.B[0] * rf * c[i];
     if constexpr (TANGENTS > 0) {
         // w = M u, and uf = u·v + r·w, the derivative of r·v.
-        V w[N][D], ru[N], uf[N], h[N], cu[N][D];
+        V w[N][D], ru[N], uf[N], h[N];
         for (int j = 0; j < TANGENTS; j++) {
-            for (int i = 0; i < D; i++) cu[j][i] = i < 2 ? u[j][i] : V(k.coupled * u[j][i]);
             ru[j] = dot<D>(r, u[j]);
             uf[j] = dot<D>(cu[j], f);
             for (int i = 0; i < D; i++) w[j][i] = affine ? turned<D>(k, u[j], i) : V{};
@@ -280,9 +290,7 @@ INLINE void displace(const Stroke& k, const V* r, V s, const V (*u)[D], const V*
         if constexpr (MIXED) {
             V uv = dot<D>(u[0], u[1]), a = g.A[2] * ru[0] * ru[1] + g.A[1] * uv;
             V b = g.B[2] * ru[0] * ru[1] * rf + g.B[1] * (uv * rf + ru[0] * uf[1] + ru[1] * uf[0]);
-            V cn[D], wn[D];
-            for (int i = 0; i < D; i++) cn[i] = i < 2 ? n[i] : V(k.coupled * n[i]);
-            V rn = dot<D>(r, n), nf = dot<D>(cn, f);
+            V rn = dot<D>(r, n), nf = dot<D>(cn, f), wn[D];
             for (int i = 0; i < D; i++) wn[i] = V{};
             if (affine) {
                 for (int i = 0; i < D; i++) wn[i] = turned<D>(k, n, i);
@@ -378,8 +386,10 @@ ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V
     if (k.flat > 0) ease<D, TANGENTS, MIXED>(k, r, s, v, bent);
     if (k.turns())
         swing<D>(k, r, s, v, bent, part, steep2);
+    else if (D == 3 && k.coupled == 0)
+        displace<D, D == 3>(k, r, s, v, bent, part);
     else
-        displace<D>(k, r, s, v, bent, part);
+        displace<D, false>(k, r, s, v, bent, part);
     if constexpr (D == 3) {
         const double back = 1.0 / k.stretch;
         part.K[2] *= back;
@@ -411,12 +421,9 @@ ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V
                                 beta[i][2] * u[0][i] * u[1][i] * moved;
             }
             for (int j = 0; j < 2; j++) {
-                V along2 = at.t[j][0] * at.t[j][0];
-                for (int i = 1; i < D; i++) {
-                    const V along = i < 2 ? at.t[j][i] : V(k.stretch * at.t[j][i]);
-                    along2 += along * along;
-                }
-                V scale2 = round2 / along2;
+                V along[D];
+                for (int i = 0; i < D; i++) along[i] = i < 2 ? at.t[j][i] : V(k.stretch * at.t[j][i]);
+                V scale2 = round2 / dot<D>(along, along);
                 if (k.freeze) scale2 = least(scale2, V(free.smooth * free.smooth / dot<D>(at.t[j], at.t[j])));
                 for (int i = 0; i < D; i++)
                     if (axes[i].sigma > 0 && !k.inner) {

@@ -196,7 +196,8 @@ class TimeOptions:
     Parameters
     ----------
     time_scale
-        How many pixels one frame counts as, for radius and border (default: what the recipe says, or 1).
+        How many pixels one frame counts as, for the border and for strokes of recipes before version 3 (default: what
+        the recipe says, or 1). The radius in time of others is --time-radius.
     first_frame
         Number of the first frame, from which all frames of the command line count: 1001, say; or files: the number
         in the name of the first picture of a sequence (default 0). Frames may be timecodes, too: 00:00:12:08.

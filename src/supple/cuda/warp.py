@@ -69,7 +69,9 @@ def size_of(space: Space, tolerance: float) -> int:
     if space.composite is not None or space.freeze is not None or not space.rows.size:
         return SIZES[0]
     table = space.table
-    radius, reach = np.sqrt(table["radius2"][:, 0].min()), table["reach"].min()
+    radius2, flat = table["radius2"][:, 0], table["flat"]
+    rims = np.where(flat > 0, np.cbrt(0.25 * radius2 * flat), np.inf)  # of plateaus, where a stroke varies faster
+    radius, reach = np.minimum(np.sqrt(radius2), rims).min(), table["reach"].min()
     widths = [length / space.axes[:2, 3].max() for length in (radius, reach / 3)]  # over which a stroke ends, in pixels
     widths += [sigma / spacing for sigma, spacing in space.axes[:2, 2:4] if sigma > 0]
     return max([SIZES[0], *(h for h in SIZES if 0.15 * h**4 <= tolerance * min(widths) ** 3)])

@@ -18,7 +18,6 @@ from supple.errors import MissWarning, SuppleError, argument, shown
 from supple.examples.scenes import BACKGROUND, DISTANCE, HEAD, INSIDE, SCENES, Look, Scene, Shot, Take
 from supple.files import warp_file
 from supple.files.clips import open_clip
-from supple.files.options import ClipOptions
 from supple.files.renders import RenderOptions, render_file
 from supple.gpu.device import gpu_of
 from supple.media.files import replacing
@@ -149,8 +148,7 @@ def _shot(place: Path, shot: Shot) -> str:
 
 def _take(place: Path, take: Take) -> str:
     source, target = place / take.source, place / take.target
-    options = ClipOptions(time_scale=take.time_scale)
-    made = warp_file(source, target, take.recipe, clip=options, force=True)
+    made = warp_file(source, target, take.recipe, force=True)
     before, after = _frames(source), _frames(target)
     x, y, width, height = take.area
     parts = ([(k, clip[k][y : y + height, x : x + width]) for k in take.frames] for clip in (before, after))

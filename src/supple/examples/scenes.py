@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from supple.space.domain import Border
 from supple.strokes import FoldPolicy, Recipe, Stroke
@@ -29,6 +30,7 @@ class Shot:
         The photograph, the clip, or the volume.
     grabs : tuple of (x, y, x, y, radius), or (x, y, t, x, y, t, radius), or with z for t
     scales : int
+    time_radius : float or None
     border : "auto", float, sequence of float or None
     on_fold : str
     outside : str
@@ -41,6 +43,7 @@ class Shot:
     source: str
     grabs: tuple[tuple[int, ...], ...]
     scales: int = 1
+    time_radius: float | None = None
     border: Border = "auto"
     on_fold: FoldPolicy = "flow"
     outside: str = "edge"
@@ -59,7 +62,8 @@ class Shot:
     @property
     def recipe(self) -> Recipe:
         """The strokes as a recipe of the library."""
-        strokes = [Stroke.grab(a, to=b, radius=r, scales=self.scales) for a, b, r in map(_split, self.grabs)]
+        known: dict[str, Any] = {"scales": self.scales, "time_radius": self.time_radius}
+        strokes = [Stroke.grab(a, to=b, radius=r, **known) for a, b, r in map(_split, self.grabs)]
         return Recipe(border=self.border, on_fold=self.on_fold, strokes=tuple(strokes))
 
     @property
@@ -80,6 +84,8 @@ class Shot:
         found = []
         if self.scales != 1:
             found.append(f"--scales {self.scales}")
+        if self.time_radius is not None:
+            found.append(f"--time-radius {self.time_radius:g}")
         if self.border != "auto":
             found.append(f"--border {'none' if self.border is None else self.border}")
         if self.on_fold != "flow":
@@ -95,7 +101,6 @@ class Take(Shot):
 
     Parameters
     ----------
-    time_scale : float
     frames : tuple of int
         The frames shown side by side; the middle one stands for the clip until it plays.
     area : (x, y, width, height)
@@ -104,7 +109,6 @@ class Take(Shot):
         A row of pixels to plot over time.
     """
 
-    time_scale: float = 1.0
     frames: tuple[int, ...] = ()
     area: tuple[int, int, int, int] = (0, 0, 0, 0)
     row: int | None = None
@@ -113,10 +117,6 @@ class Take(Shot):
     def target(self) -> str:
         """The name of the output file."""
         return f"{self.name}.mp4"
-
-    def _options(self) -> list[str]:
-        scale = [f"--time-scale {self.time_scale:g}"] if self.time_scale != 1 else []
-        return [*Shot._options(self), *scale]
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,8 +243,8 @@ SCENES = (
     Scene(
         "A smile that comes and goes",
         "Strokes may have a time as well. Two raise the corners of the mouth around frame 46 of this clip, two more "
-        "around frame 54, where the head has turned a little, and before and after that he sulks as ever. A frame "
-        "counts as two and a half pixels, so that a radius of 16 pixels is felt for about six frames each way.",
+        "around frame 54, where the head has turned a little, and before and after that he sulks as ever. In time, "
+        "their radius is six frames.",
         (
             Take(
                 "smile",
@@ -257,7 +257,7 @@ SCENES = (
                     (376, 143, 54, 382, 134, 54, 14),
                 ),
                 scales=2,
-                time_scale=2.5,
+                time_radius=6,
                 frames=(40, 43, 46, 49, 52, 55, 58),
                 area=(260, 80, 160, 120),
             ),

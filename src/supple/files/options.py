@@ -30,7 +30,8 @@ class ClipOptions:
     time_filter : bool
         Whether pixels are averaged over time.
     time_scale : float, optional
-        The length of a frame in pixels, for the brush: by default that of the recipe, or 1.
+        The length of a frame in pixels, for the border and for strokes that are ``isotropic``: by default that of the
+        recipe, or 1.
     rate : float or Fraction, optional
         Frames a second of an image sequence, which has no rate of its own; 24 by default.
     codec, preset, pixel_format : str, optional

@@ -54,7 +54,7 @@ from supple.folding.resolved import (
 )
 from supple.folding.strain import CLEARLY_SAFE, GAP, MARGIN, largest, limit, sampled, weakest
 from supple.space.domain import Domain
-from supple.strokes import FoldPolicy, Stroke, legs, matrix_of, pack, poisson_of, time_radius_of
+from supple.strokes import FoldPolicy, Stroke, legs, matrix_of, pack, poisson_of, stretch_of
 
 NEAR = 0.5
 """The distance from its target, in samples, within which a stroke's point has arrived."""
@@ -80,9 +80,7 @@ def resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
 @lru_cache(maxsize=4096)
 def _resolved(stroke: Stroke, domain: Domain, on_fold: FoldPolicy, spelling: Spelling) -> Resolved:
     # In a clip, in the stroke's own metric, where a radius in time is as long as one in space.
-    stretch = 1.0
-    if domain.time:
-        stretch = stroke.radius / (domain.spacing[2] * time_radius_of(stroke, domain.shape[0], domain.spacing[2]))
+    stretch = stretch_of(stroke, domain.shape[0], domain.spacing[2]) if domain.time else 1.0
     domain = domain if stretch == 1 else domain.stretched(stretch)
     made = _resolve(stroke, domain, on_fold)
     if mask_of(domain) is not None and not stroke.also and not stroke.is_still and made.warning is None:

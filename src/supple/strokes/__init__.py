@@ -13,7 +13,7 @@ from supple.strokes.stroke import (
     Point,
     Stroke,
 )
-from supple.strokes.table import POISSON, legs, matrix_of, pack, poisson_of, time_radius_of
+from supple.strokes.table import POISSON, legs, matrix_of, pack, poisson_of, stretch_of, time_radius_of
 
 __all__ = [
     "LARGEST_ANGLE",
@@ -40,5 +40,6 @@ __all__ = [
     "poisson_of",
     "scaling_of",
     "spoken",
+    "stretch_of",
     "time_radius_of",
 ]

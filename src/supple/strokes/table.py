@@ -61,7 +61,7 @@ def pack(
     for i, stroke in enumerate(strokes):
         if stroke.ndim != n:
             refuse(f"strokes[{i}].at", f"a point of {n} numbers, as the medium has {n} axes", stroke.at)
-        stretch = stroke.radius / (spacing[2] * time_radius_of(stroke, frames, spacing[2])) if frames else 1.0
+        stretch = stretch_of(stroke, frames, spacing[2]) if frames else 1.0
         metric = (*spacing[:2], spacing[2] * stretch) if frames else spacing
         pivot, force = (
             (*(x * step for x, step in zip(v, spacing, strict=True)), 0.0)[:3] for v in (stroke.at, stroke.by)
@@ -128,6 +128,11 @@ def time_radius_of(stroke: Stroke, frames: int, time_scale: float) -> float:
         return stroke.time_radius or whole
     drags = [by[2] for _, by in stroke.handles] + [p[2] - stroke.at[2] for p in stroke.path]
     return min(max(*map(abs, drags), frames / 8), whole)
+
+
+def stretch_of(stroke: Stroke, frames: int, time_scale: float) -> float:
+    """Return how much longer time is in a stroke's own metric, in which its radius in time is that in space."""
+    return 1.0 if stroke.isotropic else stroke.radius / (time_scale * time_radius_of(stroke, frames, time_scale))
 
 
 @lru_cache(maxsize=256)
