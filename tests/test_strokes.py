@@ -165,9 +165,21 @@ class TestStroke:
 class TestPack:
     def test_layout(self) -> None:
         assert STROKE_DTYPE.isalignedstruct
-        assert STROKE_DTYPE.itemsize == 35 * 8
+        assert STROKE_DTYPE.itemsize == 36 * 8
         assert STROKE_DTYPE.names[:3] == ("pivot", "force", "matrix")
-        assert STROKE_DTYPE.names[3:] == ("radius2", "p", "q", "r", "terms", "power", "joined", "reach", "most", "turn")
+        assert STROKE_DTYPE.names[3:] == (
+            "radius2",
+            "p",
+            "q",
+            "r",
+            "terms",
+            "power",
+            "joined",
+            "reach",
+            "most",
+            "turn",
+            "mask",
+        )
         table = pack([grab(), grab()], (1, 1))
         assert table.dtype == STROKE_DTYPE
         assert table.shape == (2,)
