@@ -78,7 +78,7 @@ def test_a_recipe_in_a_frame_is_a_plain_one() -> None:
     assert not now.moves
     with pytest.raises(SuppleError, match=r"move from frame to frame \(keys\).*give the recipe of one"):
         supple.Deformation.from_recipe(recipe, (48, 64))
-    with pytest.raises(SuppleError, match=r"the stroke moves from frame to frame \(keys\)"):
+    with pytest.raises(SuppleError, match=r"the stroke moves from frame to frame \(keys, or a matte\)"):
         supple.Deformation((48, 64)).add(KEYED)
     assert supple.Deformation.from_recipe(now, (48, 64)).strokes[1].by == (0.5, 0)
 

@@ -235,4 +235,4 @@ def test_a_matte_that_moves_fits_frames_of_another_size() -> None:
     np.testing.assert_allclose(factor(found, (at + 0.5) * 2 - 0.5), factor(matte, at), atol=1e-12)
     placed = recipe.placed((8, 4), (100, 70)).at_frame(5).strokes[0].matte
     assert placed.samples == (100, 70)
-    np.testing.assert_allclose(factor(placed, at + (8, 4)), factor(matte, at), atol=1e-12)
+    np.testing.assert_allclose(factor(placed, at + np.array([8, 4])), factor(matte, at), atol=1e-12)

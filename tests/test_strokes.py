@@ -165,9 +165,10 @@ class TestStroke:
 class TestPack:
     def test_layout(self) -> None:
         assert STROKE_DTYPE.isalignedstruct
-        assert STROKE_DTYPE.itemsize == 38 * 8
+        assert STROKE_DTYPE.itemsize == 39 * 8
         assert STROKE_DTYPE.names[:3] == ("pivot", "force", "matrix")
-        assert STROKE_DTYPE.names[3:] == ("radius2", "p", "q", "r", "terms", "power", "joined", "reach", "most", "turn")
+        given = "radius2 p q r terms power joined reach most turn stretch coupled flat mask"
+        assert STROKE_DTYPE.names[3:] == tuple(given.split())
         table = pack([grab(), grab()], (1, 1))
         assert table.dtype == STROKE_DTYPE
         assert table.shape == (2,)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 import supple
 import supple.cuda
-from supple import Deformation, Field, Freeze, Grid
+from supple import Deformation, Field, Freeze, Grid, Stroke, SuppleError
 from supple.cuda.points import inverse_map
 from tests.cuda.driver import on_host, sent
 from tests.effort import pairs
@@ -124,3 +125,12 @@ def test_what_folds_is_said() -> None:
     d = Deformation(shape, border=None).field(steep)
     with pytest.warns(supple.FoldWarning):
         d.warp(sent(np.zeros(shape, np.float32)), filter="linear")
+
+
+def test_mattes_are_refused() -> None:
+    white = np.uint8(255) * frozen(SHAPES[0])
+    stroke = Stroke.grab([4.0] * len(SHAPES[0]), by=[1.0] * len(SHAPES[0]), radius=5.0)
+    d = Deformation(SHAPES[0]).add(replace(stroke, matte=Freeze.of(white, matte=True)), warn=False)
+    for call in (lambda: d.warp(sent(np.zeros(SHAPES[0], np.float32))), lambda: d.forward(sent(np.zeros((1, d.ndim))))):
+        with pytest.raises(SuppleError, match="strokes have mattes, which CUDA does not take: leave them out"):
+            call()

@@ -47,6 +47,20 @@ def test_a_part_is_that_of_the_whole_and_the_rest_is_as_it_was(here: Path, recip
     assert (made.frames, made.still, made.copied) == (30, 21, 21)
 
 
+def test_the_command_tells_of_the_frames_that_are_bent(run: Run, here: Path) -> None:
+    noisy("in.mkv", "gray", 30, options={"g": "1"})
+    Path("r.json").write_text(KEYED.to_json())
+    for k, part in enumerate((("--frames", "9-17"), ("--hold", "2"), ("--frame", "12"))):
+        status, out, err = run(
+            "warp", "in.mkv", f"out{k}.{'png' if k > 1 else 'mkv'}", "--recipe", "r.json", *part, "--json"
+        )
+        assert (status, err) == (0, "")
+        told = json.loads(out)
+        assert (told["strokes"], told["frames"]) == (1, 1 if k > 1 else 30)
+        assert told["arrivals"][0]["miss"] < 1e-6
+        assert told["copied"] == told["still"] >= (21, 4, 0)[k]
+
+
 @pytest.mark.parametrize("codec", ["ffv1", "libx264"])
 @pytest.mark.parametrize("recipe", [WIDE, FLAT, KEYED, replace(WIDE, strokes=())], ids=["timed", "flat", "keyed", "no"])
 @pytest.mark.parametrize("k", [0, 16, 29])
@@ -122,6 +136,12 @@ def test_strokes_fade_smoothly_towards_held_frames(here: Path, recipe: Recipe) -
     np.testing.assert_allclose(
         masked.forward(points) - points, m.reshape(-1, 1) * (free.forward(points) - points), atol=2e-3
     )
+
+
+def test_a_stroke_that_is_held_back_says_so(here: Path) -> None:
+    noisy("in.mkv", "gray")
+    with pytest.warns(supple.MissWarning, match="short: what is held at the ends of the clip holds it back"):
+        warp_file("in.mkv", "out.mkv", TIMED, hold=2)
 
 
 def test_frames_of_a_fade_are_the_strokes_in_part(here: Path) -> None:
@@ -264,3 +284,19 @@ def test_parts_are_for_clips(run: Run, here: Path) -> None:
     refused(run("warp", "in.png", "out.png", *GRAB_2D, "--hold", "2"), "--hold is for clips, and in.png is a picture")
     with pytest.raises(SuppleError, match="frames must be the first and the last frame"):
         warp_file("in/%03d.png", "out.mp4", FLAT, clip=ClipOptions(frames=(3,)))  # type: ignore[arg-type]
+
+
+def test_warnings_have_the_numbers_that_are_typed(run: Run, here: Path) -> None:
+    pictures("in", 12, names="f.{:04d}.png", first=1001)
+    Path("t.csv").write_text("frame,x,y\n1001,30,20\n1007,90,20\n")
+    follow = ("--track", "t.csv", "--first-frame", "files", "--frames", "1001-1009")
+    warp = ("warp", "in/f.%04d.png", "out/f.%04d.png", *GRAB_2D, *follow)
+    refused(run(*warp), "frame 1004: a drag by (4, 3) at (60, 20) with radius 12 cannot arrive")
+    strong = ("--grab", "30,20:60,20", "--radius", "8", "--on-fold", "damp", "--track", "t.csv", "--border", "none")
+    Path("t.csv").write_text("frame,x,y\n1001,30,20\n1007,40,20\n")
+    status, _, err = run(
+        "warp", "in/f.%04d.png", "out/f.%04d.png", *strong, "--first-frame", "1001", "--frames", "1003-1005"
+    )
+    assert status == 0
+    assert "warning: frame 1003 (and in 2 more): a drag by (30, 0)" in err
+    refused(run("warp", "in/f.1001.png", "one.png", *GRAB_2D, "--first-frame", "7"), "--first-frame is for clips")

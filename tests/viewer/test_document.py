@@ -20,6 +20,7 @@ from supple.files import warp_file
 from supple.files.clips import deformation_of as on_clip
 from supple.files.recipes import read_recipe, write_recipe
 from supple.media.image import read, write
+from supple.space.freezing import Freeze
 from supple.space.geometry import Geometry
 from supple.strokes import Recipe, Stroke
 from supple.strokes.keys import Key
@@ -563,3 +564,16 @@ def test_a_clip_knows_what_a_frame_is_worth() -> None:
     with pytest.raises(SuppleError, match=r"frame is worth 4 pixels, and here 2\.5: open .* --time-scale 4"):
         d.load(Recipe(strokes=(late,), time_scale=4))
     assert Document(SHAPE).recipe.time_scale is None
+
+
+def test_a_matte_is_kept_whatever_is_done_to_its_stroke() -> None:
+    white = np.zeros(SHAPE, np.uint8)
+    white[:, :70] = 255
+    matte = Freeze.of(white, matte=True)
+    d = Document(SHAPE, (1.0, 1.0), Recipe(strokes=(stroke(matte=matte), stroke(100))))
+    same(d)
+    d.replace(0, replace(d.recipe.strokes[0], radius=40))
+    d.move(1, 0)
+    same(d)
+    assert [one.matte for one in d.recipe.strokes] == [None, matte]
+    assert Recipe.from_json(d.recipe.to_json()) == d.recipe

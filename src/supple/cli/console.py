@@ -217,7 +217,8 @@ def told(*deformations: Deformation, own: Grid | None = None) -> dict[str, Any]:
     """
     from supple.files.jobs import arrivals_on
 
-    each = [deformation.resolution() for deformation in dict.fromkeys(deformations)]
+    bent = [each for each in dict.fromkeys(deformations) if each.strokes]  # frames passed on have none
+    each = [deformation.resolution() for deformation in bent or deformations[:1]]
     arrivals = zip(*(arrivals_on(own, deformations[0].grid, made["arrivals"]) for made in each), strict=True)
 
     def off(arrival: Arrival) -> tuple[float, float]:

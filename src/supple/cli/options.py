@@ -142,7 +142,7 @@ class Frames:
     The clip is opened where that is needed. ``first`` is None if it is not given, or "files".
     """
 
-    def __init__(self, source: str, first: "int | str | None" = None, rate: Any = None) -> None:
+    def __init__(self, source: str, first: Any = None, rate: Any = None) -> None:
         self._source, self._first, self._rate = source, first, rate
 
     @cached_property
@@ -153,13 +153,13 @@ class Frames:
         source = self._source
         if "*" in os.path.basename(source) and not os.path.exists(source):
             source = of_star(source) or source
-        first = None if self._first == "files" else int(self._first or 0)
+        first = None if self._first == "files" else self._first or 0
         return numbering_of(source, first=first, rate=self._rate)
 
     @property
-    def first(self) -> int | None:
+    def first(self) -> Any:
         """The number of the first frame; None if it is not given."""
-        return None if self._first is None else self._numbering.first
+        return self._numbering.first if self._first == "files" else self._first
 
     def read(self, option: str, text: str) -> int:
         """Return a frame, counted from 0; SuppleError if the clip does not have it."""

@@ -158,7 +158,8 @@ def warp(
         )
     reading = volume.to_reading(labels=labels, save_field=save_field)
     shot = replace(
-        video.to_clip(), hold=hold, frame=None if frame is None else typed.read("--frame", frame),
+        video.to_clip(), hold=hold, first_frame=typed.first,
+        frame=None if frame is None else typed.read("--frame", frame),
         frames=None if frames is None else typed.part("--frames", frames),
     )  # fmt: skip
     known, outside = sampling.to_sampling(bool(elements) or output.reference is not None, linear_light)

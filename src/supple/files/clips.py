@@ -116,8 +116,9 @@ def warp(job: Job, tell: Tell) -> Warped:
         try:
             with open_clip(job.source, rate=job.clip.rate, count=count, target=job.target) as clip:
                 bent, known = bent_of(clip, job.clip), job.clip
+                first = known.first_frame or 0
                 deformations = deformations_of(
-                    job.recipe, clip, known.time_scale, job.fit, tell, hold=known.hold, bent=bent
+                    job.recipe, clip, known.time_scale, job.fit, tell, hold=known.hold, bent=bent, first=first
                 )
                 if count is None:
                     warn_of_still(job.recipe.strokes)
@@ -148,7 +149,7 @@ def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], bent: 
     source, target, known = job.source, job.target, job.clip
     sampling = sampling_of(clip, replace(job.sampling, between=known.between, time_filter=known.time_filter))
     work = replace(work_on(clip, deformations, sampling), bent=bent)
-    plain = replace(known, memory=ClipOptions().memory, frames=None, hold=0, first_frame=1)
+    plain = replace(known, memory=ClipOptions().memory, frames=None, hold=0, first_frame=None)
     untouched = work.is_identity and not job.lossless and plain == ClipOptions()
     count, copied = clip.count, 0
     if known.frame is not None:
@@ -260,10 +261,8 @@ def _writer(clip: Any, job: Job) -> contextlib.AbstractContextManager[Any]:
     if job.clip.frame is not None or is_picture_target(job.target):
         from supple.media import sequence
 
-        known = job.clip
-        return sequence.writer(
-            clip, job.target, quality=job.quality, only=known.frame, first=known.first_frame, **shared
-        )
+        known, first = job.clip, 1 if job.clip.first_frame is None else job.clip.first_frame
+        return sequence.writer(clip, job.target, quality=job.quality, only=known.frame, first=first, **shared)
     from supple.media import video
 
     known = job.clip
@@ -340,17 +339,19 @@ def deformations_of(
     *,
     hold: int = 0,
     bent: range | None = None,
+    first: int = 0,
 ) -> tuple[Deformation, ...]:
     """Return a recipe on a clip: one deformation, or one for each frame, if its strokes move or fade.
 
-    ``hold`` is as in `ClipOptions`; of frames that are not ``bent``, the deformation may be any.
+    ``hold`` is as in `ClipOptions`; of frames that are not ``bent``, the deformation may be any; ``first`` is the
+    number of the first frame in messages.
     """
     count, shape, name = clip.count, clip.layout.shape, clip.name
     if not (recipe.moves or (hold and recipe.strokes and recipe.strokes[0].ndim == 2)):
         return (deformation_of(recipe, count, shape, time_scale, name, fit, clip.display, hold),)
     x, y, *size = clip.display or (0, 0, *shape[::-1])
     fitted = fit_recipe(recipe, size, fit, name).placed((x, y), shape[::-1])
-    return motion_of(fitted, count, shape, tell, hold=hold, bent=bent)
+    return motion_of(fitted, count, shape, tell, hold=hold, bent=bent, first=first)
 
 
 def sampling_of(clip: Clip, sampling: Sampling = DEFAULT) -> Sampling:
@@ -444,6 +445,7 @@ def motion_of(
     *,
     hold: int = 0,
     bent: range | None = None,
+    first: int = 0,
 ) -> tuple[Deformation, ...]:
     """Return the deformation of each frame, of a recipe whose strokes have keys or fade, and which fits the frames.
 
@@ -451,7 +453,7 @@ def motion_of(
     is one warning, that of the first of them, or an OutsideWarning if it begins outside in every frame. ``shape`` has
     the rows and columns of a frame; ``tell`` is called with ``"plan"``, the number of frames that are planned, and
     ``count``. Errors are those of `Deformation.from_recipe`, with the frame. ``hold`` is as in `ClipOptions`; of frames
-    that are not ``bent``, the deformation is the identity.
+    that are not ``bent``, the deformation is the identity. ``first`` is the number of the first frame in messages.
     """
     for matte in (stroke.matte for stroke in recipe.strokes):
         if matte is not None and matte.ndim == 3 and matte.samples[2] != count:
@@ -477,13 +479,13 @@ def motion_of(
             try:
                 known[now] = Deformation.from_recipe(now, shape, roaming=roaming, say=say)
             except SuppleError as error:
-                raise type(error)(f"frame {k}: {error}") from None
+                raise type(error)(f"frame {first + k}: {error}") from None
         tell("plan", k + 1, count)
     _check_places(recipe, roaming, {now.strokes for now in frames}, count, shape)
     for (kind, _), (text, some) in told.items():
         at = [k for k, now in enumerate(frames) if now in some]
         more = f" (and in {len(at) - 1} more)" if len(at) > 1 else ""
-        warnings.warn(f"frame {at[0]}{more}: {text}", kind, stacklevel=4)
+        warnings.warn(f"frame {first + at[0]}{more}: {text}", kind, stacklevel=4)
     return tuple(still if bent is not None and k not in bent else known[now] for k, now in enumerate(frames))
 
 

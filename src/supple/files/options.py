@@ -47,8 +47,9 @@ class ClipOptions:
     hold : int
         The number of frames at each end that keep every bit. Strokes fade towards them, over a tenth of the clip or, of
         strokes with a time, over the width of the border along time.
-    first_frame : int
-        The number in the name of the first picture, where a video becomes pictures.
+    first_frame : int, optional
+        The number of the first frame in warnings, 0 by default, and, where a video becomes pictures, in the name of the
+        first one, 1 by default.
     """
 
     between: str | None = None
@@ -63,7 +64,7 @@ class ClipOptions:
     frames: tuple[int, int] | None = None
     frame: int | None = None
     hold: int = 0
-    first_frame: int = 1
+    first_frame: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,6 +97,8 @@ def _resolved(stroke: Stroke, domain: Domain, on_fold: FoldPolicy, spelling: Spe
 def _held_back(stroke: Stroke, domain: Domain, on_fold: FoldPolicy, made: Resolved) -> Resolved:
     """Say if what is frozen holds a stroke back: it multiplies its displacement, and nothing makes up for that."""
     what = "what is frozen" if stroke.matte is None else "its matte"
+    if domain.time and domain.freeze is not None and domain.freeze.size[:2] == (1, 1):
+        what = "what is held at the ends of the clip"
     if stroke.brush != "grab":
         part = float(freedom_at(padded(stroke.at, domain)[None], domain)[0])
         if part > 0.99:
