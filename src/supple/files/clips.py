@@ -9,12 +9,14 @@ import shutil
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
 from supple.deformation import Deformation
+from supple.engine.motion import need_flow
 from supple.engine.sampling import DEFAULT, Certificate, Sampling, warn_of
 from supple.engine.stream import Done, make_plan, run, stream
 from supple.engine.work import Array, Layout, Tell, Work
@@ -110,7 +112,7 @@ def warp(job: Job, tell: Tell) -> Warped:
 def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], tell: Tell) -> Warped:
     """Write an open clip, bent by the deformations of its frames."""
     source, target, known = job.source, job.target, job.clip
-    sampling = sampling_of(clip, replace(job.sampling, between=known.between, time_filter=known.time_filter))
+    sampling = sampling_of(clip, between_frames(job.sampling, known))
     work = work_on(clip, deformations, sampling)
     untouched = work.is_identity and not job.lossless and known == ClipOptions(memory=known.memory)
     if untouched and os.path.isfile(source) and suffix_of(source) == suffix_of(target):
@@ -135,6 +137,7 @@ def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], tell: 
     return Warped(
         Path(source), Path(target), "clip", deformations, sampling.tolerance, done.certificate.error, clip.count,
         done.still, copied, done.held, own=own,
+        between=sampling.between_frames if deformations[0].ndim == 3 else "",
     )  # fmt: skip
 
 
@@ -158,6 +161,8 @@ def check(job: Job) -> None:
         refuse_maps(job.source)
     refuse_picture(job.source)
     number("memory", job.clip.memory, "a number of bytes from 0", 0.0, 1e30)
+    if between_frames(job.sampling, job.clip).between == "flow":
+        need_flow()
     if not os.fspath(target):
         raise SuppleError("cannot write '': no file can have that name: choose another")
     if not is_picture_target(target):
@@ -246,6 +251,14 @@ def deformations_of(
         return (deformation_of(recipe, count, shape, time_scale, name, fit, clip.display),)
     x, y, *size = clip.display or (0, 0, *shape[::-1])
     return motion_of(fit_recipe(recipe, size, fit, name).placed((x, y), shape[::-1]), count, shape, tell)
+
+
+def between_frames(sampling: Sampling, options: ClipOptions) -> Sampling:
+    """Return the sampling of a clip with the options of time: by default, samples follow motion, if OpenCV is there."""
+    between = options.between
+    if between is None and sampling.filter != "nearest" and find_spec("cv2") is not None:
+        between = "flow"
+    return replace(sampling, between=between, time_filter=options.time_filter)
 
 
 def sampling_of(clip: Clip, sampling: Sampling = DEFAULT) -> Sampling:
