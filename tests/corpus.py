@@ -141,9 +141,9 @@ PICTURES: dict[str, tuple[str, ...]] = {
 }
 CLIPS: dict[str, tuple[str, ...]] = {
     "space.mkv": DRAG,
-    "time.mkv": ("--grab", "320,180,20:320,180,26", "--radius", "90", "--time-scale", "4"),
+    "time.mkv": ("--grab", "320,180,20:320,180,26", "--radius", "90", "--time-scale", "4", "--between", "linear"),
     "moving.mkv": (*DRAG, "--track", "track.csv"),
-    "frames%03d.png": ("--grab", "320,180,20:330,180,26", "--radius", "60"),
+    "frames%03d.png": ("--grab", "320,180,20:330,180,26", "--radius", "60", "--between", "linear"),
     "small.gif": DRAG,
 }
 VOLUMES: dict[str, tuple[str, ...]] = {

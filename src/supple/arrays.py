@@ -101,7 +101,7 @@ def warp_array(
         from supple.cuda import large
 
         certificate = large.sample(work, frames, planes, tell)
-    elif given is not None and made is not None:
+    elif given is not None and made is not None and sampling.between_frames != "flow":
         certificate = core.sample(work, [given], [made], tell)
     else:
         certificate = _converted(work, frames, planes, tell)

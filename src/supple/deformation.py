@@ -995,7 +995,8 @@ class Deformation:
         # Imported here to keep `import supple` fast.
         from supple.arrays import check_device, warp_array, warp_function, warp_picture
 
-        sampling = Sampling.of(sampling, options, self._space.ndim)
+        plain = self.domain.time and not self.maps and grid is None and device != "cuda"
+        sampling = Sampling.of(sampling, options, self._space.ndim, flow=plain)
         clamp = flag("clamp", clamp)
         if grid is not None:
             if not isinstance(grid, Grid):

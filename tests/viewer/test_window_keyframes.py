@@ -335,3 +335,21 @@ def test_a_plateau_and_a_radius_in_time_are_set_in_the_panel(gpu: Gpu, clip: Pat
     made = view.document.strokes[1]
     assert (made.flat, made.time_radius) == (0.5, 2.0)
     assert view._gui.trouble == ""
+
+
+def test_the_status_says_where_an_export_samples_otherwise(
+    gpu: Gpu, clip: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from supple.files.options import ClipOptions
+    from supple.viewer.panels import overlay
+
+    said = "frames are mixed here, and an export follows their motion"
+    view, _ = opened(clip, Recipe(strokes=(Stroke(at=(300, 150, 8), by=(20, 10, 2), radius=40),)))
+
+    for between, shown in (("flow", True), ("linear", False), ("nearest", False)):
+        view.commands.options = {**view.commands.options, "clip": ClipOptions(between=between)}
+        view.painter.ready = True
+        assert (said in overlay.status(view)) is shown
+    view.commands.options = {**view.commands.options, "clip": ClipOptions(between="flow")}
+    view.document.load(Recipe(strokes=(MOVING,)))  # of which each frame is one
+    assert said not in overlay.status(view)

@@ -100,6 +100,7 @@ class Sampling:
         white: float,
         corner: tuple[int, int, int] | None = None,
         size: tuple[int, int] | None = None,
+        motion: tuple[Array, list[float], float, float, float] | None = None,
     ) -> None: ...
 
 class Plan:

@@ -14,6 +14,9 @@ namespace {
 
 typedef nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> Source;
 typedef nb::ndarray<nb::c_contig, nb::device::cpu> Target;
+typedef nb::ndarray<const float, nb::shape<-1, -1, -1, 4>, nb::c_contig, nb::device::cpu> Fields;
+// Of the motion between frames: displacements, the longest of each pair, the position of the first, and their distance.
+typedef std::tuple<Fields, std::vector<float>, double, double, double> Displacements;
 
 int type_of(nb::dlpack::dtype d) {
     const nb::dlpack::dtype known[] = {nb::dtype<uint8_t>(), nb::dtype<uint16_t>(), nb::dtype<int16_t>(),
@@ -29,14 +32,17 @@ int type_of(nb::dlpack::dtype d) {
 struct Sampling {
     Source frames;
     Target out;  // (h, w, C); or (planes, h, w, C)
+    std::optional<Fields> fields;
     std::vector<double> fill;
+    std::vector<float> longest;
     Job job{};
     bool partial;
 
     // Of frames of a larger size, `frames` has the part from the sample (x, y) of frame k on: corner = (x, y, k).
     Sampling(Source frames, Target out, int count, std::tuple<int, int> step, std::tuple<double, double> offset,
              int filter, int between, int rule, bool average, std::vector<double> fill_, int alpha, bool light,
-             double white, std::optional<std::tuple<int, int, int>> corner, std::optional<std::tuple<int, int>> size)
+             double white, std::optional<std::tuple<int, int, int>> corner, std::optional<std::tuple<int, int>> size,
+             std::optional<Displacements> motion)
         : frames(frames), out(out), fill(std::move(fill_)), partial(corner.has_value()) {
         if (frames.ndim() != 4 || out.ndim() < 3 || out.ndim() > 4)
             throw nb::value_error("frames must be (slots, h, w, C), out (h, w, C)");
@@ -77,6 +83,13 @@ struct Sampling {
         job.alpha = alpha;
         job.light = light;
         job.white = white;
+        if (!motion) return;
+        double x, y, apart;
+        std::tie(fields, longest, x, y, apart) = *motion;
+        const int down = (int)fields->shape(1), across = (int)fields->shape(2);
+        if (longest.size() != fields->shape(0) || longest.empty() || down < 2 || across < 2 || !(apart > 0) || partial)
+            throw nb::value_error("motion needs whole frames, and fields of at least 2 x 2 displacements");
+        job.motion = {fields->data(), longest.data(), (int)longest.size(), across, down, {x, y}, apart};
     }
     Sampling(const Sampling&) = delete;
 };
@@ -306,9 +319,10 @@ void bind_plans(nb::module_& m) {
     nb::class_<Sampling>(m, "Sampling", "What is sampled, how, and into what.")
         .def(nb::init<Source, Target, int, std::tuple<int, int>, std::tuple<double, double>, int, int, int, bool,
                       std::vector<double>, int, bool, double, std::optional<std::tuple<int, int, int>>,
-                      std::optional<std::tuple<int, int>>>(),
+                      std::optional<std::tuple<int, int>>, std::optional<Displacements>>(),
              "frames"_a, "out"_a, "count"_a, "step"_a, "offset"_a, "filter"_a, "between"_a, "rule"_a, "average"_a,
-             "fill"_a, "alpha"_a, "light"_a, "white"_a, "corner"_a = nb::none(), "size"_a = nb::none());
+             "fill"_a, "alpha"_a, "light"_a, "white"_a, "corner"_a = nb::none(), "size"_a = nb::none(),
+             "motion"_a = nb::none());
     nb::class_<AnyPlan>(m, "Plan", "T⁻¹ on one plane, ready to be filled in.")
         .def(
             "__init__",

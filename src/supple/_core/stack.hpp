@@ -6,6 +6,7 @@
 #pragma once
 #include <memory>
 
+#include "motion.hpp"
 #include "rows.hpp"
 #include "samples.hpp"
 
@@ -36,6 +37,7 @@ struct Job {
     int alpha;           // the channel that weights the others, or -1
     bool light;          // whether averages are in linear light, and not of sRGB values
     double white;        // the largest value, and full opacity
+    Motion motion;       // between the frames, if it has a capacity
 
     ptrdiff_t pixel_bytes() const { return (ptrdiff_t)bytes_of(type) * channels; }
     const char* frame(int k) const {  // or null, for the fill value
@@ -116,12 +118,13 @@ private:
 };
 
 // Write pixels of a row, which ends at `end`, in a type of the kernels: rounded to the nearest, and clamped to the
-// type. If there is room, lanes beyond the C-th are overwritten by the next pixel.
+// type. If there is room, lanes beyond the C-th are overwritten by the next pixel. Or keep them as numbers.
 template <int C, class T>
 struct Putting {
     T* out;  // of pixel 0
     int end;
-    float high;  // the largest value
+    float high;             // the largest value
+    Pixel<float>* numbers;  // or null
 #if defined(__SSE4_1__)
     // No sum of weighted 16-bit samples overflows 32 bits.
     static INLINE __m128i narrowed(__m128i a, __m128i b) {
@@ -130,6 +133,10 @@ struct Putting {
     }
 #endif
     INLINE void operator()(int k, Pixel<float> v) const {
+        if (numbers) {
+            numbers[k] = v;
+            return;
+        }
         T* p = out + k * C;
         const bool room = C == 4 || k + 4 / C < end;
         if constexpr (sizeof(T) == 4) {
@@ -156,6 +163,10 @@ struct Putting {
 #if defined(__AVX2__)
     // Pixels `from` to `to` - 1 of a block that begins at k.
     INLINE void operator()(int k, int from, int to, const Eight* v) const {
+        if (numbers) {
+            for (int i = from; i < to; i++) numbers[i] = Pixel<float>{v[0][i - k], v[C - 1][i - k]};
+            return;
+        }
         T all[BLOCK * C];
         if constexpr (sizeof(T) == 4)
             for (int l = 0; l < BLOCK; l++)
@@ -220,6 +231,7 @@ struct Mixing {
     N* weight;
     const void* const* frames;  // of the span; null: constant
     bool pairs;                 // whether two frames of the span, both present, suffice for all samples
+    bool whole = true;          // whether one does
 
     Mixing(const Job& job, Span span, const Row<D>& row, N* weight, const void* const* frames)
         : job(job), span(span), row(row), weight(weight), frames(frames), pairs(false) {
@@ -229,6 +241,7 @@ struct Mixing {
             for (int k = 0; k < row.count; k++) {
                 first = std::min(first, row.whole[2][k]);
                 last = std::max(last, row.whole[2][k]);
+                whole = whole && row.part[2][k] == 0;
             }
             pairs = first >= span.first && last < span.last;
             for (int k = first; pairs && k <= last + 1; k++) pairs = frames[k - span.first] != nullptr;
@@ -270,13 +283,13 @@ struct Mixing {
         if constexpr (D == 2) return true;
         times.first = std::numeric_limits<int>::max();
         if (pairs) {
-            Eights whole = first_of(row.whole[2] + k, n) - span.first;
+            const Eights at = first_of(row.whole[2] + k, n) - span.first;
             Eight part = load<float, BLOCK>(row.part[2] + k);
-            times.first = least_of(whole);
-            times.count = most_of(whole) - times.first + 2;
+            times.first = least_of(at);
+            times.count = most_of(at) - times.first + (whole ? 1 : 2);
             if (times.count > Times::MOST) return false;
             for (int i = 0; i < times.count; i++)
-                times.weight[i] = whole == times.first + i ? 1 - part : whole == times.first + i - 1 ? part : Eight{};
+                times.weight[i] = at == times.first + i ? 1 - part : at == times.first + i - 1 ? part : Eight{};
             return true;
         }
         return any(k, n, times);
@@ -383,14 +396,36 @@ Span frames_of(const Plan<D>& plan, const Job& job) {
     return frames_of(job, e.low[D - 1], e.high[D - 1], e.rate);
 }
 
-// Sample n source points of a row, from `at` on. The rest of a plane's work is compiled once for all types.
+// Sample n source points of a row, from `at` on: into `to`, or as numbers. The rest of a plane's work is compiled once
+// for all types.
 template <class N, int D>
 struct Sampler {
-    virtual void operator()(const Row<D>& row, const Prints& prints, N* weight, int at, int n, void* to) const = 0;
+    virtual void operator()(const Row<D>& row, const Prints& prints, N* weight, int at, int n, void* to,
+                            Pixel<N>* numbers) const = 0;
+    virtual void put(const Pixel<N>*, int, int, void*) const {}  // numbers, in the type of the samples
 
 protected:
     ~Sampler() = default;
 };
+
+// The same along the motion between frames, as numbers.
+template <class N>
+void follow(const Followed& followed, const Sampler<N, 3>& sample, int filter, const Row<3>& row, Prints& prints,
+            N* weight, int at, int n, Pixel<N>* numbers) {
+    Pixel<N> own[STRIDE];
+    std::fill(numbers + at, numbers + at + n, Pixel<N>{});
+    bool found = false;
+    for (int i = 0; i < 3; i++) {
+        const float* share = followed.share[i];
+        if (std::all_of(share + at, share + at + n, [](float s) { return s == 0; })) continue;
+        const Row<3>& seen = i < 2 ? followed.row[i] : row;
+        if (!found || prints.any) prints.find(seen, filter);  // of the same footprints
+        found = true;
+        sample(seen, prints, weight, at, n, nullptr, own);
+        for (int k = at; k < at + n; k++)
+            if (share[k] != 0) numbers[k] += (N)share[k] * own[k];
+    }
+}
 
 // From frames of the kernels' types.
 template <class T, int C, int D>
@@ -410,12 +445,24 @@ struct Direct final : Sampler<float, D> {
         for (int k = span.first; k <= span.last; k++) at.push_back((const T*)job.frame(k));
         frames = {at.data(), job.w, job.h, job.row() * C, (ptrdiff_t)job.w * job.h * C, job.rule, job.fill};
     }
-    void operator()(const Row<D>& row, const Prints& prints, float* weight, int at, int n, void* to) const override {
+    void operator()(const Row<D>& row, const Prints& prints, float* weight, int at, int n, void* to,
+                    Pixel<float>* numbers) const override {
         Mixing<float, D> mixing(job, span, row, weight, (const void* const*)frames.at);
-        Putting<C, T> put{(T*)to - at * C, at + n, high};
+        const Putting<C, T> put{(T*)to - at * C, at + n, high, numbers};
         sample_row<float, C, D == 3>(frames, pyramid, job.filter, row, prints, at, at + n, mixing, put);
     }
+    void put(const Pixel<float>* numbers, int at, int n, void* to) const override {
+        const Putting<C, T> put{(T*)to - at * C, at + n, high, nullptr};
+        for (int k = at; k < at + n; k++) put(k, numbers[k]);
+    }
 };
+
+// Whether any sample of a row follows the motion between frames.
+template <int D>
+INLINE bool moves(const Job& job, Followed& followed, const Row<D>& row) {
+    if constexpr (D == 3) return job.motion.capacity && followed.find(job, row);
+    return false;
+}
 
 // Sample frames in place.
 template <int D>
@@ -423,11 +470,18 @@ void sample_direct(const Plan<D>& plan, const Job& job, const Sampler<float, D>&
     parallel(plan.roots_down(), [&](int j, int) {
         Prints prints;
         float weight[(int)LONGEST + 8] = {1};
+        Followed followed;
+        Pixel<float> numbers[STRIDE];
         plan.each_row(job.grid, j, job.box, slopes_of(job), [&](const Row<D>& row, int x, int y, int n, int at) {
             const char* own = own_frame(plan, job);
             if (row.idle) return copy_same(job, own, x, y, n, nullptr);
-            prints.find(row, job.filter);
-            sample(row, prints, weight, at, n, job.target(x, y));
+            if (moves<D>(job, followed, row)) {
+                if constexpr (D == 3) follow(followed, sample, job.filter, row, prints, weight, at, n, numbers);
+                sample.put(numbers, at, n, job.target(x, y));
+            } else {
+                prints.find(row, job.filter);
+                sample(row, prints, weight, at, n, job.target(x, y), nullptr);
+            }
             if (row.some_same) copy_same(job, own, x, y, n, row.same + at);
         });
     });
@@ -456,9 +510,10 @@ struct Converted final : Sampler<N, D> {
 
     Converted(const Job& job, Span span, const Frames<N>& frames, const Pyramid<N>& pyramid)
         : job(job), span(span), frames(frames), pyramid(pyramid) {}
-    void operator()(const Row<D>& row, const Prints& prints, N* weight, int at, int n, void* to) const override {
+    void operator()(const Row<D>& row, const Prints& prints, N* weight, int at, int n, void*,
+                    Pixel<N>* numbers) const override {
         Mixing<N, D> mixing(job, span, row, weight, (const void* const*)frames.at);
-        const Keeping<N, C> put{(Pixel<N>*)to};
+        const Keeping<N, C> put{numbers};
         sample_row<N, C, D == 3>(frames, pyramid, job.filter, row, prints, at, at + n, mixing, put);
     }
 };
@@ -476,6 +531,7 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
             Prints prints;
             Pixel<N> values[STRIDE];
             N weight[(int)LONGEST + 8] = {1};
+            Followed followed;
             std::vector<N> tile;
             std::vector<const N*> frames(whole.last - whole.first + 1);
             for (int i = 0; i < plan.roots_across(); i++) {
@@ -493,6 +549,12 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
                 Extent<D> e = plan.extent(index);
                 Span span = whole;
                 if (D == 3) span = frames_of(job, e.low[D - 1], e.high[D - 1], e.rate);
+                if (job.motion.capacity)
+                    for (int d = 0; d < 2; d++) {
+                        const double far = job.motion.most_from(span.first, span.last, job.count, job.rule);
+                        e.low[d] -= far;
+                        e.high[d] += far;
+                    }
                 seen(job, e, 0, box);
                 int across = box[1] - box[0], tall = box[3] - box[2];
                 ptrdiff_t line = (ptrdiff_t)across * numbers.lanes, size = line * tall;
@@ -512,8 +574,13 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
                 const Converted<N, 4, D> four(job, span, held, pyramid);
                 const Sampler<N, D>& sample = numbers.lanes == 1 ? (const Sampler<N, D>&)one : four;
                 plan.each_row(job.grid, j, wanted, slopes_of(job), [&](const Row<D>& row, int x, int y, int n, int at) {
-                    prints.find(row, job.filter);
-                    sample(row, prints, weight, at, n, values);
+                    const bool moved = moves<D>(job, followed, row);
+                    if constexpr (D == 3)
+                        if (moved) follow(followed, sample, job.filter, row, prints, weight, at, n, values);
+                    if (!moved) {
+                        prints.find(row, job.filter);
+                        sample(row, prints, weight, at, n, nullptr, values);
+                    }
                     numbers.store((const N*)(values + at), n, group, job.target(x, y));
                     if (row.some_same) copy_same(job, own_frame(plan, job), x, y, n, row.same + at);
                 });

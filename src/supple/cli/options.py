@@ -219,7 +219,8 @@ class VideoOptions(TimeOptions):
     Parameters
     ----------
     between
-        Interpolation between frames: linear (default), cubic or nearest.
+        Interpolation between frames: flow, which follows what moves (default, if supple[flow] is installed), linear
+        (the default without it), cubic or nearest.
     time_filter
         Average over several frames where the deformation speeds time up: motion blur instead of jagged edges.
     codec
@@ -236,7 +237,7 @@ class VideoOptions(TimeOptions):
         Memory for frames, in gigabytes (default 2). What does not fit is kept in a temporary file.
     """
 
-    between: Annotated[Literal["linear", "cubic", "nearest"] | None, Parameter()] = None
+    between: Annotated[Literal["flow", "linear", "cubic", "nearest"] | None, Parameter()] = None
     time_filter: bool = False
     codec: Annotated[str | None, Parameter(metavar="NAME")] = None
     crf: Annotated[float | None, number("a number", "N")] = None

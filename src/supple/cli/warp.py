@@ -325,6 +325,8 @@ def _facts_of(pair: Pair, made: "Warped") -> dict[str, Any]:
         facts = {"input": str(made.source), "output": str(made.target), **sizes}
         if made.geometry is None:
             facts |= {"frames": made.frames, "still": made.still, "copied": made.copied, "held": made.held}
+            if made.between:
+                facts["between"] = made.between
         else:
             facts |= {"volumes": made.frames, "spacing": list(grid.spacing), "convention": made.geometry.convention}
         facts |= {"tolerance": made.tolerance, "error": made.error}

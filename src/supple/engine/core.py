@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple.engine.motion import Moving
 from supple.engine.sampling import BETWEEN, FILTERS, OUTSIDE, Certificate, Sampling, certificate_of_status
 from supple.engine.work import Array, Space, Tell, Work, silent
 from supple.errors import SuppleError
@@ -105,13 +106,19 @@ def view(array: Array) -> Array | None:
 
 
 def samplings_of(
-    work: Work, frames: Sequence[Array], outs: Sequence[Array], count: int, corner: tuple[int, int, int] | None = None
+    work: Work,
+    frames: Sequence[Array],
+    outs: Sequence[Array],
+    count: int,
+    corner: tuple[int, int, int] | None = None,
+    moving: Moving | None = None,
 ) -> list[_core.Sampling]:
     """Return the core's sampling jobs for some frames of a clip of ``count``.
 
     ``frames`` and ``outs`` are arrays of each group: frame k is in slot k modulo the number of slots (slots, h, w,
     channels), contiguous and in native byte order; the destination is (h, w, channels), or that of several planes. If
     frames are a part of those of the layout, ``corner`` is the position x, y, and the frame, of their first sample.
+    ``moving`` is the motion that samples between frames follow.
     """
     sampling, rule = work.sampling, OUTSIDE[work.sampling.outside]
     chosen = FILTERS[sampling.filter], BETWEEN[sampling.between_frames], rule, sampling.averages_frames
@@ -124,7 +131,7 @@ def samplings_of(
         job = _core.Sampling(
             held, out, count, group.step, group.offset, *(nearest if group.exact else chosen), fill,
             group.channels - 1 if group.alpha else -1, sampling.linear_light, work.layout.white, corner,
-            None if corner is None else group.shape,
+            None if corner is None else group.shape, None if group.exact else moving,
         )  # fmt: skip
         made.append(job)
     return made

@@ -16,7 +16,7 @@ from supple.space.checks import choice, flag, number, refuse
 
 # Codes shared with the core and CUDA.
 FILTERS = {"auto": 3, "cubic": 2, "linear": 1, "nearest": 0}
-BETWEEN = {"nearest": 0, "linear": 1, "cubic": 2}
+BETWEEN = {"nearest": 0, "linear": 1, "cubic": 2, "flow": 1}  # the weights of "flow" are linear
 OUTSIDE = {"edge": 0, "constant": 1, "reflect": 2}
 
 LONGEST = _core.constants["LONGEST"]  # frames: the longest time average of a pixel
@@ -45,7 +45,8 @@ class Sampling:
         Whether to average in linear light rather than in sRGB values, which darkens fine detail.
     between : str, optional
         The interpolation between frames or slices: ``"linear"``, ``"cubic"`` or ``"nearest"``; linear by default, and
-        nearest under ``filter="nearest"``. An image, which is one frame, has none.
+        nearest under ``filter="nearest"``. ``"flow"`` is for frames alone: samples follow the motion between two of
+        them (with the extra ``flow``). An image, which is one frame, has none.
     time_filter : bool
         Whether to average each pixel over the frames that it covers, where the map compresses time: jagged edges
         become motion blur.
@@ -93,8 +94,11 @@ class Sampling:
             object.__setattr__(self, name, value)
 
     @classmethod
-    def of(cls, sampling: object, options: SamplingFields, ndim: int) -> Sampling:
-        """Return the sampling of an array of ``ndim`` axes, with ``options`` in place of fields of the given one."""
+    def of(cls, sampling: object, options: SamplingFields, ndim: int, *, flow: bool = False) -> Sampling:
+        """Return the sampling of an array of ``ndim`` axes, with ``options`` in place of fields of the given one.
+
+        ``flow`` says whether samples may follow motion: not between slices, nor in all kinds of work.
+        """
         if not isinstance(sampling, Sampling):
             refuse("sampling", "a Sampling", sampling)
         if unknown := sorted(options.keys() - SamplingFields.__annotations__.keys()):
@@ -105,7 +109,15 @@ class Sampling:
                 given = options.get(name, getattr(sampling, name))
                 if given is not None and given is not False:
                     refuse(name, "left out for an image, which is one frame", given)
-        return replace(sampling, **options)
+        made = replace(sampling, **options)
+        if made.between == "flow" and not flow:
+            refuse(
+                "between",
+                '"linear", "cubic" or "nearest" here: "flow" is for frames that strokes alone warp on the CPU, with '
+                "time=True",
+                made.between,
+            )
+        return made
 
     def filled(self, channels: int, dtype: np.dtype[Any], *, finite: bool = True) -> Sampling:
         """Return a copy with one fill value for each channel, in the range of the sample type.

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from supple.engine.core import certificate_of, plan_of, samplings_of
 from supple.engine.memory import buffers
+from supple.engine.motion import Motion
 from supple.engine.sampling import LONGEST, Certificate
 from supple.engine.work import Array, Tell, Work, silent
 from supple.errors import GapWarning, SuppleError
@@ -23,7 +24,7 @@ from supple.errors import GapWarning, SuppleError
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
-SUPPORT = {"nearest": 1, "linear": 1, "cubic": 2}
+SUPPORT = {"nearest": 1, "linear": 1, "cubic": 2, "flow": 1}
 _SLACK = 1e-3  # frames: points are of float32, and may lie a little outside of the bounds of a plan
 _AHEAD = 2  # planes in the queue of the writer
 
@@ -194,6 +195,9 @@ def stream(
         window = stack.enter_context(buffers(shapes, layout.dtype, memory, full))
         sets = [[np.empty((*g.shape, g.channels), layout.dtype) for g in layout.groups] for _ in range(buffered)]
         space, step, tolerance = work.space, layout.step, work.sampling.tolerance
+        motion = None
+        if work.sampling.between_frames == "flow" and space.ndim == 3 and not space.is_identity:
+            motion = Motion(work, window)
         every = None  # one map for all frames
         if space.ndim == 2 and work.items is None:
             every = plan_of(space, 0, tolerance, step)
@@ -210,7 +214,12 @@ def stream(
                 if space.ndim == 2:  # each frame is an image of its own
                     slot = z % capacity
                     held, count = [frame[slot : slot + 1] for frame in window], 1
-                for each in samplings_of(work, held, outs, count):
+                moving = None
+                if motion is not None:
+                    low, high, _, _ = solved.extent()
+                    times = math.floor(low[2] + _SLACK), math.ceil(high[2] - _SLACK)
+                    moving = motion.between(range(*_frames_needed(*times, count, work.sampling.outside)))
+                for each in samplings_of(work, held, outs, count, moving=moving):
                     solved.sample(each)
                 known = certificate_of(solved, space)
             yield z, outs, known

@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 
 from supple.deformation import Deformation
+from supple.engine.motion import need_flow
 from supple.engine.sampling import DEFAULT, Certificate, Sampling, warn_of
 from supple.engine.stream import Done, Frame, Plan, make_plan, run, stream
 from supple.engine.work import Array, Layout, Tell, Work
@@ -147,7 +149,7 @@ def bent_of(clip: Clip, options: ClipOptions) -> range:
 def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], bent: range, tell: Tell) -> Warped:
     """Write an open clip, some of whose frames are bent by their deformations."""
     source, target, known = job.source, job.target, job.clip
-    sampling = sampling_of(clip, replace(job.sampling, between=known.between, time_filter=known.time_filter))
+    sampling = sampling_of(clip, between_frames(job.sampling, known))
     work = replace(work_on(clip, deformations, sampling), bent=bent)
     plain = replace(known, memory=ClipOptions().memory, frames=None, hold=0, first_frame=None)
     untouched = work.is_identity and not job.lossless and plain == ClipOptions()
@@ -182,6 +184,7 @@ def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], bent: 
     return Warped(
         Path(source), Path(target), "clip", deformations, sampling.tolerance, done.certificate.error, count,
         done.still, copied, done.held, own=own,
+        between=sampling.between_frames if deformations[0].ndim == 3 else "",
     )  # fmt: skip
 
 
@@ -205,6 +208,8 @@ def check(job: Job) -> None:
         refuse_maps(job.source)
     refuse_picture(job.source)
     number("memory", job.clip.memory, "a number of bytes from 0", 0.0, 1e30)
+    if between_frames(job.sampling, job.clip).between == "flow":
+        need_flow()
     _check_shot(job.clip)
     if job.clip.frame is not None:
         check_target(target)
@@ -352,6 +357,14 @@ def deformations_of(
     x, y, *size = clip.display or (0, 0, *shape[::-1])
     fitted = fit_recipe(recipe, size, fit, name).placed((x, y), shape[::-1])
     return motion_of(fitted, count, shape, tell, hold=hold, bent=bent, first=first)
+
+
+def between_frames(sampling: Sampling, options: ClipOptions) -> Sampling:
+    """Return the sampling of a clip with the options of time: by default, samples follow motion, if OpenCV is there."""
+    between = options.between
+    if between is None and sampling.filter != "nearest" and find_spec("cv2") is not None:
+        between = "flow"
+    return replace(sampling, between=between, time_filter=options.time_filter)
 
 
 def sampling_of(clip: Clip, sampling: Sampling = DEFAULT) -> Sampling:

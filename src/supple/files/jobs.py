@@ -197,6 +197,8 @@ class Warped:
     folded, outside, unsolved : int
         The numbers of the points solved at which a field folds, to which no point of a field's grid is mapped, and for
         which no solution was found.
+    between : str
+        The interpolation between frames; empty where no sample lies between them.
     background : float, optional
         The true value of what lies outside of a volume, where none was asked for.
     """
@@ -217,6 +219,7 @@ class Warped:
     folded: int = 0
     outside: int = 0
     unsolved: int = 0
+    between: str = ""
     background: float | None = None
 
     @property

@@ -26,7 +26,8 @@ class ClipOptions:
     Parameters
     ----------
     between : str, optional
-        The interpolation between frames, as in `Deformation.warp`.
+        The interpolation between frames, as in `Deformation.warp`. By default ``"flow"``, if the extra ``flow`` is
+        installed, or ``"linear"``.
     time_filter : bool
         Whether pixels are averaged over time.
     time_scale : float, optional

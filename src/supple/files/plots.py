@@ -16,6 +16,7 @@ from supple.engine.work import Array, Tell
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
 from supple.files.clips import (
+    between_frames,
     deformations_of,
     fickle,
     frames_of,
@@ -175,7 +176,7 @@ def _plot_clip(
             )
         before = [] if what in WHATS else [rgb[line].copy() for rgb in _shown(clip, planes)]
     with open_clip(source, rate=options.rate, count=clip.count) as clip:
-        sampling = sampling_of(clip, Sampling(between=options.between, time_filter=options.time_filter))
+        sampling = sampling_of(clip, between_frames(Sampling(), options))
         after = []
         for z, arrays in frames_of(clip, deformations, sampling, planes, options.memory):
             after.append(clip.to_rgb(arrays)[line].copy())

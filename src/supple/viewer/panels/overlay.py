@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from imgui_bundle import imgui
 
+from supple.engine.sampling import DEFAULT
+from supple.files.clips import between_frames
+from supple.files.options import ClipOptions
 from supple.render.box import whole_box
 from supple.render.camera import rounded
 from supple.space.geometry import SIDES
@@ -354,6 +358,7 @@ def _cube(tools: VolumeTools, lines: imgui.ImDrawList) -> None:
         lines.add_text(font, high, at, shade, face.name)
 
 
+_USUAL = ClipOptions()
 _BARE = (
     imgui.WindowFlags_.no_title_bar
     | imgui.WindowFlags_.no_resize
@@ -512,6 +517,8 @@ def status(view: View) -> str:
             seen = document.base if _is_before(view) else document.deformation
             parts.append(view.stage.value((hover[0], hover[1]), view.frame, seen))
     parts.append(certified(view))
+    if document.timed and not document.deformation.is_identity and _follows(view.commands.options.get("clip", _USUAL)):
+        parts.append("frames are mixed here, and an export follows their motion")
     if isinstance(tools, ImageTools):
         parts.append(f"{tools.view.percent:.0f} %")
     if view.refining and not document.dragging:
@@ -522,6 +529,11 @@ def status(view: View) -> str:
         why = "no hardware GPU" if view.gpu.software else "the GPU is slow"
         parts.append(f"drawn at 1/{view.painter.coarse} while you drag: {why}")
     return "   |   ".join(p for p in parts if p)
+
+
+@lru_cache(maxsize=4)
+def _follows(options: ClipOptions) -> bool:
+    return between_frames(DEFAULT, options).between == "flow"
 
 
 def _held(view: View) -> str:

@@ -130,7 +130,10 @@ def _accuracy(view: View) -> None:
 _HOLD = (
     "How many frames at each end keep every bit, so that a shot is cut back in: strokes fade towards them, here as well"
 )
-_BETWEEN = "How an export samples between two frames; here, they are mixed (linear)"
+_BETWEEN = (
+    "How an export samples between two frames: flow, the usual way where OpenCV is installed, follows their motion. "
+    "Here, they are mixed, as by linear"
+)
 
 
 def _exports(view: View) -> None:

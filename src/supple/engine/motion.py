@@ -1,0 +1,220 @@
+"""The motion between two frames: the optical flow of pairs, and how far samples may follow it.
+
+For each pair of frames that is mixed, `motion_between` has, of the point that is seen at a place halfway, the
+displacement v from one frame to the next, and the weight of what follows it. The rest of it is the plain mixture. What
+decides, and with which numbers, was measured on clips of which every other frame was dropped (benchmarks/between.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.engine.work import Array, Space, Work
+from supple.errors import need
+
+Grey = npt.NDArray[np.uint8]
+Floats = npt.NDArray[np.float32]
+
+APART = 4  # pixels between displacements; flow is computed from averages of 2 x 2 pixels
+LEAST = 16  # displacements along an axis: of smaller parts, frames are mixed
+CUT = -1.0  # for the longest displacement: one frame replaces the other
+_AROUND = 64  # pixels around what moves, from which motion may come
+_STRIPES = 8  # of a frame: OpenCV's threads, on whose number the flow depends
+_ALONE = 1 << 16  # pixels up to which one thread is faster
+_SMOOTH = 3.0  # displacements: the deviation of averages of disagreement
+_ALIKE = 0.5  # displacements between the two directions up to which they are averaged
+_STRAY = 0.7, 0.85  # the part of the change in which directions contradict each other, from which none is followed
+_SHOTS = 15.0  # levels of 255: frames half of whose samples disagree by more, in the end, are of two shots
+# The part of the change that has to be explained, over which trust fades in: where it moves by few pixels, by how much
+# more than grain remains in some places; less where it moves by many.
+_UNEVEN, _MOVED, _FAR, _FADES = ((1.2, 1.4), (0.4, 0.7)), (1.2, 6.0), 0.1, 0.15
+
+
+def need_flow() -> None:
+    """Raise SuppleError without OpenCV."""
+    need("flow", "samples that follow the motion between frames", "cv2")
+
+
+class Moving(NamedTuple):
+    """Motion as the core takes it.
+
+    ``fields`` are of pairs in slots, (slots, h, w, 4): v in pixels, x first, its weight, and 0. ``longest`` is the
+    length of each slot's longest v: 0 for the plain mixture, `CUT` at a cut. The first v is at ``x``, ``y`` in pixels,
+    and the next ``apart``.
+    """
+
+    fields: Floats
+    longest: list[float]
+    x: float
+    y: float
+    apart: float
+
+
+def motion_between(one: Grey, other: Grey) -> tuple[Floats, float]:
+    """Return the displacements of a pair of frames, and the longest, as `Moving` has them.
+
+    Parameters
+    ----------
+    one, other : uint8 array, shape (h, w)
+        The brightness of both, averaged over 2 × 2 pixels; h and w are even.
+
+    Returns
+    -------
+    fields : float32 array, shape (h / 2, w / 2, 4)
+    longest : float
+        In pixels.
+    """
+    import cv2
+
+    shape = one.shape[1] // 2, one.shape[0] // 2
+    fields = np.zeros((*shape[::-1], 4), np.float32)
+    if min(shape) < LEAST:
+        return fields, 0.0
+
+    def coarse(array: Any) -> Any:
+        return cv2.resize(array, shape, interpolation=cv2.INTER_AREA)
+
+    flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    flow.setVariationalRefinementIterations(0)  # a third of the time, for 0.1 dB
+    flow.setGradientDescentIterations(20)
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(_STRIPES if one.size > _ALONE else 1)
+    try:
+        there, back = (coarse(flow.calc(a, b, None)) / 2 for a, b in ((one, other), (other, one)))
+    finally:
+        cv2.setNumThreads(threads)
+    x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in shape))
+    images = [coarse(image).astype(np.float32) for image in (one, other)]
+
+    def shifted(array: Any, v: Any, by: float) -> Any:
+        return cv2.remap(array, x + by * v[..., 0], y + by * v[..., 1], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+
+    def differ(v: Any) -> Any:
+        """Return how far the samples at both ends of v differ, on average around each."""
+        return smooth(np.abs(shifted(images[0], v, -0.5) - shifted(images[1], v, 0.5)))
+
+    def smooth(array: Any) -> Any:
+        return cv2.GaussianBlur(array, (0, 0), _SMOOTH)
+
+    # v = F(p - v/2), and v = -G(p + v/2).
+    ends = []
+    for field, by in ((there, -0.5), (-back, 0.5)):
+        v = field
+        for _ in range(2):
+            v = shifted(field, v, by)
+        ends.append(v)
+    ways = [differ(v) for v in ends]
+    noise = float(np.median(np.minimum(*ways)))  # what remains where the motion is right
+    first = 1 / (1 + np.exp(np.clip((ways[0] - ways[1]) / (2 + 0.5 * noise), -30, 30)))
+    contrary = cv2.magnitude(*cv2.split(ends[0] - ends[1]))
+    far = np.clip(contrary / _ALIKE - 1, 0, 1)
+    first = (first * (1 - far) + (first > 0.5) * far)[..., None]
+    v = first * ends[0] + (1 - first) * ends[1]
+    moved, still = differ(v), smooth(np.abs(images[0] - images[1]))
+    # Of the whole pair, weighed by what changes: does motion explain it, as it does not at cuts, nor for the noise of
+    # codecs, which mixes frames itself?
+    whole = float(still.sum()) + 1e-6
+    length = cv2.magnitude(*cv2.split(v))
+    stray = float(still[contrary > 1 + 0.15 * length].sum()) / whole
+    if noise > _SHOTS and stray > 0.5:
+        return fields, CUT
+    change, rest = (float((still * each).sum()) / whole for each in (still, moved))
+    least = np.interp(rest / max(noise, 0.05), *_UNEVEN)  # grain remains everywhere, what codecs leave does not
+    asked = np.interp(APART * float((still * length).sum()) / whole, _MOVED, (least, _FAR))
+    explained = 1 - max(rest - noise, 0) / max(change - noise, 0.5)
+    trust = _step((explained - asked) / _FADES) * _step((_STRAY[1] - stray) / (_STRAY[1] - _STRAY[0]))
+    # Here: none where the mixture agrees as well.
+    slack = 0.2 + 1.5 * noise
+    ratio = (np.maximum(moved - noise, 0) + slack) / (np.maximum(still - noise, 0) + slack)
+    weight = np.clip(1.4 - 1.3 * ratio, 0, 1) * trust
+    # Nothing but noise: both frames show the same at the same place.
+    weight[still < 1.25 * noise + 0.25] = 1
+    v[still < 1.25 * noise + 0.25] = 0
+    v *= APART * (cv2.dilate(weight, np.ones((3, 3))) > 0)[..., None]
+    fields[..., :2], fields[..., 2] = v, weight
+    return fields, max(float(cv2.magnitude(*cv2.split(v)).max()), 1e-3)
+
+
+def _step(t: float) -> float:
+    t = min(max(t, 0.0), 1.0)
+    return t * t * (3 - 2 * t)
+
+
+class Motion:
+    """The motion between the frames of a window, computed once for each pair that is mixed.
+
+    Parameters
+    ----------
+    work : Work
+        A map through a clip.
+    window : sequence of array
+        The frames in slots, for each group of the layout, as `supple.engine.core.samplings_of` takes them.
+    """
+
+    def __init__(self, work: Work, window: Sequence[Array]) -> None:
+        need_flow()
+        self._layout, self._frames = work.layout, window[0]
+        x0, x1, y0, y1 = self._box = _reached(work.space)
+        slots = len(window[0])
+        shape = slots, -(-(y1 - y0) // APART), -(-(x1 - x0) // APART), 4
+        self._pairs = np.full(slots, -1)
+        self._grey: dict[int, Any] = {}
+        middle = (APART - 1) / 2
+        self._moving = Moving(np.zeros(shape, np.float32), [0.0] * slots, x0 + middle, y0 + middle, APART)
+
+    def between(self, pairs: range) -> Moving | None:
+        """Return the motion of all pairs k, k + 1 of a range, whose frames are in the window."""
+        if min(self._moving.fields.shape[1:3]) < LEAST:
+            return None
+        for k in pairs:
+            slot = k % len(self._pairs)
+            if self._pairs[slot] != k:
+                one, other = self._levels(self._brightness(k), self._brightness(k + 1))
+                self._moving.fields[slot], self._moving.longest[slot] = motion_between(one, other)
+                self._pairs[slot] = k
+        self._grey = {k: grey for k, grey in self._grey.items() if k >= pairs.start}
+        return self._moving
+
+    def _brightness(self, k: int) -> Any:
+        """Return a frame's luma, or the mean of its first colours, averaged over 2 × 2 pixels."""
+        import cv2
+
+        if k not in self._grey:
+            group = self._layout.groups[0]
+            x0, x1, y0, y1 = self._box
+            part = self._frames[k % len(self._frames), y0:y1, x0:x1, : min(group.channels - group.alpha, 3)]
+            if part.dtype.str[1:] not in ("u1", "u2", "f4"):
+                part = part.astype(np.float32)
+            down, across = (-n % APART for n in part.shape[:2])
+            made = cv2.copyMakeBorder(np.ascontiguousarray(part), 0, down, 0, across, cv2.BORDER_REPLICATE)
+            made = cv2.resize(made, (made.shape[1] // 2, made.shape[0] // 2), interpolation=cv2.INTER_AREA)
+            self._grey[k] = made if made.ndim == 2 else made.mean(axis=2, dtype=np.float32)
+        return self._grey[k]
+
+    def _levels(self, *frames: Any) -> list[Grey]:
+        """Return frames in 8 bits: of the range of the format, or of the samples where the format says nothing."""
+        low, high = 0.0, self._layout.white
+        if self._layout.dtype.str[1:] not in ("u1", "u2") or high > 65534:
+            some = np.concatenate([frame[::4, ::4].ravel() for frame in frames])
+            low, high = np.nanpercentile(some[np.isfinite(some)], (0.5, 99.5)) if np.isfinite(some).any() else (0, 1)
+        if (low, high) == (0.0, 255.0) and frames[0].dtype == np.uint8:
+            return list(frames)
+        scale = 255 / max(high - low, 1e-30)
+        return [np.clip(np.nan_to_num(frame - low) * scale, 0, 255).astype(np.uint8) for frame in frames]
+
+
+def _reached(space: Space) -> tuple[int, int, int, int]:
+    """Return the part x0, x1, y0, y1 of frames from which what strokes move may come, in whole averages."""
+    height, width = space.shape
+    if space.composite is not None:
+        return 0, width, 0, height
+    ends = []
+    for axis, size in enumerate((width, height)):
+        at, reach = (space.table[name] / space.axes[axis, 3] for name in ("pivot", "reach"))
+        low, high = float((at[:, axis] - reach).min()) - _AROUND, float((at[:, axis] + reach).max()) + _AROUND
+        ends += [int(max(low, 0)) // APART * APART, int(min(high, size - 1) + 1)]
+    return ends[0], max(ends[1], ends[0]), ends[2], max(ends[3], ends[2])
