@@ -311,14 +311,14 @@ def deformation_of(
     return Deformation.from_recipe(recipe, Grid((count, *shape), (1.0, 1.0, worth), (-x, -y, 0)), time=True)
 
 
-def with_ends(recipe: Recipe, hold: int, shape: tuple[int, int, int], worth: float) -> Recipe:
+def with_ends(recipe: Recipe, hold: int, shape: tuple[int, ...], worth: float) -> Recipe:
     """Return a recipe in time whose mask freezes some frames at each end, of frames that count as ``worth`` pixels."""
     widths = Domain(shape, (1.0, 1.0, worth), recipe.border).border_widths
     ends = fade_of(shape, hold, None if widths is None else widths[2] / worth)
     return replace(recipe, freeze=ends if recipe.freeze is None else ends.times(recipe.freeze))
 
 
-def fade_of(shape: tuple[int, int, int], hold: int, width: float | None = None) -> Freeze:
+def fade_of(shape: tuple[int, ...], hold: int, width: float | None = None) -> Freeze:
     """Return a mask along time alone, of a clip of a shape (T, H, W): the frames held at each end are frozen.
 
     ``width`` is that of the fade beside them, in frames: by default a tenth of the clip, as that of a border.
