@@ -117,7 +117,7 @@ def halfway(frames: Sequence[Frame], between: str) -> tuple[list[Frame], float]:
     count = len(frames)
     layout = Layout((Group((height, width), 1), Group((low, narrow), 2, (2, 2), (0.0, 0.5))), np.dtype("u1"), 255.0)
     later = supple.Deformation((count, height, width), border=None, time=True)
-    later = later.grab((width / 2, height / 2, count / 2), by=(0, 0, 0.5), radius=1e6, reach=None)
+    later = later.grab((width / 2, height / 2, count / 2), by=(0, 0, 0.5), radius=1e6, time_radius=1e6, reach=None)
     work = Work(later.space, layout, Sampling(between=between, fill=(0.0, 0.0, 0.0)))
 
     class Given:

@@ -60,6 +60,17 @@ def bunny_smiles(folder: Path) -> None:
     pyvips.Image.arrayjoin(pair, shim=8, background=WHITE).jpegsave(folder / "smile.jpg", Q=80, keep="none")
 
 
+def followed(folder: Path) -> None:
+    """An arm that swings down: in the clip, and delayed, with the mixture of frames, and along the motion."""
+    before = np.array([pixels for _, pixels in smile.frames_of(smile.CLIP, range(64))])
+    d = supple.Deformation(before.shape[:3], spacing=(1, 1, 10), time=True)
+    d = d.grab((350, 140, 32), by=(0, 0, 8), radius=130)
+    late = [d.warp(before, between=between)[38] for between in ("linear", "flow")]
+    parts = [np.ascontiguousarray(frame[170:350, 40:280]) for frame in (before[34], *late)]
+    row = [pyvips.Image.new_from_array(part).resize(1.5, kernel="cubic") for part in parts]
+    pyvips.Image.arrayjoin(row, shim=8, background=WHITE).jpegsave(folder / "flow.jpg", Q=80, keep="none")
+
+
 def time_filtered(folder: Path) -> None:
     """An arm that comes down within a few frames, delayed so that time is compressed there, without and with a filter.
 
@@ -504,6 +515,7 @@ def main() -> None:
     rendered(d, "stretch", photo).jpegsave(folder / "stretch.jpg", Q=82, keep="none")
     paper = supple.Deformation((512, 512)).grab((256, 256), by=(0, 90), radius=100, reach=None)
     bunny_smiles(folder)
+    followed(folder)
     time_filtered(folder)
     nose_followed(folder)
     volumes_bent(folder)

@@ -30,7 +30,7 @@ SIZE, COUNT = (120, 200), 5
 def later(count: int, shape: tuple[int, int], by: float = 0.5) -> Deformation:
     """Each frame k shows what was seen at the time k - by."""
     d = Deformation((count, *shape), border=None, time=True)
-    return d.grab((shape[1] / 2, shape[0] / 2, count / 2), by=(0, 0, by), radius=1e6, reach=None)
+    return d.grab((shape[1] / 2, shape[0] / 2, count / 2), by=(0, 0, by), radius=1e6, time_radius=1e6, reach=None)
 
 
 @functools.cache

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import av
+import cv2
 import numpy as np
 import pytest
 
@@ -149,3 +151,44 @@ def test_of_a_turned_video_points_are_those_of_frames_as_stored(run: Run) -> Non
         warp_file(turned("b.mp4", 180), "c.mp4", TIMED)
     with pytest.warns(ClipWarning, match="90° clockwise"):
         plot_file(turned("d.mp4", -90), "d.png", TIMED, "sheet")
+
+
+def walking(name: str, count: int = 8) -> list[np.ndarray]:
+    """A clip of a textured square that moves by 9 pixels a frame over a still wall; and its frames."""
+    rng, frames = np.random.default_rng(0), []
+    wall, square = (cv2.resize(rng.integers(0, 255, (20, 30), np.uint8), (180, 120)) for _ in range(2))
+    with av.open(name, "w") as out:
+        stream: Any = out.add_stream("ffv1", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 180, 120, "gray"
+        for k in range(count):
+            picture = wall.copy()
+            picture[30:80, 20 + 9 * k : 70 + 9 * k] = square[:50, :50]
+            frames.append(picture)
+            out.mux(stream.encode(av.VideoFrame.from_ndarray(picture, "gray")))
+        out.mux(stream.encode(None))
+    return frames
+
+
+LATER = ("--grab", "90,60,4:90,60,4.5", "--radius", "100000", "--time-radius", "100000", "--reach", "none", "--border", "none")
+
+
+def test_what_moves_is_seen_once_and_the_report_says_how(here: Path, run: Run) -> None:
+    frames = walking("in.mkv")
+    for between in ("flow", "linear"):
+        status, told, _ = run("warp", "in.mkv", f"{between}.mkv", *LATER, "--between", between, "--json")
+        assert status == 0
+        assert json.loads(told)["between"] == between
+    assert run("warp", "in.mkv", "out.mkv", *LATER)[0] == 0
+    same_frames("out.mkv", "flow.mkv")  # the default, where OpenCV is installed
+    wanted = frames[3].astype(float)
+    wanted[30:80, 47:106] = np.nan  # between the frames 3 and 4, the square covers 51.5 to 101.5
+    mixed, followed = (stack(f"{between}.mkv")[4] for between in ("linear", "flow"))
+    edge = np.s_[40:70, 20:44]  # where it was in frames before
+    np.testing.assert_allclose(followed[edge], wanted[edge], atol=3)
+    inside = frames[3][40:70, 57:87].astype(float), frames[4][40:70, 66:96].astype(float)
+    assert (inside[0] == inside[1]).all()
+    half = (np.roll(inside[0], 4, 1)[:, 6:] + np.roll(inside[0], 5, 1)[:, 6:]) / 2
+    errors = [np.abs(each[40:70, 63:87] - half).mean() for each in (followed, mixed)]
+    assert errors[0] < 0.4 * errors[1]
+    flat = supple.Recipe(strokes=(supple.Stroke.grab((90, 60), by=(9, 0), radius=20),))
+    assert warp_file("in.mkv", "flat.mkv", flat).between == ""

@@ -22,6 +22,7 @@ EXTRAS = {
     "volume": ["SimpleITK", "nibabel", "pydicom"],
     "plot": ["matplotlib"],
     "gpu": ["wgpu"],
+    "flow": ["cv2"],
     "view": ["imgui_bundle", "rendercanvas", "platformdirs", "glfw"],
 }
 WITHOUT = """
@@ -81,6 +82,7 @@ def test_pictures_need_no_extra(here: Path) -> None:
 
 
 CLIP, HEAD = str(DATA / "bunny.mp4"), str(DATA / "head.nii.gz")
+LATER = ("--grab", "320,180,9:320,180,11", "--radius", "60")
 NEEDED = {
     "video": {
         ("warp", CLIP, "out.mp4", *GRAB): "videos and image sequences need av",
@@ -97,6 +99,16 @@ NEEDED = {
         ("plot", "in.png", "out.png", *GRAB): "plots need matplotlib",
         ("render", HEAD, "out.png", "--annotate"): "marks on pictures need matplotlib",
     },
+    "flow": {
+        (
+            "warp",
+            CLIP,
+            "out.mp4",
+            *LATER,
+            "--between",
+            "flow",
+        ): "samples that follow the motion between frames need cv2",
+    },
     "gpu": {("demo", "gallery", "--device", "gpu"): "the GPU needs wgpu"},
     "view": {("view", "in.png", "--serve"): "window needs"},
 }
@@ -111,6 +123,17 @@ def test_what_is_missing_is_one_sentence_with_the_command_that_brings_it(here: P
         assert what in said
         assert f"pip install 'supple[{extra}]'" in said
     assert [path.name for path in here.iterdir()] == ["in.png"]
+
+
+def test_without_opencv_frames_are_mixed_and_nothing_is_said(here: Path) -> None:
+    program = """
+import supple
+from supple.files import warp_file
+grab = supple.Stroke.grab((320, 180, 9), by=(0, 0, 2), radius=60)
+made = warp_file(sys.argv[1], "out.mkv", supple.Recipe(strokes=[grab]))
+assert made.between == "linear"
+"""
+    assert without(["cv2"], program, CLIP, here=here) == (0, "", "")
 
 
 def test_arrays_alone_need_numpy_and_the_core(here: Path) -> None:

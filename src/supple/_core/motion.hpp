@@ -85,7 +85,6 @@ inline bool Followed::find(const Job& job, const Row<3>& from) {
         scale[d] = (float)(job.grid.step[d] / m.step);
         start[d] = (float)((job.grid.offset[d] - m.first[d]) / m.step);
     }
-    Pixel<float> now{};
     auto look = [&](int k) {
         if (way[k] == 0) {
             v[0][k] = v[1][k] = 0;
@@ -95,11 +94,13 @@ inline bool Followed::find(const Job& job, const Row<3>& from) {
         const float x = ((float)from.whole[0][k] + from.part[0][k]) * scale[0] + start[0];
         const float y = ((float)from.whole[1][k] + from.part[1][k]) * scale[1] + start[1];
         const float ahead = way[k] * (0.5f - from.part[2][k]) / (float)m.step;
+        Pixel<float> now = m.at(field[k], x, y), last = now;
         for (int turn = 0; turn < 4; turn++) {
-            const Pixel<float> last = now;
+            last = now;
             now = m.at(field[k], x + ahead * now[0], y + ahead * now[1]);
             if (magnitude(ahead * (now[0] - last[0])) + magnitude(ahead * (now[1] - last[1])) < SETTLED) break;
         }
+        now = (now + last) * 0.5f;  // where paths cross, there is no one v
         for (int d = 0; d < 3; d++) v[d][k] = now[d];
     };
     look(0);
