@@ -167,7 +167,8 @@ class TestPack:
         assert STROKE_DTYPE.isalignedstruct
         assert STROKE_DTYPE.itemsize == 38 * 8
         assert STROKE_DTYPE.names[:3] == ("pivot", "force", "matrix")
-        assert STROKE_DTYPE.names[3:] == ("radius2", "p", "q", "r", "terms", "power", "joined", "reach", "most", "turn")
+        assert STROKE_DTYPE.names[3:10] == ("radius2", "p", "q", "r", "terms", "power", "joined")
+        assert STROKE_DTYPE.names[10:] == ("reach", "most", "turn", "stretch", "coupled", "flat")
         table = pack([grab(), grab()], (1, 1))
         assert table.dtype == STROKE_DTYPE
         assert table.shape == (2,)
