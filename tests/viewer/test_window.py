@@ -214,7 +214,8 @@ def test_a_clip_plays_and_is_bent_in_time(gpu: Gpu, state: Path) -> None:
 
 def test_a_clip_is_exported_by_the_time_scale_that_it_is_seen_with(gpu: Gpu, state: Path) -> None:
     make(state / "a.mkv", "ffv1", "yuv444p", count=8)
-    recipe = Recipe(border=None, strokes=(Stroke.grab((30, 20, 3), by=(9, 4, 0.5), radius=12),))
+    stroke = Stroke(at=(30, 20, 3), by=(9, 4, 0.5), radius=12, isotropic=True)  # others have a radius in time
+    recipe = Recipe(border=None, strokes=(stroke,))
     view, _ = opened(state / "a.mkv", recipe, time_scale=5.0)
     assert view.document.deformation.domain.spacing == (1, 1, 5)
     view.commands.begin_export(state / "seen.mkv")
