@@ -76,7 +76,7 @@ def test_json_tells_what_was_done(run: Run) -> None:
     expected["copied"] = 0
     assert expected.items() <= facts.items()
     assert 0 < facts["error"] <= facts["tolerance"] == 0.01
-    assert (facts["strokes"], facts["applied"], facts["damping"]) == (1, 1, [1.0])
+    assert (facts["strokes"], facts["applied"], facts["damping"]) == (1, 2, [1.0])
     status, out, err = run("warp", "in.mkv", "none/out.mkv", *GRAB, "--json")
     assert status == 2
     assert json.loads(out)["error"] in err
@@ -111,7 +111,7 @@ def test_slices(run: Run, options: list[str], suffix: str) -> None:
 
 def test_plots_show_what_warp_makes(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     frames = pictures("in", 12)
-    bent = supple.Deformation.from_recipe(TIMED, frames.shape[:3]).warp(frames)
+    bent = supple.Deformation.from_recipe(TIMED, frames.shape[:3], time=True).warp(frames)
     shown: list[Any] = []
     for name in ("draw_slice", "draw_sheet"):
         monkeypatch.setattr(f"supple.files.plots.{name}", lambda *given, **options: shown.append((given, options)))

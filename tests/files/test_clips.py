@@ -41,7 +41,7 @@ def test_a_file_is_what_warp_makes(here: Path, pixel_format: str, recipe: supple
     assert made.frames == len(frames) == 12
     assert 0 < made.error <= made.tolerance == 0.01
     timed = recipe is TIMED
-    d = supple.Deformation.from_recipe(recipe, frames.shape[:3] if timed else frames.shape[1:3])
+    d = supple.Deformation.from_recipe(recipe, frames.shape[:3] if timed else frames.shape[1:3], time=timed)
     wide = pixel_format.endswith("10le")
     expected = d.warp(frames) if timed else np.stack([d.warp(frame) for frame in frames])
     got = stack("out.mkv")
@@ -165,7 +165,7 @@ def test_options_reach_the_sampler_and_the_encoder(run: Run) -> None:
     more = ["--time-scale", "2", "--time-filter"]
     strokes = ["--grab", "5,20,3:30,22,6", "--radius", "15", "--border", "none", "--quiet"]
     assert run("warp", "in.mkv", "out.mkv", *strokes, *options, "cubic", *more) == (0, "", "")
-    d = supple.Deformation(frames.shape[:3], border=None, spacing=(1, 1, 2))
+    d = supple.Deformation(frames.shape[:3], border=None, spacing=(1, 1, 2), time=True)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", supple.FoldWarning)
         d = d.grab((5, 20, 3), to=(30, 22, 6), radius=15)
@@ -310,7 +310,7 @@ def test_a_miscounted_clip_is_read_once_more(run: Run, monkeypatch: pytest.Monke
 
     off = 0
     monkeypatch.setattr(supple.media.video, "survey", survey)
-    d = supple.Deformation.from_recipe(TIMED, frames.shape[:3])
+    d = supple.Deformation.from_recipe(TIMED, frames.shape[:3], time=True)
     sheet, cut, grid = ["sheet"], ["slice", "--x", "3"], ["grid", "--frame", "9"]
     for off, whats in ((-2, [sheet, grid]), (3, [cut])):  # noqa: B007
         assert run("warp", "in.mkv", "out.mkv", *GRAB, "--force") == (0, "", "")

@@ -56,7 +56,7 @@ def test_time_scale_is_the_spacing_of_the_domain(here: Path) -> None:
     frames = stack(noisy("in.mkv", "yuv444p"))
     warp_file("in.mkv", "a.mkv", TIMED)
     made = warp_file("in.mkv", "b.mkv", TIMED, clip=ClipOptions(time_scale=3.0))
-    d = supple.Deformation.from_recipe(TIMED, frames.shape[:3], spacing=(1.0, 1.0, 3.0))
+    d = supple.Deformation.from_recipe(TIMED, frames.shape[:3], spacing=(1.0, 1.0, 3.0), time=True)
     assert made.deformation.shape == frames.shape[:3]
     np.testing.assert_array_equal(stack("b.mkv"), d.warp(frames))
     assert (stack("a.mkv") != stack("b.mkv")).any()

@@ -33,7 +33,7 @@ def test_pictures_into_pictures(here: Path, dtype: type, channels: int) -> None:
     assert made.target == Path("out/shot.%04d.png")
     names = [f"shot.{k:04d}.png" for k in range(998, 1005)]
     assert sorted(os.listdir("out")) == sorted(names)
-    d = supple.Deformation.from_recipe(recipe, (7, 48, 64))
+    d = supple.Deformation.from_recipe(recipe, (7, 48, 64), time=True)
     expected = d.warp(frames, alpha=channels == 4)
     got = read([f"out/{name}" for name in names])
     np.testing.assert_array_equal(got.reshape(expected.shape), expected)
@@ -48,7 +48,7 @@ def test_a_folder_is_a_clip_if_strokes_have_a_time_and_many_pictures_if_not(run:
     names = [f"pic{k}.png" for k in range(1, 7)]
     assert sorted(os.listdir("timed")) == sorted(os.listdir("flat")) == names
     recipe = supple.Recipe(border=None, strokes=(supple.Stroke.grab((30, 20, 2), to=(33, 22, 4), radius=10),))
-    timed = supple.Deformation.from_recipe(recipe, (6, 48, 64)).warp(frames)
+    timed = supple.Deformation.from_recipe(recipe, (6, 48, 64), time=True).warp(frames)
     np.testing.assert_array_equal(read([f"timed/{name}" for name in names]), timed)
     d = supple.Deformation.from_recipe(FLAT, (48, 64))
     np.testing.assert_array_equal(read([f"flat/{name}" for name in names]), np.stack([d.warp(f) for f in frames]))
