@@ -169,7 +169,18 @@ def walking(name: str, count: int = 8) -> list[np.ndarray]:
     return frames
 
 
-LATER = ("--grab", "90,60,4:90,60,4.5", "--radius", "100000", "--time-radius", "100000", "--reach", "none", "--border", "none")
+LATER = (
+    "--grab",
+    "90,60,4:90,60,4.5",
+    "--radius",
+    "100000",
+    "--time-radius",
+    "100000",
+    "--reach",
+    "none",
+    "--border",
+    "none",
+)
 
 
 def test_what_moves_is_seen_once_and_the_report_says_how(here: Path, run: Run) -> None:

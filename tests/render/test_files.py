@@ -135,7 +135,7 @@ def test_a_label_map_has_its_labels_colours_unless_another_transfer_is_asked_for
     assert default_transfer(many) == "mr-head"
     many.header["intent_code"] = 1002
     assert default_transfer(many) == "labels"
-    usual = ["--size", "40x40", "--flat", "--force"]
+    usual = ["--size", "40x40", "--unshaded", "--force"]
     palette = {tuple(np.rint(255 * row).astype(int).tolist()) for row in LabelColours().of([17, 53])}
     Path("t.txt").write_text("0 Unknown 0 0 0 0\n17 a 255 0 0 0\n53 b 0 0 255 0\n")
     for options, wanted in (
@@ -147,7 +147,7 @@ def test_a_label_map_has_its_labels_colours_unless_another_transfer_is_asked_for
         assert command(["render", "labels.nii.gz", "a.png", *usual, *options]) == 0
         pixels = image.read("a.png").pixels
         assert {tuple(row) for row in pixels[pixels[..., 3] > 0].tolist()} == wanted, options
-    usual.remove("--flat")
+    usual.remove("--unshaded")
     assert command(["render", "labels.nii.gz", "a.png", *usual, "--projection", "maximum"]) == 0
     assert (
         capfd.readouterr().err

@@ -234,7 +234,7 @@ def test_the_command_does_what_python_does(tmp_path: Path, monkeypatch: pytest.M
         (["--plane", "1,2,3:0,0,0"], "a direction that is not 0,0,0"),
         (["--plane", "1,2:0,0,1"], "--plane must be three numbers"),
         (["--silhouettes", "2"], "silhouettes must be a number from 0 to 1"),
-        (["--silhouettes", "1", "--flat"], "silhouettes are of shaded surfaces"),
+        (["--silhouettes", "1", "--unshaded"], "silhouettes are of shaded surfaces"),
         (["--largest", "--density", "-5,300", "--transfer", "all.json"], "all is visible"),
     ],
 )

@@ -259,9 +259,12 @@ def test_the_command_does_what_python_does(
     assert (dark != plain).any()
     for words, said in (
         (["--shadows", "2"], "shadows must be a number from 0 to 1"),
-        (["--shadows", "1", "--flat"], "shadows are of shaded surfaces: leave flat and projection out, or shadows"),
+        (
+            ["--shadows", "1", "--unshaded"],
+            "shadows are of shaded surfaces: leave unshaded and projection out",
+        ),
         (["--shadows", "1", "--projection", "average"], "shadows are of shaded surfaces"),
-        (["--flat", "--projection", "maximum"], "a projection (maximum) has no light: leave flat out"),
+        (["--unshaded", "--projection", "maximum"], "a projection (maximum) has no light: leave unshaded out"),
     ):
         assert command(["render", "in.nii", "out.png", *words]) != 0
         assert said in capsys.readouterr().err

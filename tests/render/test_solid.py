@@ -37,7 +37,7 @@ def test_moved_bricks_miss_nothing() -> None:
 
 
 def test_tables_of_another_shape_are_refused() -> None:
-    with pytest.raises(ValueError, match="36 columns"):
+    with pytest.raises(ValueError, match="39 columns"):
         _core.Strokes(np.zeros((2, 19)), np.zeros((3, 5)))
     empty = np.zeros((1, 1, 1), np.bool_)
     with pytest.raises(ValueError, match="two nodes of 16 numbers"):

@@ -156,7 +156,7 @@ class LookOptions:
     mode
         How the deformed volume is sampled. buffered: the volume is warped first. exact: inverse solved at each sample.
         hybrid: as buffered; only windows do not wait for it.
-    flat
+    unshaded
         Render without shading.
     annotate
         Draw a scale bar, for what is as far away as the target, and letters for the patient's sides.
@@ -191,7 +191,7 @@ class LookOptions:
     size: Annotated[Any, read(_size, "WxH", show_default="512x512")] = (512, 512)
     step: Annotated[float | None, number("a number of millimetres", "MM")] = None
     mode: Annotated[str, Parameter(metavar="buffered|exact|hybrid")] = "buffered"
-    flat: bool = False
+    unshaded: bool = False
     annotate: bool = False
     background: Annotated[Any, read(_colour, "#RRGGBB")] = None
     smooth: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 1
@@ -206,9 +206,13 @@ class LookOptions:
         from supple.files.renders import RenderOptions
 
         given = dict(vars(self))
-        meshes, flat, smooth = [_mesh(text) for text in given.pop("mesh")], given.pop("flat"), given.pop("smooth")
+        meshes, unshaded, smooth = (
+            [_mesh(text) for text in given.pop("mesh")],
+            given.pop("unshaded"),
+            given.pop("smooth"),
+        )
         return RenderOptions(
-            **given, meshes=meshes, shaded=not flat, supersampling=smooth, camera=camera, convention=convention
+            **given, meshes=meshes, shaded=not unshaded, supersampling=smooth, camera=camera, convention=convention
         )
 
 

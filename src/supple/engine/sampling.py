@@ -113,8 +113,7 @@ class Sampling:
         if made.between == "flow" and not flow:
             refuse(
                 "between",
-                '"linear", "cubic" or "nearest" here: "flow" is for frames that strokes alone warp on the CPU, with '
-                "time=True",
+                '"linear", "cubic" or "nearest" here ("flow" is for clips that strokes alone warp, on the CPU)',
                 made.between,
             )
         return made

@@ -139,10 +139,10 @@ class RenderOptions:
                 f"a projection ({self.projection}) is of all values along a ray: use clip instead of crop"
             )
         if self.projection != "none" and not self.shaded:
-            raise SuppleError(f"a projection ({self.projection}) has no light: leave flat out")
+            raise SuppleError(f"a projection ({self.projection}) has no light: leave unshaded out")
         for name in ("silhouettes", "shadows"):
             if getattr(self, name) and (self.projection != "none" or not self.shaded):
-                raise SuppleError(f"{name} are of shaded surfaces: leave flat and projection out, or {name}")
+                raise SuppleError(f"{name} are of shaded surfaces: leave unshaded and projection out, or {name}")
         for name, pixels in zip(("height", "width"), self.size, strict=True):
             integer(name, pixels, "a number of pixels from 1 to 16384", 1, 16384)
         integer("supersampling", self.supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
