@@ -22,7 +22,6 @@ EXTRAS = {
     "volume": ["SimpleITK", "nibabel", "pydicom"],
     "plot": ["matplotlib"],
     "gpu": ["wgpu"],
-    "flow": ["cv2"],
     "view": ["imgui_bundle", "rendercanvas", "platformdirs", "glfw"],
 }
 WITHOUT = """
@@ -90,16 +89,8 @@ NEEDED = {
         ("warp", "in.png", "out.bmp", *GRAB): "BMP, TGA and PNM pictures need av",
         ("render", HEAD, "out.mp4", "--turntable", "2"): "videos need av",
     },
-    "flow": {("track", CLIP, "t.csv", "--at", "345,58,10"): "tracked points need cv2"},
-    "volume": {
-        ("render", HEAD, "out.png"): "NIfTI files need nibabel",
-        ("warp", HEAD, "out.nii", *GRAB): "NIfTI files need nibabel",
-    },
-    "plot": {
-        ("plot", "in.png", "out.png", *GRAB): "plots need matplotlib",
-        ("render", HEAD, "out.png", "--annotate"): "marks on pictures need matplotlib",
-    },
     "flow": {
+        ("track", CLIP, "t.csv", "--at", "345,58,10"): "tracked points need cv2",
         (
             "warp",
             CLIP,
@@ -108,6 +99,14 @@ NEEDED = {
             "--between",
             "flow",
         ): "samples that follow the motion between frames need cv2",
+    },
+    "volume": {
+        ("render", HEAD, "out.png"): "NIfTI files need nibabel",
+        ("warp", HEAD, "out.nii", *GRAB): "NIfTI files need nibabel",
+    },
+    "plot": {
+        ("plot", "in.png", "out.png", *GRAB): "plots need matplotlib",
+        ("render", HEAD, "out.png", "--annotate"): "marks on pictures need matplotlib",
     },
     "gpu": {("demo", "gallery", "--device", "gpu"): "the GPU needs wgpu"},
     "view": {("view", "in.png", "--serve"): "window needs"},
