@@ -98,7 +98,7 @@ NEEDED = {
             *LATER,
             "--between",
             "flow",
-        ): "samples that follow the motion between frames need cv2",
+        ): "follow the motion between frames need cv2",
     },
     "volume": {
         ("render", HEAD, "out.png"): "NIfTI files need nibabel",
