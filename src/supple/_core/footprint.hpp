@@ -19,7 +19,7 @@ namespace supple {
 enum Filter { NEAREST, LINEAR, CUBIC, AUTO };
 enum Rule { EDGE, CONSTANT, REFLECT };
 
-constexpr float KEYS = -0.75f;             // of the cubic in space
+constexpr float KEYS = -0.75f;            // of the cubic in space
 constexpr float LOW = 0.1f, RISE = 0.2f;  // of α: no average below, all of it above their sum
 constexpr float NARROW = 1.62f, SQUARE = 3.2f;
 constexpr float WIDEST_SPOT = 0.4999f;  // its half sides: two points of a spot are less than a sample apart
