@@ -52,6 +52,7 @@ def recipes(draw: st.DrawFn) -> Recipe:
             hidden=st.booleans(),
             name=st.none() | st.text(),
             strength=st.floats(0, 1),
+            isotropic=st.booleans() if ndim == 3 else st.just(False),
             **shape,
         )
         for brush, shape in shapes.items()

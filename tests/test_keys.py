@@ -241,3 +241,10 @@ def test_strokes_with_a_time_take_no_keys() -> None:
         Stroke(at=(1, 2, 3), by=(0, 0, 1), radius=5, keys=[Key(0, strength=1)])
     with pytest.raises(SuppleError, match=r"keys\[0\] must be a Key"):
         Stroke(at=(1, 2), by=(0, 1), radius=5, keys=[(0, 1)])  # type: ignore[list-item]
+
+
+@pytest.mark.parametrize("frame", [-3, 9, 500])
+def test_a_frame_outside_of_the_track_is_refused(frame: int) -> None:
+    stroke = Stroke.scale((9, 9), factor=1.5, radius=4)
+    with pytest.raises(SuppleError, match=f"frames 2 to 8, and the stroke of frame {frame}"):
+        stroke.following([(2, (9, 9)), (8, (12, 9))], frame)

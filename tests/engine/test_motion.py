@@ -306,3 +306,15 @@ def test_small_frames_are_mixed() -> None:
     source = np.random.default_rng(0).integers(0, 255, (3, 12, 30), np.uint8)
     d = Deformation(source.shape, border=None, time=True).grab((15, 6, 1), by=(0, 0, 0.6), radius=9, reach=None)
     np.testing.assert_array_equal(*(d.warp(source, between=between) for between in ("linear", "flow")))
+
+
+def test_a_frame_alone_is_that_of_the_clip_in_floats() -> None:
+    """Also where times are whole up to rounding, so that a pixel's pair may be one that the plan does not name."""
+    source = np.stack([scene(t, (5, 3)) for t in range(12)])[..., None].astype("f4")
+    d = Deformation(source.shape[:3], border=None, time=True)
+    d = d.grab((60, 50, 6), by=(0, 0, 1), radius=60, time_radius=9, flat=0.5)
+    layout, sampling = Layout((Group(SIZE, 1),), np.dtype("f4"), 255.0), Sampling(between="flow")
+    (whole,), _, _ = streamed(d.space, layout, [source], sampling)
+    for k in range(12):
+        (one,), _, _ = streamed(d.space, layout, [source], sampling, [k])
+        np.testing.assert_array_equal(one[0], whole[k])

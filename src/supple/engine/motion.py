@@ -7,6 +7,7 @@ decides, and with which numbers, was measured on clips of which every other fram
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -23,6 +24,7 @@ APART = 4  # pixels between displacements; flow is computed from averages of 2 x
 LEAST = 16  # displacements along an axis: of smaller parts, frames are mixed
 CUT = -1.0  # for the longest displacement: one frame replaces the other
 _AROUND = 64  # pixels around what moves, from which motion may come
+_SETTING = threading.Lock()  # OpenCV's number of threads is one for all of a process
 _STRIPES = 8  # of a frame: OpenCV's threads, on whose number the flow depends
 _ALONE = 1 << 16  # pixels up to which one thread is faster
 _SMOOTH = 3.0  # displacements: the deviation of averages of disagreement
@@ -81,12 +83,13 @@ def motion_between(one: Grey, other: Grey) -> tuple[Floats, float]:
     flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     flow.setVariationalRefinementIterations(0)  # a third of the time, for 0.1 dB
     flow.setGradientDescentIterations(20)
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(_STRIPES if one.size > _ALONE else 1)
-    try:
-        there, back = (coarse(flow.calc(a, b, None)) / 2 for a, b in ((one, other), (other, one)))
-    finally:
-        cv2.setNumThreads(threads)
+    with _SETTING:
+        threads = cv2.getNumThreads()
+        cv2.setNumThreads(_STRIPES if one.size > _ALONE else 1)
+        try:
+            there, back = (coarse(flow.calc(a, b, None)) / 2 for a, b in ((one, other), (other, one)))
+        finally:
+            cv2.setNumThreads(threads)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in shape))
     images = [coarse(image).astype(np.float32) for image in (one, other)]
 
@@ -167,7 +170,7 @@ class Motion:
         self._moving = Moving(np.zeros(shape, np.float32), [0.0] * slots, x0 + middle, y0 + middle, APART)
 
     def between(self, pairs: range) -> Moving | None:
-        """Return the motion of all pairs k, k + 1 of a range, whose frames are in the window."""
+        """Return the motion of all pairs k, k + 1 of a range, whose frames are in the window, and of no others."""
         if min(self._moving.fields.shape[1:3]) < LEAST:
             return None
         for k in pairs:
@@ -177,7 +180,9 @@ class Motion:
                 self._moving.fields[slot], self._moving.longest[slot] = motion_between(one, other)
                 self._pairs[slot] = k
         self._grey = {k: grey for k, grey in self._grey.items() if k >= pairs.start}
-        return self._moving
+        slots = {k % len(self._pairs) for k in pairs}  # what planes before this one used plays no part
+        longest = [length if slot in slots else 0.0 for slot, length in enumerate(self._moving.longest)]
+        return self._moving._replace(longest=longest)
 
     def _brightness(self, k: int) -> Any:
         """Return a frame's luma, or the mean of its first colours, averaged over 2 × 2 pixels."""

@@ -139,6 +139,11 @@ def bent_of(clip: Clip, options: ClipOptions) -> range:
         raise SuppleError(
             f"{argument('hold')} {options.hold} keeps all {clip.count} frames of {clip.name}: keep fewer than half"
         )
+    if options.hold and not any(parts_of(clip.count, options.hold)):
+        raise SuppleError(
+            f"{argument('hold')} {options.hold} leaves too few of the {clip.count} frames of {clip.name} to fade in "
+            "and out: keep fewer"
+        )
     first, end = (one, one) if one is not None else options.frames or (0, last)
     if end > last:
         what = argument("frames" if one is None else "frame")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -213,6 +214,8 @@ def track(
         If the clip cannot be read, OpenCV is missing, a point is not in the clip, or all points are lost at once.
     """
     need("flow", "tracked points", "cv2")
+    if not isinstance(path, str | os.PathLike):
+        refuse("path", "the name of a clip", path)
     if opened(path, moves=True).kind != "clip":
         raise SuppleError(f"{shown(path)} is no clip, and has no frames through which a point goes: give a clip")
     refuse_picture(path)

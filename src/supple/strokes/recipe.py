@@ -147,10 +147,14 @@ class Recipe:
             return replace(self, size=size)
         scaling = scaling_of(self.size, size, how, time=time, name=name)
         if scaling is None:
-            freeze = self.freeze
-            if freeze is not None and freeze.samples == self.size[: freeze.ndim]:
-                freeze = freeze.fitted(size, None)
-            return replace(self, size=size, freeze=freeze)
+            before = self.size
+
+            def resized(freeze: Freeze | None) -> Freeze | None:
+                fits = freeze is not None and freeze.samples == before[: freeze.ndim]
+                return freeze.fitted(size, None) if freeze is not None and fits else freeze
+
+            strokes = tuple(replace(stroke, matte=resized(stroke.matte)) for stroke in self.strokes)
+            return replace(self, size=size, strokes=strokes, freeze=resized(self.freeze))
         return self._scaled(scaling, size)
 
     def placed(self, offset: Sequence[float], size: Sequence[int]) -> Self:

@@ -496,7 +496,7 @@ class Stroke:
         Raises
         ------
         SuppleError
-            If the track is none, or the stroke has positions in its keys already.
+            If the track is none, the frame is not within it, or the stroke has positions in its keys already.
         """
         choice("outside", outside, ("fade", "hold"))
         keys = checked_keys([Key(k, tuple(at)) for k, at in track], self.ndim)
@@ -505,7 +505,12 @@ class Stroke:
         if any((key.at, key.angle, key.scale) != (None,) * 3 for key in self.keys):
             raise SuppleError("the stroke has keys with positions, and cannot follow a track too: leave one out")
         turns, degrees = dict.fromkeys((key.frame for key in keys), 1 + 0j), dict[int, float]()
-        begin = keys[0].frame if frame is None else number("frame", frame, "a frame", -LARGEST, LARGEST)
+        first, last = keys[0].frame, keys[-1].frame
+        begin = first if frame is None else number("frame", frame, "a frame", -LARGEST, LARGEST)
+        if not first <= begin <= last:
+            raise SuppleError(
+                f"the track is of the frames {first} to {last}, and the stroke of frame {begin:g}: give one of those"
+            )
         if len(second):
             turns, degrees = _turns(keys, checked_keys([Key(k, tuple(at)) for k, at in second], self.ndim), begin)
             keys = tuple(key for key in keys if key.frame in turns)
@@ -519,7 +524,7 @@ class Stroke:
             place |= {"angle": degrees[k], "scale": abs(turns[k])} if degrees else {}
             made[k] = replace(made.get(k, Key(k, **place)), **place)
         if outside == "fade" and not self.keys:
-            first, last = keys[0].frame, keys[-1].frame
+            first, last = keys[0].frame, keys[-1].frame  # those that both tracks have
             for k in (first, last):
                 made[k] = replace(made[k], strength=1.0)
             for k in (FADE, FADE + 1):  # twice, so that the curve begins and ends without a slope

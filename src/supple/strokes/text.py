@@ -34,8 +34,10 @@ def written(members: Mapping[str, object], strokes: Iterable[Stroke]) -> str:
     world = members.get("space") in ("LPS", "RAS")
     turning = any((key.angle, key.scale) != (None, None) for stroke in strokes for key in stroke.keys)
     newer = any(
-        stroke.brush == "twist" or (stroke.ndim == 3 and not world) or stroke.flat or stroke.matte for stroke in strokes
-    )
+        stroke.brush == "twist" or (stroke.ndim == 3 and not world) or stroke.isotropic
+        or stroke.time_radius is not None or stroke.flat or stroke.matte
+        for stroke in strokes
+    )  # fmt: skip
     version = VERSION if turning or newer else 2
     head = {"supple": version, **{k: v for k, v in members.items() if v is not None or k == "border"}}
     lines = [f"  {_dump(key)}: {_dump(_plain(value))}" for key, value in head.items()]
