@@ -206,11 +206,8 @@ class LookOptions:
         from supple.files.renders import RenderOptions
 
         given = dict(vars(self))
-        meshes, unshaded, smooth = (
-            [_mesh(text) for text in given.pop("mesh")],
-            given.pop("unshaded"),
-            given.pop("smooth"),
-        )
+        meshes, unshaded = [_mesh(text) for text in given.pop("mesh")], given.pop("unshaded")
+        smooth = given.pop("smooth")
         return RenderOptions(
             **given, meshes=meshes, shaded=not unshaded, supersampling=smooth, camera=camera, convention=convention
         )

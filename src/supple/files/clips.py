@@ -7,13 +7,13 @@ import os
 import re
 import shutil
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import numpy as np
 
@@ -44,6 +44,7 @@ from supple.strokes import Fit, Recipe, Stroke, fit_recipe, scaling_of
 if TYPE_CHECKING:
     from fractions import Fraction
 
+T = TypeVar("T")
 _STROKE = re.compile(r"stroke \d+ of \d+: ")
 
 
@@ -113,23 +114,32 @@ def warp(job: Job, tell: Tell) -> Warped:
     ``tell`` is called with ``"write"`` when the target is opened, and then with ``"plan"`` or ``"warp"``, the number of
     finished frames, and their total. Strokes that move are planned before the target is opened.
     """
-    count: int | None = None
-    while True:  # twice at most: what a container says of the number of frames may be wrong
-        try:
-            with open_clip(job.source, rate=job.clip.rate, count=count, target=job.target) as clip:
-                bent, known = bent_of(clip, job.clip), job.clip
-                first = known.first_frame or 0
-                deformations = deformations_of(
-                    job.recipe, clip, known.time_scale, job.fit, tell, hold=known.hold, bent=bent, first=first
-                )
-                if count is None:
-                    warn_of_still(job.recipe.strokes)
-                    warn_of_frames(clip, deformations)
-                return _written(job, clip, deformations, bent, tell)
-        except CountError as miscounted:
-            if count is not None:
-                raise fickle(job.source) from None
-            count = miscounted.found
+
+    def once(count: int | None) -> Warped:
+        known = job.clip
+        with open_clip(job.source, rate=known.rate, count=count, target=job.target) as clip:
+            bent, first = bent_of(clip, known), known.first_frame or 0
+            deformations = deformations_of(
+                job.recipe, clip, known.time_scale, job.fit, tell, hold=known.hold, bent=bent, first=first
+            )
+            if count is None:
+                warn_of_still(job.recipe.strokes)
+                warn_of_frames(clip, deformations)
+            return _written(job, clip, deformations, bent, tell)
+
+    return counted_anew(job.source, once)
+
+
+def counted_anew(source: PathLike, use: Callable[[int | None], T]) -> T:
+    """Return ``use(None)``; or ``use(count)``, if a container is wrong about the number of frames (`CountError`)."""
+    try:
+        return use(None)
+    except CountError as miscounted:
+        found = miscounted.found
+    try:
+        return use(found)
+    except CountError:
+        raise fickle(source) from None
 
 
 def bent_of(clip: Clip, options: ClipOptions) -> range:
@@ -439,14 +449,19 @@ def displayed(rotation: float, mirrored: bool) -> str:
     return " and ".join(filter(None, ("mirrored" if mirrored else "", turn)))
 
 
+def warn_of_display(clip: Clip) -> None:
+    """Warn that points are those of stored frames, if players turn these."""
+    if how := displayed(clip.rotation, clip.mirrored):
+        height, width = clip.layout.shape
+        what = f"is {how} when it is played: points are in the frame as it is stored, {width} x {height}"
+        warnings.warn(f"{clip.name} {what}", ClipWarning, stacklevel=caller())
+
+
 def warn_of_frames(clip: Clip, deformations: Sequence[Deformation]) -> None:
     """Warn that points are those of stored frames, if players turn these; and that fields are bent together."""
     if all(each.is_identity for each in deformations):
         return
-    if how := displayed(clip.rotation, clip.mirrored):
-        height, width = clip.layout.shape
-        what = f"is {how} when it is played: points are in the frame as it is stored, {width} x {height}"
-        warnings.warn(f"{clip.name} {what}", ClipWarning, stacklevel=4)
+    warn_of_display(clip)
     if clip.fields:
         what = (
             f"is interlaced, {clip.fields} field first, and the two fields of a frame are bent as one picture, which "

@@ -17,8 +17,8 @@ from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
 from supple.files.clips import (
     between_frames,
+    counted_anew,
     deformations_of,
-    fickle,
     frames_of,
     open_clip,
     refuse_encoding,
@@ -30,7 +30,6 @@ from supple.files.clips import (
 )
 from supple.files.jobs import Job, refuse_places
 from supple.files.options import ClipOptions, PathLike
-from supple.media.base import CountError
 from supple.media.files import check_output
 from supple.plot import WHATS, check_plot, draw_sheet, draw_slice, evenly, plot
 from supple.space.checks import choice, integer
@@ -112,14 +111,7 @@ def plot_file(
         refuse_picture(source)
         asked = (source, target, recipe, what, frame, x, y, options, force, fit)
         with counted(progress) as tell:
-            try:
-                return _plot_clip(*asked, tell)
-            except CountError as miscounted:
-                found = miscounted.found
-            try:
-                return _plot_clip(*asked, tell, found)
-            except CountError:
-                raise fickle(source) from None
+            return counted_anew(source, lambda count: _plot_clip(*asked, tell, count))
     timeless = options == ClipOptions(memory=options.memory)
     if what in ("slice", "sheet") or frame is not None or not timeless:
         raise SuppleError(f"{shown(source)} is taken for a picture, which has no time: leave out what is for videos")

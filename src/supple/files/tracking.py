@@ -15,9 +15,9 @@ import numpy.typing as npt
 
 from supple.engine.work import Array, Tell, silent
 from supple.errors import SuppleError, TrackWarning, caller, need, shown
-from supple.files.clips import displayed, fickle, open_clip, refuse_picture
+from supple.files.clips import counted_anew, open_clip, refuse_picture, warn_of_display
 from supple.files.options import GB, PathLike
-from supple.media.base import Clip, ClipWarning, CountError
+from supple.media.base import Clip
 from supple.media.files import replacing
 from supple.media.medium import opened
 from supple.space.checks import point, refuse
@@ -219,15 +219,12 @@ def track(
     if opened(path, moves=True).kind != "clip":
         raise SuppleError(f"{shown(path)} is no clip, and has no frames through which a point goes: give a clip")
     refuse_picture(path)
-    count: int | None = None
-    while True:  # twice at most: what a container says of the number of frames may be wrong
-        try:
-            with open_clip(path, count=count) as clip:
-                return _tracked(clip, at, memory, tell)
-        except CountError as miscounted:
-            if count is not None:
-                raise fickle(path) from None
-            count = miscounted.found
+
+    def once(count: int | None) -> tuple[Tracked, ...]:
+        with open_clip(path, count=count) as clip:
+            return _tracked(clip, at, memory, tell)
+
+    return counted_anew(path, once)
 
 
 def _tracked(clip: Clip, at: Sequence[Sequence[float]], memory: float, tell: Tell) -> tuple[Tracked, ...]:
@@ -241,9 +238,7 @@ def _tracked(clip: Clip, at: Sequence[Sequence[float]], memory: float, tell: Tel
             raise SuppleError(f"{where} is not in the picture of {clip.name}, {width} x {height}: give one in it")
     if not points:
         refuse("at", "one point or more, (x, y, frame)", at)
-    if how := displayed(clip.rotation, clip.mirrored):
-        what = f"is {how} when it is played: points are in the frame as it is stored, {width} x {height}"
-        warnings.warn(f"{clip.name} {what}", ClipWarning, stacklevel=caller())
+    warn_of_display(clip)
     onwards, backwards = ([_Walk((x + x0, y + y0), int(k), clip.layout.shape) for x, y, k in points] for _ in range(2))
     first, last = (choose(walk.frame for walk in onwards) for choose in (min, max))
     done, total = 0, clip.count - first + last + 1
