@@ -10,13 +10,15 @@ DEBUG ?=
 # An editable install is a path to src/; the core is compiled there by `make core`.
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check --config-settings core=later --editable
 
-.PHONY: help venv core demo test versions test-cuda sanitize bench bench-gpu bench-cuda bench-window soak lint wheel clean
+.PHONY: help venv core demo test versions test-cuda gpu-check sanitize bench bench-gpu bench-cuda bench-window soak lint \
+  wheel clean
 
 help:
 	@echo "make demo      a small gallery in demo/, to look at"
 	@echo "make test      all tests"
 	@echo "make versions  a few tests with the lowest and the newest versions of all dependencies"
 	@echo "make test-cuda all tests of the CUDA engine at size, on an NVIDIA GPU"
+	@echo "make gpu-check tests and benchmarks of CUDA and of drawing on an NVIDIA GPU, in eight minutes"
 	@echo "make bench     how fast and how exact, against others"
 	@echo "make bench-gpu how fast a GPU draws volumes"
 	@echo "make bench-cuda how fast CUDA is on an NVIDIA GPU, against others"
@@ -122,6 +124,10 @@ test-cuda: venv $(VENV)/stamp-cuda
 	else \
 	  echo "compute-sanitizer is not on the PATH (it comes with the CUDA toolkit): memory was not checked"; \
 	fi
+
+# For a machine that is there for a short time, what it lacks can be carried along: python3 tools/gpu_check.py --help
+gpu-check: venv $(VENV)/stamp-cuda
+	$(BIN)/python tools/gpu_check.py
 
 # A second build of the core, in build/. To choose tests: make sanitize TESTS=tests/core/test_plans.py
 sanitize: $(VENV)/stamp

@@ -48,7 +48,7 @@ def first_calls(b: Bench) -> Iterator[Line]:
             with tempfile.TemporaryDirectory() as cache:
                 empty.append(first(shape, cache))
                 full.append(first(shape, cache))
-        for state, bar, taken in (("empty", 5.0, empty), ("full", 0.3, full)):
+        for state, bar, taken in (("empty", 2.0, empty), ("full", 0.3, full)):
             what = f"first call of a process: {words} of float32, auto; the cache is {state}"
             yield Line(what, value=Spread.of(taken), unit="s", bar=bar)
 

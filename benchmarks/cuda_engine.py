@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from paired import HEAD, Line, against, missed, rate, took
+from paired import HEAD, Line, Spread, against, missed, rate, took
 from place import Bench, Place, host, play, stroke, waves
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ def strokes(count: int, *shape: int) -> supple.Deformation:
     rng = np.random.default_rng(count)
     size = np.array(shape[::-1]) - 1.0
     d = supple.Deformation(shape, border=None)
+    warnings.simplefilter("ignore", supple.MissWarning)  # they meet
     for _ in range(count):
         by = rng.normal(0, 0.01, len(shape)) * size
         d = d.grab(rng.uniform(0.2, 0.8, len(shape)) * size, by=by, radius=float(rng.uniform(0.1, 0.3) * size.min()))
@@ -63,7 +64,9 @@ def one_volume(b: Bench) -> Iterator[Line]:
     d, samples = stroke(*shape), waves(*shape)
     given = place.put(samples)
     yield took(f"{b.volume}, one stroke, linear, whole warp", lambda: d.warp(given, filter="linear"), place.clock,
-               b.runs, 3.0, PAPER)  # fmt: skip
+               b.runs, 2.5, PAPER)  # fmt: skip
+    if not place.dry:
+        yield memory(b, d, given)
     for more in ({"filter": "cubic"}, {"filter": "auto"}, {"filter": "linear", "tolerance": 1e-3}):
         words = more["filter"] + (", tolerance 1e-3" if "tolerance" in more else "")
         yield took(f"the same, {words}", lambda more=more: d.warp(given, **more), place.clock, b.runs)
@@ -74,12 +77,28 @@ def one_volume(b: Bench) -> Iterator[Line]:
     yield took(words, lambda: d.warp(labels, filter="nearest"), place.clock, b.runs)
 
 
+def memory(b: Bench, d: supple.Deformation, given: Any) -> Line:
+    """What a warp takes of the GPU's memory at most, with its source and its result, in volumes."""
+    from supple.cuda.device import call, driver, open_device
+
+    with open_device().current():
+        pool = call("cuDeviceGetDefaultMemPool", call("cuDeviceGet", 0))
+        high = driver().CUmemPool_attribute.CU_MEMPOOL_ATTR_USED_MEM_HIGH
+        call("cuMemPoolSetAttribute", pool, high, driver().cuuint64_t(0))
+        d.warp(given, filter="linear")
+        beside = int(call("cuMemPoolGetAttribute", pool, high))
+    volume = 4 * b.side**3
+    own = b.place.kind == "own"  # whose arrays are in the pool
+    most = beside / volume + (0 if own else 2)
+    return Line("the same, memory", value=Spread.of([most]), unit="volumes", bar=2.2)
+
+
 def volume_against_torch(b: Bench) -> Iterator[Line]:
     """torch.nn.functional.grid_sample, with the grid in hand."""
     place, shape = b.place, (b.side,) * 3
     what = f"{b.volume}, one stroke, linear / torch grid_sample with the grid in hand"
     if "torch" in place.missing:
-        yield Line(what, bar=0.5, note=place.missing["torch"])
+        yield Line(what, bar=1.0, note=place.missing["torch"])
         return
     from torch.nn.functional import grid_sample
 
@@ -94,7 +113,7 @@ def volume_against_torch(b: Bench) -> Iterator[Line]:
         return grid_sample(tensor, grid, mode="bilinear", padding_mode="border", align_corners=True)
 
     agree(what, ours(), peer()[0, 0])
-    yield against(what, ours, peer, place.clock, b.runs, 0.5)
+    yield against(what, ours, peer, place.clock, b.runs, 1.0)
 
 
 def volume_against_cupy(b: Bench) -> Iterator[Line]:
@@ -102,7 +121,7 @@ def volume_against_cupy(b: Bench) -> Iterator[Line]:
     place, shape = b.place, (b.side,) * 3
     what = f"{b.volume}, one stroke, linear / cupyx map_coordinates(order=1) with the map in hand"
     if "cupy" in place.missing:
-        yield Line(what, bar=0.3, note=place.missing["cupy"])
+        yield Line(what, note=place.missing["cupy"])
         return
     if place.dry:
         from scipy.ndimage import map_coordinates
@@ -119,7 +138,7 @@ def volume_against_cupy(b: Bench) -> Iterator[Line]:
         return map_coordinates(source, points, order=1, mode="nearest")
 
     agree(what, ours(), peer())
-    yield against(what, ours, peer, place.clock, b.runs, 0.3)
+    yield against(what, ours, peer, place.clock, b.runs)
 
 
 def clip_in_time(b: Bench) -> Iterator[Line]:
@@ -134,7 +153,7 @@ def clip_in_time(b: Bench) -> Iterator[Line]:
     d = d.grab(middle, by=(width / 10, 0, count / 16), radius=height / 3.6)
     given = b.place.put(frames)
     what = f"{width}×{height}×{count} RGB uint8, warped in time, linear"
-    yield rate(what, lambda: d.warp(given, filter="linear"), count, "frames/s", b.place.clock, b.runs, 5000)
+    yield rate(what, lambda: d.warp(given, filter="linear"), count, "frames/s", b.place.clock, b.runs, 12_000)
     more: dict[str, Any] = {"filter": "auto", "time_filter": True}
     words = "the same, auto, averaged over the time that a pixel covers"
     yield rate(words, lambda: d.warp(given, **more), count, "frames/s", b.place.clock, b.runs)
@@ -149,7 +168,7 @@ def batch(b: Bench) -> Iterator[Line]:
     names = {"torch": "torch grid_sample with the grids in hand", "kornia": "kornia remap with the maps in hand"}
     if "torch" in place.missing:
         for name, words in names.items():
-            yield Line(f"{what} / {words}", bar=1.0, note=place.missing[name])
+            yield Line(f"{what} / {words}", bar=2.0 if name == "torch" else None, note=place.missing[name])
         return
     from torch.nn.functional import grid_sample
 
@@ -174,9 +193,9 @@ def batch(b: Bench) -> Iterator[Line]:
         return grid_sample(tensor, grid, mode="bilinear", padding_mode="border", align_corners=True)
 
     agree(what, ours(), sampled().permute(0, 2, 3, 1))
-    yield against(f"{what} / {names['torch']}", ours, sampled, place.clock, b.runs, 1.0)
+    yield against(f"{what} / {names['torch']}", ours, sampled, place.clock, b.runs, 2.0)
     if "kornia" in place.missing:
-        yield Line(f"{what} / {names['kornia']}", bar=1.0, note=place.missing["kornia"])
+        yield Line(f"{what} / {names['kornia']}", note=place.missing["kornia"])
     else:
         from kornia.geometry.transform import remap
 
@@ -186,7 +205,7 @@ def batch(b: Bench) -> Iterator[Line]:
             return remap(tensor, xs, ys, mode="bilinear", padding_mode="border", align_corners=True)
 
         agree(what, ours(), remapped().permute(0, 2, 3, 1))
-        yield against(f"{what} / {names['kornia']}", ours, remapped, place.clock, b.runs, 1.0)
+        yield against(f"{what} / {names['kornia']}", ours, remapped, place.clock, b.runs)
     dense = place.put(last, "torch")
     words = "the same, channels last in memory / torch grid_sample, channels first"
     yield against(words, lambda: supple.warp_batch(dense, ds, filter="linear"), sampled, place.clock, b.runs)

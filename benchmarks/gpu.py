@@ -1,4 +1,7 @@
-"""Volumes drawn by a GPU, which is named: `make bench-gpu`, or `python benchmarks/gpu.py [--quick]`."""
+"""What a GPU draws, which is named: `make bench-gpu`, or `python benchmarks/gpu.py [--quick]`.
+
+Frames with a bar are drawn into a texture, as the window does: many are submitted, and then waited for.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,9 @@ from measure import milliseconds
 import supple
 from supple.files.volumes import open_volume
 from supple.gpu.device import open_gpu
+from supple.gpu.memory import wait
+from supple.gpu.plate import Plate, Sight
+from supple.gpu.screen import canvas_texture
 from supple.gpu.solid import Filling, beside, hold
 from supple.media.volume import Volume
 from supple.render.camera import Camera
@@ -93,6 +99,106 @@ def filled(n: int, runs: int) -> str:
     return row(f"buffer of a {n}³ float32 volume: lattice and bricks", work, None, runs)
 
 
+def rate(what: str, draw: Callable[[int], object], count: int, runs: int, bar: float | None = None) -> str:
+    """The row of a frame rate: ``draw`` submits frame k; the GPU is waited for after ``count`` of them."""
+    gpu, rates = open_gpu(), []
+    for k in range(-1, runs):  # the first run compiles, and is not counted
+        start = time.perf_counter()
+        for n in range(count):
+            draw(n)
+        wait(gpu)
+        if k >= 0:
+            rates.append(count / (time.perf_counter() - start))
+    median = statistics.median(rates)
+    least, mark = ("", "") if bar is None else (f"≥ {bar:g}", "holds" if median >= bar else "**missed**")
+    return f"| {what} | {median:.1f} ({min(rates):.1f}–{max(rates):.1f}) | {least} | {mark} | {runs} × {count} |"
+
+
+def window(size: tuple[int, int], bar: float, count: int, runs: int) -> list[str]:
+    """A picture as large as the window, with a stroke: solved at each pixel, and while it is dragged."""
+    gpu, (width, height) = open_gpu(), size
+    plate, texture = Plate(gpu, size), canvas_texture(gpu, size)
+    plate.put(0, np.random.default_rng(0).integers(0, 256, (height, width, 4), np.uint8))
+    bent = supple.Deformation((height, width)).grab(
+        (width / 2, height / 2), by=(width / 12, height / 12), radius=height / 4
+    )
+    table, axes = bent.space.table, bent.space.axes
+
+    def frame(sight: Sight) -> Callable[[int], object]:
+        return lambda n: plate.draw(sight, table, axes, texture)
+
+    whole = Sight((0.0, 0.0), 1.0, size)
+    dragged = Sight((0.0, 0.0), 1.0, size, solved=False)
+    return [
+        rate(f"a picture in the window, {width}×{height}", frame(whole), count, runs, bar),
+        rate("the same, while it is dragged", frame(dragged), count, runs),
+    ]
+
+
+def played(size: tuple[int, int], slots: int, count: int, runs: int) -> str:
+    """A clip that is bent in time, from the memory of the GPU, frame by frame."""
+    gpu, (width, height) = open_gpu(), size
+    slots = min(slots, Plate.most(gpu, size))
+    plate, texture = Plate(gpu, size, slots, slots), canvas_texture(gpu, size)
+    rng = np.random.default_rng(0)
+    for k in range(slots):
+        plate.put(k, rng.integers(0, 256, (height, width, 4), np.uint8))
+    bent = supple.Deformation((slots, height, width), time=True).grab(
+        (width / 2, height / 2, slots / 2), by=(width / 12, 0, slots / 8), radius=height / 4
+    )
+    table, axes = bent.space.table, bent.space.axes
+
+    def frame(n: int) -> None:
+        plate.draw(Sight((0.0, 0.0), 1.0, size, n % slots), table, axes, texture)
+
+    return rate(f"a clip bent in time, {slots} frames of {width}×{height} in memory", frame, count, runs, 500)
+
+
+def enlarged(samples: np.ndarray, side: int) -> np.ndarray:
+    """A volume with as many voxels along each side, by linear interpolation."""
+    made = samples.astype(np.float32)
+    for axis, n in enumerate(samples.shape):
+        at = np.linspace(0, n - 1, side)
+        first = np.minimum(at.astype(int), n - 2)
+        part = np.float32(at - first).reshape([-1 if k == axis else 1 for k in range(3)])
+        made = np.take(made, first, axis) * (1 - part) + np.take(made, first + 1, axis) * part
+    return made.astype(samples.dtype)
+
+
+def large_head(side: int, size: tuple[int, int], count: int, runs: int) -> list[str]:
+    """The head with so many voxels along each side, and a stroke, which may change with each frame."""
+    head = open_volume(DATA / "head.nii.gz").samples
+    scale = side / np.array(head.shape)
+    samples = enlarged(head, side)
+    look: dict[str, Any] = {"transfer": "mr-head", "step": 1.0, "device": "gpu"}
+    camera = Camera(azimuth=38, elevation=12, distance=2.2 * side)
+    place, to = (np.array(at) * scale[::-1] for at in ((40, 86, 65), (44, 63, 53)))
+
+    def bent(part: float) -> supple.Deformation:
+        return supple.Deformation(samples.shape, border=side / 6).grab(
+            place, by=part * (to - place), radius=36 * side / 128
+        )
+
+    drags = [bent(0.5 + 0.5 * k / count) for k in range(count)]
+    rows = []
+    for mode, bar in (("exact", 10.0), ("buffered", None), ("hybrid", 60.0)):
+        scene = Scene(samples, deformation=drags[-1], mode=mode, **look)
+        texture = canvas_texture(scene.gpu, size)
+
+        def still(n: int, scene: Scene = scene, texture: Any = texture) -> None:
+            scene.draw(texture, camera)
+
+        def dragged(n: int, scene: Scene = scene, texture: Any = texture) -> None:
+            scene.deformed(drags[n]).draw(texture, camera)
+
+        what = f"the head, {side}³, {mode}, {size[0]}×{size[1]}"
+        rows.append(rate(what, still, count, runs, bar if mode == "exact" else None))
+        if mode != "buffered":
+            words = f"{what}, a stroke that changes with each frame"
+            rows.append(rate(words, dragged, count, runs, bar if mode == "hybrid" else None))
+    return rows
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="once each, and smaller")
@@ -101,7 +207,16 @@ def main() -> None:
     warnings.simplefilter("ignore", supple.FoldWarning)
     gpu = open_gpu()
     print(f"{gpu.name}, {gpu.backend}\n")
-    print("| what | whole call | by the CPU | runs |\n|---|---|---|---|")
+    print("| frames | frames/s | bar | | runs × frames |\n|---|---|---|---|---|", flush=True)
+    count = 3 if gpu.software else 200
+    for size, bar in (((1920, 1080), 1000.0), ((3840, 2160), 300.0)):
+        for line in window((size[0] // scale, size[1] // scale), bar, count, runs):
+            print(line, flush=True)
+    print(played((1920 // scale, 1080 // scale), 40, count, runs), flush=True)
+    side = 128 if gpu.software or quick else 512
+    for line in large_head(side, (500 // scale, 500 // scale), max(2, count // 20), min(runs, 3)):
+        print(line, flush=True)
+    print("\n| what | whole call | by the CPU | runs |\n|---|---|---|---|")
     head = open_volume(DATA / "head.nii.gz")
     size = (1000 // scale, 1000 // scale)
     camera = Camera(azimuth=38, elevation=12, distance=480)

@@ -68,7 +68,7 @@ def play() -> None:
     replaced: Any = (device, programs, arrays)
     replaced[0].driver = lambda: made
     replaced[1].kept = conftest.coded
-    replaced[2]._viewed = lambda value, kind: conftest.View(value)
+    replaced[2]._viewed = lambda value, kind, gpu: conftest.View(value)
 
 
 def sent(array: Array) -> Any:

@@ -80,6 +80,13 @@ class View:
         self.strides = None if strides is None else tuple(s // self.dtype.itemsize for s in strides)
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Print a failure of a real GPU at once: machines that have one may be gone before the end."""
+    if REAL and report.failed:
+        print(f"\n{report.nodeid}\n{report.longreprtext}", flush=True)
+
+
 @pytest.fixture(scope="session")
 def library() -> Path | None:
     return None if REAL else compiled()
@@ -96,7 +103,7 @@ def gpu(library: Path | None, monkeypatch: pytest.MonkeyPatch) -> Iterator[CudaD
     monkeypatch.setattr(device, "_opened", {})
     monkeypatch.setattr(programs, "kept", coded)
     monkeypatch.setattr(programs, "_loaded", {})
-    monkeypatch.setattr(arrays, "_viewed", lambda value, kind: View(value))
+    monkeypatch.setattr(arrays, "_viewed", lambda value, kind, gpu: View(value))
     monkeypatch.setattr(warp, "_lattices", OrderedDict())
     monkeypatch.setattr(warp, "_spare", spare := [])
     yield device.open_device()

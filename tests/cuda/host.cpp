@@ -2,6 +2,7 @@
 #include <string.h>
 
 #include <algorithm>
+#include <cmath>
 
 // Without optimization, a call is as fast as what is compiled into each caller, and takes a compiler half the time.
 #include "simd.hpp"
@@ -16,6 +17,7 @@ template <class T>
 T sample_at(const T* p) {
     return *p;
 }
+inline int whole_of(float x) { return (int)std::floor(std::clamp(x, -2e9f, 2e9f)); }
 struct Place {
     int x, y, z;
 };
@@ -76,8 +78,9 @@ bool with_filter(int filter, bool rough, const int* grid, int threads, const Job
 }
 template <class T, class N, int D>
 bool with_channels(int together, int filter, bool rough, const int* grid, int threads, const Job& job) {
-    return together == 1 ? with_filter<T, N, 1, D>(filter, rough, grid, threads, job)
-                         : with_filter<T, N, 4, D>(filter, rough, grid, threads, job);
+    return together == 1   ? with_filter<T, N, 1, D>(filter, rough, grid, threads, job)
+           : together == 3 ? with_filter<T, N, 3, D>(filter, rough, grid, threads, job)
+                           : with_filter<T, N, 4, D>(filter, rough, grid, threads, job);
 }
 template <int D>
 bool with_type(const char* sample, int together, int filter, bool rough, const int* grid, int threads, const Job& job) {

@@ -59,7 +59,7 @@ def test_maps_and_programs_are_kept(played: Driver) -> None:
     played.calls.clear()
     d.warp(source, **OPTIONS)
     assert "cuModuleLoadData" not in names(played)
-    assert names(played).count("cuMemcpyHtoDAsync") == 1  # the fill value
+    assert "cuMemcpyHtoDAsync" not in names(played)
     for k in range(warp._KEPT + 3):
         bent((20, 21 + k)).warp(sent(np.zeros((20, 21 + k), np.uint8)), **OPTIONS)
     assert len(warp._lattices) == warp._KEPT

@@ -137,6 +137,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_volumes_from_file_to_file(gpu: CudaDevice, folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("SimpleITK")
     source = noise(dtype=np.int16)
     media.write("in.nrrd", source, media.Volume(source, Geometry()))
     common = ["--grab", "6,5,12:7,4,13", "--radius", "9", "--border", "none", "--filter", "linear", "--quiet"]

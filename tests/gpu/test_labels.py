@@ -12,6 +12,8 @@ from supple.gpu.device import Gpu
 from supple.render.labels import LabelColours
 from supple.render.scene import Scene
 from tests.gpu.scenes import apart, pair
+
+pytest.importorskip("SimpleITK")  # by which these are tested on the CPU
 from tests.render.test_labels import CAMERA, GEOMETRY, OPAQUE, bent, colours_of, cube, regions, table_colours, two
 
 SIZE = (30, 30)

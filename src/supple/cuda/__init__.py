@@ -104,7 +104,7 @@ def start(
         As in `supple.Deformation.warp`.
     slab : int, optional
         The number of planes of a stack in one launch: between slabs, kernels of other streams can run.
-        By default, as many as need 256 MB beside the arrays.
+        By default, as many as need 96 MB beside the arrays.
     stream : stream of PyTorch, CuPy, Numba or cuda-core, optional
         The stream of the warp; by default, one of its own.
     out : array on the same GPU, optional

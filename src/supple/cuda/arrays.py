@@ -7,6 +7,7 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -114,8 +115,7 @@ def taken(value: Any, name: str) -> DeviceArray:
     named = {"torch": "index", "cupy": "id"}
     gpu = open_device(int(getattr(value.device, named[kind]) or 0) if kind in named else 0)
     try:
-        with gpu.current():  # some libraries export only arrays on the current device
-            view = _viewed(value, kind)
+        view = _viewed(value, kind, gpu)
         shape = tuple(int(n) for n in view.shape)
         dtype = np.dtype(view.dtype)
     except Exception as error:  # every library has errors of its own
@@ -129,12 +129,17 @@ def taken(value: Any, name: str) -> DeviceArray:
                        stream_of(value, kind), not view.readonly)  # fmt: skip
 
 
-def _viewed(value: Any, kind: str) -> Any:
+def _viewed(value: Any, kind: str, gpu: CudaDevice) -> Any:
     """Return the description of an array; CudaArray and tests have one of their own."""
+    if kind == "torch":  # which says itself what is wanted, in a tenth of the time
+        dtype = np.dtype(str(value.dtype).removeprefix("torch."))
+        return SimpleNamespace(shape=value.shape, strides=value.stride(), dtype=dtype, ptr=value.data_ptr(),
+                               device_id=value.device.index, readonly=False)  # fmt: skip
     from cuda.core.utils import StridedMemoryView
 
     # Known libraries work in the order of their stream; others wait until what makes the array is done.
-    view = StridedMemoryView.from_any_interface(value, stream_ptr=1 if kind == "other" else -1)
+    with gpu.current():  # some libraries export only arrays on the current device
+        view = StridedMemoryView.from_any_interface(value, stream_ptr=1 if kind == "other" else -1)
     if not view.is_device_accessible:
         raise BufferError("its memory is not a GPU's")
     return view

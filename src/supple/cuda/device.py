@@ -142,7 +142,7 @@ class Memory:
         weakref.finalize(self, _ended, "cuMemFreeAsync", self.pointer, stream.handle, held=stream)
 
     def upload(self, array: Array, start: int = 0) -> None:
-        """Copy a contiguous host array to it, from a byte on; what the array holds may change on return."""
+        """Copy a contiguous host array to it, from a byte on, when the stream gets here; until then it must stay."""
         if array.nbytes:
             call("cuMemcpyHtoDAsync", self.pointer + start, array.ctypes.data, array.nbytes, self.stream.handle)
 

@@ -133,7 +133,10 @@ def _slab(
     given, made, dtype = source[slice(*frames)], target[slice(*planes)], source.dtype.newbyteorder("=")
     sent, back, told = Memory(given.nbytes, stream), Memory(made.nbytes, stream), Told(stream)
     for k, frame in enumerate(given):  # one by one, so that a copy in the right order stays small
-        sent.upload(np.ascontiguousarray(frame, dtype), k * frame.nbytes)
+        straight = np.ascontiguousarray(frame, dtype)
+        sent.upload(straight, k * frame.nbytes)
+        if straight is not frame:
+            stream.synchronize()  # until then, it is read
     to = (back.pointer, *dense(made.shape))
     _held = warp(gpu, work, dtype, told, (sent.pointer, *dense(given.shape)), to, planes, held_from=frames[0])
     told.send()

@@ -70,7 +70,8 @@ class Program:
 
     The ``unit`` is one of `UNITS`; ``composed`` says whether the map is a composite, and not of strokes alone (None: of
     both kinds). For ``fill`` and ``rough`` alone: the types, in C++, of samples and of their sums, how many channels
-    are summed together, 1 or 4, and options as in the job.
+    are summed together (all, 1 or 3, or up to 4), options as in the job, whether the arrays are ``small``: of fewer
+    than 2³¹ samples, and how many channels of the source lie ``packed`` together, pixel by pixel, if they do.
     """
 
     unit: str
@@ -83,6 +84,8 @@ class Program:
     between: int = 0
     average: int = 0
     light: int = 0
+    small: int = 0
+    packed: int = 0
 
     @property
     def macros(self) -> list[str]:
@@ -94,6 +97,7 @@ class Program:
         if self.sample:
             chosen |= {"SAMPLE": self.sample, "NUMBER": self.number, "TOGETHER": self.together, "CHOSEN": self.filter,
                        "BETWEEN": self.between, "AVERAGE": self.average, "LIGHT": self.light}  # fmt: skip
+        chosen |= {name: value for name, value in (("SMALL", int(self.small)), ("PACKED", self.packed)) if value}
         return [f"{name}={value}" for name, value in chosen.items()]
 
 
@@ -128,7 +132,8 @@ def compiled(program: Program, arch: int, *more: str) -> tuple[bytes, str]:
     said = io.StringIO()
     text = "\n".join(f'#line 1 "{name}"\n{text}' for name, text in sources().items())
     try:
-        from cuda import core
+        with _lock:  # its modules are put together at the first import, which is not made for several threads
+            from cuda import core
 
         options = core.ProgramOptions(
             name=f"{program.unit}.cu", arch=f"sm_{arch}", std="c++20", device_as_default_execution_space=True,

@@ -22,16 +22,17 @@ from supple.cuda.programs import JOB, THREADS, TOLD, Program, launch, prepare, r
 from supple.engine.sampling import BETWEEN, FILTERS, OUTSIDE, Certificate
 from supple.engine.work import Space, Work, refuse_mattes
 
+Array = npt.NDArray[Any]
 Samples = tuple[int, ...]
 """The address of the first sample, and the steps to the next plane, row, column and channel, in samples."""
 
 SIZES = 8, 16, 32  # pixels from node to node
 MAP = 4  # no filter: source points are written as float32, x first, or their displacements
-SCRATCH = 256 << 20  # bytes of scratch memory, at most
+SCRATCH = 96 << 20  # bytes of scratch memory, at most
 _BLOCKS = 2048  # that share the rough cells
 _MOST = 65535  # planes of one launch
 _KEPT = 16  # maps on the GPUs
-_NODE, _LEAF = {2: 48, 3: 80}, {2: 168, 3: 236}  # bytes of a Node and of a Leaf, by dimensions: as in job.hpp
+_NODE, _LEAF = {2: 48, 3: 80}, {2: 136, 3: 220}  # bytes of a NodeRecord and a LeafRecord, by dimensions: as in job.hpp
 RUN = {2: 1, 3: 8}  # planes whose nodes are solved by one thread: as in job.hpp
 _TYPES = {
     "u1": ("uint8_t", "float"), "u2": ("uint16_t", "float"), "u4": ("uint32_t", "double"), "u8": ("uint64_t", "double"),
@@ -92,11 +93,14 @@ def positions(first: int, n: int, axis: npt.NDArray[np.float64], size: int) -> n
     return np.concatenate([*(np.arange(a, b, size) for a, b in itertools.pairwise(ends)), [end]]).astype(np.int32)
 
 
+def _is_small(samples: Samples, *sizes: int) -> bool:
+    """Return whether all samples of so many planes, rows, columns and channels lie within 2³¹ of the first."""
+    return sum(abs(step) * (n - 1) for step, n in zip(samples[1:], sizes, strict=True)) < 1 << 31
+
+
 def lattice_of(gpu: CudaDevice, spaces: Sequence[Space], tolerance: float = 0.01) -> Lattice:
     """Return the maps of deformations of one shape on a GPU, the current device; the last ones are kept there."""
     # Their arrays are immutable, and kept alive with the lattice, so that their ids stay unique.
-    for each in spaces:
-        refuse_mattes(each, "CUDA")
     parts = [(s.shape, id(s.rows), id(s.axes), id(s.composite), id(s.freeze), s.grid) for s in spaces]
     key = (gpu.number, tolerance, *parts)
     with _lock:
@@ -110,10 +114,13 @@ def lattice_of(gpu: CudaDevice, spaces: Sequence[Space], tolerance: float = 0.01
 
 
 def _uploaded(gpu: CudaDevice, spaces: tuple[Space, ...], tolerance: float) -> Lattice:
+    for each in spaces:
+        refuse_mattes(each, "CUDA")
     stream = gpu.stream()  # it does not wait for other work of the GPU
     maps = [(s.rows, s.axes, s.composite, s.freeze) for s in spaces]
     memory = Memory(len(_core.flatten(maps, 0)), stream)
-    memory.upload(np.frombuffer(_core.flatten(maps, memory.pointer), np.uint8))
+    packed = np.frombuffer(_core.flatten(maps, memory.pointer), np.uint8)
+    memory.upload(packed)
     one, axes = spaces[0], spaces[0].axes
     if any(not np.array_equal(axes, other.axes) for other in spaces[1:]):
         axes = np.full_like(axes, -1.0)  # no nodes at the ends of several borders: their cells are rough
@@ -121,8 +128,9 @@ def _uploaded(gpu: CudaDevice, spaces: tuple[Space, ...], tolerance: float) -> L
     first = (0, 0) if one.grid is None else one.grid.first[:2]
     xs, ys = (positions(first[k], n, axes[k], size) for k, n in enumerate(one.planes[:0:-1]))
     places = Memory(4 * (xs.size + ys.size), stream)
-    places.upload(np.concatenate([xs, ys]))
-    stream.synchronize()  # from here on, any stream may read them
+    places.upload(at := np.concatenate([xs, ys]))
+    stream.synchronize()  # until then, the arrays are read; from here on, any stream may read the copies
+    del packed, at
     return Lattice(spaces, memory, places, (xs.size, ys.size))
 
 
@@ -132,6 +140,7 @@ class Told:
     def __init__(self, stream: Stream) -> None:
         self.there = Memory(TOLD.itemsize, stream)
         self.there.clear()
+        self.kept: list[Array] = []  # what is being copied to the GPU
         self._here: Pinned | None = None
         self._said: tuple[Any, ...] = ()
 
@@ -182,18 +191,28 @@ def paint(
     sample, number = _TYPES[dtype.str[1:]]
     way = {name: int(values.get(name, 0)) for name in ("between", "average", "light")}
     wanted = [Program("nodes", n, composed), Program("cells", n, composed)]
+    (_, height, width), frames = space.planes, int(values.get("count", 1)) if n == 3 else planes[1]
+    channels = int(values.get("channels", n))
+    small = _is_small(out, planes[1] - planes[0], height, width, channels) and _is_small(
+        source, frames, int(values.get("h", 1)), int(values.get("w", 1)), channels
+    )
+    way |= {
+        "small": small,
+        "packed": channels * (filter != MAP and channels <= 4 and source[3:] in ((channels, 1), (1, 0))),
+    }
     wanted += [Program(unit, n, composed, sample, number, together, filter, **way) for unit in ("fill", "rough")]
     nodes, cells, fill, rough = [prepare(gpu, program) for program in wanted]  # all, before the first is waited for
-    (nx, ny), (_, height, width) = lattice.nodes, space.planes
+    nx, ny = lattice.nodes
     first_x, first_y, *depth = (0, 0) if space.grid is None else space.grid.first
     each, shared = (nx - 1) * (ny - 1), n == 2 and len(spaces) == 1
-    sizes = {"nodes": nx * ny * _NODE[n], "leaves": each * _LEAF[n], "states": each * 4, "rough": each * 4}
-    room = max(1, min(SCRATCH // sum(sizes.values()), _MOST))
+    records = {"nodes": (nx * ny, _NODE[n]), "leaves": (each, _LEAF[n]), "states": (each, 4), "rough": (each, 4)}
+    room = max(1, min(SCRATCH // sum(many * size for many, size in records.values()), _MOST))
     all_planes = planes[1] - planes[0]
     solved = 1 if shared else min(all_planes, room, slab or room)
     most = min(all_planes, _MOST) if shared else solved
-    scratch = Memory(solved * sum(sizes.values()), stream)
-    starts = itertools.accumulate((solved * size for size in sizes.values()), initial=scratch.pointer)
+    sizes = {name: -(-solved * many // 32) * 32 * size for name, (many, size) in records.items()}
+    scratch = Memory(sum(sizes.values()), stream)
+    starts = itertools.accumulate(sizes.values(), initial=scratch.pointer)
     values |= dict(zip(sizes, starts, strict=False))
     xs = lattice.places.pointer
     for start in range(*planes, most):
@@ -227,17 +246,21 @@ def warp(
     space, sampling, group = work.space, work.sampling, work.layout.groups[0]
     nearest = sampling.filter == "nearest"
     timed = space.ndim == 3 and not nearest  # otherwise a pixel is of one frame, whatever is asked for
-    fill = np.array(sampling.fill, np.float64)
-    held = Memory(fill.nbytes, told.there.stream)
-    held.upload(fill)
+    pointer = 0
+    if sampling.outside == "constant":
+        fill = np.array(sampling.fill, np.float64)
+        held = Memory(fill.nbytes, told.there.stream)
+        held.upload(fill)
+        told.kept.append(fill)
+        pointer = held.pointer
     white = 1.0 if dtype == np.bool_ else work.layout.white
     high = min(white, int(np.iinfo(dtype).max)) if dtype.kind in "iu" else white
     return paint(
         gpu, work.spaces, dtype, told, source, out, planes, slab=slab,
-        together=1 if group.channels == 1 else 4,
+        together=group.channels if group.channels in (1, 3) and not group.alpha else 4,
         filter=FILTERS[sampling.filter],
         tolerance=sampling.tolerance,
-        fill=held.pointer, white=white, high=high, top=int(high),
+        fill=pointer, white=white, high=high, top=int(high),
         w=space.shape[1], h=space.shape[0], count=space.count if space.ndim == 3 else 1,
         held_from=held_from, channels=group.channels,
         between=BETWEEN[sampling.between_frames] if timed else 0,

@@ -123,6 +123,8 @@ class Sampling:
 
         Averages take finite ones only; `supple.arrays.warp_array` fills with others afterwards.
         """
+        if isinstance(self.fill, float | int) and self.fill == 0:  # the default, without a detour
+            return replace(self, fill=(0.0,) * channels)
         values = np.asarray(self.fill)
         if values.shape not in ((), (1,), (channels,)):
             refuse("fill", f"a number, or {channels} of them, one for each channel", self.fill)

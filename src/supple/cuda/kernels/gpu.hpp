@@ -13,6 +13,9 @@ struct Half {
     }
 };
 
+// The largest whole number that is not above x.
+INLINE int whole_of(float x) { return __float2int_rd(x); }
+
 // A sample of the source, which no kernel writes: reading it waits for no store.
 template <class T>
 INLINE T sample_at(const T* p) {

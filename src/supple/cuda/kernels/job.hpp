@@ -10,6 +10,13 @@
 
 namespace supple::cuda {
 
+// Where samples lie from one another; in arrays of fewer than 2³¹ samples, SMALL, in half as many bits.
+#if defined(SMALL)
+using Step = int;
+#else
+using Step = int64_t;
+#endif
+
 // Samples of planes, and the steps from one to the next, in samples.
 struct Samples {
     char* first;
@@ -33,6 +40,31 @@ struct Point {
 template <int D>
 constexpr int RUN = D == 3 ? 8 : 1;  // planes whose nodes are solved by one thread
 
+// The i-th of many records of WORDS numbers of 32 bits. 32 of them lie together, number by number, so that the threads
+// of a warp, which have one each, read and write side by side.
+template <int WORDS>
+class Record {
+    float* first;
+
+public:
+    INLINE Record(void* all, int64_t i) : first((float*)all + (i / 32 * (32 * WORDS) + i % 32)) {}
+    INLINE float& operator[](int k) const { return first[32 * k]; }
+    INLINE int& whole(int k) const { return ((int*)first)[32 * k]; }
+};
+
+// A node: p = T⁻¹(q) as whole numbers and fractions, M, the twist, and the length scales, in pixels.
+template <int D>
+struct NodeRecord : Record<D*(D + 3) + 2> {
+    enum { WHOLE = 0, PART = D, M = 2 * D, MIXED = M + D * D, SMOOTH = MIXED + D };
+    using Record<D*(D + 3) + 2>::Record;
+};
+// The patch of a cell: of each coordinate a whole number and the powers of the rest; in volumes, ∂p_z/∂z, bilinear.
+template <int D>
+struct LeafRecord : Record<17 * D + (D == 3 ? 4 : 0)> {
+    enum { ANCHOR = 0, C = D, DEPTH = 17 * D };
+    using Record<17 * D + (D == 3 ? 4 : 0)>::Record;
+};
+
 struct Job {
     const Map* maps;     // one for each plane, or one
     const int *xs, *ys;  // the nodes, in pixels
@@ -50,10 +82,20 @@ struct Job {
     int channels, between, rule, average, alpha, light;
 };
 static_assert(sizeof(Job) == JOB_BYTES, "the layout of jobs");
-static_assert(sizeof(Node<2, float>) == 48 && sizeof(Node<3, float>) == 80, "as supple.cuda.warp has them");
-static_assert(sizeof(Leaf<2>) == 168 && sizeof(Leaf<3>) == 236, "as supple.cuda.warp makes room for them");
-
 enum State { GOOD = -1, RIM = -2, STILL = -3 };  // of a cell; from 0 on: its place among the rough ones
+
+// Where a sample of the source is: PACKED has the channels of each pixel together, that many, and pixels side by side.
+INLINE Step source_at(const Job& job, int z, int y, int x, int c = 0) {
+#if defined(PACKED)
+    const Step column = PACKED, channel = 1;
+#else
+    const Step column = (Step)job.source.column, channel = (Step)job.source.channel;
+#endif
+    return z * (Step)job.source.plane + y * (Step)job.source.row + x * column + c * channel;
+}
+INLINE Step out_at(const Job& job, int z, int y, int x, int c = 0) {
+    return z * (Step)job.out.plane + y * (Step)job.out.row + x * (Step)job.out.column + c * (Step)job.out.channel;
+}
 
 // Programs are compiled for strokes, or for composites; and for a way to sample; tests for all.
 #if defined(COMPOSED)

@@ -6,9 +6,16 @@
 using namespace supple;
 using namespace supple::cuda;
 
-// To fill, a GPU waits for memory more than it computes: eight blocks at once are worth the registers that they cost.
-// Without __grid_constant__, a thread would copy its job before a call that is given its address.
-#define KERNEL extern "C" __global__ void __launch_bounds__(128, UNIT == 3 ? 8 : 1)
+// Blocks that run at once are worth some registers, as was measured on an H100: to fill, a GPU waits for memory more
+// than it computes. Without __grid_constant__, a thread would copy its job before a call that is given its address.
+#if UNIT == 3
+#define BLOCKS (TOGETHER == 1 ? 10 : 8)
+#elif UNIT > 0 && UNIT < 3 && defined(COMPOSED) && !COMPOSED
+#define BLOCKS (UNIT == 2 ? 6 - DIM : DIM == 2 ? 3 : 1)
+#else
+#define BLOCKS 1
+#endif
+#define KERNEL extern "C" __global__ void __launch_bounds__(128, BLOCKS)
 #if UNIT == 0
 KERNEL points(const __grid_constant__ Some job) { move_point<DIM>(job); }
 #elif UNIT == 1

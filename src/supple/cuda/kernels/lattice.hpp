@@ -5,6 +5,7 @@
 
 namespace supple::cuda {
 
+constexpr float ROUNDING = 1.2e-7f;    // of float32, relative
 constexpr double CLOSE_ENOUGH = 0.01;  // of the tolerance: the last step of a pixel that is solved
 
 // Solve for T⁻¹ at a point of a composite, with its derivatives.
@@ -59,16 +60,18 @@ INLINE void solve_node(const Job& job) {
             }
         }
         if (plane < 0) continue;
-        Node<D, float>& node = ((Node<D, float>*)job.nodes)[plane * each + i % each];
+        using N = NodeRecord<D>;
+        const N node(job.nodes, plane * each + i % each);
         for (int d = 0; d < D; d++) {
-            const double per = 1 / map.axes[d].spacing;
-            node.p[d] = found.at.p[d] * per;
-            node.mixed[d] = (float)(found.mixed[d] * map.axes[0].spacing * map.axes[1].spacing * per);
-            for (int e = 0; e < D; e++) node.m[e][d] = (float)(found.at.m[e][d] * map.axes[e].spacing * per);
+            const double per = 1 / map.axes[d].spacing, p = within(found.at.p[d] * per, -1e9, 1e9);
+            node.whole(N::WHOLE + d) = (int)floored(p);
+            node[N::PART + d] = (float)(p - floored(p));
+            node[N::MIXED + d] = (float)(found.mixed[d] * map.axes[0].spacing * map.axes[1].spacing * per);
+            for (int e = 0; e < D; e++) node[N::M + e * D + d] = (float)(found.at.m[e][d] * map.axes[e].spacing * per);
         }
         // Beside a node that is not solved, every pixel is.
         for (int a = 0; a < 2; a++)
-            node.smooth[a] = found.at.done ? (float)(root(found.smooth2[a]) / map.axes[a].spacing) : 0;
+            node[N::SMOOTH + a] = found.at.done ? (float)(root(found.smooth2[a]) / map.axes[a].spacing) : 0;
     }
 }
 
@@ -126,37 +129,38 @@ INLINE void check_cell(const Job& job) {
     const int state = reached<D>(map, low, high);
     job.states[i] = state;
     if (state == STILL) return;
-    const Node<D, float>* corner[4];
+    using N = NodeRecord<D>;
+    const int64_t upper = ((int64_t)plane * job.ny + j) * job.nx + k;
+    const N corner[4] = {N(job.nodes, upper), N(job.nodes, upper + 1), N(job.nodes, upper + job.nx),
+                         N(job.nodes, upper + job.nx + 1)};
     float smooth[2] = {1e30f, 1e30f}, across_plane[D] = {};
     for (int v = 0; v < 4; v++) {
-        corner[v] = (const Node<D, float>*)job.nodes + ((int64_t)plane * job.ny + j + v / 2) * job.nx + k + v % 2;
-        for (int a = 0; a < 2; a++) smooth[a] = least(smooth[a], corner[v]->smooth[a]);
-        for (int d = 0; D == 3 && d < D; d++) across_plane[d] += 0.25f * corner[v]->m[D - 1][d];
+        for (int a = 0; a < 2; a++) smooth[a] = least(smooth[a], corner[v][N::SMOOTH + a]);
+        for (int d = 0; D == 3 && d < D; d++) across_plane[d] += 0.25f * corner[v][N::M + (D - 1) * D + d];
     }
     const bool thin[2] = {w <= 1, h <= 1}, single = thin[0] && thin[1];
     bool good = !(least(smooth[0], smooth[1]) <= 0);
     if (!single) good = good && (thin[0] || w <= RESOLVED * smooth[0]) && (thin[1] || h <= RESOLVED * smooth[1]);
     if (!good) return rough();
-    Leaf<D> leaf{};
-    leaf.x = (int)x0;
-    leaf.y = (int)y0;
-    double rounding = 0, per[D];
+    int anchor[D];
+    float rounding = 0, c[D][16];
+    double per[D];
     for (int d = 0; d < D; d++) {
         per[d] = 1 / map.axes[d].spacing;
-        leaf.anchor[d] = (int)within(floored(corner[0]->p[d]), -1e9, 1e9);
+        anchor[d] = corner[0].whole(N::WHOLE + d);
         float value[4], along_x[4], along_y[4], twist[4], ds, dt;
         for (int v = 0; v < 4; v++) {
-            value[v] = (float)(corner[v]->p[d] - leaf.anchor[d]);
-            along_x[v] = corner[v]->m[0][d];
-            along_y[v] = corner[v]->m[1][d];
-            twist[v] = corner[v]->mixed[d];
+            value[v] = (float)(corner[v].whole(N::WHOLE + d) - anchor[d]) + corner[v][N::PART + d];
+            along_x[v] = corner[v][N::M + d];
+            along_y[v] = corner[v][N::M + D + d];
+            twist[v] = corner[v][N::MIXED + d];
         }
-        patch_of(value, along_x, along_y, twist, 1 / (float)w, 1 / (float)h, leaf.c[d]);
-        // The powers of a patch are steep, and cancel at the corners.
+        patch_of(value, along_x, along_y, twist, 1 / (float)w, 1 / (float)h, c[d]);
+        // The powers of a patch are steep, and cancel at the corners, whose values are rounded, too.
         for (int v = 0; v < 4; v++) {
             const float s = v & 1 ? (float)w : 0, t = v & 2 ? (float)h : 0;
-            const double off = leaf.anchor[d] + (double)at(leaf.c[d], s, t, ds, dt) - corner[v]->p[d];
-            rounding = most(rounding, magnitude(off));
+            const float off = magnitude(at(c[d], s, t, ds, dt) - value[v]);
+            rounding = most(rounding, off + ROUNDING * most(magnitude(value[v]), 1.0f));
         }
     }
     // A patch is as far off as the Newton step from it, or, of a composite, from its solution.
@@ -169,7 +173,7 @@ INLINE void check_cell(const Job& job) {
         float ds[D], dt[D], e[D], off2 = 0;
         Jet<D, 0, false, double> jet;
         double p[D];
-        for (int d = 0; d < D; d++) p[d] = leaf.anchor[d] + (double)at(leaf.c[d], s, t, ds[d], dt[d]);
+        for (int d = 0; d < D; d++) p[d] = anchor[d] + (double)at(c[d], s, t, ds[d], dt[d]);
         for (int d = 0; d < D; d++) jet.x[d] = (composed(map) ? q[d] : p[d]) * map.axes[d].spacing;
         if (composed(map))
             pass<D>(*map.composite, true, jet);
@@ -186,13 +190,20 @@ INLINE void check_cell(const Job& job) {
         good = reserve * off <= most_off;  // also for NaN
     }
     if (!good) return rough();
+    using L = LeafRecord<D>;
+    const L leaf(job.leaves, i);
+    for (int d = 0; d < D; d++) {
+        leaf.whole(L::ANCHOR + d) = anchor[d];
+        for (int n = 0; n < 16; n++) leaf[L::C + 16 * d + n] = c[d][n];
+    }
     if constexpr (D == 3) {
         double v[4];
-        for (int n = 0; n < 4; n++) v[n] = corner[n]->m[2][2];
-        bilinear_of(v, w, h, leaf.depth);
+        float depth[4];
+        for (int n = 0; n < 4; n++) v[n] = corner[n][N::M + 8];
+        bilinear_of(v, w, h, depth);
+        for (int n = 0; n < 4; n++) leaf[L::DEPTH + n] = depth[n];
     }
-    ((Leaf<D>*)job.leaves)[i] = leaf;
-    atomicMax(&job.told->worst, __float_as_int((float)(most(reserve * worst, rounding) * (1 + 1e-6))));
+    atomicMax(&job.told->worst, __float_as_int((float)(most(reserve * worst, (double)rounding) * (1 + 1e-6))));
 }
 
 // The point of a pixel of a rough cell, which is solved.

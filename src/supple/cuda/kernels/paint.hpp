@@ -1,11 +1,13 @@
 // The kernels that fill planes: the point that each pixel is sampled at, from the patch of its cell or solved, and its
-// colour. T is the type of the samples, N that of sums, C the number of channels that are summed together: 1 or 4.
+// colour. T is the type of the samples, N that of sums, C the number of channels that are summed together: all of them,
+// 1 or 3, or up to 4, of which one may be the opacity.
 #pragma once
 #include "lattice.hpp"
 
 namespace supple::cuda {
 
-constexpr int MAP = 4;  // no filter: the points themselves are written, or their displacements if it is `average`
+constexpr int GROUPED = 4;  // channels that are summed together, of any number, perhaps with opacity
+constexpr int MAP = 4;      // no filter: the points themselves are written, or their displacements if it is `average`
 
 template <class T>
 constexpr bool WHOLE = T(0.5f) == T(0);
@@ -44,19 +46,19 @@ struct Group {
     INLINE Sum<N, C> sum_of(Value value) const {
         Sum<N, C> s{};
         N weight = 1;
-        if (C > 1 && job.alpha >= 0) {
+        if (C == GROUPED && job.alpha >= 0) {
             s.v[C - 1] = (N)value(job.alpha);
             weight = s.v[C - 1] / (N)job.white;
         }
         for (int c = 0; c < C; c++)
-            if (C == 1 || c < some) {
+            if (C != GROUPED || c < some) {
                 const auto v = value(first + c);
                 s.v[c] = weight * (in_light(job) ? (N)(job.white * to_light((double)v / job.white)) : (N)v);
             }
         return s;
     }
     INLINE Sum<N, C> read(const T* p) const {
-        return sum_of([&](int c) { return sample_at(p + c * job.source.channel); });
+        return sum_of([&](int c) { return sample_at(p + source_at(job, 0, 0, 0, c)); });
     }
     // Σ_r Σ_j d_rj Σ_i a_ri f(i, j)
     template <int RANK, int TAPS, class Sample>
@@ -74,7 +76,7 @@ struct Group {
     }
     template <int RANK, int TAPS>
     INLINE Sum<N, C> summed(const T* first, const Taps<N, RANK, TAPS>& taps) const {
-        return summed(taps, [&](int i, int j) { return read(first + j * job.source.row + i * job.source.column); });
+        return summed(taps, [&](int i, int j) { return read(first + source_at(job, 0, j, i)); });
     }
     INLINE Sum<N, C> constant() const {
         return sum_of([&](int c) { return job.fill[c]; });
@@ -91,17 +93,17 @@ struct Group {
     }
     INLINE void write(const Sum<N, C>& s, T* p) const {
         N opacity = 0;
-        if (C > 1 && job.alpha >= 0) {
+        if (C == GROUPED && job.alpha >= 0) {
             // A cubic overshoots: opacity is clamped, and colours are divided by what is not.
             opacity = s.v[C - 1];
-            p[job.alpha * job.out.channel] = rounded(least(most(opacity, N(0)), (N)job.white));
+            p[out_at(job, 0, 0, 0, job.alpha)] = rounded(least(most(opacity, N(0)), (N)job.white));
         }
         for (int c = 0; c < C; c++)
-            if (C == 1 || c < some) {
+            if (C != GROUPED || c < some) {
                 N v = s.v[c];
-                if (C > 1 && job.alpha >= 0) v = opacity > 0 ? v * (N)job.white / opacity : 0;
+                if (C == GROUPED && job.alpha >= 0) v = opacity > 0 ? v * (N)job.white / opacity : 0;
                 if (in_light(job)) v = (N)(job.white * from_light((double)v / job.white));
-                p[(first + c) * job.out.channel] = rounded(v);
+                p[out_at(job, 0, 0, 0, first + c)] = rounded(v);
             }
     }
 };
@@ -109,9 +111,10 @@ struct Group {
 // Call use(group) with each group of the channels.
 template <class T, class N, int C, class Use>
 INLINE void each_group(const Job& job, Use use) {
-    const bool opaque = C == 1 || job.alpha < 0;
+    if (C != GROUPED) return use(Group<T, N, C>{job, 0, C});
+    const bool opaque = job.alpha < 0;
     const int colours = opaque ? job.channels : job.channels - 1, each = opaque ? C : C - 1;
-    for (int first = 0; first < (C == 1 ? 1 : colours); first += each)
+    for (int first = 0; first < colours; first += each)
         use(Group<T, N, C>{job, first, colours - first < each ? colours - first : each});
 }
 
@@ -133,9 +136,9 @@ struct Level {
         // Of larger squares, 16 × 16 samples that are spread evenly.
         const int many = 1 << (k < 4 ? k : 4), apart = (1 << k) / many;
         for (int j = 0; j < many; j++) {
-            const T* row = frame + member(y, j * apart + apart / 2, job.h) * job.source.row;
+            const T* row = frame + source_at(job, 0, member(y, j * apart + apart / 2, job.h), 0);
             for (int i = 0; i < many; i++)
-                sum += group.read(row + member(x, i * apart + apart / 2, job.w) * job.source.column);
+                sum += group.read(row + source_at(job, 0, 0, member(x, i * apart + apart / 2, job.w)));
         }
         return sum * (N(1) / (many * many));
     }
@@ -155,7 +158,7 @@ struct Level {
     INLINE Sum<N, C> window(int x, int y, const Taps<N, RANK, TAPS>& taps) const {
         const Job& job = group.job;
         if (k == 0 && frame && x >= 0 && y >= 0 && x + TAPS <= job.w && y + TAPS <= job.h)
-            return group.summed(frame + y * job.source.row + x * job.source.column, taps);
+            return group.summed(frame + source_at(job, 0, y, x), taps);
         return at_an_edge(group, frame, k, x, y, taps);
     }
     template <class W>
@@ -215,7 +218,7 @@ INLINE Sum<N, C> in_frame(const Level<T, N, C>& frame, const Point<D>& p, const 
 // Frame k of the source, which is there.
 template <class T>
 INLINE const T* frame_at(const Job& job, int k) {
-    return (const T*)job.source.first + (k - job.held_from) * job.source.plane;
+    return (const T*)job.source.first + source_at(job, k - job.held_from, 0, 0);
 }
 // Frame k of the source, or null for the constant.
 template <class T>
@@ -256,8 +259,7 @@ INLINE Sum<N, C> in_time(const Group<T, N, C>& group, const Point<3>& p, const P
 // The pixel (x, y) of a plane of the output.
 template <class T>
 INLINE T* pixel_of(const Job& job, int plane, int x, int y) {
-    return (T*)job.out.first + plane * job.out.plane + (y - job.from_y) * job.out.row +
-           (x - job.from_x) * job.out.column;
+    return (T*)job.out.first + out_at(job, plane, y - job.from_y, x - job.from_x);
 }
 
 // Paint the pixel (x, y) of a plane, which lies `to` there.
@@ -268,13 +270,13 @@ INLINE void paint(const Job& job, int plane, int x, int y, const Point<D>& p, T*
         const int at[3] = {x, y, own};
         for (int d = 0; d < D; d++) {
             const double moved = p.same ? 0.0 : (double)(p.whole[d] - at[d]) + p.part[d];
-            to[d * job.out.channel] = (T)(averages(job) ? moved : at[d] + moved);
+            to[out_at(job, 0, 0, 0, d)] = (T)(averages(job) ? moved : at[d] + moved);
         }
     } else {
         const T* here = frame_at<T>(job, own);
         if (p.same) {
-            const T* from = here + y * job.source.row + x * job.source.column;
-            for (int c = 0; c < job.channels; c++) to[c * job.out.channel] = from[c * job.source.channel];
+            const T* from = here + source_at(job, 0, y, x);
+            for (int c = 0; c < job.channels; c++) to[out_at(job, 0, 0, 0, c)] = from[source_at(job, 0, 0, 0, c)];
             return;
         }
         if constexpr (FILTER == NEAREST) {
@@ -282,10 +284,10 @@ INLINE void paint(const Job& job, int plane, int x, int y, const Point<D>& p, T*
             const int v = placed(p.whole[1] + (p.part[1] >= 0.5f), job.h, job.rule);
             if constexpr (D == 3) here = frame_of<T>(job, p.whole[2] + (p.part[2] >= 0.5f));
             const bool fills = u < 0 || v < 0 || !here;
-            const T* from = fills ? nullptr : here + v * job.source.row + u * job.source.column;
+            const T* from = fills ? nullptr : here + source_at(job, 0, v, u);
             const Group<T, N, C> group{job, 0, 0};
             for (int c = 0; c < job.channels; c++)
-                to[c * job.out.channel] = fills ? group.rounded(job.fill[c]) : from[c * job.source.channel];
+                to[out_at(job, 0, 0, 0, c)] = fills ? group.rounded(job.fill[c]) : from[source_at(job, 0, 0, 0, c)];
         } else {
             Print print{};
             if constexpr (FILTER == AUTO) {
@@ -318,15 +320,17 @@ INLINE bool paint_inside(const Job& job, int plane, const Point<D>& p, T* to) {
         z = p.whole[2];
         if (f >= 1 || z < before * (f != 0) || z + (count - before - 1) * (f != 0) >= job.count) return false;
     }
-    if (x < 0 || y < 0 || x + TAPS > job.w || y + TAPS > job.h) return false;
-    const T* from = frame_at<T>(job, z) + y * job.source.row + x * job.source.column;
+    // Negative numbers are large ones.
+    const unsigned wide = most(job.w - TAPS + 1, 0), tall = most(job.h - TAPS + 1, 0);
+    if ((unsigned)x >= wide || (unsigned)y >= tall) return false;
+    const T* from = (const T*)job.source.first + source_at(job, z - job.held_from, y, x);
     each_group<T, N, C>(job, [&](const Group<T, N, C>& group) {
         Sum<N, C> sum{};
         if (D == 2 || f == 0)
             sum = group.summed(from, taps);
         else
             for (int k = 0; k < count; k++)
-                sum.add(tap(between, f, k), group.summed(from + (k - before) * job.source.plane, taps));
+                sum.add(tap(between, f, k), group.summed(from + source_at(job, k - before, 0, 0), taps));
         group.write(sum, to);
     });
     return true;
@@ -335,27 +339,28 @@ INLINE bool paint_inside(const Job& job, int plane, const Point<D>& p, T* to) {
 // A column of the pixels of a cell that is not rough: the powers of s are summed once for it.
 template <int D>
 struct Column {
-    int x, state, top, bottom, leaf_y = 0, anchor[D] = {}, face[2];
+    int x, state, top, bottom, anchor[D] = {}, face[2];
     float a[D][4], b[D][4], depth[2];  // of p, and of ∂p/∂s: powers of t
 
-    INLINE Column(const Job& job, int plane, int x, int j, int64_t cell)
+    INLINE Column(const Job& job, int plane, int x, int j, int k, int64_t cell)
         : x(x),
           state(job.states[cell]),
           top(job.ys[j]),
           bottom(j == job.ny - 2 ? job.from_y + job.height : job.ys[j + 1]) {
         if (state == STILL) return;  // it has no patch
-        const Leaf<D>& leaf = ((const Leaf<D>*)job.leaves)[cell];
-        const float s = (float)(x - leaf.x);
-        leaf_y = leaf.y;
+        using L = LeafRecord<D>;
+        const L leaf(job.leaves, cell);
+        const float s = (float)(x - job.xs[k]);
         for (int d = 0; d < D; d++) {
-            anchor[d] = leaf.anchor[d];
+            anchor[d] = leaf.whole(L::ANCHOR + d);
             for (int i = 0; i < 4; i++) {
-                const float* c = leaf.c[d] + 4 * i;
+                float c[4];
+                for (int n = 0; n < 4; n++) c[n] = leaf[L::C + 16 * d + 4 * i + n];
                 a[d][i] = c[0] + s * (c[1] + s * (c[2] + s * c[3]));
                 b[d][i] = c[1] + s * (2 * c[2] + 3 * s * c[3]);
             }
         }
-        for (int i = 0; i < 2; i++) depth[i] = leaf.depth[2 * i] + s * leaf.depth[2 * i + 1];
+        for (int i = 0; D == 3 && i < 2; i++) depth[i] = leaf[L::DEPTH + 2 * i] + s * leaf[L::DEPTH + 2 * i + 1];
         // On a fixed face there is no displacement across it.
         const Map& map = map_of(job, plane);
         for (int d = 0; d < 2; d++) {
@@ -366,14 +371,14 @@ struct Column {
     }
     // Where a pixel is sampled that is moved; with derivatives if they are asked for.
     INLINE Point<D> at(int y, bool derivatives) const {
-        const float t = (float)(y - leaf_y);
+        const float t = (float)(y - top);
         Point<D> p;
         p.same = false;
         for (int d = 0; d < D; d++) {
-            const float at = least(most(a[d][0] + t * (a[d][1] + t * (a[d][2] + t * a[d][3])), -1e9f), 1e9f);
-            const float whole = floored(at);
-            p.whole[d] = (int)whole + anchor[d];
-            p.part[d] = at - whole;
+            const float at = a[d][0] + t * (a[d][1] + t * (a[d][2] + t * a[d][3]));
+            const int whole = whole_of(at);
+            p.whole[d] = whole + anchor[d];
+            p.part[d] = at - (float)whole;
         }
         for (int d = 0; d < 2; d++)
             if (face[d] == (d ? y : x)) {
@@ -397,13 +402,12 @@ struct Column {
     }
 };
 
-// Paint the rows of a column that are not painted yet: a call, so that its registers are not those of most pixels.
+// Paint some rows of a column: a call, so that its registers are not those of most pixels.
 template <class T, class N, int C, int FILTER, int D>
-NOINLINE void paint_rest(const Job& job, int plane, int x, int j, int64_t cell, uint64_t painted) {
-    const Column<D> column(job, plane, x, j, cell);
-    T* to = pixel_of<T>(job, plane, x, column.top);
-    for (int y = column.top; y < column.bottom; y++, to += job.out.row) {
-        if (painted >> (y - column.top) & 1) continue;
+NOINLINE void paint_rest(const Job& job, int plane, int x, int j, int k, int64_t cell, int from, int to_row) {
+    const Column<D> column(job, plane, x, j, k, cell);
+    T* to = pixel_of<T>(job, plane, x, from);
+    for (int y = from; y < to_row; y++, to += (Step)job.out.row) {
         Point<D> p;
         p.same = column.state == STILL || (column.state == RIM && unmoved<D>(job, plane, x, y));
         if (!p.same) p = column.at(y, FILTER == AUTO || averages(job));
@@ -422,18 +426,22 @@ INLINE void fill_column(const Job& job) {
     const int64_t cell = ((int64_t)(job.shared ? 0 : plane) * (job.ny - 1) + j) * wide + k;
     const int state = job.states[cell];
     if (state >= 0) return;
-    uint64_t painted = 0;  // a bit for each row
+    int from = job.ys[j], end = j == job.ny - 2 ? job.from_y + job.height : job.ys[j + 1];
     if constexpr (FILTER != NEAREST && FILTER != MAP)
         if (state == GOOD) {
-            const Column<D> column(job, plane, x, j, cell);
+            const Column<D> column(job, plane, x, j, k, cell);
             T* to = pixel_of<T>(job, plane, x, column.top);
-            for (int y = column.top; y < column.bottom; y++, to += job.out.row) {
+            from = column.bottom;  // of what is left: from the first to the last row
+            end = column.top;
+            for (int y = column.top; y < column.bottom; y++, to += (Step)job.out.row) {
                 const Point<D> p = column.at(y, FILTER == AUTO || averages(job));
-                painted |= (uint64_t)paint_inside<T, N, C, FILTER>(job, plane, p, to) << (y - column.top);
+                if (!paint_inside<T, N, C, FILTER>(job, plane, p, to)) {
+                    from = least(from, y);
+                    end = y + 1;
+                }
             }
-            if (painted + 1 == (uint64_t)1 << (column.bottom - column.top)) return;
         }
-    paint_rest<T, N, C, FILTER, D>(job, plane, x, j, cell, painted);
+    if (from < end) paint_rest<T, N, C, FILTER, D>(job, plane, x, j, k, cell, from, end);
 }
 
 // The pixels of rough cells, one of which is a block's at a time.

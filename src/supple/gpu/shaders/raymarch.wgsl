@@ -52,7 +52,6 @@ const BRICK = 4u;
 const BISECTIONS = 2u;
 const HALVINGS = 6u; // of labels
 const OPAQUE = 0.995;
-const FAINT = 4e-3;
 const LAYER = 4.0; // voxels behind a cut face over which the light of gradients takes over
 const MAXIMUM = 1u; // projections
 const AVERAGE = 3u;
@@ -403,7 +402,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                 let middle = mix(t, t1, step.middle);
                 let seat = source_of(ray, middle, shift);
                 let colour = painted(seat.p, step.colour);
-                if (settings.shaded == 1u && part > FAINT) {
+                if (settings.shaded == 1u) {
                     lit = lit_by(gradient_at(seat, middle), half_, along);
                     taken += 1.0;
                     if (face >= 0.0) {
