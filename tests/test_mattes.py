@@ -171,6 +171,28 @@ def test_what_is_frozen_stays_so_under_a_matte() -> None:
     np.testing.assert_allclose(still.shown((COUNT, *SHAPE)), np.broadcast_to(both, (COUNT, *SHAPE)), atol=1e-6)
 
 
+def test_masks_of_one_lattice_multiply_coefficient_by_coefficient() -> None:
+    mask = np.zeros((COUNT, *SHAPE), bool)
+    mask[6:9] = True
+    held, matte = Freeze.of(mask[:, :1, :1], width=4), walker()
+    held = replace(held, samples=matte.samples)
+    both = matte.times(held)
+    rows = (held.coefficients / 255.0).reshape(-1, 1, 1)
+    np.testing.assert_array_equal(both.coefficients, np.rint(matte.coefficients * rows))
+    # Across, a mask of another width is read again: no more than the product, and exactly 0 where either is.
+    frozen = np.zeros((COUNT, *SHAPE), bool)
+    frozen[6:9, 20:30, 30:50] = True
+    other = Freeze.of(frozen, width=12, spacing=(1, 1, 3))
+    assert (other.step[2], other.step[0]) == (matte.step[2], 3)
+    both = matte.times(other).shown(frozen.shape)
+    one, two = matte.shown(frozen.shape), other.shown(frozen.shape)
+    assert (both <= np.minimum(one, two) + 1e-6).all()
+    assert (both[frozen] == 0).all()
+    assert (both[12:] == one[12:]).all()
+    assert (both[3] < one[3]).any()
+    np.testing.assert_array_equal(both[:3], one[:3])  # no later in time than it is by itself
+
+
 def test_recipes_keep_mattes() -> None:
     recipe = Recipe(strokes=(GRAB, replace(GRAB, matte=Freeze.of(half(), matte=True))), size=(80, 60))
     text = recipe.to_json()

@@ -138,6 +138,35 @@ def test_strokes_fade_smoothly_towards_held_frames(here: Path, recipe: Recipe) -
     )
 
 
+@pytest.mark.parametrize(("count", "hold", "width"), [(30, 2, None), (47, 1, None), (61, 3, 11.5), (60, 2, 20.0)])
+def test_a_fade_is_alike_at_both_ends_and_as_wide_as_it_says(count: int, hold: int, width: float | None) -> None:
+    m = fade_of((count, 1, 1), hold, width).at([[0], [0], np.arange(count)]).ravel()
+    wide = max(4.0, count / 10) if width is None else width
+    np.testing.assert_allclose(m, m[::-1], atol=1e-6)
+    assert (m[:hold] == 0).all()
+    assert m[hold] > 0
+    assert (m[hold - 1 + int(np.ceil(wide)) : count // 2] > 1 - 1e-6).all()
+    assert m[hold - 2 + int(wide)] < 1
+    # A cubic ramp, of which the spline averages three frames as 1 : 4 : 1.
+    t = np.clip((np.arange(-1, count // 2 + 1) - hold) / (wide - 2), 0, 1)
+    ramp = 3 * t**2 - 2 * t**3
+    np.testing.assert_allclose(m[: count // 2], (ramp[:-2] + 4 * ramp[1:-1] + ramp[2:]) / 6, atol=1 / 255)
+
+
+def test_a_stroke_in_time_under_a_matte_that_moves_fades_as_any_other(here: Path) -> None:
+    noisy("in.mkv", "gray", 30)
+    white = np.ones((30, 48, 64), np.float32)
+    white[12:16] = 0.5
+    matte = supple.Freeze.matte_of(white, 30)
+    recipe = replace(WIDE, strokes=(replace(WIDE.strokes[0], matte=matte),))
+    d = warp_file("in.mkv", "out.mkv", recipe, hold=2).deformation
+    both = matte.times(d.domain.freeze).at([[9], [5], np.arange(30)]).ravel()
+    ends = fade_of((30, 1, 1), 2, 3.0).at([[0], [0], np.arange(30)]).ravel()
+    np.testing.assert_allclose(both[:11], ends[:11], atol=1e-6)
+    np.testing.assert_allclose(both[17:], ends[17:], atol=1e-6)
+    np.testing.assert_allclose(both[[13, 14]], 0.5, atol=1 / 255)
+
+
 def test_a_stroke_that_is_held_back_says_so(here: Path) -> None:
     noisy("in.mkv", "gray")
     with pytest.warns(supple.MissWarning, match="short: what is held at the ends of the clip holds it back"):

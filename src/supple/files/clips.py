@@ -338,10 +338,12 @@ def fade_of(shape: tuple[int, ...], hold: int, width: float | None = None) -> Fr
 
     ``width`` is that of the fade beside them, in frames: by default a tenth of the clip, as that of a border.
     """
-    held = np.zeros((shape[0], 1, 1), bool)
-    held[:hold] = held[len(held) - hold :] = True
-    made = Freeze.of(held, width=max(4.0, AUTO * len(held) if width is None else width))
-    return replace(made, samples=shape[::-1])
+    frames = np.arange(shape[0])
+    away = np.minimum(frames, frames[::-1]) - hold
+    # The spline that smooths these averages three frames: it adds one on either side.
+    part = np.clip(away / (max(4.0, AUTO * len(frames) if width is None else width) - 2), 0, 1)
+    ramp = (part**2 * (3 - 2 * part)).reshape(-1, 1, 1)
+    return replace(Freeze.matte_of(ramp, len(frames)), samples=shape[::-1])
 
 
 @lru_cache(maxsize=4)

@@ -17,6 +17,8 @@ from supple.errors import SuppleError, shown
 from supple.space.checks import LARGEST, LONGEST_AXIS, checked_shape, integer, items, length, number, refuse
 
 Floats = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.float32]
+Lattice = tuple[int, float, float]  # coefficients along an axis, the position of the first, and the step
 
 _FREE = 255  # a coefficient of 1
 _EDGE = 3  # coefficients beyond those that differ: from there on, the spline is constant
@@ -331,33 +333,24 @@ class Freeze:
     def times(self, other: Self) -> Self:
         """Return the product with another mask of the same medium: at most that, and 0 where one of them is.
 
-        It has the lattice of this one, and that of the other along axes on which this one is constant. If there are no
-        others, it is exact: coefficients are products.
+        It has the lattice of this one, and that of the other along axes on which this one is constant. Along axes on
+        which both have the same, coefficients are products; where they differ, the other one fades a little later.
         """
         if self.ndim < other.ndim:
             return self._in_time(other.samples[2]).times(other)
         if self.ndim > other.ndim:
             other = other._in_time(self.samples[2])
-        parts: dict[str, Any] = {}
-        for name in ("size", "first", "step"):
-            mine = zip(self.size, getattr(self, name), getattr(other, name), strict=True)
-            parts[name] = tuple(own if size > 1 else its for size, own, its in mine)
-        if all(1 in sizes for sizes in zip(self.size, other.size, strict=True)):
-            values = np.rint(self.coefficients * (other.coefficients / _FREE)).astype(np.uint8)
-            return replace(self, values=values.tobytes(), **parts)
-        across = [np.arange(n if size > 1 else 1) for n, size in zip(other.samples, other.size, strict=True)]
-        planes = []
-        for k in across[2] if self.ndim == 3 else (0,):  # each alone, as all of a clip may not fit
-            least = other.at([*across[:2], *[np.array([k])] * (self.ndim - 2)])
-            for axis in (-1, -2):
-                least = _least(least, axis, *(parts[name][-1 - axis] for name in ("size", "first", "step")))
-            planes.append(least)
-        least = planes[0]
-        if self.ndim == 3:
-            least = _least(np.concatenate(planes), 0, *(parts[name][2] for name in ("size", "first", "step")))
-        values = np.floor(self.coefficients * least + 1e-3).astype(np.uint8)
+        mine, its = (list(zip(each.size, each.first, each.step, strict=True)) for each in (self, other))
+        made = [own if own[0] > 1 else other for own, other in zip(mine, its, strict=True)]
+        least, apart = np.divide(other.coefficients, _FREE, dtype=np.float32), False
+        for axis, old, new, n in zip(range(self.ndim), its[::-1], made[::-1], other.samples[::-1], strict=True):
+            if old[0] != 1 and old != new:
+                least, apart = _moved(least, axis, n, old, new), True
+        product = self.coefficients * least
+        values = np.asarray(np.floor(product + 1e-3) if apart else np.rint(product), np.uint8)
         _level(values)
-        return replace(self, values=values.tobytes(), **parts)
+        size, first, step = zip(*made, strict=True)
+        return replace(self, size=size, first=first, step=step, values=values.tobytes())
 
     def _in_time(self, count: int) -> Self:
         """Return the mask of a frame as one of a clip."""
@@ -437,11 +430,12 @@ def _covered(least: npt.NDArray[np.uint8], axis: int, step: float) -> tuple[npt.
     return np.concatenate(rows, axis), (first - _EDGE) * step
 
 
-def _least(m: npt.NDArray[np.float32], axis: int, size: int, first: float, step: float) -> npt.NDArray[np.float32]:
-    """Return the least of samples that the spline of each coefficient of a lattice covers along an axis."""
-    n = m.shape[axis]
-    if n == 1:
-        return m
+def _moved(values: Rows, axis: int, n: int, old: Lattice, new: Lattice) -> Rows:
+    """Return coefficients on another lattice along an axis of n samples: the least m that the spline of each covers."""
+    if axis and values.ndim == 3:  # plane by plane, as all of a clip may not fit
+        return np.stack([_moved(plane, axis - 1, n, old, new) for plane in values])
+    m = np.moveaxis(np.tensordot(_weights(np.arange(n), *old), values, (1, axis)), 0, axis)
+    size, first, step = new
     places = first + step * np.arange(size)
     low = np.clip(np.ceil(places - 2 * step - 0.5), 0, n - 1).astype(int)
     high = np.clip(np.floor(places + 2 * step + 0.5), 0, n - 1).astype(int)
