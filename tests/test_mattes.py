@@ -105,6 +105,24 @@ def test_a_matte_moves_with_a_clip() -> None:
     np.testing.assert_allclose(under.forward(at) - at, factor(matte, at)[:, None] * (plain.forward(at) - at), atol=1e-8)
 
 
+@pytest.mark.parametrize(("by", "axes"), [((0, 0, 6), [2]), ((14, -9, 0), [0, 1])])
+def test_the_bound_of_a_stroke_under_a_matte_that_moves_holds_and_is_close(
+    by: tuple[float, ...], axes: list[int]
+) -> None:
+    matte = Freeze.matte_of(walking(), COUNT, width=4)
+    stroke = replace(Stroke.grab((40, 30, 8), by=by, radius=30), matte=matte)
+    damped = Deformation((COUNT, *SHAPE), time=True, border=None, on_fold="damp").add(stroke, warn=False)
+    (part,) = damped.resolution()["damping"]
+    assert 0 < part < 1
+    at = np.random.default_rng(3).uniform((0, 0, 0), (79, 59, COUNT - 1), (300_000, 3))
+    slopes = damped.jacobian(at)[:, axes][:, :, axes]
+    lowest = np.linalg.eigvalsh((slopes + np.swapaxes(slopes, 1, 2)) / 2)[:, 0].min()
+    assert 0.01 <= lowest <= 0.2  # 0.01 where the bound is exact
+    # So a drag takes few steps: edges across its way do not count for more than their slope along it.
+    flowing = Deformation((COUNT, *SHAPE), time=True, border=None).add(stroke, warn=False)
+    assert len(flowing.space.rows) <= 3 + 2 / part
+
+
 def test_strokes_with_mattes_of_their_own_apply_one_after_the_other() -> None:
     mattes = [
         None,

@@ -25,7 +25,7 @@ _EDGE = 3  # coefficients beyond those that differ: from there on, the spline is
 _LEAST = 8  # coefficients along an axis
 _MOST = 2**28
 _MOST_ACROSS = 2  # times as many coefficients as are needed
-_MOST_IN_TIME = 2**22  # coefficients of a matte that moves: 170 MB in the core
+_MOST_IN_TIME = 2**22  # coefficients of a matte that moves: 210 MB in the core
 _PART = 1 / 32  # of the shorter side: the width of the fade, unless it is given
 _SHORTEST = 4.0  # samples, likewise
 
