@@ -211,6 +211,41 @@ def test_masks_of_one_lattice_multiply_coefficient_by_coefficient() -> None:
     np.testing.assert_array_equal(both[:3], one[:3])  # no later in time than it is by itself
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_mirror_image_of_a_stroke_has_that_of_its_matte(axis: int) -> None:
+    normal, middle = np.eye(2)[axis], (np.array(SHAPE[::-1]) - 1) / 2
+    stroke = replace(Stroke.grab((34, 22), by=(6, -4), radius=14), matte=Freeze.of(half(50), matte=True))
+    image = stroke.mirrored(middle, normal)
+    source = picture()
+    flipped = np.flip(source, 1 - axis)
+    out, other = (
+        Deformation(SHAPE).add(one, warn=False).warp(each) for one, each in ((stroke, source), (image, flipped))
+    )
+    assert np.abs(np.flip(other, 1 - axis).astype(int) - out).max() <= 1
+    assert (out != source).any()
+    assert image.mirrored(middle, normal) == stroke
+    assert stroke.is_image(image)
+    assert not replace(stroke, matte=None).is_image(image)
+    assert stroke.symmetric(middle, normal) == (stroke, image)
+    both = Deformation(SHAPE).add(stroke, warn=False).add(image, warn=False).warp(np.maximum(source, flipped))
+    assert (both != np.maximum(source, flipped)).any()
+    with pytest.raises(SuppleError, match="normal must be along an axis for a stroke with a matte"):
+        stroke.mirrored(middle, (1, 1))
+    assert not stroke.is_image(replace(stroke, at=(40, 30)))
+
+
+def test_the_mirror_image_of_a_matte_that_moves() -> None:
+    stroke = replace(TIMED, matte=walker())
+    d, image = (
+        Deformation((COUNT, *SHAPE), time=True).add(one, warn=False)
+        for one in (stroke, stroke.mirrored((0, 29.5, 0), (0, 1, 0)))
+    )
+    at = np.random.default_rng(3).uniform((0, 0, 0), (79, 59, COUNT - 1), (500, 3))
+    np.testing.assert_allclose(
+        image.forward(at * (1, -1, 1) + (0, 59, 0)), d.forward(at) * (1, -1, 1) + (0, 59, 0), atol=1e-9
+    )
+
+
 def test_recipes_keep_mattes() -> None:
     recipe = Recipe(strokes=(GRAB, replace(GRAB, matte=Freeze.of(half(), matte=True))), size=(80, 60))
     text = recipe.to_json()

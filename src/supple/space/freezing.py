@@ -330,6 +330,14 @@ class Freeze:
         parts: dict[str, Any] = {name: getattr(self, name)[:2] for name in ("samples", "size", "first", "step")}
         return replace(self, values=self.coefficients[row].tobytes(), **parts)
 
+    def mirrored(self, axis: int, at: float) -> Self:
+        """Return the mirror image of the mask along an axis, x first, about a position on it, in samples."""
+        if axis >= self.ndim:
+            return self
+        first = list(self.first)
+        first[axis] = 2 * at - first[axis] - self.step[axis] * (self.size[axis] - 1)
+        return replace(self, first=tuple(first), values=np.flip(self.coefficients, self.ndim - 1 - axis).tobytes())
+
     def times(self, other: Self) -> Self:
         """Return the product with another mask of the same medium: at most that, and 0 where one of them is.
 
