@@ -289,7 +289,8 @@ def test_a_video_becomes_pictures_from_its_first_frame_on(run: Run, here: Path) 
     ("options", "wanted"),
     [
         (("--frames", "3"), "--frames must be the first and the last frame, A-B (1010-1035, say), found '3'"),
-        (("--frames", "7-3"), "--frames must be the first and the last frame, counted from 0, in this order"),
+        (("--frames", "7-3"), "--frames 7-3: frame 7 comes after 3: give the earlier one first"),
+        (("--frames", "9-5", "--first-frame", "2"), "--frames 9-5: frame 9 comes after 5: give the earlier one first"),
         (("--frames", "3-12"), "--frames must be from 0 to 11, the frames of in.mkv, found 12"),
         (("--frames", "3-14", "--first-frame", "2"), "--frames must be from 2 to 13, the frames of in.mkv, found 14"),
         (("--frames", "3-x"), "--frames must be the number of a frame (0, say) or a timecode (00:00:00:00), found 'x'"),
@@ -313,6 +314,41 @@ def test_parts_are_for_clips(run: Run, here: Path) -> None:
     refused(run("warp", "in.png", "out.png", *GRAB_2D, "--hold", "2"), "--hold is for clips, and in.png is a picture")
     with pytest.raises(SuppleError, match="frames must be the first and the last frame"):
         warp_file("in/%03d.png", "out.mp4", FLAT, clip=ClipOptions(frames=(3,)))  # type: ignore[arg-type]
+
+
+def test_messages_of_strokes_have_the_numbers_that_are_typed(run: Run, here: Path) -> None:
+    pictures("in", 12, names="f.{:04d}.png", first=1001)
+    warp = ("warp", "in/f.%04d.png", "out/f.%04d.png", "--radius", "10")
+    for first in ((), ("--first-frame", "files")):
+        k = 1001 if first else 0
+        grab = ("--grab", f"30,20,{k + 3}:33,22,{k + 20}")
+        said = f"a drag by (3, 2, 17) at (30, 20, {k + 3}) with radius 10 cannot arrive: its target is on the edge"
+        refused(run(*warp, *grab, *first), f"{said} or outside of (0, 0, {k}) to (64, 48, {k + 12})")
+        far = ("--grab", f"30,20,{k + 13}:33,22,{k + 13}", "--border", "none")
+        status, _, err = run(*warp, *far, *first, "--force")
+        assert status == 0
+        assert f"at (30, 20, {k + 13}) with radius 10 starts outside the clip, which has" in err
+        assert f"12 frames (from {k})" in err
+    recipe = Recipe(strokes=(Stroke.grab((30, 20, 3), to=(33, 22, 20), radius=10),))
+    with pytest.raises(SuppleError, match=r"at \(30, 20, 103\) with"):
+        warp_file("in/f.%04d.png", "no/f.%04d.png", recipe, clip=ClipOptions(first_frame=100))
+    twice = Recipe(strokes=(Stroke.pull([(30, 20, 3)] * 2, by=[(3, 2, 0)] * 2, radius=10),))
+    with pytest.raises(SuppleError, match=r"has two handles at \(30, 20, 103\), 1 and 2"):
+        warp_file("in/f.%04d.png", "no/f.%04d.png", twice, clip=ClipOptions(first_frame=100))
+
+
+def test_between_is_an_argument_as_well(here: Path) -> None:
+    noisy("in.mkv", "gray")
+    made = warp_file("in.mkv", "out.mkv", TIMED, between="nearest")
+    assert made.between == "nearest"
+    warp_file("in.mkv", "same.mkv", TIMED, clip=ClipOptions(between="nearest"))
+    np.testing.assert_array_equal(stack("out.mkv"), stack("same.mkv"))
+    with pytest.raises(
+        SuppleError,
+        match="frames must be the first and the last frame, counted from 0, in this order, "
+        r"found \(7, 3\)",
+    ):
+        warp_file("in.mkv", "out.mkv", TIMED, frames=(7, 3), force=True)
 
 
 def test_warnings_have_the_numbers_that_are_typed(run: Run, here: Path) -> None:

@@ -142,7 +142,7 @@ class Freeze:
             refuse(what, "an array of bool, integers or floats", told=f"dtype {array.dtype}")
         checked_shape(array.shape)
         steps = (spacing,) * array.ndim if isinstance(spacing, float | int) else tuple(spacing)
-        apart = _apart(array.shape, steps, width)
+        apart = _apart(array.shape, steps, width, "matte" if matte else "freeze mask")
         least = _freedom_of(array)
         if matte:
             least = _FREE - least
@@ -168,7 +168,7 @@ class Freeze:
         starts = [0.0, 0.0]
         for frame in frames:
             if not rows:
-                apart, most = _apart(frame.shape, (1.0, 1.0), width), _MOST_IN_TIME / (count + 2 * _EDGE + 2)
+                apart, most = _apart(frame.shape, (1.0, 1.0), width, "matte"), _MOST_IN_TIME / (count + 2 * _EDGE + 2)
                 while math.prod(n / step + 9 for n, step in zip(reversed(frame.shape), apart, strict=True)) > most:
                     if width is not None:
                         refuse("the matte's width", f"wider for {count} frames, or left out", told=f"{width:g}")
@@ -387,15 +387,15 @@ class Freeze:
         return cls(**{**entry, "values": values})
 
 
-def _apart(shape: Sequence[int], spacing: Sequence[float], width: float | None) -> tuple[float, ...]:
+def _apart(shape: Sequence[int], spacing: Sequence[float], width: float | None, of: str = "") -> tuple[float, ...]:
     """Return the samples from one coefficient to the next for a width of the fade, or for the usual one."""
     least = _SHORTEST * min(spacing)
     if width is None:
         sides = [n * step for n, step in zip(reversed(shape), spacing, strict=True) if n > 1]
         width = max(_PART * min(sides, default=1.0), least)
-    elif length("the freeze mask's width", width) < least:
+    elif length(f"the {of}'s width", width) < least:
         here = "" if least == _SHORTEST else f", which is {least:g} here"
-        refuse("the freeze mask's width", f"at least 4 samples{here}", told=f"{width:g}")
+        refuse(f"the {of}'s width", f"at least 4 samples{here}", told=f"{width:g}")
     return tuple(max(width / 4 / step, 1.0) for step in spacing)
 
 

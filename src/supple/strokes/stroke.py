@@ -11,7 +11,7 @@ from typing import Any, Literal, Self, get_args
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, none
+from supple.errors import SuppleError, none, numbered
 from supple.space.checks import LARGEST, choice, integer, length, number, point, refuse
 from supple.space.freezing import Freeze
 from supple.strokes.keys import Key, checked_keys, position, value
@@ -517,7 +517,8 @@ class Stroke:
         begin = first if frame is None else number("frame", frame, "a frame", -LARGEST, LARGEST)
         if not first <= begin <= last:
             raise SuppleError(
-                f"the track is of the frames {first} to {last}, and the stroke of frame {begin:g}: give one of those"
+                f"the track is of the frames {numbered(first)} to {numbered(last)}, and the stroke of frame "
+                f"{numbered(begin):g}: give one of those"
             )
         if len(second):
             turns, degrees = _turns(keys, checked_keys([Key(k, tuple(at)) for k, at in second], self.ndim), begin)
@@ -566,7 +567,9 @@ def _turns(keys: Sequence[Key], ends: Sequence[Key], begin: float) -> tuple[dict
         raise SuppleError("the two tracks have no frame in common: track both points through the same frames")
     for k, way in ways.items():
         if abs(way) < 1:
-            raise SuppleError(f"the two tracks are at the same place in frame {k}: track two points that are apart")
+            raise SuppleError(
+                f"the two tracks are at the same place in frame {numbered(k)}: track two points that are apart"
+            )
     first = position([Key(k, (way.real, way.imag)) for k, way in ways.items()], begin)
     turns = {k: way / complex(*first or ()) for k, way in ways.items()}
     degrees = np.rad2deg(np.unwrap(np.angle(list(turns.values()))))
