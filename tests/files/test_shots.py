@@ -324,6 +324,7 @@ def test_messages_of_strokes_have_the_numbers_that_are_typed(run: Run, here: Pat
         grab = ("--grab", f"30,20,{k + 3}:33,22,{k + 20}")
         said = f"a drag by (3, 2, 17) at (30, 20, {k + 3}) with radius 10 cannot arrive: its target is on the edge"
         refused(run(*warp, *grab, *first), f"{said} or outside of (0, 0, {k}) to (64, 48, {k + 12})")
+        refused(run("plot", warp[1], "grid.png", *warp[3:], *grab, *first, "--frame", str(k + 3)), said)
         far = ("--grab", f"30,20,{k + 13}:33,22,{k + 13}", "--border", "none")
         status, _, err = run(*warp, *far, *first, "--force")
         assert status == 0

@@ -184,7 +184,7 @@ def test_frames_are_typed_as_an_artist_does(run: Run, here: Path) -> None:
     refused(run(*one, "d.csv", "--at", "100,75,1009", "--first-frame", "1001"), "--at must be from 1001 to 1008")
     refused(run(*one, "d.csv", "--at", "100,75,00:00:01:00"), "--at must be from 00:00:00:00 to 00:00:00:07")
     refused(run(*one, "d.csv", "--at", "900,75,1003", "--first-frame", "1001"), "the point (900, 75) is not in")
-    refused(run(*one, "d.csv", "--at", "100,75,x"), "--at must be X,Y,K, a point in pixels")
+    refused(run(*one, "d.csv", "--at", "100,75,x"), "--at must be the number of a frame (0, say)")
     refused(run(*one, "d.mov", "--at", "100,75,2"), "is not that of a table: name a .csv or .txt")
 
 
@@ -237,7 +237,7 @@ def test_what_cannot_be_tracked_is_refused_and_nothing_written(run: Run) -> None
     refused(run(*one), "give a point to track, and the frame in which it is seen: --at X,Y,K")
     refused(run(*one, "--at", "100,75"), "--at must be X,Y,K")
     refused(run(*one, "--at", "100,x,1"), "--at must be X,Y,K")
-    refused(run(*one, "--at", "100,75,1.5"), "--at must be X,Y,K")
+    refused(run(*one, "--at", "100,75,1.5"), "--at must be the number of a frame (0, say) or a timecode")
     refused(run(*one, "--at", "100,75,4"), "is of frame 4, and in.mkv has frames 0 to 3")
     refused(
         run(*one, "--at", "200,75,1"), "the point (200, 75) is not in the picture of in.mkv, 200 x 150: give one in it"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from typing import Annotated, Any
 
 from cyclopts import Parameter
@@ -16,12 +15,10 @@ from supple.cli.options import (
     RunOptions,
     memory_option,
     parse_first,
-    parse_integer,
     parse_number,
     read,
 )
 from supple.errors import SuppleError, counting
-from supple.media.timecode import PATTERN
 
 _RUN = RunOptions()
 
@@ -91,6 +88,4 @@ def _point(text: str, frames: Frames) -> tuple[float, float, int]:
     if len(parts) != 3:
         raise SuppleError(f"--at must be {wanted}, found {text!r}")
     x, y = (parse_number("--at", part, wanted) for part in parts[:2])
-    if not re.fullmatch(PATTERN, parts[2]):
-        parse_integer("--at", parts[2], wanted)
     return x, y, frames.read("--at", parts[2])

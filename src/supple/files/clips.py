@@ -536,8 +536,7 @@ def _check_places(
         if len(frames) > 1 and (frames[-1] < 0 or frames[0] >= count):
             warnings.warn(
                 f"{which} has positions in frames {numbered(frames[0])} to {numbered(frames[-1])}, and the clip has "
-                f"{count}, from {numbered(0)}: it follows "
-                "none of them (does the track give another number to the first?)",
+                f"{count}, from {numbered(0)}: it follows none of them (does the track give the first another?)",
                 OutsideWarning,
                 stacklevel=5,
             )
