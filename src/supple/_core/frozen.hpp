@@ -30,12 +30,10 @@ public:
         const size_t count = (size_t)shape[0] * shape[1] * shape[2];
         held.assign(from, from + count);
         values = held.data();
-        this->step = 1e300;
         for (int i = 0; i < 3; i++) {
             size[i] = shape[2 - i];
             this->first[i] = first[i];
             per_step[i] = 1 / step[i];
-            if (size[i] > 1) this->step = std::min(this->step, step[i]);
         }
         levels.emplace_back();
         levels[0].bounds.resize(count);
