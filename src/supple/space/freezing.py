@@ -164,23 +164,17 @@ class Freeze:
         million coefficients: SuppleError if a given ``width`` needs more.
         """
         rows: list[npt.NDArray[np.uint8]] = []
-        apart: tuple[float, ...] = ()
-        starts = [0.0, 0.0]
         for frame in frames:
             if not rows:
-                apart, most = _apart(frame.shape, (1.0, 1.0), width, "matte"), _MOST_IN_TIME / (count + 2 * _EDGE + 2)
-                while math.prod(n / step + 9 for n, step in zip(reversed(frame.shape), apart, strict=True)) > most:
+                apart = _apart(frame.shape, (1.0, 1.0), width, "matte")[0]
+                while math.prod(n / apart + 9 for n in frame.shape) > _MOST_IN_TIME / (count + 2 * _EDGE + 2):
                     if width is not None:
                         refuse("the matte's width", f"wider for {count} frames, or left out", told=f"{width:g}")
-                    apart = tuple(1.05 * step for step in apart)
-            least = _FREE - _freedom_of(frame)
-            for axis in range(2):
-                least, starts[axis] = _covered(least, axis, apart[1 - axis])
-            rows.append(least)
+                    apart *= 1.05
+            made = cls.of(frame, width=4 * apart, matte=True, name=name)
+            rows.append(made.coefficients)
         values = np.stack([*rows[:1] * (_EDGE + 1), *rows, *rows[-1:] * (_EDGE + 1)])
-        samples = (*reversed(frame.shape), len(rows))
-        first = (starts[1], starts[0], -1.0 - _EDGE)
-        return cls(samples, tuple(reversed(values.shape)), first, (*apart, 1.0), values.tobytes(), (), name)
+        return made._in_time(len(rows), len(values), -1.0 - _EDGE, values.tobytes())
 
     @classmethod
     def free(cls, shape: Sequence[int], spacing: Sequence[float]) -> Self:
@@ -360,10 +354,11 @@ class Freeze:
         size, first, step = zip(*made, strict=True)
         return replace(self, size=size, first=first, step=step, values=values.tobytes())
 
-    def _in_time(self, count: int) -> Self:
-        """Return the mask of a frame as one of a clip."""
-        more = {"samples": count, "size": 1, "first": 0.0, "step": 1.0}
-        return replace(self, **{name: (*getattr(self, name), end) for name, end in more.items()})  # type: ignore[arg-type]
+    def _in_time(self, samples: int, size: int = 1, first: float = 0.0, values: bytes | None = None) -> Self:
+        """Return the mask of a frame as one of a clip: with that in all of it, or with a row for each frame."""
+        more = {"samples": samples, "size": size, "first": first, "step": 1.0}
+        parts: dict[str, Any] = {name: (*getattr(self, name), end) for name, end in more.items()}
+        return replace(self, values=self.values if values is None else values, **parts)
 
     def entry(self) -> dict[str, Any]:
         """Return the mask as JSON has it; the coefficients are compressed (zlib) and in base 64."""
