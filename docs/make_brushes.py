@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,8 @@ from supple.plot.measure import grid
 from supple.strokes import Stroke
 
 IMAGES = Path(__file__).resolve().parent / "images"
-PHOTO = Path(supple.__file__).parent / "examples" / "data" / "chelsea.jpg"
+DATA = Path(supple.__file__).parent / "examples" / "data"
+PHOTO, CUP = DATA / "chelsea.jpg", DATA / "coffee.jpg"
 
 EYE, NOSE = (171.0, 115.0), (265.0, 243.0)
 CORNERS = [(150, 140), (196, 140), (280, 140), (330, 136)]
@@ -69,6 +71,7 @@ BESIDE = (
     ("twist", (Stroke(brush="twist", at=(130, 160), angle=80, radius=60),)),
     ("scale", (Stroke(brush="scale", at=(195, 160), factor=2.5, radius=RADIUS),)),
 )
+COFFEE = np.hypot((np.arange(600) - 288) / 80, (np.arange(400)[:, None] - 145) / 49) < 1
 
 
 def titled(pixels: image.Array, text: str) -> pyvips.Image:
@@ -89,6 +92,21 @@ def on_photo(path: Path) -> None:
         pictures.append(titled(d.warp(photo), text))
     joined = pyvips.Image.arrayjoin(pictures, across=3, shim=8, background=[255] * 3)
     joined.resize(0.62).webpsave(path, Q=72, effort=6, keep="none")
+
+
+def under_a_matte(path: Path) -> None:
+    """Write a cup of coffee, a matte, and what a stroke does without it and under it."""
+    photo, stroke = image.read(CUP).pixels, Stroke.grab((240, 130), by=(60, 22), radius=60)
+    matte = supple.Freeze.of(COFFEE, width=10, matte=True)
+    plain, under = (
+        supple.Deformation(photo.shape[:2]).add(one, warn=False).warp(photo)
+        for one in (stroke, replace(stroke, matte=matte))
+    )
+    shown = np.where(COFFEE[..., None], photo, photo // 4)
+    cases = (("as it was", photo), ("the matte", shown), ("a grab", plain), ("under the matte", under))
+    parts = [titled(np.ascontiguousarray(pixels[:260, 120:470]), text) for text, pixels in cases]
+    joined = pyvips.Image.arrayjoin(parts, across=4, shim=8, background=[255] * 3)
+    joined.resize(0.7).webpsave(path, Q=72, effort=6, keep="none")
 
 
 def on_grids(path: Path, cases: Sequence[tuple[str, Sequence[Stroke]]], frozen: image.Array | None = None) -> None:
@@ -120,6 +138,7 @@ def main(folder: Path = IMAGES) -> None:
     on_grids(folder / "brush-flat.webp", PLATEAUS)
     on_grids(folder / "brush-hand.webp", BY_HAND)
     on_grids(folder / "brush-freeze.webp", BESIDE, FROZEN)
+    under_a_matte(folder / "brush-matte.webp")
 
 
 if __name__ == "__main__":

@@ -105,6 +105,24 @@ def test_a_matte_moves_with_a_clip() -> None:
     np.testing.assert_allclose(under.forward(at) - at, factor(matte, at)[:, None] * (plain.forward(at) - at), atol=1e-8)
 
 
+@pytest.mark.parametrize(("by", "axes"), [((0, 0, 6), [2]), ((14, -9, 0), [0, 1])])
+def test_the_bound_of_a_stroke_under_a_matte_that_moves_holds_and_is_close(
+    by: tuple[float, ...], axes: list[int]
+) -> None:
+    matte = Freeze.matte_of(walking(), COUNT, width=4)
+    stroke = replace(Stroke.grab((40, 30, 8), by=by, radius=30), matte=matte)
+    damped = Deformation((COUNT, *SHAPE), time=True, border=None, on_fold="damp").add(stroke, warn=False)
+    (part,) = damped.resolution()["damping"]
+    assert 0 < part < 1
+    at = np.random.default_rng(3).uniform((0, 0, 0), (79, 59, COUNT - 1), (300_000, 3))
+    slopes = damped.jacobian(at)[:, axes][:, :, axes]
+    lowest = np.linalg.eigvalsh((slopes + np.swapaxes(slopes, 1, 2)) / 2)[:, 0].min()
+    assert 0.01 <= lowest <= 0.2  # 0.01 where the bound is exact
+    # So a drag takes few steps: edges across its way do not count for more than their slope along it.
+    flowing = Deformation((COUNT, *SHAPE), time=True, border=None).add(stroke, warn=False)
+    assert len(flowing.space.rows) <= 3 + 2 / part
+
+
 def test_strokes_with_mattes_of_their_own_apply_one_after_the_other() -> None:
     mattes = [
         None,
@@ -169,6 +187,63 @@ def test_what_is_frozen_stays_so_under_a_matte() -> None:
     assert (moving.shown((COUNT, *SHAPE))[:, mask] == 0).all()
     still = matte.times(Freeze.of(np.broadcast_to(mask, (COUNT, *SHAPE)), width=6))
     np.testing.assert_allclose(still.shown((COUNT, *SHAPE)), np.broadcast_to(both, (COUNT, *SHAPE)), atol=1e-6)
+
+
+def test_masks_of_one_lattice_multiply_coefficient_by_coefficient() -> None:
+    mask = np.zeros((COUNT, *SHAPE), bool)
+    mask[6:9] = True
+    held, matte = Freeze.of(mask[:, :1, :1], width=4), walker()
+    held = replace(held, samples=matte.samples)
+    both = matte.times(held)
+    rows = (held.coefficients / 255.0).reshape(-1, 1, 1)
+    np.testing.assert_array_equal(both.coefficients, np.rint(matte.coefficients * rows))
+    # Across, a mask of another width is read again: no more than the product, and exactly 0 where either is.
+    frozen = np.zeros((COUNT, *SHAPE), bool)
+    frozen[6:9, 20:30, 30:50] = True
+    other = Freeze.of(frozen, width=12, spacing=(1, 1, 3))
+    assert (other.step[2], other.step[0]) == (matte.step[2], 3)
+    both = matte.times(other).shown(frozen.shape)
+    one, two = matte.shown(frozen.shape), other.shown(frozen.shape)
+    assert (both <= np.minimum(one, two) + 1e-6).all()
+    assert (both[frozen] == 0).all()
+    assert (both[12:] == one[12:]).all()
+    assert (both[3] < one[3]).any()
+    np.testing.assert_array_equal(both[:3], one[:3])  # no later in time than it is by itself
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_mirror_image_of_a_stroke_has_that_of_its_matte(axis: int) -> None:
+    normal, middle = np.eye(2)[axis], (np.array(SHAPE[::-1]) - 1) / 2
+    stroke = replace(Stroke.grab((34, 22), by=(6, -4), radius=14), matte=Freeze.of(half(50), matte=True))
+    image = stroke.mirrored(middle, normal)
+    source = picture()
+    flipped = np.flip(source, 1 - axis)
+    out, other = (
+        Deformation(SHAPE).add(one, warn=False).warp(each) for one, each in ((stroke, source), (image, flipped))
+    )
+    assert np.abs(np.flip(other, 1 - axis).astype(int) - out).max() <= 1
+    assert (out != source).any()
+    assert image.mirrored(middle, normal) == stroke
+    assert stroke.is_image(image)
+    assert not replace(stroke, matte=None).is_image(image)
+    assert stroke.symmetric(middle, normal) == (stroke, image)
+    both = Deformation(SHAPE).add(stroke, warn=False).add(image, warn=False).warp(np.maximum(source, flipped))
+    assert (both != np.maximum(source, flipped)).any()
+    with pytest.raises(SuppleError, match="normal must be along an axis for a stroke with a matte"):
+        stroke.mirrored(middle, (1, 1))
+    assert not stroke.is_image(replace(stroke, at=(40, 30)))
+
+
+def test_the_mirror_image_of_a_matte_that_moves() -> None:
+    stroke = replace(TIMED, matte=walker())
+    d, image = (
+        Deformation((COUNT, *SHAPE), time=True).add(one, warn=False)
+        for one in (stroke, stroke.mirrored((0, 29.5, 0), (0, 1, 0)))
+    )
+    at = np.random.default_rng(3).uniform((0, 0, 0), (79, 59, COUNT - 1), (500, 3))
+    np.testing.assert_allclose(
+        image.forward(at * (1, -1, 1) + (0, 59, 0)), d.forward(at) * (1, -1, 1) + (0, 59, 0), atol=1e-9
+    )
 
 
 def test_recipes_keep_mattes() -> None:

@@ -19,7 +19,7 @@ from supple.engine.core import measured, plan_of
 from supple.engine.devices import is_on_device
 from supple.engine.sampling import DEFAULT, Certificate, Sampling, SamplingFields, warn_of
 from supple.engine.work import Mattes, Space, mask_of
-from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, argument, caller, shown
+from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, argument, caller, numbered, shown
 from supple.fields import Field, Placed, check_path, folds_of
 from supple.folding.limits import NEAR, resolve
 from supple.folding.resolved import FREE_ENOUGH, Resolved, apart, described, freedom_at, padded
@@ -1184,7 +1184,7 @@ def last_outside(made: Deformation) -> str | None:
     if made.ndim == 2:
         extent = f"the picture, which has {sizes[0]} x {sizes[1]} pixels"
     elif domain.time:
-        extent = f"the clip, which has {sizes[0]} x {sizes[1]} pixels and {sizes[2]} frames (from 0)"
+        extent = f"the clip, which has {sizes[0]} x {sizes[1]} pixels and {sizes[2]} frames (from {numbered(0)})"
     else:
         extent = f"the volume, which has {sizes[0]} x {sizes[1]} x {sizes[2]} voxels"
     pivots, spacing = rows["pivot"][:, : made.ndim], np.array(domain.spacing)

@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import Any
 
@@ -24,11 +24,14 @@ class Spelling:
         Returns an argument by its name, with a value unless that is `Spelling.ANY`.
     none : str
         The name of None.
+    first : int
+        The number of the first frame of a clip.
     """
 
     ANY = _ANY
     argument: Callable[[str, object], str]
     none: str = "None"
+    first: int = 0
 
 
 PYTHON = Spelling(lambda name, value: name if value is _ANY else f"{name}={value!r}")
@@ -53,6 +56,13 @@ def spelling(how: Spelling) -> Iterator[None]:
 
 
 @contextlib.contextmanager
+def counting(first: int | None) -> Iterator[None]:
+    """Count the frames of a clip from another number, by default 0, in the messages of this context."""
+    with spelling(replace(current_spelling(), first=first or 0)):
+        yield
+
+
+@contextlib.contextmanager
 def facing(how: Spelling) -> Iterator[None]:
     """Name arguments in another way in the messages of all threads, as the command does while it runs."""
     global _face
@@ -66,6 +76,11 @@ def facing(how: Spelling) -> Iterator[None]:
 def argument(name: str, value: object = _ANY) -> str:
     """Return an argument, and a value of it, as the reader of a message gives it: ``on_fold='flow'``."""
     return current_spelling().argument(name, value)
+
+
+def numbered(frame: float) -> float:
+    """Return the number of a frame, counted from 0, for the reader of a message."""
+    return frame + current_spelling().first
 
 
 def none() -> str:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from supple import Deformation, Freeze, Stroke, SuppleError, _core
 from supple._core.rows import numbers
+from supple.engine.core import plan_of
 from supple.engine.work import mask_of
 from supple.errors import FoldError, MissWarning
 from supple.folding.limits import MARGIN
@@ -256,6 +257,20 @@ def test_whole_numbers_of_any_size(dtype: type[np.integer[Any]]) -> None:
     assert Freeze.of(mask).is_free
     mask[10:20, 10:20] = np.iinfo(dtype).max
     assert Freeze.of(mask) == Freeze.of(mask > 0)
+
+
+def test_a_mask_that_does_not_vary_along_an_axis_costs_nothing_along_it() -> None:
+    shape, held = (60, 240, 320), np.zeros((60, 1, 1), bool)
+    held[[0, -1]] = True
+    fade = replace(Freeze.of(held, width=4), samples=shape[::-1])
+    for by in ((20, 10, 0), (0, 0, 6)):
+        costs = []
+        for freeze in (None, fade):
+            d = Deformation(shape, time=True, freeze=freeze).grab((150, 120, 30), by=by, radius=40)
+            assert len(d.space.rows) == 1
+            costs.append(plan_of(d.space, 27, 0.01).evaluations)
+            assert d.report(plane=27).within
+        assert costs[1] <= 1.5 * costs[0]
 
 
 def test_bad_coefficients() -> None:

@@ -17,9 +17,10 @@ import numpy as np
 import pytest
 
 from supple import Deformation, SuppleError
+from supple.engine import memory as buffering
 from supple.engine.sampling import Sampling
 from supple.engine.stream import make_plan, stream
-from supple.engine.work import Layout, Work
+from supple.engine.work import Group, Layout, Work
 from tests.engine.streams import COUNT, LAYOUTS, Array, Clip, Frame, bent, layout_of, noise, streamed
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
@@ -59,6 +60,34 @@ def test_what_does_not_fit_in_memory_is_in_a_file(monkeypatch: pytest.MonkeyPatc
                 assert file.closed
                 made.clear()
                 assert not list(tmp_path.iterdir())
+
+
+def test_the_motion_between_frames_counts_as_they_do(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    pytest.importorskip("cv2")
+    made, sizes = kept(monkeypatch, tmp_path), []
+    shape, count = (90, 110), 8
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    frames = np.stack([128 + 90 * np.sin((x - 2 * k) / 6) * np.sin(y / 7) for k in range(count)]).astype(np.uint8)
+    layout, sampling = Layout((Group(shape, 1),), np.dtype("u1"), 255), Sampling(between="flow")
+    d = Deformation((count, *shape), border=None, time=True).grab((55, 45, 4), by=(0, 0, 1.5), radius=20)
+    expected, plan, _ = streamed(d.space, layout, [frames[..., None]], sampling)
+    assert not made
+    window = plan.capacity * math.prod(shape)
+    fields = plan.capacity * math.prod(-(-n // 4) for n in shape) * 16
+    reserve = buffering.reserve
+    monkeypatch.setattr(buffering, "reserve", lambda file, size: (sizes.append(size), reserve(file, size)))
+    for most, wanted in (
+        (window + fields, []),
+        (window + fields - 1, [fields]),
+        (window, [fields]),
+        (0, [window, fields]),
+    ):
+        found, _, _ = streamed(d.space, layout, [frames[..., None]], sampling, memory=most)
+        np.testing.assert_array_equal(found[0], expected[0])
+        assert sizes == wanted
+        sizes.clear()
+    plain, _, _ = streamed(d.space, layout, [frames[..., None]], Sampling(between="linear"))
+    assert (plain[0] != expected[0]).any()
 
 
 @pytest.mark.parametrize("allocates", [True, False])

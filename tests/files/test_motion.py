@@ -187,14 +187,31 @@ def test_a_stroke_turns_with_two_tracks(run: Run) -> None:
     two = (*GRAB_2D, "--grab", "40,20:44,20")
     warp = ("warp", "in.mkv", "none.mkv")
     refused(run(*warp, *GRAB_2D, *turn[:2]), "name one for all, or one for each, or --track-turn to turn with two")
-    refused(run(*warp, *two, *turn[:3], "--track-name", "a"), "1 tracks, 'a', for 2 strokes: name two for all, or two")
+    refused(
+        run(*warp, *two, *turn[:3], "--track-name", "a"), "t.csv has one track, and --track-turn turns strokes by two"
+    )
     four = [word for name in "abba" for word in ("--track-name", name)]
     assert run("warp", "in.mkv", "two.mkv", *two, *turn[:3], *four)[0] == 0
     refused(run(*warp, *GRAB_2D, "--track-turn"), "--track-turn is for a --track, and there is none")
     refused(run(*warp, *GRAB_2D, "--outside-track", "hold"), "--outside-track is for a --track, and there is none")
-    refused(run(*warp, *GRAB_2D, "--track", "auto", "--track-turn"), "--track-turn is for the --track of a file")
+    refused(
+        run(*warp, *GRAB_2D, "--track", "auto", "--track-turn"),
+        "--track-turn is for the --track of a file, not for auto",
+    )
     Path("t.csv").write_text("frame,x,y,name\n0,30,20,a\n0,30,20,b\n")
     refused(run(*warp, *GRAB_2D, *turn[:3]), "the two tracks are at the same place in frame 0")
+
+
+@pytest.mark.parametrize(("outside", "end"), [("fade", "fades beside it"), ("hold", "stays there")])
+def test_a_track_of_one_frame_is_said(run: Run, outside: str, end: str) -> None:
+    noisy("in.mkv", "yuv444p", 16)
+    Path("t.csv").write_text("frame,x,y\n1004,30,20\n")
+    follow = ("--track", "t.csv", "--outside-track", outside, "--first-frame", "1001", "--save-recipe", "r.json")
+    status, _, err = run("warp", "in.mkv", "out.mkv", *GRAB_2D, *follow)
+    assert (status, err.count("\n")) == (0, 1)
+    assert f"t.csv: a track has frame 1004 alone: what follows it does not move, and {end}" in err
+    (stroke,) = Recipe.from_json(Path("r.json").read_text()).strokes
+    assert [stroke.at_frame(k).strength for k in (3, 10)] == [1, 0 if outside == "fade" else 1]
 
 
 def test_tracks_by_name(run: Run) -> None:

@@ -138,6 +138,35 @@ def test_strokes_fade_smoothly_towards_held_frames(here: Path, recipe: Recipe) -
     )
 
 
+@pytest.mark.parametrize(("count", "hold", "width"), [(30, 2, None), (47, 1, None), (61, 3, 11.5), (60, 2, 20.0)])
+def test_a_fade_is_alike_at_both_ends_and_as_wide_as_it_says(count: int, hold: int, width: float | None) -> None:
+    m = fade_of((count, 1, 1), hold, width).at([[0], [0], np.arange(count)]).ravel()
+    wide = max(4.0, count / 10) if width is None else width
+    np.testing.assert_allclose(m, m[::-1], atol=1e-6)
+    assert (m[:hold] == 0).all()
+    assert m[hold] > 0
+    assert (m[hold - 1 + int(np.ceil(wide)) : count // 2] > 1 - 1e-6).all()
+    assert m[hold - 2 + int(wide)] < 1
+    # A cubic ramp, of which the spline averages three frames as 1 : 4 : 1.
+    t = np.clip((np.arange(-1, count // 2 + 1) - hold) / (wide - 2), 0, 1)
+    ramp = 3 * t**2 - 2 * t**3
+    np.testing.assert_allclose(m[: count // 2], (ramp[:-2] + 4 * ramp[1:-1] + ramp[2:]) / 6, atol=1 / 255)
+
+
+def test_a_stroke_in_time_under_a_matte_that_moves_fades_as_any_other(here: Path) -> None:
+    noisy("in.mkv", "gray", 30)
+    white = np.ones((30, 48, 64), np.float32)
+    white[12:16] = 0.5
+    matte = supple.Freeze.matte_of(white, 30)
+    recipe = replace(WIDE, strokes=(replace(WIDE.strokes[0], matte=matte),))
+    d = warp_file("in.mkv", "out.mkv", recipe, hold=2).deformation
+    both = matte.times(d.domain.freeze).at([[9], [5], np.arange(30)]).ravel()
+    ends = fade_of((30, 1, 1), 2, 3.0).at([[0], [0], np.arange(30)]).ravel()
+    np.testing.assert_allclose(both[:11], ends[:11], atol=1e-6)
+    np.testing.assert_allclose(both[17:], ends[17:], atol=1e-6)
+    np.testing.assert_allclose(both[[13, 14]], 0.5, atol=1 / 255)
+
+
 def test_a_stroke_that_is_held_back_says_so(here: Path) -> None:
     noisy("in.mkv", "gray")
     with pytest.warns(supple.MissWarning, match="short: what is held at the ends of the clip holds it back"):
@@ -260,7 +289,8 @@ def test_a_video_becomes_pictures_from_its_first_frame_on(run: Run, here: Path) 
     ("options", "wanted"),
     [
         (("--frames", "3"), "--frames must be the first and the last frame, A-B (1010-1035, say), found '3'"),
-        (("--frames", "7-3"), "--frames must be the first and the last frame, counted from 0, in this order"),
+        (("--frames", "7-3"), "--frames 7-3: frame 7 comes after 3: give the earlier one first"),
+        (("--frames", "9-5", "--first-frame", "2"), "--frames 9-5: frame 9 comes after 5: give the earlier one first"),
         (("--frames", "3-12"), "--frames must be from 0 to 11, the frames of in.mkv, found 12"),
         (("--frames", "3-14", "--first-frame", "2"), "--frames must be from 2 to 13, the frames of in.mkv, found 14"),
         (("--frames", "3-x"), "--frames must be the number of a frame (0, say) or a timecode (00:00:00:00), found 'x'"),
@@ -284,6 +314,42 @@ def test_parts_are_for_clips(run: Run, here: Path) -> None:
     refused(run("warp", "in.png", "out.png", *GRAB_2D, "--hold", "2"), "--hold is for clips, and in.png is a picture")
     with pytest.raises(SuppleError, match="frames must be the first and the last frame"):
         warp_file("in/%03d.png", "out.mp4", FLAT, clip=ClipOptions(frames=(3,)))  # type: ignore[arg-type]
+
+
+def test_messages_of_strokes_have_the_numbers_that_are_typed(run: Run, here: Path) -> None:
+    pictures("in", 12, names="f.{:04d}.png", first=1001)
+    warp = ("warp", "in/f.%04d.png", "out/f.%04d.png", "--radius", "10")
+    for first in ((), ("--first-frame", "files")):
+        k = 1001 if first else 0
+        grab = ("--grab", f"30,20,{k + 3}:33,22,{k + 20}")
+        said = f"a drag by (3, 2, 17) at (30, 20, {k + 3}) with radius 10 cannot arrive: its target is on the edge"
+        refused(run(*warp, *grab, *first), f"{said} or outside of (0, 0, {k}) to (64, 48, {k + 12})")
+        refused(run("plot", warp[1], "grid.png", *warp[3:], *grab, *first, "--frame", str(k + 3)), said)
+        far = ("--grab", f"30,20,{k + 13}:33,22,{k + 13}", "--border", "none")
+        status, _, err = run(*warp, *far, *first, "--force")
+        assert status == 0
+        assert f"at (30, 20, {k + 13}) with radius 10 starts outside the clip, which has" in err
+        assert f"12 frames (from {k})" in err
+    recipe = Recipe(strokes=(Stroke.grab((30, 20, 3), to=(33, 22, 20), radius=10),))
+    with pytest.raises(SuppleError, match=r"at \(30, 20, 103\) with"):
+        warp_file("in/f.%04d.png", "no/f.%04d.png", recipe, clip=ClipOptions(first_frame=100))
+    twice = Recipe(strokes=(Stroke.pull([(30, 20, 3)] * 2, by=[(3, 2, 0)] * 2, radius=10),))
+    with pytest.raises(SuppleError, match=r"has two handles at \(30, 20, 103\), 1 and 2"):
+        warp_file("in/f.%04d.png", "no/f.%04d.png", twice, clip=ClipOptions(first_frame=100))
+
+
+def test_between_is_an_argument_as_well(here: Path) -> None:
+    noisy("in.mkv", "gray")
+    made = warp_file("in.mkv", "out.mkv", TIMED, between="nearest")
+    assert made.between == "nearest"
+    warp_file("in.mkv", "same.mkv", TIMED, clip=ClipOptions(between="nearest"))
+    np.testing.assert_array_equal(stack("out.mkv"), stack("same.mkv"))
+    with pytest.raises(
+        SuppleError,
+        match="frames must be the first and the last frame, counted from 0, in this order, "
+        r"found \(7, 3\)",
+    ):
+        warp_file("in.mkv", "out.mkv", TIMED, frames=(7, 3), force=True)
 
 
 def test_warnings_have_the_numbers_that_are_typed(run: Run, here: Path) -> None:

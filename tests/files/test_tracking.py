@@ -165,6 +165,29 @@ def test_points_of_several_frames_are_followed_in_one_pass(run: Run) -> None:
     assert run(*warp, "--track-name", "1")[0] == 0
 
 
+def test_frames_are_typed_as_an_artist_does(run: Run, here: Path) -> None:
+    frames, _ = moved(8)
+    os.mkdir("in")
+    for k, frame in enumerate(frames):
+        image.write(f"in/f.{1001 + k}.png", frame.round().astype(np.uint8))
+    one = ("track", "in/f.%04d.png")
+    assert run(*one, "a.csv", "--at", "100,75,2") == (0, "", "")
+    assert run(*one, "b.csv", "--at", "100,75,00:00:00:02") == (0, "", "")
+    assert Path("b.csv").read_bytes() == Path("a.csv").read_bytes()
+    status, out, err = run(*one, "c.csv", "--at", "100,75,1003", "--first-frame", "files", "--json")
+    assert (status, err) == (0, "")
+    (facts,) = json.loads(out)["points"]
+    assert (facts["at"], facts["first"], facts["last"]) == ([100, 75, 1003], 1001, 1008)
+    (plain,), (counted,) = (read_tracks("a.csv"), read_tracks("c.csv", first=1001))
+    assert plain.keys == counted.keys
+    assert Path("c.csv").read_text().splitlines()[1].startswith("1001,")
+    refused(run(*one, "d.csv", "--at", "100,75,1009", "--first-frame", "1001"), "--at must be from 1001 to 1008")
+    refused(run(*one, "d.csv", "--at", "100,75,00:00:01:00"), "--at must be from 00:00:00:00 to 00:00:00:07")
+    refused(run(*one, "d.csv", "--at", "900,75,1003", "--first-frame", "1001"), "the point (900, 75) is not in")
+    refused(run(*one, "d.csv", "--at", "100,75,x"), "--at must be the number of a frame (0, say)")
+    refused(run(*one, "d.mov", "--at", "100,75,2"), "is not that of a table: name a .csv or .txt")
+
+
 def test_frames_before_are_decoded_from_key_frames_within_memory(here: Path) -> None:
     frames, truth = moved(45)
     with av.open("in.mp4", "w") as out:
@@ -214,7 +237,7 @@ def test_what_cannot_be_tracked_is_refused_and_nothing_written(run: Run) -> None
     refused(run(*one), "give a point to track, and the frame in which it is seen: --at X,Y,K")
     refused(run(*one, "--at", "100,75"), "--at must be X,Y,K")
     refused(run(*one, "--at", "100,x,1"), "--at must be X,Y,K")
-    refused(run(*one, "--at", "100,75,1.5"), "--at must be X,Y,K")
+    refused(run(*one, "--at", "100,75,1.5"), "--at must be the number of a frame (0, say) or a timecode")
     refused(run(*one, "--at", "100,75,4"), "is of frame 4, and in.mkv has frames 0 to 3")
     refused(
         run(*one, "--at", "200,75,1"), "the point (200, 75) is not in the picture of in.mkv, 200 x 150: give one in it"
@@ -280,7 +303,7 @@ def test_what_no_stroke_can_follow_is_refused(run: Run) -> None:
     warp = ("warp", "in.mkv", "out.mkv")
     timed = ("--grab", "100,75,2:104,75,2", "--radius", "9", "--track", "auto")
     refused(run(*warp, *timed), "leave out the times of its points, and give --track-frame 2")
-    refused(run(*warp, *AUTO, "--track-name", "a"), "--track-name is for the --track of a file, and there is none")
+    refused(run(*warp, *AUTO, "--track-name", "a"), "--track-name is for the --track of a file, not for auto")
     refused(run(*warp, *AUTO, "--track-frame", "4"), "is of frame 4, and in.mkv has frames 0 to 3")
     refused(run(*warp, "--recipe", "r.json", "--track", "auto"), "r.json")
     refused(run("warp", "-", "out.mkv", *AUTO), "--track auto follows points through one clip")

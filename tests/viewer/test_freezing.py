@@ -336,6 +336,7 @@ def test_a_clip_is_shown_as_it_is_exported(gpu: Gpu, clip: Path) -> None:
     from tests.viewer.windows import wait_for
 
     view, hand = opened(clip)
+    view.document.set_hold(0)
     wait_for(lambda: hand.canvas.draw() is not None and view.painter.ready, 60)
     hand.key("1")
     hand.key("c")

@@ -143,6 +143,8 @@ def test_a_step_is_compared_with_the_present(gpu: Gpu, kind: str, request: Any, 
         Stroke(at=at[:n], by=tuple(f * v for v in by[:n]), radius=20 * (1 + (kind == "volume"))) for f in (1, -1)
     ]
     view, hand = opened(request.getfixturevalue(kind), Recipe(border=None, strokes=strokes[:1]), size=(660, 640))
+    if kind == "clip":
+        view.document.set_hold(0)
     if kind == "volume":
         view.stage.set_mode("exact")
     view.sections |= dict.fromkeys(("Brush", "Strokes", "Selected stroke", "Volume", "View"), False) | {"History": True}

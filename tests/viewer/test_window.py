@@ -222,7 +222,7 @@ def test_a_clip_is_exported_by_the_time_scale_that_it_is_seen_with(gpu: Gpu, sta
     wait_for(lambda: view.commands.export.done)
     view.close()
     for name, scale in (("wanted.mkv", 5.0), ("other.mkv", 1.0)):
-        supple.warp_file(state / "a.mkv", state / name, recipe, clip=ClipOptions(time_scale=scale))
+        supple.warp_file(state / "a.mkv", state / name, recipe, clip=ClipOptions(time_scale=scale), hold=1)
     seen, wanted, other = ([rows(f) for f in decoded(state / f"{name}.mkv")] for name in ("seen", "wanted", "other"))
     assert seen == wanted != other
     with pytest.raises(supple.SuppleError, match=r"time_scale is for clips, and .*head\.nii\.gz is none: leave it out"):

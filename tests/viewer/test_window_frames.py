@@ -218,6 +218,7 @@ def test_the_value_under_the_pointer_is_what_is_seen_there(gpu: Gpu, monkeypatch
 
 def test_the_value_of_a_clip_is_that_of_the_frame_it_comes_from(gpu: Gpu, long: Path) -> None:
     view, hand = opened(long, Recipe(border=None, strokes=(LATER,)))
+    view.document.set_hold(0)
     deformation = view.document.deformation
     view.tools.playback.seek(890)
     settled(view, hand)

@@ -13,7 +13,6 @@ namespace supple {
 struct Freeze {
     int size[3];                   // of coefficients along x, y and z: 1, or 8 and more
     double first[3], per_step[3];  // the place of the first, and 1 / step; in physical units
-    double step;                   // the least one
     const float* values;           // (z, y, x)
     const uint8_t* calm;  // of each cell, from coefficient i to i + 1: cells to the next in which m varies; 0: this one
 };
@@ -28,7 +27,7 @@ INLINE int cell_of(const Freeze& f, int axis, double x, double& part) {
     return i;
 }
 
-// m at some points, and its derivatives up to ORDER; `smooth`: the distance over which m stays as smooth as it is here.
+// m at some points, and its derivatives up to ORDER; `smooth`: the cells over which m stays as smooth as it is here.
 template <int D, int ORDER, class V>
 struct Freed {
     V m, slope[D], bend[D][D], smooth;
@@ -100,7 +99,7 @@ INLINE Freed<D, ORDER, V> freed(const Freeze& f, const V* x) {
             cell = cell * f.size[d] + at[d];
         }
         const int calm = f.calm[cell];
-        set_lane(found.smooth, l, (4 + calm) * f.step);
+        set_lane(found.smooth, l, 4.0 + calm);
         if (calm) {
             set_lane(found.m, l, f.values[cell]);
             continue;

@@ -12,6 +12,17 @@ namespace supple {
 // Bounds of the zeroth to third derivatives of something.
 typedef std::array<double, 4> Derivatives;
 
+// Bounds of the derivatives of m up to the third, `along` of them along z: x and y are apart from z, as in a clip it is
+// time, and its step another.
+struct MaskBounds {
+    float all[10];  // by order
+    float& of(int across, int along) { return all[(across + along) * (across + along + 1) / 2 + along]; }
+    double of(int across, int along) const { return const_cast<MaskBounds*>(this)->of(across, along); }
+    double most() const { return all[0]; }
+    double slope() const { return std::hypot((double)all[1], (double)all[2]); }
+    bool is_level() const { return all[1] == 0 && all[2] == 0; }
+};
+
 class Frozen : public Freeze {
 public:
     // Of coefficients (nz, ny, nx), from 0 to 1. Along an axis of several, the outermost four are equal.
@@ -19,12 +30,10 @@ public:
         const size_t count = (size_t)shape[0] * shape[1] * shape[2];
         held.assign(from, from + count);
         values = held.data();
-        this->step = 1e300;
         for (int i = 0; i < 3; i++) {
             size[i] = shape[2 - i];
             this->first[i] = first[i];
             per_step[i] = 1 / step[i];
-            if (size[i] > 1) this->step = std::min(this->step, step[i]);
         }
         levels.emplace_back();
         levels[0].bounds.resize(count);
@@ -34,9 +43,9 @@ public:
         for (int z = 0; z < n[2]; z++)
             for (int y = 0; y < n[1]; y++)
                 for (int x = 0; x < n[0]; x++) {
-                    const Derivatives found = bounds_of(x, y, z);
+                    const MaskBounds found = bounds_of(x, y, z);
                     levels[0].of(x, y, z) = found;
-                    if (found[1] > 0) distances[((size_t)z * n[1] + y) * n[0] + x] = 0;
+                    if (!found.is_level()) distances[((size_t)z * n[1] + y) * n[0] + x] = 0;
                 }
         measure(1);
         measure(-1);
@@ -48,7 +57,7 @@ public:
     std::vector<const Frozen*> masks;  // if it stands for several: that of all strokes, or null, and those of some
 
     // Of m in a box.
-    Derivatives bounds_in(const double* low, const double* high) const {
+    MaskBounds bounds_in(const double* low, const double* high) const {
         int from[3], to[3], level = 0;
         double part;
         for (int i = 0; i < 3; i++) {
@@ -57,7 +66,7 @@ public:
             while ((to[i] >> level) - (from[i] >> level) > 2) level++;
         }
         const Level& known = levels[level];
-        Derivatives found{};
+        MaskBounds found{};
         for (int z = from[2] >> level; z <= to[2] >> level; z++)
             for (int y = from[1] >> level; y <= to[1] >> level; y++)
                 for (int x = from[0] >> level; x <= to[0] >> level; x++) raise(found, known.of(x, y, z));
@@ -122,18 +131,18 @@ public:
     }
     // True if m = 1 in a box.
     bool is_free(const double* low, const double* high) const {
-        const Derivatives found = bounds_in(low, high);
-        return found[1] == 0 && found[0] == 1;
+        const MaskBounds found = bounds_in(low, high);
+        return found.is_level() && found.most() == 1;
     }
     // True if m = 0 in a box.
-    bool is_frozen(const double* low, const double* high) const { return bounds_in(low, high)[0] == 0; }
+    bool is_frozen(const double* low, const double* high) const { return bounds_in(low, high).most() == 0; }
 
 private:
     struct Level {  // the largest bounds of blocks of cells
         int size[3];
-        std::vector<Derivatives> bounds;
-        Derivatives& of(int x, int y, int z) { return bounds[((size_t)z * size[1] + y) * size[0] + x]; }
-        const Derivatives& of(int x, int y, int z) const { return bounds[((size_t)z * size[1] + y) * size[0] + x]; }
+        std::vector<MaskBounds> bounds;
+        MaskBounds& of(int x, int y, int z) { return bounds[((size_t)z * size[1] + y) * size[0] + x]; }
+        const MaskBounds& of(int x, int y, int z) const { return bounds[((size_t)z * size[1] + y) * size[0] + x]; }
     };
 
     // Of the coefficients around a cell: the weights in the Bézier points of a part [a, b] of it, and in those of its
@@ -165,20 +174,20 @@ private:
         }
     }
 
-    static void raise(Derivatives& a, const Derivatives& b) {
-        for (int i = 0; i < 4; i++) a[i] = std::max(a[i], b[i]);
+    static void raise(MaskBounds& a, const MaskBounds& b) {
+        for (int i = 0; i < 10; i++) a.all[i] = std::max(a.all[i], b.all[i]);
     }
 
     // In a cell: a derivative of a spline is the spline, one degree lower, of the differences of its coefficients, and
     // no larger than the largest of those around.
-    Derivatives bounds_of(int x, int y, int z) const {
+    MaskBounds bounds_of(int x, int y, int z) const {
         const int at[3] = {x, y, z};
         int count[3], from[3];
         for (int i = 0; i < 3; i++) {
             count[i] = size[i] > 1 ? 4 : 1;
             from[i] = size[i] > 1 ? at[i] - 1 : 0;
         }
-        double c[4][4][4];
+        double c[4][4][4] = {};
         double lowest = 1, highest = 0;
         for (int k = 0; k < count[2]; k++)
             for (int j = 0; j < count[1]; j++)
@@ -192,35 +201,41 @@ private:
                     lowest = std::min(lowest, v);
                     highest = std::max(highest, v);
                 }
-        Derivatives found{highest, 0, 0, 0};
+        MaskBounds found{{(float)highest}};
         if (lowest == highest) return found;
         static constexpr int WAYS[4] = {1, 1, 2, 6};
-        double sums[4] = {};
-        for (int p = 0; p < std::min(count[0], 4); p++)
-            for (int q = 0; q + p < 4 && q < count[1]; q++)
+        double sums[4][4] = {};  // by the orders across and along
+        for (int p = 0; p < count[0]; p++) {
+            if (p) subtract(c, 1, count[0] - p);
+            double d[4][4][4];
+            std::copy(c[0][0], c[0][0] + 64, d[0][0]);
+            for (int q = 0; q + p < 4 && q < count[1]; q++) {
+                if (q) subtract(d, 4, count[1] - q);
+                double e[4][4][4];
+                std::copy(d[0][0], d[0][0] + 64, e[0][0]);
                 for (int r = 0; r + q + p < 4 && r < count[2]; r++) {
-                    const int order = p + q + r;
-                    if (order == 0) continue;
+                    if (r) subtract(e, 16, count[2] - r);
                     double largest = 0;
-                    for (int k = 0; k + r < count[2]; k++)
-                        for (int j = 0; j + q < count[1]; j++)
-                            for (int i = 0; i + p < count[0]; i++) {
-                                double sum = 0;
-                                for (int w = 0; w <= r; w++)
-                                    for (int v = 0; v <= q; v++)
-                                        for (int u = 0; u <= p; u++)
-                                            sum += SIGNED[r][w] * SIGNED[q][v] * SIGNED[p][u] * c[k + w][j + v][i + u];
-                                largest = std::max(largest, std::abs(sum));
-                            }
+                    for (int k = 0; k < count[2] - r; k++)
+                        for (int j = 0; j < count[1] - q; j++)
+                            for (int i = 0; i < count[0] - p; i++) largest = std::max(largest, std::abs(e[k][j][i]));
                     largest *= std::pow(per_step[0], p) * std::pow(per_step[1], q) * std::pow(per_step[2], r);
                     // As often as it occurs in the form of all derivatives of its order.
-                    sums[order] += WAYS[order] / (WAYS[p] * WAYS[q] * WAYS[r]) * largest * largest;
+                    sums[p + q][r] += WAYS[p + q] / (WAYS[p] * WAYS[q]) * largest * largest;
                 }
-        for (int n = 1; n < 4; n++) found[n] = std::sqrt(sums[n]) * (1 + 1e-12);
-        found[1] = std::max(found[1], 1e-300);
+            }
+        }
+        for (int p = 0; p < 4; p++)
+            for (int r = p == 0; p + r < 4; r++) found.of(p, r) = (float)(std::sqrt(sums[p][r]) * (1 + 1e-7));
+        found.of(1, 0) = std::max(found.of(1, 0), 1e-37f);
         return found;
     }
-    static constexpr double SIGNED[4][4] = {{1}, {-1, 1}, {1, -2, 1}, {-1, 3, -3, 1}};  // of differences
+    // Replace coefficients by their differences along an axis, of a stride and so many.
+    static void subtract(double (*c)[4][4], int stride, int left) {
+        double* at = c[0][0];
+        for (int i = 0; i < 64; i++)
+            if (i / stride % 4 < left) at[i] = at[i + stride] - at[i];
+    }
 
     // The distance to a cell where m varies, by a sweep: the largest of those along the axes.
     void measure(int way) {

@@ -311,13 +311,13 @@ public:
 
     Bounds known;
     std::vector<int> near;  // the strokes that reach the last box
-    double plain[2];        // N₀ and N₁ there, without a mask
-    Derivatives mask;       // bounds of m and its derivatives there
+    Derivatives free_of;    // the N_n there, of strokes without a mask
+    Derivatives masked;     // and of those with one, without its factor
+    MaskBounds mask{};      // bounds of m there
 
     // List the strokes that reach a box in `near`, and add their bounds up.
-    Derivatives sum_in(const Region& box) {
-        Derivatives n{};
-        plain[0] = plain[1] = 0;
+    void sum_in(const Region& box) {
+        free_of = masked = {};
         if (freeze) mask = freeze->bounds_in(box.low, box.high);
         near.clear();
         for (int s = 0; s < (int)strokes.size(); s++) {
@@ -333,11 +333,23 @@ public:
             near.push_back(s);
             Derivatives own =
                 stroke.flat > 0 ? eased_bounds(stroke, near2, far2) : displacement_bounds(stroke, near2, far2);
-            for (int i = 0; i < 2; i++) plain[i] += own[i];
-            if (stroke.freeze) own = product(mask, own);
-            for (int i = 0; i < 4; i++) n[i] += own[i];
+            for (int i = 0; i < 4; i++) (stroke.freeze ? masked : free_of)[i] += own[i];
         }
-        return n;
+    }
+
+    // Bounds of the derivatives of m K in that box: of the n-th, n - 1 along the axis k, and one along which points
+    // move.
+    Derivatives sum_along(int k) const {
+        const int x = k < 2, z = k == 2;
+        const double m = mask.most(), mk = mask.of(x, z), mkk = mask.of(2 * x, 2 * z);
+        const double g = turned(0, 0), gk = turned(x, z), gkk = turned(2 * x, 2 * z), most = std::max(g, mk);
+        const Derivatives& N = masked;
+        return {
+            free_of[0] + m * N[0],
+            free_of[1] + m * N[1] + most * N[0],
+            free_of[2] + m * N[2] + (mk + most) * N[1] + std::max(gk, mkk) * N[0],
+            free_of[3] + m * N[3] + (2 * mk + g) * N[2] + (mkk + 2 * gk) * N[1] + gkk * N[0],
+        };
     }
 
     std::vector<Stroke> those_in(const Region& box) {
@@ -416,13 +428,13 @@ private:
             steepest = std::max(steepest, moving[k] ? b[k][1] : 0);
         }
         Errors found;
-        const Derivatives n = sum_in(box);
+        sum_in(box);
         if (near.empty()) return found;
         double turn = 0;  // |∇m|
         for (int s : near) {
             const Stroke& stroke = strokes[s];
             const double rho = std::sqrt(stroke.radius2[0]);
-            const double own = stroke.freeze ? mask[1] : 0;
+            const double own = stroke.freeze ? mask.slope() : 0;
             turn = std::max(turn, own);
             found.rounding +=
                 noise[s] / (stroke.power == 3 ? rho * rho : rho) * (5 / rho + steepest + own + 2 * stroke.per_reach);
@@ -430,6 +442,7 @@ private:
         double most = 0;
         for (int k = 0; k < 3; k++) {
             const double width = box.high[k] - box.low[k], share = 0.125 * width * width;
+            const Derivatives n = sum_along(k);
             const double mixed = 2 * b[k][1] * n[2] + b[k][2] * n[1];  // of |x_k| |x| ≤ |x|²/4 + x_k²
             const double own = mixed + 2 * b[k][2] * n[1] + b[k][3] * n[0];
             double added = 0;
@@ -442,7 +455,8 @@ private:
             }
             if (added > most) most = added, found.cut = k;
         }
-        found.simple = -(value * n[1] + steepest * n[0]) * (1 + 1e-12);
+        const double first = free_of[1] + mask.most() * masked[1] + turned(0, 0) * masked[0];
+        found.simple = -(value * first + steepest * (free_of[0] + mask.most() * masked[0])) * (1 + 1e-12);
         if (steepest == 0 && turn == 0) found.simple = std::max(found.simple, free);
         if (turn > 0) found.simple = std::max(found.simple, beside(box, value, steepest));
         return found;
@@ -467,7 +481,8 @@ private:
         }
         for (int i = 0; i < 3; i++)
             if (!moving[i]) moved.x[i] = 0;
-        const double away = value * plain[1] + steepest * plain[0], delta = away * std::sqrt(across2);
+        const double away = value * (free_of[1] + masked[1]) + steepest * (free_of[0] + masked[0]),
+                     delta = away * std::sqrt(across2);
         const double size = std::sqrt(dot<3>(moved.x, moved.x));
         double lowest = 0, longest = 0;
         for (int n = 0; n < count; n++) {
@@ -477,7 +492,13 @@ private:
             longest = std::max(longest, length);
             lowest = std::min(lowest, 0.5 * (dot<3>(moved.x, g[n]) - size * length));
         }
-        return (lowest - delta * longest - mask[0] * away) * (1 + 1e-12);
+        return (lowest - delta * longest - mask.most() * away) * (1 + 1e-12);
+    }
+
+    // Bound the gradient of a derivative of m, along the axes along which points move.
+    double turned(int across, int along) const {
+        return std::hypot(moving[0] || moving[1] ? mask.of(across + 1, along) : 0.0,
+                          moving[2] ? mask.of(across, along + 1) : 0.0);
     }
 
     // The lowest bound in a box that needs no further division.
@@ -584,11 +605,14 @@ inline double largest_displacement(const std::vector<Stroke>& strokes, const Axi
             across2 += 0.25 * width * width;
             at.x[i] = 0.5 * (box.low[i] + box.high[i]);
         }
-        const Derivatives n = search.sum_in(box);
+        search.sum_in(box);
+        const double most = search.free_of[0] + search.mask.most() * search.masked[0];
+        const double steepest =
+            search.free_of[1] + search.mask.most() * search.masked[1] + search.mask.slope() * search.masked[0];
         const Axis free[3] = {{0, 0, -1, 1, QUARTIC}, {0, 0, -1, 1, QUARTIC}, {0, 0, -1, 1, QUARTIC}};
         for (int s : search.near) add(among[s], free, at, moved);
         const double here = std::sqrt(dot<3>(moved.x, moved.x));
-        box.bound = std::min({box.bound, n[0], here + n[1] * std::sqrt(across2)}) * (1 + 1e-12);
+        box.bound = std::min({box.bound, most, here + steepest * std::sqrt(across2)}) * (1 + 1e-12);
         return here;
     };
     // With the strokes that reach it alone, each box is cheap to look at.

@@ -24,7 +24,7 @@ inline Bound bound_within(const Stroke& k, const Axis* axes, int dimensions) {
         if (axes[i].sigma > 0 && !k.inner) bound.slope += 2 * bound.value / (axes[i].sigma * (i == 2 ? k.stretch : 1));
     if (k.freeze) {
         const Vicinity near(k);
-        bound.slope += bound.value * mask_of(k).bounds_in(near.low, near.high)[1] * std::max(1.0, 1 / k.stretch);
+        bound.slope += bound.value * mask_of(k).bounds_in(near.low, near.high).slope() * std::max(1.0, 1 / k.stretch);
     }
     return bound;
 }

@@ -424,7 +424,15 @@ ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V
                 V along[D];
                 for (int i = 0; i < D; i++) along[i] = i < 2 ? at.t[j][i] : V(k.stretch * at.t[j][i]);
                 V scale2 = round2 / dot<D>(along, along);
-                if (k.freeze) scale2 = least(scale2, V(free.smooth * free.smooth / dot<D>(at.t[j], at.t[j])));
+                if (k.freeze) {
+                    V cells = splat<V>(1e-300);  // for each step of q, along axes along which m varies
+                    for (int i = 0; i < D; i++)
+                        if (k.freeze->size[i] > 1) {
+                            const V part = k.freeze->per_step[i] * at.t[j][i];
+                            cells += part * part;
+                        }
+                    scale2 = least(scale2, V(free.smooth * free.smooth / cells));
+                }
                 for (int i = 0; i < D; i++)
                     if (axes[i].sigma > 0 && !k.inner) {
                         // β varies along its own axis alone: over σ at a face, and it is constant farther in.

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Group, Parameter, Token
 
 from supple.cli.console import STREAM, current
-from supple.errors import SuppleError
+from supple.errors import SuppleError, counting
 
 if TYPE_CHECKING:
     from fractions import Fraction
@@ -132,7 +132,8 @@ class RunOptions:
         return {"quiet": self.quiet, "strict": self.strict, "threads": self.threads}
 
 
-def _first(option: str, text: str) -> "int | str":
+def parse_first(option: str, text: str) -> "int | str":
+    """Read the number of the first frame."""
     return text if text == "files" else parse_integer(option, text, "a whole number, or files")
 
 
@@ -173,6 +174,8 @@ class Frames:
         if len(ends) != 2:
             raise SuppleError(f"{option} must be the first and the last frame, A-B (1010-1035, say), found {text!r}")
         first, last = (self.read(option, end.strip()) for end in ends)
+        if first > last:
+            raise SuppleError(f"{option} {text}: frame {ends[0]} comes after {ends[1]}: give the earlier one first")
         return first, last
 
     def plain(self, option: str, text: str) -> str:
@@ -204,7 +207,7 @@ class TimeOptions:
     """
 
     time_scale: Annotated[float | None, read(_scale, "PX")] = None
-    first_frame: Annotated[Any, read(_first, "N|files")] = None
+    first_frame: Annotated[Any, read(parse_first, "N|files")] = None
 
     def frames(self, source: str) -> Frames:
         """Return how frames of a clip are typed."""
@@ -315,8 +318,8 @@ class TrackOptions:
             loose = ("track_frame", "outside_track", *loose)
         for name in loose if self.track in (None, "auto") else ():
             if getattr(self, name) not in (None, (), [], False):
-                what = "a --track" if self.track is None else "the --track of a file"
-                raise SuppleError(f"--{name.replace('_', '-')} is for {what}, and there is none: leave it out")
+                what = "a --track, and there is none" if self.track is None else "the --track of a file, not for auto"
+                raise SuppleError(f"--{name.replace('_', '-')} is for {what}: leave it out")
         if self.track is None:
             return recipe
         if not count:
@@ -328,7 +331,7 @@ class TrackOptions:
         from supple.files.tracks import follow_tracks
 
         total = len(recipe.strokes)
-        with counted(current().terminal) as tell:
+        with counted(current().terminal) as tell, counting(frames.first):
             return follow_tracks(
                 recipe,
                 None if auto else self.track,

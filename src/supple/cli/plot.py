@@ -11,7 +11,7 @@ from supple.cli.console import current, told, warn_of_software
 from supple.cli.options import RUNNING, RunOptions, VideoOptions, parse_integer
 from supple.cli.options_maps import MapOptions
 from supple.cli.options_strokes import StrokeOptions
-from supple.errors import SuppleError
+from supple.errors import SuppleError, counting
 
 What = Literal["grid", "stretch", "axes", "residual", "iterations", "slice", "sheet"]
 Device = Literal["auto", "cpu", "gpu"]
@@ -69,20 +69,21 @@ def plot(
     from supple.files.jobs import Job
     from supple.files.plots import plot_file
 
-    deformation = plot_file(
-        source,
-        target,
-        recipe,
-        what,
-        frame=None if frame is None else typed.read("--frame", frame),
-        x=None if x is None else parse_integer("--x", x, "a whole number of pixels"),
-        y=None if y is None else parse_integer("--y", y, "a whole number of pixels"),
-        clip=video.to_clip(),
-        force=options.force,
-        progress=console.terminal,
-        fit=strokes.to_fit(),
-        maps=elements.placed(console, Job(source, "", recipe)).maps,
-    )
+    with counting(typed.first):
+        deformation = plot_file(
+            source,
+            target,
+            recipe,
+            what,
+            frame=None if frame is None else typed.read("--frame", frame),
+            x=None if x is None else parse_integer("--x", x, "a whole number of pixels"),
+            y=None if y is None else parse_integer("--y", y, "a whole number of pixels"),
+            clip=video.to_clip(),
+            force=options.force,
+            progress=console.terminal,
+            fit=strokes.to_fit(),
+            maps=elements.placed(console, Job(source, "", recipe)).maps,
+        )
     if options.json:
         job = (Path(source), Path(target))
         facts = picture_facts(job, deformation, deformation.report()) if deformation.ndim == 2 else told(deformation)

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import os
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from supple.cli.console import current
-from supple.cli.options import RUNNING, RunOptions, memory_option, parse_integer, parse_number
-from supple.errors import SuppleError
+from supple.cli.options import (
+    RUNNING,
+    VIDEO,
+    Frames,
+    RunOptions,
+    memory_option,
+    parse_first,
+    parse_number,
+    read,
+)
+from supple.errors import SuppleError, counting
 
 _RUN = RunOptions()
 
@@ -20,6 +29,7 @@ def track(
     /,
     *,
     at: Annotated[list[str], Parameter(metavar="X,Y,K", allow_leading_hyphen=True, show_default=False)] = (),  # type: ignore[assignment]
+    first_frame: Annotated[Any, read(parse_first, "N|files", group=VIDEO)] = None,
     memory: Annotated[float | None, memory_option(group=RUNNING)] = None,
     options: RunOptions = _RUN,
 ) -> None:
@@ -35,7 +45,10 @@ def track(
     target
         The table to write: a .csv with the columns frame, x, y, error and, of several points, name (1, 2, …).
     at
-        A point that is seen in frame K, counted from 0: a corner or a spot. Give it again for each further point.
+        A point that is seen in frame K, counted from 0, or at its timecode: a corner or a spot. Give it again for each
+        further point.
+    first_frame
+        Number of the first frame, for --at, the table and messages, or files: as in the name of the first picture.
     memory
         Memory for frames on the way to the first one, in gigabytes (default 2).
     """
@@ -48,30 +61,31 @@ def track(
 
     if not at:
         raise SuppleError("give a point to track, and the frame in which it is seen: --at X,Y,K")
-    points = [_point(text) for text in at]
-    check_suffix(target, os.path.splitext(target)[1], (".csv", ".txt"), "is not that of a table", "name a .csv")
+    typed = Frames(source, first_frame)
+    points, first = [_point(text, typed) for text in at], typed.first or 0
+    check_suffix(target, os.path.splitext(target)[1], (".csv", ".txt"), "is not that of a table", "name a .csv or .txt")
     check_output(target, force=options.force)
-    with counted(console.terminal) as tell:
+    with counted(console.terminal) as tell, counting(first):
         tracks = track(source, points, memory=2 * GB if memory is None else memory, tell=tell)
-    write_track(target, tracks, force=options.force)
+    write_track(target, tracks, force=options.force, first=first)
     if options.json:
         facts = [
             {
-                "at": at,
-                "first": int(each.frames[0]),
-                "last": int(each.frames[-1]),
+                "at": [*place, first + k],
+                "first": first + int(each.frames[0]),
+                "last": first + int(each.frames[-1]),
                 "error": float(each.errors.max()),
-                "lost": [{"frame": frame, "why": why} for frame, why in each.lost],
+                "lost": [{"frame": first + frame, "why": why} for frame, why in each.lost],
             }
-            for at, each in zip(points, tracks, strict=True)
+            for (*place, k), each in zip(points, tracks, strict=True)
         ]
         console.tell({"input": source, "output": target, "points": facts})
 
 
-def _point(text: str) -> tuple[float, float, int]:
+def _point(text: str, frames: Frames) -> tuple[float, float, int]:
     wanted = "X,Y,K, a point in pixels and the frame in which it is seen"
     parts = text.split(",")
     if len(parts) != 3:
         raise SuppleError(f"--at must be {wanted}, found {text!r}")
     x, y = (parse_number("--at", part, wanted) for part in parts[:2])
-    return x, y, parse_integer("--at", parts[2], wanted)
+    return x, y, frames.read("--at", parts[2])

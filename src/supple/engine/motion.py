@@ -156,18 +156,24 @@ class Motion:
         A map through a clip.
     window : sequence of array
         The frames in slots, for each group of the layout, as `supple.engine.core.samplings_of` takes them.
+    fields : float32 array
+        For `Moving.fields`, of a shape that `shape_of` returns.
     """
 
-    def __init__(self, work: Work, window: Sequence[Array]) -> None:
+    def __init__(self, work: Work, window: Sequence[Array], fields: Floats) -> None:
         need_flow()
         self._layout, self._frames = work.layout, window[0]
-        x0, x1, y0, y1 = self._box = _reached(work.space)
-        slots = len(window[0])
-        shape = slots, -(-(y1 - y0) // APART), -(-(x1 - x0) // APART), 4
+        x0, _, y0, _ = self._box = _reached(work.space)
+        slots, middle = len(window[0]), (APART - 1) / 2
         self._pairs = np.full(slots, -1)
         self._grey: dict[int, Any] = {}
-        middle = (APART - 1) / 2
-        self._moving = Moving(np.zeros(shape, np.float32), [0.0] * slots, x0 + middle, y0 + middle, APART)
+        self._moving = Moving(fields, [0.0] * slots, x0 + middle, y0 + middle, APART)
+
+    @staticmethod
+    def shape_of(work: Work, slots: int) -> tuple[int, int, int, int]:
+        """Return the shape of the fields of a map, of the pairs in so many slots."""
+        x0, x1, y0, y1 = _reached(work.space)
+        return slots, -(-(y1 - y0) // APART), -(-(x1 - x0) // APART), 4
 
     def between(self, pairs: range) -> Moving | None:
         """Return the motion of all pairs k, k + 1 of a range, whose frames are in the window, and of no others."""

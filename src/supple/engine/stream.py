@@ -176,10 +176,10 @@ def stream(
 ) -> Generator[tuple[int, list[Array], Certificate], None, None]:
     """Yield planes of the output: the index of each, its samples, and the certificate of its map.
 
-    Frames are read in order, from number ``first`` on, into a window of those that the plan needs at once: in memory,
-    or beyond so many bytes in a temporary file. The samples are one array (h, w, channels) for each group, reused for
-    the next plane, or for a later one if more are ``buffered``. SuppleError if there are fewer frames than the plan
-    needs, or no room for the file.
+    Frames are read in order, from number ``first`` on, into a window of those that the plan needs at once, with the
+    motion between them: in memory, or beyond so many bytes in a temporary file. The samples are one array (h, w,
+    channels) for each group, reused for the next plane, or for a later one if more are ``buffered``. SuppleError if
+    there are fewer frames than the plan needs, or no room for the file.
     """
     layout = work.layout
     with contextlib.ExitStack() as stack:
@@ -197,7 +197,9 @@ def stream(
         space, step, tolerance = work.space, layout.step, work.sampling.tolerance
         motion = None
         if work.sampling.between_frames == "flow" and space.ndim == 3 and not space.is_identity:
-            motion = Motion(work, window)
+            left = max(memory - sum(frames.nbytes for frames in window), 0)
+            (fields,) = stack.enter_context(buffers([Motion.shape_of(work, capacity)], np.float32, left, full))
+            motion = Motion(work, window, fields)
         every = None  # one map for all frames
         if space.ndim == 2 and work.items is None:
             every = plan_of(space, 0, tolerance, step)

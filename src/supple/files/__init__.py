@@ -39,6 +39,7 @@ def warp_file(
     frames: tuple[int, int] | None = None,
     frame: int | None = None,
     hold: int | None = None,
+    between: str | None = None,
 ) -> Warped:
     """Warp an image file, a video, an image sequence, or a volume.
 
@@ -94,10 +95,10 @@ def warp_file(
         millimetres in LPS for volumes, in pixels for pictures. Not for clips.
     grid : GridOptions, optional
         The grid of the output: that of another image, a part, or of another spacing. Not for clips.
-    frames, frame, hold : optional
+    frames, frame, hold, between : optional
         As in `ClipOptions`, which they complete: the part of a clip that is bent, ``(first, last)``; the one frame that
-        is written as a picture, for which no more frames are decoded than it needs; and the frames at each end that
-        keep every bit.
+        is written as a picture, for which no more frames are decoded than it needs; the frames at each end that keep
+        every bit; and the interpolation between frames.
 
     Returns
     -------
@@ -114,7 +115,7 @@ def warp_file(
     >>> recipe = Recipe(strokes=[Stroke.grab((256, 256), to=(256, 346), radius=100)])  # doctest: +SKIP
     >>> warp_file("photo.jpg", "bent.jpg", recipe).report().error  # doctest: +SKIP
     """
-    shot = {"frames": frames, "frame": frame, "hold": hold}
+    shot = {"frames": frames, "frame": frame, "hold": hold, "between": between}
     known = replace(clip or ClipOptions(), **{name: value for name, value in shot.items() if value is not None})  # type: ignore[arg-type]
     return Job(
         source, target, recipe, Sampling(filter, tolerance, outside or "edge", fill, linear_light), outside, clamp,

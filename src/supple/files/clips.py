@@ -22,7 +22,7 @@ from supple.engine.motion import need_flow
 from supple.engine.sampling import DEFAULT, Certificate, Sampling, warn_of
 from supple.engine.stream import Done, Frame, Plan, make_plan, run, stream
 from supple.engine.work import Array, Layout, Tell, Work
-from supple.errors import OutsideWarning, SuppleError, argument, caller, shown
+from supple.errors import OutsideWarning, SuppleError, argument, caller, counting, numbered, shown
 from supple.files.jobs import Job, Warped
 from supple.files.options import ClipOptions, GridOptions, PathLike
 from supple.folding.resolved import warn_of_still
@@ -118,16 +118,17 @@ def warp(job: Job, tell: Tell) -> Warped:
     def once(count: int | None) -> Warped:
         known = job.clip
         with open_clip(job.source, rate=known.rate, count=count, target=job.target) as clip:
-            bent, first = bent_of(clip, known), known.first_frame or 0
+            bent = bent_of(clip, known)
             deformations = deformations_of(
-                job.recipe, clip, known.time_scale, job.fit, tell, hold=known.hold, bent=bent, first=first
+                job.recipe, clip, known.time_scale, job.fit, tell, hold=known.hold, bent=bent
             )
             if count is None:
                 warn_of_still(job.recipe.strokes)
                 warn_of_frames(clip, deformations)
             return _written(job, clip, deformations, bent, tell)
 
-    return counted_anew(job.source, once)
+    with counting(job.clip.first_frame):
+        return counted_anew(job.source, once)
 
 
 def counted_anew(source: PathLike, use: Callable[[int | None], T]) -> T:
@@ -261,7 +262,8 @@ def _check_shot(options: ClipOptions) -> None:
     if options.frames is not None:
         wanted = "the first and the last frame, counted from 0, in this order"
         first, last = items("frames", options.frames, wanted, (2,))
-        integer("frames", last, wanted, integer("frames", first, wanted, 0, LONGEST_AXIS), LONGEST_AXIS)
+        if integer("frames", first, wanted, 0, LONGEST_AXIS) > integer("frames", last, wanted, 0, LONGEST_AXIS):
+            refuse("frames", wanted, options.frames)
         if options.frame is not None:
             raise SuppleError(
                 f"{argument('frame')} writes one frame, and {argument('frames')} are some: give one of them"
@@ -338,10 +340,12 @@ def fade_of(shape: tuple[int, ...], hold: int, width: float | None = None) -> Fr
 
     ``width`` is that of the fade beside them, in frames: by default a tenth of the clip, as that of a border.
     """
-    held = np.zeros((shape[0], 1, 1), bool)
-    held[:hold] = held[len(held) - hold :] = True
-    made = Freeze.of(held, width=max(4.0, AUTO * len(held) if width is None else width))
-    return replace(made, samples=shape[::-1])
+    frames = np.arange(shape[0])
+    away = np.minimum(frames, frames[::-1]) - hold
+    # The spline that smooths these averages three frames: it adds one on either side.
+    part = np.clip(away / (max(4.0, AUTO * len(frames) if width is None else width) - 2), 0, 1)
+    ramp = (part**2 * (3 - 2 * part)).reshape(-1, 1, 1)
+    return replace(Freeze.matte_of(ramp, len(frames)), samples=shape[::-1])
 
 
 @lru_cache(maxsize=4)
@@ -359,19 +363,17 @@ def deformations_of(
     *,
     hold: int = 0,
     bent: range | None = None,
-    first: int = 0,
 ) -> tuple[Deformation, ...]:
     """Return a recipe on a clip: one deformation, or one for each frame, if its strokes move or fade.
 
-    ``hold`` is as in `ClipOptions`; of frames that are not ``bent``, the deformation may be any; ``first`` is the
-    number of the first frame in messages.
+    ``hold`` is as in `ClipOptions`; of frames that are not ``bent``, the deformation may be any.
     """
     count, shape, name = clip.count, clip.layout.shape, clip.name
     if not (recipe.moves or (hold and recipe.strokes and recipe.strokes[0].ndim == 2)):
         return (deformation_of(recipe, count, shape, time_scale, name, fit, clip.display, hold),)
     x, y, *size = clip.display or (0, 0, *shape[::-1])
     fitted = fit_recipe(recipe, size, fit, name).placed((x, y), shape[::-1])
-    return motion_of(fitted, count, shape, tell, hold=hold, bent=bent, first=first)
+    return motion_of(fitted, count, shape, tell, hold=hold, bent=bent)
 
 
 def between_frames(sampling: Sampling, options: ClipOptions) -> Sampling:
@@ -478,7 +480,6 @@ def motion_of(
     *,
     hold: int = 0,
     bent: range | None = None,
-    first: int = 0,
 ) -> tuple[Deformation, ...]:
     """Return the deformation of each frame, of a recipe whose strokes have keys or fade, and which fits the frames.
 
@@ -486,7 +487,7 @@ def motion_of(
     is one warning, that of the first of them, or an OutsideWarning if it begins outside in every frame. ``shape`` has
     the rows and columns of a frame; ``tell`` is called with ``"plan"``, the number of frames that are planned, and
     ``count``. Errors are those of `Deformation.from_recipe`, with the frame. ``hold`` is as in `ClipOptions`; of frames
-    that are not ``bent``, the deformation is the identity. ``first`` is the number of the first frame in messages.
+    that are not ``bent``, the deformation is the identity.
     """
     for matte in (stroke.matte for stroke in recipe.strokes):
         if matte is not None and matte.ndim == 3 and matte.samples[2] != count:
@@ -512,13 +513,13 @@ def motion_of(
             try:
                 known[now] = Deformation.from_recipe(now, shape, roaming=roaming, say=say)
             except SuppleError as error:
-                raise type(error)(f"frame {first + k}: {error}") from None
+                raise type(error)(f"frame {numbered(k)}: {error}") from None
         tell("plan", k + 1, count)
     _check_places(recipe, roaming, {now.strokes for now in frames}, count, shape)
     for (kind, _), (text, some) in told.items():
         at = [k for k, now in enumerate(frames) if now in some]
         more = f" (and in {len(at) - 1} more)" if len(at) > 1 else ""
-        warnings.warn(f"frame {first + at[0]}{more}: {text}", kind, stacklevel=4)
+        warnings.warn(f"frame {numbered(at[0])}{more}: {text}", kind, stacklevel=4)
     return tuple(still if bent is not None and k not in bent else known[now] for k, now in enumerate(frames))
 
 
@@ -534,8 +535,8 @@ def _check_places(
         frames = [key.frame for key in stroke.keys if key.at is not None]
         if len(frames) > 1 and (frames[-1] < 0 or frames[0] >= count):
             warnings.warn(
-                f"{which} has positions in frames {frames[0]} to {frames[-1]}, and the clip has {count}, from 0: it "
-                "follows none of them (does the track give another number to the first?)",
+                f"{which} has positions in frames {numbered(frames[0])} to {numbered(frames[-1])}, and the clip has "
+                f"{count}, from {numbered(0)}: it follows none of them (does the track give the first another?)",
                 OutsideWarning,
                 stacklevel=5,
             )

@@ -99,9 +99,10 @@ class Job:
                     f"{asked(option, value)} is for {where}, and {medium.name} is a {medium.kind}: leave it out"
                 )
         if medium.kind == "picture" and self.recipe.moves:
+            moving = "strokes with keys move" if any(each.keys for each in self.recipe.strokes) else "the matte moves"
             raise SuppleError(
-                f"{medium.name} is taken for a picture, and strokes with keys move from frame to frame: give a clip, "
-                "or the recipe of one frame"
+                f"{medium.name} is taken for a picture, and {moving} from frame to frame: give a clip, or what is of "
+                "one frame"
             )
         if not self.force and same_file(self.source, self.target) and not Path(self.source).is_dir():
             name, instead = shown(self.target), argument("force", True)

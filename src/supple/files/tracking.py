@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.engine.work import Array, Tell, silent
-from supple.errors import SuppleError, TrackWarning, caller, need, shown
+from supple.errors import SuppleError, TrackWarning, caller, need, numbered, shown
 from supple.files.clips import counted_anew, open_clip, refuse_picture, warn_of_display
 from supple.files.options import GB, PathLike
 from supple.media.base import Clip
@@ -231,9 +231,9 @@ def _tracked(clip: Clip, at: Sequence[Sequence[float]], memory: float, tell: Tel
     x0, y0, width, height = clip.display or (0, 0, *clip.layout.shape[::-1])
     points = [point(f"at[{i}]", each, (3,)) for i, each in enumerate(at)]
     for x, y, k in points:
-        where, frames = f"the point ({x:g}, {y:g})", f"frames 0 to {clip.count - 1}"
+        where, frames = f"the point ({x:g}, {y:g})", f"frames {numbered(0)} to {numbered(clip.count - 1)}"
         if not (k.is_integer() and 0 <= k < clip.count):
-            raise SuppleError(f"{where} is of frame {k:g}, and {clip.name} has {frames}: give one of these")
+            raise SuppleError(f"{where} is of frame {numbered(k):g}, and {clip.name} has {frames}: give one of these")
         if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
             raise SuppleError(f"{where} is not in the picture of {clip.name}, {width} x {height}: give one in it")
     if not points:
@@ -267,7 +267,8 @@ def _joined(onwards: Sequence[_Walk], backwards: Sequence[_Walk], corner: Number
         lost = tuple(end for end in ends if end[1])
         tracks.append(Tracked(frames, points, np.array([*earlier.errors[:0:-1], *later.errors]), lost))
         x, y = later.points[0] - corner
-        lines += [f"{name}: the point ({x:g}, {y:g}) of frame {later.frame} is lost in frame {k}: {w}" for k, w in lost]
+        what = f"{name}: the point ({x:g}, {y:g}) of frame {numbered(later.frame)} is lost in frame"
+        lines += [f"{what} {numbered(k)}: {why}" for k, why in lost]
     if lines and all(len(each.frames) == 1 for each in tracks):
         raise SuppleError(f"{lines[0]}: choose a corner or a spot that stays in sight")
     for line in lines:
@@ -305,15 +306,16 @@ def _around(image: Array, at: Numbers, half: int) -> tuple[Array, Numbers]:
     return image[corner[1] : y + half + 1, corner[0] : x + half + 1], np.array(corner, np.float64)
 
 
-def write_track(path: PathLike, tracks: Sequence[Tracked], *, force: bool = False) -> None:
+def write_track(path: PathLike, tracks: Sequence[Tracked], *, force: bool = False, first: int = 0) -> None:
     """Write a table that `supple.media.tracks.read_tracks` reads: frame, x, y and error; of several tracks, a name.
 
-    The names are 1, 2 and so on. SuppleError if the file exists and ``force`` is false, or it cannot be written.
+    The names are 1, 2 and so on; ``first`` is the number of the first frame of the clip. SuppleError
+    if the file exists and ``force`` is false, or it cannot be written.
     """
     lines = ["frame,x,y,error" + ",name" * (len(tracks) > 1)]
     for n, each in enumerate(tracks, 1):
         for k, *values in zip(each.frames, *each.points.T, each.errors, strict=True):
-            cells = [str(k), *(str(round(float(value), 3)) for value in values), *[str(n)] * (len(tracks) > 1)]
+            cells = [str(first + k), *(str(round(float(value), 3)) for value in values), *[str(n)] * (len(tracks) > 1)]
             lines.append(",".join(cells))
     with replacing(path, force=force) as place:
         place.write_text("\n".join(lines) + "\n", "utf-8")

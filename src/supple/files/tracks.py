@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
 from supple.engine.work import Tell, silent
-from supple.errors import SuppleError, argument, shown
+from supple.errors import SuppleError, TrackWarning, argument, caller, numbered, shown
 from supple.files.clips import open_clip
 from supple.files.options import GB
 from supple.files.tracking import track
@@ -80,8 +81,8 @@ def follow_tracks(
             if made[k].ndim == 3:
                 x, y, t = made[k].at
                 raise SuppleError(
-                    f"a stroke with a time is not tracked, and ({x:g}, {y:g}, {t:g}) has one: leave out the times of "
-                    f"its points, and give {argument('track_frame', round(t))}"
+                    f"a stroke with a time is not tracked, and ({x:g}, {y:g}, {numbered(t):g}) has one: leave out the "
+                    f"times of its points, and give {argument('track_frame', round(numbered(t)))}"
                 )
         found = track(clip, [(*made[k].at, frame or 0) for k in which], memory=memory, tell=tell)
         for k, seen in zip(which, found, strict=True):
@@ -94,6 +95,11 @@ def follow_tracks(
             raise SuppleError(f"{shown(path)} has no track {name!r}: its tracks are {_listed(list(known))}")
     wanted = [known[name] for name in names] or list(tracks)
     each = 2 if turn else 1
+    if len(wanted) < each:
+        raise SuppleError(
+            f"{shown(path)} has one track, and {argument('track_turn')} turns strokes by two, of points of one thing: "
+            "track one more, or leave it out"
+        )
     if len(wanted) not in (each, each * len(which)):
         many = "1 stroke" if len(which) == 1 else f"{len(which)} strokes"
         one = "two for all, or two" if turn else "one for all, or one"
@@ -105,6 +111,11 @@ def follow_tracks(
     for i, k in enumerate(which):
         own, *second = wanted if len(wanted) == each else wanted[each * i : each * (i + 1)]
         made[k] = made[k].following(own.keys, frame, second=second[0].keys if second else (), outside=outside)
+    for alone in wanted:
+        if len(alone.keys) == 1:
+            at, what = numbered(alone.keys[0][0]), "fades beside it" if outside == "fade" else "stays there"
+            text = f"{shown(path)}: a track has frame {at} alone: what follows it does not move, and {what}"
+            warnings.warn(text, TrackWarning, stacklevel=caller())
     return replace(recipe, strokes=tuple(made))
 
 

@@ -47,6 +47,7 @@ from supple.folding.resolved import (
     described,
     freedom_at,
     is_held,
+    located,
     narrowest,
     padded,
     spelled,
@@ -268,7 +269,7 @@ def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
             where = "it starts on the edge, and"
             if beyond.any():
                 ends = ((axes[:, :2] / axes[:, 3:4])[: domain.ndim]).T.round().astype(int).tolist()
-                where = f"its target is on the edge or outside of {tuple(ends[0])} to {tuple(ends[1])}, and"
+                where = f"its target is on the edge or outside of {located(ends[0])} to {located(ends[1])}, and"
             raise SuppleError(
                 f"{described(stroke)} cannot arrive: {where} the border is fixed, so that what is on it only slides "
                 f"along it, and nothing else gets there; use {argument('border', None)}, or points further in"
@@ -474,7 +475,7 @@ def _forces(table: Table, drags: Floats, domain: Domain) -> Floats:
 
 
 def _place(stroke: Stroke, i: int, domain: Domain) -> str:
-    return f"at {'voxel ' * (domain.ndim == 3 and not domain.time)}{spelled(stroke.handles[i][0])}"
+    return f"at {'voxel ' * (domain.ndim == 3 and not domain.time)}{located(stroke.handles[i][0])}"
 
 
 def _handle(stroke: Stroke, i: int, domain: Domain) -> str:

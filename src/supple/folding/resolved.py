@@ -13,7 +13,7 @@ import numpy.typing as npt
 from supple import _core
 from supple._core.rows import numbers
 from supple.engine.work import mask_of
-from supple.errors import OutsideWarning, argument, caller, shown
+from supple.errors import OutsideWarning, argument, caller, numbered, shown
 from supple.space.domain import Domain, border_factor
 from supple.strokes import Stroke
 
@@ -66,7 +66,7 @@ class Resolved:
 
 def described(stroke: Stroke) -> str:
     """Name a stroke in a message."""
-    where = f"at {spelled(stroke.at)} with radius {stroke.radius:g}"
+    where = f"at {located(stroke.at)} with radius {stroke.radius:g}"
     if stroke.also:
         name = f" ({shown(stroke.name)})" if stroke.name else ""
         return f"a pull{name} of {len(stroke.handles)} handles with radius {stroke.radius:g}"
@@ -83,6 +83,11 @@ def warn_of_still(strokes: Sequence[Stroke]) -> None:
             which = f"stroke {i + 1} of {len(strokes)}: " if len(strokes) > 1 else ""
             text = f"{which}{described(stroke)} moves nothing: give it another target, or leave it out"
             warnings.warn(text, OutsideWarning, stacklevel=caller())
+
+
+def located(place: Sequence[float]) -> str:
+    """Spell a place in a message: of a clip, by the number of its frame."""
+    return spelled((*place[:2], *map(numbered, place[2:])))
 
 
 def spelled(values: Iterable[float]) -> str:

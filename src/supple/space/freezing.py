@@ -17,13 +17,15 @@ from supple.errors import SuppleError, shown
 from supple.space.checks import LARGEST, LONGEST_AXIS, checked_shape, integer, items, length, number, refuse
 
 Floats = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.float32]
+Lattice = tuple[int, float, float]  # coefficients along an axis, the position of the first, and the step
 
 _FREE = 255  # a coefficient of 1
 _EDGE = 3  # coefficients beyond those that differ: from there on, the spline is constant
 _LEAST = 8  # coefficients along an axis
 _MOST = 2**28
 _MOST_ACROSS = 2  # times as many coefficients as are needed
-_MOST_IN_TIME = 2**22  # coefficients of a matte that moves: 170 MB in the core
+_MOST_IN_TIME = 2**22  # coefficients of a matte that moves: 210 MB in the core
 _PART = 1 / 32  # of the shorter side: the width of the fade, unless it is given
 _SHORTEST = 4.0  # samples, likewise
 
@@ -140,7 +142,7 @@ class Freeze:
             refuse(what, "an array of bool, integers or floats", told=f"dtype {array.dtype}")
         checked_shape(array.shape)
         steps = (spacing,) * array.ndim if isinstance(spacing, float | int) else tuple(spacing)
-        apart = _apart(array.shape, steps, width)
+        apart = _apart(array.shape, steps, width, "matte" if matte else "freeze mask")
         least = _freedom_of(array)
         if matte:
             least = _FREE - least
@@ -162,23 +164,17 @@ class Freeze:
         million coefficients: SuppleError if a given ``width`` needs more.
         """
         rows: list[npt.NDArray[np.uint8]] = []
-        apart: tuple[float, ...] = ()
-        starts = [0.0, 0.0]
         for frame in frames:
             if not rows:
-                apart, most = _apart(frame.shape, (1.0, 1.0), width), _MOST_IN_TIME / (count + 2 * _EDGE + 2)
-                while math.prod(n / step + 9 for n, step in zip(reversed(frame.shape), apart, strict=True)) > most:
+                apart = _apart(frame.shape, (1.0, 1.0), width, "matte")[0]
+                while math.prod(n / apart + 9 for n in frame.shape) > _MOST_IN_TIME / (count + 2 * _EDGE + 2):
                     if width is not None:
                         refuse("the matte's width", f"wider for {count} frames, or left out", told=f"{width:g}")
-                    apart = tuple(1.05 * step for step in apart)
-            least = _FREE - _freedom_of(frame)
-            for axis in range(2):
-                least, starts[axis] = _covered(least, axis, apart[1 - axis])
-            rows.append(least)
+                    apart *= 1.05
+            made = cls.of(frame, width=4 * apart, matte=True, name=name)
+            rows.append(made.coefficients)
         values = np.stack([*rows[:1] * (_EDGE + 1), *rows, *rows[-1:] * (_EDGE + 1)])
-        samples = (*reversed(frame.shape), len(rows))
-        first = (starts[1], starts[0], -1.0 - _EDGE)
-        return cls(samples, tuple(reversed(values.shape)), first, (*apart, 1.0), values.tobytes(), (), name)
+        return made._in_time(len(rows), len(values), -1.0 - _EDGE, values.tobytes())
 
     @classmethod
     def free(cls, shape: Sequence[int], spacing: Sequence[float]) -> Self:
@@ -328,41 +324,41 @@ class Freeze:
         parts: dict[str, Any] = {name: getattr(self, name)[:2] for name in ("samples", "size", "first", "step")}
         return replace(self, values=self.coefficients[row].tobytes(), **parts)
 
+    def mirrored(self, axis: int, at: float) -> Self:
+        """Return the mirror image of the mask along an axis, x first, about a position on it, in samples."""
+        if axis >= self.ndim:
+            return self
+        first = list(self.first)
+        first[axis] = 2 * at - first[axis] - self.step[axis] * (self.size[axis] - 1)
+        return replace(self, first=tuple(first), values=np.flip(self.coefficients, self.ndim - 1 - axis).tobytes())
+
     def times(self, other: Self) -> Self:
         """Return the product with another mask of the same medium: at most that, and 0 where one of them is.
 
-        It has the lattice of this one, and that of the other along axes on which this one is constant. If there are no
-        others, it is exact: coefficients are products.
+        It has the lattice of this one, and that of the other along axes on which this one is constant. Along axes on
+        which both have the same, coefficients are products; where they differ, the other one fades a little later.
         """
         if self.ndim < other.ndim:
             return self._in_time(other.samples[2]).times(other)
         if self.ndim > other.ndim:
             other = other._in_time(self.samples[2])
-        parts: dict[str, Any] = {}
-        for name in ("size", "first", "step"):
-            mine = zip(self.size, getattr(self, name), getattr(other, name), strict=True)
-            parts[name] = tuple(own if size > 1 else its for size, own, its in mine)
-        if all(1 in sizes for sizes in zip(self.size, other.size, strict=True)):
-            values = np.rint(self.coefficients * (other.coefficients / _FREE)).astype(np.uint8)
-            return replace(self, values=values.tobytes(), **parts)
-        across = [np.arange(n if size > 1 else 1) for n, size in zip(other.samples, other.size, strict=True)]
-        planes = []
-        for k in across[2] if self.ndim == 3 else (0,):  # each alone, as all of a clip may not fit
-            least = other.at([*across[:2], *[np.array([k])] * (self.ndim - 2)])
-            for axis in (-1, -2):
-                least = _least(least, axis, *(parts[name][-1 - axis] for name in ("size", "first", "step")))
-            planes.append(least)
-        least = planes[0]
-        if self.ndim == 3:
-            least = _least(np.concatenate(planes), 0, *(parts[name][2] for name in ("size", "first", "step")))
-        values = np.floor(self.coefficients * least + 1e-3).astype(np.uint8)
+        mine, its = (list(zip(each.size, each.first, each.step, strict=True)) for each in (self, other))
+        made = [own if own[0] > 1 else other for own, other in zip(mine, its, strict=True)]
+        least, apart = np.divide(other.coefficients, _FREE, dtype=np.float32), False
+        for axis, old, new, n in zip(range(self.ndim), its[::-1], made[::-1], other.samples[::-1], strict=True):
+            if old[0] != 1 and old != new:
+                least, apart = _moved(least, axis, n, old, new), True
+        product = self.coefficients * least
+        values = np.asarray(np.floor(product + 1e-3) if apart else np.rint(product), np.uint8)
         _level(values)
-        return replace(self, values=values.tobytes(), **parts)
+        size, first, step = zip(*made, strict=True)
+        return replace(self, size=size, first=first, step=step, values=values.tobytes())
 
-    def _in_time(self, count: int) -> Self:
-        """Return the mask of a frame as one of a clip."""
-        more = {"samples": count, "size": 1, "first": 0.0, "step": 1.0}
-        return replace(self, **{name: (*getattr(self, name), end) for name, end in more.items()})  # type: ignore[arg-type]
+    def _in_time(self, samples: int, size: int = 1, first: float = 0.0, values: bytes | None = None) -> Self:
+        """Return the mask of a frame as one of a clip: with that in all of it, or with a row for each frame."""
+        more = {"samples": samples, "size": size, "first": first, "step": 1.0}
+        parts: dict[str, Any] = {name: (*getattr(self, name), end) for name, end in more.items()}
+        return replace(self, values=self.values if values is None else values, **parts)
 
     def entry(self) -> dict[str, Any]:
         """Return the mask as JSON has it; the coefficients are compressed (zlib) and in base 64."""
@@ -386,15 +382,15 @@ class Freeze:
         return cls(**{**entry, "values": values})
 
 
-def _apart(shape: Sequence[int], spacing: Sequence[float], width: float | None) -> tuple[float, ...]:
+def _apart(shape: Sequence[int], spacing: Sequence[float], width: float | None, of: str = "") -> tuple[float, ...]:
     """Return the samples from one coefficient to the next for a width of the fade, or for the usual one."""
     least = _SHORTEST * min(spacing)
     if width is None:
         sides = [n * step for n, step in zip(reversed(shape), spacing, strict=True) if n > 1]
         width = max(_PART * min(sides, default=1.0), least)
-    elif length("the freeze mask's width", width) < least:
+    elif length(f"the {of}'s width", width) < least:
         here = "" if least == _SHORTEST else f", which is {least:g} here"
-        refuse("the freeze mask's width", f"at least 4 samples{here}", told=f"{width:g}")
+        refuse(f"the {of}'s width", f"at least 4 samples{here}", told=f"{width:g}")
     return tuple(max(width / 4 / step, 1.0) for step in spacing)
 
 
@@ -437,11 +433,12 @@ def _covered(least: npt.NDArray[np.uint8], axis: int, step: float) -> tuple[npt.
     return np.concatenate(rows, axis), (first - _EDGE) * step
 
 
-def _least(m: npt.NDArray[np.float32], axis: int, size: int, first: float, step: float) -> npt.NDArray[np.float32]:
-    """Return the least of samples that the spline of each coefficient of a lattice covers along an axis."""
-    n = m.shape[axis]
-    if n == 1:
-        return m
+def _moved(values: Rows, axis: int, n: int, old: Lattice, new: Lattice) -> Rows:
+    """Return coefficients on another lattice along an axis of n samples: the least m that the spline of each covers."""
+    if axis and values.ndim == 3:  # plane by plane, as all of a clip may not fit
+        return np.stack([_moved(plane, axis - 1, n, old, new) for plane in values])
+    m = np.moveaxis(np.tensordot(_weights(np.arange(n), *old), values, (1, axis)), 0, axis)
+    size, first, step = new
     places = first + step * np.arange(size)
     low = np.clip(np.ceil(places - 2 * step - 0.5), 0, n - 1).astype(int)
     high = np.clip(np.floor(places + 2 * step + 0.5), 0, n - 1).astype(int)

@@ -11,7 +11,7 @@ from typing import Any, Literal, Self, get_args
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, none
+from supple.errors import SuppleError, none, numbered
 from supple.space.checks import LARGEST, choice, integer, length, number, point, refuse
 from supple.space.freezing import Freeze
 from supple.strokes.keys import Key, checked_keys, position, value
@@ -366,12 +366,17 @@ class Stroke:
         at : sequence of float
             A point of the line or plane, in samples.
         normal : sequence of float
-            The direction across it, in samples.
+            The direction across it, in samples: of a stroke with a matte, that of an axis, or SuppleError.
         """
         origin, n = np.array(point("at", at, (self.ndim,))), np.array(point("normal", normal, (self.ndim,)))
         if not n.any():
             refuse("normal", "a direction, with a number other than 0", normal)
-        n = n / np.linalg.norm(n)
+        n, matte = n / np.linalg.norm(n), self.matte
+        if matte is not None:
+            across = np.flatnonzero(n)
+            if len(across) > 1:
+                refuse("normal", "along an axis for a stroke with a matte, which is mirrored too", normal)
+            matte = matte.mirrored(int(across[0]), float(origin[across[0]]))
 
         def turned(v: Place) -> Place:
             return tuple((np.array(v) - 2 * np.dot(v, n) * n).tolist())
@@ -386,12 +391,15 @@ class Stroke:
             keys=tuple(key if key.angle is None else replace(key, angle=-key.angle) for key in image.keys),
             angle=None if self.angle is None else -self.angle,
             axis=self.axis if axis == self.direction else axis,
+            matte=matte,
         )
 
     def is_image(self, other: Stroke) -> bool:
         """Return whether another stroke is the mirror image of this one, about what lies midway between them."""
         across = np.subtract(other.at, self.at)
         if (other.brush, other.radius) != (self.brush, self.radius) or not across.any():
+            return False
+        if self.matte is not None and np.count_nonzero(across) > 1:
             return False
         image = self.mirrored(np.add(self.at, other.at) / 2, across)
         near = 1e-6 * self.radius
@@ -406,8 +414,8 @@ class Stroke:
         """Return the strokes that make this one symmetric about a line or a plane.
 
         Those are one that drags the points and their mirror images at once, as a pull; or, of other brushes, of grabs
-        along a path and of strokes with keys, the stroke and its mirror image after it. Points within a hundredth of
-        the radius of the line are their own images, and only dragged along it.
+        along a path and of strokes with keys or a matte, the stroke and its mirror image after it. Points within a
+        hundredth of the radius of the line are their own images, and only dragged along it.
 
         Parameters
         ----------
@@ -416,7 +424,7 @@ class Stroke:
         """
         image = self.mirrored(at, normal)
         apart = math.dist(self.at, image.at) > 0.02 * self.radius
-        if self.brush != "grab" or self.path or (self.keys and apart):
+        if self.brush != "grab" or self.path or ((self.keys or self.matte) and apart):
             if apart:
                 return self, image
             if self.path:
@@ -509,7 +517,8 @@ class Stroke:
         begin = first if frame is None else number("frame", frame, "a frame", -LARGEST, LARGEST)
         if not first <= begin <= last:
             raise SuppleError(
-                f"the track is of the frames {first} to {last}, and the stroke of frame {begin:g}: give one of those"
+                f"the track is of the frames {numbered(first)} to {numbered(last)}, and the stroke of frame "
+                f"{numbered(begin):g}: give one of those"
             )
         if len(second):
             turns, degrees = _turns(keys, checked_keys([Key(k, tuple(at)) for k, at in second], self.ndim), begin)
@@ -558,7 +567,9 @@ def _turns(keys: Sequence[Key], ends: Sequence[Key], begin: float) -> tuple[dict
         raise SuppleError("the two tracks have no frame in common: track both points through the same frames")
     for k, way in ways.items():
         if abs(way) < 1:
-            raise SuppleError(f"the two tracks are at the same place in frame {k}: track two points that are apart")
+            raise SuppleError(
+                f"the two tracks are at the same place in frame {numbered(k)}: track two points that are apart"
+            )
     first = position([Key(k, (way.real, way.imag)) for k, way in ways.items()], begin)
     turns = {k: way / complex(*first or ()) for k, way in ways.items()}
     degrees = np.rad2deg(np.unwrap(np.angle(list(turns.values()))))

@@ -163,6 +163,7 @@ class Document:
         *,
         kind: Kind | None = None,
         geometry: Geometry | None = None,
+        hold: int = 0,
     ) -> None:
         self.shape = tuple(shape)
         self.spacing = spacing
@@ -172,7 +173,7 @@ class Document:
         self.on_change: list[Callable[[], None]] = []  # called after each change
         self.trouble: str | None = None  # the reason why the current drag is refused, for the status line
         self._drag: tuple[Solved, int | None] | None = None
-        self.frame, self.hold = 0, 0  # of a clip: the frame shown, and how many stay as they are at each end
+        self.frame, self.hold = 0, hold  # of a clip: the frame shown, and how many stay as they are at each end
         self._timed = True  # the kind of the next stroke of a clip that has none
         self._now = self._solved(self._state(recipe or Recipe()), None)
         self.steps: tuple[State, ...] = (self._now.state,)

@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import IO, Any, Protocol
@@ -22,7 +22,7 @@ import numpy as np
 from supple.errors import SuppleError, argument, shown
 from supple.files import Job
 from supple.files.clips import is_picture_target
-from supple.files.options import PathLike
+from supple.files.options import ClipOptions, PathLike
 from supple.files.recipes import read_recipe, write_recipe
 from supple.files.tracking import track
 from supple.media.files import check_output, locked, replacing, same_file
@@ -477,7 +477,9 @@ class FileCommands:
         if not os.fspath(path):
             raise SuppleError("the export needs a name, whose suffix says the format")
         self._spare(path)
-        recipe, options = self.document.recipe, self.options
+        recipe, options, hold = self.document.recipe, dict(self.options), self.document.hold
+        if self.document.kind == "video":
+            options["clip"] = replace(options.get("clip", ClipOptions()), hold=hold)
         Job(self.source, path, recipe, force=force, **options).check()
         self.message = ""
         self.export = Export(self.source, path, recipe, force=force, **options)

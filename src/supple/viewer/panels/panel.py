@@ -161,7 +161,6 @@ def _exports(view: View) -> None:
     hint(_HOLD)
     if entered and math.isfinite(number):
         view.attempt(lambda: view.document.set_hold(round(number)))
-        made["hold"] = view.document.hold
     if view.document.timed:
         made |= _of_time(view, clip)
     if made:

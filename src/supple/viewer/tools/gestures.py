@@ -19,6 +19,7 @@ V = TypeVar("V")
 Event = Mapping[str, Any]
 
 KNOB = 10.0  # the largest distance from a knob: of the split between before and after, of the line of symmetry
+_KEPT = "this frame is kept, as those at the ends are: choose another, or fewer in Export options, Keep ends"
 _STAYS = "this place is frozen, and no stroke moves it: thaw it first (V)"
 _LEFT = 1
 _CUT, _LINE = "cut", "line"
@@ -178,8 +179,8 @@ class Tools(Drawing, Generic[V]):
         elif how is None and button == _LEFT:
             self._gesture = self._taken(x, y)
             self._press(self._gesture, event)
-            if self._gesture is not None and self._stays(self._gesture):
-                self._refused = _STAYS
+            if self._gesture is not None and self._gesture.new and not self._gesture.masks:
+                self._refused = self._stays(self._gesture)
             if self._gesture is not None and self._gesture.clicks:
                 self._gesture.shift = shifted(event)
                 self._draw(self._gesture)
@@ -188,11 +189,12 @@ class Tools(Drawing, Generic[V]):
             self._gesture = Lead(how, button, self.view, self.view, (x, y), (x, y))
         return self._gesture is not None
 
-    def _stays(self, held: Held) -> bool:
-        mask = self.mask
-        if mask is None or held.masks or not held.new:
-            return False
-        return bool(mask.at([[p] for p in held.point[: mask.ndim]]).item() == 0)
+    def _stays(self, held: Held) -> str | None:
+        """Return why nothing moves where something is grabbed."""
+        mask, document = self.mask, self.document
+        if document.kind == "video" and not document.hold <= document.frame < document.shape[0] - document.hold:
+            return _KEPT
+        return _STAYS if mask and mask.at([[p] for p in held.point[: mask.ndim]]).item() == 0 else None
 
     def _on_pointer_move(self, event: Event) -> bool:
         self.pointer = _place(event)

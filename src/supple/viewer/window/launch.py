@@ -18,7 +18,7 @@ from supple import media
 from supple.deformation import Deformation
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
-from supple.files.clips import open_clip, refuse_maps
+from supple.files.clips import open_clip, parts_of, refuse_maps
 from supple.files.jobs import Job
 from supple.files.landmarks import read_landmarks
 from supple.files.options import VolumeOptions
@@ -211,7 +211,8 @@ def opened(
     if not in_time or options.fit == "pixels":  # the length of a frame would have to be scaled
         recipe = fit_recipe(recipe, size, options.fit, stage.name)
     landmarks = _landmarks(stage, options)
-    document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind, geometry=geometry)
+    hold = int(stage.kind == "video" and any(parts_of(stage.shape[0], 1)))  # where frames are left to fade in
+    document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind, geometry=geometry, hold=hold)
     tools = tools_of(stage, document, canvas.get_logical_size())
     if options.frame is not None:
         if not isinstance(tools, VideoTools):
