@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from supple.augment.elastic import RandomElastic as Drawing
 from supple.augment.peers import SEEDS, bent_stack, deformation_of, edged, filter_of, need_library, spacing_of
 from supple.deformation import Deformation
 from supple.engine.sampling import OUTSIDE
+from supple.engine.work import Array
 from supple.errors import SuppleError
 from supple.space.checks import choice, refuse
 
@@ -32,7 +32,6 @@ if hasattr(DualTransform, "sample_parameters"):
 
 __all__ = ["RandomElastic", "RandomElastic3D"]
 
-Array = npt.NDArray[Any]
 
 _FILTERS = {cv2.INTER_NEAREST: "nearest", cv2.INTER_LINEAR: "linear", cv2.INTER_CUBIC: "cubic"}
 

@@ -26,10 +26,9 @@ from supple.folding.resolved import FLOW_GAP, FLOW_MARGIN, Table, beta_at
 from supple.folding.strain import weakest
 from supple.space.checks import integer, items, length, number, refuse
 from supple.space.domain import Border, checked_border
-from supple.space.geometry import Grid
+from supple.space.geometry import Floats, Grid
 from supple.strokes import Stroke, pack
 
-Floats = npt.NDArray[np.float64]
 Seed = int | np.random.Generator | None
 
 MOST_STROKES = 1000

@@ -9,7 +9,6 @@ whose grid the result gets. All outputs of a call appear together or not at all;
 from __future__ import annotations
 
 import json
-import os
 import time
 import warnings
 from collections.abc import Mapping, Sequence
@@ -18,7 +17,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from supple.errors import FoldWarning, OutsideWarning, SuppleError, argument, shown
 from supple.fields import OK, Field, Map, Placed, check_path, compose, own_grid, told, write_maps
@@ -35,13 +33,10 @@ from supple.files.maps import (
     write_image,
 )
 from supple.media import transforms
-from supple.media.files import check_output, replacing_together, same_file
+from supple.media.files import PathLike, check_output, replacing_together, same_file
 from supple.media.volume import suffix_of
 from supple.space.affine import Affine
 from supple.space.geometry import Grid
-
-Array = npt.NDArray[Any]
-PathLike = str | os.PathLike[str]
 
 _MATRICES = (".txt", ".mat", ".lta", ".1d")
 _IMAGES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".mif", ".mif.gz", ".mgz")

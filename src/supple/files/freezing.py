@@ -15,10 +15,10 @@ from supple.errors import FreezeWarning, SuppleError, shown
 from supple.files.clips import open_clip
 from supple.media import image, volume
 from supple.media.base import Clip, CountError
+from supple.media.files import PathLike
 from supple.space.freezing import Freeze
 from supple.space.geometry import check_upright
 
-PathLike = str | os.PathLike[str]
 _COLOURED = 12  # of 255: lossy codecs give grey a little colour
 
 

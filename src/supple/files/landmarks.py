@@ -10,21 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from supple.deformation import Deformation
 from supple.errors import OutsideWarning, SuppleError, ToleranceWarning, VolumeWarning, argument, shown
-from supple.media.files import check_output
+from supple.media.files import PathLike, check_output
 from supple.media.points import FLIP, PointFile, check_target, read_points, write_points
 from supple.media.volume import Volume
 from supple.media.volume import read as read_volume
 from supple.media.volume.dicom import frame_of_reference
 from supple.space.checks import choice
-from supple.space.geometry import Geometry
+from supple.space.geometry import Floats, Geometry
 from supple.strokes import REACH, CoordinateSpace, Stroke
 
-Floats = npt.NDArray[np.float64]
-PathLike = str | os.PathLike[str]
 _Way = Callable[[Floats], Floats]
 
 

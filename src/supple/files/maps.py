@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,19 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from supple.engine.work import Array
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Field, Map, Placed, own_grid, read_maps, told
 from supple.media import transforms, volume
-from supple.media.files import unwritable
+from supple.media.files import PathLike, unwritable
 from supple.media.medium import picture_grid
 from supple.media.volume import is_volume, suffix_of
 from supple.space.affine import Affine
 from supple.space.geometry import Grid, check_upright
-
-Array = npt.NDArray[Any]
-PathLike = str | os.PathLike[str]
 
 
 @dataclass(frozen=True, slots=True)

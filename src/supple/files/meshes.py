@@ -11,14 +11,13 @@ import numpy as np
 
 from supple.errors import OutsideWarning, SuppleError
 from supple.files.landmarks import convention_of, warn_of_frame
-from supple.media.files import check_suffix
+from supple.media.files import PathLike, check_suffix
 from supple.media.meshes import KINDS
 from supple.media.points import read_points
 from supple.media.volume import Volume
 from supple.render.meshes import Surface
 from supple.space.checks import choice
 
-PathLike = str | os.PathLike[str]
 Colour = tuple[float, float, float]
 
 COLOURS = (

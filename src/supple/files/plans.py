@@ -28,8 +28,6 @@ from supple.media.volume import Volume
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import fit_recipe
 
-PathLike = str | os.PathLike[str]
-
 TASK = 1 << 25
 """Bytes of a block that a task writes, where chunks are smaller."""
 _TURNS = 4  # tasks of each thread, at least, so that none waits long for the last ones

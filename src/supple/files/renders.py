@@ -9,19 +9,18 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.engine.work import Tell
+from supple.engine.work import Array, Tell
 from supple.errors import SuppleError, VolumeWarning, argument, shown
 from supple.fields import Placed
 from supple.files.meshes import MeshFile, read_surfaces
 from supple.files.options import VolumeOptions
 from supple.files.volumes import background_of, deformation_of, is_of_labels, open_volume
 from supple.media import image, turntable
-from supple.media.files import check_output, check_outputs, check_suffix, replacing, replacing_all
+from supple.media.files import PathLike, check_output, check_outputs, check_suffix, replacing, replacing_all
 from supple.media.numbering import has_number, spelling
 from supple.media.volume import Volume
 from supple.render.appearance import cropped, fixed, largest
@@ -35,9 +34,6 @@ from supple.render.transfer import HOUNSFIELD, LABELS, SUFFIXES, Transfer, trans
 from supple.space.checks import choice, integer, number, point
 from supple.space.geometry import check_upright
 from supple.strokes import Fit, Recipe
-
-Array = npt.NDArray[Any]
-PathLike = str | os.PathLike[str]
 
 WHATS = ("picture", "inversions")
 _OF_SCENE = ("density", "clip", "plane", "projection", "silhouettes", "shadows", "step", "shaded", "device")

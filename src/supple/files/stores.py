@@ -29,7 +29,7 @@ from supple.files.plans import Source, open_source, plan_boxes, task_shape, warp
 from supple.files.tasks import Runner, Running, check_seen, check_shared, runner_of
 from supple.files.transforms import SavedField, begin_field, check_field, is_scene, write_field, write_transform
 from supple.files.volumes import least_of, warn_of_labels
-from supple.media.files import ROOTS, check_store, is_store, replacing, unwritable
+from supple.media.files import ROOTS, PathLike, check_store, is_store, replacing, unwritable
 from supple.media.stores import (
     LABELS,
     Level,
@@ -44,7 +44,6 @@ from supple.media.transforms.ngff import Placement
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import Recipe
 
-PathLike = str | os.PathLike[str]
 Numbers = tuple[float, ...]
 
 _SIDE = 64  # voxels of the part that is looked at for labels

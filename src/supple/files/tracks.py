@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
@@ -12,10 +11,9 @@ from supple.errors import SuppleError, argument, shown
 from supple.files.clips import open_clip
 from supple.files.options import GB
 from supple.files.tracking import track
+from supple.media.files import PathLike
 from supple.media.tracks import Convention, read_tracks
 from supple.strokes import Recipe, Stroke
-
-PathLike = str | os.PathLike[str]
 
 
 def follow_tracks(

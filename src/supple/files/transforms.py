@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,15 +24,12 @@ from supple.engine.work import Space, Tell
 from supple.errors import SuppleError, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.tasks import Runner, check_seen
-from supple.media.files import check_output, is_store
+from supple.media.files import PathLike, check_output, is_store
 from supple.media.stores import StoredImage, Target, check_free, create_arrays, overlap
 from supple.media.transforms import check_target, ngff
 from supple.media.transforms import write_field as write_displacements
 from supple.space.checks import number
-from supple.space.geometry import Geometry, Grid
-
-PathLike = str | os.PathLike[str]
-Floats = npt.NDArray[np.float64]
+from supple.space.geometry import Floats, Geometry, Grid
 
 MOST = 1 << 27
 """The bytes of a field that are held in memory: it is larger than its volume."""

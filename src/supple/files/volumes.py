@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from supple.arrays import check_device, clamp_to, warp_array
 from supple.deformation import Deformation
 from supple.engine.memory import beside, machine_memory
 from supple.engine.sampling import Certificate, Sampling, warn_of
-from supple.engine.work import Space, Tell, work_of
+from supple.engine.work import Array, Space, Tell, work_of
 from supple.errors import GapWarning, SuppleError, VolumeWarning, argument, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.grids import grid_on, warn_of_place
@@ -41,8 +40,6 @@ from supple.media.volume import (
 from supple.media.volume.dicom import padding_of
 from supple.space.geometry import Floats, Geometry, Grid
 from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke, fit_recipe
-
-Array = npt.NDArray[Any]
 
 # The test for label maps: the number of slices, and the fraction of equal neighbours beside the background.
 _LOOKED_AT, _AREAS, _MOST_LABELS, _FEW = 16, 0.7, 1024, 8

@@ -19,8 +19,7 @@ from supple.media.meshes import Ints, Mesh, Part
 from supple.media.tables import Table, parsed
 from supple.media.volume import Volume
 from supple.space.checks import LARGEST, value_shown
-
-Floats = npt.NDArray[np.float64]
+from supple.space.geometry import Floats
 
 KINDS = {".csv": "CSV", ".tsv": "CSV", ".txt": "CSV", ".fcsv": "fcsv", ".json": "JSON"}
 _FORMATS = {**KINDS, **meshes.KINDS}

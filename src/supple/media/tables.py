@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 import numpy as np
-import numpy.typing as npt
 
 from supple.errors import SuppleError
 from supple.space.checks import LARGEST, value_shown
-
-Floats = npt.NDArray[np.float64]
+from supple.space.geometry import Floats
 
 _MARK = "\ufeff"  # which Excel puts before UTF-8
 _SYSTEMS = {"0": "RAS", "RAS": "RAS", "1": "LPS", "LPS": "LPS", "2": "index", "IJK": "index"}

@@ -27,6 +27,7 @@ from supple.plot.frame import (
     under,
 )
 from supple.space.checks import choice
+from supple.space.geometry import Floats
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,8 +38,6 @@ if TYPE_CHECKING:
 WHATS = ("iterations", "residual", "stretch", "axes", "grid")
 
 _BLUE = "#33628d"
-
-Floats = npt.NDArray[np.float64]
 
 
 def plot(

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from supple.fields import Field, sampled
 from supple.fields.checks import FieldReport
 from supple.plot.frame import Extend, bar, check_plot, save, sheet, title
-from supple.space.geometry import Grid
+from supple.space.geometry import Floats, Grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +23,6 @@ _LINES = 40  # of the grid, along the longer side
 _WINDOW = 8  # cells on each side of the folds that are seen from near
 _BLUE, _REST, _FOLDED, _RIM, _GAP = "#33628d", "#d0d0d0", "#f0c800", "#8a6d00", "#555555"
 
-Floats = npt.NDArray[np.float64]
 Singles = npt.NDArray[np.float32]
 Box = tuple[float, float, float, float]
 """Left, right, top and bottom."""

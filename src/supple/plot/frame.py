@@ -14,6 +14,7 @@ from supple.deformation import Deformation
 from supple.errors import SuppleError, shown
 from supple.media.files import check_output, replacing
 from supple.plot.measure import spacing_of
+from supple.space.geometry import Floats
 from supple.strokes import Stroke
 
 if TYPE_CHECKING:
@@ -85,7 +86,6 @@ _LETTERS = 13  # of a label, an inch
 _MOST_STROKES = 12  # the most that are drawn as arrows, which hide the image
 _AROUND, _NEAR, _STEPS = 6, 0.75, 16  # points around a pivot, their distance in radii, and those of a path
 
-Floats = npt.NDArray[np.float64]
 Background = npt.NDArray[np.float32] | None
 Extend = Literal["neither", "max", "min", "both"]
 

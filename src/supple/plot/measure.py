@@ -18,8 +18,8 @@ from supple.engine.core import measured, plan_of
 from supple.engine.sampling import Certificate
 from supple.errors import SuppleError, argument
 from supple.space.checks import integer, number
+from supple.space.geometry import Floats
 
-Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 MOST_PIXELS = 1 << 20

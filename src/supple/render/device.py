@@ -7,14 +7,13 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from supple._core.rows import STROKE_DTYPE
 from supple.engine.devices import CPU, note
-from supple.engine.work import Mattes, Space, shown_mask
+from supple.engine.work import Array, Mattes, Space, shown_mask
 from supple.errors import DeviceWarning
 from supple.gpu.device import Gpu, failures, trouble
 from supple.gpu.field import fits
@@ -22,7 +21,6 @@ from supple.gpu.raymarch import Held, prepare
 from supple.gpu.shader import EXACT, LATTICE, PLAIN
 from supple.gpu.solid import Filling, Lattice, Volume, beside, hold, hold_strokes, solve
 
-Array = npt.NDArray[Any]
 T = TypeVar("T")
 
 COARSEST, FINEST = 8, 2  # voxels from node to node: a finer lattice would be larger than the volume

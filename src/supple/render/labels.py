@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from supple.engine.work import Array
 from supple.errors import SuppleError
 from supple.render.picture import linear_light, srgb_of
 from supple.space.checks import items, number, refuse
+from supple.space.geometry import Floats
 
-Array = npt.NDArray[Any]
-Floats = npt.NDArray[np.float64]
 Colour = tuple[float, float, float, float]
 
 SUFFIXES = (".ctbl", ".txt")

@@ -9,13 +9,12 @@ from itertools import pairwise, product
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from supple.engine.work import Array
 from supple.media.stores.image import StoredImage
 from supple.media.stores.places import Place
 from supple.media.transforms.ngff import ome_of
 
-Array = npt.NDArray[Any]
 Mode = Literal["mean", "nearest"]
 
 

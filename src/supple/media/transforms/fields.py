@@ -19,13 +19,13 @@ from typing import IO, Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from supple.engine.work import Array
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.media.files import PathLike, head_of, replacing, unreadable, unwritable
 from supple.media.transforms.affines import spelled
 from supple.media.transforms.base import (
     FINITE,
     LPS,
-    Array,
     Content,
     Displacements,
     Grids,

@@ -14,9 +14,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from supple.engine.work import Array
 from supple.errors import SuppleError, need, said
 from supple.media.files import PathLike, check_suffix, refusing, replacing_together, unreadable, unwritable
-from supple.media.transforms.base import Array, Content, Displacements, Grids, Matrix, check_content, inverse
+from supple.media.transforms.base import Content, Displacements, Grids, Matrix, check_content, inverse
 from supple.space.geometry import Grid
 
 SUFFIXES = (".zarr",)
