@@ -283,11 +283,11 @@ def _writer(clip: Any, job: Job) -> contextlib.AbstractContextManager[Any]:
 
         known, first = job.clip, 1 if job.clip.first_frame is None else job.clip.first_frame
         return sequence.writer(clip, job.target, quality=job.quality, only=known.frame, first=first, **shared)
-    from supple.media import video
+    from supple.media.video.encode import writer
 
     known = job.clip
     shared |= {"codec": known.codec, "crf": known.crf, "preset": known.preset, "pixel_format": known.pixel_format}
-    return video.writer(clip, job.target, **shared)
+    return writer(clip, job.target, **shared)
 
 
 def is_picture_target(target: PathLike) -> bool:

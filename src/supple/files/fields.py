@@ -245,7 +245,7 @@ def check_file(
         check_beside(path, source, inverse, force=force)
     check_images(map=map)
     if picture is not None:
-        from supple.plot import check_plot
+        from supple.plot.frame import check_plot
 
         check_plot(picture, force=force)
     read = read_file(source, convention, source=None if image is None else grid_of(image))

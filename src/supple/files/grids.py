@@ -73,7 +73,7 @@ def reference_grid(path: PathLike, ndim: int) -> Grid:
 
 def _stored_grid(path: PathLike, ndim: int) -> Grid:
     """Return the grid of a Zarr store: of a volume in millimetres, of a picture in pixels."""
-    from supple.media.stores import open_image
+    from supple.media.stores.image import open_image
 
     image = open_image(path)
     if len(image.spatial) != ndim:

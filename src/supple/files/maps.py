@@ -146,6 +146,7 @@ def check_images(ndim: int | None = None, **paths: PathLike | None) -> None:
     The message has the argument's name.
     """
     from supple.media import image
+    from supple.media.image.formats import SUFFIXES_OUT
 
     for name, path in paths.items():
         try:
@@ -153,7 +154,7 @@ def check_images(ndim: int | None = None, **paths: PathLike | None) -> None:
                 continue
             if suffix_of(path) == ".mhd":  # outputs that appear together are one file each
                 raise unwritable(path, "its data would be in a second file", "use .mha")
-            if ndim == 2 or (ndim is None and suffix_of(path) in image.SUFFIXES_OUT):
+            if ndim == 2 or (ndim is None and suffix_of(path) in SUFFIXES_OUT):
                 image.check_target(path)
             else:
                 volume.check_target(path)

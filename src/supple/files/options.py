@@ -36,9 +36,9 @@ class ClipOptions:
     rate : float or Fraction, optional
         Frames a second of an image sequence, which has no rate of its own; 24 by default.
     codec, preset, pixel_format : str, optional
-        As in `supple.media.video.writer`.
+        As in `supple.media.video.encode.writer`.
     crf : float, optional
-        As in `supple.media.video.writer`.
+        As in `supple.media.video.encode.writer`.
     memory : float
         The bytes of memory for frames; frames beyond that go to a temporary file.
     frames : tuple of int, optional

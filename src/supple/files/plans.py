@@ -23,7 +23,8 @@ from supple.files.jobs import Job
 from supple.files.tasks import Runner, Running, runner_of
 from supple.files.volumes import deformation_of, sampling_of
 from supple.media.files import is_store, unreadable
-from supple.media.stores import Samples, StoredImage, like_file, open_image
+from supple.media.stores.image import StoredImage, open_image
+from supple.media.stores.inputs import Samples, like_file
 from supple.media.volume import Volume
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import fit_recipe

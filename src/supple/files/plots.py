@@ -31,7 +31,9 @@ from supple.files.clips import (
 from supple.files.jobs import Job, refuse_places
 from supple.files.options import ClipOptions, PathLike
 from supple.media.files import check_output
-from supple.plot import WHATS, check_plot, draw_sheet, draw_slice, evenly, plot
+from supple.plot import WHATS, draw_sheet, draw_slice, plot
+from supple.plot.clip import evenly
+from supple.plot.frame import check_plot
 from supple.space.checks import choice, integer
 from supple.strokes import Fit, Recipe, fit_recipe
 

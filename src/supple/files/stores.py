@@ -30,16 +30,10 @@ from supple.files.tasks import Runner, Running, check_seen, check_shared, runner
 from supple.files.transforms import SavedField, begin_field, check_field, is_scene, write_field, write_transform
 from supple.files.volumes import least_of, warn_of_labels
 from supple.media.files import ROOTS, PathLike, check_store, is_store, replacing, unwritable
-from supple.media.stores import (
-    LABELS,
-    Level,
-    Place,
-    StoredImage,
-    Target,
-    create,
-    holding,
-)
+from supple.media.stores.image import LABELS, Level, StoredImage
 from supple.media.stores.levels import Mode
+from supple.media.stores.places import Place
+from supple.media.stores.target import Target, create, holding
 from supple.media.transforms.ngff import Placement
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import Recipe

@@ -25,7 +25,9 @@ from supple.errors import SuppleError, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.tasks import Runner, check_seen
 from supple.media.files import PathLike, check_output, is_store
-from supple.media.stores import StoredImage, Target, check_free, create_arrays, overlap
+from supple.media.stores.image import StoredImage
+from supple.media.stores.places import overlap
+from supple.media.stores.target import Target, check_free, create_arrays
 from supple.media.transforms import check_target, ngff
 from supple.media.transforms import write_field as write_displacements
 from supple.space.checks import number

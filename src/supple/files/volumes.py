@@ -61,7 +61,7 @@ def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volum
 def place_of(path: PathLike, options: VolumeOptions | None = None) -> str | None:
     """Return the convention of what points of three numbers are for: of a volume, as in `Geometry`; None of a clip."""
     if is_store(path):
-        from supple.media.stores import open_image
+        from supple.media.stores.image import open_image
 
         image = open_image(path)
         return None if len(image.spatial) < 3 else "LPS" if image.placed else "array"

@@ -25,7 +25,7 @@ from supple.media.base import Clip, ClipWarning
 from supple.media.files import PathLike, check_outputs, replacing_all
 from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture, exr
 from supple.media.image.exr import Exr
-from supple.media.image.formats import DTYPES, divided, is_exr
+from supple.media.image.formats import DTYPES, SUFFIXES_OUT, divided, is_exr
 from supple.media.image.headers import collected, extra_of, facts
 from supple.media.image.vips import apart, decoded, opened, reading, sequential, widen
 from supple.media.numbering import (
@@ -37,8 +37,6 @@ from supple.media.numbering import (
     pictures_in,
     spelling,
 )
-
-SUFFIXES, SUFFIXES_OUT = pictures.SUFFIXES, pictures.SUFFIXES_OUT
 
 _WHITE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 

@@ -59,13 +59,13 @@ def write_turntable(
     The file appears whole or not at all. SuppleError if it cannot be written with that size or rate.
     """
     need("video", "videos", "av")
-    from supple.media import video
+    from supple.media.video.encode import writer
 
     check_output(path, force=force)
     check_turntable(path, size, rate)
     encoder = ENCODERS.get(_USED[Path(path).suffix.lower()], Encoder("gif", "gif"))
     how = {"crf": encoder.drawn, "pixel_format": "yuv420p"} if encoder.drawn else {}
     drawn = _Drawn(shown(path), size, Fraction(rate).limit_denominator(1001))
-    with video.writer(drawn, path, force=force, **how) as sink:  # type: ignore[arg-type]
+    with writer(drawn, path, force=force, **how) as sink:  # type: ignore[arg-type]
         for k, picture in enumerate(pictures):
             sink.write([picture], k)

@@ -300,6 +300,3 @@ def draw_inversions(
     bar(made, drawn, axes, f"{what} along the ray", "max" if counts.max() > most else "neither")
     title(made, f"{what.capitalize()} along each ray")
     save(made, path, force=force)
-
-
-__all__ = ["draw_inversions"]

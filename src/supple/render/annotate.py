@@ -115,6 +115,3 @@ def _drawn(view: Projection, geometry: Geometry) -> npt.NDArray[np.uint8]:
     made.text(edge, above_bar, bar.label, ha="left", va="baseline", fontsize=smaller, fontfamily=_FONT, **shared)
     canvas.draw()  # type: ignore[no-untyped-call]
     return np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
-
-
-__all__ = ["LEAST", "annotated", "check_annotated"]

@@ -24,8 +24,6 @@ from supple.media.image.formats import (
     EXR,
     JPEG,
     OUT,
-    SUFFIXES,
-    SUFFIXES_OUT,
     TIFF,
     Array,
     check,
@@ -41,21 +39,6 @@ from supple.media.image.vips import apart, decoded, of_exr, of_tiff, opened, rea
 
 if TYPE_CHECKING:
     from supple.media.image import exr
-
-__all__ = [
-    "SUFFIXES",
-    "SUFFIXES_OUT",
-    "DepthWarning",
-    "ImageWarning",
-    "MetadataWarning",
-    "PageWarning",
-    "Picture",
-    "check_quality",
-    "check_target",
-    "info",
-    "read",
-    "write",
-]
 
 
 _BESIDE = {"exif-data": "EXIF", "xmp-data": "XMP", "iptc-data": "IPTC"}
@@ -173,7 +156,7 @@ class Picture:
 
 
 def check_target(path: PathLike) -> None:
-    """Raise SuppleError for a name whose suffix is not in `SUFFIXES_OUT`."""
+    """Raise SuppleError for a name whose suffix is not in `supple.media.image.formats.SUFFIXES_OUT`."""
     suffix = Path(path).suffix
     check_suffix(path, suffix, OUT, "is no image format", f"use {', '.join(OUT)}")
 
@@ -360,7 +343,7 @@ def write(
     Parameters
     ----------
     path : str or os.PathLike
-        One of `SUFFIXES_OUT`.
+        One of `supple.media.image.formats.SUFFIXES_OUT`.
     pixels : ndarray or Picture
         Shape (H, W) or (H, W, C): uint8, uint16, and for TIFF also floats and integers up to 32 bits. Contiguous arrays
         are not copied. A picture is its own ``like``, unless another is given.

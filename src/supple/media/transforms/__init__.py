@@ -13,8 +13,8 @@ from types import ModuleType
 from typing import NamedTuple
 
 from supple.errors import SuppleError, argument, shown
-from supple.media import image
 from supple.media.files import PathLike, head_of, unreadable, unwritable
+from supple.media.image.formats import SUFFIXES as PICTURES
 from supple.media.suffixes import CLIPS
 from supple.media.transforms import affines, fields, itk, ngff, pictures
 from supple.media.transforms.base import (
@@ -172,7 +172,7 @@ def _candidates(path: PathLike, verb: str) -> tuple[str, ...]:
     suffix = suffix_of(path, _SUFFIXES)
     refused = unreadable if verb == "read" else unwritable
     names = tuple(name for name, row in CONVENTIONS.items() if any(suffix in form.suffixes for form in row.forms))
-    doubtful = suffix in _DOUBTFUL and (verb == "read" or suffix in image.SUFFIXES)
+    doubtful = suffix in _DOUBTFUL and (verb == "read" or suffix in PICTURES)
     if (doubtful or not names) and verb == "read" and not os.path.exists(path):
         raise unreadable(path, "No such file or directory", "check the name and its rights")
     if doubtful and verb == "read":
@@ -180,7 +180,7 @@ def _candidates(path: PathLike, verb: str) -> tuple[str, ...]:
         raise unreadable(path, what, f"give {argument('convention', names[0])} {fits}")
     if doubtful:
         raise unwritable(path, "a picture is not always an STMap", f"give the convention: {names[0]}")
-    if not names and (suffix in CLIPS or suffix in image.SUFFIXES):
+    if not names and (suffix in CLIPS or suffix in PICTURES):
         what = f"the suffix {suffix} is of a {'clip' if suffix in CLIPS else 'picture'}, and of no field"
         raise refused(path, what, "name a file of a field or of an affine map")
     if not names:

@@ -22,8 +22,6 @@ from supple.engine.work import Array
 from supple.media.base import ClipWarning, CountError
 from supple.media.codecs import codec_of
 from supple.media.files import PathLike, unreadable
-from supple.media.suffixes import CLIPS as SUFFIXES
-from supple.media.suffixes import CLIPS_OUT as SUFFIXES_OUT
 from supple.media.video.colour import (
     Colour,
     black,
@@ -58,18 +56,6 @@ from supple.media.video.plan import container_of, workers
 from supple.media.video.planes import Form, form, palette, unpack, wider
 from supple.media.video.source import VideoSource
 from supple.media.video.streams import named
-
-__all__ = [
-    "SUFFIXES",
-    "SUFFIXES_OUT",
-    "Clip",
-    "ClipWarning",
-    "CountError",
-    "check_target",
-    "info",
-    "open_clip",
-    "writer",
-]
 
 _COPY = "give a whole copy of it"
 _LEAST, _UTMOST = Fraction(1, 10_000), Fraction(100_000)
@@ -442,7 +428,7 @@ def _rate(film: av.VideoStream, counted: Survey) -> Fraction:
 
 
 def check_target(path: PathLike) -> None:
-    """Raise SuppleError for a name whose suffix is not in `SUFFIXES_OUT`, nor ``.m4v``."""
+    """Raise SuppleError for a name whose suffix is not in `supple.media.suffixes.CLIPS_OUT`, nor ``.m4v``."""
     container_of(path)
 
 
