@@ -172,7 +172,7 @@ def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], bent: 
     if known.frame is not None:
         with _writer(clip, job) as sink:
             plan = make_plan(work, bent)
-            for z, arrays, certificate in _streamed(clip, work, plan, known.memory):
+            for z, arrays, certificate in streamed(clip, work, plan, known.memory):
                 sink.write(arrays, z)
                 warn_of(certificate, sampling.tolerance, 3)
                 tell("warp", 1, 1)
@@ -416,17 +416,8 @@ def _filled(clip: Clip, fill: float | Sequence[float]) -> tuple[float, ...]:
     return tuple(paint([*values, layout.white] if alpha and len(values) < full else values))
 
 
-def frames_of(
-    clip: Clip, deformations: Sequence[Deformation], sampling: Sampling, planes: Sequence[int], memory: float
-) -> Iterator[tuple[int, list[Array]]]:
-    """Yield some frames of a warped clip, in order, as arrays that are reused for the next one."""
-    work = work_on(clip, deformations, sampling)
-    for z, arrays, _ in _streamed(clip, work, make_plan(work, planes), memory):
-        yield z, arrays
-
-
-def _streamed(clip: Any, work: Work, plan: Plan, memory: float) -> Iterator[tuple[int, list[Array], Certificate]]:
-    """Yield the frames of a plan, as `stream` does; the clip is read from the first that they need to the last."""
+def streamed(clip: Any, work: Work, plan: Plan, memory: float) -> Iterator[tuple[int, list[Array], Certificate]]:
+    """Yield the frames of a plan, as `stream` does: the clip is read from the first that they need to the last."""
     first = int(plan.keep[0]) if plan.planes else 0
     frames: Iterable[Frame] = islice(clip.frames(), first, None)  # of a sequence, files are read where they are copied
     if first and hasattr(clip, "frames_from"):

@@ -153,15 +153,11 @@ def move_points(
 def _ways(deformation: Deformation, geometry: Geometry | None, known: str) -> tuple[_Way, _Way]:
     """Return the map from points of a file to indices of a deformation, and back."""
     if geometry is None or (known == "index" and not geometry.shear):
-        return _same, _same
+        return (lambda p: p), (lambda p: p)
     place = deformation.grid.geometry(geometry.convention) if geometry.shear else geometry
     if known != "index":
         return (lambda p: place.from_world(p, known)), (lambda p: place.to_world(p, known))
     return (lambda p: place.from_lps(geometry.to_lps(p))), (lambda p: geometry.from_lps(place.to_lps(p)))
-
-
-def _same(points: Floats) -> Floats:
-    return points
 
 
 def _series(path: PathLike, source: PathLike) -> Volume:

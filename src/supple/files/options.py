@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from supple.errors import SuppleError
+from supple.media.files import PathLike as PathLike
 from supple.space.checks import checked_spacing, integer, items, refuse
 
 if TYPE_CHECKING:
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
     from supple.media.volume import RawLayout
 
-PathLike = str | os.PathLike[str]
 GB = 1e9
 
 

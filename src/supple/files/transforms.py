@@ -23,7 +23,7 @@ from supple.engine.sampling import Certificate, warn_of
 from supple.engine.work import Space, Tell
 from supple.errors import SuppleError, shown
 from supple.fields import Placed, folds_of, only_name
-from supple.files.tasks import Runner, check_seen
+from supple.files.tasks import Runner, advancing, check_seen
 from supple.media.files import PathLike, check_output, is_store
 from supple.media.stores.image import StoredImage
 from supple.media.stores.places import overlap
@@ -249,15 +249,7 @@ def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) 
     target, tolerance = work.target, work.warp.sampling.tolerance
     sizes = [chunks_of(block, array.shape) for block, array in zip(target.blocks, target.arrays, strict=True)]
     counts = [math.prod(map(len, each)) for each in sizes]
-    blocks, ready = sum(counts), 0
-    total = sum(-(-count // _TOGETHER) for count in counts)
-
-    def advance() -> None:
-        nonlocal ready
-        ready += 1
-        tell("field", ready, total)
-
-    tell("field", 0, total)
+    advance = advancing(tell, "field", sum(-(-count // _TOGETHER) for count in counts))
     items = itertools.chain.from_iterable(_batches(way, each) for way, each in enumerate(sizes))
     certificates, stored, done = [Certificate(0.0, 0.0)] * 2, 0, 0
     while some := list(itertools.islice(items, _AT_ONCE)):
@@ -272,7 +264,7 @@ def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) 
     target.note(
         {**{way: _told(one, tolerance) for way, one in zip(_WAYS, certificates, strict=True)}, "chunks": stored}
     )
-    return SavedField(target.address, tolerance, _error(pull), _error(push), blocks, stored, done)
+    return SavedField(target.address, tolerance, _error(pull), _error(push), sum(counts), stored, done)
 
 
 def _batches(way: int, sizes: Sequence[Sequence[int]]) -> Iterator[tuple[int, list[Box]]]:

@@ -39,7 +39,7 @@ def unreadable(path: PathLike, reason: str, advice: str = "give a whole copy of 
 
 
 @contextlib.contextmanager
-def refusing(refused: Callable[[Exception], SuppleError], *kinds: type[Exception]) -> Iterator[None]:
+def refusing(refused: Callable[[Exception], Exception], *kinds: type[Exception]) -> Iterator[None]:
     """Raise in place of errors of these kinds what ``refused`` makes of them; SuppleErrors stay as they are."""
     try:
         yield
@@ -70,6 +70,15 @@ def head_of(
     if not head:
         raise unreadable(path, "it is empty", empty)
     return head
+
+
+def first_bytes(path: PathLike, count: int) -> bytes:
+    """Return the first bytes of a file; none of one that cannot be read."""
+    try:
+        with open(path, "rb") as file:
+            return file.read(count)
+    except (OSError, ValueError):
+        return b""
 
 
 def unwritable(path: PathLike, reason: str, advice: str) -> SuppleError:

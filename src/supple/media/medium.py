@@ -134,9 +134,10 @@ def is_animated(path: PathLike) -> bool:
     """Return whether an image has several frames; False for unreadable files."""
     if not os.path.isfile(path):
         return False
-    from supple.media import sequence
+    from supple.media.image.vips import pages_of
 
-    return sequence.is_animated(path)
+    form, count = pages_of(path)
+    return form in ("GIF", "PNG", "WebP") and count > 1
 
 
 def picture_grid(path: PathLike) -> Grid:

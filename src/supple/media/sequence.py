@@ -24,7 +24,6 @@ from supple.media import image as pictures
 from supple.media.base import Clip, ClipWarning
 from supple.media.files import PathLike, check_outputs, replacing_all
 from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture, exr
-from supple.media.image.exr import Exr
 from supple.media.image.formats import DTYPES, SUFFIXES_OUT, divided, is_exr
 from supple.media.image.headers import collected, extra_of, facts
 from supple.media.image.vips import apart, decoded, opened, reading, sequential, widen
@@ -43,22 +42,9 @@ _WHITE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 
 @dataclass(frozen=True, slots=True)
 class _Still:
-    """A frame that is read in `copy_to`, so that only one is in memory."""
+    """A frame that is read when it is copied, so that only one is in memory."""
 
-    path: Path
-    layout: Layout
-
-    def copy_to(self, arrays: Sequence[Array]) -> None:
-        image, form = opened(self.path)
-        _require(self.path, _layout(self.path, image), self.layout, "the first picture")
-        _, orientation, bits = facts(image)
-        with reading(self.path):
-            pixels = apart(lambda: decoded(image, orientation), image)
-        if extra_of(image) == (1,) and self.layout.groups[0].alpha:
-            pixels = divided(pixels)
-        np.copyto(arrays[0], pixels.reshape(arrays[0].shape))
-        if form in ("AVIF", "HEIF") and 8 < bits < 16:
-            widen(arrays[0], bits)
+    copy_to: Callable[[Sequence[Array]], None]
 
 
 class Pictures:
@@ -99,7 +85,19 @@ class Pictures:
     def frames(self) -> Iterator[Frame]:
         """Yield the frames in order; each is read when it is copied."""
         for path in self.paths:
-            yield _Still(path, self.layout)
+            yield _Still(partial(self._read, path))
+
+    def _read(self, path: Path, arrays: Sequence[Array]) -> None:
+        image, form = opened(path)
+        _require(path, _layout(path, image), self.layout, "the first picture")
+        _, orientation, bits = facts(image)
+        with reading(path):
+            pixels = apart(lambda: decoded(image, orientation), image)
+        if extra_of(image) == (1,) and self.layout.groups[0].alpha:
+            pixels = divided(pixels)
+        np.copyto(arrays[0], pixels.reshape(arrays[0].shape))
+        if form in ("AVIF", "HEIF") and 8 < bits < 16:
+            widen(arrays[0], bits)
 
     def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> Array:
         """Return a frame as RGB of 8 bits, or of 16 if ``deep``: shape (H, W, 3), without opacity.
@@ -149,21 +147,6 @@ class Pictures:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class _LayeredStill:
-    """An OpenEXR that is read in `copy_to`, over the box of all frames."""
-
-    path: Path
-    like: Exr
-
-    def copy_to(self, arrays: Sequence[Array]) -> None:
-        held = exr.read(self.path, self.like.box)
-        if held.groups != self.like.groups:
-            raise SuppleError(f"{shown(self.path)} has channels of other types than the first picture: make them alike")
-        for array, samples in zip(arrays, held.arrays, strict=True):
-            np.copyto(array, samples)
-
-
 class Layered(Pictures):
     """OpenEXR files as the frames of a clip, with all channels, over the box around the windows of all frames."""
 
@@ -186,25 +169,17 @@ class Layered(Pictures):
             self.display = -x, -y, width, height
         pictures.warn_of_exact(held)
 
-    def frames(self) -> Iterator[Frame]:
-        """Yield the frames in order; each is read when it is copied."""
-        for path in self.paths:
-            yield _LayeredStill(path, self._like)
+    def _read(self, path: Path, arrays: Sequence[Array]) -> None:
+        held = exr.read(path, self._like.box)
+        if held.groups != self._like.groups:
+            raise SuppleError(f"{shown(path)} has channels of other types than the first picture: make them alike")
+        for array, samples in zip(arrays, held.arrays, strict=True):
+            np.copyto(array, samples)
 
     def layered(self, arrays: Sequence[Array], k: int) -> Picture:
         """Return frame ``k`` with other samples, and the header of its file."""
         head, like = self._heads[k], self._like
         return pictures.of_layers(replace(head, box=like.box, groups=like.groups, arrays=tuple(arrays)))
-
-
-@dataclass(frozen=True, slots=True)
-class _Page:
-    """A decoded frame of an animation."""
-
-    samples: Array
-
-    def copy_to(self, arrays: Sequence[Array]) -> None:
-        np.copyto(arrays[0], self.samples)
 
 
 class Animation(Pictures):
@@ -234,7 +209,8 @@ class Animation(Pictures):
             region = pyvips.Region.new(tall)
             for k in range(self.count):
                 data = apart(partial(region.fetch, 0, k * height, width, height), tall)
-                yield _Page(np.frombuffer(data, np.uint8).reshape(shape))
+                samples = np.frombuffer(data, np.uint8).reshape(shape)
+                yield _Still(lambda arrays, samples=samples: np.copyto(arrays[0], samples))  # type: ignore[misc]
 
     def picture(self, k: int) -> tuple[Picture, list[str]]:
         """Return the image of frame ``k`` without its pixels; the profile is the file's."""
@@ -243,15 +219,6 @@ class Animation(Pictures):
         group = self.layout.groups[0]
         empty = np.empty((0, group.shape[1], group.channels), self.layout.dtype)
         return Picture(empty, group.alpha, icc, 8, form, image.interpretation), []
-
-
-def is_animated(path: PathLike) -> bool:
-    """Return whether an image has several frames; False for unreadable files."""
-    try:
-        image, form = opened(path)
-    except SuppleError:
-        return False
-    return form in ("GIF", "PNG", "WebP") and facts(image)[0] > 1
 
 
 @contextlib.contextmanager

@@ -88,6 +88,8 @@ _AROUND, _NEAR, _STEPS = 6, 0.75, 16  # points around a pivot, their distance in
 
 Background = npt.NDArray[np.float32] | None
 Extend = Literal["neither", "max", "min", "both"]
+Box = tuple[float, float, float, float]
+"""Left, right, bottom and top, of which the top is less: y points down."""
 
 
 def check_plot(path: str | os.PathLike[str], *, force: bool = False) -> None:
@@ -129,7 +131,7 @@ def ratio(deformation: Deformation) -> float:
     return (height * sy) / (width * sx)
 
 
-def edges(deformation: Deformation) -> tuple[float, float, float, float]:
+def edges(deformation: Deformation) -> Box:
     """Return left, right, bottom and top of the image: the outer edges of its pixels."""
     height, width = deformation.shape[-2:]
     return -0.5, width - 0.5, height - 0.5, -0.5
@@ -138,13 +140,18 @@ def edges(deformation: Deformation) -> tuple[float, float, float, float]:
 def map_axes(axes: Axes, deformation: Deformation, name: str) -> None:
     """Set axes up for a map: y down, in pixels."""
     sx, sy = deformation.domain.spacing[:2]
-    axes.set_aspect(sy / sx if 1 / 6 <= ratio(deformation) <= 6 else "auto")
-    left, right, bottom, top = edges(deformation)
+    set_axes(axes, edges(deformation), sy / sx, name, ("x (px)", "y (px)"))
+
+
+def set_axes(axes: Axes, box: Box, scale: float, name: str, labels: tuple[str, str]) -> None:
+    """Set axes up for a map of a box, one of whose units down is as long as ``scale`` units across."""
+    left, right, bottom, top = box
+    axes.set_aspect(scale if 1 / 6 <= scale * (bottom - top) / (right - left) <= 6 else "auto")
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
     axes.set_title(name, fontsize=11, loc="left")
-    axes.set_xlabel("x (px)")
-    axes.set_ylabel("y (px)")
+    axes.set_xlabel(labels[0])
+    axes.set_ylabel(labels[1])
     axes.tick_params(labelsize=8)
 
 

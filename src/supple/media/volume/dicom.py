@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from supple.errors import VolumeWarning, argument, shown
-from supple.media.files import PathLike, head_of, unreadable
+from supple.media.files import PathLike, first_bytes, head_of, unreadable
 from supple.media.volume.data import Array, Volume, check_spacing, located
 from supple.media.volume.frames import frames_of
 from supple.media.volume.frames import imported as with_pydicom
@@ -47,15 +47,7 @@ class Series:
 
 def is_slice(path: PathLike) -> bool:
     """Return whether a file is DICOM, by its first bytes."""
-    return _first_bytes(path, 132)[128:] == b"DICM"
-
-
-def _first_bytes(path: PathLike, count: int) -> bytes:
-    try:
-        with open(path, "rb") as file:
-            return file.read(count)
-    except (OSError, ValueError):
-        return b""
+    return first_bytes(path, 132)[128:] == b"DICM"
 
 
 def in_folder(path: PathLike) -> bool:
@@ -137,7 +129,7 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
 # GDCM reads no header of what is no image (test_what_is_no_image_is_left_out_and_named).
 def _kind_beside(path: str) -> str:
     """Return the content of a file that is not an image, or is derived from one, by its SOP class."""
-    named = re.search(rb"\x02\x00\x02\x00UI..([0-9.]+)", _first_bytes(path, 1024), re.DOTALL)
+    named = re.search(rb"\x02\x00\x02\x00UI..([0-9.]+)", first_bytes(path, 1024), re.DOTALL)
     uid = named[1].decode() if named else ""
     if not uid.startswith(_STORAGE):
         return ""
