@@ -55,10 +55,12 @@ class Pictures:
     first: int | None  # the number of the first image, if the names are numbered
     rate: Fraction  # frames a second, given by the caller
     starts: Sequence[int] = ()  # start times of the frames, and the end, in milliseconds; empty for a constant rate
-    rotation, mirrored, fields = 0.0, False, ""
+    rotation, mirrored = 0.0, False  # for display: degrees counterclockwise, after frames are mirrored left to right
+    fields = ""  # the field of interlaced frames that is shown first
     plays: int | None = None  # how often it plays, as in `supple.media.video.source.VideoSource`
-    unpictured: tuple[str, ...] = ()
+    unpictured: tuple[str, ...] = ()  # streams that have no place in images of its frames: sound, subtitles
     extra: tuple[int, ...] = ()  # the meanings of the channels above the colours, as in `Picture`
+    # the part of frames in which points count: x and y of its first pixel, width and height; None for all
     display: tuple[int, int, int, int] | None = None
 
     def __init__(self, name: str, paths: list[Path], rate: Fraction, first: int | None) -> None:
@@ -326,7 +328,7 @@ class PictureSink:
         name = self._names(k)
         like = None
         if still and self._is_copied(name, k):
-            shutil.copyfile(self._clip.paths[k], self._temporary / name)  # type: ignore[attr-defined]
+            shutil.copyfile(self._clip.paths[k], self._temporary / name)  # type: ignore[union-attr]
             self.copied += 1
             return
         if isinstance(self._clip, Layered):

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -73,7 +71,7 @@ class LabelColours:
         return np.ascontiguousarray(np.concatenate([linear_light(seen[:, :3], 1.0), opacity], axis=1), np.float32)
 
     def to_ctbl(self, labels: npt.ArrayLike) -> str:
-        """Return the text of a colour table of 3D Slicer (``.ctbl``) for labels, for `read`."""
+        """Return the text of a colour table of 3D Slicer (``.ctbl``) for labels, for `from_text`."""
         rows = np.rint(255 * self.of(labels)).astype(int)
         lines = [f"{k} label-{k} {r} {g} {b} {a}" for k, r, g, b, a in np.column_stack([labels, rows]).tolist()]
         return "\n".join(["# label name red green blue opacity", *lines]) + "\n"
@@ -147,23 +145,6 @@ class LabelColours:
             if label in made:
                 made[label] = red, green, blue, 1.0
         return cls(made)
-
-    @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> LabelColours:
-        """Read a colour table from a file (``.ctbl``, ``.txt``), as `from_text` does.
-
-        Raises
-        ------
-        SuppleError
-            If it cannot be read, or is invalid.
-        """
-        name = os.fspath(path)
-        try:
-            text = Path(path).read_text(encoding="utf-8")
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
-            raise SuppleError(f"cannot read {name!r}: {reason}: name a colour table (.ctbl, .txt)") from None
-        return cls.from_text(text, name)
 
 
 def palette(labels: npt.ArrayLike) -> Floats:
