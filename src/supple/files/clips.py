@@ -139,7 +139,7 @@ def counted_anew(source: PathLike, use: Callable[[int | None], T]) -> T:
     try:
         return use(found)
     except CountError:
-        raise fickle(source) from None
+        raise SuppleError(f"{shown(source)} gives another number of frames each time: repair it") from None
 
 
 def bent_of(clip: Clip, options: ClipOptions) -> range:
@@ -209,11 +209,6 @@ def _warn_of_none(recipe: Recipe, clip: Clip) -> None:
     if recipe.amount and any(able):
         text = f"no stroke moves a pixel of any frame of {clip.name}: its frames are as they were"
         warnings.warn(text, OutsideWarning, stacklevel=caller())
-
-
-def fickle(source: PathLike) -> SuppleError:
-    """Return the error for a clip whose frames cannot be counted."""
-    return SuppleError(f"{shown(source)} gives another number of frames each time: repair it")
 
 
 def check(job: Job) -> None:
@@ -524,16 +519,10 @@ def _check_places(
             continue
         frames = [key.frame for key in stroke.keys if key.at is not None]
         if len(frames) > 1 and (frames[-1] < 0 or frames[0] >= count):
-            warnings.warn(
-                f"{which} has positions in frames {frames[0]} to {frames[-1]}, and the clip has {count}, from 0: it "
-                "follows none of them (does the track give another number to the first?)",
-                OutsideWarning,
-                stacklevel=5,
-            )
+            text = f"{which} has positions in frames {frames[0]} to {frames[-1]}, and the clip has {count}, from 0: it "
+            text += "follows none of them (does the track give another number to the first?)"
+            warnings.warn(text, OutsideWarning, stacklevel=5)
         places = [strokes[i].at for strokes in seen]
         if not any(-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5 for x, y in places):
-            warnings.warn(
-                f"{which} starts outside the picture, which has {width} x {height} pixels, in every frame",
-                OutsideWarning,
-                stacklevel=5,
-            )
+            text = f"{which} starts outside the picture, which has {width} x {height} pixels, in every frame"
+            warnings.warn(text, OutsideWarning, stacklevel=5)

@@ -382,12 +382,9 @@ def _warn_of_size(path: PathLike, convention: str, source: object, grid: Grid | 
     if convention != "stmap" or source is not None or grid is None:
         return
     width, height = grid.sizes[:2]
-    warnings.warn(
-        f"{shown(path)} counts in the size of the picture that it leads to, which is not given: it is taken to have "
-        f"{width} x {height} pixels, as the map has: {argument('source')} names that picture",
-        OutsideWarning,
-        stacklevel=3,
-    )
+    text = f"{shown(path)} counts in the size of the picture that it leads to, which is not given: it is taken to have "
+    text += f"{width} x {height} pixels, as the map has: {argument('source')} names that picture"
+    warnings.warn(text, OutsideWarning, stacklevel=3)
 
 
 def doubt_of(read: MapFile, folded: int, cells: int) -> str:
@@ -406,10 +403,7 @@ def _warn_of(counts: Mapping[str, int], read: MapFile) -> None:
             folded = int(np.count_nonzero(cells))
             if hint := doubt_of(read, folded, cells.size):
                 doubt = f"; the field folds in {folded:,} of its {cells.size:,} cells: {hint}"
-        warnings.warn(
-            f"{shown(read.path)}: of {whole:,} {'pixel' if field.ndim == 2 else 'voxel'}s of the inverse, "
-            f"{', '.join(found)}: they hold the nearest that was found; nothing was smoothed or set to zero "
-            f"({argument('status')} shows where){doubt}",
-            FoldWarning,
-            stacklevel=3,
-        )
+        text = f"{shown(read.path)}: of {whole:,} {'pixel' if field.ndim == 2 else 'voxel'}s of the inverse, "
+        text += f"{', '.join(found)}: they hold the nearest that was found; nothing was smoothed or set to zero "
+        text += f"({argument('status')} shows where){doubt}"
+        warnings.warn(text, FoldWarning, stacklevel=3)

@@ -47,11 +47,8 @@ def read_freeze(path: PathLike, *, label: int | None = None, width: float | None
     made = Freeze.of(mask, width=width, spacing=spacing, place=place, name=os.fspath(path))
     if made.is_free:
         seen, frozen = ("0", "all but 0") if whole else ("black", "white")
-        warnings.warn(
-            f"nothing is frozen in {shown(path)}: all of it is {seen}, and {frozen} is frozen",
-            FreezeWarning,
-            stacklevel=2,
-        )
+        text = f"nothing is frozen in {shown(path)}: all of it is {seen}, and {frozen} is frozen"
+        warnings.warn(text, FreezeWarning, stacklevel=2)
     return made
 
 

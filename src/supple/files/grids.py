@@ -88,12 +88,10 @@ def _stored_grid(path: PathLike, ndim: int) -> Grid:
 def warn_of_place(geometry: Geometry, name: str) -> None:
     """Warn of a volume that does not say where it lies, where positions in space count."""
     if geometry.convention == "array":
-        warnings.warn(
+        text = (
             f"{name} does not say where its voxels lie in space: its first one is taken to lie at (0, 0, 0), and its "
-            "axes along those of LPS",
-            VolumeWarning,
-            stacklevel=3,
         )
+        warnings.warn(f"{text}axes along those of LPS", VolumeWarning, stacklevel=3)
 
 
 def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[Placed]) -> Grid | None:

@@ -207,11 +207,7 @@ def _facts_of(maps: Sequence[Map]) -> list[dict[str, Any]]:
             made.append({"kind": "affine", "matrix": each.matrix.tolist()})
             continue
         grid, units = each.grid, ("mm", "LPS") if each.ndim == 3 else ("pixels", "the picture")
-        place = {
-            "spacing": list(grid.spacing),
-            "origin": list(grid.origin),
-            "direction": list(map(list, grid.direction)),
-        }
+        place = {name: np.array(getattr(grid, name)).tolist() for name in ("spacing", "origin", "direction")}
         head = {"kind": "field", "interpolation": each.interpolation, "size": list(grid.sizes)}
         made.append({**head, **place, "units": units[0], "space": units[1]})
     return made

@@ -6,7 +6,7 @@ import contextlib
 import math
 import os
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -206,9 +206,8 @@ def scene_of(
     samples = volume.rescaled()
     if volume.series:
         last = len(samples) - 1
-        samples = samples[
-            integer("time", known.time, f"the number of a volume of {volume.name}, from 0 to {last}", 0, last)
-        ]
+        wanted = f"the number of a volume of {volume.name}, from 0 to {last}"
+        samples = samples[integer("time", known.time, wanted, 0, last)]
     elif known.time:
         raise SuppleError(f"{volume.name} is one volume, and {argument('time')} is for series: leave it out")
     elif volume.is_segmentation and volume.components > 1:
@@ -253,15 +252,9 @@ def scene_of(
         samples = deformation.warp(samples, filter=mixed, outside="constant", fill=fill)
         meshes = tuple(Surface(deformation.forward(m.points), m.triangles, m.lines, m.colour) for m in meshes)
         deformation = None
-    return Scene(
-        samples,
-        volume.geometry,
-        deformation=deformation,
-        transfer=transfer,
-        meshes=meshes,
-        mode="buffered" if known.mode == "hybrid" else known.mode,
-        **{name: getattr(known, name) for name in _OF_SCENE},
-    )
+    shared = {name: getattr(known, name) for name in _OF_SCENE}
+    shared["mode"] = "buffered" if known.mode == "hybrid" else known.mode
+    return Scene(samples, volume.geometry, deformation=deformation, transfer=transfer, meshes=meshes, **shared)
 
 
 def _check_labels(samples: Array, transfer: LabelColours, name: str) -> None:
@@ -382,12 +375,8 @@ def render_file(
 
     with _saving_transfer(scene, known, given.name, force):
         if not count:
-            picture = scene.render(
-                camera,
-                known.size,
-                supersampling=known.supersampling,
-                tell=lambda rows: tell("render", rows, known.size[0]),
-            )
+            advance: Callable[[int], None] = lambda rows: tell("render", rows, known.size[0])  # noqa: E731
+            picture = scene.render(camera, known.size, supersampling=known.supersampling, tell=advance)
             _warn_of_view(picture, known, given.name)
             if known.what == "inversions":
                 from supple.plot.draw import draw_inversions

@@ -87,12 +87,9 @@ def deformation_of(
     located = in_space(recipe, volume.geometry, volume.name, world)
     if located.space in ("LPS", "RAS") and located.border == "auto" and located.size not in (None, volume.sizes):
         made_for = " x ".join(map(str, located.size or ()))
-        warnings.warn(
-            f"the recipe is of a volume of {made_for} voxels, and its border, a tenth of each axis, is elsewhere in "
-            f"{volume.name}: the map is another one; the field of the first volume is the same",
-            VolumeWarning,
-            stacklevel=4,
-        )
+        text = f"the recipe is of a volume of {made_for} voxels, and its border, a tenth of each axis, is elsewhere in "
+        text += f"{volume.name}: the map is another one; the field of the first volume is the same"
+        warnings.warn(text, VolumeWarning, stacklevel=4)
     known = fit_recipe(located, volume.sizes, fit, volume.name)
     if maps:
         warn_of_place(volume.geometry, volume.name)
@@ -117,9 +114,8 @@ def warn_of_lengths(recipe: Recipe, grid: Grid, name: str, unit: str) -> None:
             told = f"{stroke.radius / min(grid.spacing):.2g} times the distance between samples of {name}"
         else:
             continue
-        warnings.warn(
-            f"the radius {stroke.radius:g} {unit} is {told}: lengths are in {unit}", VolumeWarning, stacklevel=4
-        )
+        text = f"the radius {stroke.radius:g} {unit} is {told}: lengths are in {unit}"
+        warnings.warn(text, VolumeWarning, stacklevel=4)
         return
 
 
@@ -322,12 +318,11 @@ def _warn_of_gaps(volume: Volume, filter: str) -> None:
         return
     gaps = sum(int(np.count_nonzero(~np.isfinite(slab))) for slab in volume.samples)
     if gaps:
-        warnings.warn(
+        text = (
             f"{gaps} voxels of {volume.name} are NaN or infinite, and so is each voxel that is interpolated from them: "
-            'filter "nearest" keeps them as they are, and "linear" spreads them least',
-            GapWarning,
-            stacklevel=4,
         )
+        text += 'filter "nearest" keeps them as they are, and "linear" spreads them least'
+        warnings.warn(text, GapWarning, stacklevel=4)
 
 
 def _first_fraction(samples: Array) -> float | None:
@@ -369,11 +364,8 @@ def warn_of_labels(some: Array, name: str, *, known: bool = False) -> None:
     if not (known or _is_of_labels(some)):
         return
     told = "is a label map" if known else f"looks like a label map, of {len(np.unique(some))} values"
-    warnings.warn(
-        f"{name} {told}, and its labels are mixed where they meet: {argument('labels', True)} keeps them",
-        VolumeWarning,
-        stacklevel=4,
-    )
+    text = f"{name} {told}, and its labels are mixed where they meet: {argument('labels', True)} keeps them"
+    warnings.warn(text, VolumeWarning, stacklevel=4)
 
 
 def _is_of_labels(some: Array) -> bool:

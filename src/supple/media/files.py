@@ -318,7 +318,8 @@ def replacing_together(paths: Sequence[PathLike], *, force: bool = False) -> Ite
     early, by an interrupt too, all are removed. SuppleErrors that name these are raised with the names of the files.
     Others are as in `check_output`, and for two paths of one file.
     """
-    targets = [_check_place(path, force) for path in paths]
+    checks = (check_store if Path(path).suffix.lower() == ".zarr" else check_output for path in paths)
+    targets = [check(path, force=force) for check, path in zip(checks, paths, strict=True)]
     for i, target in enumerate(targets):
         if target in targets[:i]:
             raise SuppleError(f"{shown(paths[i])} is to be written twice: give each output a name of its own")
@@ -345,10 +346,6 @@ def replacing_together(paths: Sequence[PathLike], *, force: bool = False) -> Ite
     finally:
         for folder in folders:
             shutil.rmtree(folder, ignore_errors=True)
-
-
-def _check_place(path: PathLike, force: bool) -> Path:
-    return (check_store if Path(path).suffix.lower() == ".zarr" else check_output)(path, force=force)
 
 
 def publish_all(moves: Iterable[tuple[Path, Path, PathLike, Path]], force: bool) -> None:

@@ -224,11 +224,8 @@ def _places(name: str, record: _Record, known: list[str], axes: list[str]) -> tu
 
 
 def _labels(table: Table, fcsv: bool) -> tuple[str, ...]:
-    names = (
-        []
-        if table.header is None
-        else [bare(cell.lstrip(" \t#")).lower() for cell in table.records[table.header].cells]
-    )
+    head = [] if table.header is None else table.records[table.header].cells
+    names = [bare(cell.lstrip(" \t#")).lower() for cell in head]
     column = next((names.index(known) for known in ("label", "name", "id") if known in names), 11 if fcsv else None)
     cells = [table.records[row].cells for row in table.rows]
     return tuple(bare(row[column]) if column is not None and column < len(row) else "" for row in cells)

@@ -19,13 +19,9 @@ _UNIT = 296
 _STORED = ((273, 279), (324, 325))  # the offsets and sizes of strips, and of tiles
 MINISWHITE, RGB, YCBCR, CIELAB, ICCLAB, ITULAB = 0, 2, 6, 8, 9, 10
 MASK, _MOSAIC = 4, 32803
-_COLOURS = {
-    0: 1,
-    1: 1,
-    3: 1,
-    MASK: 1,
-    _MOSAIC: 1,
-}  # by the photometric interpretation; all others have three, and inks their own
+_COLOURS = dict.fromkeys(
+    (0, 1, 3, MASK, _MOSAIC), 1
+)  # by photometric interpretation; others have three, inks their own
 _UNSAVED = (MINISWHITE, CIELAB, ICCLAB, ITULAB)
 _MEANINGS = {5: "cmyk", CIELAB: "lab", ICCLAB: "lab", ITULAB: "lab"}
 _JPEGS = (6, 7)

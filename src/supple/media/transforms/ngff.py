@@ -31,14 +31,8 @@ _PREFIXES = {
     "zetta": 21, "yotta": 24,
 }  # fmt: skip
 _UNITS = {f"{prefix}meter": float(f"1e{power + 3}") for prefix, power in _PREFIXES.items()}
-_UNITS |= {
-    "angstrom": 1e-7,
-    "inch": 25.4,
-    "foot": 304.8,
-    "yard": 914.4,
-    "mile": 1_609_344.0,
-    "parsec": 3.0856775814913673e19,
-}
+_UNITS |= {"angstrom": 1e-7, "inch": 25.4, "foot": 304.8, "yard": 914.4, "mile": 1_609_344.0}
+_UNITS["parsec"] = 3.0856775814913673e19
 # Not of the specification, but of many files.
 _UNITS |= {**dict.fromkeys(("um", "\u00b5m", "\u03bcm", "micron", "microns"), 1e-3), "nm": 1e-6, "mm": 1.0, "cm": 10.0}
 """Millimetres."""
