@@ -373,7 +373,10 @@ def render_file(
             yield marked(picture.pixels(behind), turned)
             tell("render", k + 1, count)
 
-    with _saving_transfer(scene, known, given.name, force):
+    with contextlib.ExitStack() as stack:
+        if known.save_transfer is not None:  # it appears with the pictures
+            place = stack.enter_context(replacing(known.save_transfer, force=force))
+            place.write_text(_saved(scene, known.save_transfer, given.name), encoding="utf-8")
         if not count:
             advance: Callable[[int], None] = lambda rows: tell("render", rows, known.size[0])  # noqa: E731
             picture = scene.render(camera, known.size, supersampling=known.supersampling, tell=advance)
@@ -406,17 +409,6 @@ def _warn_of_view(picture: Rendering, known: RenderOptions, name: str) -> None:
     elif known.projection == "none" and not picture.depth.any():
         told = "give another distance or target, or cut away what is before it by clip or plane"
         warnings.warn(f"the camera stands within what is visible of {name}: {told}", VolumeWarning, stacklevel=4)
-
-
-@contextlib.contextmanager
-def _saving_transfer(scene: Scene, known: RenderOptions, name: str, force: bool) -> Iterator[None]:
-    """Write the transfer function that is used; it appears once the block, which writes pictures, is done."""
-    if known.save_transfer is None:
-        yield
-        return
-    with replacing(known.save_transfer, force=force) as place:
-        place.write_text(_saved(scene, known.save_transfer, name), encoding="utf-8")
-        yield
 
 
 def _check_transfer(path: PathLike, force: bool) -> None:

@@ -391,7 +391,9 @@ def _written(volume: Volume, like: Volume, job: Job, space: Space, sampling: Sam
     source, target, force = job.source, job.target, job.force
     series = volume.samples if volume.series else volume.samples[None]
     count, certificate = len(series), Certificate(0.0, 0.0)
-    if space.is_identity and os.path.isfile(source) and _alone(source, target):
+    suffix = suffix_of(source)  # of one file; a DICOM file that is written is a derived one, with its own UIDs
+    alone = suffix and suffix == suffix_of(target) and suffix not in (".mhd", ".nhdr", ".hdr", ".img", ".dcm")
+    if space.is_identity and os.path.isfile(source) and alone:
         tell("write", 0, 1)
         with replacing(target, force=force) as place:
             shutil.copyfile(source, place)
@@ -438,9 +440,3 @@ def _copy_sidecar(source: PathLike, target: PathLike) -> None:
             place.write_text(text, encoding="utf-8")
     except SuppleError as error:  # the volume itself is there
         warnings.warn(str(error), VolumeWarning, stacklevel=4)
-
-
-def _alone(source: PathLike, target: PathLike) -> bool:
-    """Return whether the job is to copy one file; a DICOM file that is written is a derived one, with its own UIDs."""
-    suffix = suffix_of(source)
-    return bool(suffix) and suffix == suffix_of(target) and suffix not in (".mhd", ".nhdr", ".hdr", ".img", ".dcm")

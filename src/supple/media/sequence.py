@@ -327,8 +327,10 @@ class PictureSink:
         """Write frame ``k``: arrays in the clip's layout."""
         name = self._names(k)
         like = None
-        if still and self._is_copied(name, k):
-            shutil.copyfile(self._clip.paths[k], self._temporary / name)  # type: ignore[union-attr]
+        clip, suffix = self._clip, Path(name).suffix.lower()
+        known = isinstance(clip, Pictures) and not isinstance(clip, Animation) and not any(self._options.values())
+        if still and known and suffix == clip.paths[k].suffix.lower():  # type: ignore[union-attr]
+            shutil.copyfile(clip.paths[k], self._temporary / name)  # type: ignore[union-attr]
             self.copied += 1
             return
         if isinstance(self._clip, Layered):
@@ -353,13 +355,6 @@ class PictureSink:
         for warning in caught:
             text = str(warning.message).replace(temporary, final)
             self._say(warning.category, text, text.replace(final, ""))
-
-    def _is_copied(self, name: str, k: int) -> bool:
-        """Return whether the file of an unchanged frame is what would be written: of the same format, as it is."""
-        clip = self._clip
-        if not isinstance(clip, Pictures) or isinstance(clip, Animation) or any(self._options.values()):
-            return False
-        return Path(name).suffix.lower() == clip.paths[k].suffix.lower()
 
     def _as_rgb(self, arrays: Sequence[Array]) -> Array:
         """Return a video's frame, upright, in RGB or RGBA."""

@@ -51,7 +51,9 @@ def background(deformation: Deformation, image: npt.NDArray[Any] | Picture) -> n
         bent = deformation.warp(array, alpha=array.ndim == 3 and array.shape[2] in (2, 4))
     low, high = _range(array)
     every = spacing_of(deformation.shape[-2:], _MOST_PIXELS)
-    small = _smaller(bent if bent.ndim == 3 else bent[..., None], every)
+    height, width = (n // every * every for n in bent.shape[:2])
+    blocks = bent[:height, :width].reshape(height // every, every, width // every, every, -1)
+    small = blocks.mean(axis=(1, 3), dtype=np.float64)
     with np.errstate(invalid="ignore", over="ignore"):
         small = np.clip(np.nan_to_num((small - low) / (high - low)), 0, 1)
     if small.shape[2] in (2, 4):
@@ -70,12 +72,6 @@ def _range(array: npt.NDArray[Any]) -> tuple[float, float]:
     if array.dtype.kind == "f" and low >= 0 and high <= 1:
         return 0.0, 1.0
     return low, high if high > low else low + 1.0
-
-
-def _smaller(array: npt.NDArray[Any], every: int) -> npt.NDArray[np.float64]:
-    height, width = (n // every * every for n in array.shape[:2])
-    blocks = array[:height, :width].reshape(height // every, every, width // every, every, -1)
-    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64))
 
 
 SUFFIXES = (".png", ".svg", ".pdf")
