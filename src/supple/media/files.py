@@ -20,15 +20,9 @@ ROOTS = ("zarr.json", ".zgroup", ".zarray")
 """Files of which a Zarr store has one."""
 _NEW = os.O_CREAT | os.O_EXCL | os.O_WRONLY
 _SPARE = 65_536  # bytes: with less, a disk counts as full
-_NO_ROOM = "make room or choose another place"
-_NO_RIGHT = "choose a place where writing is allowed"
 _ADVICE = {
-    errno.ENOSPC: _NO_ROOM,
-    errno.EFBIG: _NO_ROOM,
-    errno.EDQUOT: _NO_ROOM,
-    errno.EACCES: _NO_RIGHT,
-    errno.EPERM: _NO_RIGHT,
-    errno.EROFS: _NO_RIGHT,
+    **dict.fromkeys((errno.ENOSPC, errno.EFBIG, errno.EDQUOT), "make room or choose another place"),
+    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), "choose a place where writing is allowed"),
     errno.ENAMETOOLONG: "choose a shorter name",
 }
 

@@ -102,14 +102,10 @@ def figure(
     choice("what", what, WHATS)
     measure.require_plane(deformation, frame)
     below = background(deformation, image) if image is not None else None
-    if what == "iterations":
-        return _iterations(deformation, frame)
-    if what == "residual":
-        return _residual(deformation, frame)
-    if what == "stretch":
-        return _stretch(deformation, frame, below)
-    if what == "axes":
-        return _axes(deformation, frame, below)
+    if what in ("iterations", "residual"):
+        return (_iterations if what == "iterations" else _residual)(deformation, frame)
+    if what in ("stretch", "axes"):
+        return (_stretch if what == "stretch" else _axes)(deformation, frame, below)
     return _grid(deformation, below) if frame is None else _time_grid(deformation, frame, below)
 
 

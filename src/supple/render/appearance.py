@@ -108,18 +108,10 @@ def sampled(
         found, window = labels_in(given), window_of(density, one=True)
         table = transfer.table(found, step)
         shown = (table[:, 3] > 0) & (found >= window[0]) & (found <= window[1])
-        seen = Seen(
-            transfer,
-            density=window,
-            range=(float(found.min(initial=0)), float(found.max(initial=0))),
-            projection=projection,
-            table=np.concatenate([np.zeros((1, 4), np.float32), table[shown]]),
-            low=0.0,
-            scale=1.0,
-            threshold=0.5 if shown.any() else math.inf,
-            window=(-math.inf, math.inf),
-            labels=found[shown],
-        )
+        values = float(found.min(initial=0)), float(found.max(initial=0))
+        table = np.concatenate([np.zeros((1, 4), np.float32), table[shown]])
+        threshold, all_ = 0.5 if shown.any() else math.inf, (-math.inf, math.inf)
+        seen = Seen(transfer, window, values, projection, table, 0.0, 1.0, threshold, all_, found[shown])
         return widened(numbered(given, found[shown])), None, seen
     if given.ndim == 4:
         given, colours = luminance_and_colours(given)

@@ -24,6 +24,13 @@ _LARGEST = 1 << 53  # float64 holds the integers up to it
 _SPAN = 1 << 24  # labels from the smallest to the largest, of which a table is made
 _SLICER = re.compile(r"(-?\d+)\s+(\S.*?)\s+(\d+)\s+(\d+)\s+(\d+)\s+(\d+)")
 _SEGMENT = re.compile(r"Segment(\d+)_")
+# From OKLab: the weights of a and b beside lightness, and the matrix from cubes of what these give to linear sRGB.
+_TO_CONES = (0.3963377774, 0.2158037573), (-0.1055613458, -0.0638541728), (-0.0894841775, -1.2914855480)
+_TO_LINEAR = (
+    (4.0767416621, -3.3077115913, 0.2309699292),
+    (-1.2684380046, 2.6097574011, -0.3413193965),
+    (-0.0041960863, -0.7034186147, 1.7076147010),
+)
 _SNAP = re.compile(r'(\d+)\s+(\d+)\s+(\d+)\s+(\d+)\s+(\d+(?:\.\d*)?|\.\d+)\s+([01])\s+([01])\s+"(.*)"')
 
 
@@ -156,22 +163,8 @@ def palette(labels: npt.ArrayLike) -> Floats:
     hue = 2 * np.pi * np.mod(0.6535 + 0.27121414 * (k - 1), 1.0)
     light = 0.55 + 0.33 * np.mod(0.0531 + 0.39272236 * (k - 1), 1.0)
     a, b = 0.15 * np.cos(hue), 0.15 * np.sin(hue)
-    cones = np.stack(
-        [
-            light + 0.3963377774 * a + 0.2158037573 * b,
-            light - 0.1055613458 * a - 0.0638541728 * b,
-            light - 0.0894841775 * a - 1.2914855480 * b,
-        ],
-        axis=-1,
-    )
-    to_linear = np.array(
-        [
-            [4.0767416621, -3.3077115913, 0.2309699292],
-            [-1.2684380046, 2.6097574011, -0.3413193965],
-            [-0.0041960863, -0.7034186147, 1.7076147010],
-        ]
-    )
-    return np.asarray(srgb_of(cones**3 @ to_linear.T), np.float64)
+    cones = np.stack([light + x * a + y * b for x, y in _TO_CONES], axis=-1)
+    return np.asarray(srgb_of(cones**3 @ np.array(_TO_LINEAR).T), np.float64)
 
 
 def labels_in(samples: Array) -> Array:

@@ -274,11 +274,8 @@ def _all_pages(path: PathLike, count: int) -> Array | None:
             if tall is None:
                 tall = np.empty((count * height, *pixels.shape[1:]), pixels.dtype)
             rows = tall[k * height : (k + 1) * height]
-            if (
-                len(kinds) > 1
-                or count * height != len(tall)
-                or (rows.shape, rows.dtype) != (pixels.shape, pixels.dtype)
-            ):
+            alike = count * height == len(tall) and (rows.shape, rows.dtype) == (pixels.shape, pixels.dtype)
+            if len(kinds) > 1 or not alike:
                 return None
             rows[:] = pixels
     return tall

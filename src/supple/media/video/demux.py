@@ -70,14 +70,8 @@ def chosen(container: av.container.InputContainer, path: PathLike) -> av.VideoSt
     films = [stream for stream in container.streams.video if not stream.disposition & _PICTURES]
     if not films:
         kinds = {stream.type for stream in container.streams}
-        only = (
-            "a cover picture and no film"
-            if "video" in kinds
-            else "sound and no film"
-            if "audio" in kinds
-            else "no film"
-        )
-        raise unreadable(path, f"it holds {only}", _ADVICE)
+        other = "a cover picture and " if "video" in kinds else "sound and " if "audio" in kinds else ""
+        raise unreadable(path, f"it holds {other}no film", _ADVICE)
     film = films[0]
     if film.codec_context is None:
         raise unreadable(path, "nothing here can decode its kind of video", "convert it, to H.264 for instance")

@@ -127,16 +127,11 @@ class Sink:
     def _may_copy(self) -> bool:
         """Return whether packets of the source and of the encoder may follow each other in one stream."""
         video, codec, context = self._video, self._plan.encoder.codec, self._stream.codec_context
-        return (
-            codec_of(codec).alone
-            and codec == video.codec
-            and self._plan.match.same
-            and context.pix_fmt == video.form.name
-            and (
-                codec == "dnxhd" or (context.extradata or b"") == video.header
-            )  # its frames have all, and MOV adds atoms
-            and (codec not in ("prores", "dnxhd") or context.profile == video.profile)
-        )
+        if not (codec_of(codec).alone and codec == video.codec and self._plan.match.same):
+            return False
+        # frames of DNxHD have all, and MOV adds atoms
+        alike = context.pix_fmt == video.form.name and (codec == "dnxhd" or (context.extradata or b"") == video.header)
+        return alike and (codec not in ("prores", "dnxhd") or context.profile == video.profile)
 
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
         """Encode frames in order, of samples in the clip's layout; or copy the packet of an unchanged one."""
