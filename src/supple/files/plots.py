@@ -15,19 +15,7 @@ from supple.engine.stream import make_plan
 from supple.engine.work import Array
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
-from supple.files.clips import (
-    between_frames,
-    counted_anew,
-    deformations_of,
-    open_clip,
-    refuse_encoding,
-    refuse_maps,
-    refuse_picture,
-    sampling_of,
-    streamed,
-    warn_of_frames,
-    work_on,
-)
+from supple.files import clips
 from supple.files.jobs import Job, refuse_places
 from supple.files.options import ClipOptions, PathLike
 from supple.media.files import check_output
@@ -96,7 +84,7 @@ def plot_file(
     """
     choice("what", what, (*WHATS, "slice", "sheet"))
     options = clip or ClipOptions()
-    refuse_encoding(options, target, "a plot")
+    clips.refuse_encoding(options, target, "a plot")
     if what != "slice" and (x is not None or y is not None):
         raise SuppleError(
             f"{argument('x')} and {argument('y')} are for slices, and {what} shows whole frames: leave them out"
@@ -109,12 +97,12 @@ def plot_file(
     refuse_places(recipe, source)
 
     def once(count: int | None) -> Deformation:
-        with open_clip(source, rate=options.rate, count=count) as clip:
+        with clips.open_clip(source, rate=options.rate, count=count) as clip:
             height, width = clip.layout.shape
-            deformations = deformations_of(recipe, clip, options.time_scale, fit, tell)
+            deformations = clips.deformations_of(recipe, clip, options.time_scale, fit, tell)
             deformation = deformations[0]
             if count is None:
-                warn_of_frames(clip, deformations)
+                clips.warn_of_frames(clip, deformations)
             line: tuple[Any, ...] = ()
             planes: Sequence[int] = ()
             if what == "slice":
@@ -137,10 +125,10 @@ def plot_file(
                     f"{argument('frame')} is for the pictures of one frame, and {what} shows many: leave it out"
                 )
             before = [] if what in WHATS else [rgb[line].copy() for rgb in _shown(clip, planes)]
-        with open_clip(source, rate=options.rate, count=clip.count) as clip:
-            work = work_on(clip, deformations, sampling_of(clip, between_frames(Sampling(), options)))
+        with clips.open_clip(source, rate=options.rate, count=clip.count) as clip:
+            work = clips.work_on(clip, deformations, clips.sampling_of(clip, clips.between_frames(Sampling(), options)))
             after = []
-            for _, arrays, _ in streamed(clip, work, make_plan(work, planes), options.memory):
+            for _, arrays, _ in clips.streamed(clip, work, make_plan(work, planes), options.memory):
                 after.append(clip.to_rgb(arrays)[line].copy())
                 tell("warp", len(after), len(planes))
             if what == "slice":
@@ -155,10 +143,10 @@ def plot_file(
 
     if kind == "clip":
         if maps:
-            refuse_maps(source)
-        refuse_picture(source)
+            clips.refuse_maps(source)
+        clips.refuse_picture(source)
         with counted(progress) as tell:
-            return counted_anew(source, once)
+            return clips.counted_anew(source, once)
     timeless = options == ClipOptions(memory=options.memory)
     if what in ("slice", "sheet") or frame is not None or not timeless:
         raise SuppleError(f"{shown(source)} is taken for a picture, which has no time: leave out what is for videos")
@@ -175,7 +163,7 @@ def plot_file(
 def _seen_best(clip: Any, deformations: Sequence[Deformation], options: ClipOptions) -> list[int]:
     """Return the frames of a sheet: evenly spaced over those with visible displacements."""
     sampling = Sampling(tolerance=_SEEN, between=options.between, time_filter=options.time_filter)
-    work = work_on(clip, deformations, sampling_of(clip, sampling))
+    work = clips.work_on(clip, deformations, clips.sampling_of(clip, sampling))
     moving = np.flatnonzero(~make_plan(work, range(clip.count)).still)
     first, last = (int(moving[0]), int(moving[-1])) if moving.size else (0, clip.count - 1)
     return [first + k for k in evenly(last - first + 1, _COLUMNS)]

@@ -29,14 +29,7 @@ from supple.files.transforms import write_transform
 from supple.folding.resolved import warn_of_still
 from supple.media import transforms
 from supple.media.files import check_output, is_store, replacing
-from supple.media.volume import (
-    Volume,
-    check_target,
-    derived,
-    read,
-    suffix_of,
-    write,
-)
+from supple.media.volume import Volume, check_target, derived, read, suffix_of, write
 from supple.media.volume.dicom import padding_of
 from supple.space.geometry import Floats, Geometry, Grid
 from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke, fit_recipe

@@ -27,15 +27,7 @@ from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Pictu
 from supple.media.image.formats import DTYPES, SUFFIXES_OUT, divided, is_exr
 from supple.media.image.headers import collected, extra_of, facts
 from supple.media.image.vips import apart, decoded, opened, reading, sequential, widen
-from supple.media.numbering import (
-    first_number,
-    has_number,
-    matching,
-    numbered,
-    percent,
-    pictures_in,
-    spelling,
-)
+from supple.media.numbering import first_number, has_number, matching, numbered, percent, pictures_in, spelling
 
 _WHITE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 

@@ -15,14 +15,7 @@ from supple.media.suffixes import VOLUMES as SUFFIXES
 from supple.media.suffixes import VOLUMES_OUT as SUFFIXES_OUT
 from supple.media.volume import derived, raw
 from supple.media.volume import pages as stack
-from supple.media.volume.data import (
-    DTYPES,
-    Array,
-    RawLayout,
-    Volume,
-    rescaled,
-    rescaled_dtype,
-)
+from supple.media.volume.data import DTYPES, Array, RawLayout, Volume, rescaled, rescaled_dtype
 from supple.media.volume.pages import has_pages
 from supple.space.geometry import SIDES
 

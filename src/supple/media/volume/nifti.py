@@ -16,17 +16,7 @@ import numpy as np
 
 from supple.errors import VolumeWarning, need, shown
 from supple.media.files import PathLike, head_of, replacing, unreadable
-from supple.media.volume.data import (
-    DTYPES,
-    Array,
-    Volume,
-    check_spacing,
-    located,
-    native,
-    placed,
-    reading,
-    too_large,
-)
+from supple.media.volume.data import DTYPES, Array, Volume, check_spacing, located, native, placed, reading, too_large
 from supple.space.geometry import Geometry
 
 _GZIP = b"\x1f\x8b"
