@@ -138,7 +138,9 @@ class RandomElastic:
             Its ``recipe`` applies it again: by `Deformation.from_recipe`, or ``supple warp --recipe``.
         """
         one_thread_in_workers()
-        rng = _generator(seed)
+        if seed is not None and not isinstance(seed, np.random.Generator):
+            seed = integer("seed", seed, "a whole number from 0, or a numpy.random.Generator", 0, 2**128)
+        rng = np.random.default_rng(seed)
         still = Deformation(shape, border=self.border, spacing=spacing)
         domain, axes = still.domain, still.domain.packed()
         (least, most), (small, large) = _range("strokes", self.strokes), _range("radius", self.radius)
@@ -296,12 +298,6 @@ def one_thread_in_workers() -> None:
     """
     if multiprocessing.parent_process() is not None:
         os.environ.setdefault("SUPPLE_THREADS", "1")
-
-
-def _generator(seed: Seed) -> np.random.Generator:
-    if seed is None or isinstance(seed, np.random.Generator):
-        return np.random.default_rng(seed)
-    return np.random.default_rng(integer("seed", seed, "a whole number from 0, or a numpy.random.Generator", 0, 2**128))
 
 
 def _range(name: str, value: Any) -> tuple[Any, Any]:

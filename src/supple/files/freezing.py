@@ -10,12 +10,12 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from supple import media
 from supple.errors import FreezeWarning, SuppleError, shown
 from supple.files.clips import open_clip
 from supple.media import image, volume
 from supple.media.base import Clip, CountError
 from supple.media.files import PathLike
+from supple.media.medium import opened
 from supple.space.freezing import Freeze
 from supple.space.geometry import check_upright
 
@@ -59,7 +59,7 @@ def read_matte(path: PathLike, *, width: float | None = None) -> Freeze:
     what is white, in pixels, as in `Freeze`. SuppleError if it cannot be read, or has colours.
     """
     name = os.fspath(path)
-    if media.open(path, "x.mp4" if os.path.isdir(path) else "").kind == "clip":
+    if opened(path, "x.mp4" if os.path.isdir(path) else "").kind == "clip":
         with open_clip(path) as clip:
             return Freeze.matte_of(_greys(clip), clip.count, width=width, name=name)
     picture = image.read(path)

@@ -334,7 +334,13 @@ class PictureSink:
                 text = f"{shown(self._clip.paths[k])}: {' and '.join(lost)} cannot be carried over"
                 self._say(MetadataWarning, text, text.partition(": ")[2])
         else:
-            pixels = self._as_rgb(arrays)
+            layout = clip.layout
+            pixels = clip.to_rgb(arrays, deep=layout.dtype.itemsize > 1)
+            if layout.groups[0].alpha:
+                white = np.iinfo(pixels.dtype).max
+                opacity = np.rint(arrays[0][..., -1:] * (white / layout.white)).astype(pixels.dtype)
+                pixels = np.concatenate([pixels, opacity], axis=2)
+            pixels = clip.upright(pixels)
         temporary, final = shown(self._temporary / name), shown(self._folder / name)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
@@ -347,16 +353,6 @@ class PictureSink:
         for warning in caught:
             text = str(warning.message).replace(temporary, final)
             self._say(warning.category, text, text.replace(final, ""))
-
-    def _as_rgb(self, arrays: Sequence[Array]) -> Array:
-        """Return a video's frame, upright, in RGB or RGBA."""
-        layout = self._clip.layout
-        pixels = self._clip.to_rgb(arrays, deep=layout.dtype.itemsize > 1)
-        if layout.groups[0].alpha:
-            white = np.iinfo(pixels.dtype).max
-            opacity = np.rint(arrays[0][..., -1:] * (white / layout.white)).astype(pixels.dtype)
-            pixels = np.concatenate([pixels, opacity], axis=2)
-        return self._clip.upright(pixels)
 
     def _say(self, category: type[Warning], text: str, kind: str) -> None:
         """Warn of each kind of loss once, not for every frame."""

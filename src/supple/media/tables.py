@@ -75,7 +75,7 @@ def parsed(name: str, text: str, *, fcsv: bool) -> tuple[Table, Floats, str, tup
     comments = [k for k, (_, line, _) in enumerate(lines[: data[0] if data else None]) if _is_comment(line)]
     if not data:
         _refuse(name, None, "it holds no points", "give one in each line, x first")
-    delimiter = "," if fcsv else _delimiter(lines[data[0]][1])
+    delimiter = "," if fcsv else max(",;\t", key=re.sub(r'"[^"]*"', "", lines[data[0]][1]).count)
     records = [_Record(number, split(line, delimiter), end) for number, line, end in lines]
     told = "said" if fcsv else ""
     stated = "RAS" if fcsv else "index"  # the defaults of Slicer, and of a table
@@ -145,11 +145,6 @@ def _lines(name: str, text: str) -> list[tuple[int, str, str]]:
     if held:
         raise SuppleError(f"cannot read {name}: line {begun}: a quote is not closed: close it")
     return made
-
-
-def _delimiter(line: str) -> str:
-    outside = re.sub(r'"[^"]*"', "", line)
-    return max(",;\t", key=outside.count)
 
 
 def _number(cell: str) -> float | None:

@@ -91,7 +91,7 @@ def held_scene(
     if mode == "exact":
         return Held(volume, hold_strokes(gpu, space.table, space.axes, shown_mask(space.freeze)), EXACT)
     lattice = lattice_of(gpu, space, tolerance)
-    cells = cells_along_rays(lattice, tolerance)
+    cells = 2 if _TWICE * lattice.error <= tolerance else 1  # that a cubic along a ray may span
     if not twice:
         return Held(volume, lattice, LATTICE, cells)
     filling = Filling(volume, lattice, polished=lattice.error > tolerance, tolerance=tolerance)
@@ -124,11 +124,6 @@ def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> Lattice:
             while found.step > FINEST:
                 found = solve(gpu, space.table, space.axes, shape, found.step // 2, shown_mask(space.freeze))
     return found if found.step <= RESOLVED * found.smooth else replace(found, error=math.inf)
-
-
-def cells_along_rays(lattice: Lattice, tolerance: float) -> int:
-    """Return the number of cells of a lattice that a cubic along a ray may span."""
-    return 2 if _TWICE * lattice.error <= tolerance else 1
 
 
 def along_rays(lattice: Lattice, cells: int, tolerance: float) -> float:

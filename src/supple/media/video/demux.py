@@ -172,18 +172,12 @@ def survey(container: av.container.InputContainer, film: av.VideoStream) -> Surv
     # Samples excluded by an edit list of an MP4 are not missing: there, an incomplete packet shows truncation.
     cut = missing > _SLOPPY and (suspect or damaged or not sums_up(container))
     starts.sort()
-    varies = _varies(starts)
+    steps = [b - a for a, b in itertools.pairwise(starts)]
+    # whether they differ from even spacing by more than rounding and a tenth of a frame
+    varies = len(steps) > 1 and max(steps) - min(steps) > max(2, sorted(steps)[len(steps) // 2] / 10)
     seconds = tuple(float((start - starts[0]) * base) for start in starts) if varies else ()
     broken = damaged or cut
     return Survey(packets, count, span, broken, suspect or broken, varies, seconds, max(0, missing) if broken else 0)
-
-
-def _varies(starts: list[int]) -> bool:
-    """Return whether sorted times differ from even spacing by more than rounding and a tenth of a frame."""
-    if len(starts) < 3:
-        return False
-    steps = [b - a for a, b in itertools.pairwise(starts)]
-    return max(steps) - min(steps) > max(2, sorted(steps)[len(steps) // 2] / 10)
 
 
 def sums_up(container: av.container.InputContainer) -> bool:

@@ -27,14 +27,6 @@ from supple.media.video.streams import Passage, kept_tags, titled
 _FELT = Fraction(1, 4)  # of a frame: a larger error of time is reported
 
 
-def _raised(path: PathLike, error: av.FFmpegError) -> Exception:
-    """Convert FFmpeg's error during writing to an error of the system, if it is one, or to one sentence."""
-    if isinstance(error, OSError) and error.errno:
-        return OSError(error.errno, os.strerror(error.errno))
-    what = f"the container refuses what it is given ({said(error)})"
-    return unwritable(path, what, "choose another one, such as .mkv")
-
-
 class Palettes:
     """A filter from BGRA to 256 colours, with a palette for each frame."""
 
@@ -332,7 +324,10 @@ def writer(
             yield sink
             sink.finish()
         except av.FFmpegError as error:
-            raise _raised(plan.target, error) from error
+            if isinstance(error, OSError) and error.errno:
+                raise OSError(error.errno, os.strerror(error.errno)) from error
+            what = f"the container refuses what it is given ({said(error)})"
+            raise unwritable(plan.target, what, "choose another one, such as .mkv") from error
         finally:
             video.passage, video.copies = None, False
             if sink is not None:
