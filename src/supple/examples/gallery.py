@@ -99,15 +99,13 @@ def _prepared(folder: Path, force: bool) -> Path:
     except FileExistsError as error:
         raise SuppleError(f"{shown(folder)} is no folder: choose another name") from error
     except OSError as error:
-        raise SuppleError(
-            f"cannot write to the folder {shown(folder)}: {error.strerror}: choose another place"
-        ) from error
+        text = f"cannot write to the folder {shown(folder)}: {error.strerror}: choose another place"
+        raise SuppleError(text) from error
     except ValueError as error:
         raise SuppleError(f"no folder can be called {shown(folder)}: choose another name") from error
     if not (empty or force):
-        raise SuppleError(
-            f"{shown(folder)} is not empty: choose another folder, or {argument('force', True)} to write there"
-        )
+        text = f"{shown(folder)} is not empty: choose another folder, or {argument('force', True)} to write there"
+        raise SuppleError(text)
     return folder
 
 

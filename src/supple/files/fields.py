@@ -209,9 +209,8 @@ def check_beside(path: PathLike, *sources: PathLike | None, force: bool) -> None
     """Raise SuppleError if an output beside the main one cannot be written, or is one of the files that are read."""
     for source in sources:
         if source is not None and same_file(path, source):
-            raise SuppleError(
-                f"{shown(path)} is read: {argument('force', True)} does not replace it, so choose another name"
-            )
+            text = f"{shown(path)} is read: {argument('force', True)} does not replace it, so choose another name"
+            raise SuppleError(text)
     check_output(path, force=force)
 
 
@@ -254,9 +253,8 @@ def check_file(
     check_images(field.ndim, map=map)
     other = None if inverse is None else read_file(inverse, convention, source=own_grid(field))
     if other is not None and (n := only_field(other).ndim) != field.ndim:
-        raise SuppleError(
-            f"{shown(source)} is a field of {field.ndim} axes, and {shown(other.path)} of {n}: give two of as many"
-        )
+        text = f"{shown(source)} is a field of {field.ndim} axes, and {shown(other.path)} of {n}: give two of as many"
+        raise SuppleError(text)
     folded, logarithms = field.folded_cells(), field.log_jacobian()
     distances = None if other is None else field.distances(only_field(other))
     report = field.reported(folded, logarithms, distances)

@@ -116,9 +116,8 @@ def move_points(
     read = read_points(source, mesh=True, series=series)
     known = convention_of(read, convention, None if geometry is None else geometry.convention)
     if read.points.shape[1] < deformation.ndim:
-        raise SuppleError(
-            f"cannot move {read.name}: it has x and y, and shape {deformation.shape} needs a third column"
-        )
+        text = f"cannot move {read.name}: it has x and y, and shape {deformation.shape} needs a third column"
+        raise SuppleError(text)
     given = read.points[:, : deformation.ndim]
     within, told = _ways(deformation, geometry, known)
     start = within(given)
@@ -163,14 +162,12 @@ def _ways(deformation: Deformation, geometry: Geometry | None, known: str) -> tu
 def _series(path: PathLike, source: PathLike) -> Volume:
     """Return the DICOM series that contours are to refer to."""
     if Path(source).suffix.lower() != ".dcm":
-        raise SuppleError(
-            f"{argument('refer_to')} is for structure sets of DICOM, and {shown(source)} is none: leave it out"
-        )
+        text = f"{argument('refer_to')} is for structure sets of DICOM, and {shown(source)} is none: leave it out"
+        raise SuppleError(text)
     found = read_volume(path)
     if found.format != "DICOM":
-        raise SuppleError(
-            f"{argument('refer_to')} must be a series of DICOM, and {found.name} is {found.format}: give its folder"
-        )
+        text = f"{argument('refer_to')} must be a series of DICOM, and {found.name} is {found.format}: give its folder"
+        raise SuppleError(text)
     warn_of_frame(source, found)
     return found
 
@@ -289,9 +286,8 @@ def _space(read: PointFile, asked: str | None, place: str | None, world: bool) -
         read = replace(read, told="world")
     space = convention_of(read, asked, place)
     if world and space == "index":
-        raise SuppleError(
-            f"{read.name} is in voxels, and {argument('world')} is for points in millimetres: leave it out"
-        )
+        text = f"{read.name} is in voxels, and {argument('world')} is for points in millimetres: leave it out"
+        raise SuppleError(text)
     return space
 
 

@@ -182,9 +182,8 @@ def warp_on(source: Source, job: Job) -> Warp:
         outside = "constant" if source.geometry is not None and elsewhere else "edge"
         sampling = replace(sampling, outside=outside, fill=0.0 if known.labels else source.background)
     if known.labels and sampling.filter not in ("auto", "nearest"):
-        raise SuppleError(
-            f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{sampling.filter}"'
-        )
+        text = f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{sampling.filter}"'
+        raise SuppleError(text)
     if known.labels and dtype.kind == "f":
         raise SuppleError(f"{argument('labels')} is for whole numbers, and {source.name} holds {dtype}: leave it out")
     if known.labels:

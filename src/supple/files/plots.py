@@ -86,9 +86,8 @@ def plot_file(
     options = clip or ClipOptions()
     clips.refuse_encoding(options, target, "a plot")
     if what != "slice" and (x is not None or y is not None):
-        raise SuppleError(
-            f"{argument('x')} and {argument('y')} are for slices, and {what} shows whole frames: leave them out"
-        )
+        text = f"{argument('x')} and {argument('y')} are for slices, and {what} shows whole frames: leave them out"
+        raise SuppleError(text)
     check_output(target, force=force)
     check_plot(target, force=force)
     kind = Job(source, "", recipe).medium.kind
@@ -107,9 +106,8 @@ def plot_file(
             planes: Sequence[int] = ()
             if what == "slice":
                 if (x is None) == (y is None):
-                    raise SuppleError(
-                        f"a slice shows one column or one row over time: give {argument('x')} or {argument('y')}"
-                    )
+                    text = f"a slice shows one column or one row over time: give {argument('x')} or {argument('y')}"
+                    raise SuppleError(text)
                 axis, given, most = ("x", x, width) if x is not None else ("y", y, height)
                 at = integer(axis, given, f"from 0 to {most - 1}, as the frame is {width} x {height}", 0, most - 1)
                 line, planes = (slice(None), at) if axis == "x" else (at,), range(clip.count)
@@ -121,9 +119,8 @@ def plot_file(
                 planes = [integer("frame", frame, f"from 0 to {clip.count - 1}", 0, clip.count - 1)]
                 deformation = deformations[planes[0]] if len(deformations) > 1 else deformation
             if what not in WHATS and frame is not None:
-                raise SuppleError(
-                    f"{argument('frame')} is for the pictures of one frame, and {what} shows many: leave it out"
-                )
+                text = f"{argument('frame')} is for the pictures of one frame, and {what} shows many: leave it out"
+                raise SuppleError(text)
             before = [] if what in WHATS else [rgb[line].copy() for rgb in _shown(clip, planes)]
         with clips.open_clip(source, rate=options.rate, count=clip.count) as clip:
             work = clips.work_on(clip, deformations, clips.sampling_of(clip, clips.between_frames(Sampling(), options)))

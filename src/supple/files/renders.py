@@ -131,9 +131,8 @@ class RenderOptions:
                 "function: leave it out"
             )
         if self.projection != "none" and self.crop is not None:
-            raise SuppleError(
-                f"a projection ({self.projection}) is of all values along a ray: use clip instead of crop"
-            )
+            text = f"a projection ({self.projection}) is of all values along a ray: use clip instead of crop"
+            raise SuppleError(text)
         if self.projection != "none" and not self.shaded:
             raise SuppleError(f"a projection ({self.projection}) has no light: leave unshaded out")
         for name in ("silhouettes", "shadows"):
@@ -224,9 +223,8 @@ def scene_of(
     aim = known.camera.target
     if aim is not None and not all(-0.5 <= x <= n - 0.5 for x, n in zip(aim, volume.sizes, strict=True)):
         spoken, end = (", ".join(f"{x:g}" for x in given) for given in (aim, (n - 1 for n in volume.sizes)))
-        raise SuppleError(
-            f"{argument('target')} must be a voxel of {volume.name}, from (0, 0, 0) to ({end}), found ({spoken})"
-        )
+        text = f"{argument('target')} must be a voxel of {volume.name}, from (0, 0, 0) to ({end}), found ({spoken})"
+        raise SuppleError(text)
     deformation = None
     if recipe is not None or maps:
         deformation = deformation_of(recipe or Recipe(), volume, world=world, fit=fit, maps=maps)
@@ -279,9 +277,8 @@ def _saved(scene: Scene, path: PathLike, name: str) -> str:
             raise SuppleError(f"{shown(path)}: the colours of {name} are those of labels: save them as {_TABLE}")
         return transfer.to_ctbl(scene.labels)
     if suffix == _TABLE or isinstance(transfer, LabelColours):
-        raise SuppleError(
-            f"{shown(path)}: {name} is no label map, and {_TABLE} has colours of labels: save .json or .vp"
-        )
+        text = f"{shown(path)}: {name} is no label map, and {_TABLE} has colours of labels: save .json or .vp"
+        raise SuppleError(text)
     used = transfer if scene.density == (-math.inf, math.inf) else transfer.within(scene.density, *scene.range)
     return used.to_vp(*scene.range) if suffix == ".vp" else used.to_json()
 
@@ -342,9 +339,8 @@ def render_file(
     if scene.is_empty:
         low, high = scene.range
         if known.crop is not None:
-            raise SuppleError(
-                f"nothing is seen of {given.name}: the box of crop holds no visible value, choose another"
-            )
+            text = f"nothing is seen of {given.name}: the box of crop holds no visible value, choose another"
+            raise SuppleError(text)
         raise SuppleError(
             f"nothing is seen of {given.name}: its values go from {low:g} to {high:g}, and the transfer function and "
             "density leave all of them out: choose others"
@@ -442,9 +438,8 @@ def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bo
     if many and known.rate is not None:
         raise SuppleError(f"rate is that of a video, and {name} names pictures: leave it out")
     if not many and has_number(target):
-        raise SuppleError(
-            f"{name} names many pictures: give {argument('turntable')} with their number, or a name without one"
-        )
+        text = f"{name} names many pictures: give {argument('turntable')} with their number, or a name without one"
+        raise SuppleError(text)
     if not many and suffix in turntable.SUFFIXES:
         raise SuppleError(f"{name} is a video: give {argument('turntable')} with the number of its pictures")
     if known.what == "inversions":

@@ -213,9 +213,8 @@ def check_field(address: PathLike, others: Sequence[PathLike], *, flat: bool, fo
     if is_scene(address):
         return
     if flat:
-        raise SuppleError(
-            f"the field of a picture is written as OME-Zarr, which {shown(address)} is not: name it .zarr"
-        )
+        text = f"the field of a picture is written as OME-Zarr, which {shown(address)} is not: name it .zarr"
+        raise SuppleError(text)
     check_target(address)
     check_output(address, force=force)
 

@@ -45,9 +45,8 @@ def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volum
     known = options or VolumeOptions()
     volume = read(source, raw=known.layout, series=known.series)
     if known.series is not None and volume.format != "DICOM":
-        raise SuppleError(
-            f"{volume.name} is {volume.format}, and {argument('series')} is for DICOM folders: leave it out"
-        )
+        text = f"{volume.name} is {volume.format}, and {argument('series')} is for DICOM folders: leave it out"
+        raise SuppleError(text)
     return volume
 
 
@@ -121,13 +120,11 @@ def in_space(recipe: Recipe, geometry: Geometry, name: str, world: bool) -> Reci
         return recipe
     convention = geometry.convention
     if recipe.space == "pixels":
-        raise SuppleError(
-            f"{argument('world')} is for points in millimetres, and the recipe is in pixels: leave it out"
-        )
+        text = f"{argument('world')} is for points in millimetres, and the recipe is in pixels: leave it out"
+        raise SuppleError(text)
     if convention == "array":
-        raise SuppleError(
-            f"{name} does not know where it lies in space: leave {argument('world')} out, and give indices"
-        )
+        text = f"{name} does not know where it lies in space: leave {argument('world')} out, and give indices"
+        raise SuppleError(text)
     if recipe.is_world and recipe.space != convention:
         raise SuppleError(
             f"the recipe is in {recipe.space} millimetres, and {argument('world')} means {convention}, as {name} has "
@@ -204,17 +201,15 @@ def warp(job: Job, tell: Tell) -> Warped:
     name = "nearest" if known.labels and job.sampling.filter == "auto" else job.sampling.filter
     sampling = sampling_of(replace(job.sampling, filter=name))
     if known.labels and name != "nearest":
-        raise SuppleError(
-            f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{name}"'
-        )
+        text = f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{name}"'
+        raise SuppleError(text)
     tell("read", 0, 1)
     volume = open_volume(source, known)
     if grid is None:
         check_target(target, volume, force=job.force)
     if known.labels and (broken := _first_fraction(volume.samples)) is not None:
-        raise SuppleError(
-            f"{argument('labels')} is for whole numbers, and {volume.name} holds {broken:g}: leave it out"
-        )
+        text = f"{argument('labels')} is for whole numbers, and {volume.name} holds {broken:g}: leave it out"
+        raise SuppleError(text)
     as_read = volume
     if not (suffix_of(target).startswith(".nii") or suffix_of(target) in derived.SUFFIXES):  # others hold no scaling
         volume = replace(volume, samples=volume.rescaled(), scaling=(1.0, 0.0))

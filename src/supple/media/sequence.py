@@ -258,9 +258,8 @@ def _rate(rate: float | Fraction) -> Fraction:
     except (TypeError, ValueError, OverflowError):
         known = Fraction(0)
     if not Fraction(1, 10_000) <= known <= 100_000:
-        raise SuppleError(
-            f"{argument('rate')} must be a number of frames a second from 0.0001 to 100000, found {rate!r}"
-        )
+        text = f"{argument('rate')} must be a number of frames a second from 0.0001 to 100000, found {rate!r}"
+        raise SuppleError(text)
     ntsc = Fraction(round(known * 1001 / 1000) * 1000, 1001)
     if known > 1 and known.denominator > 2 and abs(known - ntsc) < Fraction(1, 200):
         return ntsc

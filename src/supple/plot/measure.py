@@ -64,9 +64,8 @@ def require_plane(deformation: Deformation, frame: int | None) -> int:
     """Return the index of the plane to measure; SuppleError if it does not exist."""
     if deformation.ndim == 2:
         if frame is not None:
-            raise SuppleError(
-                f"{argument('frame')} is for videos, and shape {deformation.shape} is that of an image: leave it out"
-            )
+            text = f"{argument('frame')} is for videos, and shape {deformation.shape} is that of an image: leave it out"
+            raise SuppleError(text)
         return 0
     if frame is None:
         raise SuppleError(

@@ -172,9 +172,8 @@ def _look(place: Place, job: str, force: bool) -> tuple[Place, bool]:
         zarr = any(read(store, name) is not None for name in ROOTS)
         if zarr or not run(store.is_empty("")):  # which may list all that is there
             if not force:
-                raise SuppleError(
-                    f"{shown(place.address)} exists already: choose another name, or {argument('force', True)}"
-                )
+                text = f"{shown(place.address)} exists already: choose another name, or {argument('force', True)}"
+                raise SuppleError(text)
             if not zarr:
                 raise place.unwritable("what is there is no Zarr store", "give another name")
     return site, False
