@@ -131,19 +131,15 @@ def _move(contour: Any, new: Floats, old: Floats, decimal: Any) -> float:
         for before, value, kept in zip(known, new.ravel().tolist(), (new == old).ravel().tolist(), strict=True)
     ]
     kind = str(contour.get("ContourGeometricType", ""))
-    off = _off_plane(new) if kind in ("CLOSED_PLANAR", "OPEN_PLANAR", "CLOSEDPLANAR_XOR") else 0.0
+    off = 0.0
+    if kind in ("CLOSED_PLANAR", "OPEN_PLANAR", "CLOSEDPLANAR_XOR") and len(new) > 3:
+        centred = new - new.mean(axis=0)
+        normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
+        off = float(np.abs(centred @ normal).max())
     if off > _FLAT and kind == "OPEN_PLANAR":
         contour.ContourGeometricType = "OPEN_NONPLANAR"
     contour.ContourData = values
     return off if off > _FLAT else 0.0
-
-
-def _off_plane(points: Floats) -> float:
-    if len(points) < 4:
-        return 0.0
-    centred = points - points.mean(axis=0)
-    normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
-    return float(np.abs(centred @ normal).max())
 
 
 def _renew(made: Any, pydicom: Any) -> None:

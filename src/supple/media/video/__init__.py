@@ -191,7 +191,11 @@ class Clip(VideoSource):
         SuppleError if a frame has another size or pixel format than the first; CountError if there are more or fewer
         than `count`, beyond which none is yielded.
         """
-        film = self._rewind()
+        if not self._fresh:
+            self.source.close()
+            self.source = demux.opened(self.path)
+        self._fresh = False
+        film = demux.chosen(self.source, self.path)
         others = [self.source.streams[index] for index in self.passage.indices] if self.passage else []
         times = demux.Times(self.base, demux.usual_step(self.rate, self.base), deque() if self.passage else None)
         self._times = times
@@ -287,13 +291,6 @@ class Clip(VideoSource):
                 for frame in decoded:
                     self._check(frame, 0, ())
                     yield frame.pts, DecodedFrame(self._readable(frame), self.form)
-
-    def _rewind(self) -> av.VideoStream:
-        if not self._fresh:
-            self.source.close()
-            self.source = demux.opened(self.path)
-        self._fresh = False
-        return demux.chosen(self.source, self.path)
 
     def _film_packets(self, index: int) -> Iterator[av.Packet[Any] | None]:
         """Yield the packets of the film, then None; pass those of other streams to the writer."""

@@ -204,19 +204,15 @@ class Sink:
         stamp = pts if plan.timed else k
         if self._newest in self._times:  # shown until the next one
             before = self._times[self._newest][0]
-            self._require_sayable(k, (pts - before) * plan.base)
+            unit, gap = self._stream.time_base, (pts - before) * plan.base
+            if unit and gap > plan.container.longest * unit:  # it would overflow
+                what = f"frame {k} comes {float(gap):.0f} s after the one before, which is longer than it can say"
+                raise unwritable(plan.target, what, "choose another container, such as .mkv")
             self._times[self._newest] = (before, pts - before)
         self._newest = stamp
         self._times[stamp] = (pts, duration)
         self._span = (self._span[0] if k else pts, pts + duration)
         return stamp
-
-    def _require_sayable(self, k: int, seconds: Fraction) -> None:
-        """Raise SuppleError for a gap that would overflow."""
-        unit = self._stream.time_base
-        if unit and seconds > self._plan.container.longest * unit:
-            what = f"frame {k} comes {float(seconds):.0f} s after the one before, which is longer than it can say"
-            raise unwritable(self._plan.target, what, "choose another container, such as .mkv")
 
     def _pass_on(self, made: Sequence[av.Packet[Any]] = (), last: bool = False) -> None:
         """Write packets in the order of their frames: those of the encoder, and those of the source."""

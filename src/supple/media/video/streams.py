@@ -141,7 +141,12 @@ class Passage:
                 continue
             cover = bool(stream.disposition & av.stream.Disposition.attached_pic)
             if cover and container.attachments:
-                self._attach(source, stream)
+                # into the header of Matroska
+                kind, tags = name_of(stream), stream.metadata
+                name = tags.get("filename") or f"cover.{'jpg' if kind == 'mjpeg' else kind}"
+                mime = tags.get("mimetype") or f"image/{'jpeg' if kind == 'mjpeg' else kind}"
+                made = output.add_attachment(name, mime, picture(source.name, stream.index))
+                made.metadata.update({"filename": name, "mimetype": mime} | kept_tags(tags))
             elif holds(container, stream):
                 self._streams[stream.index] = copied(output, stream)
             else:
@@ -149,15 +154,6 @@ class Passage:
                 if stream.type != "data":
                     what += f" {'cover' if cover else stream.type}"
                 self._warn(f"cannot hold the {what} (stream {stream.index}): it is left out")
-
-    def _attach(self, source: av.container.InputContainer, cover: av.stream.Stream) -> None:
-        """Write a cover into the header of Matroska, as an attachment."""
-        kind = name_of(cover)
-        data = picture(source.name, cover.index)
-        name = cover.metadata.get("filename") or f"cover.{'jpg' if kind == 'mjpeg' else kind}"
-        mime = cover.metadata.get("mimetype") or f"image/{'jpeg' if kind == 'mjpeg' else kind}"
-        made = self._output.add_attachment(name, mime, data)
-        made.metadata.update({"filename": name, "mimetype": mime} | kept_tags(cover.metadata))
 
     @property
     def indices(self) -> list[int]:

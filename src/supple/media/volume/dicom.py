@@ -242,14 +242,6 @@ def _check_pixels(path: PathLike, reader: Any) -> None:
         check_spacing(path, steps)
 
 
-def _thickness(reader: Any) -> float:
-    """Return the spacing of a single slice: GDCM only knows the distance between slices."""
-    with contextlib.suppress(ValueError):
-        if not _tag(reader, _BETWEEN) and (known := float(_tag(reader, _THICKNESS))) > 0:
-            return known
-    return float(reader.GetSpacing()[2])
-
-
 def _frames(path: PathLike, sitk: Any, reader: Any, file: PathLike) -> Volume:
     """Read one file that holds all slices; ``path`` is for messages."""
     check_voxels(path, sitk, reader)
@@ -316,7 +308,10 @@ def _stacked(path: PathLike, sitk: Any, series: Series) -> Volume:
         told = [shown(Path(name).name) for name in series.paths]
         order, step, direction = _ordered(path, told, places, direction, min(first.GetSpacing()[:2]))
     else:
-        order, step = np.zeros(1, np.intp), _thickness(first)
+        order, step = np.zeros(1, np.intp), float(first.GetSpacing()[2])
+        with contextlib.suppress(ValueError):  # GDCM only knows the distance between slices
+            if not _tag(first, _BETWEEN) and (thickness := float(_tag(first, _THICKNESS))) > 0:
+                step = thickness
     names = [series.paths[k] for k in order]
     spacing = [*first.GetSpacing()[:2], step]
     geometry = located(path, spacing, places[order][0].tolist(), direction, "LPS")
