@@ -38,7 +38,6 @@ from supple.strokes import Fit, Recipe
 WHATS = ("picture", "inversions")
 _OF_SCENE = ("density", "clip", "plane", "projection", "silhouettes", "shadows", "step", "shaded", "device")
 _TABLE = ".ctbl"
-_SAVED = (*SUFFIXES, _TABLE)
 _LABEL_INTENT = 1002  # NIFTI_INTENT_LABEL
 _RATE = 24.0  # pictures a second
 LIGHTLESS = (".png", ".tif", ".tiff", ".webp", ".avif")  # formats that hold opacity
@@ -329,8 +328,16 @@ def render_file(
     suffix = Path(target).suffix.lower()
     count = known.turntable or 0
     _check_target(target, suffix, known, force)
-    if known.save_transfer is not None:
-        _check_transfer(known.save_transfer, force)
+    if (saved := known.save_transfer) is not None:
+        advice = f"use {', '.join(SUFFIXES)}, or {_TABLE} for labels"
+        check_suffix(saved, Path(saved).suffix, (*SUFFIXES, _TABLE), "is none of a transfer function", advice)
+        check_output(saved, force=force)
+        if os.path.exists(saved):
+            try:
+                transfer_of(os.fspath(saved))
+            except SuppleError:  # a recipe, say
+                told = f"{shown(saved)} is there, and no transfer function"
+                raise SuppleError(f"{told}: it is not replaced; give another name") from None
     given = open_volume(source, reading)
     check_upright(given.geometry, given.name, "a rendering")
     scene = scene_of(given, recipe, known, world=reading.world, fit=fit, maps=maps)
@@ -405,19 +412,6 @@ def _warn_of_view(picture: Rendering, known: RenderOptions, name: str) -> None:
     elif known.projection == "none" and not picture.depth.any():
         told = "give another distance or target, or cut away what is before it by clip or plane"
         warnings.warn(f"the camera stands within what is visible of {name}: {told}", VolumeWarning, stacklevel=4)
-
-
-def _check_transfer(path: PathLike, force: bool) -> None:
-    """Raise SuppleError for a name that no transfer function is written under, or of something else."""
-    advice = f"use {', '.join(SUFFIXES)}, or {_TABLE} for labels"
-    check_suffix(path, Path(path).suffix, _SAVED, "is none of a transfer function", advice)
-    check_output(path, force=force)
-    if os.path.exists(path):
-        try:
-            transfer_of(os.fspath(path))
-        except SuppleError:  # a recipe, say
-            told = f"{shown(path)} is there, and no transfer function"
-            raise SuppleError(f"{told}: it is not replaced; give another name") from None
 
 
 def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bool) -> None:

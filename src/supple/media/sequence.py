@@ -398,7 +398,10 @@ def writer(
         warnings.warn(text, ClipWarning, stacklevel=3)
     with replacing_all(folder, force=force) as temporary:
         yield PictureSink(clip, folder, temporary, name, options)
-        left = len(set(_others(folder, text)) - set(listed))
+        there: list[Path] = []
+        with contextlib.suppress(OSError, SuppleError):
+            there = matching(text)[0] if has_number(text) else pictures_in(folder)
+        left = len({path.name for path in there} - set(listed))
         if left and only is None:
             text = f"{shown(folder)} also holds {left} other pictures, which are left as they were"
             warnings.warn(text, ImageWarning, stacklevel=3)
@@ -426,12 +429,3 @@ def _mirrored(clip: Clip, first: int) -> Callable[[int], str]:
         if taken.setdefault(name, path) != path:
             raise SuppleError(f"{shown(taken[name])} and {shown(path)} would both become {shown(name)}: rename one")
     return names.__getitem__
-
-
-def _others(folder: Path, text: str) -> list[str]:
-    """Return other images in the folder of a written sequence."""
-    with contextlib.suppress(OSError, SuppleError):
-        if has_number(text):
-            return [path.name for path in matching(text)[0]]
-        return [path.name for path in pictures_in(folder)]
-    return []

@@ -237,7 +237,10 @@ class WritePlan:
                 self._use(other, None, None)
                 self.match = self._matched(None)
                 self._why = f"{video.codec} cannot be written as the source has it"
-        self._require_exact()
+        lost = self.match.lost
+        if self.lossless and lost and ", which" not in lost:
+            advice = "leave out lossless" if self.encoder.name == "ffv1" else "use ffv1 in .mkv, or leave out lossless"
+            raise unwritable(self.target, f"{self.encoder.codec} loses {lost}", advice)
         self._say_codec(codec)
         if video.stills and video.form.kind.real and not self.match.form.kind.real:
             what = f"{self.encoder.codec} cannot hold the floating point of {video.name}"
@@ -425,13 +428,6 @@ class WritePlan:
         if self.container.name in codec_of(self.encoder.codec).opaque_in:
             return [name for name in names if not ((found := form(name)) and found.kind.alpha)]
         return names
-
-    def _require_exact(self) -> None:
-        """Raise SuppleError if lossless output is wanted, but not possible."""
-        lost = self.match.lost
-        if self.lossless and lost and ", which" not in lost:
-            advice = "leave out lossless" if self.encoder.name == "ffv1" else "use ffv1 in .mkv, or leave out lossless"
-            raise unwritable(self.target, f"{self.encoder.codec} loses {lost}", advice)
 
     def _starts(self) -> bool:
         """Return whether the encoder opens at all."""

@@ -36,9 +36,7 @@ class Volume:
     name: str = "the volume"  # of the file, for messages
     format: str = ""  # "NIfTI", "NRRD", "MetaImage", "DICOM", "TIFF" or "raw"
     series: bool = False  # whether the first axis is time
-    header: Any = (
-        None  # in the file's own format; of DICOM, the path of the file of many frames, or those of the slices
-    )
+    header: Any = None  # in the file's format; of DICOM, the path of the file of many frames, or those of the slices
     scaling: tuple[float, float] = (1.0, 0.0)  # the values are slope * samples + intercept
     interval: float = 1.0  # seconds between the volumes of a series
     regridded: bool = False  # whether the samples and the geometry are not those of the header
