@@ -25,10 +25,8 @@ from albumentations.core.transforms_interface import BaseTransformInitSchema, Tr
 from albumentations.core.type_definitions import ALL_TARGETS, Targets
 
 if hasattr(DualTransform, "sample_parameters"):
-    raise SuppleError(
-        "supple.augment.albumentations needs Albumentations 2.0, found AlbumentationsX, which has the same name and "
-        "other hooks: pip uninstall albumentationsx; pip install albumentations"
-    )
+    text = "supple.augment.albumentations needs Albumentations 2.0, found AlbumentationsX, which has the same name and"
+    raise SuppleError(f"{text} other hooks: pip uninstall albumentationsx; pip install albumentations")
 
 __all__ = ["RandomElastic", "RandomElastic3D"]
 

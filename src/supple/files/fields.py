@@ -159,17 +159,13 @@ def invert_file(
     _warn_of_size(read.path, read.convention, moving, read.grid)
     fields = [each for each in read.maps if isinstance(each, Field)]
     if (len(read.maps) != 1 or not fields) and (error is not None or status is not None):
-        raise SuppleError(
-            f"{shown(source)} holds {told(read.maps)}: {argument('error')} and {argument('status')} are of the "
-            "inverse of one field alone: leave them out"
-        )
+        text = f"{shown(source)} holds {told(read.maps)}: {argument('error')} and {argument('status')} are of the"
+        raise SuppleError(f"{text} inverse of one field alone: leave them out")
     grid = wanted or read.grid if fields else None
     if wanted is None and fields and fields[0].interpolation == "bspline":
         points = " x ".join(map(str, fields[0].grid.sizes))
-        raise SuppleError(
-            f"the field of {shown(source)} is a B-spline, and its grid of {points} control points is too coarse for "
-            "an inverse: give the image whose grid the inverse shall have (--reference)"
-        )
+        text = f"the field of {shown(source)} is a B-spline, and its grid of {points} control points is too coarse for"
+        raise SuppleError(f"{text} an inverse: give the image whose grid the inverse shall have (--reference)")
     # The inverse leads to the image that the field is on.
     here = read.grid if fields else wanted
     ndim = read.maps[0].ndim if read.maps else 3
@@ -358,10 +354,8 @@ def convert_file(
         affine = len(read.maps) == 1 and isinstance(read.maps[0], Affine)
         as_field = not affine or suffix_of(target) in _IMAGES
         if (affine or len(read.maps) > 1) and suffix_of(target) in _IMAGES and wanted is None:
-            raise SuppleError(
-                f"{shown(source)} holds {told(read.maps)}, and {shown(target)} one field: give the image whose grid "
-                "the field shall have (--reference)"
-            )
+            text = f"{shown(source)} holds {told(read.maps)}, and {shown(target)} one field: give the image whose grid"
+            raise SuppleError(f"{text} the field shall have (--reference)")
         if not affine and suffix_of(target) in _MATRICES:
             what = f"a {suffix_of(target)} file holds one affine map, and {shown(source)} {told(read.maps)}"
             raise SuppleError(f"cannot write {shown(target)}: {what}: use .nii.gz, .nrrd, .mha or .h5")

@@ -104,10 +104,8 @@ def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[P
         n = each.map.ndim
         if n != grid.ndim:
             kinds = ("picture", "volume")[:: 1 if n == 2 else -1]
-            raise SuppleError(
-                f"{each.told} is for {kinds[0]}s, with {n} axes, and {name} is a {kinds[1]}: give one of {grid.ndim} "
-                "axes"
-            )
+            text = f"{each.told} is for {kinds[0]}s, with {n} axes, and {name} is a {kinds[1]}: give one of {grid.ndim}"
+            raise SuppleError(f"{text} axes")
     made = grid if options is None else output_grid(options, grid)
     if options is not None and options.reference is not None:
         check_path(reversed(maps), made, shown(options.reference), source=grid, name=name)

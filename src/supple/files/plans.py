@@ -167,10 +167,8 @@ def _axes_of_space(job: Job, found: int) -> int:
     stated = [stroke.ndim for stroke in job.recipe.strokes[:1]] + [each.map.ndim for each in job.maps[:1]]
     n = stated[0] if stated else job.grid.ndim if job.grid is not None else None
     if n is not None and n > found:
-        raise SuppleError(
-            f"{shown(job.source)} is a picture, with {found} axes of space, and strokes, maps or the crop have {n}: "
-            "give points of two numbers, x and y"
-        )
+        text = f"{shown(job.source)} is a picture, with {found} axes of space, and strokes, maps or the crop have {n}"
+        raise SuppleError(f"{text}: give points of two numbers, x and y")
     return n or found
 
 

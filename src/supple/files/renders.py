@@ -125,10 +125,8 @@ class RenderOptions:
         check_options(self.mode, self.projection, self.device, self.silhouettes, self.shadows)
         choice("what", self.what, WHATS)
         if self.projection != "none" and (self.transfer is not None or self.save_transfer is not None):
-            raise SuppleError(
-                f"a projection ({self.projection}) is grey, between the values of density, and has no transfer "
-                "function: leave it out"
-            )
+            text = f"a projection ({self.projection}) is grey, between the values of density, and has no transfer"
+            raise SuppleError(f"{text} function: leave it out")
         if self.projection != "none" and self.crop is not None:
             text = f"a projection ({self.projection}) is of all values along a ray: use clip instead of crop"
             raise SuppleError(text)
@@ -209,16 +207,12 @@ def scene_of(
     elif known.time:
         raise SuppleError(f"{volume.name} is one volume, and {argument('time')} is for series: leave it out")
     elif volume.is_segmentation and volume.components > 1:
-        raise SuppleError(
-            f"{volume.name} is a segmentation in {volume.components} layers, and a picture is of one label for each "
-            "voxel: let 3D Slicer export it as a label map, or collapse its layers"
-        )
+        text = f"{volume.name} is a segmentation in {volume.components} layers, and a picture is of one label for each"
+        raise SuppleError(f"{text} voxel: let 3D Slicer export it as a label map, or collapse its layers")
     elif samples.ndim > 3 and not are_colours(samples):
         held = f"{samples.shape[3]} components of {samples.dtype}"
-        raise SuppleError(
-            f"{volume.name} has {held}, and pictures are of one value or of colours, RGB or RGBA in uint8, uint16 or "
-            "floats from 0 to 1: take one component out of it"
-        )
+        text = f"{volume.name} has {held}, and pictures are of one value or of colours, RGB or RGBA in uint8, uint16 or"
+        raise SuppleError(f"{text} floats from 0 to 1: take one component out of it")
     aim = known.camera.target
     if aim is not None and not all(-0.5 <= x <= n - 0.5 for x, n in zip(aim, volume.sizes, strict=True)):
         spoken, end = (", ".join(f"{x:g}" for x in given) for given in (aim, (n - 1 for n in volume.sizes)))
@@ -348,10 +342,8 @@ def render_file(
         if known.crop is not None:
             text = f"nothing is seen of {given.name}: the box of crop holds no visible value, choose another"
             raise SuppleError(text)
-        raise SuppleError(
-            f"nothing is seen of {given.name}: its values go from {low:g} to {high:g}, and the transfer function and "
-            "density leave all of them out: choose others"
-        )
+        text = f"nothing is seen of {given.name}: its values go from {low:g} to {high:g}, and the transfer function and"
+        raise SuppleError(f"{text} density leave all of them out: choose others")
     if isinstance(known.transfer, str) and known.transfer in HOUNSFIELD and scene.range[0] >= 0:
         told = f"{known.transfer} is of Hounsfield units, where air is -1000 and water 0"
         low, high = scene.range
@@ -425,10 +417,8 @@ def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bo
         check_output(target, force=force)
         return
     if many and not has_number(target):
-        raise SuppleError(
-            f"a turntable is many pictures, and {name} is one: name a video ({', '.join(turntable.SUFFIXES)}) "
-            "or a pattern, such as turn-%03d.png"
-        )
+        text = f"a turntable is many pictures, and {name} is one: name a video ({', '.join(turntable.SUFFIXES)})"
+        raise SuppleError(f"{text} or a pattern, such as turn-%03d.png")
     if many and known.rate is not None:
         raise SuppleError(f"rate is that of a video, and {name} names pictures: leave it out")
     if not many and has_number(target):

@@ -174,15 +174,11 @@ class _Distributed(Runner):
         except SuppleError:
             raise
         except _distributed().KilledWorker as error:
-            raise SuppleError(
-                f"{self._told} ended again and again at the same block, as they do when their memory is full: give "
-                "fewer workers, or workers with more memory; the same command goes on"
-            ) from error
+            text = f"{self._told} ended again and again at the same block, as they do when their memory is full: give"
+            raise SuppleError(f"{text} fewer workers, or workers with more memory; the same command goes on") from error
         except (ImportError, AttributeError) as error:
-            raise SuppleError(
-                f"{self._told} cannot do this ({said(error)}): install the same versions of Supple and of its "
-                "packages there"
-            ) from error
+            text = f"{self._told} cannot do this ({said(error)}): install the same versions of Supple and of its"
+            raise SuppleError(f"{text} packages there") from error
         except (CancelledError, Cancelled) as error:
             raise self._lost("their scheduler ended") from error
         except OSError as error:
@@ -249,10 +245,8 @@ def _cluster(address: str) -> Iterator[Runner]:
     try:
         client = _distributed().Client(address, timeout=_PATIENCE)
     except (OSError, ValueError, TypeError, ImportError) as error:
-        raise SuppleError(
-            f"the scheduler {address} does not answer ({said(error)}): check the address, as tcp://HOST:8786, and "
-            "that it runs"
-        ) from error
+        text = f"the scheduler {address} does not answer ({said(error)}): check the address, as tcp://HOST:8786, and"
+        raise SuppleError(f"{text} that it runs") from error
     with _closing(client):
         if not client.nthreads():
             raise SuppleError(f"the scheduler {address} has no workers: start some (dask worker {address})")
@@ -272,10 +266,8 @@ def check_shared(addresses: Sequence[str | os.PathLike[str]]) -> None:
 def check_seen(name: str, folder: Path | None) -> None:
     """Raise SuppleError on a worker that does not see a folder, to Zarr a store of fill values, or a file."""
     if folder is not None and not folder.exists():
-        raise SuppleError(
-            f"{shown(name)} is gone, or a worker does not see it: give addresses that all workers reach, and start "
-            "them where these are"
-        )
+        text = f"{shown(name)} is gone, or a worker does not see it: give addresses that all workers reach, and start"
+        raise SuppleError(f"{text} them where these are")
 
 
 def _distributed() -> Any:

@@ -126,10 +126,8 @@ def in_space(recipe: Recipe, geometry: Geometry, name: str, world: bool) -> Reci
         text = f"{name} does not know where it lies in space: leave {argument('world')} out, and give indices"
         raise SuppleError(text)
     if recipe.is_world and recipe.space != convention:
-        raise SuppleError(
-            f"the recipe is in {recipe.space} millimetres, and {argument('world')} means {convention}, as {name} has "
-            "them: leave it out"
-        )
+        text = f"the recipe is in {recipe.space} millimetres, and {argument('world')} means {convention}, as {name} has"
+        raise SuppleError(f"{text} them: leave it out")
     return replace(recipe, space=convention)  # type: ignore[arg-type]
 
 
@@ -138,10 +136,8 @@ def indexed(recipe: Recipe, geometry: Geometry, name: str) -> Recipe:
     if not recipe.is_world:
         return recipe
     if geometry.convention == "array":
-        raise SuppleError(
-            f"the recipe is in {recipe.space} millimetres, and {name} does not know where it lies in space: "
-            "give a recipe in pixels"
-        )
+        text = f"the recipe is in {recipe.space} millimetres, and {name} does not know where it lies in space"
+        raise SuppleError(f"{text}: give a recipe in pixels")
     there = partial(geometry.from_world, convention=recipe.space)
     return replace(recipe, strokes=tuple(_mapped(each, there, geometry) for each in recipe.strokes), space="pixels")
 

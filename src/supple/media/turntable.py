@@ -38,10 +38,8 @@ def check_turntable(path: PathLike, size: tuple[int, int], rate: float) -> None:
     suffix, (height, width) = Path(path).suffix.lower(), size
     if _USED[suffix] == "libx264" and (height % 2 or width % 2):
         even = f"{width + width % 2}x{height + height % 2}"
-        raise SuppleError(
-            f"{argument('size')} must be even along both sides for H.264 ({suffix}), found {width}x{height}: give "
-            f"{even}, or write .webm or .gif"
-        )
+        text = f"{argument('size')} must be even along both sides for H.264 ({suffix}), found {width}x{height}: give"
+        raise SuppleError(f"{text} {even}, or write .webm or .gif")
     if suffix == ".gif" and rate > _FASTEST:
         raise SuppleError(f"{argument('rate')} must be at most {_FASTEST} pictures a second for a GIF, found {rate:g}")
 

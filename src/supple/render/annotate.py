@@ -24,10 +24,8 @@ _FONT, _SERIFS = "DejaVu Sans", "DejaVu Sans Mono"  # Matplotlib brings them; an
 def check_annotated(size: tuple[int, int]) -> None:
     """Raise SuppleError for a size, rows and columns, without room for marks."""
     if min(size) < LEAST:
-        raise SuppleError(
-            f"{argument('annotate')} needs a picture of {LEAST} pixels or more along both sides, found "
-            f"{size[1]}x{size[0]}: give a larger size, or leave it out"
-        )
+        text = f"{argument('annotate')} needs a picture of {LEAST} pixels or more along both sides, found"
+        raise SuppleError(f"{text} {size[1]}x{size[0]}: give a larger size, or leave it out")
 
 
 def annotated(pixels: npt.NDArray[np.uint8], view: Projection, geometry: Geometry) -> npt.NDArray[np.uint8]:

@@ -145,10 +145,8 @@ class LabelColours:
                 label = int(value or 1)
                 red, green, blue = map(float, colour.split()) if colour else made.get(label, (0.0,) * 4)[:3]
             except ValueError:
-                raise SuppleError(
-                    f"segment {k} has the label {value!r} and the colour {colour!r}: these should be a whole number, "
-                    "and three from 0 to 1"
-                ) from None
+                text = f"segment {k} has the label {value!r} and the colour {colour!r}: these should be a whole number"
+                raise SuppleError(f"{text}, and three from 0 to 1") from None
             if label in made:
                 made[label] = red, green, blue, 1.0
         return cls(made)
