@@ -379,11 +379,8 @@ def _shape_of(array: npt.NDArray[Any]) -> tuple[int, ...]:
     if array.ndim in (3, 4) and 0 < shape[-1] <= _CHANNELS:
         return shape[:-1]
     if array.ndim == 3:
-        refuse(
-            "shape",
-            f"given for an image of shape {shape}: {shape} for a volume, {shape[:2]} for {shape[2]} channels",
-            told="none",
-        )
+        wanted = f"given for an image of shape {shape}: {shape} for a volume, {shape[:2]} for {shape[2]} channels"
+        refuse("shape", wanted, told="none")
     if array.ndim != 2:
         refuse("image", "of shape (H, W[, C]) or (Z, H, W[, C])", told=f"shape {shape}")
     return shape

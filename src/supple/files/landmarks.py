@@ -134,8 +134,10 @@ def move_points(
     residual = np.linalg.norm((deformation.forward(solved.points) - seen) * steps, axis=1)
     last = np.array(deformation.shape[::-1]) - 0.5
     beyond = np.flatnonzero(((start < -0.5) | (start > last)).any(axis=1))
-    first, lost = _spoken(read, int(beyond[0])) if len(beyond) else "", int(np.count_nonzero(~solved.converged))
+    first, lost = "", int(np.count_nonzero(~solved.converged))
     if len(beyond):
+        k = int(beyond[0])
+        first = f"{shown(read.labels[k]) if read.labels[k] else f'point {k + 1}'} at {_listed(read.points[k])}"
         text = f"{len(beyond)} of {len(made)} points {'lies' if len(beyond) == 1 else 'lie'} outside"
         which = f" ({first}{', for one' if len(beyond) > 1 else ''})"
         warnings.warn(f"{text}{which}: they are moved all the same", OutsideWarning, stacklevel=2)
@@ -293,11 +295,6 @@ def _space(read: PointFile, asked: str | None, place: str | None, world: bool) -
 
 def _listed(point: Iterable[float]) -> str:
     return f"({', '.join(f'{x:g}' for x in point)})"
-
-
-def _spoken(read: PointFile, k: int) -> str:
-    name = shown(read.labels[k]) if read.labels[k] else f"point {k + 1}"
-    return f"{name} at {_listed(read.points[k])}"
 
 
 _UNSAID = {

@@ -235,11 +235,8 @@ def _located(source: Source, grid: Grid | None, target: PathLike) -> tuple[Numbe
     if grid is None:
         return level.scale, level.translation
     if not np.allclose(grid.direction, own.direction, atol=1e-6):
-        raise unwritable(
-            target,
-            "the axes of its grid are turned against those of the input, which scales and translations cannot say",
-            "give a reference whose axes are parallel to them, or resample it first",
-        )
+        what = "the axes of its grid are turned against those of the input, which scales and translations cannot say"
+        raise unwritable(target, what, "give a reference whose axes are parallel to them, or resample it first")
     if grid.uncropped().is_same_space(own):
         first, steps = np.array(grid.first, float), np.ones(grid.ndim)
     else:

@@ -202,9 +202,8 @@ class Page:
         return np.ascontiguousarray(swapped(self.tiff, made)), self.bits
 
     def _refuse(self, what: str) -> NoReturn:
-        raise unreadable(
-            self._path, f"it is of a kind that is not supported ({what})", "convert it, to PNG for instance"
-        )
+        what = f"it is of a kind that is not supported ({what})"
+        raise unreadable(self._path, what, "convert it, to PNG for instance")
 
     def _plane(self, read: Callable[[Any, int], Array], k: int) -> Array:
         """Decode one plane, or all samples if they lie together."""

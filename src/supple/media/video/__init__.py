@@ -322,9 +322,8 @@ class Clip(VideoSource):
         k = max([k, *(number for pts, number in keys if pts is not None and pts == frame.pts)])
         now = f"{frame.width}x{frame.height} {kind}"
         first = f"{self.width}x{self.height} {self.pixel_format}"
-        raise unreadable(
-            self.path, f"frame {k} is {now}, and frame 0 is {first}", "cut it where it changes, and warp the parts"
-        )
+        what = f"frame {k} is {now}, and frame 0 is {first}"
+        raise unreadable(self.path, what, "cut it where it changes, and warp the parts")
 
     def _readable(self, frame: av.VideoFrame) -> av.VideoFrame:
         if frame.format.has_palette or frame.format.name == self.form.name:

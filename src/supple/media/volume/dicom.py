@@ -207,9 +207,8 @@ def _chosen(found: list[Series], path: PathLike, series: str | None) -> Series:
         if series is not None and series.strip() in (one.uid, str(k)):
             return one
     what = f"it holds {len(found)} series" if series is None else f"it holds no series {shown(series)}"
-    raise unreadable(
-        path, f"{what} ({described(found)})", f"say which one by {argument('series', '1')}, or name one of its slices"
-    )
+    advice = f"say which one by {argument('series', '1')}, or name one of its slices"
+    raise unreadable(path, f"{what} ({described(found)})", advice)
 
 
 def _informed(sitk: Any, name: str) -> Any:
