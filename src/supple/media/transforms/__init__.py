@@ -23,22 +23,9 @@ from supple.media.volume import nifti
 from supple.space.geometry import Grid
 
 __all__ = [
-    "CONVENTIONS",
-    "PULL",
-    "PUSH",
-    "SUFFIXES_OUT",
-    "Content",
-    "Convention",
-    "Displacements",
-    "MissingGridError",
-    "check_convention",
-    "check_target",
-    "convention_in",
-    "convention_of",
-    "read",
-    "write",
-    "write_field",
-]
+    "CONVENTIONS", "PULL", "PUSH", "SUFFIXES_OUT", "Content", "Convention", "Displacements", "MissingGridError",
+    "check_convention", "check_target", "convention_in", "convention_of", "read", "write", "write_field",
+]  # fmt: skip
 
 PULL = "output point -> input point"
 PUSH = "input point -> output point"

@@ -25,18 +25,11 @@ _OWN = frozenset(
 )
 # data streams by the four characters of their kind
 _DATA = {
-    "gpmd": "GoPro telemetry (GPMF)",
-    "fdsc": "GoPro file description",
-    "djmd": "DJI metadata",
-    "dbgi": "DJI debug data",
-    "mebx": "timed metadata of Apple",
-    "rtmd": "Sony metadata (RTMD)",
-    "camm": "camera motion metadata (CAMM)",
-    "KLVA": "KLV metadata",
-    "ID3 ": "timed ID3 metadata",
-    "tmcd": "timecode",
-    "text": "text of chapters",
-}
+    "gpmd": "GoPro telemetry (GPMF)", "fdsc": "GoPro file description", "djmd": "DJI metadata",
+    "dbgi": "DJI debug data", "mebx": "timed metadata of Apple", "rtmd": "Sony metadata (RTMD)",
+    "camm": "camera motion metadata (CAMM)", "KLVA": "KLV metadata", "ID3 ": "timed ID3 metadata",
+    "tmcd": "timecode", "text": "text of chapters",
+}  # fmt: skip
 _FELT = Fraction(1, 50)  # seconds between image and sound: a larger error is reported
 _COUNTED = ("_STATISTICS", "BPS", "NUMBER_OF_", "DURATION")
 

@@ -20,20 +20,9 @@ from supple.media.volume.pages import has_pages
 from supple.space.geometry import SIDES
 
 __all__ = [
-    "SUFFIXES",
-    "SUFFIXES_OUT",
-    "RawLayout",
-    "Volume",
-    "check_target",
-    "has_pages",
-    "info",
-    "is_dicom",
-    "is_volume",
-    "outline_of",
-    "read",
-    "suffix_of",
-    "write",
-]
+    "SUFFIXES", "SUFFIXES_OUT", "RawLayout", "Volume", "check_target", "has_pages", "info", "is_dicom", "is_volume",
+    "outline_of", "read", "suffix_of", "write",
+]  # fmt: skip
 
 _QUICK = 1 << 31  # bytes up to which `info` computes the range
 _KINDS = (
