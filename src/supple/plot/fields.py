@@ -104,22 +104,14 @@ def _figure(seen: _Slice, report: FieldReport, name: str) -> Figure:
     if seen.distances is not None:
         _draw_distances(made, parts[-1], seen, whole, seen.distances)
     made.legend(handles=_handles(seen), loc="outside lower left", ncols=4, fontsize=9, frameon=False)
-    title(made, _heading(report, seen, name))
-    return made
-
-
-def _heading(report: FieldReport, seen: _Slice, name: str) -> str:
+    told = f"none of {report.cells:,} cells folds"
     if report.folds:
         told = f"{report.folded:,} of {report.cells:,} cells fold ({100 * report.folded / report.cells:.2g} %)"
-    else:
-        told = f"none of {report.cells:,} cells folds"
     place = ", ".join(f"{x + 0.0:.4g}" for x in report.at)
-    lines = [f"{name}: {told}" + (f"; {seen.where}" if seen.where else "")]
-    lines.append(
-        f"least determinant {report.determinant:.3g} at ({place}) {seen.unit}; displacement up to "
-        f"{report.largest:.3g} {seen.unit}, {report.mean:.3g} on average"
-    )
-    return "\n".join(lines)
+    text = f"{name}: {told}" + (f"; {seen.where}" if seen.where else "")
+    text += f"\nleast determinant {report.determinant:.3g} at ({place}) {seen.unit}; displacement up to "
+    title(made, f"{text}{report.largest:.3g} {seen.unit}, {report.mean:.3g} on average")
+    return made
 
 
 def _handles(seen: _Slice) -> list[Any]:

@@ -394,10 +394,7 @@ class WritePlan:
             context.field_order = video.field_order
         if self.fields:
             context.options["flags"] = "+ildct+ilme"
-        self._extras(context, chosen)
-
-    def _extras(self, context: av.VideoCodecContext, chosen: Match) -> None:
-        video, settings = self.video, context.options
+        settings = context.options
         if chosen.colour.site and chosen.form.kind.step != (1, 1):
             settings["chroma_sample_location"] = chosen.colour.site
         if self.encoder.name == "libx265" and video.count < _DELAYED:
@@ -405,7 +402,9 @@ class WritePlan:
         if self.encoder.name == "libvpx" and chosen.form.kind.alpha:
             settings["auto-alt-ref"] = "0"  # which opacity excludes
         if self.encoder.name == "dnxhd":
-            settings["profile"] = self._dnxhr(chosen.form.kind)
+            # it takes any size: the source's profile if it can hold the pixels, else the best
+            kind, usual = chosen.form.kind, self.encoder.profiles.get(video.profile, "dnxhr_hq")
+            settings["profile"] = "dnxhr_444" if kind.step == (1, 1) else "dnxhr_hqx" if kind.bits > 8 else usual
             if self.fields:  # which DNxHR does not know, and DNxHD in one size
                 settings.update({"profile": "dnxhd", "b": "185M" if video.rate <= 25 else "220M"})
         if self.encoder.name == "prores_ks" and video.codec == "prores" and chosen.same:
@@ -415,12 +414,6 @@ class WritePlan:
             settings[key] = _joined(settings.get(key), *words)
         if self.encoder.codec == "hevc" and self.container.mp4:
             context.codec_tag = "hvc1"  # for QuickTime
-
-    def _dnxhr(self, kind: Kind) -> str:
-        """Return a profile of DNxHR, which takes any size: the source's if it can hold the pixels, else the best."""
-        if kind.step == (1, 1):
-            return "dnxhr_444"
-        return "dnxhr_hqx" if kind.bits > 8 else self.encoder.profiles.get(self.video.profile, "dnxhr_hq")
 
     def _formats(self) -> list[str]:
         """Return the pixel formats that the encoder takes, and the container can hold."""
