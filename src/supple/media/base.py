@@ -2,14 +2,68 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+from typing import Any, Protocol
 
-if TYPE_CHECKING:
-    from supple.media.sequence import Pictures
-    from supple.media.video import Clip as Video
+from supple.engine.stream import Frame
+from supple.engine.work import Array, Layout
 
-Clip: TypeAlias = "Pictures | Video"
-"""An open medium that streams; its attributes are those that both have."""
+
+class Clip(Protocol):
+    """An open medium that streams."""
+
+    @property
+    def name(self) -> str:
+        """The name for one line of text."""
+
+    @property
+    def count(self) -> int:
+        """The number of frames."""
+
+    @property
+    def rate(self) -> Fraction:
+        """Frames a second, on average."""
+
+    @property
+    def layout(self) -> Layout:
+        """The layout of every frame: its arrays, one for each group of components."""
+
+    @property
+    def rotation(self) -> float:
+        """The rotation of frames for display, in degrees counterclockwise, after they are mirrored."""
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether frames are mirrored for display, left to right, before they are rotated."""
+
+    @property
+    def aspect(self) -> Fraction | None:
+        """The width of a pixel, relative to its height, before frames are rotated; None if the file does not say."""
+
+    @property
+    def fields(self) -> str:
+        """The field of interlaced frames that is shown first, ``"top"`` or ``"bottom"``; else empty."""
+
+    @property
+    def display(self) -> tuple[int, int, int, int] | None:
+        """The part of frames in which points count: x and y of its first pixel, width and height; None for all."""
+
+    @property
+    def unpictured(self) -> tuple[str, ...]:
+        """Streams that have no place in images of its frames: sound, subtitles."""
+
+    def frames(self) -> Iterator[Frame]:
+        """Decode all frames, in display order."""
+
+    def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> Array:
+        """Return a frame as RGB of 8 bits, (H, W, 3), or of 16 if ``deep`` and the frame has more than 8."""
+
+    def upright(self, pixels: Array) -> Array:
+        """Return a view of a frame's pixels, (H, W, …), as it is displayed: mirrored, and turned by quarters."""
+
+    def info(self) -> dict[str, Any]:
+        """Return the facts for users."""
 
 
 class ClipWarning(UserWarning):

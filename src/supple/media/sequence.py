@@ -320,8 +320,8 @@ class PictureSink:
         like = None
         clip, suffix = self._clip, Path(name).suffix.lower()
         known = isinstance(clip, Pictures) and not isinstance(clip, Animation) and not any(self._options.values())
-        if still and known and suffix == clip.paths[k].suffix.lower():  # type: ignore[union-attr]
-            shutil.copyfile(clip.paths[k], self._temporary / name)  # type: ignore[union-attr]
+        if still and known and suffix == clip.paths[k].suffix.lower():  # type: ignore[attr-defined]
+            shutil.copyfile(clip.paths[k], self._temporary / name)  # type: ignore[attr-defined]
             self.copied += 1
             return
         if isinstance(self._clip, Layered):
