@@ -135,12 +135,7 @@ class Warp:
             blocks.append(Block(box, part, copied, identity))
         return blocks, certificate
 
-    def _widen(
-        self,
-        still: npt.NDArray[np.bool_],
-        found: Sequence[tuple[Box, tuple[float, ...]]],
-        each: Each,
-    ) -> None:
+    def _widen(self, still: npt.NDArray[np.bool_], found: Sequence[tuple[Box, tuple[float, ...]]], each: Each) -> None:
         """Keep of the planes of which a part moves hardly those of which the whole does not."""
         assert self.grid is not None
         reached = np.zeros(len(still), np.bool_)

@@ -113,10 +113,8 @@ def _first_axis(shape: tuple[int, ...], bent: tuple[int, ...], axes: Sequence[in
     for first in (dims - n, 0, dims - n - 1):
         if first >= 0 and shape[first : first + n] == bent and dims - first - n <= 1:
             return first
-    raise SuppleError(
-        f"the deformation has shape {bent}, and the array {shape}: the last axes must be those, or"
-        " those before channels"
-    )
+    text = f"the deformation has shape {bent}, and the array {shape}: the last axes must be those, or those before "
+    raise SuppleError(f"{text}channels")
 
 
 def _warped(array: Any, job: Warp, chunks: Any, first: int, stacklevel: int = 4) -> da.Array:

@@ -24,7 +24,8 @@ from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
 from supple.files.stores import WarpedStore, warp_store  # noqa: E402
 from supple.files.tasks import Running  # noqa: E402
 from supple.files.transforms import SavedField  # noqa: E402
-from supple.media.stores import Target, open_image  # noqa: E402
+from supple.media.stores.image import open_image  # noqa: E402
+from supple.media.stores.target import Target  # noqa: E402
 from supple.media.transforms import ngff  # noqa: E402
 from tests.effort import soak  # noqa: E402
 

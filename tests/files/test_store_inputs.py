@@ -27,7 +27,9 @@ from supple.files.jobs import Job  # noqa: E402
 from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
 from supple.files.plans import plan_file  # noqa: E402
 from supple.files.stores import warp_store  # noqa: E402
-from supple.media.stores import Samples, inputs, open_image, target  # noqa: E402
+from supple.media.stores import inputs, target  # noqa: E402
+from supple.media.stores.image import open_image  # noqa: E402
+from supple.media.stores.inputs import Samples  # noqa: E402
 from supple.media.volume import RawLayout  # noqa: E402
 from supple.space.geometry import Geometry  # noqa: E402
 from tests.media.volume.test_dicom import slices  # noqa: E402

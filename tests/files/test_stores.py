@@ -37,8 +37,9 @@ from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
 from supple.files.plans import plan_boxes, plan_file  # noqa: E402
 from supple.files.stores import WarpedStore, warp_store  # noqa: E402
 from supple.files.tasks import Running, runner_of  # noqa: E402
-from supple.media.stores import Target, open_image  # noqa: E402
+from supple.media.stores.image import open_image  # noqa: E402
 from supple.media.stores.levels import reduced  # noqa: E402
+from supple.media.stores.target import Target  # noqa: E402
 from tests.children import ROOT, SOURCE  # noqa: E402
 from tests.media.stores.images import image  # noqa: E402
 

@@ -10,7 +10,9 @@ import numpy.typing as npt
 import pytest
 
 from supple import Deformation, SuppleError
-from supple.plot import check_plot, clip_sheet, clip_slice, draw_sheet, draw_slice, evenly, figure
+from supple.plot import clip_sheet, clip_slice, draw_sheet, draw_slice, figure
+from supple.plot.clip import evenly
+from supple.plot.frame import check_plot
 from tests import effort
 
 Array = npt.NDArray[Any]

@@ -16,9 +16,9 @@ import pytest
 from supple import Deformation, Stroke, SuppleError
 from supple.engine import paper
 from supple.media.image import Picture
-from supple.plot import WHATS, figure, footprints, grid, iterations, plot, residual, sources, stretch
+from supple.plot import WHATS, figure, plot
 from supple.plot.frame import background, paths
-from supple.plot.measure import spacing_of
+from supple.plot.measure import footprints, grid, iterations, residual, sources, spacing_of, stretch
 from tests import effort
 from tests.children import SOURCE
 

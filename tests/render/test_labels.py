@@ -278,7 +278,7 @@ def test_a_table_that_is_written_is_read_as_it_was(tmp_path: Path) -> None:
         transfer_of(tmp_path / "none.ctbl")
     (tmp_path / "a.ctbl").write_bytes(b"1 \xff 0 0 0 255\n")
     with pytest.raises(SuppleError, match="UTF-8"):
-        LabelColours.read(tmp_path / "a.ctbl")
+        transfer_of(tmp_path / "a.ctbl")
 
 
 def test_colours_of_the_palette_are_distinct_and_do_not_change() -> None:

@@ -15,19 +15,7 @@ from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.gestures import Tools
 from supple.viewer.tools.keys import KEYS
 from supple.viewer.tools.volumes import VolumeTools
-from tests.viewer.tools import (
-    LEFT,
-    MIDDLE,
-    RIGHT,
-    clip,
-    down,
-    image,
-    move,
-    press,
-    solid,
-    up,
-    wheel,
-)
+from tests.viewer.tools import LEFT, MIDDLE, RIGHT, clip, down, image, move, press, solid, up, wheel
 
 ALL = pytest.mark.parametrize("make", [image, clip, solid])
 Make = Callable[..., Tools[Any]]

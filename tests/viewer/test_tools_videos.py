@@ -5,16 +5,7 @@ from __future__ import annotations
 import pytest
 
 from supple.strokes import Stroke
-from tests.viewer.tools import (
-    arrived,
-    click,
-    clip,
-    down,
-    move,
-    press,
-    up,
-    wheel,
-)
+from tests.viewer.tools import arrived, click, clip, down, move, press, up, wheel
 
 
 class TestVideos:

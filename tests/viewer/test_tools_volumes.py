@@ -9,18 +9,7 @@ import pytest
 from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.strokes import Stroke
-from tests.viewer.tools import (
-    LEFT,
-    MIDDLE,
-    RIGHT,
-    click,
-    down,
-    drag,
-    move,
-    press,
-    solid,
-    wheel,
-)
+from tests.viewer.tools import LEFT, MIDDLE, RIGHT, click, down, drag, move, press, solid, wheel
 
 
 class TestVolumes:

@@ -192,10 +192,12 @@ def test_a_clip_plays_and_is_bent_in_time(gpu: Gpu, state: Path) -> None:
     seen = view.pixels()
     left, top = (round(v) for v in view.tools.view.to_canvas(0, 0))
     with video.open_clip(DATA / "bunny.mp4") as clip:
-        from supple.files.clips import deformation_of, frames_of, sampling_of
+        from supple.engine.stream import make_plan
+        from supple.files.clips import deformation_of, sampling_of, streamed, work_on
 
         d = deformation_of(view.recipe, clip.count, clip.layout.shape, 1.0, clip.name)
-        ((_, arrays),) = frames_of(clip, (d,), sampling_of(clip), [5], 2e9)
+        work = work_on(clip, (d,), sampling_of(clip))
+        ((_, arrays, _),) = streamed(clip, work, make_plan(work, [5]), 2e9)
         wanted = clip.to_rgb(arrays)
     y, x = max(top, 0), max(left, 0)
     height, width = (

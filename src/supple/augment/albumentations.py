@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from supple.augment.elastic import RandomElastic as Drawing
 from supple.augment.peers import SEEDS, bent_stack, deformation_of, edged, filter_of, need_library, spacing_of
 from supple.deformation import Deformation
 from supple.engine.sampling import OUTSIDE
+from supple.engine.work import Array
 from supple.errors import SuppleError
 from supple.space.checks import choice, refuse
 
@@ -25,14 +25,11 @@ from albumentations.core.transforms_interface import BaseTransformInitSchema, Tr
 from albumentations.core.type_definitions import ALL_TARGETS, Targets
 
 if hasattr(DualTransform, "sample_parameters"):
-    raise SuppleError(
-        "supple.augment.albumentations needs Albumentations 2.0, found AlbumentationsX, which has the same name and "
-        "other hooks: pip uninstall albumentationsx; pip install albumentations"
-    )
+    text = "supple.augment.albumentations needs Albumentations 2.0, found AlbumentationsX, which has the same name and"
+    raise SuppleError(f"{text} other hooks: pip uninstall albumentationsx; pip install albumentations")
 
 __all__ = ["RandomElastic", "RandomElastic3D"]
 
-Array = npt.NDArray[Any]
 
 _FILTERS = {cv2.INTER_NEAREST: "nearest", cv2.INTER_LINEAR: "linear", cv2.INTER_CUBIC: "cubic"}
 
@@ -61,6 +58,13 @@ class _Elastic(DualTransform):
         self.interpolation, self.outside = sampling["interpolation"], sampling["outside"]
         self._filter = filter_of("interpolation", self.interpolation, _FILTERS)
         choice("outside", self.outside, tuple(OUTSIDE))
+
+    def _moved(self, d: Deformation, keypoints: Array) -> Array:
+        if not len(keypoints):
+            return keypoints
+        made = keypoints.astype(np.result_type(keypoints, np.float32))
+        made[:, : d.ndim] = d.forward(keypoints[:, : d.ndim].astype(np.float64))
+        return made
 
     def _drawn(self, shape: tuple[int, ...], spacing: tuple[float, ...]) -> dict[str, Any]:
         seed = int(self.random_generator.integers(SEEDS))
@@ -111,12 +115,10 @@ class RandomElastic(_Elastic):
         return np.asarray(self._bent(img[None], recipe, params, self._filter)[0])
 
     def apply_to_images(self, images: Array, recipe: str, **params: Any) -> Array:
-        """Return bent images (N, H, W[, C])."""
+        """Return bent images (N, H, W[, C]), or a volume (D, H, W[, C]), all slices of which are bent alike."""
         return self._bent(images, recipe, params, self._filter)
 
-    def apply_to_volume(self, volume: Array, recipe: str, **params: Any) -> Array:
-        """Return a volume (D, H, W[, C]), all slices of which are bent alike."""
-        return self._bent(volume, recipe, params, self._filter)
+    apply_to_volume = apply_to_images
 
     def apply_to_mask(self, mask: Array, recipe: str, **params: Any) -> Array:
         """Return a bent mask (H, W[, C])."""
@@ -128,11 +130,7 @@ class RandomElastic(_Elastic):
 
     def apply_to_keypoints(self, keypoints: Array, recipe: str, **params: Any) -> Array:
         """Return moved key points (N, 2+); only x and y change."""
-        if not len(keypoints):
-            return keypoints
-        made = keypoints.astype(np.result_type(keypoints, np.float32))
-        made[:, :2] = self._of(recipe, params).forward(keypoints[:, :2].astype(np.float64))
-        return made
+        return self._moved(self._of(recipe, params), keypoints)
 
     def apply_to_bboxes(self, bboxes: Array, recipe: str, **params: Any) -> Array:
         """Return the boxes (N, 4+) around bent boxes, in fractions of the image, as they are given."""
@@ -204,11 +202,7 @@ class RandomElastic3D(_Elastic, Transform3D):
 
     def apply_to_keypoints(self, keypoints: Array, recipe: str, extent: tuple[int, ...], **params: Any) -> Array:
         """Return moved key points (N, 3+)."""
-        if not len(keypoints):
-            return keypoints
-        made = keypoints.astype(np.result_type(keypoints, np.float32))
-        made[:, :3] = self._of(recipe, extent).forward(keypoints[:, :3].astype(np.float64))
-        return made
+        return self._moved(self._of(recipe, extent), keypoints)
 
     def _of(self, recipe: str, extent: tuple[int, ...]) -> Deformation:
         return deformation_of(recipe, tuple(extent), spacing_of(self.spacing))

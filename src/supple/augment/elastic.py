@@ -26,10 +26,9 @@ from supple.folding.resolved import FLOW_GAP, FLOW_MARGIN, Table, beta_at
 from supple.folding.strain import weakest
 from supple.space.checks import integer, items, length, number, refuse
 from supple.space.domain import Border, checked_border
-from supple.space.geometry import Grid
+from supple.space.geometry import Floats, Grid
 from supple.strokes import Stroke, pack
 
-Floats = npt.NDArray[np.float64]
 Seed = int | np.random.Generator | None
 
 MOST_STROKES = 1000
@@ -139,7 +138,9 @@ class RandomElastic:
             Its ``recipe`` applies it again: by `Deformation.from_recipe`, or ``supple warp --recipe``.
         """
         one_thread_in_workers()
-        rng = _generator(seed)
+        if seed is not None and not isinstance(seed, np.random.Generator):
+            seed = integer("seed", seed, "a whole number from 0, or a numpy.random.Generator", 0, 2**128)
+        rng = np.random.default_rng(seed)
         still = Deformation(shape, border=self.border, spacing=spacing)
         domain, axes = still.domain, still.domain.packed()
         (least, most), (small, large) = _range("strokes", self.strokes), _range("radius", self.radius)
@@ -299,12 +300,6 @@ def one_thread_in_workers() -> None:
         os.environ.setdefault("SUPPLE_THREADS", "1")
 
 
-def _generator(seed: Seed) -> np.random.Generator:
-    if seed is None or isinstance(seed, np.random.Generator):
-        return np.random.default_rng(seed)
-    return np.random.default_rng(integer("seed", seed, "a whole number from 0, or a numpy.random.Generator", 0, 2**128))
-
-
 def _range(name: str, value: Any) -> tuple[Any, Any]:
     """Return the ends of a range, which are equal for a number."""
     if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):
@@ -384,11 +379,8 @@ def _shape_of(array: npt.NDArray[Any]) -> tuple[int, ...]:
     if array.ndim in (3, 4) and 0 < shape[-1] <= _CHANNELS:
         return shape[:-1]
     if array.ndim == 3:
-        refuse(
-            "shape",
-            f"given for an image of shape {shape}: {shape} for a volume, {shape[:2]} for {shape[2]} channels",
-            told="none",
-        )
+        wanted = f"given for an image of shape {shape}: {shape} for a volume, {shape[:2]} for {shape[2]} channels"
+        refuse("shape", wanted, told="none")
     if array.ndim != 2:
         refuse("image", "of shape (H, W[, C]) or (Z, H, W[, C])", told=f"shape {shape}")
     return shape

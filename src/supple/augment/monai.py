@@ -30,7 +30,20 @@ _FILTERS = {"nearest": "nearest", "bilinear": "linear", "bicubic": "cubic"}
 _PADDING = {"border": "edge", "reflection": "reflect", "zeros": "constant"}
 
 
-class RandElastic(RandomizableTransform):
+class _Randomized(RandomizableTransform):
+    """What both transforms share: a draw."""
+
+    drawing: Drawing
+    deformation: Deformation | None = None
+    """The last draw: its recipe can be kept."""
+
+    def randomize(self, img: torch.Tensor) -> None:
+        """Draw the deformation of an image (C, *spatial)."""
+        super().randomize(None)
+        self.deformation = _drawn(self.drawing, img, self.R) if self._do_transform else None
+
+
+class RandElastic(_Randomized):
     """Bend an image by random strokes, which never fold.
 
     Parameters
@@ -62,13 +75,6 @@ class RandElastic(RandomizableTransform):
         self.mode, self.padding_mode = mode, padding_mode
         filter_of("mode", mode, _FILTERS)
         filter_of("padding_mode", padding_mode, _PADDING)
-        self.deformation: Deformation | None = None
-        """The last draw: its recipe can be kept."""
-
-    def randomize(self, img: torch.Tensor) -> None:
-        """Draw the deformation of an image (C, *spatial)."""
-        super().randomize(None)
-        self.deformation = _drawn(self.drawing, img, self.R) if self._do_transform else None
 
     def __call__(self, img: Any, mode: str | None = None, randomize: bool = True) -> torch.Tensor:
         """Return the image (C, *spatial), bent; or by the last draw again, if it shall not ``randomize``."""
@@ -80,7 +86,7 @@ class RandElastic(RandomizableTransform):
         return _bent(self.deformation, held, self.mode if mode is None else mode, self.padding_mode)
 
 
-class RandElasticd(RandomizableTransform, MapTransform):
+class RandElasticd(_Randomized, MapTransform):
     """Bend the images, labels, points and boxes of a dictionary by random strokes, which never fold.
 
     Parameters
@@ -125,13 +131,6 @@ class RandElasticd(RandomizableTransform, MapTransform):
             filter_of("padding_mode", other, _PADDING)
         self.drawing = Drawing(max_displacement, radius, strokes, border)
         self.point_keys, self.box_keys = ensure_tuple(point_keys), ensure_tuple(box_keys)
-        self.deformation: Deformation | None = None
-        """The last draw: its recipe can be kept."""
-
-    def randomize(self, img: torch.Tensor) -> None:
-        """Draw the deformation of an image (C, *spatial)."""
-        super().randomize(None)
-        self.deformation = _drawn(self.drawing, img, self.R) if self._do_transform else None
 
     def __call__(self, data: Mapping[Hashable, Any]) -> dict[Hashable, Any]:
         """Return the dictionary, with what is bent in the place of what was given."""

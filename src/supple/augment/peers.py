@@ -12,11 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.arrays import warp_array
-from supple.augment.elastic import Floats, moved_boxes, one_thread_in_workers
+from supple.augment.elastic import moved_boxes, one_thread_in_workers
 from supple.deformation import Deformation
 from supple.engine.sampling import Sampling, warn_of
 from supple.errors import SuppleError
 from supple.space.checks import refuse
+from supple.space.geometry import Floats
 from supple.strokes import Recipe
 
 if TYPE_CHECKING:

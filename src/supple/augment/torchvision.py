@@ -90,10 +90,8 @@ class RandomElastic(v2.Transform):
     def _boxes(self, boxes: tv_tensors.BoundingBoxes, d: Any) -> tv_tensors.BoundingBoxes:
         kind = boxes.format
         if tv_tensors.is_rotated_bounding_format(kind):
-            raise SuppleError(
-                f"boxes of format {kind.value} have a rotation, which a bend changes at each corner: convert them to "
-                "XYXY, XYWH or CXCYWH, or to key points"
-            )
+            text = f"boxes of format {kind.value} have a rotation, which a bend changes at each corner: convert them to"
+            raise SuppleError(f"{text} XYXY, XYWH or CXCYWH, or to key points")
         corners = F.convert_bounding_box_format(boxes, new_format=_XYXY)
         made = tv_tensors.wrap(edged_tensor(d, corners.as_subclass(torch.Tensor)), like=corners)
         return F.convert_bounding_box_format(F.clamp_bounding_boxes(made), new_format=kind)

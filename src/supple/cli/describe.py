@@ -81,7 +81,7 @@ def describe(name: str, *, layout: RawLayout | None = None, series: str | None =
 
 def _stored(name: str) -> tuple[dict[str, Any], str]:
     """Return the facts on a Zarr array or an OME-Zarr image; no sample is read."""
-    from supple.media.stores import open_image
+    from supple.media.stores.image import open_image
 
     image = open_image(name)
     grid, unit, n = image.grid, "mm" if image.placed else "pixels", len(image.spatial)

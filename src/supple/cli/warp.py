@@ -285,7 +285,7 @@ def _shared(recipe: "Recipe", kept: "Collection[Recipe]") -> "Recipe":
 
 def _as_clip(paths: tuple[str, ...], recipe: "Recipe") -> tuple[str, ...]:
     """Return ``f.*.exr`` as the pattern of a clip, if it is to become one; refuse pictures for strokes with a time."""
-    from supple.media.image import SUFFIXES
+    from supple.media.image.formats import SUFFIXES
     from supple.media.numbering import has_number, of_star
     from supple.media.suffixes import CLIPS_OUT
 

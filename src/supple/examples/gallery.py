@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import MissWarning, SuppleError, argument, shown
-from supple.examples.scenes import BACKGROUND, DISTANCE, HEAD, INSIDE, SCENES, Look, Scene, Shot, Take
+from supple.examples.scenes import BACKGROUND, DISTANCE, HEAD, INSIDE, SCENES, Look, Shot, Take
 from supple.files import warp_file
 from supple.files.clips import open_clip
 from supple.files.renders import RenderOptions, render_file
@@ -79,12 +79,20 @@ def write_gallery(
     maker = "the CPU" if gpu is None else f"the CPU, and views of volumes by the GPU {gpu.name}, through {gpu.backend}"
     place = _prepared(Path(folder), force)
     for name in dict.fromkeys(shot.source for scene in SCENES for shot in scene.shots):
-        if name == INSIDE:
-            _write_inside(place / name)
+        if name == INSIDE:  # the head without the voxels outside of the brain's mask
+            data = files("supple.examples") / "data"
+            with as_file(data / HEAD) as head, as_file(data / "brain.nii.gz") as marks:
+                volume = read_volume(head)
+                alone = np.where(read_volume(marks).samples > 0, volume.samples, 0).astype(volume.samples.dtype)
+                write_volume(place / name, alone, volume, force=True)
             continue
         with replacing(place / name, force=True) as temporary:
             temporary.write_bytes((files("supple.examples") / "data" / name).read_bytes())
-    sections = [_section(place, scene, device, written or (lambda path: None)) for scene in SCENES]
+    sections = []
+    for scene in SCENES:
+        shots = "".join(_made(place, shot, device, written or (lambda path: None)) for shot in scene.shots)
+        above = f"<h2>{escape(scene.title)}</h2>\n<p>{escape(scene.text)}</p>"
+        sections.append(f"<section>\n{above}\n{shots}</section>")
     template = (files("supple.examples") / "data" / "gallery.html").read_text(encoding="utf-8")
     page = Template(template).substitute(sections="\n".join(sections), credits=escape(_CREDITS), maker=escape(maker))
     with replacing(place / PAGE, force=True) as temporary:
@@ -99,21 +107,14 @@ def _prepared(folder: Path, force: bool) -> Path:
     except FileExistsError as error:
         raise SuppleError(f"{shown(folder)} is no folder: choose another name") from error
     except OSError as error:
-        raise SuppleError(
-            f"cannot write to the folder {shown(folder)}: {error.strerror}: choose another place"
-        ) from error
+        text = f"cannot write to the folder {shown(folder)}: {error.strerror}: choose another place"
+        raise SuppleError(text) from error
     except ValueError as error:
         raise SuppleError(f"no folder can be called {shown(folder)}: choose another name") from error
     if not (empty or force):
-        raise SuppleError(
-            f"{shown(folder)} is not empty: choose another folder, or {argument('force', True)} to write there"
-        )
+        text = f"{shown(folder)} is not empty: choose another folder, or {argument('force', True)} to write there"
+        raise SuppleError(text)
     return folder
-
-
-def _section(place: Path, scene: Scene, device: str, written: Callable[[Path], None]) -> str:
-    shots = "".join(_made(place, shot, device, written) for shot in scene.shots)
-    return f"<section>\n<h2>{escape(scene.title)}</h2>\n<p>{escape(scene.text)}</p>\n{shots}</section>"
 
 
 def _made(place: Path, shot: Shot, device: str, written: Callable[[Path], None]) -> str:
@@ -208,15 +209,6 @@ def _facts(made: Solid) -> str:
     resolution = made.deformation.resolution()
     steps = f" The stroke takes {resolution['applied']} steps." if resolution["applied"] > 1 else ""
     return f"<b>Source points within {made.error:g} voxels</b>, by the checks of the warp.{steps}"
-
-
-def _write_inside(target: Path) -> None:
-    """Write the head without the voxels outside of the brain's mask."""
-    data = files("supple.examples") / "data"
-    with as_file(data / HEAD) as head, as_file(data / "brain.nii.gz") as marks:
-        volume = read_volume(head)
-        alone = np.where(read_volume(marks).samples > 0, volume.samples, 0).astype(volume.samples.dtype)
-        write_volume(target, alone, volume, force=True)
 
 
 def _video(place: Path, name: str, poster: str, still: Colours, when: str) -> str:

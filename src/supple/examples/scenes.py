@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
-from typing import Any
+from importlib.resources import files
+from typing import Any, ClassVar
 
 from supple.space.domain import Border
 from supple.strokes import FoldPolicy, Recipe, Stroke
@@ -14,7 +16,6 @@ BACKGROUND = "1a1a1e"
 HEAD = "head.nii.gz"
 INSIDE = "inside.nii.gz"
 """The mask of the brain in the head."""
-_DENT = ((40, 86, 65, 44, 63, 53, 36),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,7 @@ class Shot:
         The percentage of a photograph's width that the page shows unchanged, at first.
     """
 
+    verb: ClassVar[str] = "warp"
     name: str
     caption: str
     source: str
@@ -53,11 +55,6 @@ class Shot:
     def target(self) -> str:
         """The name of the output file."""
         return f"{self.name}.jpg"
-
-    @property
-    def verb(self) -> str:
-        """The command of the output."""
-        return "warp"
 
     @property
     def recipe(self) -> Recipe:
@@ -137,6 +134,7 @@ class Look(Shot):
         The number of images of a turntable; a single image if 0.
     """
 
+    verb: ClassVar[str] = "render"
     azimuth: int = 38
     elevation: int = 12
     size: int = 560
@@ -148,11 +146,6 @@ class Look(Shot):
     def target(self) -> str:
         """The name of the output file."""
         return f"{self.name}.mp4" if self.turntable else f"{self.name}.jpg"
-
-    @property
-    def verb(self) -> str:
-        """The command of the output."""
-        return "render"
 
     def _options(self) -> list[str]:
         found = Shot._options(self)
@@ -178,117 +171,22 @@ class Scene:
     shots: tuple[Shot, ...]
 
 
-SCENES = (
-    Scene(
-        "A wider look, and a smile",
-        "Six short strokes, one after the other, as in retouching: four open the eyes, two raise the corners of the "
-        "mouth. However many there are, the photograph is sampled once, so that the fur stays as sharp as it was.",
-        (
-            Shot(
-                "cat",
-                "Six strokes in sequence.",
-                "chelsea.jpg",
-                (
-                    (168, 86, 164, 68, 42),
-                    (172, 146, 176, 158, 42),
-                    (318, 112, 320, 96, 42),
-                    (318, 162, 320, 173, 42),
-                    (225, 262, 205, 246, 34),
-                    (300, 262, 322, 244, 34),
-                ),
-                scales=3,
-            ),
-        ),
-    ),
-    Scene(
-        "Stronger than the material",
-        "A drag of 135 pixels with a brush of 28 would fold the picture over itself. By default it arrives in smaller "
-        "steps, none of which folds. With --on-fold damp it goes as far as one step may, and a warning says how far.",
-        (
-            Shot("cup-flow", "All the way.", "coffee.jpg", ((215, 285, 90, 335, 28),), cut=10),
-            Shot("cup-damp", "One step.", "coffee.jpg", ((215, 285, 90, 335, 28),), on_fold="damp", cut=10),
-        ),
-    ),
-    Scene(
-        "A shuttle of rubber",
-        "Bi-scale brushes keep to themselves: the model bends, and its surroundings hardly notice.",
-        (
-            Shot(
-                "shuttle",
-                "Three strokes that flow.",
-                "astronaut.jpg",
-                ((417, 25, 345, 60, 60), (415, 130, 450, 120, 60), (385, 60, 352, 45, 40)),
-                scales=2,
-                border=10,
-            ),
-        ),
-    ),
-    Scene(
-        "Edges that stay, edges that go",
-        "The edges of a picture stay where they are, and the strokes fade towards them over a tenth of each side. With "
-        "--border none they move as well, and --outside says what appears from beyond: here the mirror image.",
-        (
-            Shot("table-fixed", "The border is fixed.", "coffee.jpg", ((290, 200, 370, 200, 120),), cut=6),
-            Shot(
-                "table-free",
-                "The border is free.",
-                "coffee.jpg",
-                ((290, 200, 370, 200, 120),),
-                border=None,
-                outside="reflect",
-                cut=6,
-            ),
-        ),
-    ),
-    Scene(
-        "A smile that comes and goes",
-        "Strokes may have a time as well. Two raise the corners of the mouth around frame 46 of this clip, two more "
-        "around frame 54, where the head has turned a little, and before and after that he sulks as ever. In time, "
-        "their radius is six frames.",
-        (
-            Take(
-                "smile",
-                "Four strokes in space and time.",
-                "bunny.mp4",
-                (
-                    (328, 157, 46, 319, 148, 46, 16),
-                    (366, 145, 46, 371, 136, 46, 14),
-                    (336, 155, 54, 327, 146, 54, 16),
-                    (376, 143, 54, 382, 134, 54, 14),
-                ),
-                scales=2,
-                time_radius=6,
-                frames=(40, 43, 46, 49, 52, 55, 58),
-                area=(260, 80, 160, 120),
-            ),
-        ),
-    ),
-    Scene(
-        "A head that is late",
-        "What is dragged along time happens later, there only: the arms come down while he still yawns, and his "
-        "head follows half a second behind. Where two times meet, each pixel has its own.",
-        (
-            Take(
-                "late",
-                "One stroke along time, by 14 frames.",
-                "bunny.mp4",
-                ((350, 120, 38, 350, 120, 52, 60),),
-                scales=2,
-                frames=(36, 39, 42, 45, 48),
-                area=(140, 0, 420, 360),
-                row=120,
-            ),
-        ),
-    ),
-    Scene(
-        "A head, outside and inside",
-        "A volume bends like anything else, in millimetres: what is inside follows. The whole head is warped once, "
-        "and seen by rays from any side. Of the brain, a density window shows what is brighter than the fluid around "
-        "it.",
-        (
-            Look("head", "One stroke of 52 mm.", HEAD, _DENT, border=30),
-            Look("brain", "The same, inside.", INSIDE, _DENT, border=30, cut=10, density=(45, 254)),
-            Look("turn", "Once around", HEAD, _DENT, border=30, size=360, smooth=1, turntable=60),
-        ),
-    ),
-)
+def _read() -> tuple[Scene, ...]:
+    """Return the scenes of ``data/scenes.toml``; "none" is None there."""
+    kinds = {"photograph": Shot, "clip": Take, "volume": Look}
+    text = (files("supple.examples") / "data" / "scenes.toml").read_text("utf-8")
+
+    def made(value: Any) -> Any:
+        return tuple(map(made, value)) if isinstance(value, list) else None if value == "none" else value
+
+    return tuple(
+        Scene(
+            scene["title"],
+            scene["text"],
+            tuple(kinds[shot.pop("kind")](**{k: made(v) for k, v in shot.items()}) for shot in scene["shots"]),
+        )
+        for scene in tomllib.loads(text)["scene"]
+    )
+
+
+SCENES = _read()

@@ -5,24 +5,23 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Self, get_args
+from typing import Literal, Self, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from supple import _core
 from supple.engine.sampling import Certificate, certificate_of_status, warn_of
+from supple.engine.work import Array
 from supple.errors import SuppleError, shown
 from supple.fields import checks
 from supple.fields.checks import FieldReport
 from supple.space.affine import Affine, matrix_rows
 from supple.space.checks import choice, number, refuse
 from supple.space.domain import FREE
-from supple.space.geometry import Box, Grid, check_boxes
+from supple.space.geometry import Box, Floats, Grid, check_boxes
 from supple.space.splines import coefficients
 
-Floats = npt.NDArray[np.float64]
-Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
 Interpolation = Literal["linear", "cubic", "bspline"]
 Beyond = Literal["zero", "edge"]
@@ -72,9 +71,8 @@ class Field:
         shape = "(H, W, 2)" if n == 2 else "(Z, H, W, 3)"
         given = _array(values)
         if given.dtype.kind not in "iuf" or given.dtype.itemsize > 8:
-            refuse(
-                "values", f"real numbers, as an array of shape {shape}", told=f"{given.dtype} of shape {given.shape}"
-            )
+            told = f"{given.dtype} of shape {given.shape}"
+            refuse("values", f"real numbers, as an array of shape {shape}", told=told)
         if given.shape != (*grid.shape, n):
             refuse("values", f"an array of shape {(*grid.shape, n)}, as the grid is", told=f"shape {given.shape}")
         choice("interpolation", interpolation, get_args(Interpolation))
@@ -84,12 +82,8 @@ class Field:
             raise SuppleError("the field holds NaN or infinity")
         if interpolation == "bspline" and min(grid.shape) < 4:
             raise SuppleError(f"a cubic B-spline needs 4 coefficients along each axis, found {grid.shape}")
-        for name, value in (
-            ("values", held),
-            ("grid", grid),
-            ("interpolation", interpolation),
-            ("beyond", beyond),
-        ):
+        known = {"values": held, "grid": grid, "interpolation": interpolation, "beyond": beyond}
+        for name, value in known.items():
             object.__setattr__(self, name, value)
 
     @classmethod

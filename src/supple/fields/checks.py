@@ -9,17 +9,14 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple.engine.work import Array
 from supple.space.domain import FREE
-from supple.space.geometry import Grid
-
-Array = npt.NDArray[Any]
-Floats = npt.NDArray[np.float64]
+from supple.space.geometry import Floats, Grid
 
 _WITHIN = 1e-9  # samples, of rounding
 _INWARDS = 1e-6  # samples: beyond the outermost ones, to which rounding may lead, there is no slope

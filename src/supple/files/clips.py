@@ -140,7 +140,7 @@ def counted_anew(source: PathLike, use: Callable[[int | None], T]) -> T:
     try:
         return use(found)
     except CountError:
-        raise fickle(source) from None
+        raise SuppleError(f"{shown(source)} gives another number of frames each time: repair it") from None
 
 
 def bent_of(clip: Clip, options: ClipOptions) -> range:
@@ -173,7 +173,7 @@ def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], bent: 
     if known.frame is not None:
         with _writer(clip, job) as sink:
             plan = make_plan(work, bent)
-            for z, arrays, certificate in _streamed(clip, work, plan, known.memory):
+            for z, arrays, certificate in streamed(clip, work, plan, known.memory):
                 sink.write(arrays, z)
                 warn_of(certificate, sampling.tolerance, 3)
                 tell("warp", 1, 1)
@@ -210,11 +210,6 @@ def _warn_of_none(recipe: Recipe, clip: Clip) -> None:
     if recipe.amount and any(able):
         text = f"no stroke moves a pixel of any frame of {clip.name}: its frames are as they were"
         warnings.warn(text, OutsideWarning, stacklevel=caller())
-
-
-def fickle(source: PathLike) -> SuppleError:
-    """Return the error for a clip whose frames cannot be counted."""
-    return SuppleError(f"{shown(source)} gives another number of frames each time: repair it")
 
 
 def check(job: Job) -> None:
@@ -285,11 +280,11 @@ def _writer(clip: Any, job: Job) -> contextlib.AbstractContextManager[Any]:
 
         known, first = job.clip, 1 if job.clip.first_frame is None else job.clip.first_frame
         return sequence.writer(clip, job.target, quality=job.quality, only=known.frame, first=first, **shared)
-    from supple.media import video
+    from supple.media.video.encode import writer
 
     known = job.clip
     shared |= {"codec": known.codec, "crf": known.crf, "preset": known.preset, "pixel_format": known.pixel_format}
-    return video.writer(clip, job.target, **shared)
+    return writer(clip, job.target, **shared)
 
 
 def is_picture_target(target: PathLike) -> bool:
@@ -418,17 +413,8 @@ def _filled(clip: Clip, fill: float | Sequence[float]) -> tuple[float, ...]:
     return tuple(paint([*values, layout.white] if alpha and len(values) < full else values))
 
 
-def frames_of(
-    clip: Clip, deformations: Sequence[Deformation], sampling: Sampling, planes: Sequence[int], memory: float
-) -> Iterator[tuple[int, list[Array]]]:
-    """Yield some frames of a warped clip, in order, as arrays that are reused for the next one."""
-    work = work_on(clip, deformations, sampling)
-    for z, arrays, _ in _streamed(clip, work, make_plan(work, planes), memory):
-        yield z, arrays
-
-
-def _streamed(clip: Any, work: Work, plan: Plan, memory: float) -> Iterator[tuple[int, list[Array], Certificate]]:
-    """Yield the frames of a plan, as `stream` does; the clip is read from the first that they need to the last."""
+def streamed(clip: Any, work: Work, plan: Plan, memory: float) -> Iterator[tuple[int, list[Array], Certificate]]:
+    """Yield the frames of a plan, as `stream` does: the clip is read from the first that they need to the last."""
     first = int(plan.keep[0]) if plan.planes else 0
     frames: Iterable[Frame] = islice(clip.frames(), first, None)  # of a sequence, files are read where they are copied
     if first and hasattr(clip, "frames_from"):
@@ -534,16 +520,10 @@ def _check_places(
             continue
         frames = [key.frame for key in stroke.keys if key.at is not None]
         if len(frames) > 1 and (frames[-1] < 0 or frames[0] >= count):
-            warnings.warn(
-                f"{which} has positions in frames {numbered(frames[0])} to {numbered(frames[-1])}, and the clip has "
-                f"{count}, from {numbered(0)}: it follows none of them (does the track give the first another?)",
-                OutsideWarning,
-                stacklevel=5,
-            )
+            text = f"{which} has positions in frames {numbered(frames[0])} to {numbered(frames[-1])}, and the clip has "
+            text += f"{count}, from {numbered(0)}: it follows none of them (does the track give the first another?)"
+            warnings.warn(text, OutsideWarning, stacklevel=5)
         places = [strokes[i].at for strokes in seen]
         if not any(-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5 for x, y in places):
-            warnings.warn(
-                f"{which} starts outside the picture, which has {width} x {height} pixels, in every frame",
-                OutsideWarning,
-                stacklevel=5,
-            )
+            text = f"{which} starts outside the picture, which has {width} x {height} pixels, in every frame"
+            warnings.warn(text, OutsideWarning, stacklevel=5)

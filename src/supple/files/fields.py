@@ -9,7 +9,6 @@ whose grid the result gets. All outputs of a call appear together or not at all;
 from __future__ import annotations
 
 import json
-import os
 import time
 import warnings
 from collections.abc import Mapping, Sequence
@@ -18,7 +17,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from supple.errors import FoldWarning, OutsideWarning, SuppleError, argument, shown
 from supple.fields import OK, Field, Map, Placed, check_path, compose, own_grid, told, write_maps
@@ -35,13 +33,10 @@ from supple.files.maps import (
     write_image,
 )
 from supple.media import transforms
-from supple.media.files import check_output, replacing_together, same_file
+from supple.media.files import PathLike, check_output, replacing_together, same_file
 from supple.media.volume import suffix_of
 from supple.space.affine import Affine
 from supple.space.geometry import Grid
-
-Array = npt.NDArray[Any]
-PathLike = str | os.PathLike[str]
 
 _MATRICES = (".txt", ".mat", ".lta", ".1d")
 _IMAGES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".mif", ".mif.gz", ".mgz")
@@ -164,17 +159,13 @@ def invert_file(
     _warn_of_size(read.path, read.convention, moving, read.grid)
     fields = [each for each in read.maps if isinstance(each, Field)]
     if (len(read.maps) != 1 or not fields) and (error is not None or status is not None):
-        raise SuppleError(
-            f"{shown(source)} holds {told(read.maps)}: {argument('error')} and {argument('status')} are of the "
-            "inverse of one field alone: leave them out"
-        )
+        text = f"{shown(source)} holds {told(read.maps)}: {argument('error')} and {argument('status')} are of the"
+        raise SuppleError(f"{text} inverse of one field alone: leave them out")
     grid = wanted or read.grid if fields else None
     if wanted is None and fields and fields[0].interpolation == "bspline":
         points = " x ".join(map(str, fields[0].grid.sizes))
-        raise SuppleError(
-            f"the field of {shown(source)} is a B-spline, and its grid of {points} control points is too coarse for "
-            "an inverse: give the image whose grid the inverse shall have (--reference)"
-        )
+        text = f"the field of {shown(source)} is a B-spline, and its grid of {points} control points is too coarse for"
+        raise SuppleError(f"{text} an inverse: give the image whose grid the inverse shall have (--reference)")
     # The inverse leads to the image that the field is on.
     here = read.grid if fields else wanted
     ndim = read.maps[0].ndim if read.maps else 3
@@ -214,9 +205,8 @@ def check_beside(path: PathLike, *sources: PathLike | None, force: bool) -> None
     """Raise SuppleError if an output beside the main one cannot be written, or is one of the files that are read."""
     for source in sources:
         if source is not None and same_file(path, source):
-            raise SuppleError(
-                f"{shown(path)} is read: {argument('force', True)} does not replace it, so choose another name"
-            )
+            text = f"{shown(path)} is read: {argument('force', True)} does not replace it, so choose another name"
+            raise SuppleError(text)
     check_output(path, force=force)
 
 
@@ -250,7 +240,7 @@ def check_file(
         check_beside(path, source, inverse, force=force)
     check_images(map=map)
     if picture is not None:
-        from supple.plot import check_plot
+        from supple.plot.frame import check_plot
 
         check_plot(picture, force=force)
     read = read_file(source, convention, source=None if image is None else grid_of(image))
@@ -259,9 +249,8 @@ def check_file(
     check_images(field.ndim, map=map)
     other = None if inverse is None else read_file(inverse, convention, source=own_grid(field))
     if other is not None and (n := only_field(other).ndim) != field.ndim:
-        raise SuppleError(
-            f"{shown(source)} is a field of {field.ndim} axes, and {shown(other.path)} of {n}: give two of as many"
-        )
+        text = f"{shown(source)} is a field of {field.ndim} axes, and {shown(other.path)} of {n}: give two of as many"
+        raise SuppleError(text)
     folded, logarithms = field.folded_cells(), field.log_jacobian()
     distances = None if other is None else field.distances(only_field(other))
     report = field.reported(folded, logarithms, distances)
@@ -365,10 +354,8 @@ def convert_file(
         affine = len(read.maps) == 1 and isinstance(read.maps[0], Affine)
         as_field = not affine or suffix_of(target) in _IMAGES
         if (affine or len(read.maps) > 1) and suffix_of(target) in _IMAGES and wanted is None:
-            raise SuppleError(
-                f"{shown(source)} holds {told(read.maps)}, and {shown(target)} one field: give the image whose grid "
-                "the field shall have (--reference)"
-            )
+            text = f"{shown(source)} holds {told(read.maps)}, and {shown(target)} one field: give the image whose grid"
+            raise SuppleError(f"{text} the field shall have (--reference)")
         if not affine and suffix_of(target) in _MATRICES:
             what = f"a {suffix_of(target)} file holds one affine map, and {shown(source)} {told(read.maps)}"
             raise SuppleError(f"cannot write {shown(target)}: {what}: use .nii.gz, .nrrd, .mha or .h5")
@@ -387,12 +374,9 @@ def _warn_of_size(path: PathLike, convention: str, source: object, grid: Grid | 
     if convention != "stmap" or source is not None or grid is None:
         return
     width, height = grid.sizes[:2]
-    warnings.warn(
-        f"{shown(path)} counts in the size of the picture that it leads to, which is not given: it is taken to have "
-        f"{width} x {height} pixels, as the map has: {argument('source')} names that picture",
-        OutsideWarning,
-        stacklevel=3,
-    )
+    text = f"{shown(path)} counts in the size of the picture that it leads to, which is not given: it is taken to have "
+    text += f"{width} x {height} pixels, as the map has: {argument('source')} names that picture"
+    warnings.warn(text, OutsideWarning, stacklevel=3)
 
 
 def doubt_of(read: MapFile, folded: int, cells: int) -> str:
@@ -411,10 +395,7 @@ def _warn_of(counts: Mapping[str, int], read: MapFile) -> None:
             folded = int(np.count_nonzero(cells))
             if hint := doubt_of(read, folded, cells.size):
                 doubt = f"; the field folds in {folded:,} of its {cells.size:,} cells: {hint}"
-        warnings.warn(
-            f"{shown(read.path)}: of {whole:,} {'pixel' if field.ndim == 2 else 'voxel'}s of the inverse, "
-            f"{', '.join(found)}: they hold the nearest that was found; nothing was smoothed or set to zero "
-            f"({argument('status')} shows where){doubt}",
-            FoldWarning,
-            stacklevel=3,
-        )
+        text = f"{shown(read.path)}: of {whole:,} {'pixel' if field.ndim == 2 else 'voxel'}s of the inverse, "
+        text += f"{', '.join(found)}: they hold the nearest that was found; nothing was smoothed or set to zero "
+        text += f"({argument('status')} shows where){doubt}"
+        warnings.warn(text, FoldWarning, stacklevel=3)

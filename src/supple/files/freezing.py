@@ -10,15 +10,15 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from supple import media
 from supple.errors import FreezeWarning, SuppleError, shown
 from supple.files.clips import open_clip
 from supple.media import image, volume
 from supple.media.base import Clip, CountError
+from supple.media.files import PathLike
+from supple.media.medium import opened
 from supple.space.freezing import Freeze
 from supple.space.geometry import check_upright
 
-PathLike = str | os.PathLike[str]
 _COLOURED = 12  # of 255: lossy codecs give grey a little colour
 
 
@@ -47,11 +47,8 @@ def read_freeze(path: PathLike, *, label: int | None = None, width: float | None
     made = Freeze.of(mask, width=width, spacing=spacing, place=place, name=os.fspath(path))
     if made.is_free:
         seen, frozen = ("0", "all but 0") if whole else ("black", "white")
-        warnings.warn(
-            f"nothing is frozen in {shown(path)}: all of it is {seen}, and {frozen} is frozen",
-            FreezeWarning,
-            stacklevel=2,
-        )
+        text = f"nothing is frozen in {shown(path)}: all of it is {seen}, and {frozen} is frozen"
+        warnings.warn(text, FreezeWarning, stacklevel=2)
     return made
 
 
@@ -62,7 +59,7 @@ def read_matte(path: PathLike, *, width: float | None = None) -> Freeze:
     what is white, in pixels, as in `Freeze`. SuppleError if it cannot be read, or has colours.
     """
     name = os.fspath(path)
-    if media.open(path, "x.mp4" if os.path.isdir(path) else "").kind == "clip":
+    if opened(path, "x.mp4" if os.path.isdir(path) else "").kind == "clip":
         with open_clip(path) as clip:
             return Freeze.matte_of(_greys(clip), clip.count, width=width, name=name)
     picture = image.read(path)

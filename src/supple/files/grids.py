@@ -73,7 +73,7 @@ def reference_grid(path: PathLike, ndim: int) -> Grid:
 
 def _stored_grid(path: PathLike, ndim: int) -> Grid:
     """Return the grid of a Zarr store: of a volume in millimetres, of a picture in pixels."""
-    from supple.media.stores import open_image
+    from supple.media.stores.image import open_image
 
     image = open_image(path)
     if len(image.spatial) != ndim:
@@ -88,12 +88,10 @@ def _stored_grid(path: PathLike, ndim: int) -> Grid:
 def warn_of_place(geometry: Geometry, name: str) -> None:
     """Warn of a volume that does not say where it lies, where positions in space count."""
     if geometry.convention == "array":
-        warnings.warn(
+        text = (
             f"{name} does not say where its voxels lie in space: its first one is taken to lie at (0, 0, 0), and its "
-            "axes along those of LPS",
-            VolumeWarning,
-            stacklevel=3,
         )
+        warnings.warn(f"{text}axes along those of LPS", VolumeWarning, stacklevel=3)
 
 
 def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[Placed]) -> Grid | None:
@@ -106,10 +104,8 @@ def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[P
         n = each.map.ndim
         if n != grid.ndim:
             kinds = ("picture", "volume")[:: 1 if n == 2 else -1]
-            raise SuppleError(
-                f"{each.told} is for {kinds[0]}s, with {n} axes, and {name} is a {kinds[1]}: give one of {grid.ndim} "
-                "axes"
-            )
+            text = f"{each.told} is for {kinds[0]}s, with {n} axes, and {name} is a {kinds[1]}: give one of {grid.ndim}"
+            raise SuppleError(f"{text} axes")
     made = grid if options is None else output_grid(options, grid)
     if options is not None and options.reference is not None:
         check_path(reversed(maps), made, shown(options.reference), source=grid, name=name)

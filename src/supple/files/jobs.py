@@ -10,7 +10,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from supple import media
 from supple.arrays import check_device
 from supple.deformation import Arrival, Deformation, Report
 from supple.engine.progress import counted, staged
@@ -20,7 +19,7 @@ from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
 from supple.files.options import ClipOptions, GridOptions, PathLike, VolumeOptions
 from supple.media.files import same_file
-from supple.media.medium import Kind, Medium
+from supple.media.medium import Kind, Medium, opened
 from supple.space.checks import integer, refuse
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import Fit, Recipe
@@ -82,7 +81,7 @@ class Job:
         known, shot = self.volume, self.clip
         moves = self.recipe.moves or any(each.ndim == 3 for each in self.recipe.strokes[:1])
         moves |= shot.hold != 0 or shot.frame is not None or shot.frames is not None
-        return media.open(
+        return opened(
             self.source, self.target, axes=max(axes, default=2), moves=moves, layout=known.layout, series=known.series
         )
 

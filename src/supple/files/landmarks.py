@@ -10,21 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from supple.deformation import Deformation
 from supple.errors import OutsideWarning, SuppleError, ToleranceWarning, VolumeWarning, argument, shown
-from supple.media.files import check_output
+from supple.media.files import PathLike, check_output
 from supple.media.points import FLIP, PointFile, check_target, read_points, write_points
 from supple.media.volume import Volume
 from supple.media.volume import read as read_volume
 from supple.media.volume.dicom import frame_of_reference
 from supple.space.checks import choice
-from supple.space.geometry import Geometry
+from supple.space.geometry import Floats, Geometry
 from supple.strokes import REACH, CoordinateSpace, Stroke
 
-Floats = npt.NDArray[np.float64]
-PathLike = str | os.PathLike[str]
 _Way = Callable[[Floats], Floats]
 
 
@@ -119,9 +116,8 @@ def move_points(
     read = read_points(source, mesh=True, series=series)
     known = convention_of(read, convention, None if geometry is None else geometry.convention)
     if read.points.shape[1] < deformation.ndim:
-        raise SuppleError(
-            f"cannot move {read.name}: it has x and y, and shape {deformation.shape} needs a third column"
-        )
+        text = f"cannot move {read.name}: it has x and y, and shape {deformation.shape} needs a third column"
+        raise SuppleError(text)
     given = read.points[:, : deformation.ndim]
     within, told = _ways(deformation, geometry, known)
     start = within(given)
@@ -138,8 +134,10 @@ def move_points(
     residual = np.linalg.norm((deformation.forward(solved.points) - seen) * steps, axis=1)
     last = np.array(deformation.shape[::-1]) - 0.5
     beyond = np.flatnonzero(((start < -0.5) | (start > last)).any(axis=1))
-    first, lost = _spoken(read, int(beyond[0])) if len(beyond) else "", int(np.count_nonzero(~solved.converged))
+    first, lost = "", int(np.count_nonzero(~solved.converged))
     if len(beyond):
+        k = int(beyond[0])
+        first = f"{shown(read.labels[k]) if read.labels[k] else f'point {k + 1}'} at {_listed(read.points[k])}"
         text = f"{len(beyond)} of {len(made)} points {'lies' if len(beyond) == 1 else 'lie'} outside"
         which = f" ({first}{', for one' if len(beyond) > 1 else ''})"
         warnings.warn(f"{text}{which}: they are moved all the same", OutsideWarning, stacklevel=2)
@@ -156,28 +154,22 @@ def move_points(
 def _ways(deformation: Deformation, geometry: Geometry | None, known: str) -> tuple[_Way, _Way]:
     """Return the map from points of a file to indices of a deformation, and back."""
     if geometry is None or (known == "index" and not geometry.shear):
-        return _same, _same
+        return (lambda p: p), (lambda p: p)
     place = deformation.grid.geometry(geometry.convention) if geometry.shear else geometry
     if known != "index":
         return (lambda p: place.from_world(p, known)), (lambda p: place.to_world(p, known))
     return (lambda p: place.from_lps(geometry.to_lps(p))), (lambda p: geometry.from_lps(place.to_lps(p)))
 
 
-def _same(points: Floats) -> Floats:
-    return points
-
-
 def _series(path: PathLike, source: PathLike) -> Volume:
     """Return the DICOM series that contours are to refer to."""
     if Path(source).suffix.lower() != ".dcm":
-        raise SuppleError(
-            f"{argument('refer_to')} is for structure sets of DICOM, and {shown(source)} is none: leave it out"
-        )
+        text = f"{argument('refer_to')} is for structure sets of DICOM, and {shown(source)} is none: leave it out"
+        raise SuppleError(text)
     found = read_volume(path)
     if found.format != "DICOM":
-        raise SuppleError(
-            f"{argument('refer_to')} must be a series of DICOM, and {found.name} is {found.format}: give its folder"
-        )
+        text = f"{argument('refer_to')} must be a series of DICOM, and {found.name} is {found.format}: give its folder"
+        raise SuppleError(text)
     warn_of_frame(source, found)
     return found
 
@@ -296,19 +288,13 @@ def _space(read: PointFile, asked: str | None, place: str | None, world: bool) -
         read = replace(read, told="world")
     space = convention_of(read, asked, place)
     if world and space == "index":
-        raise SuppleError(
-            f"{read.name} is in voxels, and {argument('world')} is for points in millimetres: leave it out"
-        )
+        text = f"{read.name} is in voxels, and {argument('world')} is for points in millimetres: leave it out"
+        raise SuppleError(text)
     return space
 
 
 def _listed(point: Iterable[float]) -> str:
     return f"({', '.join(f'{x:g}' for x in point)})"
-
-
-def _spoken(read: PointFile, k: int) -> str:
-    name = shown(read.labels[k]) if read.labels[k] else f"point {k + 1}"
-    return f"{name} at {_listed(read.points[k])}"
 
 
 _UNSAID = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,19 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from supple.engine.work import Array
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Field, Map, Placed, own_grid, read_maps, told
 from supple.media import transforms, volume
-from supple.media.files import unwritable
+from supple.media.files import PathLike, unwritable
 from supple.media.medium import picture_grid
 from supple.media.volume import is_volume, suffix_of
 from supple.space.affine import Affine
 from supple.space.geometry import Grid, check_upright
-
-Array = npt.NDArray[Any]
-PathLike = str | os.PathLike[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,6 +146,7 @@ def check_images(ndim: int | None = None, **paths: PathLike | None) -> None:
     The message has the argument's name.
     """
     from supple.media import image
+    from supple.media.image.formats import SUFFIXES_OUT
 
     for name, path in paths.items():
         try:
@@ -157,7 +154,7 @@ def check_images(ndim: int | None = None, **paths: PathLike | None) -> None:
                 continue
             if suffix_of(path) == ".mhd":  # outputs that appear together are one file each
                 raise unwritable(path, "its data would be in a second file", "use .mha")
-            if ndim == 2 or (ndim is None and suffix_of(path) in image.SUFFIXES_OUT):
+            if ndim == 2 or (ndim is None and suffix_of(path) in SUFFIXES_OUT):
                 image.check_target(path)
             else:
                 volume.check_target(path)
@@ -210,11 +207,7 @@ def _facts_of(maps: Sequence[Map]) -> list[dict[str, Any]]:
             made.append({"kind": "affine", "matrix": each.matrix.tolist()})
             continue
         grid, units = each.grid, ("mm", "LPS") if each.ndim == 3 else ("pixels", "the picture")
-        place = {
-            "spacing": list(grid.spacing),
-            "origin": list(grid.origin),
-            "direction": list(map(list, grid.direction)),
-        }
+        place = {name: np.array(getattr(grid, name)).tolist() for name in ("spacing", "origin", "direction")}
         head = {"kind": "field", "interpolation": each.interpolation, "size": list(grid.sizes)}
         made.append({**head, **place, "units": units[0], "space": units[1]})
     return made

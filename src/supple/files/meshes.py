@@ -11,14 +11,13 @@ import numpy as np
 
 from supple.errors import OutsideWarning, SuppleError
 from supple.files.landmarks import convention_of, warn_of_frame
-from supple.media.files import check_suffix
+from supple.media.files import PathLike, check_suffix
 from supple.media.meshes import KINDS
 from supple.media.points import read_points
 from supple.media.volume import Volume
 from supple.render.meshes import Surface
 from supple.space.checks import choice
 
-PathLike = str | os.PathLike[str]
 Colour = tuple[float, float, float]
 
 COLOURS = (
@@ -64,9 +63,8 @@ def read_surfaces(given: Sequence[MeshFile], volume: Volume, convention: str | N
         points = read.points if known == "index" else volume.geometry.from_world(read.points, known)
         parts = read.parts()
         if len(points) and np.abs(points).max() > _FARTHEST:
-            raise SuppleError(
-                f"{read.name} has a vertex {np.abs(points).max():.2g} voxels away: give a whole copy of it"
-            )
+            text = f"{read.name} has a vertex {np.abs(points).max():.2g} voxels away: give a whole copy of it"
+            raise SuppleError(text)
         if ((points < -0.5) | (points > np.array(volume.sizes) - 0.5)).any(axis=1).all():
             text = f"no point of {read.name} lies in {volume.name}"
             warnings.warn(f"{text}: see whether its coordinates are of that volume", OutsideWarning, stacklevel=4)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from supple.errors import SuppleError
+from supple.media.files import PathLike as PathLike
 from supple.space.checks import checked_spacing, integer, items, refuse
 
 if TYPE_CHECKING:
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
     from supple.media.volume import RawLayout
 
-PathLike = str | os.PathLike[str]
 GB = 1e9
 
 
@@ -36,9 +35,9 @@ class ClipOptions:
     rate : float or Fraction, optional
         Frames a second of an image sequence, which has no rate of its own; 24 by default.
     codec, preset, pixel_format : str, optional
-        As in `supple.media.video.writer`.
+        As in `supple.media.video.encode.writer`.
     crf : float, optional
-        As in `supple.media.video.writer`.
+        As in `supple.media.video.encode.writer`.
     memory : float
         The bytes of memory for frames; frames beyond that go to a temporary file.
     frames : tuple of int, optional

@@ -29,9 +29,8 @@ def check(job: Job) -> None:
     check_target(job.target)
     check_quality(job.target, job.quality)
     if job.lossless and _format(job.target) == "JPEG":
-        raise SuppleError(
-            f"cannot write {shown(job.target)} without loss: JPEG always loses: write PNG, TIFF, WebP or AVIF"
-        )
+        text = f"cannot write {shown(job.target)} without loss: JPEG always loses: write PNG, TIFF, WebP or AVIF"
+        raise SuppleError(text)
     check_output(job.target, force=job.force)
 
 

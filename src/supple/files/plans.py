@@ -23,12 +23,11 @@ from supple.files.jobs import Job
 from supple.files.tasks import Runner, Running, runner_of
 from supple.files.volumes import deformation_of, sampling_of
 from supple.media.files import is_store, unreadable
-from supple.media.stores import Samples, StoredImage, like_file, open_image
+from supple.media.stores.image import StoredImage, open_image
+from supple.media.stores.inputs import Samples, like_file
 from supple.media.volume import Volume
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import fit_recipe
-
-PathLike = str | os.PathLike[str]
 
 TASK = 1 << 25
 """Bytes of a block that a task writes, where chunks are smaller."""
@@ -168,10 +167,8 @@ def _axes_of_space(job: Job, found: int) -> int:
     stated = [stroke.ndim for stroke in job.recipe.strokes[:1]] + [each.map.ndim for each in job.maps[:1]]
     n = stated[0] if stated else job.grid.ndim if job.grid is not None else None
     if n is not None and n > found:
-        raise SuppleError(
-            f"{shown(job.source)} is a picture, with {found} axes of space, and strokes, maps or the crop have {n}: "
-            "give points of two numbers, x and y"
-        )
+        text = f"{shown(job.source)} is a picture, with {found} axes of space, and strokes, maps or the crop have {n}"
+        raise SuppleError(f"{text}: give points of two numbers, x and y")
     return n or found
 
 
@@ -183,9 +180,8 @@ def warp_on(source: Source, job: Job) -> Warp:
         outside = "constant" if source.geometry is not None and elsewhere else "edge"
         sampling = replace(sampling, outside=outside, fill=0.0 if known.labels else source.background)
     if known.labels and sampling.filter not in ("auto", "nearest"):
-        raise SuppleError(
-            f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{sampling.filter}"'
-        )
+        text = f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{sampling.filter}"'
+        raise SuppleError(text)
     if known.labels and dtype.kind == "f":
         raise SuppleError(f"{argument('labels')} is for whole numbers, and {source.name} holds {dtype}: leave it out")
     if known.labels:

@@ -12,26 +12,16 @@ from supple.deformation import Deformation
 from supple.engine.progress import counted
 from supple.engine.sampling import Sampling
 from supple.engine.stream import make_plan
-from supple.engine.work import Array, Tell
+from supple.engine.work import Array
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
-from supple.files.clips import (
-    between_frames,
-    counted_anew,
-    deformations_of,
-    frames_of,
-    open_clip,
-    refuse_encoding,
-    refuse_maps,
-    refuse_picture,
-    sampling_of,
-    warn_of_frames,
-    work_on,
-)
+from supple.files import clips
 from supple.files.jobs import Job, refuse_places
 from supple.files.options import ClipOptions, PathLike
 from supple.media.files import check_output
-from supple.plot import WHATS, check_plot, draw_sheet, draw_slice, evenly, plot
+from supple.plot import WHATS, draw_sheet, draw_slice, plot
+from supple.plot.clip import evenly
+from supple.plot.frame import check_plot
 from supple.space.checks import choice, integer
 from supple.strokes import Fit, Recipe, fit_recipe
 
@@ -94,24 +84,66 @@ def plot_file(
     """
     choice("what", what, (*WHATS, "slice", "sheet"))
     options = clip or ClipOptions()
-    refuse_encoding(options, target, "a plot")
+    clips.refuse_encoding(options, target, "a plot")
     if what != "slice" and (x is not None or y is not None):
-        raise SuppleError(
-            f"{argument('x')} and {argument('y')} are for slices, and {what} shows whole frames: leave them out"
-        )
+        text = f"{argument('x')} and {argument('y')} are for slices, and {what} shows whole frames: leave them out"
+        raise SuppleError(text)
     check_output(target, force=force)
     check_plot(target, force=force)
     kind = Job(source, "", recipe).medium.kind
     if kind == "volume":
         raise SuppleError(f"plots are of pictures and videos, and {shown(source)} is a volume: supple render shows it")
     refuse_places(recipe, source)
+
+    def once(count: int | None) -> Deformation:
+        with clips.open_clip(source, rate=options.rate, count=count) as clip:
+            height, width = clip.layout.shape
+            deformations = clips.deformations_of(recipe, clip, options.time_scale, fit, tell)
+            deformation = deformations[0]
+            if count is None:
+                clips.warn_of_frames(clip, deformations)
+            line: tuple[Any, ...] = ()
+            planes: Sequence[int] = ()
+            if what == "slice":
+                if (x is None) == (y is None):
+                    text = f"a slice shows one column or one row over time: give {argument('x')} or {argument('y')}"
+                    raise SuppleError(text)
+                axis, given, most = ("x", x, width) if x is not None else ("y", y, height)
+                at = integer(axis, given, f"from 0 to {most - 1}, as the frame is {width} x {height}", 0, most - 1)
+                line, planes = (slice(None), at) if axis == "x" else (at,), range(clip.count)
+            elif what == "sheet":
+                planes = _seen_best(clip, deformations, options)
+            else:
+                if frame is None:
+                    raise SuppleError(f"{clip.name} is a video: give {argument('frame')}, from 0 to {clip.count - 1}")
+                planes = [integer("frame", frame, f"from 0 to {clip.count - 1}", 0, clip.count - 1)]
+                deformation = deformations[planes[0]] if len(deformations) > 1 else deformation
+            if what not in WHATS and frame is not None:
+                text = f"{argument('frame')} is for the pictures of one frame, and {what} shows many: leave it out"
+                raise SuppleError(text)
+            before = [] if what in WHATS else [rgb[line].copy() for rgb in _shown(clip, planes)]
+        with clips.open_clip(source, rate=options.rate, count=clip.count) as clip:
+            work = clips.work_on(clip, deformations, clips.sampling_of(clip, clips.between_frames(Sampling(), options)))
+            after = []
+            for _, arrays, _ in clips.streamed(clip, work, make_plan(work, planes), options.memory):
+                after.append(clip.to_rgb(arrays)[line].copy())
+                tell("warp", len(after), len(planes))
+            if what == "slice":
+                draw_slice(np.stack(before), np.stack(after), at, target, axis=axis, force=force)
+            elif what == "sheet":
+                sheets = (list(zip(planes, some, strict=True)) for some in (before, after))
+                draw_sheet(next(sheets), next(sheets), target, force=force)
+            else:
+                timed = deformation.ndim == 3
+                plot(deformation, what, target, image=after[0], frame=planes[0] if timed else None, force=force)
+        return deformation
+
     if kind == "clip":
         if maps:
-            refuse_maps(source)
-        refuse_picture(source)
-        asked = (source, target, recipe, what, frame, x, y, options, force, fit)
+            clips.refuse_maps(source)
+        clips.refuse_picture(source)
         with counted(progress) as tell:
-            return counted_anew(source, lambda count: _plot_clip(*asked, tell, count))
+            return clips.counted_anew(source, once)
     timeless = options == ClipOptions(memory=options.memory)
     if what in ("slice", "sheet") or frame is not None or not timeless:
         raise SuppleError(f"{shown(source)} is taken for a picture, which has no time: leave out what is for videos")
@@ -125,71 +157,10 @@ def plot_file(
     return deformation
 
 
-def _plot_clip(
-    source: PathLike,
-    target: PathLike,
-    recipe: Recipe,
-    what: str,
-    frame: int | None,
-    x: int | None,
-    y: int | None,
-    options: ClipOptions,
-    force: bool,
-    fit: Fit | None,
-    tell: Tell,
-    count: int | None = None,
-) -> Deformation:
-    with open_clip(source, rate=options.rate, count=count) as clip:
-        height, width = clip.layout.shape
-        deformations = deformations_of(recipe, clip, options.time_scale, fit, tell)
-        deformation = deformations[0]
-        if count is None:
-            warn_of_frames(clip, deformations)
-        if what == "slice":
-            if (x is None) == (y is None):
-                raise SuppleError(
-                    f"a slice shows one column or one row over time: give {argument('x')} or {argument('y')}"
-                )
-            axis, given, most = ("x", x, width) if x is not None else ("y", y, height)
-            at = integer(axis, given, f"from 0 to {most - 1}, as the frame is {width} x {height}", 0, most - 1)
-            line: tuple[Any, ...] = (slice(None), at) if axis == "x" else (at,)
-            planes: Sequence[int] = range(clip.count)
-        else:
-            line = ()
-            planes = _seen_best(clip, deformations, options) if what == "sheet" else ()
-        if what in WHATS:
-            if frame is None:
-                raise SuppleError(f"{clip.name} is a video: give {argument('frame')}, from 0 to {clip.count - 1}")
-            planes = [integer("frame", frame, f"from 0 to {clip.count - 1}", 0, clip.count - 1)]
-            deformation = deformations[planes[0]] if len(deformations) > 1 else deformation
-        elif frame is not None:
-            raise SuppleError(
-                f"{argument('frame')} is for the pictures of one frame, and {what} shows many: leave it out"
-            )
-        before = [] if what in WHATS else [rgb[line].copy() for rgb in _shown(clip, planes)]
-    with open_clip(source, rate=options.rate, count=clip.count) as clip:
-        sampling = sampling_of(clip, between_frames(Sampling(), options))
-        after = []
-        for z, arrays in frames_of(clip, deformations, sampling, planes, options.memory):
-            after.append(clip.to_rgb(arrays)[line].copy())
-            tell("warp", len(after), len(planes))
-            del z
-        if what == "slice":
-            draw_slice(np.stack(before), np.stack(after), at, target, axis=axis, force=force)
-        elif what == "sheet":
-            draw_sheet(
-                list(zip(planes, before, strict=True)), list(zip(planes, after, strict=True)), target, force=force
-            )
-        else:
-            timed = deformation.ndim == 3
-            plot(deformation, what, target, image=after[0], frame=planes[0] if timed else None, force=force)
-    return deformation
-
-
 def _seen_best(clip: Any, deformations: Sequence[Deformation], options: ClipOptions) -> list[int]:
     """Return the frames of a sheet: evenly spaced over those with visible displacements."""
     sampling = Sampling(tolerance=_SEEN, between=options.between, time_filter=options.time_filter)
-    work = work_on(clip, deformations, sampling_of(clip, sampling))
+    work = clips.work_on(clip, deformations, clips.sampling_of(clip, sampling))
     moving = np.flatnonzero(~make_plan(work, range(clip.count)).still)
     first, last = (int(moving[0]), int(moving[-1])) if moving.size else (0, clip.count - 1)
     return [first + k for k in evenly(last - first + 1, _COLUMNS)]

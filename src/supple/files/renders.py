@@ -6,22 +6,21 @@ import contextlib
 import math
 import os
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.engine.work import Tell
+from supple.engine.work import Array, Tell
 from supple.errors import SuppleError, VolumeWarning, argument, shown
 from supple.fields import Placed
 from supple.files.meshes import MeshFile, read_surfaces
 from supple.files.options import VolumeOptions
 from supple.files.volumes import background_of, deformation_of, is_of_labels, open_volume
 from supple.media import image, turntable
-from supple.media.files import check_output, check_outputs, check_suffix, replacing, replacing_all
+from supple.media.files import PathLike, check_output, check_outputs, check_suffix, replacing, replacing_all
 from supple.media.numbering import has_number, spelling
 from supple.media.volume import Volume
 from supple.render.appearance import cropped, fixed, largest
@@ -36,13 +35,9 @@ from supple.space.checks import choice, integer, number, point
 from supple.space.geometry import check_upright
 from supple.strokes import Fit, Recipe
 
-Array = npt.NDArray[Any]
-PathLike = str | os.PathLike[str]
-
 WHATS = ("picture", "inversions")
 _OF_SCENE = ("density", "clip", "plane", "projection", "silhouettes", "shadows", "step", "shaded", "device")
 _TABLE = ".ctbl"
-_SAVED = (*SUFFIXES, _TABLE)
 _LABEL_INTENT = 1002  # NIFTI_INTENT_LABEL
 _RATE = 24.0  # pictures a second
 LIGHTLESS = (".png", ".tif", ".tiff", ".webp", ".avif")  # formats that hold opacity
@@ -130,14 +125,11 @@ class RenderOptions:
         check_options(self.mode, self.projection, self.device, self.silhouettes, self.shadows)
         choice("what", self.what, WHATS)
         if self.projection != "none" and (self.transfer is not None or self.save_transfer is not None):
-            raise SuppleError(
-                f"a projection ({self.projection}) is grey, between the values of density, and has no transfer "
-                "function: leave it out"
-            )
+            text = f"a projection ({self.projection}) is grey, between the values of density, and has no transfer"
+            raise SuppleError(f"{text} function: leave it out")
         if self.projection != "none" and self.crop is not None:
-            raise SuppleError(
-                f"a projection ({self.projection}) is of all values along a ray: use clip instead of crop"
-            )
+            text = f"a projection ({self.projection}) is of all values along a ray: use clip instead of crop"
+            raise SuppleError(text)
         if self.projection != "none" and not self.shaded:
             raise SuppleError(f"a projection ({self.projection}) has no light: leave unshaded out")
         for name in ("silhouettes", "shadows"):
@@ -210,28 +202,22 @@ def scene_of(
     samples = volume.rescaled()
     if volume.series:
         last = len(samples) - 1
-        samples = samples[
-            integer("time", known.time, f"the number of a volume of {volume.name}, from 0 to {last}", 0, last)
-        ]
+        wanted = f"the number of a volume of {volume.name}, from 0 to {last}"
+        samples = samples[integer("time", known.time, wanted, 0, last)]
     elif known.time:
         raise SuppleError(f"{volume.name} is one volume, and {argument('time')} is for series: leave it out")
     elif volume.is_segmentation and volume.components > 1:
-        raise SuppleError(
-            f"{volume.name} is a segmentation in {volume.components} layers, and a picture is of one label for each "
-            "voxel: let 3D Slicer export it as a label map, or collapse its layers"
-        )
+        text = f"{volume.name} is a segmentation in {volume.components} layers, and a picture is of one label for each"
+        raise SuppleError(f"{text} voxel: let 3D Slicer export it as a label map, or collapse its layers")
     elif samples.ndim > 3 and not are_colours(samples):
         held = f"{samples.shape[3]} components of {samples.dtype}"
-        raise SuppleError(
-            f"{volume.name} has {held}, and pictures are of one value or of colours, RGB or RGBA in uint8, uint16 or "
-            "floats from 0 to 1: take one component out of it"
-        )
+        text = f"{volume.name} has {held}, and pictures are of one value or of colours, RGB or RGBA in uint8, uint16 or"
+        raise SuppleError(f"{text} floats from 0 to 1: take one component out of it")
     aim = known.camera.target
     if aim is not None and not all(-0.5 <= x <= n - 0.5 for x, n in zip(aim, volume.sizes, strict=True)):
         spoken, end = (", ".join(f"{x:g}" for x in given) for given in (aim, (n - 1 for n in volume.sizes)))
-        raise SuppleError(
-            f"{argument('target')} must be a voxel of {volume.name}, from (0, 0, 0) to ({end}), found ({spoken})"
-        )
+        text = f"{argument('target')} must be a voxel of {volume.name}, from (0, 0, 0) to ({end}), found ({spoken})"
+        raise SuppleError(text)
     deformation = None
     if recipe is not None or maps:
         deformation = deformation_of(recipe or Recipe(), volume, world=world, fit=fit, maps=maps)
@@ -257,15 +243,9 @@ def scene_of(
         samples = deformation.warp(samples, filter=mixed, outside="constant", fill=fill)
         meshes = tuple(Surface(deformation.forward(m.points), m.triangles, m.lines, m.colour) for m in meshes)
         deformation = None
-    return Scene(
-        samples,
-        volume.geometry,
-        deformation=deformation,
-        transfer=transfer,
-        meshes=meshes,
-        mode="buffered" if known.mode == "hybrid" else known.mode,
-        **{name: getattr(known, name) for name in _OF_SCENE},
-    )
+    shared = {name: getattr(known, name) for name in _OF_SCENE}
+    shared["mode"] = "buffered" if known.mode == "hybrid" else known.mode
+    return Scene(samples, volume.geometry, deformation=deformation, transfer=transfer, meshes=meshes, **shared)
 
 
 def _check_labels(samples: Array, transfer: LabelColours, name: str) -> None:
@@ -290,9 +270,8 @@ def _saved(scene: Scene, path: PathLike, name: str) -> str:
             raise SuppleError(f"{shown(path)}: the colours of {name} are those of labels: save them as {_TABLE}")
         return transfer.to_ctbl(scene.labels)
     if suffix == _TABLE or isinstance(transfer, LabelColours):
-        raise SuppleError(
-            f"{shown(path)}: {name} is no label map, and {_TABLE} has colours of labels: save .json or .vp"
-        )
+        text = f"{shown(path)}: {name} is no label map, and {_TABLE} has colours of labels: save .json or .vp"
+        raise SuppleError(text)
     used = transfer if scene.density == (-math.inf, math.inf) else transfer.within(scene.density, *scene.range)
     return used.to_vp(*scene.range) if suffix == ".vp" else used.to_json()
 
@@ -343,8 +322,16 @@ def render_file(
     suffix = Path(target).suffix.lower()
     count = known.turntable or 0
     _check_target(target, suffix, known, force)
-    if known.save_transfer is not None:
-        _check_transfer(known.save_transfer, force)
+    if (saved := known.save_transfer) is not None:
+        advice = f"use {', '.join(SUFFIXES)}, or {_TABLE} for labels"
+        check_suffix(saved, Path(saved).suffix, (*SUFFIXES, _TABLE), "is none of a transfer function", advice)
+        check_output(saved, force=force)
+        if os.path.exists(saved):
+            try:
+                transfer_of(os.fspath(saved))
+            except SuppleError:  # a recipe, say
+                told = f"{shown(saved)} is there, and no transfer function"
+                raise SuppleError(f"{told}: it is not replaced; give another name") from None
     given = open_volume(source, reading)
     check_upright(given.geometry, given.name, "a rendering")
     scene = scene_of(given, recipe, known, world=reading.world, fit=fit, maps=maps)
@@ -353,13 +340,10 @@ def render_file(
     if scene.is_empty:
         low, high = scene.range
         if known.crop is not None:
-            raise SuppleError(
-                f"nothing is seen of {given.name}: the box of crop holds no visible value, choose another"
-            )
-        raise SuppleError(
-            f"nothing is seen of {given.name}: its values go from {low:g} to {high:g}, and the transfer function and "
-            "density leave all of them out: choose others"
-        )
+            text = f"nothing is seen of {given.name}: the box of crop holds no visible value, choose another"
+            raise SuppleError(text)
+        text = f"nothing is seen of {given.name}: its values go from {low:g} to {high:g}, and the transfer function and"
+        raise SuppleError(f"{text} density leave all of them out: choose others")
     if isinstance(known.transfer, str) and known.transfer in HOUNSFIELD and scene.range[0] >= 0:
         told = f"{known.transfer} is of Hounsfield units, where air is -1000 and water 0"
         low, high = scene.range
@@ -384,14 +368,13 @@ def render_file(
             yield marked(picture.pixels(behind), turned)
             tell("render", k + 1, count)
 
-    with _saving_transfer(scene, known, given.name, force):
+    with contextlib.ExitStack() as stack:
+        if known.save_transfer is not None:  # it appears with the pictures
+            place = stack.enter_context(replacing(known.save_transfer, force=force))
+            place.write_text(_saved(scene, known.save_transfer, given.name), encoding="utf-8")
         if not count:
-            picture = scene.render(
-                camera,
-                known.size,
-                supersampling=known.supersampling,
-                tell=lambda rows: tell("render", rows, known.size[0]),
-            )
+            advance: Callable[[int], None] = lambda rows: tell("render", rows, known.size[0])  # noqa: E731
+            picture = scene.render(camera, known.size, supersampling=known.supersampling, tell=advance)
             _warn_of_view(picture, known, given.name)
             if known.what == "inversions":
                 from supple.plot.draw import draw_inversions
@@ -423,30 +406,6 @@ def _warn_of_view(picture: Rendering, known: RenderOptions, name: str) -> None:
         warnings.warn(f"the camera stands within what is visible of {name}: {told}", VolumeWarning, stacklevel=4)
 
 
-@contextlib.contextmanager
-def _saving_transfer(scene: Scene, known: RenderOptions, name: str, force: bool) -> Iterator[None]:
-    """Write the transfer function that is used; it appears once the block, which writes pictures, is done."""
-    if known.save_transfer is None:
-        yield
-        return
-    with replacing(known.save_transfer, force=force) as place:
-        place.write_text(_saved(scene, known.save_transfer, name), encoding="utf-8")
-        yield
-
-
-def _check_transfer(path: PathLike, force: bool) -> None:
-    """Raise SuppleError for a name that no transfer function is written under, or of something else."""
-    advice = f"use {', '.join(SUFFIXES)}, or {_TABLE} for labels"
-    check_suffix(path, Path(path).suffix, _SAVED, "is none of a transfer function", advice)
-    check_output(path, force=force)
-    if os.path.exists(path):
-        try:
-            transfer_of(os.fspath(path))
-        except SuppleError:  # a recipe, say
-            told = f"{shown(path)} is there, and no transfer function"
-            raise SuppleError(f"{told}: it is not replaced; give another name") from None
-
-
 def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bool) -> None:
     name, many = shown(target), known.turntable is not None
     if known.annotate:
@@ -458,16 +417,13 @@ def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bo
         check_output(target, force=force)
         return
     if many and not has_number(target):
-        raise SuppleError(
-            f"a turntable is many pictures, and {name} is one: name a video ({', '.join(turntable.SUFFIXES)}) "
-            "or a pattern, such as turn-%03d.png"
-        )
+        text = f"a turntable is many pictures, and {name} is one: name a video ({', '.join(turntable.SUFFIXES)})"
+        raise SuppleError(f"{text} or a pattern, such as turn-%03d.png")
     if many and known.rate is not None:
         raise SuppleError(f"rate is that of a video, and {name} names pictures: leave it out")
     if not many and has_number(target):
-        raise SuppleError(
-            f"{name} names many pictures: give {argument('turntable')} with their number, or a name without one"
-        )
+        text = f"{name} names many pictures: give {argument('turntable')} with their number, or a name without one"
+        raise SuppleError(text)
     if not many and suffix in turntable.SUFFIXES:
         raise SuppleError(f"{name} is a video: give {argument('turntable')} with the number of its pictures")
     if known.what == "inversions":

@@ -9,8 +9,8 @@ import json
 import math
 import os
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,25 +26,18 @@ from supple.files import plans
 from supple.files.jobs import Job, job_of
 from supple.files.options import VolumeOptions
 from supple.files.plans import Source, open_source, plan_boxes, task_shape, warp_on, whole_chunks
-from supple.files.tasks import Runner, Running, check_seen, check_shared, runner_of
+from supple.files.tasks import Runner, Running, advancing, check_seen, check_shared, runner_of
 from supple.files.transforms import SavedField, begin_field, check_field, is_scene, write_field, write_transform
 from supple.files.volumes import least_of, warn_of_labels
-from supple.media.files import ROOTS, check_store, is_store, replacing, unwritable
-from supple.media.stores import (
-    LABELS,
-    Level,
-    Place,
-    StoredImage,
-    Target,
-    create,
-    holding,
-)
+from supple.media.files import ROOTS, PathLike, check_store, is_store, replacing, unwritable
+from supple.media.stores.image import LABELS, Level, StoredImage
 from supple.media.stores.levels import Mode
+from supple.media.stores.places import Place
+from supple.media.stores.target import Target, create, holding
 from supple.media.transforms.ngff import Placement
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import Recipe
 
-PathLike = str | os.PathLike[str]
 Numbers = tuple[float, ...]
 
 _SIDE = 64  # voxels of the part that is looked at for labels
@@ -91,15 +84,6 @@ class Work:
     carried: int  # the number of axes that are carried along
     target: Target
     warp: Warp
-
-
-@dataclass(slots=True)
-class _Counts:
-    blocks: int = 0
-    done: int = 0
-    copied: int = 0
-    read: int = 0
-    copied_bytes: int = 0
 
 
 def warp_store(
@@ -192,12 +176,18 @@ def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
     if mapping is not None:
         output.finish(mapping.target)
     elif known.save_field is not None:
-        saved = _save_file(known.save_field, made, opened, certificate.error, output, force)
+        geometry, tolerance = opened.geometry, made.sampling.tolerance
+        assert geometry is not None
+        lies = geometry if made.grid is None else made.grid.geometry(geometry.convention)
+        with replacing(known.save_field, force=force) as place:  # it appears together with the output
+            write_transform(place, made.deformation, lies, tolerance=tolerance, force=True, grid=made.grid, warn=False)
+            output.finish()
+        saved = SavedField(os.fspath(known.save_field), tolerance, certificate.error)
     else:
         output.finish()
     return WarpedStore(
         os.fspath(source), os.fspath(target), made.deformation, opened.geometry, made.sampling.tolerance,
-        certificate.error, tuple(output.arrays[0].shape), len(output.arrays), labels, **asdict(counts), grid=made.grid,
+        certificate.error, tuple(output.arrays[0].shape), len(output.arrays), labels, **counts, grid=made.grid,
         folded=certificate.folded, outside=certificate.outside, unsolved=certificate.unknown, field=saved,
         background=None if job.outside is not None or made.sampling.outside == "edge" else
         0.0 if known.labels else opened.background,
@@ -239,30 +229,14 @@ def _warn_of_labels(source: Source, warp: Warp) -> None:
     warn_of_labels(some.reshape(some.shape[-n:]), source.name, known=image.is_labels)
 
 
-def _save_file(address: PathLike, warp: Warp, source: Source, error: float, output: Target, force: bool) -> SavedField:
-    """Write the field of a volume as a file, which appears together with the output."""
-    geometry, grid = source.geometry, warp.grid
-    assert geometry is not None
-    if grid is not None:
-        geometry = grid.geometry(geometry.convention)
-    tolerance = warp.sampling.tolerance
-    with replacing(address, force=force) as place:
-        write_transform(place, warp.deformation, geometry, tolerance=tolerance, force=True, grid=grid, warn=False)
-        output.finish()
-    return SavedField(os.fspath(address), tolerance, error)
-
-
 def _located(source: Source, grid: Grid | None, target: PathLike) -> tuple[Numbers, Numbers]:
     """Return the scale and the translation of the output, of all axes; SuppleError for a grid that is turned."""
     level, axes, own = source.image.levels[0], list(source.image.spatial), source.grid
     if grid is None:
         return level.scale, level.translation
     if not np.allclose(grid.direction, own.direction, atol=1e-6):
-        raise unwritable(
-            target,
-            "the axes of its grid are turned against those of the input, which scales and translations cannot say",
-            "give a reference whose axes are parallel to them, or resample it first",
-        )
+        what = "the axes of its grid are turned against those of the input, which scales and translations cannot say"
+        raise unwritable(target, what, "give a reference whose axes are parallel to them, or resample it first")
     if grid.uncropped().is_same_space(own):
         first, steps = np.array(grid.first, float), np.ones(grid.ndim)
     else:
@@ -320,7 +294,7 @@ def _changed(image: StoredImage, folder: Path | None) -> list[int]:
 
 def _write_blocks(
     work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed], *, warn: bool
-) -> tuple[_Counts, Certificate]:
+) -> tuple[dict[str, int], Certificate]:
     """Write the finest level; return what was done, and the certificate of the map.
 
     Blocks that are there already are planned again, so that the certificate is of all of it, but not written.
@@ -331,8 +305,9 @@ def _write_blocks(
     chunks = chunks_of(task, shape)
     leads = list(boxes_of(chunks[:carried]))
     boxes_total = math.prod(map(len, chunks[carried:]))
-    counts, certificate = _Counts(len(leads) * boxes_total), Certificate(0.0, 0.0)
-    planned, advance = 0, _advancing(tell, "warp", counts.blocks)
+    certificate, total = Certificate(0.0, 0.0), len(leads) * boxes_total
+    counts = {"blocks": total, "done": 0, "copied": 0, "read": 0, "copied_bytes": 0}
+    planned, advance = 0, advancing(tell, "warp", total)
     for boxes in plans.portions(chunks[carried:]):
         blocks, found = plan_boxes(work.warp, boxes, runner)
         certificate |= found
@@ -343,17 +318,9 @@ def _write_blocks(
         items = itertools.product(leads, blocks)
         while some := list(itertools.islice(items, _AT_ONCE)):
             for way, count in runner.each(_write_block, work, some, advance):
-                counts.done += way == "done"
-                counts.copied += way == "copied"
-                counts.copied_bytes += count if way == "copied" else 0
-                counts.read += count if way == "read" else 0
+                counts[way] += count if way == "read" else 1
+                counts["copied_bytes"] += count if way == "copied" else 0
     return counts, certificate
-
-
-def _advancing(tell: Tell, step: str, total: int) -> Callable[[], None]:
-    ready = itertools.count(1)
-    tell(step, 0, total)
-    return lambda: tell(step, next(ready), total)
 
 
 def _write_block(work: Work, item: tuple[Box, Block]) -> tuple[Literal["done", "copied", "read"], int]:
@@ -389,7 +356,7 @@ def _write_levels(work: Work, runner: Runner, tell: Tell, mode: Mode) -> None:
         task = task_shape(target.blocks[level], shape, work.samples.dtype.itemsize, work.carried, runner.slots, limit)
         levels.append([(level, box, mode) for box in boxes_of(chunks_of(task, shape))])
     if levels:
-        advance = _advancing(tell, "reduce", sum(map(len, levels)))
+        advance = advancing(tell, "reduce", sum(map(len, levels)))
         for items in levels:
             runner.each(_reduce_block, work, items, advance)
 

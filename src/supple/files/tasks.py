@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import logging
 import os
 import pickle
@@ -13,9 +14,10 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from supple._core import threads
+from supple.engine.work import Tell
 from supple.errors import SuppleError, need, said, shown
 from supple.space.checks import refuse
 
@@ -62,19 +64,38 @@ class Running:
         return self.workers is not None or self.scheduler is not None
 
 
-class Runner(Protocol):
-    """What does tasks."""
+class Runner:
+    """What does tasks: threads of this process."""
 
     @property
     def slots(self) -> int:
         """The number of tasks that run at a time."""
-        ...
+        return threads()
 
     def each(
         self, function: Callable[[Job, Item], Result], job: Job, items: Sequence[Item], advance: Advance
     ) -> list[Result]:
         """Compute a function of the job and of each item; ``advance`` is called whenever one is done."""
-        ...
+        import dask.threaded
+        from dask.callbacks import Callback
+
+        # without arguments, since Dask would look for its own tasks in them
+        graph = {("supple", k): (functools.partial(function, job, item),) for k, item in enumerate(items)}
+        if not graph:
+            return []
+        pool = ThreadPoolExecutor(self.slots)
+        try:
+            with Callback(posttask=lambda *rest: advance()):  # type: ignore[no-untyped-call]
+                return list(dask.threaded.get(graph, list(graph), pool=pool))
+        finally:
+            pool.shutdown(cancel_futures=True)  # after an error, no task goes on writing
+
+
+def advancing(tell: Tell, step: str, total: int) -> Advance:
+    """Return a function that tells of one more of some tasks of a step, of which none is done yet."""
+    ready = itertools.count(1)
+    tell(step, 0, total)
+    return lambda: tell(step, next(ready), total)
 
 
 @contextlib.contextmanager
@@ -82,7 +103,7 @@ def runner_of(running: Running) -> Iterator[Runner]:
     """Return what does the tasks of a job; SuppleError if Dask is not installed, or the scheduler does not answer."""
     need("zarr", "outputs that are written block by block", "dask")
     if not running.elsewhere:
-        yield _Threads()
+        yield Runner()
         return
     need("zarr", "workers", "distributed")
     with contextlib.ExitStack() as stack:
@@ -108,32 +129,7 @@ def _quiet() -> Iterator[None]:
             one.setLevel(level)
 
 
-class _Threads:
-    """Threads of this process."""
-
-    @property
-    def slots(self) -> int:
-        return threads()
-
-    def each(
-        self, function: Callable[[Job, Item], Result], job: Job, items: Sequence[Item], advance: Advance
-    ) -> list[Result]:
-        import dask.threaded
-        from dask.callbacks import Callback
-
-        # without arguments, since Dask would look for its own tasks in them
-        graph = {("supple", k): (functools.partial(function, job, item),) for k, item in enumerate(items)}
-        if not graph:
-            return []
-        pool = ThreadPoolExecutor(self.slots)
-        try:
-            with Callback(posttask=lambda *rest: advance()):  # type: ignore[no-untyped-call]
-                return list(dask.threaded.get(graph, list(graph), pool=pool))
-        finally:
-            pool.shutdown(cancel_futures=True)  # after an error, no task goes on writing
-
-
-class _Distributed:
+class _Distributed(Runner):
     """Workers of a cluster."""
 
     def __init__(self, client: Any, told: str) -> None:
@@ -178,15 +174,11 @@ class _Distributed:
         except SuppleError:
             raise
         except _distributed().KilledWorker as error:
-            raise SuppleError(
-                f"{self._told} ended again and again at the same block, as they do when their memory is full: give "
-                "fewer workers, or workers with more memory; the same command goes on"
-            ) from error
+            text = f"{self._told} ended again and again at the same block, as they do when their memory is full: give"
+            raise SuppleError(f"{text} fewer workers, or workers with more memory; the same command goes on") from error
         except (ImportError, AttributeError) as error:
-            raise SuppleError(
-                f"{self._told} cannot do this ({said(error)}): install the same versions of Supple and of its "
-                "packages there"
-            ) from error
+            text = f"{self._told} cannot do this ({said(error)}): install the same versions of Supple and of its"
+            raise SuppleError(f"{text} packages there") from error
         except (CancelledError, Cancelled) as error:
             raise self._lost("their scheduler ended") from error
         except OSError as error:
@@ -216,16 +208,17 @@ def _processes(count: int) -> Iterator[Runner]:
                 f"{count} processes do not start ({said(error)}): give fewer workers; and in a script, call this "
                 'under if __name__ == "__main__":, since they import it'
             ) from error
+    with _closing(cluster), _closing(distributed.Client(cluster, timeout=_PATIENCE)) as client:
+        yield _Distributed(client, "the processes that work")
+
+
+@contextlib.contextmanager
+def _closing(opened: Any) -> Iterator[Any]:
     try:
-        client = distributed.Client(cluster, timeout=_PATIENCE)
-        try:
-            yield _Distributed(client, "the processes that work")
-        finally:
-            with contextlib.suppress(Exception):
-                client.close(timeout=_PATIENCE)
+        yield opened
     finally:
         with contextlib.suppress(Exception):
-            cluster.close(timeout=_PATIENCE)
+            opened.close(timeout=_PATIENCE)
 
 
 @contextlib.contextmanager
@@ -252,17 +245,12 @@ def _cluster(address: str) -> Iterator[Runner]:
     try:
         client = _distributed().Client(address, timeout=_PATIENCE)
     except (OSError, ValueError, TypeError, ImportError) as error:
-        raise SuppleError(
-            f"the scheduler {address} does not answer ({said(error)}): check the address, as tcp://HOST:8786, and "
-            "that it runs"
-        ) from error
-    try:
+        text = f"the scheduler {address} does not answer ({said(error)}): check the address, as tcp://HOST:8786, and"
+        raise SuppleError(f"{text} that it runs") from error
+    with _closing(client):
         if not client.nthreads():
             raise SuppleError(f"the scheduler {address} has no workers: start some (dask worker {address})")
         yield _Distributed(client, f"the workers of {address}")
-    finally:
-        with contextlib.suppress(Exception):
-            client.close(timeout=_PATIENCE)
 
 
 def check_shared(addresses: Sequence[str | os.PathLike[str]]) -> None:
@@ -278,10 +266,8 @@ def check_shared(addresses: Sequence[str | os.PathLike[str]]) -> None:
 def check_seen(name: str, folder: Path | None) -> None:
     """Raise SuppleError on a worker that does not see a folder, to Zarr a store of fill values, or a file."""
     if folder is not None and not folder.exists():
-        raise SuppleError(
-            f"{shown(name)} is gone, or a worker does not see it: give addresses that all workers reach, and start "
-            "them where these are"
-        )
+        text = f"{shown(name)} is gone, or a worker does not see it: give addresses that all workers reach, and start"
+        raise SuppleError(f"{text} them where these are")
 
 
 def _distributed() -> Any:

@@ -13,10 +13,9 @@ from supple.errors import SuppleError, TrackWarning, argument, caller, numbered,
 from supple.files.clips import open_clip
 from supple.files.options import GB
 from supple.files.tracking import track
+from supple.media.files import PathLike
 from supple.media.tracks import Convention, read_tracks
 from supple.strokes import Recipe, Stroke
-
-PathLike = str | os.PathLike[str]
 
 
 def follow_tracks(

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -24,16 +23,15 @@ from supple.engine.sampling import Certificate, warn_of
 from supple.engine.work import Space, Tell
 from supple.errors import SuppleError, shown
 from supple.fields import Placed, folds_of, only_name
-from supple.files.tasks import Runner, check_seen
-from supple.media.files import check_output, is_store
-from supple.media.stores import StoredImage, Target, check_free, create_arrays, overlap
+from supple.files.tasks import Runner, advancing, check_seen
+from supple.media.files import PathLike, check_output, is_store
+from supple.media.stores.image import StoredImage
+from supple.media.stores.places import overlap
+from supple.media.stores.target import Target, check_free, create_arrays
 from supple.media.transforms import check_target, ngff
 from supple.media.transforms import write_field as write_displacements
 from supple.space.checks import number
-from supple.space.geometry import Geometry, Grid
-
-PathLike = str | os.PathLike[str]
-Floats = npt.NDArray[np.float64]
+from supple.space.geometry import Floats, Geometry, Grid
 
 MOST = 1 << 27
 """The bytes of a field that are held in memory: it is larger than its volume."""
@@ -215,9 +213,8 @@ def check_field(address: PathLike, others: Sequence[PathLike], *, flat: bool, fo
     if is_scene(address):
         return
     if flat:
-        raise SuppleError(
-            f"the field of a picture is written as OME-Zarr, which {shown(address)} is not: name it .zarr"
-        )
+        text = f"the field of a picture is written as OME-Zarr, which {shown(address)} is not: name it .zarr"
+        raise SuppleError(text)
     check_target(address)
     check_output(address, force=force)
 
@@ -251,15 +248,7 @@ def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) 
     target, tolerance = work.target, work.warp.sampling.tolerance
     sizes = [chunks_of(block, array.shape) for block, array in zip(target.blocks, target.arrays, strict=True)]
     counts = [math.prod(map(len, each)) for each in sizes]
-    blocks, ready = sum(counts), 0
-    total = sum(-(-count // _TOGETHER) for count in counts)
-
-    def advance() -> None:
-        nonlocal ready
-        ready += 1
-        tell("field", ready, total)
-
-    tell("field", 0, total)
+    advance = advancing(tell, "field", sum(-(-count // _TOGETHER) for count in counts))
     items = itertools.chain.from_iterable(_batches(way, each) for way, each in enumerate(sizes))
     certificates, stored, done = [Certificate(0.0, 0.0)] * 2, 0, 0
     while some := list(itertools.islice(items, _AT_ONCE)):
@@ -274,7 +263,7 @@ def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) 
     target.note(
         {**{way: _told(one, tolerance) for way, one in zip(_WAYS, certificates, strict=True)}, "chunks": stored}
     )
-    return SavedField(target.address, tolerance, _error(pull), _error(push), blocks, stored, done)
+    return SavedField(target.address, tolerance, _error(pull), _error(push), sum(counts), stored, done)
 
 
 def _batches(way: int, sizes: Sequence[Sequence[int]]) -> Iterator[tuple[int, list[Box]]]:

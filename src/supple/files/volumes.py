@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from supple.arrays import check_device, clamp_to, warp_array
 from supple.deformation import Deformation
 from supple.engine.memory import beside, machine_memory
 from supple.engine.sampling import Certificate, Sampling, warn_of
-from supple.engine.work import Space, Tell, work_of
+from supple.engine.work import Array, Space, Tell, work_of
 from supple.errors import GapWarning, SuppleError, VolumeWarning, argument, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.grids import grid_on, warn_of_place
@@ -30,19 +29,10 @@ from supple.files.transforms import write_transform
 from supple.folding.resolved import warn_of_still
 from supple.media import transforms
 from supple.media.files import check_output, is_store, replacing
-from supple.media.volume import (
-    Volume,
-    check_target,
-    derived,
-    read,
-    suffix_of,
-    write,
-)
+from supple.media.volume import Volume, check_target, derived, read, suffix_of, write
 from supple.media.volume.dicom import padding_of
 from supple.space.geometry import Floats, Geometry, Grid
 from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke, fit_recipe
-
-Array = npt.NDArray[Any]
 
 # The test for label maps: the number of slices, and the fraction of equal neighbours beside the background.
 _LOOKED_AT, _AREAS, _MOST_LABELS, _FEW = 16, 0.7, 1024, 8
@@ -55,16 +45,15 @@ def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volum
     known = options or VolumeOptions()
     volume = read(source, raw=known.layout, series=known.series)
     if known.series is not None and volume.format != "DICOM":
-        raise SuppleError(
-            f"{volume.name} is {volume.format}, and {argument('series')} is for DICOM folders: leave it out"
-        )
+        text = f"{volume.name} is {volume.format}, and {argument('series')} is for DICOM folders: leave it out"
+        raise SuppleError(text)
     return volume
 
 
 def place_of(path: PathLike, options: VolumeOptions | None = None) -> str | None:
     """Return the convention of what points of three numbers are for: of a volume, as in `Geometry`; None of a clip."""
     if is_store(path):
-        from supple.media.stores import open_image
+        from supple.media.stores.image import open_image
 
         image = open_image(path)
         return None if len(image.spatial) < 3 else "LPS" if image.placed else "array"
@@ -90,12 +79,9 @@ def deformation_of(
     located = in_space(recipe, volume.geometry, volume.name, world)
     if located.space in ("LPS", "RAS") and located.border == "auto" and located.size not in (None, volume.sizes):
         made_for = " x ".join(map(str, located.size or ()))
-        warnings.warn(
-            f"the recipe is of a volume of {made_for} voxels, and its border, a tenth of each axis, is elsewhere in "
-            f"{volume.name}: the map is another one; the field of the first volume is the same",
-            VolumeWarning,
-            stacklevel=4,
-        )
+        text = f"the recipe is of a volume of {made_for} voxels, and its border, a tenth of each axis, is elsewhere in "
+        text += f"{volume.name}: the map is another one; the field of the first volume is the same"
+        warnings.warn(text, VolumeWarning, stacklevel=4)
     known = fit_recipe(located, volume.sizes, fit, volume.name)
     if maps:
         warn_of_place(volume.geometry, volume.name)
@@ -120,9 +106,8 @@ def warn_of_lengths(recipe: Recipe, grid: Grid, name: str, unit: str) -> None:
             told = f"{stroke.radius / min(grid.spacing):.2g} times the distance between samples of {name}"
         else:
             continue
-        warnings.warn(
-            f"the radius {stroke.radius:g} {unit} is {told}: lengths are in {unit}", VolumeWarning, stacklevel=4
-        )
+        text = f"the radius {stroke.radius:g} {unit} is {told}: lengths are in {unit}"
+        warnings.warn(text, VolumeWarning, stacklevel=4)
         return
 
 
@@ -135,18 +120,14 @@ def in_space(recipe: Recipe, geometry: Geometry, name: str, world: bool) -> Reci
         return recipe
     convention = geometry.convention
     if recipe.space == "pixels":
-        raise SuppleError(
-            f"{argument('world')} is for points in millimetres, and the recipe is in pixels: leave it out"
-        )
+        text = f"{argument('world')} is for points in millimetres, and the recipe is in pixels: leave it out"
+        raise SuppleError(text)
     if convention == "array":
-        raise SuppleError(
-            f"{name} does not know where it lies in space: leave {argument('world')} out, and give indices"
-        )
+        text = f"{name} does not know where it lies in space: leave {argument('world')} out, and give indices"
+        raise SuppleError(text)
     if recipe.is_world and recipe.space != convention:
-        raise SuppleError(
-            f"the recipe is in {recipe.space} millimetres, and {argument('world')} means {convention}, as {name} has "
-            "them: leave it out"
-        )
+        text = f"the recipe is in {recipe.space} millimetres, and {argument('world')} means {convention}, as {name} has"
+        raise SuppleError(f"{text} them: leave it out")
     return replace(recipe, space=convention)  # type: ignore[arg-type]
 
 
@@ -155,10 +136,8 @@ def indexed(recipe: Recipe, geometry: Geometry, name: str) -> Recipe:
     if not recipe.is_world:
         return recipe
     if geometry.convention == "array":
-        raise SuppleError(
-            f"the recipe is in {recipe.space} millimetres, and {name} does not know where it lies in space: "
-            "give a recipe in pixels"
-        )
+        text = f"the recipe is in {recipe.space} millimetres, and {name} does not know where it lies in space"
+        raise SuppleError(f"{text}: give a recipe in pixels")
     there = partial(geometry.from_world, convention=recipe.space)
     return replace(recipe, strokes=tuple(_mapped(each, there, geometry) for each in recipe.strokes), space="pixels")
 
@@ -218,17 +197,15 @@ def warp(job: Job, tell: Tell) -> Warped:
     name = "nearest" if known.labels and job.sampling.filter == "auto" else job.sampling.filter
     sampling = sampling_of(replace(job.sampling, filter=name))
     if known.labels and name != "nearest":
-        raise SuppleError(
-            f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{name}"'
-        )
+        text = f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{name}"'
+        raise SuppleError(text)
     tell("read", 0, 1)
     volume = open_volume(source, known)
     if grid is None:
         check_target(target, volume, force=job.force)
     if known.labels and (broken := _first_fraction(volume.samples)) is not None:
-        raise SuppleError(
-            f"{argument('labels')} is for whole numbers, and {volume.name} holds {broken:g}: leave it out"
-        )
+        text = f"{argument('labels')} is for whole numbers, and {volume.name} holds {broken:g}: leave it out"
+        raise SuppleError(text)
     as_read = volume
     if not (suffix_of(target).startswith(".nii") or suffix_of(target) in derived.SUFFIXES):  # others hold no scaling
         volume = replace(volume, samples=volume.rescaled(), scaling=(1.0, 0.0))
@@ -325,12 +302,11 @@ def _warn_of_gaps(volume: Volume, filter: str) -> None:
         return
     gaps = sum(int(np.count_nonzero(~np.isfinite(slab))) for slab in volume.samples)
     if gaps:
-        warnings.warn(
+        text = (
             f"{gaps} voxels of {volume.name} are NaN or infinite, and so is each voxel that is interpolated from them: "
-            'filter "nearest" keeps them as they are, and "linear" spreads them least',
-            GapWarning,
-            stacklevel=4,
         )
+        text += 'filter "nearest" keeps them as they are, and "linear" spreads them least'
+        warnings.warn(text, GapWarning, stacklevel=4)
 
 
 def _first_fraction(samples: Array) -> float | None:
@@ -372,11 +348,8 @@ def warn_of_labels(some: Array, name: str, *, known: bool = False) -> None:
     if not (known or _is_of_labels(some)):
         return
     told = "is a label map" if known else f"looks like a label map, of {len(np.unique(some))} values"
-    warnings.warn(
-        f"{name} {told}, and its labels are mixed where they meet: {argument('labels', True)} keeps them",
-        VolumeWarning,
-        stacklevel=4,
-    )
+    text = f"{name} {told}, and its labels are mixed where they meet: {argument('labels', True)} keeps them"
+    warnings.warn(text, VolumeWarning, stacklevel=4)
 
 
 def _is_of_labels(some: Array) -> bool:
@@ -402,7 +375,9 @@ def _written(volume: Volume, like: Volume, job: Job, space: Space, sampling: Sam
     source, target, force = job.source, job.target, job.force
     series = volume.samples if volume.series else volume.samples[None]
     count, certificate = len(series), Certificate(0.0, 0.0)
-    if space.is_identity and os.path.isfile(source) and _alone(source, target):
+    suffix = suffix_of(source)  # of one file; a DICOM file that is written is a derived one, with its own UIDs
+    alone = suffix and suffix == suffix_of(target) and suffix not in (".mhd", ".nhdr", ".hdr", ".img", ".dcm")
+    if space.is_identity and os.path.isfile(source) and alone:
         tell("write", 0, 1)
         with replacing(target, force=force) as place:
             shutil.copyfile(source, place)
@@ -449,9 +424,3 @@ def _copy_sidecar(source: PathLike, target: PathLike) -> None:
             place.write_text(text, encoding="utf-8")
     except SuppleError as error:  # the volume itself is there
         warnings.warn(str(error), VolumeWarning, stacklevel=4)
-
-
-def _alone(source: PathLike, target: PathLike) -> bool:
-    """Return whether the job is to copy one file; a DICOM file that is written is a derived one, with its own UIDs."""
-    suffix = suffix_of(source)
-    return bool(suffix) and suffix == suffix_of(target) and suffix not in (".mhd", ".nhdr", ".hdr", ".img", ".dcm")

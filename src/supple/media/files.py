@@ -20,15 +20,9 @@ ROOTS = ("zarr.json", ".zgroup", ".zarray")
 """Files of which a Zarr store has one."""
 _NEW = os.O_CREAT | os.O_EXCL | os.O_WRONLY
 _SPARE = 65_536  # bytes: with less, a disk counts as full
-_NO_ROOM = "make room or choose another place"
-_NO_RIGHT = "choose a place where writing is allowed"
 _ADVICE = {
-    errno.ENOSPC: _NO_ROOM,
-    errno.EFBIG: _NO_ROOM,
-    errno.EDQUOT: _NO_ROOM,
-    errno.EACCES: _NO_RIGHT,
-    errno.EPERM: _NO_RIGHT,
-    errno.EROFS: _NO_RIGHT,
+    **dict.fromkeys((errno.ENOSPC, errno.EFBIG, errno.EDQUOT), "make room or choose another place"),
+    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), "choose a place where writing is allowed"),
     errno.ENAMETOOLONG: "choose a shorter name",
 }
 
@@ -39,7 +33,7 @@ def unreadable(path: PathLike, reason: str, advice: str = "give a whole copy of 
 
 
 @contextlib.contextmanager
-def refusing(refused: Callable[[Exception], SuppleError], *kinds: type[Exception]) -> Iterator[None]:
+def refusing(refused: Callable[[Exception], Exception], *kinds: type[Exception]) -> Iterator[None]:
     """Raise in place of errors of these kinds what ``refused`` makes of them; SuppleErrors stay as they are."""
     try:
         yield
@@ -70,6 +64,15 @@ def head_of(
     if not head:
         raise unreadable(path, "it is empty", empty)
     return head
+
+
+def first_bytes(path: PathLike, count: int) -> bytes:
+    """Return the first bytes of a file; none of one that cannot be read."""
+    try:
+        with open(path, "rb") as file:
+            return file.read(count)
+    except (OSError, ValueError):
+        return b""
 
 
 def unwritable(path: PathLike, reason: str, advice: str) -> SuppleError:
@@ -309,7 +312,8 @@ def replacing_together(paths: Sequence[PathLike], *, force: bool = False) -> Ite
     early, by an interrupt too, all are removed. SuppleErrors that name these are raised with the names of the files.
     Others are as in `check_output`, and for two paths of one file.
     """
-    targets = [_check_place(path, force) for path in paths]
+    checks = (check_store if Path(path).suffix.lower() == ".zarr" else check_output for path in paths)
+    targets = [check(path, force=force) for check, path in zip(checks, paths, strict=True)]
     for i, target in enumerate(targets):
         if target in targets[:i]:
             raise SuppleError(f"{shown(paths[i])} is to be written twice: give each output a name of its own")
@@ -336,10 +340,6 @@ def replacing_together(paths: Sequence[PathLike], *, force: bool = False) -> Ite
     finally:
         for folder in folders:
             shutil.rmtree(folder, ignore_errors=True)
-
-
-def _check_place(path: PathLike, force: bool) -> Path:
-    return (check_store if Path(path).suffix.lower() == ".zarr" else check_output)(path, force=force)
 
 
 def publish_all(moves: Iterable[tuple[Path, Path, PathLike, Path]], force: bool) -> None:

@@ -121,7 +121,8 @@ def _is_clip(path: PathLike, target: PathLike, goal: str, timed: bool) -> bool:
     if suffix in CLIPS or goal in VIDEOS_OUT or (has_number(path) and not os.path.isfile(path)):
         return True
     if os.path.isdir(path):
-        return timed and not _holds_videos_alone(path)
+        suffixes = _suffixes_in(path)
+        return timed and not (bool(suffixes & CLIPS) and not suffixes & PICTURES)  # videos alone
     if timed and suffix in (".png", ".apng") and os.path.isfile(path):
         return is_animated(path)
     if suffix not in _MAY_MOVE:
@@ -134,9 +135,10 @@ def is_animated(path: PathLike) -> bool:
     """Return whether an image has several frames; False for unreadable files."""
     if not os.path.isfile(path):
         return False
-    from supple.media import sequence
+    from supple.media.image.vips import pages_of
 
-    return sequence.is_animated(path)
+    form, count = pages_of(path)
+    return form in ("GIF", "PNG", "WebP") and count > 1
 
 
 def picture_grid(path: PathLike) -> Grid:
@@ -145,11 +147,6 @@ def picture_grid(path: PathLike) -> Grid:
 
     facts = info(path)
     return Grid((int(str(facts["height"])), int(str(facts["width"]))))
-
-
-def _holds_videos_alone(folder: PathLike) -> bool:
-    suffixes = _suffixes_in(folder)
-    return bool(suffixes & CLIPS) and not suffixes & PICTURES
 
 
 def holds_volumes(path: PathLike) -> bool:

@@ -89,10 +89,8 @@ def numbered(text: str) -> tuple[list[Path], int]:
         missing = numbers[0] + place
         if number != missing:
             name = shown(Path(text).parent / spell(missing))
-            raise SuppleError(
-                f"{name} is missing between {shown(paths[0])} and {shown(paths[-1])}: "
-                "add it, or give a folder that holds the frames alone"
-            )
+            text = f"{name} is missing between {shown(paths[0])} and {shown(paths[-1])}"
+            raise SuppleError(f"{text}: add it, or give a folder that holds the frames alone")
     return paths, numbers[0]
 
 

@@ -19,8 +19,7 @@ from supple.media.meshes import Ints, Mesh, Part
 from supple.media.tables import Table, parsed
 from supple.media.volume import Volume
 from supple.space.checks import LARGEST, value_shown
-
-Floats = npt.NDArray[np.float64]
+from supple.space.geometry import Floats
 
 KINDS = {".csv": "CSV", ".tsv": "CSV", ".txt": "CSV", ".fcsv": "fcsv", ".json": "JSON"}
 _FORMATS = {**KINDS, **meshes.KINDS}
@@ -148,17 +147,14 @@ def write_points(
         raise SuppleError(f"cannot write {shown(path)}: points must be {wanted}, as in {like.name}")
     if isinstance(like._as_read, Mesh):
         data = like._as_read.rewritten(made, like.normals if normals is None else normals)
+    elif isinstance(like._as_read, Table):
+        known = like.kind == "CSV" and residual is not None
+        notes = [f"{r:.3g}" for r in np.asarray(residual, np.float64)] if known else None
+        data = like._as_read.written(made, like.points, notes).encode("utf-8", "surrogateescape")
     else:
-        data = _written(like, made, residual).encode("utf-8", "surrogateescape")
+        data = _to_json(like._as_read, made, like.points, like.name).encode("utf-8", "surrogateescape")
     with replacing(path, force=force) as temporary:
         temporary.write_bytes(data)
-
-
-def _written(like: PointFile, made: Floats, residual: npt.ArrayLike | None) -> str:
-    if not isinstance(like._as_read, Table):
-        return _to_json(like._as_read, made, like.points, like.name)
-    notes = None if residual is None or like.kind != "CSV" else [f"{r:.3g}" for r in np.asarray(residual, np.float64)]
-    return like._as_read.written(made, like.points, notes)
 
 
 def _kind(verb: str, path: PathLike, *, mesh: bool = True) -> str:

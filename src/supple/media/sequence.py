@@ -24,43 +24,19 @@ from supple.media import image as pictures
 from supple.media.base import Clip, ClipWarning
 from supple.media.files import PathLike, check_outputs, replacing_all
 from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture, exr
-from supple.media.image.exr import Exr
-from supple.media.image.formats import DTYPES, divided, is_exr
+from supple.media.image.formats import DTYPES, SUFFIXES_OUT, divided, is_exr
 from supple.media.image.headers import collected, extra_of, facts
 from supple.media.image.vips import apart, decoded, opened, reading, sequential, widen
-from supple.media.numbering import (
-    first_number,
-    has_number,
-    matching,
-    numbered,
-    percent,
-    pictures_in,
-    spelling,
-)
-
-SUFFIXES, SUFFIXES_OUT = pictures.SUFFIXES, pictures.SUFFIXES_OUT
+from supple.media.numbering import first_number, has_number, matching, numbered, percent, pictures_in, spelling
 
 _WHITE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 
 
 @dataclass(frozen=True, slots=True)
 class _Still:
-    """A frame that is read in `copy_to`, so that only one is in memory."""
+    """A frame that is read when it is copied, so that only one is in memory."""
 
-    path: Path
-    layout: Layout
-
-    def copy_to(self, arrays: Sequence[Array]) -> None:
-        image, form = opened(self.path)
-        _require(self.path, _layout(self.path, image), self.layout, "the first picture")
-        _, orientation, bits = facts(image)
-        with reading(self.path):
-            pixels = apart(lambda: decoded(image, orientation), image)
-        if extra_of(image) == (1,) and self.layout.groups[0].alpha:
-            pixels = divided(pixels)
-        np.copyto(arrays[0], pixels.reshape(arrays[0].shape))
-        if form in ("AVIF", "HEIF") and 8 < bits < 16:
-            widen(arrays[0], bits)
+    copy_to: Callable[[Sequence[Array]], None]
 
 
 class Pictures:
@@ -71,10 +47,12 @@ class Pictures:
     first: int | None  # the number of the first image, if the names are numbered
     rate: Fraction  # frames a second, given by the caller
     starts: Sequence[int] = ()  # start times of the frames, and the end, in milliseconds; empty for a constant rate
-    rotation, mirrored, fields = 0.0, False, ""
+    rotation, mirrored = 0.0, False  # for display: degrees counterclockwise, after frames are mirrored left to right
+    fields = ""  # the field of interlaced frames that is shown first
     plays: int | None = None  # how often it plays, as in `supple.media.video.source.VideoSource`
-    unpictured: tuple[str, ...] = ()
+    unpictured: tuple[str, ...] = ()  # streams that have no place in images of its frames: sound, subtitles
     extra: tuple[int, ...] = ()  # the meanings of the channels above the colours, as in `Picture`
+    # the part of frames in which points count: x and y of its first pixel, width and height; None for all
     display: tuple[int, int, int, int] | None = None
 
     def __init__(self, name: str, paths: list[Path], rate: Fraction, first: int | None) -> None:
@@ -101,7 +79,19 @@ class Pictures:
     def frames(self) -> Iterator[Frame]:
         """Yield the frames in order; each is read when it is copied."""
         for path in self.paths:
-            yield _Still(path, self.layout)
+            yield _Still(partial(self._read, path))
+
+    def _read(self, path: Path, arrays: Sequence[Array]) -> None:
+        image, form = opened(path)
+        _require(path, _layout(path, image), self.layout, "the first picture")
+        _, orientation, bits = facts(image)
+        with reading(path):
+            pixels = apart(lambda: decoded(image, orientation), image)
+        if extra_of(image) == (1,) and self.layout.groups[0].alpha:
+            pixels = divided(pixels)
+        np.copyto(arrays[0], pixels.reshape(arrays[0].shape))
+        if form in ("AVIF", "HEIF") and 8 < bits < 16:
+            widen(arrays[0], bits)
 
     def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> Array:
         """Return a frame as RGB of 8 bits, or of 16 if ``deep``: shape (H, W, 3), without opacity.
@@ -151,21 +141,6 @@ class Pictures:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class _LayeredStill:
-    """An OpenEXR that is read in `copy_to`, over the box of all frames."""
-
-    path: Path
-    like: Exr
-
-    def copy_to(self, arrays: Sequence[Array]) -> None:
-        held = exr.read(self.path, self.like.box)
-        if held.groups != self.like.groups:
-            raise SuppleError(f"{shown(self.path)} has channels of other types than the first picture: make them alike")
-        for array, samples in zip(arrays, held.arrays, strict=True):
-            np.copyto(array, samples)
-
-
 class Layered(Pictures):
     """OpenEXR files as the frames of a clip, with all channels, over the box around the windows of all frames."""
 
@@ -188,25 +163,17 @@ class Layered(Pictures):
             self.display = -x, -y, width, height
         pictures.warn_of_exact(held)
 
-    def frames(self) -> Iterator[Frame]:
-        """Yield the frames in order; each is read when it is copied."""
-        for path in self.paths:
-            yield _LayeredStill(path, self._like)
+    def _read(self, path: Path, arrays: Sequence[Array]) -> None:
+        held = exr.read(path, self._like.box)
+        if held.groups != self._like.groups:
+            raise SuppleError(f"{shown(path)} has channels of other types than the first picture: make them alike")
+        for array, samples in zip(arrays, held.arrays, strict=True):
+            np.copyto(array, samples)
 
     def layered(self, arrays: Sequence[Array], k: int) -> Picture:
         """Return frame ``k`` with other samples, and the header of its file."""
         head, like = self._heads[k], self._like
         return pictures.of_layers(replace(head, box=like.box, groups=like.groups, arrays=tuple(arrays)))
-
-
-@dataclass(frozen=True, slots=True)
-class _Page:
-    """A decoded frame of an animation."""
-
-    samples: Array
-
-    def copy_to(self, arrays: Sequence[Array]) -> None:
-        np.copyto(arrays[0], self.samples)
 
 
 class Animation(Pictures):
@@ -236,7 +203,8 @@ class Animation(Pictures):
             region = pyvips.Region.new(tall)
             for k in range(self.count):
                 data = apart(partial(region.fetch, 0, k * height, width, height), tall)
-                yield _Page(np.frombuffer(data, np.uint8).reshape(shape))
+                samples = np.frombuffer(data, np.uint8).reshape(shape)
+                yield _Still(lambda arrays, samples=samples: np.copyto(arrays[0], samples))  # type: ignore[misc]
 
     def picture(self, k: int) -> tuple[Picture, list[str]]:
         """Return the image of frame ``k`` without its pixels; the profile is the file's."""
@@ -245,15 +213,6 @@ class Animation(Pictures):
         group = self.layout.groups[0]
         empty = np.empty((0, group.shape[1], group.channels), self.layout.dtype)
         return Picture(empty, group.alpha, icc, 8, form, image.interpretation), []
-
-
-def is_animated(path: PathLike) -> bool:
-    """Return whether an image has several frames; False for unreadable files."""
-    try:
-        image, form = opened(path)
-    except SuppleError:
-        return False
-    return form in ("GIF", "PNG", "WebP") and facts(image)[0] > 1
 
 
 @contextlib.contextmanager
@@ -299,9 +258,8 @@ def _rate(rate: float | Fraction) -> Fraction:
     except (TypeError, ValueError, OverflowError):
         known = Fraction(0)
     if not Fraction(1, 10_000) <= known <= 100_000:
-        raise SuppleError(
-            f"{argument('rate')} must be a number of frames a second from 0.0001 to 100000, found {rate!r}"
-        )
+        text = f"{argument('rate')} must be a number of frames a second from 0.0001 to 100000, found {rate!r}"
+        raise SuppleError(text)
     ntsc = Fraction(round(known * 1001 / 1000) * 1000, 1001)
     if known > 1 and known.denominator > 2 and abs(known - ntsc) < Fraction(1, 200):
         return ntsc
@@ -360,8 +318,10 @@ class PictureSink:
         """Write frame ``k``: arrays in the clip's layout."""
         name = self._names(k)
         like = None
-        if still and self._is_copied(name, k):
-            shutil.copyfile(self._clip.paths[k], self._temporary / name)  # type: ignore[attr-defined]
+        clip, suffix = self._clip, Path(name).suffix.lower()
+        known = isinstance(clip, Pictures) and not isinstance(clip, Animation) and not any(self._options.values())
+        if still and known and suffix == clip.paths[k].suffix.lower():  # type: ignore[attr-defined]
+            shutil.copyfile(clip.paths[k], self._temporary / name)  # type: ignore[attr-defined]
             self.copied += 1
             return
         if isinstance(self._clip, Layered):
@@ -373,7 +333,13 @@ class PictureSink:
                 text = f"{shown(self._clip.paths[k])}: {' and '.join(lost)} cannot be carried over"
                 self._say(MetadataWarning, text, text.partition(": ")[2])
         else:
-            pixels = self._as_rgb(arrays)
+            layout = clip.layout
+            pixels = clip.to_rgb(arrays, deep=layout.dtype.itemsize > 1)
+            if layout.groups[0].alpha:
+                white = np.iinfo(pixels.dtype).max
+                opacity = np.rint(arrays[0][..., -1:] * (white / layout.white)).astype(pixels.dtype)
+                pixels = np.concatenate([pixels, opacity], axis=2)
+            pixels = clip.upright(pixels)
         temporary, final = shown(self._temporary / name), shown(self._folder / name)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
@@ -386,23 +352,6 @@ class PictureSink:
         for warning in caught:
             text = str(warning.message).replace(temporary, final)
             self._say(warning.category, text, text.replace(final, ""))
-
-    def _is_copied(self, name: str, k: int) -> bool:
-        """Return whether the file of an unchanged frame is what would be written: of the same format, as it is."""
-        clip = self._clip
-        if not isinstance(clip, Pictures) or isinstance(clip, Animation) or any(self._options.values()):
-            return False
-        return Path(name).suffix.lower() == clip.paths[k].suffix.lower()
-
-    def _as_rgb(self, arrays: Sequence[Array]) -> Array:
-        """Return a video's frame, upright, in RGB or RGBA."""
-        layout = self._clip.layout
-        pixels = self._clip.to_rgb(arrays, deep=layout.dtype.itemsize > 1)
-        if layout.groups[0].alpha:
-            white = np.iinfo(pixels.dtype).max
-            opacity = np.rint(arrays[0][..., -1:] * (white / layout.white)).astype(pixels.dtype)
-            pixels = np.concatenate([pixels, opacity], axis=2)
-        return self._clip.upright(pixels)
 
     def _say(self, category: type[Warning], text: str, kind: str) -> None:
         """Warn of each kind of loss once, not for every frame."""
@@ -449,7 +398,10 @@ def writer(
         warnings.warn(text, ClipWarning, stacklevel=3)
     with replacing_all(folder, force=force) as temporary:
         yield PictureSink(clip, folder, temporary, name, options)
-        left = len(set(_others(folder, text)) - set(listed))
+        there: list[Path] = []
+        with contextlib.suppress(OSError, SuppleError):
+            there = matching(text)[0] if has_number(text) else pictures_in(folder)
+        left = len({path.name for path in there} - set(listed))
         if left and only is None:
             text = f"{shown(folder)} also holds {left} other pictures, which are left as they were"
             warnings.warn(text, ImageWarning, stacklevel=3)
@@ -477,12 +429,3 @@ def _mirrored(clip: Clip, first: int) -> Callable[[int], str]:
         if taken.setdefault(name, path) != path:
             raise SuppleError(f"{shown(taken[name])} and {shown(path)} would both become {shown(name)}: rename one")
     return names.__getitem__
-
-
-def _others(folder: Path, text: str) -> list[str]:
-    """Return other images in the folder of a written sequence."""
-    with contextlib.suppress(OSError, SuppleError):
-        if has_number(text):
-            return [path.name for path in matching(text)[0]]
-        return [path.name for path in pictures_in(folder)]
-    return []

@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from supple.errors import SuppleError
-from supple.media.files import PathLike, head_of, is_zarr
+from supple.media.files import PathLike, first_bytes, is_zarr
 
 CLIPS = frozenset(
     {".3gp", ".asf", ".avi", ".flv", ".h264", ".h265", ".hevc", ".ivf", ".m2ts", ".m2v", ".m4v", ".mj2", ".mkv"}
@@ -44,10 +43,7 @@ def is_volume(path: PathLike) -> bool:
 
         return is_zarr(path) or dicom.in_folder(path)
     if suffix == ".hdr":
-        try:
-            return not head_of(path, 2).startswith(b"#?")
-        except SuppleError:
-            return True
+        return first_bytes(path, 2) != b"#?"
     if suffix in VOLUMES or (suffix and not suffix[1:].isdigit()):
         return suffix in VOLUMES
     from supple.media.volume import dicom

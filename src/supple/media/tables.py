@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 import numpy as np
-import numpy.typing as npt
 
 from supple.errors import SuppleError
 from supple.space.checks import LARGEST, value_shown
-
-Floats = npt.NDArray[np.float64]
+from supple.space.geometry import Floats
 
 _MARK = "\ufeff"  # which Excel puts before UTF-8
 _SYSTEMS = {"0": "RAS", "RAS": "RAS", "1": "LPS", "LPS": "LPS", "2": "index", "IJK": "index"}
@@ -77,7 +75,7 @@ def parsed(name: str, text: str, *, fcsv: bool) -> tuple[Table, Floats, str, tup
     comments = [k for k, (_, line, _) in enumerate(lines[: data[0] if data else None]) if _is_comment(line)]
     if not data:
         _refuse(name, None, "it holds no points", "give one in each line, x first")
-    delimiter = "," if fcsv else _delimiter(lines[data[0]][1])
+    delimiter = "," if fcsv else max(",;\t", key=re.sub(r'"[^"]*"', "", lines[data[0]][1]).count)
     records = [_Record(number, split(line, delimiter), end) for number, line, end in lines]
     told = "said" if fcsv else ""
     stated = "RAS" if fcsv else "index"  # the defaults of Slicer, and of a table
@@ -147,11 +145,6 @@ def _lines(name: str, text: str) -> list[tuple[int, str, str]]:
     if held:
         raise SuppleError(f"cannot read {name}: line {begun}: a quote is not closed: close it")
     return made
-
-
-def _delimiter(line: str) -> str:
-    outside = re.sub(r'"[^"]*"', "", line)
-    return max(",;\t", key=outside.count)
 
 
 def _number(cell: str) -> float | None:
@@ -226,11 +219,8 @@ def _places(name: str, record: _Record, known: list[str], axes: list[str]) -> tu
 
 
 def _labels(table: Table, fcsv: bool) -> tuple[str, ...]:
-    names = (
-        []
-        if table.header is None
-        else [bare(cell.lstrip(" \t#")).lower() for cell in table.records[table.header].cells]
-    )
+    head = [] if table.header is None else table.records[table.header].cells
+    names = [bare(cell.lstrip(" \t#")).lower() for cell in head]
     column = next((names.index(known) for known in ("label", "name", "id") if known in names), 11 if fcsv else None)
     cells = [table.records[row].cells for row in table.rows]
     return tuple(bare(row[column]) if column is not None and column < len(row) else "" for row in cells)

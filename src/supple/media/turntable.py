@@ -38,10 +38,8 @@ def check_turntable(path: PathLike, size: tuple[int, int], rate: float) -> None:
     suffix, (height, width) = Path(path).suffix.lower(), size
     if _USED[suffix] == "libx264" and (height % 2 or width % 2):
         even = f"{width + width % 2}x{height + height % 2}"
-        raise SuppleError(
-            f"{argument('size')} must be even along both sides for H.264 ({suffix}), found {width}x{height}: give "
-            f"{even}, or write .webm or .gif"
-        )
+        text = f"{argument('size')} must be even along both sides for H.264 ({suffix}), found {width}x{height}: give"
+        raise SuppleError(f"{text} {even}, or write .webm or .gif")
     if suffix == ".gif" and rate > _FASTEST:
         raise SuppleError(f"{argument('rate')} must be at most {_FASTEST} pictures a second for a GIF, found {rate:g}")
 
@@ -59,13 +57,13 @@ def write_turntable(
     The file appears whole or not at all. SuppleError if it cannot be written with that size or rate.
     """
     need("video", "videos", "av")
-    from supple.media import video
+    from supple.media.video.encode import writer
 
     check_output(path, force=force)
     check_turntable(path, size, rate)
     encoder = ENCODERS.get(_USED[Path(path).suffix.lower()], Encoder("gif", "gif"))
     how = {"crf": encoder.drawn, "pixel_format": "yuv420p"} if encoder.drawn else {}
     drawn = _Drawn(shown(path), size, Fraction(rate).limit_denominator(1001))
-    with video.writer(drawn, path, force=force, **how) as sink:  # type: ignore[arg-type]
+    with writer(drawn, path, force=force, **how) as sink:  # type: ignore[arg-type]
         for k, picture in enumerate(pictures):
             sink.write([picture], k)

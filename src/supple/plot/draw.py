@@ -9,24 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.deformation import Deformation
+from supple.plot import frame as sheets
 from supple.plot import measure
-from supple.plot.frame import (
-    Background,
-    Extend,
-    arrows,
-    background,
-    bar,
-    check_plot,
-    edges,
-    map_axes,
-    panels,
-    save,
-    sheet,
-    show,
-    title,
-    under,
-)
 from supple.space.checks import choice
+from supple.space.geometry import Floats
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,8 +23,6 @@ if TYPE_CHECKING:
 WHATS = ("iterations", "residual", "stretch", "axes", "grid")
 
 _BLUE = "#33628d"
-
-Floats = npt.NDArray[np.float64]
 
 
 def plot(
@@ -68,8 +52,8 @@ def plot(
     SuppleError
         If it cannot be plotted, or not be written there.
     """
-    check_plot(path, force=force)
-    save(figure(deformation, what, image=image, frame=frame), path, force=force)
+    sheets.check_plot(path, force=force)
+    sheets.save(figure(deformation, what, image=image, frame=frame), path, force=force)
 
 
 def figure(
@@ -102,15 +86,11 @@ def figure(
     """
     choice("what", what, WHATS)
     measure.require_plane(deformation, frame)
-    below = background(deformation, image) if image is not None else None
-    if what == "iterations":
-        return _iterations(deformation, frame)
-    if what == "residual":
-        return _residual(deformation, frame)
-    if what == "stretch":
-        return _stretch(deformation, frame, below)
-    if what == "axes":
-        return _axes(deformation, frame, below)
+    below = sheets.background(deformation, image) if image is not None else None
+    if what in ("iterations", "residual"):
+        return (_iterations if what == "iterations" else _residual)(deformation, frame)
+    if what in ("stretch", "axes"):
+        return (_stretch if what == "stretch" else _axes)(deformation, frame, below)
     return _grid(deformation, below) if frame is None else _time_grid(deformation, frame, below)
 
 
@@ -120,7 +100,7 @@ def _iterations(deformation: Deformation, frame: int | None) -> Figure:
 
     found = measure.iterations(deformation, frame)
     px = _unit(deformation)
-    made, parts = panels(deformation, 2, 2)
+    made, parts = sheets.panels(deformation, 2, 2)
     most = max(int(found.published.max()), int(found.ours.max()), 1)
     norm = Normalize(0, most)
     left = f"\n{found.unconverged} pixels not within 0.1 {px}" if found.unconverged else ""
@@ -144,12 +124,12 @@ def _iterations(deformation: Deformation, frame: int | None) -> Figure:
         kind = "worst distance to the true source" if k == 0 else "worst residual"
         text = f"mean {counts.mean():.1f}, most {counts.max()}\n{kind}: {error.max():.2g} {px}{note}"
         bars.text(0.98, 0.97, text, transform=bars.transAxes, ha="right", va="top", fontsize=9)
-        drawn = show(shown_map, counts.astype(np.float64), found.every, norm, "viridis")
-        map_axes(shown_map, deformation, "At each output pixel")
-        arrows(shown_map, deformation)
-        bar(made, drawn, shown_map, unit)
+        drawn = sheets.show(shown_map, counts.astype(np.float64), found.every, norm, "viridis")
+        sheets.map_axes(shown_map, deformation, "At each output pixel")
+        sheets.arrows(shown_map, deformation)
+        sheets.bar(made, drawn, shown_map, unit)
     text = f"Work to invert every pixel by itself (the lattice needs {found.lattice:.2g} evaluations a pixel)"
-    title(made, text + _of(frame))
+    sheets.title(made, text + _of(frame))
     return made
 
 
@@ -158,62 +138,64 @@ def _residual(deformation: Deformation, frame: int | None) -> Figure:
 
     found = measure.residual(deformation, frame)
     px = _unit(deformation)
-    made, parts = panels(deformation, 1, 2)
+    made, parts = sheets.panels(deformation, 1, 2)
     worst = max(float(found.distance.max()), float(found.residual.max()))
     high = 2 * max(worst, found.tolerance, found.bound)
     norm = LogNorm(high * 1e-5, high, clip=True)
     names = ("|T(p) − q| in output pixels", "|p − T⁻¹(q)| in input pixels")
     for axes, values, name in zip(parts, (found.residual, found.distance), names, strict=True):
-        drawn = show(axes, values, found.every, norm, "magma")
-        map_axes(axes, deformation, f"{name}: at most {values.max():.2g}")
-    scale = bar(made, drawn, parts, f"{px}\n(line: tolerance; dotted: certified bound)")
+        drawn = sheets.show(axes, values, found.every, norm, "magma")
+        sheets.map_axes(axes, deformation, f"{name}: at most {values.max():.2g}")
+    scale = sheets.bar(made, drawn, parts, f"{px}\n(line: tolerance; dotted: certified bound)")
     for value, style, colour in ((found.tolerance, "-", "#00a5a5"), (found.bound, ":", "black")):
         if value > 0:
             scale.axhline(value, color=colour, linestyle=style, linewidth=2)
     text = f"Error of the inverse map: certified at most {found.bound:.3g} {px}, tolerance {found.tolerance:g}"
-    title(made, text + (f"; of {found.unconverged} pixels it is not known" if found.unconverged else "") + _of(frame))
+    sheets.title(
+        made, text + (f"; of {found.unconverged} pixels it is not known" if found.unconverged else "") + _of(frame)
+    )
     return made
 
 
-def _stretch(deformation: Deformation, frame: int | None, below: Background) -> Figure:
+def _stretch(deformation: Deformation, frame: int | None, below: sheets.Background) -> Figure:
     from matplotlib.colors import TwoSlopeNorm
 
     found = measure.stretch(deformation, frame)
     every = measure.spacing_of(deformation.shape[-2:])
-    made, parts = panels(deformation, 1, len(found))
+    made, parts = sheets.panels(deformation, 1, len(found))
     low, high = min(values.min() for values in found), max(values.max() for values in found)
     # The largest contraction is as dark as the largest expansion.
     reach = max(1 - low, high - 1, 0.05)
     norm = TwoSlopeNorm(1.0, 1 - reach, 1 + reach) if reach <= 1 else TwoSlopeNorm(1.0, min(low, 0), max(high, 2))
     for axes, values, name in zip(parts, found, ("Vertical", "Horizontal", "In time"), strict=False):
-        under(axes, deformation, below)
-        drawn = show(axes, values, every, norm, "RdBu_r", 0.72 if below is not None else None)
-        map_axes(axes, deformation, f"{name}: {values.min():z.2f} to {values.max():z.2f}")
-        arrows(axes, deformation)
-    bar(made, drawn, parts, "contracted  ←  1  →  expanded")
-    title(made, f"Stretch of the {'picture' if frame is None else 'video'}{_of(frame)}")
+        sheets.under(axes, deformation, below)
+        drawn = sheets.show(axes, values, every, norm, "RdBu_r", 0.72 if below is not None else None)
+        sheets.map_axes(axes, deformation, f"{name}: {values.min():z.2f} to {values.max():z.2f}")
+        sheets.arrows(axes, deformation)
+    sheets.bar(made, drawn, parts, "contracted  ←  1  →  expanded")
+    sheets.title(made, f"Stretch of the {'picture' if frame is None else 'video'}{_of(frame)}")
     return made
 
 
-def _axes(deformation: Deformation, frame: int | None, below: Background) -> Figure:
+def _axes(deformation: Deformation, frame: int | None, below: sheets.Background) -> Figure:
     from matplotlib.collections import LineCollection
     from matplotlib.colors import Normalize
 
     found = measure.footprints(deformation, frame)
-    made, parts = panels(deformation, 1, 2)
+    made, parts = sheets.panels(deformation, 1, 2)
     levels = [np.maximum(np.log2(values), 0.0) for values in (found.major, found.minor)]
     # Close to a fixed border, a few pixels may contract far more than all others.
     high = max(1.0, float(np.percentile(levels[0], 99.5)))
     names = ("Major axis, log₂ σ₁, and its direction", "Minor axis, log₂ σ₂")
     for axes, level, name in zip(parts, levels, names, strict=True):
-        under(axes, deformation, below)
+        sheets.under(axes, deformation, below)
         alpha = None if below is None else 0.9 * np.sqrt(np.minimum(level / high, 1.0))
-        drawn = show(axes, level, found.every, Normalize(0, high), "YlGnBu", alpha)
-        map_axes(axes, deformation, f"{name}: at most {level.max():.2f}")
+        drawn = sheets.show(axes, level, found.every, Normalize(0, high), "YlGnBu", alpha)
+        sheets.map_axes(axes, deformation, f"{name}: at most {level.max():.2f}")
     parts[0].add_collection(LineCollection(_needles(found), colors="black", linewidths=0.9, capstyle="round"))
-    cut: Extend = "max" if float(levels[0].max()) > high else "neither"
-    bar(made, drawn, parts, "log₂ of the source pixels that an output pixel spans", cut)
-    title(made, f"Where the picture shrinks: levels of a pyramid (0 where it does not){_of(frame)}")
+    cut: sheets.Extend = "max" if float(levels[0].max()) > high else "neither"
+    sheets.bar(made, drawn, parts, "log₂ of the source pixels that an output pixel spans", cut)
+    sheets.title(made, f"Where the picture shrinks: levels of a pyramid (0 where it does not){_of(frame)}")
     return made
 
 
@@ -227,14 +209,14 @@ def _needles(found: measure.Footprints) -> list[Floats]:
     return list(np.stack([centre - half, centre + half], axis=1)[shrink > 0.005] * found.every)
 
 
-def _grid(deformation: Deformation, below: Background) -> Figure:
+def _grid(deformation: Deformation, below: sheets.Background) -> Figure:
     from matplotlib.collections import LineCollection
     from matplotlib.patheffects import withStroke
 
-    made, (axes,) = panels(deformation, 1, 1)
+    made, (axes,) = sheets.panels(deformation, 1, 1)
     lines = measure.grid(deformation)
     if below is not None:
-        axes.imshow(below, extent=edges(deformation))
+        axes.imshow(below, extent=sheets.edges(deformation))
         bent = LineCollection(lines, colors="white", linewidths=0.8, alpha=0.9)
         bent.set_path_effects([withStroke(linewidth=1.8, foreground=(0, 0, 0, 0.45))])
     else:
@@ -242,30 +224,30 @@ def _grid(deformation: Deformation, below: Background) -> Figure:
         axes.add_collection(LineCollection([x[[0, -1]] for x in still], colors="#d9d9d9", linewidths=0.6))
         bent = LineCollection(lines, colors=_BLUE, linewidths=0.9)
     axes.add_collection(bent)
-    map_axes(axes, deformation, "Straight lines of the input, as the output shows them")
-    arrows(axes, deformation, "black" if below is None else "#d55e00")
+    sheets.map_axes(axes, deformation, "Straight lines of the input, as the output shows them")
+    sheets.arrows(axes, deformation, "black" if below is None else "#d55e00")
     return made
 
 
-def _time_grid(deformation: Deformation, frame: int, below: Background) -> Figure:
+def _time_grid(deformation: Deformation, frame: int, below: sheets.Background) -> Figure:
     from matplotlib.colors import TwoSlopeNorm
 
     every, points = measure.sources(deformation, frame)
-    made, (axes,) = panels(deformation, 1, 1, beside=1.4)
-    under(axes, deformation, below)
+    made, (axes,) = sheets.panels(deformation, 1, 1, beside=1.4)
+    sheets.under(axes, deformation, below)
     ahead = points[..., 2] - frame
     reach = max(float(np.abs(ahead).max()), 1e-3)
     norm = TwoSlopeNorm(0.0, -reach, reach)
-    drawn = show(axes, ahead, every, norm, "PuOr_r", None if below is None else 0.55)
+    drawn = sheets.show(axes, ahead, every, norm, "PuOr_r", None if below is None else 0.55)
     if min(ahead.shape) > 1:
         x, y = (np.arange(n) * float(every) for n in reversed(ahead.shape))
         inside = 1e-6  # the edges' own lines
         for c, places in enumerate(measure.ticks(deformation, 24)):
             places = np.clip(places, places[0] + inside, places[-1] - inside)
             axes.contour(x, y, points[..., c], np.unique(places), colors="black", linewidths=0.7)
-    map_axes(axes, deformation, f"Frame {frame} of the output: straight lines of the input")
-    arrows(axes, deformation)
-    bar(made, drawn, axes, f"frame of the input − {frame}")
+    sheets.map_axes(axes, deformation, f"Frame {frame} of the output: straight lines of the input")
+    sheets.arrows(axes, deformation)
+    sheets.bar(made, drawn, axes, f"frame of the input − {frame}")
     return made
 
 
@@ -284,10 +266,10 @@ def draw_inversions(
 
     SuppleError if it cannot be written to that PNG, SVG or PDF file.
     """
-    check_plot(path, force=force)
+    sheets.check_plot(path, force=force)
     height, width = counts.shape
     tall = min(max(height / width, 0.35), 1.6) * 6.0
-    made, (axes,) = sheet(7.4, tall + 0.9, 1, 1)
+    made, (axes,) = sheets.sheet(7.4, tall + 0.9, 1, 1)
     seen = counts[counts > 0]
     # The few rays along a surface take far more than the others, and would darken all of them.
     most = float(np.percentile(seen, 99.5)) if seen.size else 1.0
@@ -298,9 +280,6 @@ def draw_inversions(
     axes.tick_params(labelsize=8)
     mean = float(seen.mean()) if seen.size else 0.0
     axes.set_title(f"{mean:.1f} on average where there are any, {int(counts.max())} at most", fontsize=10, loc="left")
-    bar(made, drawn, axes, f"{what} along the ray", "max" if counts.max() > most else "neither")
-    title(made, f"{what.capitalize()} along each ray")
-    save(made, path, force=force)
-
-
-__all__ = ["draw_inversions"]
+    sheets.bar(made, drawn, axes, f"{what} along the ray", "max" if counts.max() > most else "neither")
+    sheets.title(made, f"{what.capitalize()} along each ray")
+    sheets.save(made, path, force=force)

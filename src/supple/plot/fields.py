@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from supple.fields import Field, sampled
 from supple.fields.checks import FieldReport
-from supple.plot.frame import Extend, bar, check_plot, save, sheet, title
-from supple.space.geometry import Grid
+from supple.plot.frame import Box, Extend, bar, check_plot, save, set_axes, sheet, title
+from supple.space.geometry import Floats, Grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,10 +23,7 @@ _LINES = 40  # of the grid, along the longer side
 _WINDOW = 8  # cells on each side of the folds that are seen from near
 _BLUE, _REST, _FOLDED, _RIM, _GAP = "#33628d", "#d0d0d0", "#f0c800", "#8a6d00", "#555555"
 
-Floats = npt.NDArray[np.float64]
 Singles = npt.NDArray[np.float32]
-Box = tuple[float, float, float, float]
-"""Left, right, top and bottom."""
 
 
 class _Slice(NamedTuple):
@@ -86,9 +83,7 @@ def _figure(seen: _Slice, report: FieldReport, name: str) -> Figure:
     height, width = seen.logarithms.shape
     whole = _edges(seen)
     near = _crowd(seen) if seen.folded.any() else None
-    if near is not None and (near[1] - near[0]) * (near[3] - near[2]) > 0.5 * (whole[1] - whole[0]) * (
-        whole[3] - whole[2]
-    ):
+    if near is not None and _area(near) > 0.5 * _area(whole):
         near = None
     boxes = [whole] if near is None else [whole, near]
     count = len(boxes) + 1 + (seen.distances is not None)
@@ -103,28 +98,20 @@ def _figure(seen: _Slice, report: FieldReport, name: str) -> Figure:
     if near is not None:
         _draw_grid(parts[1], seen, 1)
         _set(parts[1], seen, near, "The same around the folds, a line for each sample")
-        left, right, top, bottom = near
+        left, right, bottom, top = near
         parts[0].plot([left, right, right, left, left], [top, top, bottom, bottom, top], color="black", linewidth=1)
     _draw_jacobian(made, parts[len(boxes)], seen, whole)
     if seen.distances is not None:
         _draw_distances(made, parts[-1], seen, whole, seen.distances)
     made.legend(handles=_handles(seen), loc="outside lower left", ncols=4, fontsize=9, frameon=False)
-    title(made, _heading(report, seen, name))
-    return made
-
-
-def _heading(report: FieldReport, seen: _Slice, name: str) -> str:
+    told = f"none of {report.cells:,} cells folds"
     if report.folds:
         told = f"{report.folded:,} of {report.cells:,} cells fold ({100 * report.folded / report.cells:.2g} %)"
-    else:
-        told = f"none of {report.cells:,} cells folds"
     place = ", ".join(f"{x + 0.0:.4g}" for x in report.at)
-    lines = [f"{name}: {told}" + (f"; {seen.where}" if seen.where else "")]
-    lines.append(
-        f"least determinant {report.determinant:.3g} at ({place}) {seen.unit}; displacement up to "
-        f"{report.largest:.3g} {seen.unit}, {report.mean:.3g} on average"
-    )
-    return "\n".join(lines)
+    text = f"{name}: {told}" + (f"; {seen.where}" if seen.where else "")
+    text += f"\nleast determinant {report.determinant:.3g} at ({place}) {seen.unit}; displacement up to "
+    title(made, f"{text}{report.largest:.3g} {seen.unit}, {report.mean:.3g} on average")
+    return made
 
 
 def _handles(seen: _Slice) -> list[Any]:
@@ -152,7 +139,7 @@ def _crowd(seen: _Slice) -> Box:
     (x, y), (right, bottom) = places.min(axis=0), places.max(axis=0)
     half = 0.8 * max(right - x, bottom - y, 6 * max(seen.steps))
     x, y = (x + right) / 2, (y + bottom) / 2
-    return x - half, x + half, y - half, y + half
+    return x - half, x + half, y + half, y - half
 
 
 def _corners(points: Floats, cells: npt.NDArray[np.intp]) -> Floats:
@@ -218,23 +205,19 @@ def _draw_distances(made: Figure, axes: Axes, seen: _Slice, box: Box, distances:
 
 
 def _show(axes: Axes, seen: _Slice, values: Singles, norm: Any, colours: str) -> Any:
-    left, right, top, bottom = _edges(seen)
-    return axes.imshow(values, extent=(left, right, bottom, top), norm=norm, cmap=colours, interpolation="nearest")
+    return axes.imshow(values, extent=_edges(seen), norm=norm, cmap=colours, interpolation="nearest")
 
 
 def _edges(seen: _Slice) -> Box:
     height, width = seen.logarithms.shape
     sx, sy = seen.steps
-    return -0.5 * sx, (width - 0.5) * sx, -0.5 * sy, (height - 0.5) * sy
+    return -0.5 * sx, (width - 0.5) * sx, (height - 0.5) * sy, -0.5 * sy
+
+
+def _area(box: Box) -> float:
+    return (box[1] - box[0]) * (box[2] - box[3])
 
 
 def _set(axes: Axes, seen: _Slice, box: Box, name: str) -> None:
-    left, right, top, bottom = box
-    ratio = (bottom - top) / (right - left)
-    axes.set_aspect("equal" if 1 / 6 <= ratio <= 6 else "auto")
-    axes.set_xlim(left, right)
-    axes.set_ylim(bottom, top)
-    axes.set_title(name, fontsize=11, loc="left")
-    axes.set_xlabel(f"along the grid’s first axis ({seen.unit})" if seen.where else f"x ({seen.unit})")
-    axes.set_ylabel(f"along its second ({seen.unit})" if seen.where else f"y ({seen.unit})")
-    axes.tick_params(labelsize=8)
+    names = ("along the grid’s first axis", "along its second") if seen.where else ("x", "y")
+    set_axes(axes, box, 1.0, name, (f"{names[0]} ({seen.unit})", f"{names[1]} ({seen.unit})"))

@@ -14,6 +14,7 @@ from supple.deformation import Deformation
 from supple.errors import SuppleError, shown
 from supple.media.files import check_output, replacing
 from supple.plot.measure import spacing_of
+from supple.space.geometry import Floats
 from supple.strokes import Stroke
 
 if TYPE_CHECKING:
@@ -50,7 +51,9 @@ def background(deformation: Deformation, image: npt.NDArray[Any] | Picture) -> n
         bent = deformation.warp(array, alpha=array.ndim == 3 and array.shape[2] in (2, 4))
     low, high = _range(array)
     every = spacing_of(deformation.shape[-2:], _MOST_PIXELS)
-    small = _smaller(bent if bent.ndim == 3 else bent[..., None], every)
+    height, width = (n // every * every for n in bent.shape[:2])
+    blocks = bent[:height, :width].reshape(height // every, every, width // every, every, -1)
+    small = blocks.mean(axis=(1, 3), dtype=np.float64)
     with np.errstate(invalid="ignore", over="ignore"):
         small = np.clip(np.nan_to_num((small - low) / (high - low)), 0, 1)
     if small.shape[2] in (2, 4):
@@ -71,12 +74,6 @@ def _range(array: npt.NDArray[Any]) -> tuple[float, float]:
     return low, high if high > low else low + 1.0
 
 
-def _smaller(array: npt.NDArray[Any], every: int) -> npt.NDArray[np.float64]:
-    height, width = (n // every * every for n in array.shape[:2])
-    blocks = array[:height, :width].reshape(height // every, every, width // every, every, -1)
-    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64))
-
-
 SUFFIXES = (".png", ".svg", ".pdf")
 DPI = 150
 
@@ -85,9 +82,10 @@ _LETTERS = 13  # of a label, an inch
 _MOST_STROKES = 12  # the most that are drawn as arrows, which hide the image
 _AROUND, _NEAR, _STEPS = 6, 0.75, 16  # points around a pivot, their distance in radii, and those of a path
 
-Floats = npt.NDArray[np.float64]
 Background = npt.NDArray[np.float32] | None
 Extend = Literal["neither", "max", "min", "both"]
+Box = tuple[float, float, float, float]
+"""Left, right, bottom and top, of which the top is less: y points down."""
 
 
 def check_plot(path: str | os.PathLike[str], *, force: bool = False) -> None:
@@ -129,7 +127,7 @@ def ratio(deformation: Deformation) -> float:
     return (height * sy) / (width * sx)
 
 
-def edges(deformation: Deformation) -> tuple[float, float, float, float]:
+def edges(deformation: Deformation) -> Box:
     """Return left, right, bottom and top of the image: the outer edges of its pixels."""
     height, width = deformation.shape[-2:]
     return -0.5, width - 0.5, height - 0.5, -0.5
@@ -138,13 +136,18 @@ def edges(deformation: Deformation) -> tuple[float, float, float, float]:
 def map_axes(axes: Axes, deformation: Deformation, name: str) -> None:
     """Set axes up for a map: y down, in pixels."""
     sx, sy = deformation.domain.spacing[:2]
-    axes.set_aspect(sy / sx if 1 / 6 <= ratio(deformation) <= 6 else "auto")
-    left, right, bottom, top = edges(deformation)
+    set_axes(axes, edges(deformation), sy / sx, name, ("x (px)", "y (px)"))
+
+
+def set_axes(axes: Axes, box: Box, scale: float, name: str, labels: tuple[str, str]) -> None:
+    """Set axes up for a map of a box, one of whose units down is as long as ``scale`` units across."""
+    left, right, bottom, top = box
+    axes.set_aspect(scale if 1 / 6 <= scale * (bottom - top) / (right - left) <= 6 else "auto")
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
     axes.set_title(name, fontsize=11, loc="left")
-    axes.set_xlabel("x (px)")
-    axes.set_ylabel("y (px)")
+    axes.set_xlabel(labels[0])
+    axes.set_ylabel(labels[1])
     axes.tick_params(labelsize=8)
 
 

@@ -6,7 +6,7 @@ For a video, they are those of one frame of the output.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,99 +18,54 @@ from supple.engine.core import measured, plan_of
 from supple.engine.sampling import Certificate
 from supple.errors import SuppleError, argument
 from supple.space.checks import integer, number
+from supple.space.geometry import Floats
 
-Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 MOST_PIXELS = 1 << 20
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Iterations:
-    """The work of the inverse of every pixel, by the published method and by ours.
+class Iterations(NamedTuple):
+    """The work of the inverse of every pixel, by the published method and by ours; errors are in pixels."""
 
-    Parameters
-    ----------
-    every : int
-        The step in rows and columns of the output between entries of the arrays.
-    published : int64 array
-        Iterations of the published method.
-    unconverged : int
-        The number of pixels for which the published method has not come within 0.1 px.
-    published_error : float64 array
-        The distance of its source points to ours, in pixels.
-    ours : int64 array
-        Evaluations of T and its Jacobian by `Deformation.inverse`.
-    residual : float64 array
-        The residual |T(p) - q| of these points, in pixels.
-    lattice : float
-        Evaluations for each pixel if the map is interpolated on a lattice.
-    """
-
-    every: int
-    published: Integers
-    unconverged: int
-    published_error: Floats
-    ours: Integers
-    residual: Floats
-    lattice: float
+    every: int  # rows and columns of the output between entries of the arrays
+    published: Integers  # iterations of the published method
+    unconverged: int  # pixels for which that has not come within 0.1 px
+    published_error: Floats  # the distance of its source points to ours
+    ours: Integers  # evaluations of T and its Jacobian by `Deformation.inverse`
+    residual: Floats  # |T(p) - q| of these points
+    lattice: float  # evaluations for each pixel if the map is interpolated on a lattice
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Errors:
-    """The accuracy of the inverse map that images are sampled with.
+class Errors(NamedTuple):
+    """The accuracy of the inverse map that images are sampled with, in pixels; of a video, in pixels and frames."""
 
-    Parameters
-    ----------
-    every : int
-        The step in rows and columns of the output between entries of the arrays.
-    residual : float64 array
-        |T(p) - q|, in pixels of the output; for a video, in pixels and frames.
-    distance : float64 array
-        |p - T⁻¹(q)|, in pixels of the input; T⁻¹(q) by Newton's method at each pixel.
-    bound, tolerance : float
-        The certified largest distance of all pixels (of an image, `Report.error`), and the tolerance.
-    unconverged : int
-        The number of pixels whose distance is not known.
-    """
-
-    every: int
-    residual: Floats
-    distance: Floats
-    bound: float
+    every: int  # rows and columns of the output between entries of the arrays
+    residual: Floats  # |T(p) - q|
+    distance: Floats  # |p - T⁻¹(q)|; T⁻¹(q) by Newton's method at each pixel
+    bound: float  # the certified largest distance of all pixels (of an image, `Report.error`)
     tolerance: float
-    unconverged: int
+    unconverged: int  # pixels whose distance is not known
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Footprints:
+class Footprints(NamedTuple):
     """The footprints of the output's pixels in the input: ellipses, the images of unit circles under M = (I+J)⁻¹.
 
     For a video, the footprint within the frame: M without its row and column of time.
-
-    Parameters
-    ----------
-    every : int
-        The step in rows and columns of the output between entries of the arrays.
-    major, minor : float64 array
-        M's singular values: the ellipse's half axes, in pixels of the input. Above 1, the image contracts.
-    direction : float64 array, shape (..., 2)
-        The unit vector, x first, of the largest contraction in the *output*.
     """
 
-    every: int
-    major: Floats
-    minor: Floats
-    direction: Floats
+    every: int  # rows and columns of the output between entries of the arrays
+    major: Floats  # M's singular values: the ellipse's half axes, in pixels of the input
+    minor: Floats  # above 1, the image contracts
+    direction: Floats  # (..., 2): the unit vector, x first, of the largest contraction in the *output*
 
 
 def require_plane(deformation: Deformation, frame: int | None) -> int:
     """Return the index of the plane to measure; SuppleError if it does not exist."""
     if deformation.ndim == 2:
         if frame is not None:
-            raise SuppleError(
-                f"{argument('frame')} is for videos, and shape {deformation.shape} is that of an image: leave it out"
-            )
+            text = f"{argument('frame')} is for videos, and shape {deformation.shape} is that of an image: leave it out"
+            raise SuppleError(text)
         return 0
     if frame is None:
         raise SuppleError(
@@ -156,15 +111,9 @@ def iterations(deformation: Deformation, frame: int | None = None) -> Iterations
     used = 0.0
     if not deformation.is_identity:
         used = _plan(deformation, frame, 0.01).evaluations
-    return Iterations(
-        every=every,
-        published=counts,
-        unconverged=int(np.count_nonzero(residuals >= 0.1)),
-        published_error=np.asarray(np.linalg.norm(points - exact.points, axis=-1)),
-        ours=exact.steps,
-        residual=exact.residual,
-        lattice=used / (height * width),
-    )
+    apart = np.asarray(np.linalg.norm(points - exact.points, axis=-1))
+    missed = int(np.count_nonzero(residuals >= 0.1))
+    return Iterations(every, counts, missed, apart, exact.steps, exact.residual, used / (height * width))
 
 
 def residual(deformation: Deformation, frame: int | None = None, *, tolerance: float = 0.01) -> Errors:
@@ -176,14 +125,9 @@ def residual(deformation: Deformation, frame: int | None = None, *, tolerance: f
     plan.points(whole)
     points = whole[::every, ::every]
     certificate = Certificate(0.0, 0.0) if deformation.is_identity else measured(plan, tolerance)
-    return Errors(
-        every=every,
-        residual=np.asarray(np.linalg.norm(deformation.forward(points) - q, axis=-1)),
-        distance=np.asarray(np.linalg.norm(points - deformation.inverse(q).points, axis=-1)),
-        bound=certificate.error,
-        tolerance=tolerance,
-        unconverged=certificate.unknown,
-    )
+    residuals = np.asarray(np.linalg.norm(deformation.forward(points) - q, axis=-1))
+    distances = np.asarray(np.linalg.norm(points - deformation.inverse(q).points, axis=-1))
+    return Errors(every, residuals, distances, certificate.error, tolerance, certificate.unknown)
 
 
 def sources(deformation: Deformation, frame: int | None = None) -> tuple[int, Floats]:
@@ -214,12 +158,8 @@ def footprints(deformation: Deformation, frame: int | None = None) -> Footprints
     # values are their sum and difference.
     rotated, reflected = np.hypot(a + d, c - b) / 2, np.hypot(a - d, c + b) / 2
     angle = (np.arctan2(c + b, a - d) - np.arctan2(c - b, a + d)) / 2
-    return Footprints(
-        every=every,
-        major=rotated + reflected,
-        minor=np.abs(rotated - reflected),
-        direction=np.stack([np.cos(angle), np.sin(angle)], axis=-1),
-    )
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    return Footprints(every, rotated + reflected, np.abs(rotated - reflected), direction)
 
 
 def ticks(deformation: Deformation, lines: int) -> list[Floats]:

@@ -24,10 +24,8 @@ _FONT, _SERIFS = "DejaVu Sans", "DejaVu Sans Mono"  # Matplotlib brings them; an
 def check_annotated(size: tuple[int, int]) -> None:
     """Raise SuppleError for a size, rows and columns, without room for marks."""
     if min(size) < LEAST:
-        raise SuppleError(
-            f"{argument('annotate')} needs a picture of {LEAST} pixels or more along both sides, found "
-            f"{size[1]}x{size[0]}: give a larger size, or leave it out"
-        )
+        text = f"{argument('annotate')} needs a picture of {LEAST} pixels or more along both sides, found"
+        raise SuppleError(f"{text} {size[1]}x{size[0]}: give a larger size, or leave it out")
 
 
 def annotated(pixels: npt.NDArray[np.uint8], view: Projection, geometry: Geometry) -> npt.NDArray[np.uint8]:
@@ -115,6 +113,3 @@ def _drawn(view: Projection, geometry: Geometry) -> npt.NDArray[np.uint8]:
     made.text(edge, above_bar, bar.label, ha="left", va="baseline", fontsize=smaller, fontfamily=_FONT, **shared)
     canvas.draw()  # type: ignore[no-untyped-call]
     return np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
-
-
-__all__ = ["LEAST", "annotated", "check_annotated"]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from supple import _core
 from supple.deformation import Deformation
+from supple.engine.work import Array
 from supple.errors import SuppleError
 from supple.gpu.solid import Lattice
 from supple.render.box import Clip, box_of
@@ -19,9 +19,7 @@ from supple.render.labels import LabelColours, labels_in, numbered
 from supple.render.picture import linear_light, luminance_and_colours
 from supple.render.transfer import ENTRIES, LABELS, PRESETS, Transfer, TransferFunction, transfer_of
 from supple.space.checks import choice, point, refuse
-
-Array = npt.NDArray[Any]
-Floats = npt.NDArray[np.float64]
+from supple.space.geometry import Floats
 
 FINE = 2  # voxels of a brick of visible voxels, if a lattice displaces them into bricks of `_core.BRICK` voxels
 MOST = 1e18  # of samples: float32 holds the squares of their gradients
@@ -110,18 +108,10 @@ def sampled(
         found, window = labels_in(given), window_of(density, one=True)
         table = transfer.table(found, step)
         shown = (table[:, 3] > 0) & (found >= window[0]) & (found <= window[1])
-        seen = Seen(
-            transfer,
-            density=window,
-            range=(float(found.min(initial=0)), float(found.max(initial=0))),
-            projection=projection,
-            table=np.concatenate([np.zeros((1, 4), np.float32), table[shown]]),
-            low=0.0,
-            scale=1.0,
-            threshold=0.5 if shown.any() else math.inf,
-            window=(-math.inf, math.inf),
-            labels=found[shown],
-        )
+        values = float(found.min(initial=0)), float(found.max(initial=0))
+        table = np.concatenate([np.zeros((1, 4), np.float32), table[shown]])
+        threshold, all_ = 0.5 if shown.any() else math.inf, (-math.inf, math.inf)
+        seen = Seen(transfer, window, values, projection, table, 0.0, 1.0, threshold, all_, found[shown])
         return widened(numbered(given, found[shown])), None, seen
     if given.ndim == 4:
         given, colours = luminance_and_colours(given)

@@ -11,9 +11,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError, argument
 from supple.space.checks import items, number, point, refuse
-from supple.space.geometry import Geometry
-
-Floats = npt.NDArray[np.float64]
+from supple.space.geometry import Floats, Geometry
 
 COARSE = 32  # boxes of bricks along an axis, of which a camera has all in view
 Box = tuple[tuple[float, float], ...]

@@ -11,9 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.space.checks import integer, number, point, refuse
-from supple.space.geometry import Geometry
-
-Floats = npt.NDArray[np.float64]
+from supple.space.geometry import Floats, Geometry
 
 
 @dataclass(frozen=True, slots=True)

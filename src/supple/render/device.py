@@ -7,14 +7,13 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from supple._core.rows import STROKE_DTYPE
 from supple.engine.devices import CPU, note
-from supple.engine.work import Mattes, Space, shown_mask
+from supple.engine.work import Array, Mattes, Space, shown_mask
 from supple.errors import DeviceWarning
 from supple.gpu.device import Gpu, failures, trouble
 from supple.gpu.field import fits
@@ -22,7 +21,6 @@ from supple.gpu.raymarch import Held, prepare
 from supple.gpu.shader import EXACT, LATTICE, PLAIN
 from supple.gpu.solid import Filling, Lattice, Volume, beside, hold, hold_strokes, solve
 
-Array = npt.NDArray[Any]
 T = TypeVar("T")
 
 COARSEST, FINEST = 8, 2  # voxels from node to node: a finer lattice would be larger than the volume
@@ -93,7 +91,7 @@ def held_scene(
     if mode == "exact":
         return Held(volume, hold_strokes(gpu, space.table, space.axes, shown_mask(space.freeze)), EXACT)
     lattice = lattice_of(gpu, space, tolerance)
-    cells = cells_along_rays(lattice, tolerance)
+    cells = 2 if _TWICE * lattice.error <= tolerance else 1  # that a cubic along a ray may span
     if not twice:
         return Held(volume, lattice, LATTICE, cells)
     filling = Filling(volume, lattice, polished=lattice.error > tolerance, tolerance=tolerance)
@@ -126,11 +124,6 @@ def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> Lattice:
             while found.step > FINEST:
                 found = solve(gpu, space.table, space.axes, shape, found.step // 2, shown_mask(space.freeze))
     return found if found.step <= RESOLVED * found.smooth else replace(found, error=math.inf)
-
-
-def cells_along_rays(lattice: Lattice, tolerance: float) -> int:
-    """Return the number of cells of a lattice that a cubic along a ray may span."""
-    return 2 if _TWICE * lattice.error <= tolerance else 1
 
 
 def along_rays(lattice: Lattice, cells: int, tolerance: float) -> float:

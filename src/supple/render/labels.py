@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from supple.engine.work import Array
 from supple.errors import SuppleError
 from supple.render.picture import linear_light, srgb_of
 from supple.space.checks import items, number, refuse
+from supple.space.geometry import Floats
 
-Array = npt.NDArray[Any]
-Floats = npt.NDArray[np.float64]
 Colour = tuple[float, float, float, float]
 
 SUFFIXES = (".ctbl", ".txt")
@@ -26,6 +24,13 @@ _LARGEST = 1 << 53  # float64 holds the integers up to it
 _SPAN = 1 << 24  # labels from the smallest to the largest, of which a table is made
 _SLICER = re.compile(r"(-?\d+)\s+(\S.*?)\s+(\d+)\s+(\d+)\s+(\d+)\s+(\d+)")
 _SEGMENT = re.compile(r"Segment(\d+)_")
+# From OKLab: the weights of a and b beside lightness, and the matrix from cubes of what these give to linear sRGB.
+_TO_CONES = (0.3963377774, 0.2158037573), (-0.1055613458, -0.0638541728), (-0.0894841775, -1.2914855480)
+_TO_LINEAR = (
+    (4.0767416621, -3.3077115913, 0.2309699292),
+    (-1.2684380046, 2.6097574011, -0.3413193965),
+    (-0.0041960863, -0.7034186147, 1.7076147010),
+)
 _SNAP = re.compile(r'(\d+)\s+(\d+)\s+(\d+)\s+(\d+)\s+(\d+(?:\.\d*)?|\.\d+)\s+([01])\s+([01])\s+"(.*)"')
 
 
@@ -73,7 +78,7 @@ class LabelColours:
         return np.ascontiguousarray(np.concatenate([linear_light(seen[:, :3], 1.0), opacity], axis=1), np.float32)
 
     def to_ctbl(self, labels: npt.ArrayLike) -> str:
-        """Return the text of a colour table of 3D Slicer (``.ctbl``) for labels, for `read`."""
+        """Return the text of a colour table of 3D Slicer (``.ctbl``) for labels, for `from_text`."""
         rows = np.rint(255 * self.of(labels)).astype(int)
         lines = [f"{k} label-{k} {r} {g} {b} {a}" for k, r, g, b, a in np.column_stack([labels, rows]).tolist()]
         return "\n".join(["# label name red green blue opacity", *lines]) + "\n"
@@ -140,30 +145,11 @@ class LabelColours:
                 label = int(value or 1)
                 red, green, blue = map(float, colour.split()) if colour else made.get(label, (0.0,) * 4)[:3]
             except ValueError:
-                raise SuppleError(
-                    f"segment {k} has the label {value!r} and the colour {colour!r}: these should be a whole number, "
-                    "and three from 0 to 1"
-                ) from None
+                text = f"segment {k} has the label {value!r} and the colour {colour!r}: these should be a whole number"
+                raise SuppleError(f"{text}, and three from 0 to 1") from None
             if label in made:
                 made[label] = red, green, blue, 1.0
         return cls(made)
-
-    @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> LabelColours:
-        """Read a colour table from a file (``.ctbl``, ``.txt``), as `from_text` does.
-
-        Raises
-        ------
-        SuppleError
-            If it cannot be read, or is invalid.
-        """
-        name = os.fspath(path)
-        try:
-            text = Path(path).read_text(encoding="utf-8")
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
-            raise SuppleError(f"cannot read {name!r}: {reason}: name a colour table (.ctbl, .txt)") from None
-        return cls.from_text(text, name)
 
 
 def palette(labels: npt.ArrayLike) -> Floats:
@@ -175,22 +161,8 @@ def palette(labels: npt.ArrayLike) -> Floats:
     hue = 2 * np.pi * np.mod(0.6535 + 0.27121414 * (k - 1), 1.0)
     light = 0.55 + 0.33 * np.mod(0.0531 + 0.39272236 * (k - 1), 1.0)
     a, b = 0.15 * np.cos(hue), 0.15 * np.sin(hue)
-    cones = np.stack(
-        [
-            light + 0.3963377774 * a + 0.2158037573 * b,
-            light - 0.1055613458 * a - 0.0638541728 * b,
-            light - 0.0894841775 * a - 1.2914855480 * b,
-        ],
-        axis=-1,
-    )
-    to_linear = np.array(
-        [
-            [4.0767416621, -3.3077115913, 0.2309699292],
-            [-1.2684380046, 2.6097574011, -0.3413193965],
-            [-0.0041960863, -0.7034186147, 1.7076147010],
-        ]
-    )
-    return np.asarray(srgb_of(cones**3 @ to_linear.T), np.float64)
+    cones = np.stack([light + x * a + y * b for x, y in _TO_CONES], axis=-1)
+    return np.asarray(srgb_of(cones**3 @ np.array(_TO_LINEAR).T), np.float64)
 
 
 def labels_in(samples: Array) -> Array:

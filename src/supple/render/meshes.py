@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,10 +13,8 @@ from supple.gpu import raymarch as shading
 from supple.render.camera import Projection
 from supple.render.picture import linear_light
 from supple.space.checks import number, point, refuse
-from supple.space.geometry import Geometry
+from supple.space.geometry import Floats, Geometry
 
-Array = npt.NDArray[Any]
-Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
 WIDTH = 2.0

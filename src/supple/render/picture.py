@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.space.checks import refuse
+from supple.space.geometry import Floats
 
 _WEIGHTS = np.array([0.2126, 0.7152, 0.0722])  # of BT.709
 
@@ -52,10 +53,6 @@ def luminance_and_colours(given: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], np
         out[..., : slab.shape[-1]] = np.rint(slab * np.float32(white)) if slab.dtype.kind == "f" else slab
         grey[...] = np.rint((out[..., :3] @ _WEIGHTS) * (out[..., 3] / white))
     return luminance, made
-
-
-Array = npt.NDArray[Any]
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.deformation import Deformation
+from supple.engine.work import Array
 from supple.errors import SuppleError, ToleranceWarning, argument
 from supple.gpu import raymarch as shading
 from supple.gpu.device import DRAWING, Gpu, failures, gpu_of, trouble
@@ -37,7 +38,7 @@ from supple.render.camera import Camera, Projection, camera_of, view_of
 from supple.render.device import along_rays, held_scene, tried
 from supple.render.labels import LabelColours
 from supple.render.meshes import Surface, nearest, place
-from supple.render.picture import Array, Pick, Rendering, linear_light
+from supple.render.picture import Pick, Rendering, linear_light
 from supple.render.shadows import NEAR, Shade, arriving, shade_of
 from supple.render.transfer import Transfer
 from supple.space.checks import choice, integer, number, point, refuse

@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple.engine.work import Array
 from supple.render.appearance import Seen
 from supple.render.box import Box
 
-Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.floating[Any]]
 Singles = npt.NDArray[np.float32]
 

@@ -190,27 +190,6 @@ class TransferFunction:
         except SuppleError as error:
             raise SuppleError(f"{name}: {error}") from None
 
-    @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> TransferFunction:
-        """Read a file: JSON, or a volume property of 3D Slicer (``.vp``).
-
-        Raises
-        ------
-        SuppleError
-            If it cannot be read, or is invalid.
-        """
-        name, suffix = os.fspath(path), Path(path).suffix.lower()
-        if suffix not in SUFFIXES:
-            kinds = f"{', '.join(SUFFIXES)}, or {' or '.join(TABLES)} with colours of labels"
-            refuse("a transfer function", f"a file ({kinds}), or one of {', '.join(PRESETS)}, {LABELS}", name)
-        try:
-            text = Path(path).read_text(encoding="utf-8")
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
-            kinds = " or ".join(SUFFIXES)
-            raise SuppleError(f"cannot read {name!r}: {reason}: name a transfer function ({kinds})") from None
-        return cls.from_vp(text, name) if suffix == ".vp" else cls.from_json(text, name)
-
 
 SUFFIXES = (".json", ".vp")
 LABELS = "labels"  # the name of the palette of labels
@@ -227,91 +206,76 @@ def _control_points(words: list[str], each: int) -> npt.NDArray[np.float64]:
     return found[np.argsort(found[:, 0], kind="stable")]
 
 
+# fmt: off
 PRESETS = {
     # Hounsfield units: water is 0, and compact bone from 300 on.
-    "ct-bone": TransferFunction(
-        (
-            (150.0, 0.62, 0.42, 0.30, 0.0),
-            (300.0, 0.80, 0.64, 0.48, 0.25),
-            (700.0, 0.93, 0.87, 0.76, 0.7),
-            (1500.0, 1.0, 0.98, 0.94, 0.95),
-        )
-    ),
-    "ct-skin": TransferFunction(
-        (
-            (-450.0, 0.75, 0.52, 0.42, 0.0),
-            (-250.0, 0.83, 0.60, 0.49, 0.5),
-            (0.0, 0.90, 0.70, 0.58, 0.9),
-            (150.0, 0.90, 0.70, 0.58, 0.95),
-            (400.0, 1.0, 0.95, 0.88, 0.98),
-        )
-    ),
+    "ct-bone": TransferFunction((
+        (150.0, 0.62, 0.42, 0.30, 0.0), (300.0, 0.80, 0.64, 0.48, 0.25), (700.0, 0.93, 0.87, 0.76, 0.7),
+        (1500.0, 1.0, 0.98, 0.94, 0.95),
+    )),
+    "ct-skin": TransferFunction((
+        (-450.0, 0.75, 0.52, 0.42, 0.0), (-250.0, 0.83, 0.60, 0.49, 0.5), (0.0, 0.90, 0.70, 0.58, 0.9),
+        (150.0, 0.90, 0.70, 0.58, 0.95), (400.0, 1.0, 0.95, 0.88, 0.98),
+    )),
     # Muscle from 40 to 70; fat, below 0, is not seen.
-    "ct-muscle": TransferFunction(
-        (
-            (-10.0, 0.42, 0.12, 0.10, 0.0),
-            (30.0, 0.60, 0.20, 0.16, 0.15),
-            (70.0, 0.76, 0.33, 0.26, 0.5),
-            (150.0, 0.88, 0.64, 0.50, 0.7),
-            (400.0, 1.0, 0.96, 0.90, 0.9),
-        )
-    ),
+    "ct-muscle": TransferFunction((
+        (-10.0, 0.42, 0.12, 0.10, 0.0), (30.0, 0.60, 0.20, 0.16, 0.15), (70.0, 0.76, 0.33, 0.26, 0.5),
+        (150.0, 0.88, 0.64, 0.50, 0.7), (400.0, 1.0, 0.96, 0.90, 0.9),
+    )),
     # Lungs are about -850 where they are full of air, and denser around vessels and airways.
-    "ct-lung": TransferFunction(
-        (
-            (-920.0, 0.30, 0.42, 0.62, 0.0),
-            (-850.0, 0.45, 0.58, 0.78, 0.008),
-            (-700.0, 0.86, 0.66, 0.62, 0.06),
-            (-500.0, 0.95, 0.78, 0.70, 0.12),
-            (-300.0, 0.95, 0.78, 0.70, 0.0),
-        )
-    ),
+    "ct-lung": TransferFunction((
+        (-920.0, 0.30, 0.42, 0.62, 0.0), (-850.0, 0.45, 0.58, 0.78, 0.008), (-700.0, 0.86, 0.66, 0.62, 0.06),
+        (-500.0, 0.95, 0.78, 0.70, 0.12), (-300.0, 0.95, 0.78, 0.70, 0.0),
+    )),
     # Blood with a contrast medium, from 150 to 450 as a rule; bone is denser, or as dense where it is spongy.
-    "ct-vessels": TransferFunction(
-        (
-            (130.0, 0.55, 0.06, 0.06, 0.0),
-            (200.0, 0.78, 0.12, 0.09, 0.35),
-            (400.0, 0.92, 0.30, 0.18, 0.75),
-            (600.0, 0.97, 0.84, 0.70, 0.8),
-            (1300.0, 1.0, 0.98, 0.94, 0.92),
-        )
-    ),
+    "ct-vessels": TransferFunction((
+        (130.0, 0.55, 0.06, 0.06, 0.0), (200.0, 0.78, 0.12, 0.09, 0.35), (400.0, 0.92, 0.30, 0.18, 0.75),
+        (600.0, 0.97, 0.84, 0.70, 0.8), (1300.0, 1.0, 0.98, 0.94, 0.92),
+    )),
     # Fractions of the range: magnetic resonance has no units.
-    "mr-head": TransferFunction(
-        (
-            (0.10, 0.55, 0.38, 0.30, 0.0),
-            (0.20, 0.80, 0.60, 0.48, 0.35),
-            (0.45, 0.88, 0.74, 0.62, 0.75),
-            (0.70, 0.96, 0.90, 0.82, 0.9),
-            (1.0, 1.0, 1.0, 1.0, 0.95),
-        ),
-        relative=True,
-    ),
+    "mr-head": TransferFunction((
+        (0.10, 0.55, 0.38, 0.30, 0.0), (0.20, 0.80, 0.60, 0.48, 0.35), (0.45, 0.88, 0.74, 0.62, 0.75),
+        (0.70, 0.96, 0.90, 0.82, 0.9), (1.0, 1.0, 1.0, 1.0, 0.95),
+    ), relative=True),
     # Where all but the brain is 0.
-    "mr-brain": TransferFunction(
-        (
-            (0.12, 0.42, 0.26, 0.25, 0.0),
-            (0.30, 0.70, 0.50, 0.46, 0.3),
-            (0.55, 0.88, 0.74, 0.68, 0.75),
-            (0.80, 0.97, 0.91, 0.86, 0.9),
-            (1.0, 1.0, 0.98, 0.96, 0.95),
-        ),
-        relative=True,
-    ),
-    "grey": TransferFunction(
-        ((0.02, 0.0, 0.0, 0.0, 0.0), (0.2, 0.3, 0.3, 0.3, 0.05), (1.0, 1.0, 1.0, 1.0, 0.6)), relative=True
-    ),
+    "mr-brain": TransferFunction((
+        (0.12, 0.42, 0.26, 0.25, 0.0), (0.30, 0.70, 0.50, 0.46, 0.3), (0.55, 0.88, 0.74, 0.68, 0.75),
+        (0.80, 0.97, 0.91, 0.86, 0.9), (1.0, 1.0, 0.98, 0.96, 0.95),
+    ), relative=True),
+    "grey": TransferFunction((
+        (0.02, 0.0, 0.0, 0.0, 0.0), (0.2, 0.3, 0.3, 0.3, 0.05), (1.0, 1.0, 1.0, 1.0, 0.6),
+    ), relative=True),
 }
+# fmt: on
 
 HOUNSFIELD = tuple(name for name in PRESETS if name.startswith("ct-"))
 """The presets of Hounsfield units."""
 
 
 def transfer_of(name: str | os.PathLike[str]) -> Transfer:
-    """Return a preset by its name, or a transfer function or a colour table from a file."""
+    """Return a preset by its name, or a transfer function (``.json``, ``.vp``) or a colour table from a file.
+
+    SuppleError if it cannot be read, or is invalid.
+    """
     if isinstance(name, str) and (name in PRESETS or name == LABELS):
         return PRESETS.get(name) or LabelColours()
-    return LabelColours.read(name) if Path(name).suffix.lower() in TABLES else TransferFunction.read(name)
+    path, suffix = os.fspath(name), Path(name).suffix.lower()
+    if suffix not in (*SUFFIXES, *TABLES):
+        kinds = f"{', '.join(SUFFIXES)}, or {' or '.join(TABLES)} with colours of labels"
+        refuse("a transfer function", f"a file ({kinds}), or one of {', '.join(PRESETS)}, {LABELS}", path)
+    try:
+        text = Path(name).read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
+        what = (
+            f"a colour table ({', '.join(TABLES)})"
+            if suffix in TABLES
+            else f"a transfer function ({' or '.join(SUFFIXES)})"
+        )
+        raise SuppleError(f"cannot read {path!r}: {reason}: name {what}") from None
+    if suffix in TABLES:
+        return LabelColours.from_text(text, path)
+    return TransferFunction.from_vp(text, path) if suffix == ".vp" else TransferFunction.from_json(text, path)
 
 
 Transfer = TransferFunction | LabelColours

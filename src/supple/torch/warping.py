@@ -143,10 +143,8 @@ def forward(
     results = []
     for part, (d, own) in zip(points if batch else [points], given, strict=True):
         if not d.space.is_plain:
-            raise SuppleError(
-                "supple.torch.forward is for strokes alone, found a deformation with fields or affine maps: "
-                "Deformation.forward takes it, without gradients"
-            )
+            text = "supple.torch.forward is for strokes alone, found a deformation with fields or affine maps"
+            raise SuppleError(f"{text}: Deformation.forward takes it, without gradients")
         strokes = strokes_of(d, own, points, _working(points))
         positions = strokes.at(part.to(_working(points)).reshape(-1, n).T)
         results.append(positions.T.reshape(part.shape).to(points.dtype))

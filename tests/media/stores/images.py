@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 import zarr
 
-from supple.media.stores import StoredImage, Target, open_image
+from supple.media.stores.image import StoredImage, open_image
 from supple.media.stores.levels import reduced
+from supple.media.stores.target import Target
 from tests.children import SOURCE
 
 Array = npt.NDArray[Any]

@@ -15,8 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from supple import SuppleError
-from supple.media.stores import Target, create, open_image
+from supple.media.stores.image import open_image
 from supple.media.stores.levels import reduced
+from supple.media.stores.target import Target, create
 from tests.media.stores.images import RNG, boxes, described_axes, exact, files, fill, image, metadata, small, whole
 
 

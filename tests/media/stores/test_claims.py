@@ -16,7 +16,9 @@ import pytest
 import zarr
 
 from supple import SuppleError
-from supple.media.stores import Place, create, open_image, overlap
+from supple.media.stores.image import open_image
+from supple.media.stores.places import Place, overlap
+from supple.media.stores.target import create
 from tests.media.stores.images import RNG, Json, boxes, child, files, fill, image, part, small, whole
 
 
@@ -187,7 +189,8 @@ def test_an_input_that_is_a_folder_is_replaced_at_the_end(name: str, tmp_path: P
 WRITER = """
     import sys
     import numpy as np
-    from supple.media.stores import create, open_image
+    from supple.media.stores.image import open_image
+    from supple.media.stores.target import create
     target = create(sys.argv[2], open_image(sys.argv[1]), job="a")
     rng = np.random.default_rng(1)
     n = target.blocks[0][1]

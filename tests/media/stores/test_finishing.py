@@ -14,12 +14,14 @@ import numpy as np
 import pytest
 
 from supple import SuppleError
-from supple.media.stores import create, holding, open_image
+from supple.media.stores.image import open_image
+from supple.media.stores.target import create, holding
 from tests.media.stores.images import child, files, fill, small, whole
 
 HOLDER = """
     import sys
-    from supple.media.stores import create, holding, open_image
+    from supple.media.stores.image import open_image
+    from supple.media.stores.target import create, holding
     with holding():
         create(sys.argv[2], open_image(sys.argv[1]), job="a")
         print("held", flush=True)

@@ -15,7 +15,8 @@ import zarr
 
 from supple import SuppleError
 from supple.media.files import is_store
-from supple.media.stores import create, open_image
+from supple.media.stores.image import open_image
+from supple.media.stores.target import create
 from tests.media.stores.images import Json, image, metadata, small
 
 

@@ -12,7 +12,8 @@ import pytest
 import zarr
 
 from supple import SuppleError
-from supple.media.stores import create, open_image
+from supple.media.stores.image import open_image
+from supple.media.stores.target import create
 from tests.media.stores.images import RNG, VERSIONS, described_axes, files, fill, image, metadata, plain_json, whole
 
 

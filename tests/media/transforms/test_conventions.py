@@ -15,7 +15,7 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 from supple import SuppleError, errors
-from supple.media.stores import open_image
+from supple.media.stores.image import open_image
 from supple.media.transforms import CONVENTIONS, Content, Displacements, read, write
 from supple.space.geometry import Grid
 from tests.media.transforms.mapping import DATA, GRIDS, field_on, mapped, points_in, rotation

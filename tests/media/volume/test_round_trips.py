@@ -9,31 +9,14 @@ import SimpleITK as sitk  # noqa: N813
 
 from supple.errors import SuppleError
 from supple.media.volume import SUFFIXES, SUFFIXES_OUT, RawLayout, check_target, info, is_volume, read, write
-from tests.media.volume.volumes import (
-    DTYPES,
-    ORIGIN,
-    PLACED,
-    SHAPE,
-    SPACING,
-    VOXELS,
-    agree,
-    by_itk,
-    by_nibabel,
-    by_us,
-    image,
-    nifti,
-    noise,
-    refused,
-    turned,
-    volume,
-)
+from tests.media.volume import volumes
 
 
 class TestRoundTrips:
-    @pytest.mark.parametrize("dtype", DTYPES)
-    @pytest.mark.parametrize("suffix", PLACED)
+    @pytest.mark.parametrize("dtype", volumes.DTYPES)
+    @pytest.mark.parametrize("suffix", volumes.PLACED)
     def test_bit_for_bit_and_in_place(self, tmp_path, suffix, dtype):
-        like = volume(noise(dtype, *SHAPE))
+        like = volumes.volume(volumes.noise(dtype, *volumes.SHAPE))
         write(tmp_path / f"out{suffix}", like.samples, like)
         back = read(tmp_path / f"out{suffix}")
         assert back.samples.dtype == like.samples.dtype
@@ -41,70 +24,81 @@ class TestRoundTrips:
         np.testing.assert_array_equal(back.samples, like.samples)
         np.testing.assert_allclose(back.geometry.matrix, like.geometry.matrix, atol=1e-5)
         assert back.geometry.convention == ("RAS" if suffix.startswith(".nii") else "LPS")
-        assert (back.series, back.scaling, back.sizes) == (False, (1, 0), SHAPE[::-1])
+        assert (back.series, back.scaling, back.sizes) == (False, (1, 0), volumes.SHAPE[::-1])
 
-    @pytest.mark.parametrize("suffix", PLACED)
+    @pytest.mark.parametrize("suffix", volumes.PLACED)
     def test_others_see_the_same_values_at_the_same_places(self, tmp_path, suffix):
-        like, path = volume(noise("i2", *SHAPE)), tmp_path / f"out{suffix}"
+        like, path = volumes.volume(volumes.noise("i2", *volumes.SHAPE)), tmp_path / f"out{suffix}"
         write(path, like.samples, like)
-        here = like.geometry.to_lps(VOXELS), [like.samples[v[::-1]] for v in VOXELS]
-        agree(here, by_itk(path), *([by_nibabel(path)] if suffix.startswith(".nii") else []))
+        here = like.geometry.to_lps(volumes.VOXELS), [like.samples[v[::-1]] for v in volumes.VOXELS]
+        volumes.agree(here, volumes.by_itk(path), *([volumes.by_nibabel(path)] if suffix.startswith(".nii") else []))
 
-    @pytest.mark.parametrize("suffix", [*PLACED, ".nhdr", ".hdr"])
+    @pytest.mark.parametrize("suffix", [*volumes.PLACED, ".nhdr", ".hdr"])
     def test_what_others_wrote(self, tmp_path, suffix):
         path = tmp_path / f"in{suffix}"
         if suffix == ".hdr":  # nibabel's pair
-            nifti(path.with_suffix(".img"), kind=nibabel.Nifti1Pair)
-            agree(by_us(path), by_us(path.with_suffix(".img")), by_nibabel(path.with_suffix(".img")))
+            volumes.nifti(path.with_suffix(".img"), kind=nibabel.Nifti1Pair)
+            volumes.agree(
+                volumes.by_us(path),
+                volumes.by_us(path.with_suffix(".img")),
+                volumes.by_nibabel(path.with_suffix(".img")),
+            )
             return
-        sitk.WriteImage(image(noise("i2", *SHAPE)), str(path))
-        agree(by_us(path), by_itk(path))
+        sitk.WriteImage(volumes.image(volumes.noise("i2", *volumes.SHAPE)), str(path))
+        volumes.agree(volumes.by_us(path), volumes.by_itk(path))
         assert read(path).format == {".nii": "NIfTI", ".gz": "NIfTI"}.get(path.suffix, read(path).format)
 
     @pytest.mark.parametrize("kind", [nibabel.Nifti1Image, nibabel.Nifti2Image])
     @pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
     def test_what_nibabel_wrote(self, tmp_path, suffix, kind):
-        path = nifti(tmp_path / f"in{suffix}", kind=kind)
-        agree(by_us(path), by_nibabel(path))
+        path = volumes.nifti(tmp_path / f"in{suffix}", kind=kind)
+        volumes.agree(volumes.by_us(path), volumes.by_nibabel(path))
         write(tmp_path / "out.nii", read(path).samples, read(path))
-        agree(by_us(path), by_nibabel(tmp_path / "out.nii"))
+        volumes.agree(volumes.by_us(path), volumes.by_nibabel(tmp_path / "out.nii"))
 
-    @pytest.mark.parametrize("before", PLACED)
-    @pytest.mark.parametrize("after", PLACED)
+    @pytest.mark.parametrize("before", volumes.PLACED)
+    @pytest.mark.parametrize("after", volumes.PLACED)
     def test_from_every_format_to_every_other(self, tmp_path, before, after):
-        like = volume(noise("u2", *SHAPE))
+        like = volumes.volume(volumes.noise("u2", *volumes.SHAPE))
         write(tmp_path / f"a{before}", like.samples, like)
         known = read(tmp_path / f"a{before}")
         write(tmp_path / f"b{after}", known.samples, known)
-        agree(by_us(tmp_path / f"a{before}"), by_itk(tmp_path / f"b{after}"), by_us(tmp_path / f"b{after}"))
+        volumes.agree(
+            volumes.by_us(tmp_path / f"a{before}"),
+            volumes.by_itk(tmp_path / f"b{after}"),
+            volumes.by_us(tmp_path / f"b{after}"),
+        )
 
-    @pytest.mark.parametrize("suffix", [*PLACED, ".tif"])
+    @pytest.mark.parametrize("suffix", [*volumes.PLACED, ".tif"])
     @pytest.mark.parametrize(("dtype", "components"), [("u1", 3), ("u1", 4), ("f4", 3), ("i2", 2)])
     def test_colours_and_vectors(self, tmp_path, suffix, dtype, components):
-        like, path = volume(noise(dtype, *SHAPE, components)), tmp_path / f"out{suffix}"
+        like, path = volumes.volume(volumes.noise(dtype, *volumes.SHAPE, components)), tmp_path / f"out{suffix}"
         write(path, like.samples, like)
         back = read(path)
         np.testing.assert_array_equal(back.samples, like.samples)
         assert back.samples.dtype == like.samples.dtype
         assert (back.series, back.components) == (False, components)
         if suffix != ".tif":
-            agree((like.geometry.to_lps(VOXELS), [like.samples[v[::-1]] for v in VOXELS]), by_itk(path))
+            volumes.agree(
+                (like.geometry.to_lps(volumes.VOXELS), [like.samples[v[::-1]] for v in volumes.VOXELS]),
+                volumes.by_itk(path),
+            )
 
-    @pytest.mark.parametrize("suffix", PLACED)
+    @pytest.mark.parametrize("suffix", volumes.PLACED)
     def test_series(self, tmp_path, suffix):
-        like = volume(noise("f4", 3, *SHAPE), series=True, interval=0.25)
+        like = volumes.volume(volumes.noise("f4", 3, *volumes.SHAPE), series=True, interval=0.25)
         write(tmp_path / f"out{suffix}", like.samples, like)
         back = read(tmp_path / f"out{suffix}")
         np.testing.assert_array_equal(back.samples, like.samples)
         np.testing.assert_allclose(back.geometry.matrix, like.geometry.matrix, atol=1e-5)
-        assert (back.series, back.interval, back.components, back.sizes) == (True, 0.25, 1, SHAPE[::-1])
+        assert (back.series, back.interval, back.components, back.sizes) == (True, 0.25, 1, volumes.SHAPE[::-1])
         known = sitk.ReadImage(str(tmp_path / f"out{suffix}"))
         assert known.GetSpacing()[3] == 0.25
         np.testing.assert_array_equal(sitk.GetArrayFromImage(known), like.samples)
 
-    @pytest.mark.parametrize("suffix", PLACED)
+    @pytest.mark.parametrize("suffix", volumes.PLACED)
     def test_one_slice(self, tmp_path, suffix):
-        like = volume(noise("i2", 1, 5, 6))
+        like = volumes.volume(volumes.noise("i2", 1, 5, 6))
         write(tmp_path / f"out{suffix}", like.samples, like)
         back = read(tmp_path / f"out{suffix}")
         np.testing.assert_array_equal(back.samples, like.samples)
@@ -112,25 +106,25 @@ class TestRoundTrips:
 
     @pytest.mark.parametrize("suffix", [".nii", ".nrrd", ".mha"])
     def test_a_flat_image_is_one_slice(self, tmp_path, suffix):
-        flat = sitk.GetImageFromArray(noise("i2", 5, 6))
+        flat = sitk.GetImageFromArray(volumes.noise("i2", 5, 6))
         flat.SetSpacing((0.5, 2))
         sitk.WriteImage(flat, str(tmp_path / f"in{suffix}"))
         known = read(tmp_path / f"in{suffix}")
         assert known.samples.shape == (1, 5, 6)
         assert known.geometry.spacing == (0.5, 2, 1)
         write(tmp_path / f"out{suffix}", known.samples, known)
-        np.testing.assert_array_equal(read(tmp_path / f"out{suffix}").samples[0], noise("i2", 5, 6))
+        np.testing.assert_array_equal(read(tmp_path / f"out{suffix}").samples[0], volumes.noise("i2", 5, 6))
 
-    @pytest.mark.parametrize("suffix", [*PLACED, ".tif"])
+    @pytest.mark.parametrize("suffix", [*volumes.PLACED, ".tif"])
     def test_nan_and_infinity_pass(self, tmp_path, suffix):
-        samples = noise("f4", *SHAPE)
+        samples = volumes.noise("f4", *volumes.SHAPE)
         samples[1, 2, 3], samples[0, 0, 0], samples[3, 4, 5] = np.nan, np.inf, -np.inf
-        write(tmp_path / f"out{suffix}", samples, volume(samples))
+        write(tmp_path / f"out{suffix}", samples, volumes.volume(samples))
         np.testing.assert_array_equal(read(tmp_path / f"out{suffix}").samples, samples)
 
     @pytest.mark.parametrize("suffix", SUFFIXES_OUT)
     def test_capital_letters(self, tmp_path, suffix):
-        like = volume(noise("i2", *SHAPE))
+        like = volumes.volume(volumes.noise("i2", *volumes.SHAPE))
         write(tmp_path / f"OUT{suffix.upper()}", like.samples, like)
         assert is_volume(tmp_path / f"OUT{suffix.upper()}") == (suffix not in (".tif", ".tiff"))
         np.testing.assert_array_equal(read(tmp_path / f"OUT{suffix.upper()}").samples, like.samples)
@@ -142,66 +136,68 @@ class TestRefusals:
     def test_no_volumes(self, tmp_path, suffix, data):
         path = tmp_path / f"in{suffix}"
         path.write_bytes(data)
-        assert f"in{suffix}" in refused(read, path) or suffix == ".img"
+        assert f"in{suffix}" in volumes.refused(read, path) or suffix == ".img"
         if not data and suffix != ".img":
-            assert "it is empty" in refused(read, path)
+            assert "it is empty" in volumes.refused(read, path)
 
     @pytest.mark.parametrize("suffix", sorted(SUFFIXES | {".tif", ""}))
     def test_missing(self, tmp_path, suffix):
-        message = refused(read, tmp_path / f"in{suffix}")
+        message = volumes.refused(read, tmp_path / f"in{suffix}")
         assert "No such file" in message
         assert "check the name" in message
 
     @pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".mha", ".dcm", ".dat"])
     def test_folders_in_place_of_files(self, tmp_path, suffix):
         (tmp_path / f"in{suffix}").mkdir()
-        assert "no DICOM images" in refused(read, tmp_path / f"in{suffix}")
+        assert "no DICOM images" in volumes.refused(read, tmp_path / f"in{suffix}")
 
     @pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".tif"])
     @pytest.mark.parametrize("part", [0.3, 0.6, 0.97])
     def test_cut_short(self, tmp_path, suffix, part):
-        like, path = volume(noise("u2", 8, 20, 20)), tmp_path / f"out{suffix}"
+        like, path = volumes.volume(volumes.noise("u2", 8, 20, 20)), tmp_path / f"out{suffix}"
         write(path, like.samples, like)
         short = tmp_path / "out.raw" if suffix == ".mhd" else path
         data = short.read_bytes()
         short.write_bytes(data[: int(len(data) * part)])
-        refused(read, path)
+        volumes.refused(read, path)
 
     def test_an_unknown_suffix(self, tmp_path):
         (tmp_path / "in.xyz").write_text("hello" * 99)
-        assert "no volume of a known kind" in refused(read, tmp_path / "in.xyz")
+        assert "no volume of a known kind" in volumes.refused(read, tmp_path / "in.xyz")
 
     @pytest.mark.parametrize("name", ["out.dcm", "out.xyz", "out", "out.gz", "out.nhdr", "out.dat"])
     def test_formats_that_are_not_written(self, tmp_path, name):
-        like = volume(noise("i2", *SHAPE))
+        like = volumes.volume(volumes.noise("i2", *volumes.SHAPE))
         with pytest.raises(SuppleError, match=r"use \.nii, \.nii\.gz, \.nrrd"):
             check_target(tmp_path / name, like)
 
     def test_types_that_no_volume_has(self, tmp_path):
-        like = volume(noise("i2", *SHAPE))
+        like = volumes.volume(volumes.noise("i2", *volumes.SHAPE))
         for suffix in SUFFIXES_OUT:
             with pytest.raises(SuppleError, match="float16"):
                 check_target(tmp_path / f"out{suffix}", like, "float16")
         check_target(tmp_path / "out.tif", like, "float32")
-        scaled = replace(volume(noise("i4", *SHAPE)), scaling=(2.0, 0.0))  # which makes float64 of it
+        scaled = replace(
+            volumes.volume(volumes.noise("i4", *volumes.SHAPE)), scaling=(2.0, 0.0)
+        )  # which makes float64 of it
         with pytest.raises(SuppleError, match="float64"):
             check_target(tmp_path / "out.tif", scaled)
         check_target(tmp_path / "out.nii", scaled)
 
     def test_samples_of_another_shape(self, tmp_path):
-        like = volume(noise("i2", *SHAPE))
-        assert "make them alike" in refused(write, tmp_path / "out.nii", like.samples[:2], like)
+        like = volumes.volume(volumes.noise("i2", *volumes.SHAPE))
+        assert "make them alike" in volumes.refused(write, tmp_path / "out.nii", like.samples[:2], like)
 
 
 class TestInfo:
     def test_of_a_nifti(self, tmp_path):
-        samples = noise("f4", *SHAPE)
+        samples = volumes.noise("f4", *volumes.SHAPE)
         samples[0, 0, :2] = np.nan
-        told = info(nifti(tmp_path / "in.nii.gz", samples))
-        direction = turned() * [[-1], [-1], [1]]
+        told = info(volumes.nifti(tmp_path / "in.nii.gz", samples))
+        direction = volumes.turned() * [[-1], [-1], [1]]
         np.testing.assert_allclose(told.pop("direction"), direction, atol=1e-6)
-        np.testing.assert_allclose(told.pop("origin"), np.array(ORIGIN) * [-1, -1, 1], rtol=1e-6)
-        np.testing.assert_allclose(told.pop("spacing"), SPACING, rtol=1e-6)
+        np.testing.assert_allclose(told.pop("origin"), np.array(volumes.ORIGIN) * [-1, -1, 1], rtol=1e-6)
+        np.testing.assert_allclose(told.pop("spacing"), volumes.SPACING, rtol=1e-6)
         letters = "".join(nibabel.aff2axcodes(nibabel.load(tmp_path / "in.nii.gz").affine))
         assert told == {
             "format": "NIfTI",
@@ -223,25 +219,25 @@ class TestInfo:
 
     @pytest.mark.parametrize("letters", ["RAS", "LPS", "LAI", "PIR", "SLP"])
     def test_orientation(self, tmp_path, letters):
-        affine = nibabel.orientations.inv_ornt_aff(nibabel.orientations.axcodes2ornt(tuple(letters)), SHAPE)
+        affine = nibabel.orientations.inv_ornt_aff(nibabel.orientations.axcodes2ornt(tuple(letters)), volumes.SHAPE)
         affine = np.linalg.inv(affine)
         affine[:3, 3] = 0
-        path = nifti(tmp_path / "in.nii", affine=np.round(np.linalg.inv(affine)))
+        path = volumes.nifti(tmp_path / "in.nii", affine=np.round(np.linalg.inv(affine)))
         assert "".join(nibabel.aff2axcodes(nibabel.load(path).affine)) == info(path)["orientation"]
 
     def test_of_nothing_but_nan(self, tmp_path):
-        samples = np.full(SHAPE, np.nan, "f4")
-        told = info(nifti(tmp_path / "in.nii", samples))
+        samples = np.full(volumes.SHAPE, np.nan, "f4")
+        told = info(volumes.nifti(tmp_path / "in.nii", samples))
         assert (told["minimum"], told["maximum"], told["nan"]) == (None, None, 120)
 
     def test_of_large_integers(self, tmp_path):
         samples = np.array([[[2**63, 2**64 - 1]]], "u8")
-        write(tmp_path / "in.nii", samples, volume(samples))
+        write(tmp_path / "in.nii", samples, volumes.volume(samples))
         told = info(tmp_path / "in.nii")
         assert (told["minimum"], told["maximum"]) == (2**63, 2**64 - 1)
 
     def test_of_a_series_and_of_raw(self, tmp_path):
-        like = volume(noise("u1", 3, *SHAPE), series=True, interval=2.5)
+        like = volumes.volume(volumes.noise("u1", 3, *volumes.SHAPE), series=True, interval=2.5)
         write(tmp_path / "out.nii", like.samples, like)
         told = info(tmp_path / "out.nii")
         assert (told["times"], told["interval"], told["shape"]) == (3, 2.5, [6, 5, 4])

@@ -16,46 +16,13 @@ import pyvips
 
 from supple.errors import GapWarning, LayerWarning, SuppleError, argument, caller, shown
 from supple.media.files import PathLike, check_suffix, replacing
-from supple.media.image import dpx, exif
-from supple.media.image.formats import (
-    AVIF,
-    DPX,
-    DTYPES,
-    EXR,
-    JPEG,
-    OUT,
-    SUFFIXES,
-    SUFFIXES_OUT,
-    TIFF,
-    Array,
-    check,
-    divided,
-    is_exr,
-    meant,
-    settings,
-    wrapped,
-)
+from supple.media.image import dpx, exif, formats
 from supple.media.image.headers import collected, dressed, extra_of, facts, finish, kept, profile_name
 from supple.media.image.tiff import MASK, Page, Tiff, swapped, tagged
 from supple.media.image.vips import apart, decoded, of_exr, of_tiff, opened, reading, sequential, widen, writing
 
 if TYPE_CHECKING:
     from supple.media.image import exr
-
-__all__ = [
-    "SUFFIXES",
-    "SUFFIXES_OUT",
-    "DepthWarning",
-    "ImageWarning",
-    "MetadataWarning",
-    "PageWarning",
-    "Picture",
-    "check_quality",
-    "check_target",
-    "info",
-    "read",
-    "write",
-]
 
 
 _BESIDE = {"exif-data": "EXIF", "xmp-data": "XMP", "iptc-data": "IPTC"}
@@ -102,7 +69,7 @@ class Picture:
         multiplied already, 2 opacity.
     """
 
-    pixels: Array
+    pixels: formats.Array
     alpha: bool = False
     icc: bytes | None = None
     bits: int = 8
@@ -114,7 +81,7 @@ class Picture:
 
     def warped(
         self,
-        warp: Callable[[Array, bool, list[int]], Array],
+        warp: Callable[[formats.Array, bool, list[int]], formats.Array],
         *,
         regridded: bool = False,
         averaged: bool = True,
@@ -173,16 +140,16 @@ class Picture:
 
 
 def check_target(path: PathLike) -> None:
-    """Raise SuppleError for a name whose suffix is not in `SUFFIXES_OUT`."""
+    """Raise SuppleError for a name whose suffix is not in `supple.media.image.formats.SUFFIXES_OUT`."""
     suffix = Path(path).suffix
-    check_suffix(path, suffix, OUT, "is no image format", f"use {', '.join(OUT)}")
+    check_suffix(path, suffix, formats.OUT, "is no image format", f"use {', '.join(formats.OUT)}")
 
 
 def check_quality(path: PathLike, quality: int | None) -> None:
     """Raise SuppleError for an invalid quality; warn if the format is lossless, so that it has no effect."""
     if quality is None:
         return
-    name, form = shown(path), OUT.get(Path(path).suffix.lower())
+    name, form = shown(path), formats.OUT.get(Path(path).suffix.lower())
     if not 1 <= quality <= 100:
         raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
     if form is not None and not form.quality:
@@ -217,7 +184,7 @@ def read(path: PathLike, *, pages: bool = False, whole: bool = False) -> Picture
     MetadataWarning
         The file has damaged EXIF or any IPTC in a TIFF, or a gain map for HDR in a JPEG.
     """
-    if is_exr(path):
+    if formats.is_exr(path):
         from supple.media.image import exr
 
         layers = exr.read(path)
@@ -260,10 +227,12 @@ def of_layers(held: exr.Exr) -> Picture:
     """Return an OpenEXR as a picture, whose header has all that `write` keeps of it."""
     pixels, image = held.arrays[0], of_exr(held)
     flat = pixels[..., 0] if pixels.shape[2] == 1 else pixels
-    return Picture(flat, False, None, held.bits, EXR.name, image.interpretation, 1, {"exr": held}, extra_of(image))
+    return Picture(
+        flat, False, None, held.bits, formats.EXR.name, image.interpretation, 1, {"exr": held}, extra_of(image)
+    )
 
 
-def _decoded(path: PathLike, image: Any, form: str, orientation: int) -> Array:
+def _decoded(path: PathLike, image: Any, form: str, orientation: int) -> formats.Array:
     """Decode an image; warn of a damaged JPEG, most of which may be usable."""
     if form != "JPEG":
         return apart(lambda: decoded(image, orientation), image)
@@ -278,9 +247,9 @@ def _decoded(path: PathLike, image: Any, form: str, orientation: int) -> Array:
         return pixels
 
 
-def _all_pages(path: PathLike, count: int) -> Array | None:
+def _all_pages(path: PathLike, count: int) -> formats.Array | None:
     """Decode all pages of a TIFF into one array, one below the other; None if they differ, also in what they mean."""
-    tall: Array | None = None
+    tall: formats.Array | None = None
     kinds = set()
     with reading(path):
         for k in range(count):
@@ -291,11 +260,8 @@ def _all_pages(path: PathLike, count: int) -> Array | None:
             if tall is None:
                 tall = np.empty((count * height, *pixels.shape[1:]), pixels.dtype)
             rows = tall[k * height : (k + 1) * height]
-            if (
-                len(kinds) > 1
-                or count * height != len(tall)
-                or (rows.shape, rows.dtype) != (pixels.shape, pixels.dtype)
-            ):
+            alike = count * height == len(tall) and (rows.shape, rows.dtype) == (pixels.shape, pixels.dtype)
+            if len(kinds) > 1 or not alike:
                 return None
             rows[:] = pixels
     return tall
@@ -333,7 +299,7 @@ def info(path: PathLike) -> dict[str, object]:
         "width": size[0],
         "height": size[1],
         "channels": image.bands,
-        "dtype": str(np.dtype(DTYPES[image.format])),
+        "dtype": str(np.dtype(formats.DTYPES[image.format])),
         "bits": bits,
         "alpha": 2 in extra_of(image),
         "format": form,
@@ -347,7 +313,7 @@ def info(path: PathLike) -> dict[str, object]:
 
 def write(
     path: PathLike,
-    pixels: Array | Picture,
+    pixels: formats.Array | Picture,
     like: Picture | None = None,
     *,
     alpha: bool | None = None,
@@ -360,7 +326,7 @@ def write(
     Parameters
     ----------
     path : str or os.PathLike
-        One of `SUFFIXES_OUT`.
+        One of `supple.media.image.formats.SUFFIXES_OUT`.
     pixels : ndarray or Picture
         Shape (H, W) or (H, W, C): uint8, uint16, and for TIFF also floats and integers up to 32 bits. Contiguous arrays
         are not copied. A picture is its own ``like``, unless another is given.
@@ -391,15 +357,15 @@ def write(
     if isinstance(pixels, Picture):
         like = like or pixels
         pixels = pixels.pixels
-    name, form = shown(path), OUT[Path(path).suffix.lower()]
+    name, form = shown(path), formats.OUT[Path(path).suffix.lower()]
     array = np.ascontiguousarray(pixels, np.asarray(pixels).dtype.newbyteorder("="))
     channels = array.shape[2] if array.ndim == 3 else 1
     same = like is not None and like.pixels.shape[2:] == array.shape[2:]
     extra: tuple[int, ...] = (2,) if (channels in (2, 4) if alpha is None else alpha) else ()
     if alpha is None and like is not None and same:
         extra = like.extra or ((2,) if like.alpha else ())
-        if extra == (1,) and form not in (TIFF, EXR):
-            array, extra = divided(array), (2,)
+        if extra == (1,) and form not in (formats.TIFF, formats.EXR):
+            array, extra = formats.divided(array), (2,)
     header, icc = (dict(like._header), like.icc) if like is not None else ({}, None)
     layers: exr.Exr | None = header.pop("exr", None)
     head: bytes = header.pop("dpx", b"")
@@ -408,33 +374,33 @@ def write(
         tiff = tiff.without_place()
         lost.append("the georeference of another grid")
     known = like.interpretation if like is not None and same else ""
-    meaning = meant(array.dtype, channels - (len(extra) if form is TIFF else alpha), known)
-    if form is TIFF:
+    meaning = formats.meant(array.dtype, channels - (len(extra) if form is formats.TIFF else alpha), known)
+    if form is formats.TIFF:
         if not extra and meaning == "multiband" and not tiff.is_inks:
             extra = (0,) * (channels - (3 if channels > 3 else 1))
         alike = like is not None and same and like.pixels.dtype == array.dtype
         tiff = replace(tiff if alike else Tiff(tags=tiff.tags), extra=extra)
-        meaning = meant(array.dtype, channels - len(extra), known if tiff.is_saved else "")
+        meaning = formats.meant(array.dtype, channels - len(extra), known if tiff.is_saved else "")
         array = swapped(tiff, array)
         lost += [f"the compression by {tiff.unkept}, which becomes deflate"] * bool(tiff.unkept)
     else:
         lost += ["the georeference"] * tiff.has_place + ["the mark of samples without data"] * (tiff.nodata is not None)
-    check(path, form, array, meaning, extra)
-    if lossless and form is JPEG:
+    formats.check(path, form, array, meaning, extra)
+    if lossless and form is formats.JPEG:
         raise SuppleError(f"cannot write {name} without loss: JPEG loses some: write PNG, TIFF, WebP or AVIF")
     if quality is not None and not 1 <= quality <= 100:
         raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
     have = like.bits if like is not None and like.pixels.dtype == array.dtype else array.dtype.itemsize * 8
-    bits = 10 if form is AVIF and 8 < have <= 10 else min(form.bits, array.dtype.itemsize * 8)
-    film = form is DPX and have in (10, 12) and channels == 3
+    bits = 10 if form is formats.AVIF and 8 < have <= 10 else min(form.bits, array.dtype.itemsize * 8)
+    film = form is formats.DPX and have in (10, 12) and channels == 3
     bits = have if film else bits
     if bits < have:
         text = f"{name}: {form.name} holds {bits} bits a channel, and the {have} of the pixels are rounded"
         warnings.warn(text, DepthWarning, stacklevel=2)
-    image, sized = wrapped(array, meaning, bits), False
-    if layers is not None and (unkept := layers.lost(exr=form is EXR)):
+    image, sized = formats.wrapped(array, meaning, bits), False
+    if layers is not None and (unkept := layers.lost(exr=form is formats.EXR)):
         lost.append(f"{' and '.join(unkept)} of an OpenEXR")
-    if head and form is not DPX:
+    if head and form is not formats.DPX:
         lost.append("the header of a DPX, with its transfer curve and timecode")
     if form.pixel_formats:
         lost += [what for key, what in _BESIDE.items() if key in header] + ["the colour profile"] * bool(icc)
@@ -444,7 +410,7 @@ def write(
     if lost:
         text = f"{name}: {form.name} cannot take over {' and '.join(lost)}"
         warnings.warn(text, MetadataWarning, stacklevel=2)
-    if form is EXR:
+    if form is formats.EXR:
         if alpha:  # EXR is premultiplied
             array = np.concatenate([array[..., :3] * array[..., 3:], array[..., 3:]], axis=2)
         from supple.media.image import exr
@@ -465,16 +431,16 @@ def write(
             if dpx.is_little(head):
                 kind = re.sub("be$", "le", kind)
             data = ffmpeg.encoded(array, form.saver, kind, form.options)
-            temporary.write_bytes(dpx.dressed(data, head, path) if form is DPX else data)
+            temporary.write_bytes(dpx.dressed(data, head, path) if form is formats.DPX else data)
         return
-    options = settings(form, array, bits, quality, lossless) | kept(image, form, sized)
-    if form is TIFF:
+    options = formats.settings(form, array, bits, quality, lossless) | kept(image, form, sized)
+    if form is formats.TIFF:
         options |= tiff.settings(lossless, array.dtype.itemsize)
         if like is not None and like.pages > 1:
             options["page_height"] = len(array) // like.pages
     with replacing(path, force=force) as temporary, writing(path):
         apart(lambda: getattr(image, form.saver)(os.fsencode(temporary), **options), image)
-        if form is TIFF:
+        if form is formats.TIFF:
             block = header.get("exif-data", b"")
             added = exif.for_tiff(block, array.shape[1], array.shape[0]) if block else {}
             tagged(temporary, tiff, added, sized)

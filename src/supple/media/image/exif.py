@@ -48,24 +48,12 @@ class Value:
 Folder: TypeAlias = "dict[int, bytes | Value | Folder]"
 
 
-@dataclass(frozen=True, slots=True)
 class _Form:
-    """The number format of a file: its byte order, and whether it is a BigTIFF."""
+    """The number format of a file: its byte order, and whether it is a BigTIFF; and the sizes of counts and entries."""
 
-    order: Order
-    big: bool = False
-
-    @property
-    def count(self) -> int:
-        return 8 if self.big else 2
-
-    @property
-    def word(self) -> int:
-        return 8 if self.big else 4
-
-    @property
-    def step(self) -> int:
-        return 20 if self.big else 12
+    def __init__(self, order: Order, big: bool = False) -> None:
+        self.order, self.big = order, big
+        self.count, self.word, self.step = (8, 8, 20) if big else (2, 4, 12)
 
     def number(self, data: bytes) -> int:
         return int.from_bytes(data, self.order)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from fractions import Fraction
 from typing import Any
 
@@ -16,7 +16,7 @@ need("video", "DPX, SGI, Radiance, JPEG 2000, BMP, TGA and PNM pictures", "av")
 import av
 import numpy as np
 
-from supple.media.files import PathLike, unreadable, unwritable
+from supple.media.files import PathLike, refusing, unreadable, unwritable
 from supple.media.image.formats import FORMATS, Array
 from supple.media.video.colour import FULL, Colour, to_rgb
 from supple.media.video.demux import said
@@ -84,20 +84,19 @@ def encoded(pixels: Array, codec: str, pixel_format: str, options: Mapping[str, 
     return b"".join(bytes(packet) for packet in (*context.encode(frame), *context.encode(None)))
 
 
-@contextlib.contextmanager
-def reading(path: PathLike, kind: str = "") -> Iterator[None]:
+def reading(path: PathLike, kind: str = "") -> AbstractContextManager[None]:
     """Convert a codec's errors to one sentence, with the kind of the file, if it is known."""
-    try:
-        yield
-    except av.FFmpegError as error:
-        what = f"it is damaged, cut short or of a kind that is not supported ({kind or said(error)})"
-        raise unreadable(path, what, "give a whole copy of it, or convert it to PNG or TIFF") from error
+    what, advice = (
+        "it is damaged, cut short or of a kind that is not supported",
+        "give a whole copy of it, or convert it",
+    )
+    return refusing(
+        lambda error: unreadable(path, f"{what} ({kind or said(error)})", f"{advice} to PNG or TIFF"), av.FFmpegError
+    )
 
 
-@contextlib.contextmanager
-def writing(path: PathLike) -> Iterator[None]:
+def writing(path: PathLike) -> AbstractContextManager[None]:
     """Convert a codec's errors to one sentence; errors of the system stay an `OSError`."""
-    try:
-        yield
-    except av.FFmpegError as error:
-        raise unwritable(path, f"FFmpeg fails ({said(error)})", "try another format") from error
+    return refusing(
+        lambda error: unwritable(path, f"FFmpeg fails ({said(error)})", "try another format"), av.FFmpegError
+    )

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pyvips
 
 from supple.errors import SuppleError, shown
-from supple.media.files import PathLike, unwritable
+from supple.media.files import PathLike, first_bytes, unwritable
 
 Array = npt.NDArray[Any]
 
@@ -174,8 +174,4 @@ def divided(pixels: Array) -> Array:
 
 def is_exr(path: PathLike) -> bool:
     """Return whether a file begins as an OpenEXR does; False for what cannot be read."""
-    try:
-        with open(path, "rb") as file:
-            return file.read(4) == EXR_MAGIC
-    except (OSError, ValueError):
-        return False
+    return first_bytes(path, 4) == EXR_MAGIC

@@ -13,7 +13,7 @@ import numpy as np
 import pyvips
 
 from supple.media.files import PathLike
-from supple.media.image import exif, previews
+from supple.media.image import exif
 from supple.media.image.formats import COLOURS, DTYPES, JPEG, PNG, TIFF, Format
 from supple.media.image.tiff import Page
 
@@ -25,6 +25,18 @@ _THUMBNAIL = ("exif-ifd1-", "jpeg-thumbnail-data")
 _ALL, _EXIF = 63, 1  # libvips' flags for the parts of a header
 _UNKNOWN = 0.1  # a pixel a centimetre, which `finish` removes
 _EXIF_MOST = 65_000  # libvips reads no more than fits into a JPEG, and adds a few tags
+# Previews in metadata show the old pixels: they are removed, wherever they are.
+_SIGNS = re.compile(rb"\xff\xd8\xff|\xff\xd9")  # where a JPEG begins, and where one ends
+_RESOURCE = re.compile(rb"(?s)8BIM(..)")
+_THUMBNAILS = (1033, 1036)
+_PLACES = rb"(?:\w+:Thumbnails|(?:Container|GContainer|GDepth|GImage|hdrgm|HDRGainMap):\w+|xmpNote:HasExtendedXMP)"
+# elements, attributes, and any picture in base64: JPEG, PNG, GIF, WebP, TIFF, AVIF and HEIF
+_IN_XMP = (
+    rb"(?s)<(" + _PLACES + rb")\b(?:[^<>]*/>|.*?</\1\s*>)",
+    rb"(?s)\s" + _PLACES + rb"\s*=\s*(?:\"[^\"]*\"|'[^']*')",
+    rb"\sdcterms:provenance\s*=\s*\"[^\"]*(?:c2pa|jumbf)[^\"]*\"",
+    rb"(?:/9j/|iVBORw0KGgo|R0lGOD|UklGR|SUkq|TU0AK|AAAA\w\wZ0eX)[A-Za-z0-9+/=\s&#;]{64,}",
+)
 
 
 def facts(image: Any) -> tuple[int, int, int]:
@@ -52,9 +64,9 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
                 header[name] = image.get(name)
     if "xmp-data" in header:  # it may repeat the orientation
         pattern = rb"(tiff:Orientation(?:=[\"']|>)\s*)[2-8]"
-        header["xmp-data"] = previews.without_pictures(re.sub(pattern, rb"\g<1>1", header["xmp-data"]))
+        header["xmp-data"] = _without_pictures(re.sub(pattern, rb"\g<1>1", header["xmp-data"]))
     if "iptc-data" in header:
-        header["iptc-data"] = previews.blanked(previews.without_thumbnails(header["iptc-data"]))
+        header["iptc-data"] = _blanked(_without_thumbnails(header["iptc-data"]))
     for name in [name for name in header if "-Raw profile type " in name]:  # in hexadecimal digits
         if "ffd8ff" in "".join(header[name].lower().split()):
             del header[name]
@@ -76,10 +88,43 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
         if image.get_typeof("iptc-data"):  # libvips garbles it
             lost.append("its IPTC")
     if "exif-data" in header:
-        header["exif-data"] = previews.blanked(header["exif-data"])
+        header["exif-data"] = _blanked(header["exif-data"])
     if image.get_typeof("gainmap-data"):
         lost.append("its HDR gain map")
     return header, lost
+
+
+def _blanked(data: bytes) -> bytes:
+    """Return bytes with zeros for every JPEG in them, in maker notes for instance, whose offsets stay valid."""
+    made, begin, depth = bytearray(data), 0, 0
+    for found in _SIGNS.finditer(data):  # one may hold another
+        opens = found[0] != b"\xff\xd9"
+        if opens and depth == 0:
+            begin = found.start()
+        if opens or depth:
+            depth += 1 if opens else -1
+            made[begin : found.end()] = bytes(found.end() - begin)
+    return bytes(made)
+
+
+def _without_thumbnails(data: bytes) -> bytes:
+    """Return Photoshop's image resources without thumbnails."""
+    made, at = bytearray(), 0
+    while found := _RESOURCE.search(data, at):
+        made += data[at : found.start()]
+        name = found.end() + (data[found.end()] // 2 * 2 + 2 if found.end() < len(data) else 0)
+        size = int.from_bytes(data[name : name + 4])
+        at = min(name + 4 + size + size % 2, len(data))
+        if int.from_bytes(found[1]) not in _THUMBNAILS:
+            made += data[found.start() : at]
+    return bytes(made + data[at:])
+
+
+def _without_pictures(xmp: bytes) -> bytes:
+    """Return XMP without pictures, and without what refers to others in the file."""
+    for pattern in _IN_XMP:
+        xmp = re.sub(pattern, b"", xmp)
+    return xmp
 
 
 # Kept: libvips tells neither of frames of a PNG nor whether it says its resolution (test_nothing_is_invented).

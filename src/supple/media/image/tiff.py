@@ -19,13 +19,8 @@ _UNIT = 296
 _STORED = ((273, 279), (324, 325))  # the offsets and sizes of strips, and of tiles
 MINISWHITE, RGB, YCBCR, CIELAB, ICCLAB, ITULAB = 0, 2, 6, 8, 9, 10
 MASK, _MOSAIC = 4, 32803
-_COLOURS = {
-    0: 1,
-    1: 1,
-    3: 1,
-    MASK: 1,
-    _MOSAIC: 1,
-}  # by the photometric interpretation; all others have three, and inks their own
+# by photometric interpretation; others have three, inks their own
+_COLOURS = dict.fromkeys((0, 1, 3, MASK, _MOSAIC), 1)
 _UNSAVED = (MINISWHITE, CIELAB, ICCLAB, ITULAB)
 _MEANINGS = {5: "cmyk", CIELAB: "lab", ICCLAB: "lab", ITULAB: "lab"}
 _JPEGS = (6, 7)
@@ -207,9 +202,8 @@ class Page:
         return np.ascontiguousarray(swapped(self.tiff, made)), self.bits
 
     def _refuse(self, what: str) -> NoReturn:
-        raise unreadable(
-            self._path, f"it is of a kind that is not supported ({what})", "convert it, to PNG for instance"
-        )
+        what = f"it is of a kind that is not supported ({what})"
+        raise unreadable(self._path, what, "convert it, to PNG for instance")
 
     def _plane(self, read: Callable[[Any, int], Array], k: int) -> Array:
         """Decode one plane, or all samples if they lie together."""
@@ -229,7 +223,8 @@ class Page:
                 values[_TILE_WIDTH] = segment * pixel // 8
         for tag, value in values.items():
             self._set(data, tag, 4 if tag in (_WIDTH, _TILE_WIDTH) else 3, value)
-        self._hide(data, _EXTRA)
+        if (at := self._at.get(_EXTRA)) is not None:  # named as the one before it: libtiff ignores the second of two
+            data[at : at + 2] = self._form.bytes(max(tag for tag in self._at if tag < _EXTRA), 2)
         if self.planes > 1:
             for tag in (tag for pair in _STORED for tag in pair if tag in self._at):
                 self._share(data, tag, k)
@@ -269,12 +264,6 @@ class Page:
             form = self._form
             entry = form.bytes(tag, 2) + form.bytes(kind, 2) + form.bytes(1, form.word)
             data[at : at + form.step] = (entry + form.bytes(value, 2 if kind == 3 else 4)).ljust(form.step, b"\0")
-
-    def _hide(self, data: mmap.mmap, tag: int) -> None:
-        """Name a tag as the one before it: libtiff ignores the second of two."""
-        if (at := self._at.get(tag)) is not None:
-            before = max(known for known in self._at if known < tag)
-            data[at : at + 2] = self._form.bytes(before, 2)
 
     def _share(self, data: mmap.mmap, tag: int, k: int) -> None:
         """Reduce the offsets or sizes of strips to those of one plane."""

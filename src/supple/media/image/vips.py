@@ -6,7 +6,7 @@ import contextlib
 import errno
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -14,10 +14,10 @@ import numpy as np
 import pyvips
 
 from supple.errors import SuppleError
-from supple.media.files import PathLike, head_of, unreadable, unwritable
+from supple.media.files import PathLike, head_of, refusing, unreadable, unwritable
 from supple.media.image import dpx
 from supple.media.image.formats import DTYPES, EXR_MAGIC, LOADERS, Array, meant, wrapped
-from supple.media.image.headers import EXTRA, png_frames
+from supple.media.image.headers import EXTRA, facts, png_frames
 from supple.media.image.tiff import Page
 
 if TYPE_CHECKING:
@@ -73,6 +73,15 @@ def opened(path: PathLike) -> tuple[Any, str]:
     if form is None or image.format not in DTYPES or image.coding != "none":
         raise unreadable(path, "it is no image of a known kind", kinds)
     return image, form
+
+
+def pages_of(path: PathLike) -> tuple[str, int]:
+    """Return the format of an image, and the number of its pages or frames; none of one that cannot be read."""
+    try:
+        image, form = opened(path)
+    except SuppleError:
+        return "", 0
+    return form, facts(image)[0]
 
 
 def _by_ffmpeg(path: PathLike, codec: str, form: str) -> tuple[Any, str]:
@@ -163,28 +172,22 @@ def apart(work: Callable[[], T], image: Any = None) -> T:
             raise
 
 
-@contextlib.contextmanager
-def reading(path: PathLike) -> Iterator[None]:
+def reading(path: PathLike) -> contextlib.AbstractContextManager[None]:
     """Convert all errors to one sentence."""
-    try:
-        yield
-    except SuppleError:
-        raise
-    except (pyvips.Error, OSError, ArithmeticError, ValueError, MemoryError) as error:
-        raise _damaged(path, error) from error
+    kinds = pyvips.Error, OSError, ArithmeticError, ValueError, MemoryError
+    return refusing(lambda error: _damaged(path, error), *kinds)
 
 
-@contextlib.contextmanager
-def writing(path: PathLike) -> Iterator[None]:
+def writing(path: PathLike) -> contextlib.AbstractContextManager[None]:
     """Convert libvips' errors to an `OSError` if the system refused, else to one sentence."""
-    try:
-        yield
-    except (pyvips.Error, UnicodeError) as error:
+
+    def refused(error: Exception) -> Exception:
         text = getattr(error, "detail", "")
         if found := re.search("system error: (.+)", text):
-            code = next((code for code in errno.errorcode if os.strerror(code) == found[1]), -1)
-            raise OSError(code, found[1]) from error
-        raise unwritable(path, f"libvips fails{_reason(text)}", "try another format") from error
+            return OSError(next((code for code in errno.errorcode if os.strerror(code) == found[1]), -1), found[1])
+        return unwritable(path, f"libvips fails{_reason(text)}", "try another format")
+
+    return refusing(refused, pyvips.Error, UnicodeError)
 
 
 def _damaged(path: PathLike, error: Exception) -> SuppleError:

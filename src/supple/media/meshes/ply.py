@@ -8,23 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from supple.media import meshes
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes import (
-    NO_RUNS,
-    TOKEN,
-    Floats,
-    Mesh,
-    Numbers,
-    Part,
-    Runs,
-    checked,
-    edited,
-    in_rows,
-    in_text,
-    joined,
-    part_of,
-    space_of,
-)
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -50,7 +35,7 @@ class _Element:
         return {name: "list" if length else kind for name, kind, length in self.properties}
 
 
-def parsed(path: PathLike, data: bytes) -> Mesh:
+def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
     """Return the vertices of a PLY file, and their normals if it has the properties nx, ny and nz."""
     header = _HEADER.match(data)
     if header is None:
@@ -75,21 +60,23 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
         end = numbers.end
     else:
         numbers, end = _text(path, data, header.end(), sum(element.count for element in before), vertex, columns)
-    points, normals = checked(path, numbers.values[:, :3]), numbers.values[:, 3:].reshape(-1, 3)
+    points, normals = meshes.checked(path, numbers.values[:, :3]), numbers.values[:, 3:].reshape(-1, 3)
 
-    def rewritten(moved: Floats, turned: Floats) -> bytes:
-        return edited(data, numbers.edits(np.hstack([moved, turned]) if len(turned) else moved))
+    def rewritten(moved: meshes.Floats, turned: meshes.Floats) -> bytes:
+        return meshes.edited(data, numbers.edits(np.hstack([moved, turned]) if len(turned) else moved))
 
-    def parts() -> list[Part]:
+    def parts() -> list[meshes.Part]:
         rest = _Rest(path, data[end:], order)
         found = {element.name: rest.element(element) for element in after}
         faces, edges = found.get("face", {}), found.get("edge", {})
-        polygons = faces.get("vertex_indices") or faces.get("vertex_index") or NO_RUNS
+        polygons = faces.get("vertex_indices") or faces.get("vertex_index") or meshes.NO_RUNS
         ends = [np.asarray(edges[name][0], np.intp) for name in ("vertex1", "vertex2") if name in edges]
-        lines = (np.stack(ends, axis=1), np.full(len(ends[0]), 2)) if len(ends) == 2 else NO_RUNS
-        return [part_of(path, len(points), polygons, lines)]
+        lines = (np.stack(ends, axis=1), np.full(len(ends[0]), 2)) if len(ends) == 2 else meshes.NO_RUNS
+        return [meshes.part_of(path, len(points), polygons, lines)]
 
-    return Mesh(points, space_of(header[0]), rewritten, parts, normals, np.arange(len(normals), dtype=np.intp))
+    return meshes.Mesh(
+        points, meshes.space_of(header[0]), rewritten, parts, normals, np.arange(len(normals), dtype=np.intp)
+    )
 
 
 def _declared(path: PathLike, header: str) -> tuple[str, list[_Element]]:
@@ -117,19 +104,19 @@ def _declared(path: PathLike, header: str) -> tuple[str, list[_Element]]:
 
 def _binary(
     path: PathLike, data: bytes, start: int, order: str, before: list[_Element], vertex: _Element, columns: list[str]
-) -> Numbers:
+) -> meshes.Numbers:
     for element in (*before, vertex):
         if "list" in element.kinds.values():
             raise unreadable(path, f"{element.name} has lists before the vertices end", "save it with vertices first")
     for element in before:
         start += element.count * sum(np.dtype(kind).itemsize for _, kind, _ in element.properties)
     fields = [(name, order + kind) for name, kind, _ in vertex.properties]
-    return in_rows(path, data, start, vertex.count, fields, columns, "vertices")
+    return meshes.in_rows(path, data, start, vertex.count, fields, columns, "vertices")
 
 
 def _text(
     path: PathLike, data: bytes, start: int, skipped: int, vertex: _Element, columns: list[str]
-) -> tuple[Numbers, int]:
+) -> tuple[meshes.Numbers, int]:
     """Return the columns of vertices, which follow so many rows of other elements, and where they end."""
     if "list" in vertex.kinds.values():
         raise unreadable(path, "its vertices have lists", "save it without these")
@@ -137,7 +124,7 @@ def _text(
     for line in data[start:].splitlines(keepends=True):
         if rows == skipped + vertex.count:
             break
-        words = [match.span() for match in TOKEN.finditer(line)]
+        words = [match.span() for match in meshes.TOKEN.finditer(line)]
         rows += bool(words)
         if words and rows > skipped:
             if len(words) != len(vertex.properties):
@@ -147,7 +134,7 @@ def _text(
         start += len(line)
     if rows < skipped + vertex.count:
         raise unreadable(path, f"it ends before its {vertex.count} vertices do")
-    return in_text(path, data, spans, len(columns)), start
+    return meshes.in_text(path, data, spans, len(columns)), start
 
 
 class _Rest:
@@ -157,7 +144,7 @@ class _Rest:
         self.path, self.order, self.at = path, order, 0
         self.held: Any = data if order else data.split()
 
-    def element(self, known: _Element) -> dict[str, Runs]:
+    def element(self, known: _Element) -> dict[str, meshes.Runs]:
         """Return the values of each property, and for lists how many are in each."""
         if self.order and known.count and (found := self._alike(known)) is not None:
             return found
@@ -165,9 +152,9 @@ class _Rest:
         for _ in range(known.count):
             for name, kind, length in known.properties:
                 rows[name].append(self._taken(name, self._taken("", 1, length)[0] if length else 1, kind))
-        return {name: joined(each) for name, each in rows.items()}
+        return {name: meshes.joined(each) for name, each in rows.items()}
 
-    def _alike(self, known: _Element) -> dict[str, Runs] | None:
+    def _alike(self, known: _Element) -> dict[str, meshes.Runs] | None:
         """Return binary rows that have lists of one size, as most have; None if they have not."""
         start, fields, sizes = self.at, [], {}
         for name, kind, length in known.properties:

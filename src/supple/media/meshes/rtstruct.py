@@ -18,7 +18,7 @@ from supple.errors import SuppleError, VolumeWarning, said, shown
 from supple.media.files import PathLike, unreadable
 from supple.media.meshes import Floats, Mesh, Part, checked, joined, part_of
 from supple.media.volume import Volume
-from supple.media.volume.derived import WARNING, ended, series_number
+from supple.media.volume.derived import WARNING, ended, reference_to, series_number
 from supple.media.volume.frames import frames_of, imported
 
 _STRUCTURES = "1.2.840.10008.5.1.4.1.1.481.3"
@@ -111,9 +111,8 @@ def _parts(path: PathLike, dataset: Any, count: int) -> list[Part]:
             runs.append([*range(begin, end), *closed])
             begin = end
         shades = [int(shade) / 255 for shade in region.get("ROIDisplayColor") or ()]
-        colour = (
-            (shades[0], shades[1], shades[2]) if len(shades) == 3 and 0 <= min(shades) <= max(shades) <= 1 else None
-        )
+        good = len(shades) == 3 and 0 <= min(shades) <= max(shades) <= 1
+        colour = (shades[0], shades[1], shades[2]) if good else None
         made.append(part_of(path, count, lines=joined(runs), colour=colour))
     return made
 
@@ -132,25 +131,20 @@ def _move(contour: Any, new: Floats, old: Floats, decimal: Any) -> float:
         for before, value, kept in zip(known, new.ravel().tolist(), (new == old).ravel().tolist(), strict=True)
     ]
     kind = str(contour.get("ContourGeometricType", ""))
-    off = _off_plane(new) if kind in ("CLOSED_PLANAR", "OPEN_PLANAR", "CLOSEDPLANAR_XOR") else 0.0
+    off = 0.0
+    if kind in ("CLOSED_PLANAR", "OPEN_PLANAR", "CLOSEDPLANAR_XOR") and len(new) > 3:
+        centred = new - new.mean(axis=0)
+        normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
+        off = float(np.abs(centred @ normal).max())
     if off > _FLAT and kind == "OPEN_PLANAR":
         contour.ContourGeometricType = "OPEN_NONPLANAR"
     contour.ContourData = values
     return off if off > _FLAT else 0.0
 
 
-def _off_plane(points: Floats) -> float:
-    if len(points) < 4:
-        return 0.0
-    centred = points - points.mean(axis=0)
-    normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
-    return float(np.abs(centred @ normal).max())
-
-
 def _renew(made: Any, pydicom: Any) -> None:
     """Make a structure set one of its own, with the source as its predecessor."""
-    source = pydicom.Dataset()
-    source.ReferencedSOPClassUID, source.ReferencedSOPInstanceUID = made.SOPClassUID, made.SOPInstanceUID
+    source = reference_to(pydicom, made)
     made.remove_private_tags()
     regions = made.get("StructureSetROISequence") or []
     for part in (made, *regions, *(made.get("ReferencedFrameOfReferenceSequence") or [])):
@@ -181,11 +175,7 @@ def _refer(made: Any, series: Volume, pydicom: Any) -> None:
     frame = heads[0].get("FrameOfReferenceUID") or next(
         (one.get("FrameOfReferenceUID") for one in made.get("ReferencedFrameOfReferenceSequence") or ()), None
     )
-    slices = []
-    for k in range(1 if many else count):
-        one = pydicom.Dataset()
-        one.ReferencedSOPClassUID, one.ReferencedSOPInstanceUID = heads[k].SOPClassUID, heads[k].SOPInstanceUID
-        slices.append(one)
+    slices = [reference_to(pydicom, head) for head in heads[: 1 if many else count]]
     referred, study, where = pydicom.Dataset(), pydicom.Dataset(), pydicom.Dataset()
     referred.SeriesInstanceUID, referred.ContourImageSequence = heads[0].SeriesInstanceUID, slices
     study.ReferencedSOPClassUID, study.ReferencedSOPInstanceUID = _STUDY, heads[0].StudyInstanceUID

@@ -41,7 +41,10 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
         binary = facets.rows is not None  # of float32
         made[:, 3:] = (moved.astype(np.float32) if binary else moved)[which].reshape(-1, 9)
         turned = (made != before).any(axis=1)
-        made[turned, :3] = _normals(made[turned, 3:].reshape(-1, 3, 3))
+        first, second, third = np.split(made[turned, 3:], 3, axis=1)
+        across = np.cross(second - first, third - first)
+        length = np.linalg.norm(across, axis=1, keepdims=True)
+        made[turned, :3] = np.divide(across, length, out=np.zeros_like(across), where=length > 0)
         return edited(data, facets.edits(made))
 
     runs = which, np.full(len(which) // 3, 3)
@@ -56,9 +59,3 @@ def _distinct(corners: Floats) -> tuple[Floats, np.typing.NDArray[np.intp]]:
     place = np.empty_like(order)
     place[order] = np.arange(len(order))
     return corners[first[order]], place[which.ravel()]
-
-
-def _normals(triangles: Floats) -> Floats:
-    made = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    length = np.linalg.norm(made, axis=1, keepdims=True)
-    return np.asarray(np.divide(made, length, out=np.zeros_like(made), where=length > 0))

@@ -7,23 +7,8 @@ import re
 import numpy as np
 
 from supple.errors import shown
+from supple.media import meshes
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes import (
-    NO_RUNS,
-    Floats,
-    Ints,
-    Mesh,
-    Numbers,
-    Part,
-    Runs,
-    checked,
-    edited,
-    in_rows,
-    in_text,
-    part_of,
-    space_of,
-    tokens,
-)
 
 _HEAD = re.compile(
     rb"# vtk DataFile Version [^\n]*\n([^\n]*)\n\s*(ASCII|BINARY)\s*\n\s*DATASET\s+(\w+)[ \t]*\r?\n", re.I
@@ -38,7 +23,7 @@ _OFFSETS = re.compile(rb"\s*(OFFSETS|CONNECTIVITY)\s+(\w+)[ \t]*\r?\n")  # from 
 _WHOLE = {b"vtktypeint64": ">i8", b"vtktypeint32": ">i4", b"int": ">i4"}
 
 
-def parsed(path: PathLike, data: bytes) -> Mesh:
+def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
     """Return the points of PolyData, and the active normals of points."""
     head = _HEAD.match(data)
     if head is None:
@@ -51,33 +36,33 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
     if declared is None:
         raise unreadable(path, "it has no POINTS", "give a mesh")
     points = _vectors(path, data, declared.end(), int(declared[1]), declared[2], binary)
-    checked(path, points.values)
-    normals = Numbers(np.zeros((0, 3)))
+    meshes.checked(path, points.values)
+    normals = meshes.Numbers(np.zeros((0, 3)))
     if section := _POINT_DATA.search(data, points.end):
         after = _CELL_DATA.search(data, section.end())
         if named := _NORMALS.search(data, section.end() - 1, after.start() + 1 if after else len(data)):
             normals = _vectors(path, data, named.end(), len(points.values), named[1], binary)
 
-    def rewritten(moved: Floats, turned: Floats) -> bytes:
+    def rewritten(moved: meshes.Floats, turned: meshes.Floats) -> bytes:
         edits = [*points.edits(moved), *(normals.edits(turned) if len(turned) else ())]
         noted = _RANGE.match(data, points.end)  # the range that newer versions note behind the points
         if noted and (moved != points.values).any():
             length = np.linalg.norm(moved, axis=1)
             edits.append((*noted.span(1), f"{length.min():.17g} {length.max():.17g}".encode()))
-        return edited(data, edits)
+        return meshes.edited(data, edits)
 
-    def parts() -> list[Part]:
-        runs, place = dict.fromkeys((b"POLYGONS", b"LINES", b"TRIANGLE_STRIPS"), NO_RUNS), points.end - 1
+    def parts() -> list[meshes.Part]:
+        runs, place = dict.fromkeys((b"POLYGONS", b"LINES", b"TRIANGLE_STRIPS"), meshes.NO_RUNS), points.end - 1
         while found := _CELLS.search(data, place):
             runs[found[1]], place = _runs(path, data, found, binary)
         polygons, lines, strips = runs.values()
-        return [part_of(path, len(points.values), polygons, lines, strips)]
+        return [meshes.part_of(path, len(points.values), polygons, lines, strips)]
 
     at = np.arange(len(normals.values), dtype=np.intp)
-    return Mesh(points.values, space_of(head[1]), rewritten, parts, normals.values, at)
+    return meshes.Mesh(points.values, meshes.space_of(head[1]), rewritten, parts, normals.values, at)
 
 
-def _runs(path: PathLike, data: bytes, found: re.Match[bytes], binary: bool) -> tuple[Runs, int]:
+def _runs(path: PathLike, data: bytes, found: re.Match[bytes], binary: bool) -> tuple[meshes.Runs, int]:
     """Return cells, and where they end: corners behind their number, or apart from offsets."""
     first, second = int(found[2]), int(found[3])
     named = _OFFSETS.match(data, found.end())
@@ -101,7 +86,7 @@ def _runs(path: PathLike, data: bytes, found: re.Match[bytes], binary: bool) -> 
     return (corners, np.diff(offsets)), end
 
 
-def _whole(path: PathLike, data: bytes, start: int, count: int, kind: bytes, binary: bool) -> tuple[Ints, int]:
+def _whole(path: PathLike, data: bytes, start: int, count: int, kind: bytes, binary: bool) -> tuple[meshes.Ints, int]:
     if kind.lower() not in _WHOLE:
         raise unreadable(path, f"its cells are of type {shown(kind.decode(errors='replace'))}")
     if binary:
@@ -110,17 +95,17 @@ def _whole(path: PathLike, data: bytes, start: int, count: int, kind: bytes, bin
         if end > len(data):
             raise unreadable(path, f"it ends before its {count} cells do")
         return np.frombuffer(data, dtype, count, start).astype(np.intp), end
-    spans = tokens(path, data, start, count, f"{count} cells")
+    spans = meshes.tokens(path, data, start, count, f"{count} cells")
     try:
         return np.array([int(data[a:b]) for a, b in spans], np.intp), spans[-1][1] if spans else start
     except (ValueError, OverflowError):
         raise unreadable(path, "a cell has what is no whole number of 64 bits") from None
 
 
-def _vectors(path: PathLike, data: bytes, start: int, count: int, kind: bytes, binary: bool) -> Numbers:
+def _vectors(path: PathLike, data: bytes, start: int, count: int, kind: bytes, binary: bool) -> meshes.Numbers:
     if kind.lower() not in _KINDS:
         found = f"its vectors are of type {shown(kind.decode(errors='replace'))}"
         raise unreadable(path, found, "save it with float or double")
     if binary:
-        return in_rows(path, data, start, count, [("vector", _KINDS[kind.lower()], 3)], ["vector"], "vectors")
-    return in_text(path, data, tokens(path, data, start, 3 * count, f"{count} vectors"), 3, start)
+        return meshes.in_rows(path, data, start, count, [("vector", _KINDS[kind.lower()], 3)], ["vector"], "vectors")
+    return meshes.in_text(path, data, meshes.tokens(path, data, start, 3 * count, f"{count} vectors"), 3, start)

@@ -16,21 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import shown
+from supple.media import meshes
 from supple.media.files import PathLike, refusing, unreadable
-from supple.media.meshes import (
-    NO_RUNS,
-    TOKEN,
-    Edit,
-    Floats,
-    Ints,
-    Mesh,
-    Numbers,
-    Part,
-    checked,
-    edited,
-    in_text,
-    part_of,
-)
 
 _ROOT = re.compile(rb"<VTKFile\b([^>]*)>")
 _PIECE = re.compile(rb"<Piece\b.*?</Piece\s*>", re.DOTALL)
@@ -109,9 +96,9 @@ class _Array:
     start: int
     end: int
     block: int = 0
-    text: Numbers | None = None
+    text: meshes.Numbers | None = None
 
-    def edits(self, file: _File, new: Floats) -> list[Edit]:
+    def edits(self, file: _File, new: meshes.Floats) -> list[meshes.Edit]:
         """Return the edits that put other numbers there, and remove their range, where it is noted."""
         if self.text is not None:
             edits = self.text.edits(new)
@@ -121,7 +108,7 @@ class _Array:
         return edits + [(*found.span(), b"") for found in _RANGE.finditer(file.data, *self.tag)]
 
 
-def parsed(path: PathLike, data: bytes) -> Mesh:
+def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
     """Return the points of PolyData in all pieces, and the active normals of points."""
     root = _ROOT.search(data, 0, 4096)
     known = _attributes(root[1]) if root else {}
@@ -151,7 +138,7 @@ def _damage(path: PathLike) -> contextlib.AbstractContextManager[None]:
     return refusing(lambda error: unreadable(path, f"an array is damaged ({error})"), *_DAMAGE)
 
 
-def _read(file: _File, xml: bytes) -> Mesh:
+def _read(file: _File, xml: bytes) -> meshes.Mesh:
     pieces = list(_PIECE.finditer(xml))
     points, normals, at, base = [], [], [], 0
     for piece in pieces:
@@ -169,29 +156,31 @@ def _read(file: _File, xml: bytes) -> Mesh:
             at.append(base + np.arange(len(array.values) // 3, dtype=np.intp))
         base += len(placed.values) // 3
 
-    def rewritten(moved: Floats, turned: Floats) -> bytes:
-        edits: list[Edit] = []
+    def rewritten(moved: meshes.Floats, turned: meshes.Floats) -> bytes:
+        edits: list[meshes.Edit] = []
         for arrays, new in ((points, moved), (normals, turned)):
             ends = np.cumsum([len(values) for _, values in arrays])
             for (array, values), part in zip(arrays, np.split(new, ends), strict=False):
                 if (part != values).any():
                     edits += array.edits(file, part)
-        return edited(file.data, [*edits, *_offsets(file, edits)])
+        return meshes.edited(file.data, [*edits, *_offsets(file, edits)])
 
-    def parts() -> list[Part]:
+    def parts() -> list[meshes.Part]:
         with _damage(file.path):
             return [_part(file, pieces, [len(values) for _, values in points])]
 
-    vertices = checked(file.path, np.concatenate([values for _, values in points]) if points else [])
+    vertices = meshes.checked(file.path, np.concatenate([values for _, values in points]) if points else [])
     vectors = np.concatenate([np.zeros((0, 3)), *(values for _, values in normals)])
-    return Mesh(vertices, _space(file, xml), rewritten, parts, vectors, np.concatenate([np.zeros(0, np.intp), *at]))
+    return meshes.Mesh(
+        vertices, _space(file, xml), rewritten, parts, vectors, np.concatenate([np.zeros(0, np.intp), *at])
+    )
 
 
-def _part(file: _File, pieces: list[re.Match[bytes]], counts: list[int]) -> Part:
+def _part(file: _File, pieces: list[re.Match[bytes]], counts: list[int]) -> meshes.Part:
     runs = []
     for kind in ("Polys", "Lines", "Strips"):
-        corners: list[Ints] = []
-        many: list[Ints] = []
+        corners: list[meshes.Ints] = []
+        many: list[meshes.Ints] = []
         for piece, base in zip(pieces, np.cumsum([0, *counts]).tolist(), strict=False):
             arrays = {}
             for array in _arrays(file, piece, kind):
@@ -201,9 +190,9 @@ def _part(file: _File, pieces: list[re.Match[bytes]], counts: list[int]) -> Part
             if {"connectivity", "offsets"} <= set(arrays):
                 corners.append(base + arrays["connectivity"])
                 many.append(np.diff(arrays["offsets"], prepend=0))
-        runs.append((np.concatenate(corners), np.concatenate(many)) if corners else NO_RUNS)
+        runs.append((np.concatenate(corners), np.concatenate(many)) if corners else meshes.NO_RUNS)
     polygons, lines, strips = runs
-    return part_of(file.path, sum(counts), polygons, lines, strips)
+    return meshes.part_of(file.path, sum(counts), polygons, lines, strips)
 
 
 def _attributes(text: bytes) -> dict[str, str]:
@@ -211,7 +200,7 @@ def _attributes(text: bytes) -> dict[str, str]:
     return dict(found)
 
 
-def _vectors(file: _File, array: _Array, section: str) -> tuple[_Array, Floats]:
+def _vectors(file: _File, array: _Array, section: str) -> tuple[_Array, meshes.Floats]:
     if array.values.dtype.kind != "f" or array.known.get("NumberOfComponents") != "3":
         raise unreadable(file.path, f"{section} are not three floats each", "save it with Float32 or Float64")
     return array, array.values.reshape(-1, 3).astype(np.float64)
@@ -236,12 +225,12 @@ def _array(file: _File, found: re.Match[bytes]) -> _Array:
         values, end, block = file.decode(start, file.raw)
         return _Array(known, np.frombuffer(values, dtype), tag, start, end, block)
     inner = _KEY.sub(lambda key: b" " * len(key[0]), found[4] or b"")
-    spans = [(found.start(4) + match.start(), found.start(4) + match.end()) for match in TOKEN.finditer(inner)]
+    spans = [(found.start(4) + match.start(), found.start(4) + match.end()) for match in meshes.TOKEN.finditer(inner)]
     if not spans:
         return _Array(known, np.zeros(0, dtype), tag, found.end(), found.end())
     start, end = spans[0][0], spans[-1][1]
     if known["format"] == "ascii" and dtype.kind == "f":
-        text = in_text(file.path, file.data, spans, 1)
+        text = meshes.in_text(file.path, file.data, spans, 1)
         return _Array(known, text.values.ravel(), tag, start, end, text=text)
     if known["format"] == "ascii":
         return _Array(known, np.array([int(file.data[a:b]) for a, b in spans], dtype), tag, start, end)
@@ -258,7 +247,7 @@ def _space(file: _File, xml: bytes) -> str:
     return ""
 
 
-def _offsets(file: _File, edits: list[Edit]) -> Iterator[Edit]:
+def _offsets(file: _File, edits: list[meshes.Edit]) -> Iterator[meshes.Edit]:
     """Yield the edits of offsets: where appended arrays change in size, those behind follow."""
     shifts = [(start - file.appended, len(new) - (end - start)) for start, end, new in edits if start >= file.appended]
     if any(size for _, size in shifts):

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from supple.engine.work import Array
 from supple.errors import SuppleError, VolumeWarning, need, shown
 from supple.media import image, volume
 from supple.media.files import PathLike, head_of, unreadable
@@ -22,8 +22,6 @@ from supple.media.transforms.ngff import ORIENTATIONS
 from supple.media.volume import RawLayout, pages
 from supple.media.volume.data import rescaled, rescaled_dtype
 from supple.space.geometry import Geometry, check_upright
-
-Array = npt.NDArray[Any]
 
 _CHUNK = {2: 512, 3: 64}  # the side of a chunk, of so many axes of space
 _SHARD = 1 << 25  # bytes

@@ -9,13 +9,12 @@ from itertools import pairwise, product
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from supple.engine.work import Array
 from supple.media.stores.image import StoredImage
 from supple.media.stores.places import Place
 from supple.media.transforms.ngff import ome_of
 
-Array = npt.NDArray[Any]
 Mode = Literal["mean", "nearest"]
 
 
@@ -28,16 +27,6 @@ class Step(NamedTuple):
     def size(self, before: int) -> int:
         """Return the number of samples that come from ``before`` of them."""
         return max(1, before // self.factor if self.down else -(-before // self.factor))
-
-
-def step_of(before: int, after: int, ratio: float) -> Step | None:
-    """Return the step between two sizes whose scales have a ratio; None if no whole factor explains it.
-
-    The scale is asked first, since the sizes of short axes allow several factors. Some programs write the ratio of the
-    sizes there (2.002), and some the same scale for all levels: then the sizes decide.
-    """
-    steps = (Step(max(1, round(each)), down) for each in (ratio, before / after) for down in (False, True))
-    return next((step for step in steps if step.size(before) == after), None)
 
 
 def planned(
@@ -87,7 +76,11 @@ def _step(place: Place, like: StoredImage, k: int, fine: Any, coarse: Any) -> St
     before, after = fine.array.shape[k], coarse.array.shape[k]
     if like.axes[k].kind != "space":
         return Step(1, False)
-    step = step_of(before, after, coarse.scale[k] / fine.scale[k])
+    # The scale is asked first, since the sizes of short axes allow several factors. Some programs write the ratio of
+    # the sizes there (2.002), and some the same scale for all levels: then the sizes decide.
+    ratios = coarse.scale[k] / fine.scale[k], before / after
+    steps = (Step(max(1, round(ratio)), down) for ratio in ratios for down in (False, True))
+    step = next((step for step in steps if step.size(before) == after), None)
     if step is None:
         what = f"levels like {like.address} are not made: {before} samples along {like.axes[k].name} become {after}"
         raise place.unwritable(what, "give an image whose levels are smaller by whole factors")

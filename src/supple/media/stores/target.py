@@ -102,7 +102,9 @@ def create_arrays(
                 put(store, key, data)
     with place.reading("what was written cannot be read"), quiet():
         root: Any = zarr.open(store, mode="r+")
-        arrays = tuple(_writable(root[path] if path else root) for path in paths)
+        config: Any = {"order": "C", "write_empty_chunks": True}
+        nodes = [root[path] if path else root for path in paths]
+        arrays = tuple(zarr.Array(zarr.AsyncArray(one.metadata, one.store_path, config)) for one in nodes)
     return Target(place, site, arrays, steps, carried, job, force, begun)
 
 
@@ -172,9 +174,8 @@ def _look(place: Place, job: str, force: bool) -> tuple[Place, bool]:
         zarr = any(read(store, name) is not None for name in ROOTS)
         if zarr or not run(store.is_empty("")):  # which may list all that is there
             if not force:
-                raise SuppleError(
-                    f"{shown(place.address)} exists already: choose another name, or {argument('force', True)}"
-                )
+                text = f"{shown(place.address)} exists already: choose another name, or {argument('force', True)}"
+                raise SuppleError(text)
             if not zarr:
                 raise place.unwritable("what is there is no Zarr store", "give another name")
     return site, False
@@ -353,13 +354,6 @@ class Target:
         prefix = f"{array.path}/" if array.path else ""
         ranges = [range(a // n, -(-b // n)) for (a, b), n in zip(box, self.blocks[level], strict=True)]
         return (prefix + array.metadata.encode_chunk_key(place) for place in product(*ranges))
-
-
-def _writable(array: Any) -> Any:
-    import zarr
-
-    settings: Any = {"order": "C", "write_empty_chunks": True}
-    return zarr.Array(zarr.AsyncArray(metadata=array.metadata, store_path=array.store_path, config=settings))
 
 
 def _encoding(array: Any) -> str:

@@ -13,41 +13,19 @@ from types import ModuleType
 from typing import NamedTuple
 
 from supple.errors import SuppleError, argument, shown
-from supple.media import image
 from supple.media.files import PathLike, head_of, unreadable, unwritable
+from supple.media.image.formats import SUFFIXES as PICTURES
 from supple.media.suffixes import CLIPS
-from supple.media.transforms import affines, fields, itk, ngff, pictures
-from supple.media.transforms.base import (
-    TEXT,
-    Content,
-    Displacements,
-    Grids,
-    MissingGridError,
-    check_count,
-    check_text,
-    suffix_of,
-)
+from supple.media.transforms import affines, base, fields, itk, ngff, pictures
+from supple.media.transforms.base import Content, Displacements, MissingGridError
 from supple.media.transforms.itk import SUFFIXES_OUT, check_target, write_field
 from supple.media.volume import nifti
 from supple.space.geometry import Grid
 
 __all__ = [
-    "CONVENTIONS",
-    "PULL",
-    "PUSH",
-    "SUFFIXES_OUT",
-    "Content",
-    "Convention",
-    "Displacements",
-    "MissingGridError",
-    "check_convention",
-    "check_target",
-    "convention_in",
-    "convention_of",
-    "read",
-    "write",
-    "write_field",
-]
+    "CONVENTIONS", "PULL", "PUSH", "SUFFIXES_OUT", "Content", "Convention", "Displacements", "MissingGridError",
+    "check_convention", "check_target", "convention_in", "convention_of", "read", "write", "write_field",
+]  # fmt: skip
 
 PULL = "output point -> input point"
 PUSH = "input point -> output point"
@@ -57,7 +35,7 @@ class Form(NamedTuple):
     """A kind of file of some programs: its suffixes, and how it is read and written."""
 
     suffixes: tuple[str, ...]
-    read: Callable[[PathLike, Grids], tuple[Content, ...]]
+    read: Callable[[PathLike, base.Grids], tuple[Content, ...]]
     write: Callable[..., None]
 
 
@@ -140,7 +118,7 @@ def form_of(path: PathLike, convention: str) -> Form:
     """Return the kind of a file in a convention; SuppleError if there is no such convention."""
     check_convention(convention)
     forms = CONVENTIONS[convention].forms
-    suffix = suffix_of(path, _SUFFIXES)
+    suffix = base.suffix_of(path, _SUFFIXES)
     return next((form for form in forms if suffix in form.suffixes), forms[0])
 
 
@@ -158,7 +136,7 @@ def convention_of(path: PathLike) -> str:
 def convention_in(path: PathLike) -> str:
     """Return the convention of a file; SuppleError if it may have more than one."""
     names, what = _candidates(path, "read"), ""
-    suffix = suffix_of(path, _SUFFIXES)
+    suffix = base.suffix_of(path, _SUFFIXES)
     if suffix in fields.NIFTI:
         names, what = _in_nifti(path)
     elif suffix in affines.SUFFIXES:
@@ -169,10 +147,10 @@ def convention_in(path: PathLike) -> str:
 
 
 def _candidates(path: PathLike, verb: str) -> tuple[str, ...]:
-    suffix = suffix_of(path, _SUFFIXES)
+    suffix = base.suffix_of(path, _SUFFIXES)
     refused = unreadable if verb == "read" else unwritable
     names = tuple(name for name, row in CONVENTIONS.items() if any(suffix in form.suffixes for form in row.forms))
-    doubtful = suffix in _DOUBTFUL and (verb == "read" or suffix in image.SUFFIXES)
+    doubtful = suffix in _DOUBTFUL and (verb == "read" or suffix in PICTURES)
     if (doubtful or not names) and verb == "read" and not os.path.exists(path):
         raise unreadable(path, "No such file or directory", "check the name and its rights")
     if doubtful and verb == "read":
@@ -180,7 +158,7 @@ def _candidates(path: PathLike, verb: str) -> tuple[str, ...]:
         raise unreadable(path, what, f"give {argument('convention', names[0])} {fits}")
     if doubtful:
         raise unwritable(path, "a picture is not always an STMap", f"give the convention: {names[0]}")
-    if not names and (suffix in CLIPS or suffix in image.SUFFIXES):
+    if not names and (suffix in CLIPS or suffix in PICTURES):
         what = f"the suffix {suffix} is of a {'clip' if suffix in CLIPS else 'picture'}, and of no field"
         raise refused(path, what, "name a file of a field or of an affine map")
     if not names:
@@ -204,7 +182,7 @@ def _in_nifti(path: PathLike) -> tuple[tuple[str, ...], str]:
     if int(header["datatype"]) in _COLOURS:
         raise unreadable(path, "its voxels are colours (RGB), as of a picture", "give a field of float32 or float64")
     count = sizes[3] if series else components
-    check_count(path, count)
+    base.check_count(path, count)
     if code == itk.DISPLACEMENT:
         return ("itk",), ""
     what = f"it holds {count} values for each voxel, of the intent code {code}"
@@ -217,8 +195,8 @@ def _in_nifti(path: PathLike) -> tuple[tuple[str, ...], str]:
 
 
 def _in_text(path: PathLike, suffix: str, names: tuple[str, ...]) -> tuple[tuple[str, ...], str]:
-    head = head_of(path, TEXT)
-    check_text(path, head)
+    head = head_of(path, base.TEXT)
+    base.check_text(path, head)
     if b"#Insight Transform File" in head or b"Transform_" in head:
         return ("itk",), ""
     return ("fsl-affine",) if suffix == ".mat" and b"\0" not in head else names, "its text does not tell what it is"
@@ -235,7 +213,7 @@ def read(
     the file holds no such map.
     """
     name = convention_in(path) if convention is None else convention
-    contents = form_of(path, name).read(path, Grids(source, reference))
+    contents = form_of(path, name).read(path, base.Grids(source, reference))
     if any(isinstance(each, Displacements) and each.grid.shear for each in contents):
         raise unreadable(path, "the axes of its grid are not at right angles to each other", "resample it first")
     return contents
@@ -257,4 +235,4 @@ def write(
     reads it decides. SuppleError if the convention cannot hold these maps, or the file cannot be written.
     """
     name = convention_of(path) if convention is None else convention
-    form_of(path, name).write(path, contents, Grids(source, reference), force=force)
+    form_of(path, name).write(path, contents, base.Grids(source, reference), force=force)

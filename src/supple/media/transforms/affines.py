@@ -10,21 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.media.files import PathLike, head_of, replacing, unreadable, unwritable
-from supple.media.transforms.base import (
-    LPS,
-    TEXT,
-    Content,
-    Grids,
-    Matrix,
-    centred,
-    check_matrix,
-    check_plumb,
-    check_text,
-    coordinates,
-    described,
-    inverse,
-    only_matrix,
-)
+from supple.media.transforms import base
 
 _NAMES = {"fsl-affine": "a matrix of FLIRT", "afni": "a matrix of AFNI", "freesurfer": "a .lta file"}
 SUFFIXES = (".mat", ".txt")
@@ -33,15 +19,15 @@ _MOST = 1 << 20  # bytes
 _VOXELS, _RAS = "0", "1"  # types of .lta
 
 
-def read(path: PathLike, grids: Grids, *, convention: str) -> tuple[Content, ...]:
+def read(path: PathLike, grids: base.Grids, *, convention: str) -> tuple[base.Content, ...]:
     """Read an affine map; FLIRT's needs the grids of the source and of the reference.
 
     Those of FLIRT and FreeSurfer lead from the source to the reference.
     """
     if convention == "afni":
-        check_plumb(path, grids)
+        base.check_plumb(path, grids)
     head = head_of(path, _MOST)
-    check_text(path, head[:TEXT])
+    base.check_text(path, head[: base.TEXT])
     try:
         text = head.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -51,31 +37,37 @@ def read(path: PathLike, grids: Grids, *, convention: str) -> tuple[Content, ...
     if convention == "afni":
         return (_numbers(path, lines, 3, convention),)
     if convention == "freesurfer":
-        return (check_matrix(path, LPS @ inverse(_lta(path, lines)) @ LPS),)
-    matrix = inverse(_numbers(path, lines, 4, convention))
-    here, there = (coordinates("FSL", grids.needed(path, name, convention)) for name in ("source", "reference"))
-    return (inverse(here) @ matrix @ there,)
+        return (base.check_matrix(path, base.LPS @ base.inverse(_lta(path, lines)) @ base.LPS),)
+    matrix = base.inverse(_numbers(path, lines, 4, convention))
+    here, there = (base.coordinates("FSL", grids.needed(path, name, convention)) for name in ("source", "reference"))
+    return (base.inverse(here) @ matrix @ there,)
 
 
-def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, convention: str, force: bool = False) -> None:
+def write(
+    path: PathLike, contents: Sequence[base.Content], grids: base.Grids, *, convention: str, force: bool = False
+) -> None:
     """Write an affine map; FLIRT's and FreeSurfer's need the grids of the source and of the reference."""
     if convention == "afni":
-        check_plumb(path, grids, "write")
+        base.check_plumb(path, grids, "write")
     if convention == "freesurfer" and not os.fspath(path).lower().endswith(".lta"):
         raise unwritable(path, "of FreeSurfer's transforms, only .lta is written", "use .lta, or another convention")
-    matrix = only_matrix(path, contents, _NAMES[convention])
+    matrix = base.only_matrix(path, contents, _NAMES[convention])
     if convention == "afni":
         lines = [spelled(matrix[:3])]
     else:
         source, reference = (grids.needed(path, name, convention, "write") for name in ("source", "reference"))
         if convention == "fsl-affine":
-            made = coordinates("FSL", reference) @ inverse(matrix) @ inverse(coordinates("FSL", source))
+            made = (
+                base.coordinates("FSL", reference)
+                @ base.inverse(matrix)
+                @ base.inverse(base.coordinates("FSL", source))
+            )
             lines = [spelled(row) for row in made]
         else:
             lines = [f"type = {_RAS}", "nxforms = 1", "mean = 0 0 0", "sigma = 1", "1 4 4"]
-            lines += [spelled(row) for row in LPS @ inverse(matrix) @ LPS]
+            lines += [spelled(row) for row in base.LPS @ base.inverse(matrix) @ base.LPS]
             for name, grid in (("src", source), ("dst", reference)):
-                axes, middle = described(grid)
+                axes, middle = base.described(grid)
                 lines += [f"{name} volume info", "valid = 1", "filename = unknown"]
                 lines += [f"volume = {' '.join(map(str, grid.sizes))}", f"voxelsize = {spelled(grid.spacing)}"]
                 columns = zip("xyzc", (*axes.T, middle), strict=True)
@@ -89,7 +81,7 @@ def spelled(numbers: npt.ArrayLike) -> str:
     return " ".join(repr(x) for x in np.asarray(numbers, np.float64).ravel().tolist())
 
 
-def _numbers(path: PathLike, lines: Sequence[str], rows: int, convention: str) -> Matrix:
+def _numbers(path: PathLike, lines: Sequence[str], rows: int, convention: str) -> base.Matrix:
     try:
         found = np.array([float(word) for word in " ".join(lines).split()], np.float64)
     except ValueError as error:
@@ -100,10 +92,10 @@ def _numbers(path: PathLike, lines: Sequence[str], rows: int, convention: str) -
         raise unreadable(path, what, "give a file of one affine map of volumes")
     made = np.eye(4)
     made[:rows] = found.reshape(rows, 4)
-    return check_matrix(path, made)
+    return base.check_matrix(path, made)
 
 
-def _lta(path: PathLike, lines: Sequence[str]) -> Matrix:
+def _lta(path: PathLike, lines: Sequence[str]) -> base.Matrix:
     told = {key: text.strip() for key, _, text in (line.replace(" ", "").partition("=") for line in lines)}
     starts = [i for i, line in enumerate(lines) if re.fullmatch(r"1\s+4\s+4", line)]
     if told.get("nxforms") != "1" or len(starts) != 1:
@@ -116,10 +108,10 @@ def _lta(path: PathLike, lines: Sequence[str]) -> Matrix:
     matrix = _numbers(path, lines[starts[0] + 1 : starts[0] + 5], 4, "freesurfer")
     if kind == _RAS:
         return matrix
-    return _volume(path, lines, "dst") @ matrix @ inverse(_volume(path, lines, "src"))
+    return _volume(path, lines, "dst") @ matrix @ base.inverse(_volume(path, lines, "src"))
 
 
-def _volume(path: PathLike, lines: Sequence[str], which: str) -> Matrix:
+def _volume(path: PathLike, lines: Sequence[str], which: str) -> base.Matrix:
     """Return the matrix from the indices of a volume to RAS, as the file describes it."""
     first = next((i for i, line in enumerate(lines) if line.startswith(f"{which} volume info")), len(lines))
     pairs = [line.partition("=") for line in lines[first + 1 : first + 9]]
@@ -134,4 +126,4 @@ def _volume(path: PathLike, lines: Sequence[str], which: str) -> Matrix:
     except (KeyError, ValueError) as error:
         what = f"it counts in voxels, and does not say how those of its {which} volume lie"
         raise unreadable(path, what, "run lta_convert with --src and --trg") from error
-    return centred(sizes, steps, np.stack(axes, axis=1), middle)
+    return base.centred(sizes, steps, np.stack(axes, axis=1), middle)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from supple.engine.work import Array
 from supple.errors import SuppleError, argument, shown
 from supple.media.files import PathLike, unreadable, unwritable
 from supple.media.volume.data import Volume, placed
 from supple.space.geometry import Grid
 
-Array = npt.NDArray[Any]
 Matrix = npt.NDArray[np.float64]
 Interpolation = Literal["linear", "cubic", "bspline"]
 

@@ -19,28 +19,11 @@ from typing import IO, Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from supple.engine.work import Array
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.media.files import PathLike, head_of, replacing, unreadable, unwritable
+from supple.media.transforms import base
 from supple.media.transforms.affines import spelled
-from supple.media.transforms.base import (
-    FINITE,
-    LPS,
-    Array,
-    Content,
-    Displacements,
-    Grids,
-    Matrix,
-    Space,
-    centred,
-    check_finite,
-    check_plumb,
-    coordinates,
-    grid_of,
-    inverse,
-    only_field,
-    suffix_of,
-    vectors_of,
-)
 from supple.media.volume import nifti
 from supple.media.volume.data import Volume, native, reading, too_large
 from supple.space.geometry import Grid
@@ -59,13 +42,13 @@ class Vectors(NamedTuple):
     what to do about NaN.
     """
 
-    space: Space
+    space: base.Space
     absolute: bool = False
     codes: tuple[int, ...] = (0,)
     axes: Literal[4, 5] = 4
     intent: int = 0
     name: str = ""
-    gaps: str = FINITE
+    gaps: str = base.FINITE
 
 
 _MARKED = "MRtrix marks so what lies outside the input: crop the warp, or fill these voxels"
@@ -97,9 +80,9 @@ _CONVERT = "run mrconvert (of a full warp, warpconvert with warpfull2deformation
 _CONVERT_WARP = "run mri_warp_convert with --outitk, and read that"
 
 
-def read(path: PathLike, grids: Grids, *, convention: str) -> tuple[Content, ...]:
+def read(path: PathLike, grids: base.Grids, *, convention: str) -> tuple[base.Content, ...]:
     """Read a field; FSL's need the grid of the source."""
-    suffix = suffix_of(path, (*NIFTI, *DATASETS, *MIF, *MGZ, *MORPHS))
+    suffix = base.suffix_of(path, (*NIFTI, *DATASETS, *MIF, *MGZ, *MORPHS))
     if suffix in MORPHS:
         what = f"it is a morph ({suffix}), of which FreeSurfer has the only reader"
         raise unreadable(path, what, "run mri_warp_convert --inm3z with --outitk, and read that")
@@ -113,21 +96,23 @@ def read(path: PathLike, grids: Grids, *, convention: str) -> tuple[Content, ...
     else:
         values, grid, kind = _nifti(path, convention)
     if convention == "afni":
-        check_plumb(path, Grids(source), own=grid)
+        base.check_plumb(path, base.Grids(source), own=grid)
     if kind.space == "FSL":
         source = grids.needed(path, "source", convention)
-    check_finite(path, values, kind.gaps)
-    return (Displacements(_converted(values, grid, kind, source or grid), grid, beyond="edge"),)
+    base.check_finite(path, values, kind.gaps)
+    return (base.Displacements(_converted(values, grid, kind, source or grid), grid, beyond="edge"),)
 
 
-def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, convention: str, force: bool = False) -> None:
+def write(
+    path: PathLike, contents: Sequence[base.Content], grids: base.Grids, *, convention: str, force: bool = False
+) -> None:
     """Write a field as NIfTI; FSL's need the grid of the source."""
-    suffix = suffix_of(path, (*NIFTI, *DATASETS))
+    suffix = base.suffix_of(path, (*NIFTI, *DATASETS))
     if suffix in DATASETS:
         raise unwritable(path, "AFNI's own datasets are only read", "write .nii.gz, which AFNI reads")
-    field, kind = only_field(path, contents, convention), VECTORS[convention]
+    field, kind = base.only_field(path, contents, convention), VECTORS[convention]
     if convention == "afni":
-        check_plumb(path, grids, "write", field.grid)
+        base.check_plumb(path, grids, "write", field.grid)
     source = grids.needed(path, "source", convention, "write") if kind.space == "FSL" else field.grid
     if suffix not in NIFTI:
         raise unwritable(path, f"fields of this convention are NIfTI files, found the suffix {suffix}", "use .nii.gz")
@@ -144,8 +129,8 @@ def _converted(values: Array, grid: Grid, kind: Vectors, source: Grid, *, back: 
     """
     if kind.space == "LPS":
         return values
-    own, other = (coordinates(kind.space, each) for each in (grid, source))
-    before, after, less = (np.eye(4), other, own) if back else (own, inverse(other), np.eye(4))
+    own, other = (base.coordinates(kind.space, each) for each in (grid, source))
+    before, after, less = (np.eye(4), other, own) if back else (own, base.inverse(other), np.eye(4))
     alike = kind.space == "RAS" and not kind.absolute  # R = S: positions cancel
     made = np.empty(values.shape, values.dtype)
     y, x = np.mgrid[: grid.shape[1], : grid.shape[2]]
@@ -161,14 +146,14 @@ def _converted(values: Array, grid: Grid, kind: Vectors, source: Grid, *, back: 
     return made
 
 
-def write_nifti(path: PathLike, temporary: Path, values: Array, matrix: Matrix, kind: Vectors) -> None:
+def write_nifti(path: PathLike, temporary: Path, values: Array, matrix: base.Matrix, kind: Vectors) -> None:
     """Write vectors (Z, H, W, 3) into the temporary file of a NIfTI file, with the matrix of its indices to LPS."""
     if max(values.shape) > nifti.LONGEST:
         sizes = " x ".join(map(str, values.shape[2::-1]))
         what = f"NIfTI ends at {nifti.LONGEST} voxels on a side, and the field has {sizes}"
         raise unwritable(path, what, "write .nrrd or .mha" if kind is VECTORS["itk"] else "write a smaller field")
     nibabel = nifti.imported()
-    affine, shaped = LPS @ matrix, values.transpose(2, 1, 0, 3)
+    affine, shaped = base.LPS @ matrix, values.transpose(2, 1, 0, 3)
     image = nibabel.Nifti1Image(shaped if kind.axes == 4 else shaped[:, :, :, None], affine)
     image.set_sform(affine, code=1)
     image.set_qform(affine, code=1)
@@ -235,7 +220,7 @@ def _nifti(path: PathLike, convention: str) -> tuple[Array, Grid, Vectors]:
             what = f"its header does not say that it is of {convention}"
             raise unreadable(path, what, "give the convention that it has")
         kind = kind._replace(absolute=int(volume.header["intent_p1"]) == _POSITIONS)
-    values, grid = vectors_of(path, volume)
+    values, grid = base.vectors_of(path, volume)
     if kind.space == "FSL":
         steps = [abs(float(x)) for x in volume.header["pixdim"][1:4]]
         if not np.allclose(steps, grid.spacing, rtol=1e-3):
@@ -258,7 +243,7 @@ def _dataset(path: PathLike) -> tuple[Array, Grid]:
     if count < 3 or (count > 3 and labels != _LABELS) or data.dtype.kind != "f":
         what = f"it holds {data.dtype} of {' x '.join(map(str, data.shape))}"
         raise unreadable(path, what, f"give a warp, whose sub-bricks are {', '.join(_LABELS)}")
-    return native(data[..., :3].transpose(2, 1, 0, 3)), grid_of(path, affine, data.shape[:3])
+    return native(data[..., :3].transpose(2, 1, 0, 3)), base.grid_of(path, affine, data.shape[:3])
 
 
 def _voxels(path: PathLike, file: IO[bytes], dtype: npt.DTypeLike, shape: Sequence[int]) -> Array:
@@ -305,7 +290,7 @@ def _mif(path: PathLike) -> tuple[Array, Grid]:
     whole = whole[tuple(slice(None, None, -1 if layout[axis].startswith("-") else 1) for axis in (2, 1, 0, 3))]
     full = np.vstack([matrix, np.eye(4)[3]])
     full[:3, :3] *= steps
-    return native(whole), grid_of(path, full, (x, y, z))
+    return native(whole), base.grid_of(path, full, (x, y, z))
 
 
 # Kept: nibabel leaves out the tags behind the voxels, which say between which images a warp leads.
@@ -363,4 +348,4 @@ def _place(path: PathLike, held: bytes) -> Grid:
         raise unreadable(path, "the place of an image that it belongs to is not valid", _CONVERT_WARP)
     if len(held) > _PLACE and np.abs(struct.unpack_from(">3f", held, 76)).max() > _LEAN:
         raise unreadable(path, "the axes of an image that it belongs to are not at right angles", "resample it first")
-    return grid_of(path, centred(sizes, numbers[:3], numbers[3:12].reshape(3, 3).T, numbers[12:]), sizes)
+    return base.grid_of(path, base.centred(sizes, numbers[:3], numbers[3:12].reshape(3, 3).T, numbers[12:]), sizes)

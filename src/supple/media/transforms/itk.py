@@ -16,22 +16,8 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError, shown
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable, unwritable
+from supple.media.transforms import base
 from supple.media.transforms.affines import spelled
-from supple.media.transforms.base import (
-    TEXT,
-    Content,
-    Displacements,
-    Grids,
-    Interpolation,
-    Matrix,
-    check_content,
-    check_count,
-    check_finite,
-    check_matrix,
-    check_text,
-    suffix_of,
-    vectors_of,
-)
 from supple.media.transforms.fields import NIFTI, VECTOR, VECTORS, check_header, write_nifti
 from supple.media.volume import itk, nifti
 from supple.media.volume.data import reading
@@ -51,16 +37,16 @@ _KIND = re.compile(rb"Transform(?:Base)?_(?:double|float)_\d_\d")
 _FLOWS = (b"VelocityFieldTransform_", b"ExponentialDiffeomorphicTransform_")
 
 
-def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
+def read(path: PathLike, grids: base.Grids) -> tuple[base.Content, ...]:
     """Read a vector image or a file of transforms."""
-    suffix = suffix_of(path, (*IMAGES, *TRANSFORMS))
+    suffix = base.suffix_of(path, (*IMAGES, *TRANSFORMS))
     if suffix in IMAGES:
         return (_field(path, IMAGES[suffix]),)
     check_suffix(path, suffix, TRANSFORMS, _NONE, f"use {', '.join((*IMAGES, *TRANSFORMS))}", "read")
     return _transforms(path, suffix)
 
 
-def _field(path: PathLike, form: str) -> Displacements:
+def _field(path: PathLike, form: str) -> base.Displacements:
     volume = itk.read(path, form) if form else nifti.read(path)
     if not form:
         check_header(path, volume, "itk")
@@ -69,26 +55,26 @@ def _field(path: PathLike, form: str) -> Displacements:
             what = "its intent code is 1006, whose vectors ITK takes as LPS before version 5.4, and as RAS from it on"
             raise unreadable(path, what, "write it anew with LPS vectors and the intent code 1007")
         if code != VECTOR or volume.series:
-            check_count(path, len(volume.samples) if volume.series else volume.components)
+            base.check_count(path, len(volume.samples) if volume.series else volume.components)
             axes = 4 if volume.series else 5
             what = f"it has {axes} axes and the intent code {code}, and a field of ITK has 5 and the code 1007"
             raise unreadable(path, what, "give the convention that it has")
     # The vectors stay as they are for any space of a NRRD: ITK turns its place to LPS, and never its vectors.
     flat = not volume.series and volume.components == 2 and volume.sizes[2] == 1
-    values, grid = vectors_of(path, volume, 2 if flat else 3)
+    values, grid = base.vectors_of(path, volume, 2 if flat else 3)
     if flat:
         turned = np.array(grid.direction)
         if not np.allclose(np.abs(turned[2]), (0, 0, 1)):
             what = "its two axes do not lie in the plane of x and y"
             raise unreadable(path, what, "give a field of three components")
         values, grid = values[0], Grid(grid.shape[1:], grid.spacing[:2], grid.origin[:2], turned[:2, :2])
-    check_finite(path, values)
-    return Displacements(values, grid)
+    base.check_finite(path, values)
+    return base.Displacements(values, grid)
 
 
-def _transforms(path: PathLike, suffix: str) -> tuple[Content, ...]:
+def _transforms(path: PathLike, suffix: str) -> tuple[base.Content, ...]:
     sitk = itk.imported()
-    check_text(path, head_of(path, TEXT))
+    base.check_text(path, head_of(path, base.TEXT))
     with reading(path), open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         kinds = len(_KIND.findall(data))
         composed = data.find(b"CompositeTransform_") >= 0
@@ -124,19 +110,19 @@ def _check_matlab(path: PathLike) -> None:
         raise unreadable(path, "it is cut short, or no file of ITK's on little-endian machines")
 
 
-def _contents(path: PathLike, sitk: Any, transform: Any) -> list[Content]:
+def _contents(path: PathLike, sitk: Any, transform: Any) -> list[base.Content]:
     # first: of a transform whose kind SimpleITK lacks, it makes a composite that holds itself
     if transform.IsLinear():
-        return [check_matrix(path, _matrix(transform))]
+        return [base.check_matrix(path, _matrix(transform))]
     if isinstance(transform, sitk.CompositeTransform):
-        made: list[Content] = []
+        made: list[base.Content] = []
         for i in reversed(range(transform.GetNumberOfTransforms())):  # it applies first what was added last
             part = transform.GetNthTransform(i)
             with contextlib.suppress(KeyError):  # a kind that SimpleITK's table of kinds lacks
                 part = part.Downcast()
             made += _contents(path, sitk, part)
         return made
-    interpolation: Interpolation
+    interpolation: base.Interpolation
     if isinstance(transform, sitk.DisplacementFieldTransform):
         image, interpolation = transform.GetDisplacementField(), "linear"
         values = sitk.GetArrayFromImage(image)
@@ -150,16 +136,16 @@ def _contents(path: PathLike, sitk: Any, transform: Any) -> list[Content]:
         what = f"it is a {transform.GetName()}, which is neither affine nor a field"
         raise unreadable(path, what, "sample it as a field first")
     n = image.GetDimension()
-    check_finite(path, values)
+    base.check_finite(path, values)
     try:
         direction = np.array(image.GetDirection()).reshape(n, n)
         grid = Grid(values.shape[:-1], image.GetSpacing(), image.GetOrigin(), direction)
     except SuppleError as error:
         raise SuppleError(f"cannot read {shown(path)}: {error}") from error
-    return [Displacements(values, grid, interpolation)]
+    return [base.Displacements(values, grid, interpolation)]
 
 
-def _matrix(transform: Any) -> Matrix:
+def _matrix(transform: Any) -> base.Matrix:
     n = transform.GetDimension()
     made, origin = np.eye(n + 1), (0.0,) * n
     made[:n, n] = transform.TransformPoint(origin)
@@ -168,13 +154,13 @@ def _matrix(transform: Any) -> Matrix:
     return made
 
 
-def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: bool = False) -> None:
+def write(path: PathLike, contents: Sequence[base.Content], grids: base.Grids, *, force: bool = False) -> None:
     """Write a field as a vector image, an affine map as a transform, or several of them as a composite."""
-    suffix = suffix_of(path, _OUT)
+    suffix = base.suffix_of(path, _OUT)
     for content in contents:
-        check_content(path, content)
+        base.check_content(path, content)
     only = contents[0] if len(contents) == 1 else None
-    if isinstance(only, Displacements) and only.interpolation == "linear" and suffix in SUFFIXES_OUT:
+    if isinstance(only, base.Displacements) and only.interpolation == "linear" and suffix in SUFFIXES_OUT:
         write_field(path, only.values, only.grid.geometry("LPS"), force=force)
         return
     check_suffix(path, suffix, _OUT, _NONE, f"use {', '.join(_OUT)}")
@@ -187,14 +173,14 @@ def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: b
         raise unwritable(path, "there is nothing to write", "give a map")
     made = [_made(path, content) for content in contents]
     whole = made[0] if len(made) == 1 else itk.imported().CompositeTransform(made[::-1])
-    fields = [content.values.size for content in contents if isinstance(content, Displacements)]
+    fields = [content.values.size for content in contents if isinstance(content, base.Displacements)]
     with replacing(path, force=force) as temporary:
         _write_transform(path, temporary, whole, sum(fields) * (8 if suffix == ".h5" else 25))
 
 
-def _made(path: PathLike, content: Content) -> Any:
+def _made(path: PathLike, content: base.Content) -> Any:
     sitk = itk.imported()
-    if not isinstance(content, Displacements):
+    if not isinstance(content, base.Displacements):
         return sitk.AffineTransform(content[:3, :3].ravel().tolist(), content[:3, 3].tolist())
     if content.interpolation == "cubic":
         what = "ITK has no transform of a cubic B-spline through values"
@@ -237,7 +223,7 @@ def _write_transform(path: PathLike, temporary: Path, transform: Any, size: int)
 
 def check_target(path: PathLike) -> None:
     """Raise SuppleError for a name whose suffix is not in `SUFFIXES_OUT`."""
-    if suffix_of(path, SUFFIXES_OUT) not in SUFFIXES_OUT:
+    if base.suffix_of(path, SUFFIXES_OUT) not in SUFFIXES_OUT:
         check_suffix(path, Path(path).suffix, (), "is of no transform", f"use {', '.join(SUFFIXES_OUT)}")
 
 
@@ -253,7 +239,7 @@ def write_field(
     infinity, or is too large for the format; or the file cannot be written.
     """
     check_target(path)
-    name, suffix = shown(path), suffix_of(path, SUFFIXES_OUT)
+    name, suffix = shown(path), base.suffix_of(path, SUFFIXES_OUT)
     field = np.asarray(displacement)
     if field.ndim != 4 or field.shape[3] != 3 or 0 in field.shape or field.dtype not in _TYPES:
         wanted = "an array of shape (Z, H, W, 3) in float32 or float64"

@@ -14,9 +14,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from supple.engine.work import Array
 from supple.errors import SuppleError, need, said
 from supple.media.files import PathLike, check_suffix, refusing, replacing_together, unreadable, unwritable
-from supple.media.transforms.base import Array, Content, Displacements, Grids, Matrix, check_content, inverse
+from supple.media.transforms.base import Content, Displacements, Grids, Matrix, check_content, inverse
 from supple.space.geometry import Grid
 
 SUFFIXES = (".zarr",)
@@ -30,14 +31,8 @@ _PREFIXES = {
     "zetta": 21, "yotta": 24,
 }  # fmt: skip
 _UNITS = {f"{prefix}meter": float(f"1e{power + 3}") for prefix, power in _PREFIXES.items()}
-_UNITS |= {
-    "angstrom": 1e-7,
-    "inch": 25.4,
-    "foot": 304.8,
-    "yard": 914.4,
-    "mile": 1_609_344.0,
-    "parsec": 3.0856775814913673e19,
-}
+_UNITS |= {"angstrom": 1e-7, "inch": 25.4, "foot": 304.8, "yard": 914.4, "mile": 1_609_344.0}
+_UNITS["parsec"] = 3.0856775814913673e19
 # Not of the specification, but of many files.
 _UNITS |= {**dict.fromkeys(("um", "\u00b5m", "\u03bcm", "micron", "microns"), 1e-3), "nm": 1e-6, "mm": 1.0, "cm": 10.0}
 """Millimetres."""
@@ -106,8 +101,12 @@ def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: b
             steps += [step] if plain else [_affine(back), step, _affine(turn)]
         whole = steps[0] if len(steps) == 1 else {"type": "sequence", "transformations": steps}
         root = _scene(str(temporary), whole, _axes(n))
-        for k, (one, back) in enumerate(fields):
-            _write_field(root, k, one, back)
+        for k, (one, back) in enumerate(fields):  # written along the axes of its grid, to which `back` leads
+            grid, rotation = one.grid, back[:-1, :-1]
+            values = one.values if np.array_equal(back, np.eye(n + 1)) else one.values @ rotation.T
+            dtype = np.float64 if one.values.dtype.itemsize == 8 else np.float32
+            samples = Placement(grid.shape, grid.spacing[::-1], (rotation @ grid.origin)[::-1].tolist())
+            _field(root, k, _axes(n), samples, dtype)[...] = np.moveaxis(values[..., ::-1], -1, 0).astype(dtype)
 
 
 def _axes(n: int) -> list[dict[str, Any]]:
@@ -186,16 +185,6 @@ def _field(
     group = root.require_group(_FIELDS).create_group(str(index), attributes=attributes)
     names = ["c", *(axis["name"] for axis in axes)]
     return group.create_array(_ARRAY, shape=(len(axes), *samples.shape), dtype=dtype, dimension_names=names, **more)
-
-
-def _write_field(root: Any, index: int, field: Displacements, turn: Matrix) -> None:
-    """Write a field along the axes of its grid, to which ``turn`` leads."""
-    grid, n = field.grid, field.grid.ndim
-    values = field.values if np.array_equal(turn, np.eye(n + 1)) else field.values @ turn[:-1, :-1].T
-    dtype = np.float64 if field.values.dtype.itemsize == 8 else np.float32
-    origin = turn[:-1, :-1] @ grid.origin
-    samples = Placement(grid.shape, grid.spacing[::-1], origin[::-1].tolist())
-    _field(root, index, _axes(n), samples, dtype)[...] = np.moveaxis(values[..., ::-1], -1, 0).astype(dtype)
 
 
 def imported(what: str = "transformations of OME-Zarr") -> Any:

@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from supple.engine.work import Array
 from supple.errors import OutsideWarning, shown
 from supple.media import image
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable, unwritable
 from supple.media.image import exr
-from supple.media.transforms.base import Array, Content, Displacements, Grids, Matrix, only_field
+from supple.media.transforms.base import Content, Displacements, Grids, Matrix, only_field
 from supple.space.geometry import Grid
 
 REMAP = (".npy", ".npz", ".xml", ".yml", ".yaml")

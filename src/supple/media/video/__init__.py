@@ -22,8 +22,7 @@ from supple.engine.work import Array
 from supple.media.base import ClipWarning, CountError
 from supple.media.codecs import codec_of
 from supple.media.files import PathLike, unreadable
-from supple.media.suffixes import CLIPS as SUFFIXES
-from supple.media.suffixes import CLIPS_OUT as SUFFIXES_OUT
+from supple.media.video import demux
 from supple.media.video.colour import (
     Colour,
     black,
@@ -37,39 +36,11 @@ from supple.media.video.colour import (
     siting,
     to_rgb,
 )
-from supple.media.video.demux import (
-    Index,
-    Survey,
-    Times,
-    chosen,
-    decoded_by,
-    fed,
-    index_of,
-    is_counted,
-    opened,
-    packets,
-    plays_of,
-    sums_up,
-    survey,
-    usual_step,
-)
 from supple.media.video.encode import writer
 from supple.media.video.plan import container_of, workers
 from supple.media.video.planes import Form, form, palette, unpack, wider
 from supple.media.video.source import VideoSource
 from supple.media.video.streams import named
-
-__all__ = [
-    "SUFFIXES",
-    "SUFFIXES_OUT",
-    "Clip",
-    "ClipWarning",
-    "CountError",
-    "check_target",
-    "info",
-    "open_clip",
-    "writer",
-]
 
 _COPY = "give a whole copy of it"
 _LEAST, _UTMOST = Fraction(1, 10_000), Fraction(100_000)
@@ -102,17 +73,17 @@ class Clip(VideoSource):
     def __init__(self, path: PathLike, threads: int | None, count: int | None) -> None:
         self._threads = workers(threads)
         self._pump: Iterator[av.Packet[Any]] | None = None
-        self._times: Times | None = None
+        self._times: demux.Times | None = None
         self._packets: deque[av.Packet[Any] | None] = deque()
         self._fresh = True
-        self._index: tuple[Index | None] | None = None
-        with opened(path) as container:
-            counted = survey(container, chosen(container, path))
+        self._index: tuple[demux.Index | None] | None = None
+        with demux.opened(path) as container:
+            counted = demux.survey(container, demux.chosen(container, path))
         self._sturdy = count is not None or counted.suspect
-        self.path, self.survey, self.source = path, counted, opened(path)
+        self.path, self.survey, self.source = path, counted, demux.opened(path)
         self.count = counted.count if count is None else count
         try:
-            film = chosen(self.source, path)
+            film = demux.chosen(self.source, path)
             super().__init__(shown(path), _rate(film, counted), film.time_base or Fraction(1, 1000))
             self._read_facts(film)
             self._look(self._first())
@@ -132,7 +103,7 @@ class Clip(VideoSource):
         self.field_order, self.profile = context.field_order, context.profile or ""
         tagged = [film, *(stream for stream in self.source.streams if stream.type == "data"), self.source]
         self.timecode = next((found for each in tagged if (found := said_of(each, "timecode"))), "")
-        self.plays = plays_of(self.source)
+        self.plays = demux.plays_of(self.source)
         header = context.extradata or b""
         self.header = b"" if header == context.codec_tag.encode("latin-1", "replace") else header  # ProRes in Matroska
         self.pace = Fraction(film.base_rate or 0)
@@ -176,11 +147,11 @@ class Clip(VideoSource):
 
     def _first(self) -> av.VideoFrame:
         """Decode one frame, from a container of its own."""
-        with opened(self.path) as container:
-            film = chosen(container, self.path)
+        with demux.opened(self.path) as container:
+            film = demux.chosen(container, self.path)
             decoder = self._decoder(film, 1)
-            for packet in fed(packets(container, [film])):
-                for frame in decoded_by(decoder, packet) or ():
+            for packet in demux.fed(demux.packets(container, [film])):
+                for frame in demux.decoded_by(decoder, packet) or ():
                     return frame
         raise unreadable(self.path, "no frame of it can be decoded", _COPY)
 
@@ -220,11 +191,15 @@ class Clip(VideoSource):
         SuppleError if a frame has another size or pixel format than the first; CountError if there are more or fewer
         than `count`, beyond which none is yielded.
         """
-        film = self._rewind()
+        if not self._fresh:
+            self.source.close()
+            self.source = demux.opened(self.path)
+        self._fresh = False
+        film = demux.chosen(self.source, self.path)
         others = [self.source.streams[index] for index in self.passage.indices] if self.passage else []
-        times = Times(self.base, usual_step(self.rate, self.base), deque() if self.passage else None)
+        times = demux.Times(self.base, demux.usual_step(self.rate, self.base), deque() if self.passage else None)
         self._times = times
-        counted = is_counted(self.source)
+        counted = demux.is_counted(self.source)
         shown_at: deque[int] = deque()
         keys: deque[tuple[int | None, int]] = deque(maxlen=64)
         copies = self.copies
@@ -232,7 +207,7 @@ class Clip(VideoSource):
         self._packets.clear()
         fed_so_far = 0
         found = bad = 0
-        self._pump = packets(self.source, [film, *others])
+        self._pump = demux.packets(self.source, [film, *others])
         decoder = self._decoder(film, self._threads)
         for packet in self._film_packets(film.index):
             if packet is not None and counted and packet.dts is not None:
@@ -243,7 +218,7 @@ class Clip(VideoSource):
                     if copies and packet.pts is not None and not packet.is_corrupt:
                         sent[packet.pts] = None if packet.pts in sent else packet  # a time of two packets is ambiguous
                 fed_so_far += 1
-            decoded = decoded_by(decoder, packet)
+            decoded = demux.decoded_by(decoder, packet)
             if decoded is None:
                 bad += 1
                 continue
@@ -253,7 +228,7 @@ class Clip(VideoSource):
                 found += 1
                 if found <= self.count:
                     lasts = frame.duration
-                    if found == self.count and sums_up(self.source):
+                    if found == self.count and demux.sums_up(self.source):
                         lasts = times.left(frame.pts, round(self.survey.duration / self.base)) or lasts
                     times.add(shown_at.popleft() if shown_at else frame.pts, lasts)
                     if copies:
@@ -273,7 +248,7 @@ class Clip(VideoSource):
     def key_before(self, k: int) -> int:
         """Return the key frame from which decoding must begin for frame `k`; 0 if the file has no index."""
         if self._index is None:
-            self._index = (None if self.survey.suspect else index_of(self.path, self.count),)
+            self._index = (None if self.survey.suspect else demux.index_of(self.path, self.count),)
         known = self._index[0]
         return 0 if known is None else known.before(k)
 
@@ -302,27 +277,20 @@ class Clip(VideoSource):
 
     def _sought(self, start: int) -> Iterator[tuple[int | None, DecodedFrame]]:
         """Decode from a key frame on, in a container of its own; yield nothing if it is not found there."""
-        with opened(self.path) as container, contextlib.suppress(av.FFmpegError):
-            film = chosen(container, self.path)
+        with demux.opened(self.path) as container, contextlib.suppress(av.FFmpegError):
+            film = demux.chosen(container, self.path)
             container.seek(start, stream=film)
             decoder, fresh = self._decoder(film, self._threads), True
-            for packet in fed(packets(container, [film])):
+            for packet in demux.fed(demux.packets(container, [film])):
                 if fresh and (packet is None or not packet.is_keyframe or packet.pts != start):
                     return
                 fresh = False
-                decoded = decoded_by(decoder, packet)
+                decoded = demux.decoded_by(decoder, packet)
                 if decoded is None:
                     return
                 for frame in decoded:
                     self._check(frame, 0, ())
                     yield frame.pts, DecodedFrame(self._readable(frame), self.form)
-
-    def _rewind(self) -> av.VideoStream:
-        if not self._fresh:
-            self.source.close()
-            self.source = opened(self.path)
-        self._fresh = False
-        return chosen(self.source, self.path)
 
     def _film_packets(self, index: int) -> Iterator[av.Packet[Any] | None]:
         """Yield the packets of the film, then None; pass those of other streams to the writer."""
@@ -354,9 +322,8 @@ class Clip(VideoSource):
         k = max([k, *(number for pts, number in keys if pts is not None and pts == frame.pts)])
         now = f"{frame.width}x{frame.height} {kind}"
         first = f"{self.width}x{self.height} {self.pixel_format}"
-        raise unreadable(
-            self.path, f"frame {k} is {now}, and frame 0 is {first}", "cut it where it changes, and warp the parts"
-        )
+        what = f"frame {k} is {now}, and frame 0 is {first}"
+        raise unreadable(self.path, what, "cut it where it changes, and warp the parts")
 
     def _readable(self, frame: av.VideoFrame) -> av.VideoFrame:
         if frame.format.has_palette or frame.format.name == self.form.name:
@@ -432,7 +399,7 @@ def said_of(film: Any, key: str) -> str | None:
     return next((value for name, value in film.metadata.items() if name.lower() == key), None)
 
 
-def _rate(film: av.VideoStream, counted: Survey) -> Fraction:
+def _rate(film: av.VideoStream, counted: demux.Survey) -> Fraction:
     for rate in (film.average_rate, film.guessed_rate, film.base_rate):
         if rate and _LEAST <= rate <= _MOST:
             return Fraction(rate)
@@ -442,7 +409,7 @@ def _rate(film: av.VideoStream, counted: Survey) -> Fraction:
 
 
 def check_target(path: PathLike) -> None:
-    """Raise SuppleError for a name whose suffix is not in `SUFFIXES_OUT`, nor ``.m4v``."""
+    """Raise SuppleError for a name whose suffix is not in `supple.media.suffixes.CLIPS_OUT`, nor ``.m4v``."""
     container_of(path)
 
 

@@ -25,13 +25,9 @@ _BT2020_PRIMARIES, _PQ, _HLG = 9, 16, 18
 _LEVEL, _USUAL = 40, 32  # AV_LOG_VERBOSE reports the chroma siting; AV_LOG_INFO is the default
 # the position of the first chroma sample, in steps from the top left luma sample to the middle of its box
 _SITES = {
-    "left": (0.0, 1.0),
-    "center": (1.0, 1.0),
-    "topleft": (0.0, 0.0),
-    "top": (1.0, 0.0),
-    "bottomleft": (0.0, 2.0),
-    "bottom": (1.0, 2.0),
-}
+    "left": (0.0, 1.0), "center": (1.0, 1.0), "topleft": (0.0, 0.0), "top": (1.0, 0.0),
+    "bottomleft": (0.0, 2.0), "bottom": (1.0, 2.0),
+}  # fmt: skip
 _WEIGHTS = {"bt601": (0.299, 0.114), "bt709": (0.2126, 0.0722), "fcc": (0.3, 0.11), "smpte240m": (0.212, 0.087)}
 _WEIGHTS["bt2020"] = (0.2627, 0.0593)  # of red and blue in luma
 _FLAGS = "bicubic+accurate_rnd+full_chroma_int+full_chroma_inp"

@@ -70,14 +70,8 @@ def chosen(container: av.container.InputContainer, path: PathLike) -> av.VideoSt
     films = [stream for stream in container.streams.video if not stream.disposition & _PICTURES]
     if not films:
         kinds = {stream.type for stream in container.streams}
-        only = (
-            "a cover picture and no film"
-            if "video" in kinds
-            else "sound and no film"
-            if "audio" in kinds
-            else "no film"
-        )
-        raise unreadable(path, f"it holds {only}", _ADVICE)
+        other = "a cover picture and " if "video" in kinds else "sound and " if "audio" in kinds else ""
+        raise unreadable(path, f"it holds {other}no film", _ADVICE)
     film = films[0]
     if film.codec_context is None:
         raise unreadable(path, "nothing here can decode its kind of video", "convert it, to H.264 for instance")
@@ -178,18 +172,12 @@ def survey(container: av.container.InputContainer, film: av.VideoStream) -> Surv
     # Samples excluded by an edit list of an MP4 are not missing: there, an incomplete packet shows truncation.
     cut = missing > _SLOPPY and (suspect or damaged or not sums_up(container))
     starts.sort()
-    varies = _varies(starts)
+    steps = [b - a for a, b in itertools.pairwise(starts)]
+    # whether they differ from even spacing by more than rounding and a tenth of a frame
+    varies = len(steps) > 1 and max(steps) - min(steps) > max(2, sorted(steps)[len(steps) // 2] / 10)
     seconds = tuple(float((start - starts[0]) * base) for start in starts) if varies else ()
     broken = damaged or cut
     return Survey(packets, count, span, broken, suspect or broken, varies, seconds, max(0, missing) if broken else 0)
-
-
-def _varies(starts: list[int]) -> bool:
-    """Return whether sorted times differ from even spacing by more than rounding and a tenth of a frame."""
-    if len(starts) < 3:
-        return False
-    steps = [b - a for a, b in itertools.pairwise(starts)]
-    return max(steps) - min(steps) > max(2, sorted(steps)[len(steps) // 2] / 10)
 
 
 def sums_up(container: av.container.InputContainer) -> bool:

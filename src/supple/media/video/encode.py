@@ -27,14 +27,6 @@ from supple.media.video.streams import Passage, kept_tags, titled
 _FELT = Fraction(1, 4)  # of a frame: a larger error of time is reported
 
 
-def _raised(path: PathLike, error: av.FFmpegError) -> Exception:
-    """Convert FFmpeg's error during writing to an error of the system, if it is one, or to one sentence."""
-    if isinstance(error, OSError) and error.errno:
-        return OSError(error.errno, os.strerror(error.errno))
-    what = f"the container refuses what it is given ({said(error)})"
-    return unwritable(path, what, "choose another one, such as .mkv")
-
-
 class Palettes:
     """A filter from BGRA to 256 colours, with a palette for each frame."""
 
@@ -127,16 +119,11 @@ class Sink:
     def _may_copy(self) -> bool:
         """Return whether packets of the source and of the encoder may follow each other in one stream."""
         video, codec, context = self._video, self._plan.encoder.codec, self._stream.codec_context
-        return (
-            codec_of(codec).alone
-            and codec == video.codec
-            and self._plan.match.same
-            and context.pix_fmt == video.form.name
-            and (
-                codec == "dnxhd" or (context.extradata or b"") == video.header
-            )  # its frames have all, and MOV adds atoms
-            and (codec not in ("prores", "dnxhd") or context.profile == video.profile)
-        )
+        if not (codec_of(codec).alone and codec == video.codec and self._plan.match.same):
+            return False
+        # frames of DNxHD have all, and MOV adds atoms
+        alike = context.pix_fmt == video.form.name and (codec == "dnxhd" or (context.extradata or b"") == video.header)
+        return alike and (codec not in ("prores", "dnxhd") or context.profile == video.profile)
 
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
         """Encode frames in order, of samples in the clip's layout; or copy the packet of an unchanged one."""
@@ -217,19 +204,15 @@ class Sink:
         stamp = pts if plan.timed else k
         if self._newest in self._times:  # shown until the next one
             before = self._times[self._newest][0]
-            self._require_sayable(k, (pts - before) * plan.base)
+            unit, gap = self._stream.time_base, (pts - before) * plan.base
+            if unit and gap > plan.container.longest * unit:  # it would overflow
+                what = f"frame {k} comes {float(gap):.0f} s after the one before, which is longer than it can say"
+                raise unwritable(plan.target, what, "choose another container, such as .mkv")
             self._times[self._newest] = (before, pts - before)
         self._newest = stamp
         self._times[stamp] = (pts, duration)
         self._span = (self._span[0] if k else pts, pts + duration)
         return stamp
-
-    def _require_sayable(self, k: int, seconds: Fraction) -> None:
-        """Raise SuppleError for a gap that would overflow."""
-        unit = self._stream.time_base
-        if unit and seconds > self._plan.container.longest * unit:
-            what = f"frame {k} comes {float(seconds):.0f} s after the one before, which is longer than it can say"
-            raise unwritable(self._plan.target, what, "choose another container, such as .mkv")
 
     def _pass_on(self, made: Sequence[av.Packet[Any]] = (), last: bool = False) -> None:
         """Write packets in the order of their frames: those of the encoder, and those of the source."""
@@ -337,7 +320,10 @@ def writer(
             yield sink
             sink.finish()
         except av.FFmpegError as error:
-            raise _raised(plan.target, error) from error
+            if isinstance(error, OSError) and error.errno:
+                raise OSError(error.errno, os.strerror(error.errno)) from error
+            what = f"the container refuses what it is given ({said(error)})"
+            raise unwritable(plan.target, what, "choose another one, such as .mkv") from error
         finally:
             video.passage, video.copies = None, False
             if sink is not None:

@@ -237,7 +237,10 @@ class WritePlan:
                 self._use(other, None, None)
                 self.match = self._matched(None)
                 self._why = f"{video.codec} cannot be written as the source has it"
-        self._require_exact()
+        lost = self.match.lost
+        if self.lossless and lost and ", which" not in lost:
+            advice = "leave out lossless" if self.encoder.name == "ffv1" else "use ffv1 in .mkv, or leave out lossless"
+            raise unwritable(self.target, f"{self.encoder.codec} loses {lost}", advice)
         self._say_codec(codec)
         if video.stills and video.form.kind.real and not self.match.form.kind.real:
             what = f"{self.encoder.codec} cannot hold the floating point of {video.name}"
@@ -391,10 +394,7 @@ class WritePlan:
             context.field_order = video.field_order
         if self.fields:
             context.options["flags"] = "+ildct+ilme"
-        self._extras(context, chosen)
-
-    def _extras(self, context: av.VideoCodecContext, chosen: Match) -> None:
-        video, settings = self.video, context.options
+        settings = context.options
         if chosen.colour.site and chosen.form.kind.step != (1, 1):
             settings["chroma_sample_location"] = chosen.colour.site
         if self.encoder.name == "libx265" and video.count < _DELAYED:
@@ -402,7 +402,9 @@ class WritePlan:
         if self.encoder.name == "libvpx" and chosen.form.kind.alpha:
             settings["auto-alt-ref"] = "0"  # which opacity excludes
         if self.encoder.name == "dnxhd":
-            settings["profile"] = self._dnxhr(chosen.form.kind)
+            # it takes any size: the source's profile if it can hold the pixels, else the best
+            kind, usual = chosen.form.kind, self.encoder.profiles.get(video.profile, "dnxhr_hq")
+            settings["profile"] = "dnxhr_444" if kind.step == (1, 1) else "dnxhr_hqx" if kind.bits > 8 else usual
             if self.fields:  # which DNxHR does not know, and DNxHD in one size
                 settings.update({"profile": "dnxhd", "b": "185M" if video.rate <= 25 else "220M"})
         if self.encoder.name == "prores_ks" and video.codec == "prores" and chosen.same:
@@ -413,25 +415,12 @@ class WritePlan:
         if self.encoder.codec == "hevc" and self.container.mp4:
             context.codec_tag = "hvc1"  # for QuickTime
 
-    def _dnxhr(self, kind: Kind) -> str:
-        """Return a profile of DNxHR, which takes any size: the source's if it can hold the pixels, else the best."""
-        if kind.step == (1, 1):
-            return "dnxhr_444"
-        return "dnxhr_hqx" if kind.bits > 8 else self.encoder.profiles.get(self.video.profile, "dnxhr_hq")
-
     def _formats(self) -> list[str]:
         """Return the pixel formats that the encoder takes, and the container can hold."""
         names = _pixel_formats(self.encoder.name)
         if self.container.name in codec_of(self.encoder.codec).opaque_in:
             return [name for name in names if not ((found := form(name)) and found.kind.alpha)]
         return names
-
-    def _require_exact(self) -> None:
-        """Raise SuppleError if lossless output is wanted, but not possible."""
-        lost = self.match.lost
-        if self.lossless and lost and ", which" not in lost:
-            advice = "leave out lossless" if self.encoder.name == "ffv1" else "use ffv1 in .mkv, or leave out lossless"
-            raise unwritable(self.target, f"{self.encoder.codec} loses {lost}", advice)
 
     def _starts(self) -> bool:
         """Return whether the encoder opens at all."""

@@ -19,16 +19,9 @@ _ORDER |= {"y210": "yuyv", "y212": "yuyv", "y216": "yuyv", "xyz12": "rgb"}
 _PACKED = re.compile(r"([rgbayuvx0]{2,4})(?:\d+|f16|f32)?")
 # Formats with partial bytes, and formats that hold their values. Others are converted to 8-bit RGB.
 _WIDER = {
-    "mono[bw]": "gray",
-    "x2(rgb|bgr)10": "gbrp10le",
-    "(v30x|xv30)": "yuv444p10le",
-    "uyyvyy411": "yuv411p",
-    "rgb96": "rgb48le",
-    "rgba128": "rgba64le",
-    "gbrap32": "gbrap16le",
-    "gray32": "gray16le",
-    "bayer_....16": "rgb48le",
-}
+    "mono[bw]": "gray", "x2(rgb|bgr)10": "gbrp10le", "(v30x|xv30)": "yuv444p10le", "uyyvyy411": "yuv411p",
+    "rgb96": "rgb48le", "rgba128": "rgba64le", "gbrap32": "gbrap16le", "gray32": "gray16le", "bayer_....16": "rgb48le",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

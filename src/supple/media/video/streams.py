@@ -25,18 +25,11 @@ _OWN = frozenset(
 )
 # data streams by the four characters of their kind
 _DATA = {
-    "gpmd": "GoPro telemetry (GPMF)",
-    "fdsc": "GoPro file description",
-    "djmd": "DJI metadata",
-    "dbgi": "DJI debug data",
-    "mebx": "timed metadata of Apple",
-    "rtmd": "Sony metadata (RTMD)",
-    "camm": "camera motion metadata (CAMM)",
-    "KLVA": "KLV metadata",
-    "ID3 ": "timed ID3 metadata",
-    "tmcd": "timecode",
-    "text": "text of chapters",
-}
+    "gpmd": "GoPro telemetry (GPMF)", "fdsc": "GoPro file description", "djmd": "DJI metadata",
+    "dbgi": "DJI debug data", "mebx": "timed metadata of Apple", "rtmd": "Sony metadata (RTMD)",
+    "camm": "camera motion metadata (CAMM)", "KLVA": "KLV metadata", "ID3 ": "timed ID3 metadata",
+    "tmcd": "timecode", "text": "text of chapters",
+}  # fmt: skip
 _FELT = Fraction(1, 50)  # seconds between image and sound: a larger error is reported
 _COUNTED = ("_STATISTICS", "BPS", "NUMBER_OF_", "DURATION")
 
@@ -141,7 +134,12 @@ class Passage:
                 continue
             cover = bool(stream.disposition & av.stream.Disposition.attached_pic)
             if cover and container.attachments:
-                self._attach(source, stream)
+                # into the header of Matroska
+                kind, tags = name_of(stream), stream.metadata
+                name = tags.get("filename") or f"cover.{'jpg' if kind == 'mjpeg' else kind}"
+                mime = tags.get("mimetype") or f"image/{'jpeg' if kind == 'mjpeg' else kind}"
+                made = output.add_attachment(name, mime, picture(source.name, stream.index))
+                made.metadata.update({"filename": name, "mimetype": mime} | kept_tags(tags))
             elif holds(container, stream):
                 self._streams[stream.index] = copied(output, stream)
             else:
@@ -149,15 +147,6 @@ class Passage:
                 if stream.type != "data":
                     what += f" {'cover' if cover else stream.type}"
                 self._warn(f"cannot hold the {what} (stream {stream.index}): it is left out")
-
-    def _attach(self, source: av.container.InputContainer, cover: av.stream.Stream) -> None:
-        """Write a cover into the header of Matroska, as an attachment."""
-        kind = name_of(cover)
-        data = picture(source.name, cover.index)
-        name = cover.metadata.get("filename") or f"cover.{'jpg' if kind == 'mjpeg' else kind}"
-        mime = cover.metadata.get("mimetype") or f"image/{'jpeg' if kind == 'mjpeg' else kind}"
-        made = self._output.add_attachment(name, mime, data)
-        made.metadata.update({"filename": name, "mimetype": mime} | kept_tags(cover.metadata))
 
     @property
     def indices(self) -> list[int]:

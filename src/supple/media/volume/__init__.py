@@ -15,31 +15,14 @@ from supple.media.suffixes import VOLUMES as SUFFIXES
 from supple.media.suffixes import VOLUMES_OUT as SUFFIXES_OUT
 from supple.media.volume import derived, raw
 from supple.media.volume import pages as stack
-from supple.media.volume.data import (
-    DTYPES,
-    Array,
-    RawLayout,
-    Volume,
-    rescaled,
-    rescaled_dtype,
-)
+from supple.media.volume.data import DTYPES, Array, RawLayout, Volume, rescaled, rescaled_dtype
 from supple.media.volume.pages import has_pages
+from supple.space.geometry import SIDES
 
 __all__ = [
-    "SUFFIXES",
-    "SUFFIXES_OUT",
-    "RawLayout",
-    "Volume",
-    "check_target",
-    "has_pages",
-    "info",
-    "is_dicom",
-    "is_volume",
-    "outline_of",
-    "read",
-    "suffix_of",
-    "write",
-]
+    "SUFFIXES", "SUFFIXES_OUT", "RawLayout", "Volume", "check_target", "has_pages", "info", "is_dicom", "is_volume",
+    "outline_of", "read", "suffix_of", "write",
+]  # fmt: skip
 
 _QUICK = 1 << 31  # bytes up to which `info` computes the range
 _KINDS = (
@@ -220,6 +203,8 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
         from supple.media.volume import dicom
 
         unit = {"unit": dicom.dose_unit(volume.header if isinstance(volume.header, str) else volume.header[0])}
+    axes = ((int(np.abs(column).argmax()), column) for column in geometry.direction.T)
+    letters = "".join(SIDES[axis][int(column[axis] <= 0)] for axis, column in axes)
     flip = np.array([-1, -1, 1] if geometry.convention == "RAS" else [1, 1, 1])
     return {
         "format": volume.format,
@@ -232,7 +217,7 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
         "origin": (flip * geometry.origin + 0.0).tolist(),
         "direction": (flip[:, None] * geometry.direction + 0.0).tolist(),
         "convention": geometry.convention,
-        "orientation": _orientation(geometry.direction) if geometry.convention != "array" else None,
+        "orientation": letters if geometry.convention != "array" else None,
         "oblique": geometry.oblique,
         "shear": geometry.shear,
         "scaling": list(volume.scaling),
@@ -242,14 +227,6 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
         "nan": nans,
         "bytes": samples.nbytes,
     }
-
-
-def _orientation(direction: Array) -> str:
-    letters = []
-    for column in direction.T:
-        axis = int(np.abs(column).argmax())
-        letters.append(("RAI", "LPS")[int(column[axis] > 0)][axis])
-    return "".join(letters)
 
 
 def _range(samples: Array) -> tuple[float | None, float | None, int]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError, shown
-from supple.media.files import PathLike, unreadable
+from supple.media.files import PathLike, refusing, unreadable
 from supple.space.checks import LONGEST_AXIS, integer, items, length, refuse
 from supple.space.geometry import Geometry, Grid
 
@@ -36,9 +36,7 @@ class Volume:
     name: str = "the volume"  # of the file, for messages
     format: str = ""  # "NIfTI", "NRRD", "MetaImage", "DICOM", "TIFF" or "raw"
     series: bool = False  # whether the first axis is time
-    header: Any = (
-        None  # in the file's own format; of DICOM, the path of the file of many frames, or those of the slices
-    )
+    header: Any = None  # in the file's format; of DICOM, the path of the file of many frames, or those of the slices
     scaling: tuple[float, float] = (1.0, 0.0)  # the values are slope * samples + intercept
     interval: float = 1.0  # seconds between the volumes of a series
     regridded: bool = False  # whether the samples and the geometry are not those of the header
@@ -201,20 +199,16 @@ def check_spacing(path: PathLike, spacing: list[float]) -> None:
         raise unreadable(path, f"its spacing is {found}, and not three numbers above 0", "correct its header")
 
 
-@contextlib.contextmanager
-def reading(path: PathLike) -> Iterator[None]:
+def reading(path: PathLike) -> AbstractContextManager[None]:
     """Convert all errors of reading a file to one sentence."""
-    try:
-        yield
-    except SuppleError:
-        raise
-    except MemoryError as error:
-        raise too_large(path) from error
-    except EOFError as error:
-        raise unreadable(path, "it is cut short") from error
-    except (OSError, zlib.error) as error:
-        known = isinstance(error, OSError) and error.strerror
-        raise unreadable(path, str(known or "its compressed data is damaged")) from error
+
+    def refused(error: Exception) -> SuppleError:
+        if isinstance(error, MemoryError):
+            return too_large(path)
+        known = "it is cut short" if isinstance(error, EOFError) else getattr(error, "strerror", None)
+        return unreadable(path, known or "its compressed data is damaged")
+
+    return refusing(refused, MemoryError, EOFError, OSError, zlib.error)
 
 
 def too_large(path: PathLike, sizes: tuple[int, ...] = ()) -> SuppleError:

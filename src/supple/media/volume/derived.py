@@ -176,8 +176,7 @@ def _derived(pydicom: Any, head: Any, common: tuple[Any, datetime.datetime]) -> 
             delattr(made, name)
     for tag in [tag for tag in made.keys() if tag.group in (*_OVERLAYS, *_CURVES)]:  # noqa: SIM118, not a dict
         del made[tag]
-    source = pydicom.Dataset()
-    source.ReferencedSOPClassUID, source.ReferencedSOPInstanceUID = head.SOPClassUID, head.SOPInstanceUID
+    source = reference_to(pydicom, head)
     source.PurposeOfReferenceCodeSequence = [_code(pydicom, "121322", "Source image for image processing operation")]
     made.SOPInstanceUID, made.SeriesInstanceUID = pydicom.uid.generate_uid(prefix=None), uid
     made.SeriesNumber = series_number(head)
@@ -192,6 +191,13 @@ def _derived(pydicom: Any, head: Any, common: tuple[Any, datetime.datetime]) -> 
     made.file_meta.TransferSyntaxUID = pydicom.uid.ExplicitVRLittleEndian
     made.file_meta.MediaStorageSOPClassUID = made.SOPClassUID
     made.file_meta.MediaStorageSOPInstanceUID = made.SOPInstanceUID
+    return made
+
+
+def reference_to(pydicom: Any, head: Any) -> Any:
+    """Return an item that refers to an object."""
+    made = pydicom.Dataset()
+    made.ReferencedSOPClassUID, made.ReferencedSOPInstanceUID = head.SOPClassUID, head.SOPInstanceUID
     return made
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from supple.errors import VolumeWarning, argument, shown
-from supple.media.files import PathLike, head_of, unreadable
+from supple.media.files import PathLike, first_bytes, head_of, unreadable
 from supple.media.volume.data import Array, Volume, check_spacing, located
 from supple.media.volume.frames import frames_of
 from supple.media.volume.frames import imported as with_pydicom
@@ -47,15 +47,7 @@ class Series:
 
 def is_slice(path: PathLike) -> bool:
     """Return whether a file is DICOM, by its first bytes."""
-    return _first_bytes(path, 132)[128:] == b"DICM"
-
-
-def _first_bytes(path: PathLike, count: int) -> bytes:
-    try:
-        with open(path, "rb") as file:
-            return file.read(count)
-    except (OSError, ValueError):
-        return b""
+    return first_bytes(path, 132)[128:] == b"DICM"
 
 
 def in_folder(path: PathLike) -> bool:
@@ -137,7 +129,7 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
 # GDCM reads no header of what is no image (test_what_is_no_image_is_left_out_and_named).
 def _kind_beside(path: str) -> str:
     """Return the content of a file that is not an image, or is derived from one, by its SOP class."""
-    named = re.search(rb"\x02\x00\x02\x00UI..([0-9.]+)", _first_bytes(path, 1024), re.DOTALL)
+    named = re.search(rb"\x02\x00\x02\x00UI..([0-9.]+)", first_bytes(path, 1024), re.DOTALL)
     uid = named[1].decode() if named else ""
     if not uid.startswith(_STORAGE):
         return ""
@@ -215,9 +207,8 @@ def _chosen(found: list[Series], path: PathLike, series: str | None) -> Series:
         if series is not None and series.strip() in (one.uid, str(k)):
             return one
     what = f"it holds {len(found)} series" if series is None else f"it holds no series {shown(series)}"
-    raise unreadable(
-        path, f"{what} ({described(found)})", f"say which one by {argument('series', '1')}, or name one of its slices"
-    )
+    advice = f"say which one by {argument('series', '1')}, or name one of its slices"
+    raise unreadable(path, f"{what} ({described(found)})", advice)
 
 
 def _informed(sitk: Any, name: str) -> Any:
@@ -248,14 +239,6 @@ def _check_pixels(path: PathLike, reader: Any) -> None:
         except ValueError:
             steps = [float("nan")]
         check_spacing(path, steps)
-
-
-def _thickness(reader: Any) -> float:
-    """Return the spacing of a single slice: GDCM only knows the distance between slices."""
-    with contextlib.suppress(ValueError):
-        if not _tag(reader, _BETWEEN) and (known := float(_tag(reader, _THICKNESS))) > 0:
-            return known
-    return float(reader.GetSpacing()[2])
 
 
 def _frames(path: PathLike, sitk: Any, reader: Any, file: PathLike) -> Volume:
@@ -324,7 +307,10 @@ def _stacked(path: PathLike, sitk: Any, series: Series) -> Volume:
         told = [shown(Path(name).name) for name in series.paths]
         order, step, direction = _ordered(path, told, places, direction, min(first.GetSpacing()[:2]))
     else:
-        order, step = np.zeros(1, np.intp), _thickness(first)
+        order, step = np.zeros(1, np.intp), float(first.GetSpacing()[2])
+        with contextlib.suppress(ValueError):  # GDCM only knows the distance between slices
+            if not _tag(first, _BETWEEN) and (thickness := float(_tag(first, _THICKNESS))) > 0:
+                step = thickness
     names = [series.paths[k] for k in order]
     spacing = [*first.GetSpacing()[:2], step]
     geometry = located(path, spacing, places[order][0].tolist(), direction, "LPS")

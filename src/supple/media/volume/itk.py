@@ -18,16 +18,7 @@ import numpy as np
 
 from supple.errors import need, shown
 from supple.media.files import PathLike, check_output, head_of, replacing, unreadable, unwritable
-from supple.media.volume.data import (
-    DTYPES,
-    Array,
-    Volume,
-    check_spacing,
-    located,
-    native,
-    reading,
-    too_large,
-)
+from supple.media.volume.data import DTYPES, Array, Volume, check_spacing, located, native, reading, too_large
 from supple.media.volume.raw import count_bytes
 from supple.space.geometry import Geometry
 

@@ -16,17 +16,7 @@ import numpy as np
 
 from supple.errors import VolumeWarning, need, shown
 from supple.media.files import PathLike, head_of, replacing, unreadable
-from supple.media.volume.data import (
-    DTYPES,
-    Array,
-    Volume,
-    check_spacing,
-    located,
-    native,
-    placed,
-    reading,
-    too_large,
-)
+from supple.media.volume.data import DTYPES, Array, Volume, check_spacing, located, native, placed, reading, too_large
 from supple.space.geometry import Geometry
 
 _GZIP = b"\x1f\x8b"
@@ -64,6 +54,7 @@ def read(path: PathLike, *, header_only: bool = False) -> Volume:
         raise unreadable(path, "it is a series or a field of colours", "give one volume of colours")
     after = (components,) if components > 1 else (colours,) if colours else ()
     units = int(header["xyzt_units"])
+    step = float(header["pixdim"][4]) * _SECONDS.get(units & 0x38, 1.0)
     outline = Volume(
         np.broadcast_to(np.zeros((), dtype.newbyteorder("=")), sizes[::-1] if series else (*sizes[2::-1], *after)),
         _geometry(path, first, header, sizes[:3], _MILLIMETRES.get(units & 7, 1.0)),
@@ -72,7 +63,7 @@ def read(path: PathLike, *, header_only: bool = False) -> Volume:
         series,
         header,
         (1.0, 0.0) if colours else _scaling(path, header),
-        _interval(header, units) if series else 1.0,
+        step if series and 0 < step < np.inf else 1.0,
     )
     if header_only:
         return outline
@@ -281,11 +272,6 @@ def _scaling(path: PathLike, header: Any) -> tuple[float, float]:
     if not np.isfinite(intercept):
         raise unreadable(path, f"its values are scaled by {slope:g}, plus {intercept}", "correct its header")
     return slope, intercept
-
-
-def _interval(header: Any, units: int) -> float:
-    step = float(header["pixdim"][4]) * _SECONDS.get(units & 0x38, 1.0)
-    return step if 0 < step < np.inf else 1.0
 
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:

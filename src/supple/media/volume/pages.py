@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from supple.errors import SuppleError, VolumeWarning, need, said, shown
+from supple.errors import VolumeWarning, need, said, shown
 from supple.media.files import PathLike, refusing, replacing, unreadable, unwritable
 from supple.media.volume.data import Array, Volume, native
 from supple.space.geometry import Geometry
@@ -37,16 +37,10 @@ _SECONDS = {"s": 1.0, "ms": 1e-3, "\u00b5s": 1e-6, "min": 60.0, "h": 3600.0}
 
 def has_pages(path: PathLike) -> bool:
     """Return whether a file is a TIFF of several pages; False for unreadable files."""
-    from supple.media.image.headers import facts
-    from supple.media.image.vips import opened
+    from supple.media.image.vips import pages_of
 
-    if Path(path).suffix.lower() not in SUFFIXES:
-        return False
-    try:
-        image, form = opened(path)
-    except SuppleError:
-        return False
-    return form == "TIFF" and facts(image)[0] > 1
+    form, count = pages_of(path) if Path(path).suffix.lower() in SUFFIXES else ("", 0)
+    return form == "TIFF" and count > 1
 
 
 def place(path: PathLike) -> Geometry:

@@ -31,9 +31,8 @@ def read_dat(path: PathLike) -> Volume:
     if count != found or count == _HEAD:
         sizes = f"{width} x {height} x {depth}"
         told = f"its header says {sizes} samples of 16 bits, {count} bytes in all, and it has {found}"
-        raise unreadable(
-            path, told, f"give a whole copy of it, or, if it has no such header, give {argument('layout')}"
-        )
+        advice = f"give a whole copy of it, or, if it has no such header, give {argument('layout')}"
+        raise unreadable(path, told, advice)
     return _mapped(path, RawLayout((width, height, depth), "<u2", offset=_HEAD))
 
 

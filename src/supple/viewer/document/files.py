@@ -26,8 +26,8 @@ from supple.files.options import ClipOptions, PathLike
 from supple.files.recipes import read_recipe, write_recipe
 from supple.files.tracking import track
 from supple.media.files import check_output, locked, replacing, same_file
-from supple.media.image import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.image import check_target
+from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.medium import VIDEOS_OUT
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import suffix_of

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from supple import media
 from supple.deformation import Deformation
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
@@ -25,6 +24,7 @@ from supple.files.options import VolumeOptions
 from supple.files.renders import default_transfer
 from supple.files.volumes import background_of, in_space, is_of_labels, open_volume
 from supple.gpu.device import Gpu, open_gpu
+from supple.media import medium
 from supple.media.image import Picture, read
 from supple.media.volume import Volume
 from supple.render.camera import Camera
@@ -155,7 +155,7 @@ def _moves(source: str | os.PathLike[str]) -> bool:
     if Path(source).suffix.lower() == ".gif" and os.path.isfile(source):
         with contextlib.suppress(SuppleError), open_clip(source) as clip:
             return bool(clip.count > 1)
-    return media.open(source, "x.mp4" if os.path.isdir(source) else "").kind == "clip"
+    return medium.opened(source, "x.mp4" if os.path.isdir(source) else "").kind == "clip"
 
 
 def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool = False) -> None:
