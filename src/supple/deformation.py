@@ -28,9 +28,11 @@ from supple.space.checks import choice, colours_hint, flag, integer, length, num
 from supple.space.domain import BorderProfile, Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Grid
+from supple.space.straighten import Frame, Straighten
 from supple.strokes import PAINTINGS, REACH, FoldPolicy, Point, Recipe, Stroke, spoken, time_radius_of
 
 _HIT = 1e-6  # samples: a point of a pull that is as near as this has arrived
+_LAST = "the straightening"  # of a picture
 _FREE, _TAKEN = -1, -2  # of a point that no later stroke carries away, or one on purpose
 
 Floats = npt.NDArray[np.float64]
@@ -213,6 +215,8 @@ class Deformation:
     _space: Space = field(repr=False)  # of the strokes alone
     grid: Grid = field(repr=False)
     maps: tuple[Placed, ...] = field(repr=False)
+    output: Grid = field(repr=False)
+    straightened: Straighten | None = field(repr=False)
     # Of each point of each stroke, in physical units: where it arrived, where maps have it since then, where it is now.
     _points: Floats = field(repr=False)
     _carriers: npt.NDArray[np.int64] = field(repr=False)
@@ -256,6 +260,8 @@ class Deformation:
             "_space": Space(np.zeros((0, ROW)), axes, domain.ndim, count, (height, width), freeze=mask_of(domain)),
             "grid": grid,
             "maps": (),
+            "output": grid,
+            "straightened": None,
             "_points": np.zeros((0, 3, 3)),
             "_carriers": np.zeros(0, np.int64),
         }
@@ -347,7 +353,7 @@ class Deformation:
                     made = made._with(placed, warn)
                     whole = made if same else whole._with(placed, False)
         _warn(made._carried(0, [i for i, _ in visible], len(recipe.strokes)), MissWarning, say)
-        return made
+        return made if recipe.straighten is None else made.framed(recipe.straighten)
 
     def without_strokes(self) -> Self:
         """Return the identity on the same domain, with the same fold policy."""
@@ -371,6 +377,7 @@ class Deformation:
             strokes=self.strokes,
             size=self.shape[::-1],
             freeze=self.domain.freeze,
+            straighten=self.straightened,
         )
 
     @property
@@ -400,6 +407,8 @@ class Deformation:
             If a field lies apart from that grid, or from what the maps before it lead to.
         """
         plain = self._space
+        if grid is None and self.output is not self.grid:
+            grid = self.output
         if grid is None and source is None and not self.maps:
             return plain
         if check and self.maps:
@@ -441,7 +450,7 @@ class Deformation:
     @property
     def is_identity(self) -> bool:
         """True if the map is the identity: no maps, and no strokes, or none with any force."""
-        return self._space.rows.size == 0 and not self.maps
+        return self._space.rows.size == 0 and not self.maps and self.output is self.grid
 
     def grab(
         self,
@@ -704,6 +713,8 @@ class Deformation:
                 f"{described(stroke)} has a point of {stroke.ndim} numbers, and a point of {self._kind} has "
                 f"{self._coordinates}{colours_hint(self.shape)}"
             )
+        if self.straightened is not None:
+            raise SuppleError("straightening comes last: give strokes before it, where their points are")
         if stroke.hidden:
             return self
         if stroke.changes:
@@ -835,7 +846,64 @@ class Deformation:
             refuse("field", "a Field (Field.from_array makes one)", field)
         return self._with(Placed(field, inverse))
 
+    def straighten(
+        self,
+        *,
+        rotate: float = 0.0,
+        shear: float | tuple[float, float] = 0.0,
+        keystone: npt.ArrayLike = (),
+        scale_to: Sequence[int] = (),
+        fit: Frame = "crop",
+    ) -> Self:
+        """Return the deformation of a picture that is straightened after all strokes, in the same resampling.
+
+        It comes last, and `output` is then the grid of the result, on which `warp` writes.
+
+        Parameters
+        ----------
+        rotate, shear, keystone, scale_to, fit
+            As in `supple.Straighten`. What is empty is filled (``fill``, by default 0: transparent, where there is
+            opacity), unless ``outside`` is given.
+
+        Examples
+        --------
+        >>> d = Deformation((400, 600)).straighten(rotate=5)
+        >>> d.warp(np.zeros((400, 600), np.uint8)).shape
+        (354, 532)
+        """
+        corners = [tuple(p) for p in np.asarray(keystone, np.float64).tolist()]
+        return self.framed(Straighten(rotate, shear, tuple(corners), tuple(scale_to), fit))  # type: ignore[arg-type]
+
+    def framed(self, straighten: Straighten, sizes: Sequence[int] | None = None) -> Self:
+        """Return the deformation of a picture that is straightened after all strokes, as `straighten` does.
+
+        ``sizes`` are the width and height of the picture, if it is a part, whose first pixel is at position (0, 0).
+        """
+        if self.ndim != 2:
+            raise SuppleError(f"straightening is for pictures, and this is {self._kind}: leave it out")
+        if self.straightened is not None:
+            raise SuppleError("the deformation is straightened already: give all of it at once")
+        if len(set(self.grid.spacing)) > 1:
+            refuse("spacing", "the same along both axes of what is straightened", self.grid.spacing)
+        found, (width, height) = straighten.on(self.shape[::-1] if sizes is None else tuple(sizes))
+        start = self.grid if sizes is None else Grid(self.shape)
+        shift = start.matrix
+        if width * height == math.prod(self.shape) and np.array_equal(found.matrix, np.eye(3)):
+            made = self
+        else:
+            matrix = shift @ found.matrix @ np.linalg.inv(shift)
+            made = self._with(Placed(type(found)(matrix), name=_LAST))
+        output = Grid((height, width), start.spacing, start.origin, start.direction)
+        return made._changed(straightened=straighten, output=self.grid if output == self.grid else output)
+
+    def filling(self, sampling: Sampling, options: SamplingFields) -> SamplingFields:
+        """Return options of sampling that fill what straightening leaves empty, unless a boundary mode is given."""
+        gaps = sampling is DEFAULT and self.straightened is not None and self.straightened.has_gaps
+        return {"outside": "constant", **options} if gaps else options
+
     def _with(self, placed: Placed, warn: bool = True) -> Self:
+        if self.straightened is not None:
+            raise SuppleError("straightening comes last: give fields and affine maps before it")
         if placed.map.ndim != self.ndim:
             what = "field" if isinstance(placed.map, Field) else "affine map"
             raise SuppleError(f"the {what} has {placed.map.ndim} axes, and the shape {self.shape} has {self.ndim}")
@@ -996,7 +1064,7 @@ class Deformation:
         from supple.arrays import check_device, warp_array, warp_function, warp_picture
 
         plain = self.domain.time and not self.maps and grid is None and device != "cuda"
-        sampling = Sampling.of(sampling, options, self._space.ndim, flow=plain)
+        sampling = Sampling.of(sampling, self.filling(sampling, options), self._space.ndim, flow=plain)
         clamp = flag("clamp", clamp)
         if grid is not None:
             if not isinstance(grid, Grid):
@@ -1040,7 +1108,7 @@ class Deformation:
             The grid of the output; by default, that of the input.
         """
         tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
-        space, shape = self.space_on(grid), self.shape if grid is None else grid.shape
+        space, shape = self.space_on(grid), (self.output if grid is None else grid).shape
         count = shape[0] if self.ndim == 3 else 1
         which = range(count)
         if plane is not None:
@@ -1112,7 +1180,8 @@ class Deformation:
         return hash(self._key())
 
     def _key(self) -> tuple[object, ...]:
-        return self.domain, self.grid, self.on_fold, self.strokes, self.maps
+        maps = tuple(each for each in self.maps if each.name != _LAST)  # which follows from the others
+        return self.domain, self.grid, self.on_fold, self.strokes, maps, self.straightened
 
 
 def place_of(points: object) -> Any:

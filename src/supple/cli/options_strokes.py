@@ -4,26 +4,29 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
 from supple.cli.console import current
-from supple.cli.options import COORDINATES, Frames, parse_number
+from supple.cli.options import COORDINATES, Frames, number, parse_integer, parse_number
 from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
     from supple.space.domain import Border
     from supple.space.freezing import Freeze
+    from supple.space.straighten import Straighten
     from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke
 
 Place = Callable[[], str | None]
 
 STROKES = Group("Strokes", sort_key=1)
+STRAIGHTEN = Group("Straighten pictures", sort_key=1.2)
 
 BRUSHES = ("--grab", "--twist", "--scale", "--pinch", "--pull")
 """The options that are strokes."""
 
+FRAMES = ("crop", "pad", "keep")
 _ONE_OF = "give --grab, --twist, --scale, --pinch or --pull"
 _OF_EACH = ("radius", "poisson", "scales", "reach", "time_radius", "flat", "matte")  # of one stroke, and of all of them
 _OF_ALL = ("border", "border_profile", "freeze", "freeze_width", "on_fold")
@@ -31,6 +34,7 @@ _FLAT = "a part of the radius from 0 to 0.9"
 _TWIST = "X,Y[,T|Z]:ANGLE[:AXIS]"
 _SCALE = "X,Y[,T|Z]:FACTOR"
 _PINCH = "X,Y[,T|Z]:FACTOR[:AXIS]"
+_KEYSTONE = "X,Y:X,Y:X,Y:X,Y"
 _WANTED = {
     "--grab": "X,Y:X,Y, or X,Y,T:X,Y,T, two points or more in pixels, frames or voxels (256,256:256,346, say)",
     "--twist": f"{_TWIST}, a point, degrees, and of 3 numbers an axis (256,256:30 or 40,50,60:30:0,0,1, say)",
@@ -127,7 +131,16 @@ class StrokeOptions:
     fit
         How a recipe that was made for another size fits: pixels takes its numbers as they are; stretch scales width
         and height by factors of their own; inside keeps proportions, centred. One of the same proportions is scaled
-        without asking.
+        without asking. And how a straightened picture is framed: crop (default), the largest frame of its proportions
+        without empty corners; pad, all of it; keep, its own frame. What is empty is transparent, or --fill.
+    rotate
+        Turn the picture by degrees, clockwise, after all strokes and maps, in the same resampling.
+    shear
+        Lean verticals by degrees, and, with a second number, horizontals.
+    keystone
+        Four points that shall be the corners of an upright rectangle: top left, top right, bottom right, bottom left.
+    scale_to
+        Width of the result in pixels, or its width and height, to whose proportions it is then cropped or padded.
     """
 
     grab: Annotated[
@@ -156,8 +169,13 @@ class StrokeOptions:
     ] = None
     amount: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="PART")] = None
     fit: Annotated[
-        Literal["pixels", "stretch", "inside"] | None, Parameter(metavar="pixels|stretch|inside", show_choices=False)
-    ] = None
+        list[Literal["pixels", "stretch", "inside", "crop", "pad", "keep"]],
+        Parameter(metavar="pixels|stretch|inside|crop|pad|keep", show_choices=False, show_default=False),
+    ] = ()  # type: ignore[assignment]
+    rotate: Annotated[float | None, number("a number of degrees", "DEG", group=STRAIGHTEN)] = None
+    shear: Annotated[str | None, Parameter(group=STRAIGHTEN, allow_leading_hyphen=True, metavar="DEG[,DEG]")] = None
+    keystone: Annotated[str | None, Parameter(group=STRAIGHTEN, allow_leading_hyphen=True, metavar=_KEYSTONE)] = None
+    scale_to: Annotated[str | None, Parameter(group=STRAIGHTEN, allow_leading_hyphen=True, metavar="W[,H]")] = None
 
     @property
     def given(self) -> dict[str, list[str]]:
@@ -172,7 +190,12 @@ class StrokeOptions:
     @property
     def any(self) -> bool:
         """Return whether there is anything to do."""
-        return self.count > 0 or self.recipe is not None
+        return self.count > 0 or self.recipe is not None or self.straightens
+
+    @property
+    def straightens(self) -> bool:
+        """Return whether the picture is straightened."""
+        return any(value is not None for value in (self.rotate, self.shear, self.keystone, self.scale_to))
 
     def refuse_alone(self) -> None:
         """Raise SuppleError for what is said of strokes where there are none, and none are needed."""
@@ -183,11 +206,40 @@ class StrokeOptions:
 
     def to_fit(self) -> "Fit | None":
         """How a recipe fits another size; refuse what is said of a recipe where there is none."""
-        if self.fit is not None and self.recipe is None:
+        found: list[Fit] = [fit for fit in self.fit if fit not in FRAMES]  # type: ignore[misc]
+        if len(found) > 1 or len(self.fit) - len(found) > 1:
+            raise SuppleError(f"--fit is given as {' and '.join(self.fit)}: leave one out")
+        if found and self.recipe is None:
             raise SuppleError("--fit is for a recipe that was made for another size: give a --recipe, or leave it out")
-        if self.amount is not None and not self.any:
+        if self.amount is not None and not (self.count or self.recipe):
             raise SuppleError(f"--amount is for strokes, and there are none: {_ONE_OF}, a --recipe, or leave it out")
-        return self.fit
+        return found[0] if found else None
+
+    def _straighten(self, known: "Straighten | None") -> "Straighten | None":
+        """Return how the picture is straightened, by the recipe, and in its place by the options given."""
+        from supple.space.straighten import Straighten
+
+        framed = [fit for fit in self.fit if fit in FRAMES]
+        if framed and known is None and not self.straightens:
+            raise SuppleError(
+                f"--fit {framed[0]} is for a picture that is straightened: give --rotate, --shear, --keystone or "
+                "--scale-to, or leave it out"
+            )
+        given: dict[str, Any] = {"rotate": self.rotate, "fit": framed[0] if framed else None}
+        if self.shear is not None:
+            wanted = "one number of degrees or two"
+            given["shear"] = [parse_number("--shear", part, wanted) for part in self.shear.split(",")]
+        if self.scale_to is not None:
+            wanted = "a width, or a width and a height, in whole pixels (1920 or 1920,1080, say)"
+            given["scale_to"] = [parse_integer("--scale-to", part, wanted) for part in self.scale_to.split(",")]
+        if self.keystone is not None:
+            wanted = f"{_KEYSTONE}, the corners top left, top right, bottom right, bottom left"
+            points = [point.split(",") for point in self.keystone.split(":")]
+            if [len(point) for point in points] != [2] * 4:
+                raise SuppleError(f"--keystone must be {wanted}, found {self.keystone!r}")
+            given["keystone"] = [[parse_number("--keystone", x, wanted) for x in point] for point in points]
+        given = {name: value for name, value in given.items() if value is not None}
+        return replace(known or Straighten(), **given) if given else known
 
     def to_recipe(
         self,
@@ -213,7 +265,7 @@ class StrokeOptions:
         found = self._strokes(world, place, convention, ordered, frames)
         strokes = [one.stroke for one in found]
         space = next((one.space for one in found if one.space is not None), None)
-        if not strokes and self.recipe is None and not empty:
+        if not strokes and self.recipe is None and not (empty or self.straightens):
             raise SuppleError(f"nothing to do: give --grab X,Y:X,Y --radius R, {others or 'or '}--recipe FILE")
         if self.recipe is None:
             made = Recipe()
@@ -246,6 +298,7 @@ class StrokeOptions:
             raise SuppleError("--freeze-width is for a freeze mask, and there is none: give --freeze, or leave it out")
         if self.border_profile is not None:
             made = replace(made, border_profile=self.border_profile)
+        made = replace(made, straighten=self._straighten(made.straighten))
         return made if self.on_fold is None else replace(made, on_fold=self.on_fold)
 
     def _strokes(

@@ -98,6 +98,8 @@ class Job:
                 raise SuppleError(
                     f"{asked(option, value)} is for {where}, and {medium.name} is a {medium.kind}: leave it out"
                 )
+        if medium.kind != "picture" and self.recipe.straighten is not None:
+            raise SuppleError(f"straightening is for pictures, and {medium.name} is a {medium.kind}: leave it out")
         if medium.kind == "picture" and self.recipe.moves:
             raise SuppleError(
                 f"{medium.name} is taken for a picture, and strokes with keys move from frame to frame: give a clip, "

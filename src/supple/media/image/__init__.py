@@ -19,6 +19,7 @@ from supple.media.files import PathLike, check_suffix, replacing
 from supple.media.image import dpx, exif
 from supple.media.image.formats import (
     AVIF,
+    COLOURS,
     DPX,
     DTYPES,
     EXR,
@@ -247,6 +248,27 @@ def _fits(value: float, dtype: np.dtype[Any]) -> bool:
         with np.errstate(over="ignore"):
             return bool(np.isinf(dtype.type(value)) == np.isinf(value))
     return value.is_integer() and np.iinfo(dtype).min <= value <= np.iinfo(dtype).max
+
+
+def with_opacity(picture: Picture, target: PathLike) -> Picture:
+    """Return a picture with full opacity, if it has none and the format of the target can hold it; else as it is."""
+    form, pixels = OUT[Path(target).suffix.lower()], picture.pixels
+    held = form.pixel_formats.get(pixels.dtype.str[1:], {2: "", 4: ""})
+    flat = pixels if pixels.ndim == 3 else pixels[..., None]
+    count = flat.shape[2]
+    colours = COLOURS.get(picture.interpretation, 3)
+    if (
+        not form.alpha
+        or picture.extra
+        or picture.layers
+        or colours not in (1, 3)
+        or count != colours
+        or count + 1 not in held
+    ):
+        return picture
+    white = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else 1
+    made = np.concatenate([flat, np.full((*flat.shape[:2], 1), white, pixels.dtype)], axis=2)
+    return replace(picture, pixels=made, alpha=True, extra=(2,))
 
 
 def warn_of_exact(held: exr.Exr) -> None:

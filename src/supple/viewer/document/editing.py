@@ -572,7 +572,7 @@ class Document:
             empty = known.chain[0]
         else:
             spacing = self.spacing if shape == self.shape else np.broadcast_to(self.spacing, 3)[:2].tolist()
-            plain = replace(rest, space=None)
+            plain = replace(rest, space=None, straighten=None)  # that of a picture is how it is seen
             if self.hold and timed:
                 plain = with_ends(plain, self.hold, self.shape, Domain(shape, spacing, rest.border).spacing[2])
             empty = Deformation.from_recipe(plain, shape, spacing=spacing, time=timed)
