@@ -4,6 +4,7 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
@@ -28,7 +29,16 @@ BRUSHES = ("--grab", "--twist", "--scale", "--pinch", "--pull")
 
 FRAMES = ("crop", "pad", "keep")
 _ONE_OF = "give --grab, --twist, --scale, --pinch or --pull"
-_OF_EACH = ("radius", "poisson", "scales", "reach", "time_radius", "flat", "matte")  # of one stroke, and of all of them
+_OF_EACH = (
+    "radius",
+    "poisson",
+    "scales",
+    "reach",
+    "time_radius",
+    "flat",
+    "matte",
+    "mirror",
+)  # of one stroke, and of all of them
 _OF_ALL = ("border", "border_profile", "freeze", "freeze_width", "on_fold")
 _FLAT = "a part of the radius from 0 to 0.9"
 _TWIST = "X,Y[,T|Z]:ANGLE[:AXIS]"
@@ -123,6 +133,8 @@ class StrokeOptions:
     matte
         Picture, video or image sequence that multiplies strokes: white where they apply in full, black where they
         move nothing; its opacity, if it has some. Give it once for all strokes, or once for each (none: without).
+    mirror
+        Make each stroke of the command line on the other side as well: of the line x = X, or of one through two points.
     on_fold
         What to do with a stroke that would fold the picture or that the border holds back. flow (default): carry
         all of it out, in smaller steps. damp: weaken it. error: stop.
@@ -168,6 +180,7 @@ class StrokeOptions:
         Literal["damp", "flow", "error"] | None, Parameter(metavar="flow|damp|error", show_choices=False)
     ] = None
     amount: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="PART")] = None
+    mirror: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="X|X,Y:X,Y")] = None
     fit: Annotated[
         list[Literal["pixels", "stretch", "inside", "crop", "pad", "keep"]],
         Parameter(metavar="pixels|stretch|inside|crop|pad|keep", show_choices=False, show_default=False),
@@ -186,6 +199,11 @@ class StrokeOptions:
     def count(self) -> int:
         """The number of strokes given, without those of the recipe."""
         return sum(map(len, self.given.values()))
+
+    @property
+    def parts(self) -> list[int]:
+        """The number of strokes that each one given is made of: two, perhaps, with a mirror image."""
+        return getattr(self, "_parts", [1] * self.count)
 
     @property
     def any(self) -> bool:
@@ -262,7 +280,7 @@ class StrokeOptions:
         """
         from supple.strokes import Recipe
 
-        found = self._strokes(world, place, convention, ordered, frames)
+        found = self._mirrored(self._strokes(world, place, convention, ordered, frames))
         strokes = [one.stroke for one in found]
         space = next((one.space for one in found if one.space is not None), None)
         if not strokes and self.recipe is None and not (empty or self.straightens):
@@ -361,6 +379,29 @@ class StrokeOptions:
                 "--world"
             )
         return made
+
+    def _mirrored(self, found: "list[_Given]") -> "list[_Given]":
+        """Return strokes with their mirror images."""
+        self._parts = [1] * len(found)
+        if self.mirror is None:
+            return found
+        wanted = "X, a column of pixels, or X,Y:X,Y, two points of a line (256 or 250,0:262,511, say)"
+        ends = [[parse_number("--mirror", x, wanted) for x in end.split(",")] for end in self.mirror.split(":")]
+        x, y, a, b = (
+            (*ends[0], 0.0, *ends[0], 1.0) if [*map(len, ends)] == [1] else (*chain(*ends), *[math.nan] * 4)[:4]
+        )
+        if [*map(len, ends)] not in ([1], [2, 2]) or (x, y) == (a, b) or not math.isfinite(x + y + a + b):
+            raise SuppleError(f"--mirror must be {wanted}, found {self.mirror!r}")
+        more = (0.0,) * (found[0].stroke.ndim - 2)
+        made: list[list[_Given]] = []
+        for one in found:
+            try:
+                both = one.stroke.symmetric((x, y, *more), (b - y, x - a, *more))
+            except SuppleError as error:
+                raise SuppleError(f"{one.told}: {error}") from None
+            made.append([replace(one, stroke=stroke) for stroke in both])
+        self._parts = list(map(len, made))
+        return [*chain(*made)]
 
     def _mattes(self, count: int) -> "list[Freeze | None]":
         """Return the matte of each stroke; a file is read once."""

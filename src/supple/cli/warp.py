@@ -146,8 +146,10 @@ def warp(
         world=volume.world, empty=maps.any or maps.dangling or grid is not None, others=OTHERS,
         place=lambda: volume.place_of(paths[0]), ordered=maps.conventions, frames=typed,
     )  # fmt: skip
+    if strokes.mirror is not None and tracks.track is not None:
+        raise SuppleError("--mirror is of strokes that stay, and --track moves them: leave one out")
     recipe = tracks.followed(recipe, strokes.count, paths, video.to_clip().memory, typed)
-    elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given, output)
+    elements = maps.to_maps(console.arguments, recipe, strokes, output)
     if elements and save_recipe is not None:
         raise SuppleError("--save-recipe is for strokes alone, which --field and --affine are not: leave it out")
     if 1e-9 <= sampling.tolerance < FINEST:
