@@ -301,6 +301,9 @@ def test_a_mirror_makes_each_stroke_on_the_other_side(
     for one, other in zip(made, wanted, strict=True):
         np.testing.assert_allclose(one.handles, other.handles, atol=1e-9)
         assert (one.angle, one.factor) == (other.angle, other.factor)
+    flat = saved(run, "--grab", "12,16:15,18", "--radius", "5", "--flat", "0.5", "--mirror", mirror).strokes
+    assert [stroke.flat for stroke in flat] == [0.5, 0.5]
+    np.testing.assert_allclose(flat[1].at, flat[0].mirrored(*line).at)
     status, out, _ = run(
         "warp", "in.png", "more.png", *strokes, "--affine", "1,0,2,0,1,0", "--pinch", "12,20:0.8", "--json"
     )

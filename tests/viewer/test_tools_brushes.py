@@ -436,6 +436,35 @@ class TestSymmetry:
         down(tools, *grip)  # which is not there any more
         assert tools.held is not None
 
+    def test_its_upper_knob_tilts_the_line_about_the_lower_one(self) -> None:
+        tools = image()
+        assert tools.tilt is None
+        press(tools, "m")
+        grip, tilt = tools.grip, tools.tilt
+        assert grip is not None
+        assert tilt is not None
+        drag(tools, tilt, (tilt[0] + 60, tilt[1] + 500))  # only to the side
+        slope = 60 / (tilt[1] - grip[1])
+        assert tools.lean == pytest.approx(slope)
+        assert tools.grip == pytest.approx(grip)
+        assert tools.tilt == pytest.approx((tilt[0] + 60, tilt[1]))
+        stroke = drawn(tools, "g", (201, 101), (221, 111))
+        wanted = Stroke.grab(stroke.at, by=stroke.by, radius=stroke.radius)
+        one, other = (tools.view.to_image(*at) for at in (grip, tools.tilt))
+        (wanted,) = wanted.symmetric(one, (other[1] - one[1], one[0] - other[0]))
+        assert np.allclose(stroke.also, wanted.also, atol=1e-9)
+        # An edit of one point moves its image, and the lower knob moves the line as it is.
+        end = tools.view.to_canvas(*np.add(stroke.at, stroke.by))
+        press(tools, "g")
+        drag(tools, end, (end[0] + 10, end[1] + 6))
+        edited = tools.document.strokes[0]
+        assert np.allclose(edited.also, edited.mirrored(*tools.mirror(2)).handles[:1], atol=1e-9)
+        drag(tools, tools.grip, (grip[0] + 30, grip[1]))
+        assert tools.lean == pytest.approx(slope)
+        assert tools.grip == pytest.approx((grip[0] + 30, grip[1]))
+        drag(tools, tools.tilt, (tools.grip[0] + 1, 0))
+        assert tools.lean == 0
+
     def test_what_has_no_room_for_an_image_has_none(self) -> None:
         tools = image()
         press(tools, "m")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal, Self, get_args
@@ -134,16 +134,26 @@ class Straighten:
         made = Projective(pull) if self.keystone else Affine(pull)
         return made, (int(size[0]), int(size[1]))
 
+    @property
+    def linear(self) -> Floats:
+        """The matrix (2, 2) of displacements that is the turn and the shear."""
+        quarters, angle = self.rotate / 90, math.radians(self.rotate)
+        k = int(quarters) % 4
+        exact = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[k]
+        c, s = exact if quarters.is_integer() else (math.cos(angle), math.sin(angle))
+        x, y = (math.tan(math.radians(a)) for a in self.shear)
+        return np.asarray(np.array([[1.0, x], [y, 1.0]]) @ np.array([[c, -s], [s, c]]))
+
+    def levelled(self, one: Sequence[float], other: Sequence[float]) -> Self:
+        """Return the same with the turn that makes a line between two points of the picture level, or upright."""
+        flat = replace(self, rotate=0.0, shear=(0.0, 0.0))
+        dx, dy = np.diff(_through(flat._push(np.zeros(2)), np.array([one, other])), axis=0)[0].tolist()
+        return replace(self, rotate=round(-math.remainder(math.degrees(math.atan2(dy, dx)), 90.0), 3) + 0.0)
+
     def _push(self, centre: Floats) -> Floats:
         """Return the homogeneous matrix from pixels of a picture to the straightened plane."""
-        quarters = self.rotate / 90
-        angle = math.radians(self.rotate)
-        cosine, sine = (1.0, 0.0, -1.0, 0.0), (0.0, 1.0, 0.0, -1.0)
-        k = int(quarters) % 4
-        c, s = (cosine[k], sine[k]) if quarters.is_integer() else (math.cos(angle), math.sin(angle))
-        x, y = (math.tan(math.radians(a)) for a in self.shear)
         made = np.eye(3)
-        made[:2, :2] = np.array([[1.0, x], [y, 1.0]]) @ np.array([[c, -s], [s, c]])
+        made[:2, :2] = self.linear
         made[:2, 2] = centre - made[:2, :2] @ centre
         return made @ _rectified(np.array(self.keystone)) if self.keystone else made
 

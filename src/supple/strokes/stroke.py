@@ -406,7 +406,7 @@ class Stroke:
         """Return the strokes that make this one symmetric about a line or a plane.
 
         Those are one that drags the points and their mirror images at once, as a pull; or, of other brushes, of grabs
-        along a path and of strokes with keys, the stroke and its mirror image after it. Points within a hundredth of
+        along a path or with a plateau, and of strokes with keys, the stroke and its mirror image after it. Points within a hundredth of
         the radius of the line are their own images, and only dragged along it.
 
         Parameters
@@ -416,7 +416,7 @@ class Stroke:
         """
         image = self.mirrored(at, normal)
         apart = math.dist(self.at, image.at) > 0.02 * self.radius
-        if self.brush != "grab" or self.path or (self.keys and apart):
+        if self.brush != "grab" or self.path or ((self.keys or self.flat) and apart):
             if apart:
                 return self, image
             if self.path:

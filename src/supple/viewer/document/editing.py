@@ -20,6 +20,7 @@ from supple.space.checks import integer, refuse
 from supple.space.domain import Border, Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Geometry
+from supple.space.straighten import Straighten
 from supple.strokes import PAINTINGS, CoordinateSpace, FoldPolicy, Recipe, Stroke, spoken
 from supple.viewer.document.keyframes import animated, edited
 
@@ -364,6 +365,12 @@ class Document:
             freeze = None
         self._edit(replace(self.state, rest=replace(self.state.rest, freeze=freeze)))
 
+    def set_straighten(self, straighten: Straighten | None) -> None:
+        """Set how a picture is straightened; what changes nothing is none."""
+        if straighten == Straighten():
+            straighten = None
+        self._edit(replace(self.state, rest=replace(self.state.rest, straighten=straighten)))
+
     def load(self, recipe: Recipe) -> None:
         """Replace the document by a recipe, as one step."""
         self._edit(self._state(recipe))
@@ -390,6 +397,8 @@ class Document:
                     "give as many, or open a file of that kind"
                 )
         size = shape[::-1]
+        if recipe.straighten is not None and (self.kind == "video" or count == 3):
+            raise SuppleError("the recipe straightens a picture, and this is none: open one")
         fitted = recipe.fitted(size, time=timed)
         if timed and fitted.strokes != recipe.strokes:
             raise SuppleError(

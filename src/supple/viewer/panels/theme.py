@@ -101,6 +101,7 @@ ICONS = {
     "pin": "\uf08d",
     "freeze": "\uf2dc",
     "thaw": "\uf043",
+    "level": "\uf545",
     "symmetry": "\uf07e",
     "undo": "\uf2ea",
     "redo": "\uf2f9",

@@ -182,6 +182,8 @@ GROWTH = 1.1  # the factor of the brush for a notch of the wheel, which is 100
 class Drawing(ABC):
     """A brush on a document, for each kind of media."""
 
+    levels = False  # whether what is shown can be straightened
+
     def __init__(self, document: Document) -> None:
         self.document = document
         domain = Domain(document.shape, document.spacing)
@@ -202,6 +204,8 @@ class Drawing(ABC):
         self.symmetric = False  # whether new strokes have a mirror image
         self.across, self.middle = 0, 0.5 * (document.shape[-1] - 1)
         """The axis across which they have it, x is 0; and where its line or plane lies on it, in samples."""
+        self.lean = 0.0
+        """Of a picture: how far the line goes along that axis from one sample to the next along the other."""
         self.stretch: Pair = (1.0, 1.0)  # of a circle of the image on the canvas, to the right and down
         self.handed = 1.0  # the sense of a turn to the right in the image: -1.0 if it is shown mirrored
 
@@ -286,14 +290,28 @@ class Drawing(ABC):
         poisson = None if self.brush in IMMATERIAL else self.poisson
         return Stroke(at=point, radius=self.radius, poisson=poisson, reach=self.reach, **shape)
 
+    def mirror(self, ndim: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return a point of the line or plane of symmetry, and the direction across it, of length 1."""
+        here, normal, other = [0.0] * ndim, [0.0] * ndim, 1 - min(self.across, 1)
+        here[self.across], here[other] = self.middle, 0.5 * (self.document.shape[-1 - other] - 1)
+        size = math.hypot(1.0, self.lean)
+        normal[self.across], normal[other] = 1.0 / size, -self.lean / size
+        return tuple(here), tuple(normal)
+
     def mirrored(self, point: tuple[float, ...]) -> tuple[float, ...]:
         """Return the mirror image of a point."""
-        return tuple(2 * self.middle - p if k == self.across else p for k, p in enumerate(point))
+        here, normal = self.mirror(len(point))
+        return self._flipped(point, 2 * sum(a * n for a, n in zip(here, normal, strict=True)))
+
+    def _flipped(self, v: tuple[float, ...], shift: float = 0.0) -> tuple[float, ...]:
+        _, normal = self.mirror(len(v))
+        away = shift - 2 * sum(a * n for a, n in zip(v, normal, strict=True))
+        return tuple(a + away * n if n else a for a, n in zip(v, normal, strict=True))
 
     def _has_image(self, point: tuple[float, ...]) -> bool:
         """Return whether strokes are symmetric, and the mirror image of a point lies within the medium."""
-        size, image = self.document.shape[-1 - self.across], self.mirrored(point)[self.across]
-        return self.symmetric and -0.5 <= image <= size - 0.5
+        sides = zip(self.mirrored(point), self.document.shape[::-1], strict=False)
+        return self.symmetric and all(-0.5 <= x <= size - 0.5 for x, size in sides)
 
     def _images(self, stroke: Stroke, point: tuple[float, ...]) -> list[int]:
         """Return which points of a stroke are the mirror image of one, if strokes are symmetric."""
@@ -306,7 +324,7 @@ class Drawing(ABC):
         for nth, ((at, by), (p, v)) in enumerate(zip(before.handles, after.handles, strict=True)):
             if (at, by) == (p, v):
                 continue
-            flipped = tuple(-d if k == self.across else d for k, d in enumerate(v))
+            flipped = self._flipped(v)
             images = self._images(before, at)
             if nth in images and p == at:  # on the line, where it stays
                 pairs[nth] = p, tuple((a + b) / 2 for a, b in zip(v, flipped, strict=True))
@@ -382,12 +400,11 @@ class Drawing(ABC):
             return (self.paired(held.stroke, stroke),)
         if not self._has_image(held.point):
             return (stroke,)
-        here, normal = [0.0] * stroke.ndim, [0.0] * stroke.ndim
-        here[self.across], normal[self.across] = self.middle, 1.0
+        line = self.mirror(stroke.ndim)
         if held.item is None:
-            return stroke.symmetric(here, normal)
+            return stroke.symmetric(*line)
         *pairs, (at, by) = stroke.handles  # of which the last is new
-        (more,) = replace(stroke, at=at, by=by, also=()).symmetric(here, normal)
+        (more,) = replace(stroke, at=at, by=by, also=()).symmetric(*line)
         return (replace(stroke, also=(*pairs[1:], *more.handles)),)
 
     def grow(self, notches: float) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-Tool = Literal["grab", "twist", "bloat", "pucker", "pinch", "path", "restore", "smooth", "pin", "freeze", "thaw"]
+Tool = Literal[
+    "grab", "twist", "bloat", "pucker", "pinch", "path", "restore", "smooth", "pin", "freeze", "thaw", "level"
+]
 Rows = Mapping[str, str]
 
 BRUSHES: Mapping[Tool, tuple[str, str]] = {
@@ -23,11 +25,12 @@ BRUSHES: Mapping[Tool, tuple[str, str]] = {
     ),
     "freeze": ("C", "paint what no stroke moves, earlier ones neither; with Shift, thaw"),
     "thaw": ("V", "paint what strokes may move again; with Shift, freeze"),
+    "level": ("Y", "draw a line that shall be level, or upright: the picture is turned, in the same resampling"),
 }
 """For each brush, in the order of the tools' strip, its key, and what a drag with it does."""
 _ALWAYS: Rows = {
-    **{key: f"{name}: {what}" for name, (key, what) in BRUSHES.items()},
-    "M": "strokes are symmetric about the dashed line, whose knob moves it, or no longer",
+    **{key: f"{name}: {what}" for name, (key, what) in BRUSHES.items() if name != "level"},
+    "M": "strokes are symmetric about the dashed line, or no longer; its lower knob moves it, the upper one tilts it",
     "click": "select the stroke whose handle is there, or none",
     "[  ]": "smaller and larger brush, or selected stroke",
     "Delete, Backspace": "remove the selected stroke",
@@ -50,7 +53,7 @@ _PICTURE: Rows = {
     "0  1": "fit the picture, or show it at 100 %",
 }
 KEYS: Mapping[str, Rows] = {
-    "image": {**_PICTURE, **_ALWAYS},
+    "image": {**_PICTURE, **_ALWAYS, BRUSHES["level"][0]: f"level: {BRUSHES['level'][1]}"},
     "video": {
         **_PICTURE,
         "wheel in a drag": "pull the pixel through time, up is later; also with the arrows Left and Right",
