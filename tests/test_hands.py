@@ -159,6 +159,34 @@ class TestRestore:
         far = np.linalg.norm(points - (110, 100), axis=1) > 24 + 21
         np.testing.assert_array_equal(restored.inverse(points[far]).points, d.inverse(points[far]).points)
 
+    @pytest.mark.parametrize("shape", [(200, 200), (60, 60, 60)])
+    def test_several_points_are_one_stroke_each_with_its_part(self, shape: tuple[int, ...]) -> None:
+        n, middle = len(shape), shape[0] / 2
+        at = np.full(n, middle)
+        d = Deformation(shape).grab(at, by=np.eye(n)[1] * middle / 10, radius=middle / 4)
+        way = np.repeat(at[None], 5, axis=0)
+        way[:, 0] += np.linspace(-0.3, 0.3, 5) * middle
+        one = d.restore(way, radius=0.3 * middle)
+        (stroke,) = one.strokes[1:]
+        assert stroke.name == "restore"
+        assert len(stroke.handles) < 5 * (7 if n == 2 else 13)
+        ends = np.array([p for p, _ in stroke.handles])
+        apart = np.linalg.norm(ends[:, None] - ends, axis=2) + np.eye(len(ends)) * 1e9
+        assert apart.min() > 0.29 * 0.3 * middle
+        np.testing.assert_allclose(one.inverse(np.add(ends, [v for _, v in stroke.handles])).points,
+                                   d.inverse(ends).points, atol=1e-5)  # fmt: skip
+        assert (
+            np.linalg.norm(one.inverse(way).points - way, axis=1).mean()
+            < 0.35 * np.linalg.norm(d.inverse(way).points - way, axis=1).mean()
+        )
+        parts = d.restore(way, radius=0.3 * middle, strength=[1.0, 1.0, 0.0, 0.0, 0.0]).strokes[-1]
+        drags = np.linalg.norm([v for _, v in parts.handles], axis=1)
+        assert drags[0] > 0
+        assert drags[-1] == 0
+        wanted = "strength must be a number from 0 to 1, or one for each point"
+        assert refusal(lambda: d.restore(way, radius=10, strength=[1.0, 0.5])).startswith(wanted)
+        assert refusal(lambda: d.restore([[1.0, 2.0], [3.0]], radius=10)).startswith("at must be")  # type: ignore[list-item]
+
     def test_smoothing_relaxes(self) -> None:
         d = Deformation(SHAPE)
         for x in range(60, 180, 10):

@@ -32,6 +32,7 @@ from supple.space.straighten import Frame, Straighten
 from supple.strokes import PAINTINGS, REACH, FoldPolicy, Point, Recipe, Stroke, spoken, time_radius_of
 
 _HIT = 1e-6  # samples: a point of a pull that is as near as this has arrived
+_APART = 0.3  # radii between the points by which a way is restored or smoothed, at least
 _LAST = "the straightening"  # of a picture
 _FREE, _TAKEN = -1, -2  # of a point that no later stroke carries away, or one on purpose
 
@@ -541,20 +542,25 @@ class Deformation:
         known: dict[str, Any] = {"poisson": poisson, "reach": reach, "strength": strength}
         return self.add(Stroke.pull(points, to=to, by=by, pins=pins, radius=radius, time_radius=time_radius, **known))
 
-    def restore(self, at: Point, *, radius: float, strength: float = 1.0, warn: bool = True) -> Self:
-        """Return the deformation with one more stroke, which brings the material around a point back to its origin.
+    def restore(
+        self, at: npt.ArrayLike, *, radius: float, strength: float | Sequence[float] = 1.0, warn: bool = True
+    ) -> Self:
+        """Return the deformation with one more stroke, which brings the material around points back to its origin.
 
-        The stroke is a pull of the point and some around it, from where they are to where they came from; it moves
-        nothing beyond two radii of their way. ``at`` is a point of the output, ``strength`` the part of the way back,
-        and ``warn`` as in `add`; errors are those of all brushes.
+        The stroke is a pull of the points and some around them, from where they are to where they came from; it moves
+        nothing beyond two radii of their way. ``at`` is a point of the output, or several (N, D), along which a brush
+        goes: half a radius apart. ``strength`` is the part of the way back, one for all of them or one for each;
+        ``warn`` is as in `add`, and errors are those of all brushes.
         """
         return self._led(at, radius, strength, "restore", self._displaced, warn)
 
-    def smooth(self, at: Point, *, radius: float, strength: float = 1.0, warn: bool = True) -> Self:
-        """Return the deformation with one more stroke, which relaxes the displacement around a point.
+    def smooth(
+        self, at: npt.ArrayLike, *, radius: float, strength: float | Sequence[float] = 1.0, warn: bool = True
+    ) -> Self:
+        """Return the deformation with one more stroke, which relaxes the displacement around points.
 
-        The stroke is a pull of the point and some around it, each to the mean displacement of its surroundings, at one
-        radius from it; it moves nothing beyond two radii of their way. The arguments are those of `restore`.
+        The stroke is a pull of the points and some around them, each to the mean displacement of its surroundings, at
+        one radius from it; it moves nothing beyond two radii of their way. The arguments are those of `restore`.
         """
 
         def rough(points: Floats) -> Floats:
@@ -582,21 +588,40 @@ class Deformation:
         return made
 
     def _led(
-        self, at: Point, radius: float, strength: float, name: str, errors: Callable[[Floats], Floats], warn: bool
+        self,
+        at: npt.ArrayLike,
+        radius: float,
+        strength: float | Sequence[float],
+        name: str,
+        errors: Callable[[Floats], Floats],
+        warn: bool,
     ) -> Self:
-        """Return the deformation with a pull of some points around one, by a part of their errors."""
-        centre = np.array(point("at", at, (self.ndim,)))
-        radius, part = length("radius", radius), number("strength", strength, "a number from 0 to 1", 0.0, 1.0)
-        ring = centre + 0.5 * radius * self._directions() / np.array(self.domain.spacing)
-        points = np.concatenate([centre[None], ring])
+        """Return the deformation with a pull of some points, and some around them, by a part of their errors."""
+        given: Any = at
+        several = isinstance(given, Sequence | np.ndarray) and len(given) > 0 and np.ndim(given[0]) == 1
+        centres = np.array([point("at", p, (self.ndim,)) for p in (given if several else [given])])
+        amounts = strength if isinstance(strength, Sequence) else [strength] * len(centres)
+        radius, wanted = length("radius", radius), "a number from 0 to 1, or one for each point"
+        parts = np.array([number("strength", part, wanted, 0.0, 1.0) for part in amounts])
+        if len(parts) != len(centres):
+            refuse("strength", wanted, strength)
+        ring = np.concatenate([np.zeros((1, self.ndim)), 0.5 * radius * self._directions()])
+        every = (centres * self.domain.spacing)[:, None] + ring
+        chosen: list[tuple[Floats, float]] = []
+        for places, part in zip(every, parts.tolist(), strict=True):
+            taken = np.array([p for p, _ in chosen]).reshape(-1, self.ndim)
+            away = np.linalg.norm(places[:, None] - taken, axis=2).min(axis=1, initial=np.inf)
+            chosen += [(p, part) for p, far in zip(places, away > _APART * radius, strict=True) if far]
+        points, part = np.array([p for p, _ in chosen]) / self.domain.spacing, np.array([x for _, x in chosen])[:, None]
         first, last = (x[: self.ndim] / self.domain.spacing for x in self.domain.packed()[:, :2].T)
         # Samples within a fixed edge, which nothing else reaches; at the ends of a clip, points move in their frames.
         held = np.full(self.ndim, 0.0 if self.domain.border is None else 1.0)
         low, high = first + held, last - held
         if self.domain.time:
             held[2] = 0.0
-        points = points[np.all((points > first + held) & (points < last - held), axis=1)]
-        points = points[freedom_at(padded(points, self.domain), self.domain) > FREE_ENOUGH]
+        moves = np.all((points > first + held) & (points < last - held), axis=1)
+        moves &= freedom_at(padded(points, self.domain), self.domain) > FREE_ENOUGH
+        points, part = points[moves], part[moves]
         if not len(points):
             refuse("at", "a point within the domain that is not frozen", at)
         targets = points - part * errors(points)

@@ -406,8 +406,8 @@ class Stroke:
         """Return the strokes that make this one symmetric about a line or a plane.
 
         Those are one that drags the points and their mirror images at once, as a pull; or, of other brushes, of grabs
-        along a path or with a plateau, and of strokes with keys, the stroke and its mirror image after it. Points within a hundredth of
-        the radius of the line are their own images, and only dragged along it.
+        along a path or with a plateau, and of strokes with keys, the stroke and its mirror image after it. Points
+        within a hundredth of the radius of the line are their own images, and only dragged along it.
 
         Parameters
         ----------

@@ -290,11 +290,11 @@ class Document:
     def tracks(self) -> list[tuple[int, Track]]:
         """Return the strokes that have handles on screen, and their indices: no hidden ones.
 
-        Of those of a painting, which are many, only the selected one has handles; during a drag, only what is dragged.
+        Those of a painting have none, as they are many; during a drag, only what is dragged has some.
         """
         visible = (i for i, stroke in enumerate(self.strokes) if not stroke.hidden)
         pairs, chosen, lone = zip(visible, self._now.tracks, strict=True), self.selected, self.dragging
-        return [(i, track) for i, track in pairs if i == chosen or not (lone or track.stroke.name in PAINTINGS)]
+        return [pair for pair in pairs if pair[1].stroke.name not in PAINTINGS and (pair[0] == chosen or not lone)]
 
     def beneath(self, i: int, point: tuple[float, ...]) -> tuple[float, ...]:
         """Return where the material that is seen at a point was before a stroke, which is not hidden."""

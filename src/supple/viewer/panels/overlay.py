@@ -544,7 +544,7 @@ def _follows(options: ClipOptions) -> bool:
 def _held(view: View) -> str:
     held, document = view.tools.held, view.document
     if held is not None and held.paints:
-        return f"{held.tool}: {len(held.made)} {'stroke' if len(held.made) == 1 else 'strokes'}"
+        return f"{held.tool}: {len(held.painted)} {'place' if len(held.painted) == 1 else 'places'}"
     if document.selected is None:
         return ""
     stroke, own = document.seen(document.selected), document.strokes[document.selected]

@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from supple.deformation import Deformation
 from supple.errors import SuppleError
 from supple.space.domain import Domain
 from supple.space.freezing import Freeze
@@ -85,7 +86,8 @@ class Held:
     beneath: Point | None = None  # of a point that is added to a stroke: where its material was before the stroke
     dabbed: Pair | None = None  # of a painting: the place of the last dab
     mask: Freeze | None = None  # of the freeze mask: what it is so far
-    made: list[Stroke] = field(default_factory=list)  # and its strokes
+    painted: list[tuple[Point, float]] = field(default_factory=list)  # and its points, and how much there
+    base: Deformation | None = None  # and what it begins on
     pressure: float | None = None  # of a pen, from 0 to 1: the greatest so far; of a painting, the present one
 
     @property
@@ -95,7 +97,7 @@ class Held:
 
     @property
     def paints(self) -> bool:
-        """True if it makes a stroke for each part of its way."""
+        """True if it works on all of its way."""
         return self.item is None and self.tool in PAINTINGS
 
     @property
@@ -347,17 +349,22 @@ class Drawing(ABC):
             self.document.trouble = str(error)
 
     def _paint(self, held: Held) -> None:
-        """Restore or smooth what is under the pointer, by a stroke for each half radius of its way."""
-        document = self.document
-        if not document.dragging:
+        """Restore or smooth what the pointer goes over, by one stroke, if that moves anything."""
+        document, count = self.document, len(held.painted)
+        if held.base is None:
+            held.base = document.deformation
             document.begin_drag()
         for place in held.dabs(0.5 * held.stroke.radius * self._scale(held.point)):
-            point = self._grab(*place)
-            if point is None:
-                continue
-            self._dab(held, point)
-            if self._has_image(point):
-                self._dab(held, self.mirrored(point))
+            if (point := self._grab(*place)) is not None:
+                part = max(self.strength * held.firmness, LIGHTEST)
+                images = (self.mirrored(point),) if self._has_image(point) else ()
+                held.painted += [(p, part) for p in (point, *images)]
+        if len(held.painted) > count:
+            points, parts = zip(*held.painted, strict=True)
+            led = held.base.restore if held.tool == "restore" else held.base.smooth
+            made = led(points, radius=held.stroke.radius, strength=parts, warn=False).strokes[-1]
+            if max(math.hypot(*by) for _, by in made.handles) > STILL:
+                document.preview(made, select=False)
 
     def _mask(self, held: Held) -> None:
         """Freeze or thaw what is under the pointer. Strokes are resolved anew at the end, as each depends on it."""
@@ -374,17 +381,6 @@ class Drawing(ABC):
             for at in (point, self.mirrored(point))[: 1 + self.symmetric]:
                 mask = mask.painted(at, held.stroke.radius, steps, frozen=frozen)
         held.mask = mask
-
-    def _dab(self, held: Held, point: tuple[float, ...]) -> None:
-        """Add a stroke of a painting, if it moves anything."""
-        document = self.document
-        led = document.deformation.restore if held.tool == "restore" else document.deformation.smooth
-        part = max(self.strength * held.firmness, LIGHTEST)
-        made = led(point, radius=held.stroke.radius, strength=part, warn=False).strokes[-1]
-        if max(math.hypot(*by) for _, by in made.handles) > STILL:
-            held.made.append(made)
-            if not document.preview(*held.made, select=False):
-                held.made.pop()
 
     def _drawn(self, held: Held) -> tuple[Stroke, ...]:
         """Return the stroke of a drag, or those that make it symmetric."""
