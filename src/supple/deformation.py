@@ -542,6 +542,14 @@ class Deformation:
         known: dict[str, Any] = {"poisson": poisson, "reach": reach, "strength": strength}
         return self.add(Stroke.pull(points, to=to, by=by, pins=pins, radius=radius, time_radius=time_radius, **known))
 
+    def push(self, path: Sequence[Point], *, by: float, radius: float, **options: Any) -> Self:
+        """Return the deformation with one more stroke, which pushes what lies along a path sideways.
+
+        ``by`` is how far, in pixels, to the left of the way; below 0, to the right. The options are ``poisson``,
+        ``reach`` and ``strength``, as for all brushes.
+        """
+        return self.add(Stroke.push(path, by=by, radius=radius, **options))
+
     def restore(
         self, at: npt.ArrayLike, *, radius: float, strength: float | Sequence[float] = 1.0, warn: bool = True
     ) -> Self:

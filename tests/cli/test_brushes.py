@@ -331,3 +331,18 @@ def test_a_mirror_needs_strokes_that_stay(run: Run, here: Path, inputs: Path) ->
     for verb in (("warp", "in.png", "out.png"), ("view", "in.png")):
         status, _, err = run(*verb, "--mirror", "20")
         assert (status, "--mirror is for strokes" in one_line(err)) == (2, True)
+
+
+def test_a_push_is_one_pull_in_its_place_among_others(run: Run, here: Path) -> None:
+    options = ("--grab", "12,16:15,18", "--push", "30,5:30,20:32,34:-3", "--radius", "6", "--radius", "5")
+    grab, push = saved(run, *options).strokes
+    assert push == Stroke.push([(30, 5), (30, 20), (32, 34)], by=-3, radius=5)
+    assert grab.brush == "grab"
+    for text, said in (
+        ("30,5:-3", "--push must be X,Y:X,Y:BY, two points or more and how far"),
+        ("30,5:30,20", "--push must be X,Y:X,Y:BY"),
+        ("30,5:30,5:4", "--push 30,5:30,5:4: path must be two points or more"),
+        ("1,2,3:4,5,6:2", "--push must be X,Y:X,Y:BY"),
+    ):
+        status, _, err = run("warp", "in.png", "no.png", "--push", text, "--radius", "5")
+        assert (status, said in one_line(err)) == (2, True), err

@@ -238,6 +238,42 @@ class TestPaintings:
         assert displaced(solid, (36, 25, 20)) < 0.2 * was
 
 
+class TestPush:
+    @pytest.mark.parametrize(("shift", "away"), [(False, -10), (True, 10)])
+    def test_a_drag_is_one_stroke_across_its_way(self, shift: bool, away: float) -> None:
+        tools = image()
+        tools.radius = 20
+        press(tools, "a")
+        before = state(tools)
+        drag(tools, (201, 101), (221, 101), (301, 101), modifiers=("Shift",) * shift)
+        (stroke,) = tools.document.strokes
+        assert stroke.name == "push"
+        x, y = tools.document.deformation.forward((125, 50))
+        assert (x, y) == pytest.approx((125, 50 + away), abs=0.1)  # to the right on screen: left is up
+        assert tools.handles() == []
+        press(tools, "z", "Control")
+        assert state(tools) == before
+
+    def test_with_symmetry_both_sides_are_one_stroke_and_others_have_no_such_tool(self) -> None:
+        tools = image()
+        tools.radius = 20
+        for key in "ma":
+            press(tools, key)
+        drag(tools, (121, 101), (121, 161))
+        assert len(tools.document.strokes) == 1
+        one, other = tools.document.deformation.forward([(60, 65), (239, 65)])
+        assert one[0] + other[0] == pytest.approx(299)
+        film = clip()
+        press(film, "a")
+        drag(film, (201, 101), (301, 101))
+        assert "same in every frame" in (film.status or "")
+        assert film.document.strokes == ()
+        block = solid()
+        for key in "ay":
+            press(block, key)
+        assert block.brush == "grab"
+
+
 class TestPins:
     def test_a_click_holds_a_point_of_the_selected_grab(self) -> None:
         tools = image(on_fold="flow")

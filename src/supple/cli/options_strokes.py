@@ -24,11 +24,11 @@ Place = Callable[[], str | None]
 STROKES = Group("Strokes", sort_key=1)
 STRAIGHTEN = Group("Straighten pictures", sort_key=1.2)
 
-BRUSHES = ("--grab", "--twist", "--scale", "--pinch", "--pull")
+BRUSHES = ("--grab", "--twist", "--scale", "--pinch", "--pull", "--push")
 """The options that are strokes."""
 
 FRAMES = ("crop", "pad", "keep")
-_ONE_OF = "give --grab, --twist, --scale, --pinch or --pull"
+_ONE_OF = "give --grab, --twist, --scale, --pinch, --pull or --push"
 _OF_EACH = (
     "radius",
     "poisson",
@@ -44,11 +44,13 @@ _FLAT = "a part of the radius from 0 to 0.9"
 _TWIST = "X,Y[,T|Z]:ANGLE[:AXIS]"
 _SCALE = "X,Y[,T|Z]:FACTOR"
 _PINCH = "X,Y[,T|Z]:FACTOR[:AXIS]"
+_PUSH = "X,Y:X,Y:BY"
 _KEYSTONE = "X,Y:X,Y:X,Y:X,Y"
 _WANTED = {
     "--grab": "X,Y:X,Y, or X,Y,T:X,Y,T, two points or more in pixels, frames or voxels (256,256:256,346, say)",
     "--twist": f"{_TWIST}, a point, degrees, and of 3 numbers an axis (256,256:30 or 40,50,60:30:0,0,1, say)",
     "--scale": f"{_SCALE}, a point and a factor (256,256:1.4, say)",
+    "--push": f"{_PUSH}, two points or more and how far to the left of the way (90,40:90,160:12, say)",
     "--pinch": f"{_PINCH}, a point, a factor, and an axis of as many numbers (256,256:0.7:1,0, say)",
 }
 
@@ -97,6 +99,9 @@ class StrokeOptions:
         matched by these, others in order; a point that is the same in both is a pin. Files in millimetres (LPS or
         RAS) are taken as they say; give --world if other strokes are in millimetres too. For a volume, a table that
         does not say what its numbers are needs --convention LPS, RAS or index (voxels).
+    push
+        Push what lies along a way, of two points or more, sideways: to the left of it by pixels, or below 0 to the
+        right. It is for pictures, and for every frame of a video.
     radius
         Radius of the brush: in pixels, in volumes in millimetres. Give --radius, --poisson, --reach and --time-radius
         once for all strokes, or once for each; --scales and --flat once for all grabs, or once for each.
@@ -162,6 +167,7 @@ class StrokeOptions:
     scale: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar=_SCALE, show_default=False)] = ()  # type: ignore[assignment]
     pinch: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar=_PINCH, show_default=False)] = ()  # type: ignore[assignment]
     pull: Annotated[list[str], Parameter(metavar="FROM:TO", show_default=False)] = ()  # type: ignore[assignment]
+    push: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar=_PUSH, show_default=False)] = ()  # type: ignore[assignment]
     radius: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="R", show_default=False)] = ()  # type: ignore[assignment]
     poisson: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="N", show_default=False)] = ()  # type: ignore[assignment]
     scales: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="1|2|3", show_default=False)] = ()  # type: ignore[assignment]
@@ -495,16 +501,20 @@ def _stroke(
         "--twist": [[n, 1], [3, 1, 3]],
         "--scale": [[n, 1]],
         "--pinch": [[n, 1], [n, 1, n]],
+        "--push": [[2] * max(2, len(parts) - 1) + [1]],
     }
     if option == "--twist" and n == 2 and len(parts) == 3:
         raise SuppleError(f"--twist {text}: a twist in a picture has no axis: leave it out (X,Y:ANGLE)")
-    points = (at, *rest) if option == "--grab" else (at,)
+    points = (at, *rest) if option in ("--grab", "--push") else (at,)
     if n not in (2, 3) or parts not in shapes[option] or not all(math.isfinite(x) for point in points for x in point):
         raise wrong
     known = {**brush, "scales": int(scales) if float(scales).is_integer() else scales}
     try:
         if option == "--grab":
             return Stroke.grab(at, path=rest, flat=flat, **known)  # type: ignore[arg-type]
+        if option == "--push":
+            brush.pop("time_radius")
+            return Stroke.push([at, *rest[:-1]], by=rest[-1][0], **brush)  # type: ignore[arg-type]
         amount = {"angle" if option == "--twist" else "factor": rest[0][0]}
         axis = tuple(rest[1]) if len(rest) > 1 else None
         return Stroke(brush=option[2:], at=tuple(at), axis=axis, **amount, **known)  # type: ignore[arg-type]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cmath
+import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -25,8 +26,8 @@ LARGEST_ANGLE = 3600.0  # degrees
 LARGEST_FACTOR = 100.0
 MOST_FLAT = 0.9
 MOST_HANDLES = 1000
-PAINTINGS = frozenset(("restore", "smooth"))
-"""The names of strokes that were painted, many at a time."""
+PAINTINGS = frozenset(("restore", "smooth", "push"))
+"""The names of strokes that were painted, of many points at once."""
 PART = "a number from 0 to 1"
 FADE = 5  # frames beyond a track, within which what follows it fades
 
@@ -335,6 +336,34 @@ class Stroke:
         (at, drag), *also = pairs
         known: dict[str, Any] = {"poisson": poisson, "reach": reach, "strength": strength}
         return cls(at=at, by=drag, also=also, radius=radius, time_radius=time_radius, **known)  # type: ignore[arg-type]
+
+    @classmethod
+    def push(
+        cls,
+        path: Sequence[Point],
+        *,
+        by: float,
+        radius: float,
+        poisson: float | None = None,
+        reach: float | None = REACH,
+        strength: float = 1.0,
+    ) -> Self:
+        """Return a stroke that pushes what lies along a path sideways, ``by`` samples to the left; below 0, right.
+
+        It is a pull of points half a radius apart, in a picture or in every frame of a clip.
+        """
+        ends = [np.array(point(f"path[{i}]", p, (2,))) for i, p in enumerate(path)]
+        lengths = np.cumsum([0.0, *(math.dist(a, b) for a, b in itertools.pairwise(ends))])
+        if not lengths[-1] > 0:
+            refuse("path", "two points or more, which are apart", told=f"{len(ends)} points")
+        away, radius = number("by", by, "a number of samples", -LARGEST, LARGEST), length("radius", radius)
+        places = np.linspace(0.0, lengths[-1], min(max(round(2 * lengths[-1] / radius), 1), MOST_HANDLES) + 1)
+        way = np.stack([np.interp(places, lengths, x) for x in zip(*ends, strict=True)], axis=1)
+        along = np.gradient(way, axis=0)
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+        drags = away * np.stack([along[:, 1], -along[:, 0]], axis=1)
+        made = cls.pull(way, by=drags, radius=radius, poisson=poisson, reach=reach, strength=strength)
+        return replace(made, name="push")
 
     @property
     def ndim(self) -> int:

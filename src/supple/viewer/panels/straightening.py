@@ -22,7 +22,7 @@ _FIT = "crop: the largest frame without empty corners; pad: all of the picture; 
 
 def draw(view: View) -> None:
     """Draw the section."""
-    if not view.tools.levels or not section(view, "Straighten"):
+    if "level" in view.tools.lacks or not section(view, "Straighten"):
         return
     document = view.document
     known = document.state.rest.straighten or Straighten()

@@ -97,6 +97,7 @@ ICONS = {
     "pinch": "\uf422",
     "path": "\uf4d7",
     "restore": "\uf12d",
+    "push": "\uf337",
     "smooth": "\uf773",
     "pin": "\uf08d",
     "freeze": "\uf2dc",

@@ -12,6 +12,7 @@ from supple.space.straighten import Straighten
 from supple.viewer.document.editing import Document
 from supple.viewer.tools.drawing import CLICK, Held, Pair, Place
 from supple.viewer.tools.gestures import Event, Lead, Tools, commanded, shifted
+from supple.viewer.tools.keys import Tool
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.viewport import UPRIGHT, Turn, Viewport
 
@@ -37,7 +38,7 @@ class ImageTools(Tools[Viewport]):
     shown turned, as a `Viewport` does it; points, strokes and the brush's radius are those of the stored one.
     """
 
-    levels = True
+    lacks = frozenset[Tool]()
 
     def __init__(self, document: Document, canvas_size: Pair, pixel_ratio: float = 1.0, turn: Turn = UPRIGHT) -> None:
         height, width = document.shape[-2:]
@@ -160,7 +161,7 @@ class VideoTools(ImageTools):
     Of those in every frame, an edit of what is animated sets a key in the frame shown; with Shift, all keys move.
     """
 
-    levels = False
+    lacks = frozenset[Tool](("level",))
 
     def __init__(
         self,

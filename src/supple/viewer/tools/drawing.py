@@ -39,6 +39,7 @@ SHAPES: dict[Tool, dict[str, Any]] = {
 MASKS = frozenset(("freeze", "thaw"))
 """The tools that paint the freeze mask."""
 PAINTED = 2.0  # radii that a stroke of a painting reaches
+PUSHED = 0.5  # radii by which a push moves what is on its way, at full strength
 IMMATERIAL = frozenset(("twist", "bloat", "pucker", "scale"))
 """Tools and brushes that do not depend on the Poisson ratio."""
 
@@ -184,7 +185,7 @@ GROWTH = 1.1  # the factor of the brush for a notch of the wheel, which is 100
 class Drawing(ABC):
     """A brush on a document, for each kind of media."""
 
-    levels = False  # whether what is shown can be straightened
+    lacks: frozenset[Tool] = frozenset(("level", "push"))  # the tools that are for others
 
     def __init__(self, document: Document) -> None:
         self.document = document
@@ -349,20 +350,28 @@ class Drawing(ABC):
             self.document.trouble = str(error)
 
     def _paint(self, held: Held) -> None:
-        """Restore or smooth what the pointer goes over, by one stroke, if that moves anything."""
+        """Restore, smooth or push what the pointer goes over, by one stroke, if that moves anything."""
         document, count = self.document, len(held.painted)
+        if held.tool == "push" and document.timed:
+            raise SuppleError("a push is the same in every frame, and the strokes of this clip are in time")
         if held.base is None:
             held.base = document.deformation
             document.begin_drag()
         for place in held.dabs(0.5 * held.stroke.radius * self._scale(held.point)):
             if (point := self._grab(*place)) is not None:
-                part = max(self.strength * held.firmness, LIGHTEST)
-                images = (self.mirrored(point),) if self._has_image(point) else ()
-                held.painted += [(p, part) for p in (point, *images)]
-        if len(held.painted) > count:
-            points, parts = zip(*held.painted, strict=True)
+                held.painted.append((point, max(self.strength * held.firmness, LIGHTEST)))
+        points, parts = zip(*held.painted, strict=True) if held.painted else ((), ())
+        radius = held.stroke.radius
+        if held.tool == "push" and len(points) > 1:
+            away = PUSHED * radius * sum(parts) / len(parts) * (-1 if held.shift else 1) * self.handed
+            made = Stroke.push(points, by=away, radius=radius)
+            both = made.symmetric(*self.mirror(2)) if self._has_image(held.point) else (made,)
+            document.preview(*both, select=False)
+        elif held.tool != "push" and len(points) > count:
+            seen = [(q, x) for p, x in held.painted for q in (p, self.mirrored(p))[: 1 + self._has_image(p)]]
+            points, parts = zip(*seen, strict=True)
             led = held.base.restore if held.tool == "restore" else held.base.smooth
-            made = led(points, radius=held.stroke.radius, strength=parts, warn=False).strokes[-1]
+            made = led(points, radius=radius, strength=parts, warn=False).strokes[-1]
             if max(math.hypot(*by) for _, by in made.handles) > STILL:
                 document.preview(made, select=False)
 

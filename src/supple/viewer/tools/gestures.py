@@ -342,7 +342,7 @@ class Tools(Drawing, Generic[V]):
             self.grow(1 if key == "]" else -1)
         elif key == "\\":
             self.original = True
-        elif key.lower() in _BRUSHES and (self.levels or _BRUSHES[key.lower()] != "level"):
+        elif key.lower() in _BRUSHES and _BRUSHES[key.lower()] not in self.lacks:
             self.brush = _BRUSHES[key.lower()]
         elif key in ("b", "B"):
             self.split = 0.5 if self.split is None else None
