@@ -28,7 +28,7 @@ from supple.space.checks import choice, colours_hint, flag, integer, length, num
 from supple.space.domain import BorderProfile, Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Grid
-from supple.space.straighten import Frame, Straighten
+from supple.space.straighten import Straighten
 from supple.strokes import PAINTINGS, REACH, FoldPolicy, Point, Recipe, Stroke, spoken, time_radius_of
 
 _HIT = 1e-6  # samples: a point of a pull that is as near as this has arrived
@@ -354,7 +354,7 @@ class Deformation:
                     made = made._with(placed, warn)
                     whole = made if same else whole._with(placed, False)
         _warn(made._carried(0, [i for i, _ in visible], len(recipe.strokes)), MissWarning, say)
-        return made if recipe.straighten is None else made.framed(recipe.straighten)
+        return made if recipe.straighten is None else made.straighten(recipe.straighten)
 
     def without_strokes(self) -> Self:
         """Return the identity on the same domain, with the same fold policy."""
@@ -879,24 +879,20 @@ class Deformation:
             refuse("field", "a Field (Field.from_array makes one)", field)
         return self._with(Placed(field, inverse))
 
-    def straighten(
-        self,
-        *,
-        rotate: float = 0.0,
-        shear: float | tuple[float, float] = 0.0,
-        keystone: npt.ArrayLike = (),
-        scale_to: Sequence[int] = (),
-        fit: Frame = "crop",
-    ) -> Self:
+    def straighten(self, how: Straighten | None = None, *, sizes: Sequence[int] | None = None, **options: Any) -> Self:
         """Return the deformation of a picture that is straightened after all strokes, in the same resampling.
 
-        It comes last, and `output` is then the grid of the result, on which `warp` writes.
+        It comes last, and `output` is then the grid of the result, on which `warp` writes. What is empty there is
+        filled (``fill``, by default 0: transparent, where there is opacity), unless ``outside`` is given.
 
         Parameters
         ----------
-        rotate, shear, keystone, scale_to, fit
-            As in `supple.Straighten`. What is empty is filled (``fill``, by default 0: transparent, where there is
-            opacity), unless ``outside`` is given.
+        how : Straighten, optional
+            By default, one that changes nothing.
+        sizes : sequence of int, optional
+            The width and height of the picture, if it is a part, whose first pixel is at position (0, 0).
+        **options
+            Fields to replace, by name: ``d.straighten(rotate=5)``.
 
         Examples
         --------
@@ -904,14 +900,7 @@ class Deformation:
         >>> d.warp(np.zeros((400, 600), np.uint8)).shape
         (354, 532)
         """
-        corners = [tuple(p) for p in np.asarray(keystone, np.float64).tolist()]
-        return self.framed(Straighten(rotate, shear, tuple(corners), tuple(scale_to), fit))  # type: ignore[arg-type]
-
-    def framed(self, straighten: Straighten, sizes: Sequence[int] | None = None) -> Self:
-        """Return the deformation of a picture that is straightened after all strokes, as `straighten` does.
-
-        ``sizes`` are the width and height of the picture, if it is a part, whose first pixel is at position (0, 0).
-        """
+        straighten = replace(how or Straighten(), **options)
         if self.ndim != 2:
             raise SuppleError(f"straightening is for pictures, and this is {self._kind}: leave it out")
         if self.straightened is not None:

@@ -54,7 +54,7 @@ def warp(job: Job, tell: Tell) -> Warped:
     if straighten is not None:
         if job.grid is not None and job.grid.reference is not None:
             raise SuppleError(f"{argument('reference')} and a straightened picture have each a grid: leave one out")
-        deformation = deformation.framed(straighten, own.sizes)
+        deformation = deformation.straighten(straighten, sizes=own.sizes)
         result = deformation.output
     regrid = grid_on(job.grid, result, name, maps) or (None if result == own else result)
     warn_of_still(job.recipe.strokes)

@@ -338,19 +338,10 @@ class Stroke:
         return cls(at=at, by=drag, also=also, radius=radius, time_radius=time_radius, **known)  # type: ignore[arg-type]
 
     @classmethod
-    def push(
-        cls,
-        path: Sequence[Point],
-        *,
-        by: float,
-        radius: float,
-        poisson: float | None = None,
-        reach: float | None = REACH,
-        strength: float = 1.0,
-    ) -> Self:
+    def push(cls, path: Sequence[Point], *, by: float, radius: float, **options: Any) -> Self:
         """Return a stroke that pushes what lies along a path sideways, ``by`` samples to the left; below 0, right.
 
-        It is a pull of points half a radius apart, in a picture or in every frame of a clip.
+        It is a pull of points half a radius apart, in a picture or in every frame of a clip; options are those of that.
         """
         ends = [np.array(point(f"path[{i}]", p, (2,))) for i, p in enumerate(path)]
         lengths = np.cumsum([0.0, *(math.dist(a, b) for a, b in itertools.pairwise(ends))])
@@ -362,8 +353,7 @@ class Stroke:
         along = np.gradient(way, axis=0)
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
         drags = away * np.stack([along[:, 1], -along[:, 0]], axis=1)
-        made = cls.pull(way, by=drags, radius=radius, poisson=poisson, reach=reach, strength=strength)
-        return replace(made, name="push")
+        return replace(cls.pull(way, by=drags, radius=radius, **options), name="push")
 
     @property
     def ndim(self) -> int:
