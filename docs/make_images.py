@@ -1,6 +1,8 @@
 """Make the pictures of the README and the documentation, in docs/images.
 
-python docs/make_images.py [how-to] [augmentation] [labels] [colours]     all, or some; the wall needs scikit-image
+python docs/make_images.py [how-to] [augmentation] [labels] [colours] [straightened]     all, or some
+
+The wall needs scikit-image.
 """
 
 import contextlib
@@ -31,6 +33,7 @@ from supple.render.camera import Camera
 from supple.render.labels import LabelColours, palette
 from supple.render.meshes import Surface
 from supple.render.scene import Scene
+from supple.space.straighten import FRAMES
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "examples"))
@@ -497,11 +500,34 @@ def augmented(folder: Path) -> None:
     both.webpsave(folder / "augmentation.webp", Q=70, effort=6, keep="none")
 
 
+def straightened(folder: Path) -> None:
+    """A photograph as it was, and turned, in the three frames; what is empty is chequered."""
+    photo = image.read(DATA / "chelsea.jpg").pixels
+    clear = np.dstack([photo, np.full(photo.shape[:2], 255, np.uint8)])
+    made = [clear, *(supple.Deformation(photo.shape[:2]).straighten(rotate=8, fit=fit).warp(clear) for fit in FRAMES)]
+    pictures = []
+    for pixels in made:
+        height, width = pixels.shape[:2]
+        squares = np.kron(
+            (np.indices((height // 12 + 1, width // 12 + 1)).sum(axis=0) % 2) * 40 + 200, np.ones((12, 12))
+        )
+        grey = np.repeat(squares[:height, :width, None], 3, axis=2).astype(np.uint8)
+        below, over = (pyvips.Image.new_from_array(a).copy(interpretation="srgb") for a in (grey, pixels))
+        pictures.append(
+            below.composite2(over, "over")
+            .flatten()
+            .resize(0.62)
+            .gravity("centre", 304, 224, extend="background", background=WHITE)
+        )
+    side_by_side(folder / "straighten.webp", pictures, across=4)
+
+
 def main() -> None:
     """Make all pictures."""
     folder = HERE / "images"
     folder.mkdir(exist_ok=True)
     pages = {"how-to": how_to, "augmentation": augmented, "labels": labelled, "colours": tinted}
+    pages["straightened"] = straightened
     for page in sys.argv[1:] or pages:
         pages[page](folder)
     if sys.argv[1:]:

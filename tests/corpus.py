@@ -108,6 +108,7 @@ def arrays() -> Iterator[tuple[str, Callable[[], Any]]]:
         "scales": plain.grab((40, 30), by=(8, 3), radius=20, scales=3, reach=None),
         "shrink": plain.scale((40, 30), factor=0.3, radius=20),
         "affine": bent(60, 83).affine([[0.9, 0.2, 3], [-0.2, 0.9, 9], [0, 0, 1]]),
+        "keystone": bent(60, 83).straighten(keystone=[(9, 5), (70, 11), (78, 52), (3, 55)], rotate=-4, fit="keep"),
     }
     for name, made in brushes.items():
         yield f"image {name}", lambda d=made: d.warp(photo)  # type: ignore[misc]

@@ -159,6 +159,34 @@ class TestRestore:
         far = np.linalg.norm(points - (110, 100), axis=1) > 24 + 21
         np.testing.assert_array_equal(restored.inverse(points[far]).points, d.inverse(points[far]).points)
 
+    @pytest.mark.parametrize("shape", [(200, 200), (60, 60, 60)])
+    def test_several_points_are_one_stroke_each_with_its_part(self, shape: tuple[int, ...]) -> None:
+        n, middle = len(shape), shape[0] / 2
+        at = np.full(n, middle)
+        d = Deformation(shape).grab(at, by=np.eye(n)[1] * middle / 10, radius=middle / 4)
+        way = np.repeat(at[None], 5, axis=0)
+        way[:, 0] += np.linspace(-0.3, 0.3, 5) * middle
+        one = d.restore(way, radius=0.3 * middle)
+        (stroke,) = one.strokes[1:]
+        assert stroke.name == "restore"
+        assert len(stroke.handles) < 5 * (7 if n == 2 else 13)
+        ends = np.array([p for p, _ in stroke.handles])
+        apart = np.linalg.norm(ends[:, None] - ends, axis=2) + np.eye(len(ends)) * 1e9
+        assert apart.min() > 0.29 * 0.3 * middle
+        np.testing.assert_allclose(one.inverse(np.add(ends, [v for _, v in stroke.handles])).points,
+                                   d.inverse(ends).points, atol=1e-5)  # fmt: skip
+        assert (
+            np.linalg.norm(one.inverse(way).points - way, axis=1).mean()
+            < 0.35 * np.linalg.norm(d.inverse(way).points - way, axis=1).mean()
+        )
+        parts = d.restore(way, radius=0.3 * middle, strength=[1.0, 1.0, 0.0, 0.0, 0.0]).strokes[-1]
+        drags = np.linalg.norm([v for _, v in parts.handles], axis=1)
+        assert drags[0] > 0
+        assert drags[-1] == 0
+        wanted = "strength must be a number from 0 to 1, or one for each point"
+        assert refusal(lambda: d.restore(way, radius=10, strength=[1.0, 0.5])).startswith(wanted)
+        assert refusal(lambda: d.restore([[1.0, 2.0], [3.0]], radius=10)).startswith("at must be")  # type: ignore[list-item]
+
     def test_smoothing_relaxes(self) -> None:
         d = Deformation(SHAPE)
         for x in range(60, 180, 10):
@@ -223,3 +251,37 @@ def test_two_strokes_are_nearly_symmetric(stroke: Stroke, near: float, far: floa
         image[..., 0] = 511 - image[..., 0]
         off = np.linalg.norm(found - image, axis=-1).max()
         assert 0.7 * most < off <= most or (away == 120 and off <= most)
+
+
+class TestPush:
+    @pytest.mark.parametrize("by", [9.0, -9.0])
+    def test_points_of_the_way_arrive_at_its_side(self, by: float) -> None:
+        t = np.linspace(0, math.pi, 40)
+        way = np.stack([100 + 50 * np.cos(t), 100 + 50 * np.sin(t)], axis=1)  # clockwise on a screen: left is outside
+        d = Deformation((200, 200)).push(way.tolist(), by=by, radius=20)
+        (stroke,) = d.strokes
+        assert stroke.name == "push"
+        assert Recipe.from_json(d.recipe.to_json()).strokes == (stroke,)
+        at = np.array([p for p, _ in stroke.handles])
+        np.testing.assert_allclose(np.linalg.norm(np.diff(at, axis=0), axis=1), 10, rtol=0.1)
+        away = np.linalg.norm(d.forward(at) - 100, axis=1)
+        np.testing.assert_allclose(away[1:-1], 50 + by, atol=0.1)
+        assert d.resolution()["margin"] > 0
+
+    def test_half_of_it_is_half_as_far_and_its_image_is_mirrored(self) -> None:
+        stroke = Stroke.push([(40, 30), (40, 90)], by=8, radius=12)
+        d = Deformation((120, 200)).add(stroke.weakened(0.5))
+        np.testing.assert_allclose(d.forward((40, 60)), (44, 60), atol=1e-6)
+        (both,) = stroke.symmetric((100, 0), (1, 0))
+        ends = Deformation((120, 200)).add(both).forward([(40, 60), (160, 60)])
+        np.testing.assert_allclose(ends, [(48, 60), (152, 60)], atol=1e-6)
+
+    def test_what_is_no_way_is_refused(self) -> None:
+        def push(path: Any, by: Any = 5) -> str:
+            return refusal(lambda: Stroke.push(path, by=by, radius=10))
+
+        assert push([(1, 2)]).startswith("path must be two points or more, which are apart")
+        assert push([(1, 2), (1, 2)]).startswith("path must be two points or more, which are apart")
+        assert push([(1, 2, 3), (4, 5, 6)]).startswith("path[0] must be 2 numbers")
+        assert push([(1, 2), (5, 6)], by=math.nan).startswith("by must be a number of samples")
+        assert push([(0, 0), (90_000, 0)]).startswith("points must be at most 1000 points")

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from supple.space.domain import Domain
     from supple.space.freezing import Freeze
     from supple.space.geometry import Grid
+    from supple.space.straighten import Straighten
     from supple.strokes import Recipe, Stroke
     from supple.strokes.keys import Key
     from supple.viewer.window.launch import view
@@ -55,6 +56,7 @@ __all__ = [
     "Recipe",
     "Report",
     "Sampling",
+    "Straighten",
     "Stroke",
     "SuppleError",
     "ToleranceWarning",
@@ -92,6 +94,7 @@ _HOMES = {
     "Recipe": "strokes",
     "Report": "deformation",
     "Sampling": "engine.sampling",
+    "Straighten": "space.straighten",
     "Stroke": "strokes",
     "SuppleError": "errors",
     "ToleranceWarning": "errors",

@@ -330,7 +330,8 @@ def warp_batch(
         sizes = ", ".join(map(str, shape))
         refuse("sources", f"of shape (N, {sizes}) or (N, {sizes}, channels)", told=f"shape {held.shape}")
     check_count(spaces, len(held))
-    result = np.empty(held.shape, held.dtype) if out is None else checked_out(out, held, held.shape)
+    made = (len(held), *spaces[0].out, *held.shape[1 + len(shape) :])
+    result = np.empty(made, held.dtype) if out is None else checked_out(out, held, made)
     for k, item in enumerate(held):
         try:
             space = spaces[k % len(spaces)]
@@ -404,7 +405,7 @@ def warp_function(
     Nothing is interpolated: the function stays sharp at any magnification.
     """
     samples = integer("samples", samples, "a number of samples along a pixel's side, from 1 to 64", 1, 64)
-    height, width = space.shape
+    _, height, width = space.planes
     within = (np.arange(samples) + 0.5) / samples - 0.5
     x = (np.arange(width)[:, None] + within).ravel()
     rows = max(1, _MOST_POINTS // (width * samples * samples))

@@ -82,6 +82,8 @@ def warp(
         refuse("deformation", "a Deformation", deformation)
     if getattr(grid, "ndim", deformation.ndim) != deformation.ndim or not isinstance(grid, Grid | None):
         refuse("grid", f"a Grid of {deformation.ndim} axes", grid)
+    if grid is None and deformation.straightened is not None:
+        grid, options = deformation.output, deformation.filling(sampling, options)
     sampling = Sampling.of(sampling, options, deformation.ndim)
     job = Warp(deformation, sampling, grid, alpha)
     if type(array).__module__.partition(".")[0] == "xarray":

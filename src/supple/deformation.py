@@ -28,9 +28,12 @@ from supple.space.checks import choice, colours_hint, flag, integer, length, num
 from supple.space.domain import BorderProfile, Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Grid
+from supple.space.straighten import Straighten
 from supple.strokes import PAINTINGS, REACH, FoldPolicy, Point, Recipe, Stroke, spoken, time_radius_of
 
 _HIT = 1e-6  # samples: a point of a pull that is as near as this has arrived
+_APART = 0.3  # radii between the points by which a way is restored or smoothed, at least
+_LAST = "the straightening"  # of a picture
 _FREE, _TAKEN = -1, -2  # of a point that no later stroke carries away, or one on purpose
 
 Floats = npt.NDArray[np.float64]
@@ -213,6 +216,8 @@ class Deformation:
     _space: Space = field(repr=False)  # of the strokes alone
     grid: Grid = field(repr=False)
     maps: tuple[Placed, ...] = field(repr=False)
+    output: Grid = field(repr=False)
+    straightened: Straighten | None = field(repr=False)
     # Of each point of each stroke, in physical units: where it arrived, where maps have it since then, where it is now.
     _points: Floats = field(repr=False)
     _carriers: npt.NDArray[np.int64] = field(repr=False)
@@ -256,6 +261,8 @@ class Deformation:
             "_space": Space(np.zeros((0, ROW)), axes, domain.ndim, count, (height, width), freeze=mask_of(domain)),
             "grid": grid,
             "maps": (),
+            "output": grid,
+            "straightened": None,
             "_points": np.zeros((0, 3, 3)),
             "_carriers": np.zeros(0, np.int64),
         }
@@ -347,7 +354,7 @@ class Deformation:
                     made = made._with(placed, warn)
                     whole = made if same else whole._with(placed, False)
         _warn(made._carried(0, [i for i, _ in visible], len(recipe.strokes)), MissWarning, say)
-        return made
+        return made if recipe.straighten is None else made.straighten(recipe.straighten)
 
     def without_strokes(self) -> Self:
         """Return the identity on the same domain, with the same fold policy."""
@@ -371,6 +378,7 @@ class Deformation:
             strokes=self.strokes,
             size=self.shape[::-1],
             freeze=self.domain.freeze,
+            straighten=self.straightened,
         )
 
     @property
@@ -400,6 +408,8 @@ class Deformation:
             If a field lies apart from that grid, or from what the maps before it lead to.
         """
         plain = self._space
+        if grid is None and self.output is not self.grid:
+            grid = self.output
         if grid is None and source is None and not self.maps:
             return plain
         if check and self.maps:
@@ -441,7 +451,7 @@ class Deformation:
     @property
     def is_identity(self) -> bool:
         """True if the map is the identity: no maps, and no strokes, or none with any force."""
-        return self._space.rows.size == 0 and not self.maps
+        return self._space.rows.size == 0 and not self.maps and self.output is self.grid
 
     def grab(
         self,
@@ -532,20 +542,33 @@ class Deformation:
         known: dict[str, Any] = {"poisson": poisson, "reach": reach, "strength": strength}
         return self.add(Stroke.pull(points, to=to, by=by, pins=pins, radius=radius, time_radius=time_radius, **known))
 
-    def restore(self, at: Point, *, radius: float, strength: float = 1.0, warn: bool = True) -> Self:
-        """Return the deformation with one more stroke, which brings the material around a point back to its origin.
+    def push(self, path: Sequence[Point], *, by: float, radius: float, **options: Any) -> Self:
+        """Return the deformation with one more stroke, which pushes what lies along a path sideways.
 
-        The stroke is a pull of the point and some around it, from where they are to where they came from; it moves
-        nothing beyond two radii of their way. ``at`` is a point of the output, ``strength`` the part of the way back,
-        and ``warn`` as in `add`; errors are those of all brushes.
+        ``by`` is how far, in pixels, to the left of the way; below 0, to the right. The options are ``poisson``,
+        ``reach`` and ``strength``, as for all brushes.
+        """
+        return self.add(Stroke.push(path, by=by, radius=radius, **options))
+
+    def restore(
+        self, at: npt.ArrayLike, *, radius: float, strength: float | Sequence[float] = 1.0, warn: bool = True
+    ) -> Self:
+        """Return the deformation with one more stroke, which brings the material around points back to its origin.
+
+        The stroke is a pull of the points and some around them, from where they are to where they came from; it moves
+        nothing beyond two radii of their way. ``at`` is a point of the output, or several (N, D), along which a brush
+        goes: half a radius apart. ``strength`` is the part of the way back, one for all of them or one for each;
+        ``warn`` is as in `add`, and errors are those of all brushes.
         """
         return self._led(at, radius, strength, "restore", self._displaced, warn)
 
-    def smooth(self, at: Point, *, radius: float, strength: float = 1.0, warn: bool = True) -> Self:
-        """Return the deformation with one more stroke, which relaxes the displacement around a point.
+    def smooth(
+        self, at: npt.ArrayLike, *, radius: float, strength: float | Sequence[float] = 1.0, warn: bool = True
+    ) -> Self:
+        """Return the deformation with one more stroke, which relaxes the displacement around points.
 
-        The stroke is a pull of the point and some around it, each to the mean displacement of its surroundings, at one
-        radius from it; it moves nothing beyond two radii of their way. The arguments are those of `restore`.
+        The stroke is a pull of the points and some around them, each to the mean displacement of its surroundings, at
+        one radius from it; it moves nothing beyond two radii of their way. The arguments are those of `restore`.
         """
 
         def rough(points: Floats) -> Floats:
@@ -573,21 +596,40 @@ class Deformation:
         return made
 
     def _led(
-        self, at: Point, radius: float, strength: float, name: str, errors: Callable[[Floats], Floats], warn: bool
+        self,
+        at: npt.ArrayLike,
+        radius: float,
+        strength: float | Sequence[float],
+        name: str,
+        errors: Callable[[Floats], Floats],
+        warn: bool,
     ) -> Self:
-        """Return the deformation with a pull of some points around one, by a part of their errors."""
-        centre = np.array(point("at", at, (self.ndim,)))
-        radius, part = length("radius", radius), number("strength", strength, "a number from 0 to 1", 0.0, 1.0)
-        ring = centre + 0.5 * radius * self._directions() / np.array(self.domain.spacing)
-        points = np.concatenate([centre[None], ring])
+        """Return the deformation with a pull of some points, and some around them, by a part of their errors."""
+        given: Any = at
+        several = isinstance(given, Sequence | np.ndarray) and len(given) > 0 and np.ndim(given[0]) == 1
+        centres = np.array([point("at", p, (self.ndim,)) for p in (given if several else [given])])
+        amounts = strength if isinstance(strength, Sequence) else [strength] * len(centres)
+        radius, wanted = length("radius", radius), "a number from 0 to 1, or one for each point"
+        parts = np.array([number("strength", part, wanted, 0.0, 1.0) for part in amounts])
+        if len(parts) != len(centres):
+            refuse("strength", wanted, strength)
+        ring = np.concatenate([np.zeros((1, self.ndim)), 0.5 * radius * self._directions()])
+        every = (centres * self.domain.spacing)[:, None] + ring
+        chosen: list[tuple[Floats, float]] = []
+        for places, part in zip(every, parts.tolist(), strict=True):
+            taken = np.array([p for p, _ in chosen]).reshape(-1, self.ndim)
+            away = np.linalg.norm(places[:, None] - taken, axis=2).min(axis=1, initial=np.inf)
+            chosen += [(p, part) for p, far in zip(places, away > _APART * radius, strict=True) if far]
+        points, part = np.array([p for p, _ in chosen]) / self.domain.spacing, np.array([x for _, x in chosen])[:, None]
         first, last = (x[: self.ndim] / self.domain.spacing for x in self.domain.packed()[:, :2].T)
         # Samples within a fixed edge, which nothing else reaches; at the ends of a clip, points move in their frames.
         held = np.full(self.ndim, 0.0 if self.domain.border is None else 1.0)
         low, high = first + held, last - held
         if self.domain.time:
             held[2] = 0.0
-        points = points[np.all((points > first + held) & (points < last - held), axis=1)]
-        points = points[freedom_at(padded(points, self.domain), self.domain) > FREE_ENOUGH]
+        moves = np.all((points > first + held) & (points < last - held), axis=1)
+        moves &= freedom_at(padded(points, self.domain), self.domain) > FREE_ENOUGH
+        points, part = points[moves], part[moves]
         if not len(points):
             refuse("at", "a point within the domain that is not frozen", at)
         targets = points - part * errors(points)
@@ -704,6 +746,8 @@ class Deformation:
                 f"{described(stroke)} has a point of {stroke.ndim} numbers, and a point of {self._kind} has "
                 f"{self._coordinates}{colours_hint(self.shape)}"
             )
+        if self.straightened is not None:
+            raise SuppleError("straightening comes last: give strokes before it, where their points are")
         if stroke.hidden:
             return self
         if stroke.changes:
@@ -835,7 +879,53 @@ class Deformation:
             refuse("field", "a Field (Field.from_array makes one)", field)
         return self._with(Placed(field, inverse))
 
+    def straighten(self, how: Straighten | None = None, *, sizes: Sequence[int] | None = None, **options: Any) -> Self:
+        """Return the deformation of a picture that is straightened after all strokes, in the same resampling.
+
+        It comes last, and `output` is then the grid of the result, on which `warp` writes. What is empty there is
+        filled (``fill``, by default 0: transparent, where there is opacity), unless ``outside`` is given.
+
+        Parameters
+        ----------
+        how : Straighten, optional
+            By default, one that changes nothing.
+        sizes : sequence of int, optional
+            The width and height of the picture, if it is a part, whose first pixel is at position (0, 0).
+        **options
+            Fields to replace, by name: ``d.straighten(rotate=5)``.
+
+        Examples
+        --------
+        >>> d = Deformation((400, 600)).straighten(rotate=5)
+        >>> d.warp(np.zeros((400, 600), np.uint8)).shape
+        (354, 532)
+        """
+        straighten = replace(how or Straighten(), **options)
+        if self.ndim != 2:
+            raise SuppleError(f"straightening is for pictures, and this is {self._kind}: leave it out")
+        if self.straightened is not None:
+            raise SuppleError("the deformation is straightened already: give all of it at once")
+        if len(set(self.grid.spacing)) > 1:
+            refuse("spacing", "the same along both axes of what is straightened", self.grid.spacing)
+        found, (width, height) = straighten.on(self.shape[::-1] if sizes is None else tuple(sizes))
+        start = self.grid if sizes is None else Grid(self.shape)
+        shift = start.matrix
+        if width * height == math.prod(self.shape) and np.array_equal(found.matrix, np.eye(3)):
+            made = self
+        else:
+            matrix = shift @ found.matrix @ np.linalg.inv(shift)
+            made = self._with(Placed(type(found)(matrix), name=_LAST))
+        output = Grid((height, width), start.spacing, start.origin, start.direction)
+        return made._changed(straightened=straighten, output=self.grid if output == self.grid else output)
+
+    def filling(self, sampling: Sampling, options: SamplingFields) -> SamplingFields:
+        """Return options of sampling that fill what straightening leaves empty, unless a boundary mode is given."""
+        gaps = sampling is DEFAULT and self.straightened is not None and self.straightened.has_gaps
+        return {"outside": "constant", **options} if gaps else options
+
     def _with(self, placed: Placed, warn: bool = True) -> Self:
+        if self.straightened is not None:
+            raise SuppleError("straightening comes last: give fields and affine maps before it")
         if placed.map.ndim != self.ndim:
             what = "field" if isinstance(placed.map, Field) else "affine map"
             raise SuppleError(f"the {what} has {placed.map.ndim} axes, and the shape {self.shape} has {self.ndim}")
@@ -996,7 +1086,7 @@ class Deformation:
         from supple.arrays import check_device, warp_array, warp_function, warp_picture
 
         plain = self.domain.time and not self.maps and grid is None and device != "cuda"
-        sampling = Sampling.of(sampling, options, self._space.ndim, flow=plain)
+        sampling = Sampling.of(sampling, self.filling(sampling, options), self._space.ndim, flow=plain)
         clamp = flag("clamp", clamp)
         if grid is not None:
             if not isinstance(grid, Grid):
@@ -1040,7 +1130,7 @@ class Deformation:
             The grid of the output; by default, that of the input.
         """
         tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
-        space, shape = self.space_on(grid), self.shape if grid is None else grid.shape
+        space, shape = self.space_on(grid), (self.output if grid is None else grid).shape
         count = shape[0] if self.ndim == 3 else 1
         which = range(count)
         if plane is not None:
@@ -1112,7 +1202,8 @@ class Deformation:
         return hash(self._key())
 
     def _key(self) -> tuple[object, ...]:
-        return self.domain, self.grid, self.on_fold, self.strokes, self.maps
+        maps = tuple(each for each in self.maps if each.name != _LAST)  # which follows from the others
+        return self.domain, self.grid, self.on_fold, self.strokes, maps, self.straightened
 
 
 def place_of(points: object) -> Any:

@@ -278,3 +278,71 @@ def test_a_point_that_is_carried_away_is_one_sentence(run: Run) -> None:
     assert status == 2
     assert "carries the point of stroke 1" in one_line(err)
     assert not Path("strict.png").exists()
+
+
+TILTED = (22, 0), (39, -5)
+
+
+@pytest.mark.parametrize(
+    ("mirror", "line"), [("25", ((25, 0), (1, 0))), ("22,0:27,39", TILTED), ("27,39:22,0", TILTED)]
+)
+def test_a_mirror_makes_each_stroke_on_the_other_side(
+    run: Run, here: Path, mirror: str, line: tuple[tuple[float, float], tuple[float, float]]
+) -> None:
+    strokes = ("--grab", "12,16:15,18", "--twist", "14,28:20", "--radius", "5", "--mirror", mirror)
+    made = saved(run, *strokes, "--pinch", "12,20:0.8").strokes
+    given = [
+        Stroke.grab((12, 16), to=(15, 18), radius=5),
+        Stroke.twist((14, 28), angle=20, radius=5),
+        Stroke.pinch((12, 20), factor=0.8, radius=5),
+    ]
+    wanted = [one for stroke in given for one in stroke.symmetric(*line)]
+    assert [stroke.brush for stroke in made] == ["grab", "twist", "twist", "pinch", "pinch"]
+    for one, other in zip(made, wanted, strict=True):
+        np.testing.assert_allclose(one.handles, other.handles, atol=1e-9)
+        assert (one.angle, one.factor) == (other.angle, other.factor)
+    flat = saved(run, "--grab", "12,16:15,18", "--radius", "5", "--flat", "0.5", "--mirror", mirror).strokes
+    assert [stroke.flat for stroke in flat] == [0.5, 0.5]
+    np.testing.assert_allclose(flat[1].at, flat[0].mirrored(*line).at)
+    status, out, _ = run(
+        "warp", "in.png", "more.png", *strokes, "--affine", "1,0,2,0,1,0", "--pinch", "12,20:0.8", "--json"
+    )
+    assert status == 0
+    assert json.loads(out)["maps"][0]["after"] == 3  # a pull, and two twists
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--mirror", "x"), "--mirror must be X, a column of pixels, or X,Y:X,Y"),
+        (("--mirror", "1,2"), "--mirror must be X, a column of pixels, or X,Y:X,Y"),
+        (("--mirror", "1,2:1,2"), "--mirror must be X, a column of pixels, or X,Y:X,Y"),
+        (("--mirror", "nan"), "--mirror must be X, a column of pixels, or X,Y:X,Y"),
+        (("--mirror", "20", "--grab", "20,5:22,6:24,8"), "two images there: begin beside it"),
+    ],
+)
+def test_no_mirror_is_one_line(run: Run, here: Path, arguments: tuple[str, ...], said: str) -> None:
+    status, _, err = run("warp", "in.png", "out.png", "--grab", "12,16:15,18", "--radius", "5", *arguments)
+    assert status == 2
+    assert said in one_line(err)
+
+
+def test_a_mirror_needs_strokes_that_stay(run: Run, here: Path, inputs: Path) -> None:
+    for verb in (("warp", "in.png", "out.png"), ("view", "in.png")):
+        status, _, err = run(*verb, "--mirror", "20")
+        assert (status, "--mirror is for strokes" in one_line(err)) == (2, True)
+
+
+def test_a_push_is_one_pull_in_its_place_among_others(run: Run, here: Path) -> None:
+    options = ("--grab", "12,16:15,18", "--push", "30,5:30,20:32,34:-3", "--radius", "6", "--radius", "5")
+    grab, push = saved(run, *options).strokes
+    assert push == Stroke.push([(30, 5), (30, 20), (32, 34)], by=-3, radius=5)
+    assert grab.brush == "grab"
+    for text, said in (
+        ("30,5:-3", "--push must be X,Y:X,Y:BY, two points or more and how far"),
+        ("30,5:30,20", "--push must be X,Y:X,Y:BY"),
+        ("30,5:30,5:4", "--push 30,5:30,5:4: path must be two points or more"),
+        ("1,2,3:4,5,6:2", "--push must be X,Y:X,Y:BY"),
+    ):
+        status, _, err = run("warp", "in.png", "no.png", "--push", text, "--radius", "5")
+        assert (status, said in one_line(err)) == (2, True), err

@@ -237,11 +237,11 @@ def test_what_folds_is_told(run: Run, asked: Asked, monkeypatch: pytest.MonkeyPa
 def test_the_order_is_never_guessed() -> None:
     """An option that the parser takes, and the search for the order does not, or the other way round, is refused."""
     maps: Callable[..., Any] = MapOptions(field=["a.nii"]).to_maps
-    none = StrokeOptions().given
-    assert maps(["warp", "in", "out", "--field", "a.nii"], 0, none)
+    none = StrokeOptions()
+    assert maps(["warp", "in", "out", "--field", "a.nii"], None, none)
     for arguments in ([], ["--field", "b.nii"], ["--", "--field", "a.nii"], ["--grab", "--field", "a.nii"]):
         with pytest.raises(SuppleError, match="the place of --field among the options is in doubt"):
-            maps(arguments, 0, none)
+            maps(arguments, None, none)
 
 
 def test_a_stack_of_pages(run: Run, asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:

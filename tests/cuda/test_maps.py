@@ -59,6 +59,17 @@ SHAPES = [(31, 44), (10, 18, 21)]
 NAMES = list(maps(SHAPES[0]))
 
 
+def test_a_keystone() -> None:
+    d = Deformation((31, 44), border=None).grab((20, 15), by=(3, 2), radius=6)
+    d = d.straighten(keystone=[(6, 4), (38, 7), (40, 28), (2, 26)], rotate=-4, fit="keep", scale_to=(40,))
+    source = np.random.default_rng(0).random((31, 44)).astype(np.float32)
+    wanted = d.warp(source, filter="linear", tolerance=TIGHT)
+    for made in (on_host(d.warp(sent(source), filter="linear", tolerance=TIGHT)),
+                 d.warp(source, filter="linear", tolerance=TIGHT, device="cuda")):  # fmt: skip
+        assert made.shape == wanted.shape
+        assert np.abs(made - wanted).max() < 4 * TIGHT
+
+
 @pytest.mark.filterwarnings("ignore::supple.FoldWarning", "ignore::supple.OutsideWarning")
 @pytest.mark.parametrize(("name", "shape", "filter"), pairs(NAMES, SHAPES, ["nearest", "linear", "auto"]))
 def test_arrays(name: str, shape: tuple[int, ...], filter: str) -> None:

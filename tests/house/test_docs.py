@@ -65,7 +65,7 @@ def test_the_commands_of_the_how_to_page_run_without_a_warning(
     copy_inputs(tmp_path)
     page = (ROOT / "docs" / "how-to.md").read_text(encoding="utf-8").replace("\\\n", " ")
     lines = [shlex.split(line) for line in re.findall(r"^supple (.*)$", page, re.MULTILINE)]
-    assert len(lines) == 11
+    assert len(lines) == 12
     for line in lines:
         assert (command(line), capsys.readouterr().err) == (0, ""), line
         assert Path(line[2]).exists()

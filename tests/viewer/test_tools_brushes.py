@@ -162,7 +162,7 @@ class TestPaintings:
     AROUND = tuple((x, y) for x in (160.0, 170.0, 180.0) for y in (90.0, 100.0, 110.0))
 
     @pytest.mark.parametrize(("key", "name", "rest"), [("r", "restore", 0.2), ("s", "smooth", 0.8)])
-    def test_a_drag_is_one_step_of_a_stroke_each_half_radius(self, key: str, name: str, rest: float) -> None:
+    def test_a_drag_is_one_stroke_and_one_step(self, key: str, name: str, rest: float) -> None:
         tools = image(BENT)
         tools.radius = 30
         tools.document.select(0)
@@ -172,9 +172,9 @@ class TestPaintings:
         drag(tools, (341, 201), (380, 201), (341, 161), (341, 241))
         strokes = list(tools.document.strokes)
         assert strokes[0] == BENT
-        assert [stroke.name for stroke in strokes[1:]] == [name] * 5
+        assert [stroke.name for stroke in strokes[1:]] == [name]
         assert displaced(tools, *self.AROUND) < rest * was
-        assert tools.document.selected == 5  # the newest
+        assert tools.document.selected == 1
         after = state(tools)
         press(tools, "z", "Control")
         assert state(tools) == before
@@ -197,18 +197,17 @@ class TestPaintings:
         press(tools, "r")
         down(tools, 341, 201)
         move(tools, 441, 201)
-        assert len(tools.document.strokes) > 2
+        assert len(tools.document.strokes) == 2
         press(tools, "Escape")
         up(tools, 441, 201)
         assert state(tools) == before
         assert not tools.document.can_undo
 
-    def test_their_many_points_are_no_handles_unless_selected(self) -> None:
+    def test_their_many_points_are_no_handles(self) -> None:
         tools = image(BENT)
         press(tools, "r")
         drag(tools, (341, 201), (381, 201))
-        assert {handle.item for handle in tools.handles()} == {0, 2}
-        tools.document.select(None)
+        assert tools.document.selected == 1
         assert {handle.item for handle in tools.handles()} == {0}
 
     @pytest.mark.parametrize("key", ["r", "s"])
@@ -237,6 +236,42 @@ class TestPaintings:
         drag(solid, (x, y), (x, y))
         assert solid.document.strokes[1].at == pytest.approx((36, 25, 20))
         assert displaced(solid, (36, 25, 20)) < 0.2 * was
+
+
+class TestPush:
+    @pytest.mark.parametrize(("shift", "away"), [(False, -10), (True, 10)])
+    def test_a_drag_is_one_stroke_across_its_way(self, shift: bool, away: float) -> None:
+        tools = image()
+        tools.radius = 20
+        press(tools, "a")
+        before = state(tools)
+        drag(tools, (201, 101), (221, 101), (301, 101), modifiers=("Shift",) * shift)
+        (stroke,) = tools.document.strokes
+        assert stroke.name == "push"
+        x, y = tools.document.deformation.forward((125, 50))
+        assert (x, y) == pytest.approx((125, 50 + away), abs=0.1)  # to the right on screen: left is up
+        assert tools.handles() == []
+        press(tools, "z", "Control")
+        assert state(tools) == before
+
+    def test_with_symmetry_both_sides_are_one_stroke_and_others_have_no_such_tool(self) -> None:
+        tools = image()
+        tools.radius = 20
+        for key in "ma":
+            press(tools, key)
+        drag(tools, (121, 101), (121, 161))
+        assert len(tools.document.strokes) == 1
+        one, other = tools.document.deformation.forward([(60, 65), (239, 65)])
+        assert one[0] + other[0] == pytest.approx(299)
+        film = clip()
+        press(film, "a")
+        drag(film, (201, 101), (301, 101))
+        assert "same in every frame" in (film.status or "")
+        assert film.document.strokes == ()
+        block = solid()
+        for key in "ay":
+            press(block, key)
+        assert block.brush == "grab"
 
 
 class TestPins:
@@ -366,8 +401,9 @@ class TestSymmetry:
         for key in "mr":
             press(tools, key)
         drag(tools, (137, 101), (137, 101))
-        one, other = tools.document.strokes[3:]
-        assert (one.at, other.at) == ((68, 50), (231, 50))
+        (both,) = tools.document.strokes[3:]
+        points = [at for at, _ in both.handles]
+        assert (points[0], points[7]) == ((68, 50), (231, 50))
 
     def test_an_edit_of_one_that_is_alone_is_not_mirrored(self) -> None:
         tools = image(Stroke(at=(100, 50), by=(10, 5), radius=20))
@@ -435,6 +471,35 @@ class TestSymmetry:
         press(tools, "m")
         down(tools, *grip)  # which is not there any more
         assert tools.held is not None
+
+    def test_its_upper_knob_tilts_the_line_about_the_lower_one(self) -> None:
+        tools = image()
+        assert tools.tilt is None
+        press(tools, "m")
+        grip, tilt = tools.grip, tools.tilt
+        assert grip is not None
+        assert tilt is not None
+        drag(tools, tilt, (tilt[0] + 60, tilt[1] + 500))  # only to the side
+        slope = 60 / (tilt[1] - grip[1])
+        assert tools.lean == pytest.approx(slope)
+        assert tools.grip == pytest.approx(grip)
+        assert tools.tilt == pytest.approx((tilt[0] + 60, tilt[1]))
+        stroke = drawn(tools, "g", (201, 101), (221, 111))
+        wanted = Stroke.grab(stroke.at, by=stroke.by, radius=stroke.radius)
+        one, other = (tools.view.to_image(*at) for at in (grip, tools.tilt))
+        (wanted,) = wanted.symmetric(one, (other[1] - one[1], one[0] - other[0]))
+        assert np.allclose(stroke.also, wanted.also, atol=1e-9)
+        # An edit of one point moves its image, and the lower knob moves the line as it is.
+        end = tools.view.to_canvas(*np.add(stroke.at, stroke.by))
+        press(tools, "g")
+        drag(tools, end, (end[0] + 10, end[1] + 6))
+        edited = tools.document.strokes[0]
+        assert np.allclose(edited.also, edited.mirrored(*tools.mirror(2)).handles[:1], atol=1e-9)
+        drag(tools, tools.grip, (grip[0] + 30, grip[1]))
+        assert tools.lean == pytest.approx(slope)
+        assert tools.grip == pytest.approx((grip[0] + 30, grip[1]))
+        drag(tools, tools.tilt, (tools.grip[0] + 1, 0))
+        assert tools.lean == 0
 
     def test_what_has_no_room_for_an_image_has_none(self) -> None:
         tools = image()

@@ -1,4 +1,4 @@
-// Composite maps: strokes, affine maps and sampled fields one after the other, each forward or inverted.
+// Composite maps: strokes, affine maps, homographies and sampled fields one after the other, each forward or inverted.
 //
 // T is the composition of its parts, the first one first. A point goes through it forwards (T) or backwards (T⁻¹): each
 // part is evaluated where the direction is its own, and solved where it is the opposite one. With the point go its
@@ -18,6 +18,7 @@ struct Part {
     bool inverted;
     Chain chain;
     double there[3][4], back[3][4];  // an affine map and its inverse
+    bool projective;                 // whether it is one of the plane over a denominator, which is the third row
     Sampled field;
 };
 
@@ -49,6 +50,28 @@ INLINE void pass_affine(const double (*m)[4], Jet<D, TANGENTS, MIXED, V>& jet) {
     turned(jet.x, true);
     for (int j = 0; j < TANGENTS; j++) turned(jet.t[j], false);
     if constexpr (MIXED) turned(jet.mixed, false);
+}
+
+// A homography of the plane, x → n(x) / w(x), where w > 0. By the quotient rule, (n/w)ᵢ = (nᵢ − n/w wᵢ) / w, and
+// (n/w)₁₂ = (n₁₂ − (n/w)₁ w₂ − (n/w)₂ w₁) / w, as n and w are affine. It stays as it is over about w / |wᵢ|.
+template <int D, int TANGENTS, bool MIXED, class V>
+INLINE void pass_projective(const double (*m)[4], Jet<D, TANGENTS, MIXED, V>& jet, Passed<V>& passed) {
+    auto along = [&](const V* v) INLINE_LAMBDA { return m[2][0] * v[0] + m[2][1] * v[1]; };
+    V slope[TANGENTS > 0 ? TANGENTS : 1], w = along(jet.x) + m[2][3], bend = V{};
+    for (int j = 0; j < TANGENTS; j++) slope[j] = along(jet.t[j]);
+    if constexpr (MIXED) bend = along(jet.mixed);
+    passed.done = both(passed.done, w > 0.0);
+    const V part = 1.0 / most(w, splat<V>(1e-300));
+    pass_affine<D>(m, jet);
+    for (int d = 0; d < 2; d++) {
+        jet.x[d] *= part;
+        for (int j = 0; j < TANGENTS; j++) jet.t[j][d] = (jet.t[j][d] - jet.x[d] * slope[j]) * part;
+        if constexpr (MIXED)
+            jet.mixed[d] = (jet.mixed[d] - jet.t[0][d] * slope[1] - jet.t[1][d] * slope[0] - jet.x[d] * bend) * part;
+    }
+    if constexpr (MIXED)
+        for (int j = 0; j < 2; j++)
+            jet.smooth2[j] = least(jet.smooth2[j], V(w * w / most(slope[j] * slope[j], splat<V>(1e-300))));
 }
 
 // From positions to indices of a field, and back.
@@ -183,6 +206,8 @@ INLINE Passed<V> pass(const Composite& map, bool backwards, Jet<D, TANGENTS, MIX
             pass_strokes<D>(part.chain, map.axes, solved, jet, passed);
         else if (part.kind == FIELD)
             pass_field<D>(part.field, solved, jet, passed);
+        else if (D == 2 && part.projective)
+            pass_projective<D>(solved ? part.back : part.there, jet, passed);
         else
             pass_affine<D>(solved ? part.back : part.there, jet);
     }

@@ -11,10 +11,11 @@ namespace {
 typedef nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> Values;
 typedef nb::ndarray<nb::c_contig, nb::device::cpu> Result;
 
-// Read a matrix of n rows; of an affine map, the last column is the translation, to[i][3].
-void fill_matrix(const Doubles& rows, int n, int columns, double (*to)[4]) {
-    if ((int)rows.shape(0) != n || (int)rows.shape(1) != columns) throw nb::value_error("a matrix has a wrong shape");
-    for (int i = 0; i < n; i++)
+// Read a matrix of n rows, and `more`; of an affine map, the last column is the translation, to[i][3].
+void fill_matrix(const Doubles& rows, int n, int columns, double (*to)[4], int more = 0) {
+    if ((int)rows.shape(0) != n + more || (int)rows.shape(1) != columns)
+        throw nb::value_error("a matrix has a wrong shape");
+    for (int i = 0; i < n + more; i++)
         for (int j = 0; j < columns; j++) to[i][j < n ? j : 3] = rows.data()[i * columns + j];
 }
 
@@ -342,8 +343,10 @@ void bind_fields(nb::module_& m) {
                     } else if (kind == "affine") {
                         part.kind = AFFINE;
                         nb::tuple both = nb::cast<nb::tuple>(item[1]);
-                        fill_matrix(nb::cast<Doubles>(both[0]), ndim, ndim + 1, part.there);
-                        fill_matrix(nb::cast<Doubles>(both[1]), ndim, ndim + 1, part.back);
+                        const Doubles there = nb::cast<Doubles>(both[0]), back = nb::cast<Doubles>(both[1]);
+                        part.projective = ndim == 2 && there.shape(0) == 3;
+                        fill_matrix(there, ndim, ndim + 1, part.there, part.projective);
+                        fill_matrix(back, ndim, ndim + 1, part.back, part.projective);
                     } else {
                         part.kind = STROKES;
                         part.chain =

@@ -5,7 +5,7 @@ import os
 import re
 import threading
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,11 +16,13 @@ from supple.errors import OutsideWarning, SuppleError, shown
 
 if TYPE_CHECKING:
     from supple.cli.console import Console
+    from supple.cli.options_strokes import StrokeOptions
     from supple.fields import Placed
     from supple.files.jobs import Job
     from supple.files.options import GridOptions
     from supple.space.affine import Affine
     from supple.space.geometry import Grid
+    from supple.strokes import Recipe
 
 PathLike = str | os.PathLike[str]
 
@@ -90,29 +92,31 @@ class MapOptions:
     def to_maps(
         self,
         arguments: Sequence[str],
-        recipe: int,
-        strokes: Mapping[str, Sequence[str]],
+        recipe: "Recipe | None",
+        strokes: "StrokeOptions",
         output: "OutputOptions | None" = None,
         *,
         points: bool = False,
     ) -> "Maps":
         """Return the maps among the strokes of a command line.
 
-        ``recipe`` is the number of strokes of the recipe, which come first, and ``strokes`` are the values of the
-        options that are strokes. ``output`` is the grid of the output, of a command that writes on another one than the
-        input's. With ``points``, --inverse before all maps is about points, which are then moved back.
+        ``recipe`` has the ``strokes`` of the command line after those of its file. ``output`` is the grid of the
+        output, of a command that writes on another one than the input's. With ``points``, --inverse before all maps is
+        about points, which are then moved back.
         """
         from supple.cli.options_strokes import in_order
 
-        found = in_order(arguments, {**self.conventions, **strokes})
+        given, parts = strokes.given, iter(strokes.parts)
+        found = in_order(arguments, {**self.conventions, **given})
+        first = 0 if recipe is None else len(recipe.strokes) - sum(strokes.parts)
         entries: list[_Entry] = []
         before, seen, pull, back = 0, False, False, False
         for option, value in found:
             pull = option == "--pull" or (pull and option not in ("--field", "--affine"))
-            if option == "--recipe" or (option in strokes and not seen):
-                before, seen = before + recipe * (not seen), True
-            if option in strokes:
-                before += 1
+            if option == "--recipe" or (option in given and not seen):
+                before, seen = before + first * (not seen), True
+            if option in given:
+                before += next(parts)
             elif option in ("--field", "--affine"):
                 entries.append(_Entry(option, value, before))
             elif option == "--convention" and (pull if output is not None else value.lower() in COORDINATES):

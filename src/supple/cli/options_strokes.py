@@ -4,37 +4,53 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Literal
+from itertools import chain
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
 from supple.cli.console import current
-from supple.cli.options import COORDINATES, Frames, parse_number
+from supple.cli.options import COORDINATES, Frames, number, parse_integer, parse_number
 from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
     from supple.space.domain import Border
     from supple.space.freezing import Freeze
+    from supple.space.straighten import Straighten
     from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke
 
 Place = Callable[[], str | None]
 
 STROKES = Group("Strokes", sort_key=1)
+STRAIGHTEN = Group("Straighten pictures", sort_key=1.2)
 
-BRUSHES = ("--grab", "--twist", "--scale", "--pinch", "--pull")
+BRUSHES = ("--grab", "--twist", "--scale", "--pinch", "--pull", "--push")
 """The options that are strokes."""
 
-_ONE_OF = "give --grab, --twist, --scale, --pinch or --pull"
-_OF_EACH = ("radius", "poisson", "scales", "reach", "time_radius", "flat", "matte")  # of one stroke, and of all of them
+FRAMES = ("crop", "pad", "keep")
+_ONE_OF = "give --grab, --twist, --scale, --pinch, --pull or --push"
+_OF_EACH = (
+    "radius",
+    "poisson",
+    "scales",
+    "reach",
+    "time_radius",
+    "flat",
+    "matte",
+    "mirror",
+)  # of one stroke, and of all of them
 _OF_ALL = ("border", "border_profile", "freeze", "freeze_width", "on_fold")
 _FLAT = "a part of the radius from 0 to 0.9"
 _TWIST = "X,Y[,T|Z]:ANGLE[:AXIS]"
 _SCALE = "X,Y[,T|Z]:FACTOR"
 _PINCH = "X,Y[,T|Z]:FACTOR[:AXIS]"
+_PUSH = "X,Y:X,Y:BY"
+_KEYSTONE = "X,Y:X,Y:X,Y:X,Y"
 _WANTED = {
     "--grab": "X,Y:X,Y, or X,Y,T:X,Y,T, two points or more in pixels, frames or voxels (256,256:256,346, say)",
     "--twist": f"{_TWIST}, a point, degrees, and of 3 numbers an axis (256,256:30 or 40,50,60:30:0,0,1, say)",
     "--scale": f"{_SCALE}, a point and a factor (256,256:1.4, say)",
+    "--push": f"{_PUSH}, two points or more and how far to the left of the way (90,40:90,160:12, say)",
     "--pinch": f"{_PINCH}, a point, a factor, and an axis of as many numbers (256,256:0.7:1,0, say)",
 }
 
@@ -83,6 +99,9 @@ class StrokeOptions:
         matched by these, others in order; a point that is the same in both is a pin. Files in millimetres (LPS or
         RAS) are taken as they say; give --world if other strokes are in millimetres too. For a volume, a table that
         does not say what its numbers are needs --convention LPS, RAS or index (voxels).
+    push
+        Push what lies along a way, of two points or more, sideways: to the left of it by pixels, or below 0 to the
+        right. It is for pictures, and for every frame of a video.
     radius
         Radius of the brush: in pixels, in volumes in millimetres. Give --radius, --poisson, --reach and --time-radius
         once for all strokes, or once for each; --scales and --flat once for all grabs, or once for each.
@@ -119,6 +138,8 @@ class StrokeOptions:
     matte
         Picture, video or image sequence that multiplies strokes: white where they apply in full, black where they
         move nothing; its opacity, if it has some. Give it once for all strokes, or once for each (none: without).
+    mirror
+        Make each stroke of the command line on the other side as well: of the line x = X, or of one through two points.
     on_fold
         What to do with a stroke that would fold the picture or that the border holds back. flow (default): carry
         all of it out, in smaller steps. damp: weaken it. error: stop.
@@ -127,7 +148,16 @@ class StrokeOptions:
     fit
         How a recipe that was made for another size fits: pixels takes its numbers as they are; stretch scales width
         and height by factors of their own; inside keeps proportions, centred. One of the same proportions is scaled
-        without asking.
+        without asking. And how a straightened picture is framed: crop (default), the largest frame of its proportions
+        without empty corners; pad, all of it; keep, its own frame. What is empty is transparent, or --fill.
+    rotate
+        Turn the picture by degrees, clockwise, after all strokes and maps, in the same resampling.
+    shear
+        Lean verticals by degrees, and, with a second number, horizontals.
+    keystone
+        Four points that shall be the corners of an upright rectangle: top left, top right, bottom right, bottom left.
+    scale_to
+        Width of the result in pixels, or its width and height, to whose proportions it is then cropped or padded.
     """
 
     grab: Annotated[
@@ -137,6 +167,7 @@ class StrokeOptions:
     scale: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar=_SCALE, show_default=False)] = ()  # type: ignore[assignment]
     pinch: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar=_PINCH, show_default=False)] = ()  # type: ignore[assignment]
     pull: Annotated[list[str], Parameter(metavar="FROM:TO", show_default=False)] = ()  # type: ignore[assignment]
+    push: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar=_PUSH, show_default=False)] = ()  # type: ignore[assignment]
     radius: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="R", show_default=False)] = ()  # type: ignore[assignment]
     poisson: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="N", show_default=False)] = ()  # type: ignore[assignment]
     scales: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="1|2|3", show_default=False)] = ()  # type: ignore[assignment]
@@ -155,9 +186,15 @@ class StrokeOptions:
         Literal["damp", "flow", "error"] | None, Parameter(metavar="flow|damp|error", show_choices=False)
     ] = None
     amount: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="PART")] = None
+    mirror: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="X|X,Y:X,Y")] = None
     fit: Annotated[
-        Literal["pixels", "stretch", "inside"] | None, Parameter(metavar="pixels|stretch|inside", show_choices=False)
-    ] = None
+        list[Literal["pixels", "stretch", "inside", "crop", "pad", "keep"]],
+        Parameter(metavar="pixels|stretch|inside|crop|pad|keep", show_choices=False, show_default=False),
+    ] = ()  # type: ignore[assignment]
+    rotate: Annotated[float | None, number("a number of degrees", "DEG", group=STRAIGHTEN)] = None
+    shear: Annotated[str | None, Parameter(group=STRAIGHTEN, allow_leading_hyphen=True, metavar="DEG[,DEG]")] = None
+    keystone: Annotated[str | None, Parameter(group=STRAIGHTEN, allow_leading_hyphen=True, metavar=_KEYSTONE)] = None
+    scale_to: Annotated[str | None, Parameter(group=STRAIGHTEN, allow_leading_hyphen=True, metavar="W[,H]")] = None
 
     @property
     def given(self) -> dict[str, list[str]]:
@@ -170,9 +207,19 @@ class StrokeOptions:
         return sum(map(len, self.given.values()))
 
     @property
+    def parts(self) -> list[int]:
+        """The number of strokes that each one given is made of: two, perhaps, with a mirror image."""
+        return getattr(self, "_parts", [1] * self.count)
+
+    @property
     def any(self) -> bool:
         """Return whether there is anything to do."""
-        return self.count > 0 or self.recipe is not None
+        return self.count > 0 or self.recipe is not None or self.straightens
+
+    @property
+    def straightens(self) -> bool:
+        """Return whether the picture is straightened."""
+        return any(value is not None for value in (self.rotate, self.shear, self.keystone, self.scale_to))
 
     def refuse_alone(self) -> None:
         """Raise SuppleError for what is said of strokes where there are none, and none are needed."""
@@ -183,11 +230,40 @@ class StrokeOptions:
 
     def to_fit(self) -> "Fit | None":
         """How a recipe fits another size; refuse what is said of a recipe where there is none."""
-        if self.fit is not None and self.recipe is None:
+        found: list[Fit] = [fit for fit in self.fit if fit not in FRAMES]  # type: ignore[misc]
+        if len(found) > 1 or len(self.fit) - len(found) > 1:
+            raise SuppleError(f"--fit is given as {' and '.join(self.fit)}: leave one out")
+        if found and self.recipe is None:
             raise SuppleError("--fit is for a recipe that was made for another size: give a --recipe, or leave it out")
-        if self.amount is not None and not self.any:
+        if self.amount is not None and not (self.count or self.recipe):
             raise SuppleError(f"--amount is for strokes, and there are none: {_ONE_OF}, a --recipe, or leave it out")
-        return self.fit
+        return found[0] if found else None
+
+    def _straighten(self, known: "Straighten | None") -> "Straighten | None":
+        """Return how the picture is straightened, by the recipe, and in its place by the options given."""
+        from supple.space.straighten import Straighten
+
+        framed = [fit for fit in self.fit if fit in FRAMES]
+        if framed and known is None and not self.straightens:
+            raise SuppleError(
+                f"--fit {framed[0]} is for a picture that is straightened: give --rotate, --shear, --keystone or "
+                "--scale-to, or leave it out"
+            )
+        given: dict[str, Any] = {"rotate": self.rotate, "fit": framed[0] if framed else None}
+        if self.shear is not None:
+            wanted = "one number of degrees or two"
+            given["shear"] = [parse_number("--shear", part, wanted) for part in self.shear.split(",")]
+        if self.scale_to is not None:
+            wanted = "a width, or a width and a height, in whole pixels (1920 or 1920,1080, say)"
+            given["scale_to"] = [parse_integer("--scale-to", part, wanted) for part in self.scale_to.split(",")]
+        if self.keystone is not None:
+            wanted = f"{_KEYSTONE}, the corners top left, top right, bottom right, bottom left"
+            points = [point.split(",") for point in self.keystone.split(":")]
+            if [len(point) for point in points] != [2] * 4:
+                raise SuppleError(f"--keystone must be {wanted}, found {self.keystone!r}")
+            given["keystone"] = [[parse_number("--keystone", x, wanted) for x in point] for point in points]
+        given = {name: value for name, value in given.items() if value is not None}
+        return replace(known or Straighten(), **given) if given else known
 
     def to_recipe(
         self,
@@ -210,10 +286,10 @@ class StrokeOptions:
         """
         from supple.strokes import Recipe
 
-        found = self._strokes(world, place, convention, ordered, frames)
+        found = self._mirrored(self._strokes(world, place, convention, ordered, frames))
         strokes = [one.stroke for one in found]
         space = next((one.space for one in found if one.space is not None), None)
-        if not strokes and self.recipe is None and not empty:
+        if not strokes and self.recipe is None and not (empty or self.straightens):
             raise SuppleError(f"nothing to do: give --grab X,Y:X,Y --radius R, {others or 'or '}--recipe FILE")
         if self.recipe is None:
             made = Recipe()
@@ -246,6 +322,7 @@ class StrokeOptions:
             raise SuppleError("--freeze-width is for a freeze mask, and there is none: give --freeze, or leave it out")
         if self.border_profile is not None:
             made = replace(made, border_profile=self.border_profile)
+        made = replace(made, straighten=self._straighten(made.straighten))
         return made if self.on_fold is None else replace(made, on_fold=self.on_fold)
 
     def _strokes(
@@ -308,6 +385,29 @@ class StrokeOptions:
                 "--world"
             )
         return made
+
+    def _mirrored(self, found: "list[_Given]") -> "list[_Given]":
+        """Return strokes with their mirror images."""
+        self._parts = [1] * len(found)
+        if self.mirror is None:
+            return found
+        wanted = "X, a column of pixels, or X,Y:X,Y, two points of a line (256 or 250,0:262,511, say)"
+        ends = [[parse_number("--mirror", x, wanted) for x in end.split(",")] for end in self.mirror.split(":")]
+        x, y, a, b = (
+            (*ends[0], 0.0, *ends[0], 1.0) if [*map(len, ends)] == [1] else (*chain(*ends), *[math.nan] * 4)[:4]
+        )
+        if [*map(len, ends)] not in ([1], [2, 2]) or (x, y) == (a, b) or not math.isfinite(x + y + a + b):
+            raise SuppleError(f"--mirror must be {wanted}, found {self.mirror!r}")
+        more = (0.0,) * (found[0].stroke.ndim - 2)
+        made: list[list[_Given]] = []
+        for one in found:
+            try:
+                both = one.stroke.symmetric((x, y, *more), (b - y, x - a, *more))
+            except SuppleError as error:
+                raise SuppleError(f"{one.told}: {error}") from None
+            made.append([replace(one, stroke=stroke) for stroke in both])
+        self._parts = list(map(len, made))
+        return [*chain(*made)]
 
     def _mattes(self, count: int) -> "list[Freeze | None]":
         """Return the matte of each stroke; a file is read once."""
@@ -401,16 +501,20 @@ def _stroke(
         "--twist": [[n, 1], [3, 1, 3]],
         "--scale": [[n, 1]],
         "--pinch": [[n, 1], [n, 1, n]],
+        "--push": [[2] * max(2, len(parts) - 1) + [1]],
     }
     if option == "--twist" and n == 2 and len(parts) == 3:
         raise SuppleError(f"--twist {text}: a twist in a picture has no axis: leave it out (X,Y:ANGLE)")
-    points = (at, *rest) if option == "--grab" else (at,)
+    points = (at, *rest) if option in ("--grab", "--push") else (at,)
     if n not in (2, 3) or parts not in shapes[option] or not all(math.isfinite(x) for point in points for x in point):
         raise wrong
     known = {**brush, "scales": int(scales) if float(scales).is_integer() else scales}
     try:
         if option == "--grab":
             return Stroke.grab(at, path=rest, flat=flat, **known)  # type: ignore[arg-type]
+        if option == "--push":
+            brush.pop("time_radius")
+            return Stroke.push([at, *rest[:-1]], by=rest[-1][0], **brush)  # type: ignore[arg-type]
         amount = {"angle" if option == "--twist" else "factor": rest[0][0]}
         axis = tuple(rest[1]) if len(rest) > 1 else None
         return Stroke(brush=option[2:], at=tuple(at), axis=axis, **amount, **known)  # type: ignore[arg-type]

@@ -64,7 +64,7 @@ def plot(
     recipe = strokes.to_recipe(
         empty=maps.any, others="--field FILE, --affine FILE or ", convention=convention, frames=typed
     )
-    elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given)
+    elements = maps.to_maps(console.arguments, recipe, strokes)
     from supple.cli.warp import picture_facts
     from supple.files.jobs import Job
     from supple.files.plots import plot_file

@@ -209,7 +209,7 @@ def plan(
         world=volume.world, empty=maps.any or maps.dangling or grid is not None, others=OTHERS,
         place=lambda: volume.place_of(source), ordered=maps.conventions,
     )  # fmt: skip
-    elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given, output)
+    elements = maps.to_maps(console.arguments, recipe, strokes, output)
     known, outside = sampling.to_sampling(bool(elements) or output.reference is not None)
     reading = volume.to_reading(labels=labels)
     job = Job(source, source, recipe, known, outside, volume=reading, fit=strokes.to_fit(), grid=grid)

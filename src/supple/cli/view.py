@@ -60,8 +60,7 @@ def view(
     recipe = strokes.to_recipe(**given) if strokes.any else None
     if volume.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
-    before = 0 if recipe is None else len(recipe.strokes) - strokes.count
-    elements = maps.to_maps(current().arguments, before, strokes.given)
+    elements = maps.to_maps(current().arguments, recipe, strokes)
     reading = volume.to_reading(labels=labels)
     from supple.files.jobs import Job
     from supple.strokes import Recipe

@@ -257,8 +257,7 @@ def render(
     given: dict[str, Any] = {"world": volume.world, "place": lambda: volume.place_of(source), "convention": convention}
     strokes.refuse_alone()
     recipe, fit = strokes.to_recipe(**given) if strokes.any else None, strokes.to_fit()
-    before = 0 if recipe is None else len(recipe.strokes) - strokes.count
-    elements = maps.to_maps(console.arguments, before, strokes.given)
+    elements = maps.to_maps(console.arguments, recipe, strokes)
     with spelling(naming(rate="--rate")):
         render, reading = look.to_render(Camera(**vars(camera)), convention), volume.to_reading()
     if convention is not None and not (strokes.pull or look.mesh):
@@ -337,7 +336,7 @@ def points(
         world=volume.world, empty=maps.any, others="--field FILE, --affine FILE or ",
         place=lambda: volume.place_of(on), convention=convention, frames=video.frames(on),
     )  # fmt: skip
-    elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given, points=True)
+    elements = maps.to_maps(console.arguments, recipe, strokes, points=True)
     deformation, geometry = _deformation(on, recipe, elements, volume.to_reading(), video, strokes.to_fit(), source)
     with piped((source, target), console, ".csv") as (read, written):
         moved = move_points(

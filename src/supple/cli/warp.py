@@ -146,8 +146,10 @@ def warp(
         world=volume.world, empty=maps.any or maps.dangling or grid is not None, others=OTHERS,
         place=lambda: volume.place_of(paths[0]), ordered=maps.conventions, frames=typed,
     )  # fmt: skip
+    if strokes.mirror is not None and tracks.track is not None:
+        raise SuppleError("--mirror is of strokes that stay, and --track moves them: leave one out")
     recipe = tracks.followed(recipe, strokes.count, paths, video.to_clip().memory, typed)
-    elements = maps.to_maps(console.arguments, len(recipe.strokes) - strokes.count, strokes.given, output)
+    elements = maps.to_maps(console.arguments, recipe, strokes, output)
     if elements and save_recipe is not None:
         raise SuppleError("--save-recipe is for strokes alone, which --field and --affine are not: leave it out")
     if 1e-9 <= sampling.tolerance < FINEST:
@@ -162,7 +164,8 @@ def warp(
         frame=None if frame is None else typed.read("--frame", frame),
         frames=None if frames is None else typed.part("--frames", frames),
     )  # fmt: skip
-    known, outside = sampling.to_sampling(bool(elements) or output.reference is not None, linear_light)
+    elsewhere = bool(elements) or output.reference is not None or recipe.straighten is not None
+    known, outside = sampling.to_sampling(elsewhere, linear_light)
     template = Job(
         paths[0], paths[-1], recipe, known, outside, clamp, quality, lossless, device, options.force, shot,
         reading, strokes.to_fit(), grid=grid,
@@ -215,7 +218,7 @@ def warp(
             if options.json:
                 known = {"input": "-"} if str(pair[0]) == STREAM else {}
                 console.tell({**_facts_of(pair, made), **used, **known, "device": str(who)})
-            if made.grid is not None:
+            if job.grid is not None and made.grid is not None:
                 units = "mm" if made.grid.ndim == 3 else "pixels"
                 console.note(f"{shown(pair[1])} is written on {describe_grid(grid_facts(made.grid), units)}")
             say_background(console, pair[1], pair[0], made.background)
@@ -272,7 +275,7 @@ def _kept(recipe: "Recipe", made: "Warped | WarpedStore", world: bool) -> "Recip
     scale, shape = recipe.time_scale, own.shape
     if made.deformation.domain.time and (recipe.size is None or recipe.size == shape[::-1]):
         scale = made.deformation.domain.spacing[2]
-    return replace(recipe, size=size if recipe.strokes else None, space=space, time_scale=scale)
+    return replace(recipe, size=size if recipe.strokes or recipe.straighten else None, space=space, time_scale=scale)
 
 
 def _shared(recipe: "Recipe", kept: "Collection[Recipe]") -> "Recipe":

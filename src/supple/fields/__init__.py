@@ -16,7 +16,7 @@ from supple.engine.work import Array
 from supple.errors import SuppleError, shown
 from supple.fields import checks
 from supple.fields.checks import FieldReport
-from supple.space.affine import Affine, matrix_rows
+from supple.space.affine import Affine, Projective, matrix_rows
 from supple.space.checks import choice, number, refuse
 from supple.space.domain import FREE
 from supple.space.geometry import Box, Floats, Grid, check_boxes
@@ -359,7 +359,7 @@ class Placed:
 
     Parameters
     ----------
-    map : Field or Affine
+    map : Field, Affine or Projective
         From a point of the output to the point of the input that is seen there (pull).
     inverse : bool
         Whether to apply the inverse (push).
@@ -369,14 +369,14 @@ class Placed:
         The name of its file, for messages.
     """
 
-    map: Field | Affine
+    map: Field | Affine | Projective
     inverse: bool = False
     after: int = 0
     row: int = field(default=0, repr=False)
     name: str = field(default="", repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.map, Affine | Field):
+        if not isinstance(self.map, Affine | Projective | Field):
             refuse("a map", "a Field, an Affine, or a Placed with one", self.map)
 
     @property
@@ -388,7 +388,8 @@ class Placed:
         """Return the map as the core takes it, from the coordinates of `Field.packed`, as a part of the pull map."""
         if isinstance(self.map, Field):
             return "field", self.map.packed(frame), self.inverse
-        return "affine", matrix_rows(np.linalg.inv(frame) @ self.map.matrix @ frame), self.inverse
+        rows = matrix_rows(np.linalg.inv(frame) @ self.map.matrix @ frame, isinstance(self.map, Projective))
+        return "affine", rows, self.inverse
 
 
 def only_name(maps: Iterable[Placed]) -> str:
@@ -551,7 +552,7 @@ def check_path(
     given = list(maps)
     for k, placed in enumerate(given):
         held, what = placed.map, placed.told
-        if isinstance(held, Affine):
+        if not isinstance(held, Field):
             return  # it may lead to another part, as one wishes
         own = held.grid.box
         check_boxes(_led(held, own) if placed.inverse else own, what, box, where)

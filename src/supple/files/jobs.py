@@ -97,6 +97,8 @@ class Job:
                 raise SuppleError(
                     f"{asked(option, value)} is for {where}, and {medium.name} is a {medium.kind}: leave it out"
                 )
+        if medium.kind != "picture" and self.recipe.straighten is not None:
+            raise SuppleError(f"straightening is for pictures, and {medium.name} is a {medium.kind}: leave it out")
         if medium.kind == "picture" and self.recipe.moves:
             moving = "strokes with keys move" if any(each.keys for each in self.recipe.strokes) else "the matte moves"
             raise SuppleError(

@@ -17,7 +17,7 @@ from supple.media import transforms, volume
 from supple.media.files import PathLike, unwritable
 from supple.media.medium import picture_grid
 from supple.media.volume import is_volume, suffix_of
-from supple.space.affine import Affine
+from supple.space.affine import Affine, Projective
 from supple.space.geometry import Grid, check_upright
 
 
@@ -78,7 +78,10 @@ def lifted(maps: Sequence[Placed], convention: str | None, grid: Grid | None) ->
         return list(maps)
     if not np.allclose(np.abs(grid.direction[2]), (0, 0, 1), atol=1e-6):
         return list(maps)
-    return [replace(each, map=_lifted(each.map, grid)) if each.map.ndim == 2 else each for each in maps]
+    return [
+        each if isinstance(m := each.map, Projective) or m.ndim == 3 else replace(each, map=_lifted(m, grid))
+        for each in maps
+    ]
 
 
 def _lifted(flat: Map, grid: Grid) -> Map:

@@ -11,14 +11,14 @@ from supple.arrays import warp_picture
 from supple.deformation import Deformation
 from supple.engine.sampling import warn_of
 from supple.engine.work import Tell
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, argument, shown
 from supple.fields import folds_of, only_name
 from supple.files.grids import grid_on
 from supple.files.jobs import Job, Warped
 from supple.files.options import PathLike
 from supple.folding.resolved import warn_of_still
 from supple.media.files import check_output, replacing
-from supple.media.image import Picture, check_quality, check_target, read, warn_of_exact, write
+from supple.media.image import Picture, check_quality, check_target, read, warn_of_exact, with_opacity, write
 from supple.media.image.formats import OUT
 from supple.space.geometry import Grid
 from supple.strokes import fit_recipe
@@ -44,11 +44,18 @@ def warp(job: Job, tell: Tell) -> Warped:
     height, width = len(picture.pixels) // picture.pages, picture.pixels.shape[1]
     own = held = Grid((height, width) if layers is None else layers.shown)
     fitted = fit_recipe(job.recipe, own.sizes, job.fit, name)
-    regrid = grid_on(job.grid, own, name, maps)
+    straighten, fitted = fitted.straighten, replace(fitted, straighten=None)
     if layers is not None and layers.box != layers.display:  # points count from the display window's first pixel
         held = Grid((height, width), origin=layers.corner)
         fitted = fitted.placed([-x for x in layers.corner], held.sizes)
     deformation = Deformation.from_recipe(fitted, held, maps=maps, warn=False)
+    result = own
+    if straighten is not None:
+        if job.grid is not None and job.grid.reference is not None:
+            raise SuppleError(f"{argument('reference')} and a straightened picture have each a grid: leave one out")
+        deformation = deformation.straighten(straighten, sizes=own.sizes)
+        result = deformation.output
+    regrid = grid_on(job.grid, result, name, maps) or (None if result == own else result)
     warn_of_still(job.recipe.strokes)
     made = Warped(Path(source), Path(target), "picture", (deformation,), sampling.tolerance)
     space = replace(deformation.space_on(regrid), count=picture.pages)
@@ -58,6 +65,9 @@ def warp(job: Job, tell: Tell) -> Warped:
         with replacing(target, force=job.force) as place:
             shutil.copyfile(source, place)
         return made
+    if straighten is not None and straighten.has_gaps and job.outside is None:
+        sampling = replace(sampling, outside="constant")
+        picture = with_opacity(picture, target)
     bounded = picture.pixels.dtype.kind == "f" if job.clamp is None else job.clamp
     nearest, groups = replace(sampling, filter="nearest"), () if layers is None else layers.groups
     options: dict[str, Any] = {"clamp": bounded, "device": job.device, "name": name}

@@ -190,6 +190,8 @@ def warp_on(source: Source, job: Job) -> Warp:
     if sampling.outside == "constant":
         volume = Volume(whole, Geometry(), source.name, scaling=source.scaling)
         sampling = replace(sampling, fill=volume.stored(sampling.fill))
+    if job.recipe.straighten is not None:
+        raise SuppleError(f"straightening is for files of pictures, and {source.name} is a Zarr store: leave it out")
     if source.geometry is None:
         if known.world:
             raise SuppleError(f"{argument('world')} is for volumes, and {source.name} is a picture: leave it out")

@@ -149,6 +149,8 @@ def plot_file(
         raise SuppleError(f"{shown(source)} is taken for a picture, which has no time: leave out what is for videos")
     from supple.media.image import read
 
+    if recipe.straighten is not None:
+        raise SuppleError("plots are of strokes and maps, on the picture as it is: leave straightening out")
     picture = read(source)
     height, width = picture.pixels.shape[:2]
     fitted = fit_recipe(recipe, (width, height), fit, shown(source))

@@ -1,4 +1,4 @@
-"""Affine maps of positions."""
+"""Affine and projective maps of positions."""
 
 from __future__ import annotations
 
@@ -75,7 +75,24 @@ class Affine:
         return np.asarray(given @ self.matrix[:-1, :-1].T + self.matrix[:-1, -1])
 
 
-def matrix_rows(matrix: Floats) -> tuple[Floats, Floats]:
-    """Return the rows of a homogeneous matrix, and of its inverse, as the core takes them."""
-    n = len(matrix) - 1
+@dataclass(frozen=True, slots=True, eq=False)
+class Projective:
+    """A projective map of positions in the plane, x → (A x + b) / (c·x + d), where the denominator is above 0.
+
+    Parameters
+    ----------
+    matrix : float64 array, shape (3, 3)
+        The homogeneous matrix, of rows (A, b) and (c, d).
+    """
+
+    matrix: Floats
+    ndim = 2
+
+
+def matrix_rows(matrix: Floats, more: int = 0) -> tuple[Floats, Floats]:
+    """Return the rows of a homogeneous matrix, and of its inverse, as the core takes them.
+
+    That is without the last, which is that of an affine map; or with it, as ``more`` is 1, of a projective one.
+    """
+    n = len(matrix) - 1 + more
     return np.ascontiguousarray(matrix[:n]), np.ascontiguousarray(np.linalg.inv(matrix)[:n])

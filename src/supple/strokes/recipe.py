@@ -11,6 +11,7 @@ from supple.errors import ScaleWarning, SuppleError, argument
 from supple.space.checks import LONGEST_AXIS, choice, integer, items, length, number, refuse
 from supple.space.domain import Border, BorderProfile, check_border_profile, checked_border
 from supple.space.freezing import Freeze
+from supple.space.straighten import Straighten
 from supple.strokes.scaling import Fit, Scaling, scaling_of, spoken
 from supple.strokes.stroke import PART, Stroke
 from supple.strokes.text import read, written
@@ -46,6 +47,8 @@ class Recipe:
         otherwise.
     freeze : Freeze or None
         The freeze mask, in samples of the medium that the recipe was made for, whatever its ``space`` is.
+    straighten : Straighten or None
+        How a picture is straightened after all strokes, in the same resampling.
     """
 
     border: Border = "auto"
@@ -57,6 +60,7 @@ class Recipe:
     amount: float = 1.0
     time_scale: float | None = None
     freeze: Freeze | None = None
+    straighten: Straighten | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "border", checked_border(self.border))
@@ -83,6 +87,8 @@ class Recipe:
             object.__setattr__(self, "time_scale", length("time_scale", self.time_scale))
         if self.freeze is not None and not isinstance(self.freeze, Freeze):
             refuse("freeze", "a Freeze (Freeze.of makes one from an array)", self.freeze)
+        if not isinstance(self.straighten, Straighten | None):
+            refuse("straighten", "a Straighten", self.straighten)
 
     @property
     def is_world(self) -> bool:
@@ -143,7 +149,7 @@ class Recipe:
             return self  # invalid recipes are reported when they are applied
         if not self.strokes and self.size is not None and len(self.size) != len(size):
             return self  # nothing moves: a mask alone may be that of a clip's frames
-        if self.size is None or self.is_world or not (self.strokes or self.freeze):
+        if self.size is None or self.is_world or not (self.strokes or self.freeze or self.straighten):
             return replace(self, size=size)
         scaling = scaling_of(self.size, size, how, time=time, name=name)
         if scaling is None:
@@ -184,11 +190,12 @@ class Recipe:
             if len(given) == len(size):  # else reported when it is applied
                 widths = tuple(width * s for width, s in zip(given, scaling.widths, strict=True))
                 border = widths[0] if isinstance(border, float) and len(set(widths)) == 1 else widths
-        return replace(self, size=size, strokes=tuple(strokes), border=border, freeze=masked(self.freeze))
+        made = replace(self, size=size, strokes=tuple(strokes), border=border, freeze=masked(self.freeze))
+        return made if self.straighten is None else replace(made, straighten=self.straighten.mapped(scaling.point))
 
     def to_json(self) -> str:
         """Return the recipe as strict JSON, one stroke a line, from which `from_json` makes an equal one."""
-        order = ("border", "border_profile", "on_fold", "amount", "space", "size", "time_scale", "freeze")
+        order = ("border", "border_profile", "on_fold", "amount", "space", "size", "time_scale", "freeze", "straighten")
         return written({name: getattr(self, name) for name in order}, self.strokes)
 
     @classmethod

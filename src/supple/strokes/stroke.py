@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cmath
+import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -25,8 +26,8 @@ LARGEST_ANGLE = 3600.0  # degrees
 LARGEST_FACTOR = 100.0
 MOST_FLAT = 0.9
 MOST_HANDLES = 1000
-PAINTINGS = frozenset(("restore", "smooth"))
-"""The names of strokes that were painted, many at a time."""
+PAINTINGS = frozenset(("restore", "smooth", "push"))
+"""The names of strokes that were painted, of many points at once."""
 PART = "a number from 0 to 1"
 FADE = 5  # frames beyond a track, within which what follows it fades
 
@@ -336,6 +337,24 @@ class Stroke:
         known: dict[str, Any] = {"poisson": poisson, "reach": reach, "strength": strength}
         return cls(at=at, by=drag, also=also, radius=radius, time_radius=time_radius, **known)  # type: ignore[arg-type]
 
+    @classmethod
+    def push(cls, path: Sequence[Point], *, by: float, radius: float, **options: Any) -> Self:
+        """Return a stroke that pushes what lies along a path sideways, ``by`` samples to the left; below 0, right.
+
+        It is a pull of points half a radius apart, in a picture or in every frame of a clip; options are those of that.
+        """
+        ends = [np.array(point(f"path[{i}]", p, (2,))) for i, p in enumerate(path)]
+        lengths = np.cumsum([0.0, *(math.dist(a, b) for a, b in itertools.pairwise(ends))])
+        if not lengths[-1] > 0:
+            refuse("path", "two points or more, which are apart", told=f"{len(ends)} points")
+        away, radius = number("by", by, "a number of samples", -LARGEST, LARGEST), length("radius", radius)
+        places = np.linspace(0.0, lengths[-1], min(max(round(2 * lengths[-1] / radius), 1), MOST_HANDLES) + 1)
+        way = np.stack([np.interp(places, lengths, x) for x in zip(*ends, strict=True)], axis=1)
+        along = np.gradient(way, axis=0)
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+        drags = away * np.stack([along[:, 1], -along[:, 0]], axis=1)
+        return replace(cls.pull(way, by=drags, radius=radius, **options), name="push")
+
     @property
     def ndim(self) -> int:
         """The number of coordinates of its points: 2 or 3."""
@@ -414,8 +433,8 @@ class Stroke:
         """Return the strokes that make this one symmetric about a line or a plane.
 
         Those are one that drags the points and their mirror images at once, as a pull; or, of other brushes, of grabs
-        along a path and of strokes with keys or a matte, the stroke and its mirror image after it. Points within a
-        hundredth of the radius of the line are their own images, and only dragged along it.
+        along a path or with a plateau, and of strokes with keys or a matte, the stroke and its mirror image after it.
+        Points within a hundredth of the radius of the line are their own images, and only dragged along it.
 
         Parameters
         ----------
@@ -424,7 +443,7 @@ class Stroke:
         """
         image = self.mirrored(at, normal)
         apart = math.dist(self.at, image.at) > 0.02 * self.radius
-        if self.brush != "grab" or self.path or ((self.keys or self.matte) and apart):
+        if self.brush != "grab" or self.path or ((self.keys or self.flat or self.matte) and apart):
             if apart:
                 return self, image
             if self.path:

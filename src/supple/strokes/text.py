@@ -12,6 +12,7 @@ from typing import Any, NoReturn, get_args
 from supple.errors import SuppleError
 from supple.space.checks import choice, integer, point, refuse, value_shown
 from supple.space.freezing import Freeze
+from supple.space.straighten import Straighten
 from supple.strokes.keys import Key
 from supple.strokes.stroke import Brush, Stroke
 from supple.strokes.table import POISSON
@@ -23,7 +24,7 @@ _NEW = (
     "border_profile", "reach", "size", "space", "amount", "time_scale", "name", "strength", "to", "angle", "factor",
     "axis", "also", "path", "keys", "freeze",
 )  # fmt: skip
-_NEWER = ("chord", "isotropic", "time_radius", "flat", "matte")  # and after version 2
+_NEWER = ("chord", "isotropic", "time_radius", "flat", "matte", "straighten")  # and after version 2
 _OF_KEYS = ("angle", "scale")  # the same, of the keys of strokes
 
 
@@ -38,7 +39,7 @@ def written(members: Mapping[str, object], strokes: Iterable[Stroke]) -> str:
         or stroke.time_radius is not None or stroke.flat or stroke.matte
         for stroke in strokes
     )  # fmt: skip
-    version = VERSION if turning or newer else 2
+    version = VERSION if turning or newer or members.get("straighten") else 2
     head = {"supple": version, **{k: v for k, v in members.items() if v is not None or k == "border"}}
     lines = [f"  {_dump(key)}: {_dump(_plain(value))}" for key, value in head.items()]
     entries = ",\n".join(f"    {_dump(_entry(stroke))}" for stroke in strokes)
@@ -61,6 +62,14 @@ def read(text: str, names: Sequence[str]) -> dict[str, Any]:
         refuse("strokes", "a list", data["strokes"])
     if data.get("freeze") is not None:
         data["freeze"] = Freeze.from_entry(data["freeze"])
+    if data.get("straighten") is not None:
+        if not isinstance(entry := data["straighten"], dict):
+            refuse("straighten", "a JSON object", entry)
+        _check_keys("straighten", entry, [each.name for each in fields(Straighten)], [])
+        try:
+            data["straighten"] = Straighten(**entry)
+        except SuppleError as error:
+            raise SuppleError(f"straighten: {error}") from None
     world = data.get("space") in ("LPS", "RAS")
     data["strokes"] = [_stroke(f"strokes[{i}]", entry, version, world) for i, entry in enumerate(data["strokes"])]
     return data
@@ -70,6 +79,10 @@ def _plain(value: object) -> object:
     """Return a value as JSON has it: whole numbers without a fraction, and lists."""
     if isinstance(value, Freeze):
         return value.entry()
+    if isinstance(value, Straighten):
+        usual = Straighten()
+        known = {each.name: getattr(value, each.name) for each in fields(value)}
+        return {name: _plain(x) for name, x in known.items() if x != getattr(usual, name)}
     if isinstance(value, tuple):
         return [_plain(x) for x in value]
     if not isinstance(value, float) or not value.is_integer() or abs(value) >= 2**53:

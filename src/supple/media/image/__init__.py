@@ -216,6 +216,18 @@ def _fits(value: float, dtype: np.dtype[Any]) -> bool:
     return value.is_integer() and np.iinfo(dtype).min <= value <= np.iinfo(dtype).max
 
 
+def with_opacity(picture: Picture, target: PathLike) -> Picture:
+    """Return a picture with full opacity, if it has none and the format of the target can hold it; else as it is."""
+    form, pixels = formats.OUT[Path(target).suffix.lower()], np.atleast_3d(picture.pixels)
+    held, count = form.pixel_formats.get(pixels.dtype.str[1:], (2, 4)), pixels.shape[2]
+    plain = count in (1, 3) and count == formats.COLOURS.get(picture.interpretation, 3)
+    if not (form.alpha and plain and count + 1 in held) or picture.extra or picture.layers:
+        return picture
+    white = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else 1
+    made = np.concatenate([pixels, np.full((*pixels.shape[:2], 1), white, pixels.dtype)], axis=2)
+    return replace(picture, pixels=made, alpha=True, extra=(2,))
+
+
 def warn_of_exact(held: exr.Exr) -> None:
     """Say which channels of an OpenEXR are not filtered."""
     if held.exact:

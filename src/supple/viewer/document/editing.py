@@ -20,6 +20,7 @@ from supple.space.checks import integer, refuse
 from supple.space.domain import Border, Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Geometry
+from supple.space.straighten import Straighten
 from supple.strokes import PAINTINGS, CoordinateSpace, FoldPolicy, Recipe, Stroke, spoken
 from supple.viewer.document.keyframes import animated, edited
 
@@ -290,11 +291,11 @@ class Document:
     def tracks(self) -> list[tuple[int, Track]]:
         """Return the strokes that have handles on screen, and their indices: no hidden ones.
 
-        Of those of a painting, which are many, only the selected one has handles; during a drag, only what is dragged.
+        Those of a painting have none, as they are many; during a drag, only what is dragged has some.
         """
         visible = (i for i, stroke in enumerate(self.strokes) if not stroke.hidden)
         pairs, chosen, lone = zip(visible, self._now.tracks, strict=True), self.selected, self.dragging
-        return [(i, track) for i, track in pairs if i == chosen or not (lone or track.stroke.name in PAINTINGS)]
+        return [pair for pair in pairs if pair[1].stroke.name not in PAINTINGS and (pair[0] == chosen or not lone)]
 
     def beneath(self, i: int, point: tuple[float, ...]) -> tuple[float, ...]:
         """Return where the material that is seen at a point was before a stroke, which is not hidden."""
@@ -365,6 +366,12 @@ class Document:
             freeze = None
         self._edit(replace(self.state, rest=replace(self.state.rest, freeze=freeze)))
 
+    def set_straighten(self, straighten: Straighten | None) -> None:
+        """Set how a picture is straightened; what changes nothing is none."""
+        if straighten == Straighten():
+            straighten = None
+        self._edit(replace(self.state, rest=replace(self.state.rest, straighten=straighten)))
+
     def load(self, recipe: Recipe) -> None:
         """Replace the document by a recipe, as one step."""
         self._edit(self._state(recipe))
@@ -391,6 +398,8 @@ class Document:
                     "give as many, or open a file of that kind"
                 )
         size = shape[::-1]
+        if recipe.straighten is not None and (self.kind == "video" or count == 3):
+            raise SuppleError("the recipe straightens a picture, and this is none: open one")
         fitted = recipe.fitted(size, time=timed)
         if timed and fitted.strokes != recipe.strokes:
             raise SuppleError(
@@ -573,7 +582,7 @@ class Document:
             empty = known.chain[0]
         else:
             spacing = self.spacing if shape == self.shape else np.broadcast_to(self.spacing, 3)[:2].tolist()
-            plain = replace(rest, space=None)
+            plain = replace(rest, space=None, straighten=None)  # that of a picture is how it is seen
             if self.hold and timed:
                 plain = with_ends(plain, self.hold, self.shape, Domain(shape, spacing, rest.border).spacing[2])
             empty = Deformation.from_recipe(plain, shape, spacing=spacing, time=timed)

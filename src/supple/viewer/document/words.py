@@ -107,6 +107,8 @@ def step(before: State, after: State) -> str:
             return _OTHER
         if changed == ["freeze"]:
             return _freezing(before.rest.freeze, after.rest.freeze)
+        if changed == ["straighten"]:
+            return "Straighten" if after.rest.straighten else "Straighten no longer"
         if changed == ["border"]:
             return "Free the border" if after.rest.border is None else "Fix the border"
         return "Folds" if changed == ["on_fold"] else _OTHER

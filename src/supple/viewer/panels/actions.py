@@ -183,6 +183,8 @@ def strip(view: View) -> None:
     count = len(BRUSHES) + sum(map(len, GROUPS))
     size = max(min(STRIP - 12.0, (height - 16 - len(GROUPS) * _GAP) / count - 2), 8.0)  # all fit in a low window
     for brush, (key, what) in BRUSHES.items():
+        if brush in view.tools.lacks:
+            continue
         if icon_button(f"brush {brush}", ICONS[brush], size, on=view.tools.brush == brush):
             view.tools.brush = brush
         hint(f"{brush.capitalize()} ({key}): {what}")

@@ -19,7 +19,7 @@ from supple.space.geometry import SIDES
 from supple.strokes import PAINTINGS
 from supple.viewer.document.keyframes import animated
 from supple.viewer.document.words import done, named
-from supple.viewer.panels import keyframes, theme
+from supple.viewer.panels import keyframes, straightening, theme
 from supple.viewer.panels.stages import VideoStage, VolumeStage
 from supple.viewer.panels.view import COMPUTING, LANE, LINE, View
 from supple.viewer.panels.widgets import hint, icon_button, shortened
@@ -247,13 +247,17 @@ def track(lines: imgui.ImDrawList, places: Iterable[Pair | None], colour: int) -
         lines.add_polyline(points, col=shade, thickness=thick, flags=imgui.ImDrawFlags_.none)
 
 
-def mirror(lines: imgui.ImDrawList, grip: Pair, top: float, height: float) -> None:
-    """Draw the line of symmetry, dashed, with its knob."""
-    x = grip[0]
+def mirror(lines: imgui.ImDrawList, grip: Pair, top: float, height: float, tilt: Pair | None = None) -> None:
+    """Draw the line of symmetry, dashed, through its knobs."""
+    (x, y), (a, b) = grip, tilt or (grip[0], grip[1] - 1.0)
+    slope = (a - x) / (b - y)
     for k in range(math.ceil(height / _DASH)):
+        one, other = top + k * _DASH, top + min(k * _DASH + 0.55 * _DASH, height)
         for shade, thick in ((theme.DARK, 3.0), (theme.BLUE, 1.0)):
-            lines.add_line((x, top + k * _DASH), (x, top + min(k * _DASH + 0.55 * _DASH, height)), shade, thick)
-    knob(lines, grip, theme.BLUE)
+            lines.add_line((x + slope * (one - y), one), (x + slope * (other - y), other), shade, thick)
+    for at in (grip, tilt):
+        if at is not None:
+            knob(lines, at, theme.BLUE)
 
 
 def end_of(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None) -> None:
@@ -380,8 +384,9 @@ def draw(view: View) -> None:
         if tools.mask is not None and not tools.original:
             size, outline = view.document.shape[:-3:-1], not view.veiled
             view.veil.draw(lines, tools.mask, size, lambda p: tools.view.to_canvas(*p), outline=outline)
+        straightening.overlay(view, tools, lines)
         if (grip := tools.grip) is not None:
-            mirror(lines, grip, 0.0, height)
+            mirror(lines, grip, 0.0, height, tools.tilt)
         _handles(view, lines)
         rings(tools, lines)
         if tools.knob is not None:
@@ -539,7 +544,7 @@ def _follows(options: ClipOptions) -> bool:
 def _held(view: View) -> str:
     held, document = view.tools.held, view.document
     if held is not None and held.paints:
-        return f"{held.tool}: {len(held.made)} {'stroke' if len(held.made) == 1 else 'strokes'}"
+        return f"{held.tool}: {len(held.painted)} {'place' if len(held.painted) == 1 else 'places'}"
     if document.selected is None:
         return ""
     stroke, own = document.seen(document.selected), document.strokes[document.selected]

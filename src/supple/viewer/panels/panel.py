@@ -15,7 +15,7 @@ from supple.files.options import ClipOptions
 from supple.gpu.plate import OVERLAYS
 from supple.viewer.document.background import Export
 from supple.viewer.document.words import step
-from supple.viewer.panels import strokes, theme, volume
+from supple.viewer.panels import straightening, strokes, theme, volume
 from supple.viewer.panels.actions import ACTIONS, menu
 from supple.viewer.panels.overlay import certified
 from supple.viewer.panels.stages import ImageStage
@@ -69,6 +69,7 @@ def panel(view: View) -> None:
     strokes.selected(view)
     volume.draw(view)
     _seeing(view)
+    straightening.draw(view)
     strokes.folds(view)
     _accuracy(view)
     _exports(view)

@@ -14,7 +14,7 @@ from supple.viewer.panels.view import View, write_sections
 LABEL = 104.0  # logical pixels of the labels before fields
 _RESTING = int(imgui.HoveredFlags_.delay_short | imgui.HoveredFlags_.allow_when_disabled)
 REST = -1e-3  # the width of what takes the rest of a line
-FOLDED = ("Folds and border", "Export options", "History")
+FOLDED = ("Straighten", "Folds and border", "Export options", "History")
 """The sections that are folded in the first window."""
 
 

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
+import numpy as np
+
+from supple.space.straighten import Straighten
 from supple.viewer.document.editing import Document
-from supple.viewer.tools.drawing import Held, Pair, Place
-from supple.viewer.tools.gestures import Event, Tools, commanded, shifted
+from supple.viewer.tools.drawing import CLICK, Held, Pair, Place
+from supple.viewer.tools.gestures import Event, Lead, Tools, commanded, shifted
+from supple.viewer.tools.keys import Tool
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.viewport import UPRIGHT, Turn, Viewport
 
-GRIP = 40.0  # logical pixels from the lower edge of a view to the knob of the line of symmetry
+GRIP = 40.0  # logical pixels from the lower edge of a view to the knob of the line of symmetry, and from the upper one
+STEEPEST = 2.0  # of that line: pixels along the one axis for each along the other
 ZOOM = 1.2  # the zoom factor of a notch of the wheel, which is 100
 
 _LEFT, _RIGHT, _MIDDLE = 1, 2, 3
-_CUBE = "cube"
+_CUBE, _LEVEL = "cube", "level"
+LEAST = 20.0  # logical pixels of a line that shall be level
 
 
 def pans(event: Event) -> bool:
@@ -31,6 +38,8 @@ class ImageTools(Tools[Viewport]):
     shown turned, as a `Viewport` does it; points, strokes and the brush's radius are those of the stored one.
     """
 
+    lacks = frozenset[Tool]()
+
     def __init__(self, document: Document, canvas_size: Pair, pixel_ratio: float = 1.0, turn: Turn = UPRIGHT) -> None:
         height, width = document.shape[-2:]
         super().__init__(document, Viewport((width, height), canvas_size, pixel_ratio, turn))
@@ -38,6 +47,31 @@ class ImageTools(Tools[Viewport]):
         self.stretch, self.handed = self.view.stretch, math.copysign(1.0, a * d - b * c)
         if not a:  # the axis that is shown from left to right
             self.across, self.middle = 1, 0.5 * (height - 1)
+        self._upright = turn
+        document.on_change.append(self._straightened)
+        self._straightened()
+
+    def _straightened(self) -> None:
+        """Show the picture turned and sheared as the result is; without its keystone."""
+        known, (a, b, c, d) = self.document.state.rest.straighten, self._upright
+        if known is not None:
+            (a, b), (c, d) = (known.linear @ np.array([[a, b], [c, d]])).tolist()
+        if self.view.turn != (a, b, c, d):
+            self._look(replace(self.view, turn=(a, b, c, d)))
+            self.stretch = self.view.stretch
+
+    @property
+    def line(self) -> tuple[Pair, Pair] | None:
+        """The ends, on the canvas, of the line that is drawn to be level."""
+        gesture = self._gesture
+        return (gesture.start, gesture.now) if isinstance(gesture, Lead) and gesture.how == _LEVEL else None
+
+    def _released(self) -> bool:
+        line, document = self.line, self.document
+        if line is not None and math.dist(*line) >= LEAST:
+            known = document.state.rest.straighten or Straighten()
+            document.set_straighten(known.levelled(*(self.view.to_image(*end) for end in line)))
+        return super()._released()
 
     @property
     def hover(self) -> tuple[float, ...] | None:
@@ -47,7 +81,7 @@ class ImageTools(Tools[Viewport]):
     @property
     def ring(self) -> float | None:
         """The brush's radius under the pointer, in logical pixels; None outside of the canvas."""
-        held, pointer = self.held, self.pointer
+        held, pointer = self.held, None if self.brush == "level" else self.pointer
         if pointer is None or not all(p < n for p, n in zip(pointer, self.view.canvas_size, strict=True)):
             return None
         return (self.radius if held is None else held.stroke.radius) * self._scale(())
@@ -55,8 +89,18 @@ class ImageTools(Tools[Viewport]):
     @property
     def grip(self) -> Pair | None:
         """The position of the knob of the line of symmetry; None where that is not drawn."""
-        at = self.view.to_canvas(self.middle, self.middle)[0], self.view.canvas_size[1] - GRIP
-        return at if self.symmetric else None
+        return self._on_axis(self.view.canvas_size[1] - GRIP) if self.symmetric else None
+
+    @property
+    def tilt(self) -> Pair | None:
+        """The position of the knob that tilts that line."""
+        return self._on_axis(GRIP) if self.symmetric else None
+
+    def _on_axis(self, y: float) -> Pair:
+        """Return where the line of symmetry is at a height on the canvas."""
+        here, (a, b) = (v[:2] for v in self.mirror(2))
+        (x0, y0), (x1, y1) = (self.view.to_canvas(here[0] - k * b, here[1] + k * a) for k in (-50, 50))
+        return x0 + (y - y0) * (x1 - x0) / (y1 - y0), y
 
     @property
     def place(self) -> Place:
@@ -64,7 +108,16 @@ class ImageTools(Tools[Viewport]):
         return (0.0, 0.0, *self.view.canvas_size)
 
     def _level(self, place: Pair) -> float:
-        return self.view.to_image(*place)[self.across]
+        point, other = self.view.to_image(*place), 1 - self.across
+        return point[self.across] - self.lean * (point[other] - self.mirror(2)[0][other])
+
+    def _tilted(self, place: Pair, about: Pair) -> None:
+        """Tilt the line of symmetry about a place of the canvas, or set it upright if it nearly is."""
+        across, other, p, q = self.across, 1 - self.across, self.view.to_image(*place), self.view.to_image(*about)
+        self.lean, self.middle = 0.0, q[across]
+        if abs(self._on_axis(place[1])[0] - place[0]) >= CLICK:
+            self.lean = min(max((p[across] - q[across]) / (p[other] - q[other]), -STEEPEST), STEEPEST)
+            self.middle -= self.lean * (q[other] - self.mirror(2)[0][other])
 
     def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
         point = self.view.to_image(x, y)
@@ -83,7 +136,7 @@ class ImageTools(Tools[Viewport]):
         return view.pan(dx, dy) if how == "pan" else view
 
     def _leads(self, event: Event) -> str | None:
-        return "pan" if pans(event) else None
+        return "pan" if pans(event) else _LEVEL if self.brush == "level" and event.get("button") == _LEFT else None
 
     def _turn(self, event: Event, amount: float) -> None:
         if commanded(event):
@@ -107,6 +160,8 @@ class VideoTools(ImageTools):
 
     Of those in every frame, an edit of what is animated sets a key in the frame shown; with Shift, all keys move.
     """
+
+    lacks = frozenset[Tool](("level",))
 
     def __init__(
         self,

@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from supple.deformation import Deformation
 from supple.errors import SuppleError
 from supple.space.domain import Domain
 from supple.space.freezing import Freeze
@@ -38,6 +39,7 @@ SHAPES: dict[Tool, dict[str, Any]] = {
 MASKS = frozenset(("freeze", "thaw"))
 """The tools that paint the freeze mask."""
 PAINTED = 2.0  # radii that a stroke of a painting reaches
+PUSHED = 0.5  # radii by which a push moves what is on its way, at full strength
 IMMATERIAL = frozenset(("twist", "bloat", "pucker", "scale"))
 """Tools and brushes that do not depend on the Poisson ratio."""
 
@@ -85,7 +87,8 @@ class Held:
     beneath: Point | None = None  # of a point that is added to a stroke: where its material was before the stroke
     dabbed: Pair | None = None  # of a painting: the place of the last dab
     mask: Freeze | None = None  # of the freeze mask: what it is so far
-    made: list[Stroke] = field(default_factory=list)  # and its strokes
+    painted: list[tuple[Point, float]] = field(default_factory=list)  # and its points, and how much there
+    base: Deformation | None = None  # and what it begins on
     pressure: float | None = None  # of a pen, from 0 to 1: the greatest so far; of a painting, the present one
 
     @property
@@ -95,7 +98,7 @@ class Held:
 
     @property
     def paints(self) -> bool:
-        """True if it makes a stroke for each part of its way."""
+        """True if it works on all of its way."""
         return self.item is None and self.tool in PAINTINGS
 
     @property
@@ -182,6 +185,8 @@ GROWTH = 1.1  # the factor of the brush for a notch of the wheel, which is 100
 class Drawing(ABC):
     """A brush on a document, for each kind of media."""
 
+    lacks: frozenset[Tool] = frozenset(("level", "push"))  # the tools that are for others
+
     def __init__(self, document: Document) -> None:
         self.document = document
         domain = Domain(document.shape, document.spacing)
@@ -202,6 +207,8 @@ class Drawing(ABC):
         self.symmetric = False  # whether new strokes have a mirror image
         self.across, self.middle = 0, 0.5 * (document.shape[-1] - 1)
         """The axis across which they have it, x is 0; and where its line or plane lies on it, in samples."""
+        self.lean = 0.0
+        """Of a picture: how far the line goes along that axis from one sample to the next along the other."""
         self.stretch: Pair = (1.0, 1.0)  # of a circle of the image on the canvas, to the right and down
         self.handed = 1.0  # the sense of a turn to the right in the image: -1.0 if it is shown mirrored
 
@@ -286,14 +293,28 @@ class Drawing(ABC):
         poisson = None if self.brush in IMMATERIAL else self.poisson
         return Stroke(at=point, radius=self.radius, poisson=poisson, reach=self.reach, **shape)
 
+    def mirror(self, ndim: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return a point of the line or plane of symmetry, and the direction across it, of length 1."""
+        here, normal, other = [0.0] * ndim, [0.0] * ndim, 1 - min(self.across, 1)
+        here[self.across], here[other] = self.middle, 0.5 * (self.document.shape[-1 - other] - 1)
+        size = math.hypot(1.0, self.lean)
+        normal[self.across], normal[other] = 1.0 / size, -self.lean / size
+        return tuple(here), tuple(normal)
+
     def mirrored(self, point: tuple[float, ...]) -> tuple[float, ...]:
         """Return the mirror image of a point."""
-        return tuple(2 * self.middle - p if k == self.across else p for k, p in enumerate(point))
+        here, normal = self.mirror(len(point))
+        return self._flipped(point, 2 * sum(a * n for a, n in zip(here, normal, strict=True)))
+
+    def _flipped(self, v: tuple[float, ...], shift: float = 0.0) -> tuple[float, ...]:
+        _, normal = self.mirror(len(v))
+        away = shift - 2 * sum(a * n for a, n in zip(v, normal, strict=True))
+        return tuple(a + away * n if n else a for a, n in zip(v, normal, strict=True))
 
     def _has_image(self, point: tuple[float, ...]) -> bool:
         """Return whether strokes are symmetric, and the mirror image of a point lies within the medium."""
-        size, image = self.document.shape[-1 - self.across], self.mirrored(point)[self.across]
-        return self.symmetric and -0.5 <= image <= size - 0.5
+        sides = zip(self.mirrored(point), self.document.shape[::-1], strict=False)
+        return self.symmetric and all(-0.5 <= x <= size - 0.5 for x, size in sides)
 
     def _images(self, stroke: Stroke, point: tuple[float, ...]) -> list[int]:
         """Return which points of a stroke are the mirror image of one, if strokes are symmetric."""
@@ -306,7 +327,7 @@ class Drawing(ABC):
         for nth, ((at, by), (p, v)) in enumerate(zip(before.handles, after.handles, strict=True)):
             if (at, by) == (p, v):
                 continue
-            flipped = tuple(-d if k == self.across else d for k, d in enumerate(v))
+            flipped = self._flipped(v)
             images = self._images(before, at)
             if nth in images and p == at:  # on the line, where it stays
                 pairs[nth] = p, tuple((a + b) / 2 for a, b in zip(v, flipped, strict=True))
@@ -329,17 +350,30 @@ class Drawing(ABC):
             self.document.trouble = str(error)
 
     def _paint(self, held: Held) -> None:
-        """Restore or smooth what is under the pointer, by a stroke for each half radius of its way."""
-        document = self.document
-        if not document.dragging:
+        """Restore, smooth or push what the pointer goes over, by one stroke, if that moves anything."""
+        document, count = self.document, len(held.painted)
+        if held.tool == "push" and document.timed:
+            raise SuppleError("a push is the same in every frame, and the strokes of this clip are in time")
+        if held.base is None:
+            held.base = document.deformation
             document.begin_drag()
         for place in held.dabs(0.5 * held.stroke.radius * self._scale(held.point)):
-            point = self._grab(*place)
-            if point is None:
-                continue
-            self._dab(held, point)
-            if self._has_image(point):
-                self._dab(held, self.mirrored(point))
+            if (point := self._grab(*place)) is not None:
+                held.painted.append((point, max(self.strength * held.firmness, LIGHTEST)))
+        points, parts = zip(*held.painted, strict=True) if held.painted else ((), ())
+        radius = held.stroke.radius
+        if held.tool == "push" and len(points) > 1:
+            away = PUSHED * radius * sum(parts) / len(parts) * (-1 if held.shift else 1) * self.handed
+            made = Stroke.push(points, by=away, radius=radius)
+            both = made.symmetric(*self.mirror(2)) if self._has_image(held.point) else (made,)
+            document.preview(*both, select=False)
+        elif held.tool != "push" and len(points) > count:
+            seen = [(q, x) for p, x in held.painted for q in (p, self.mirrored(p))[: 1 + self._has_image(p)]]
+            points, parts = zip(*seen, strict=True)
+            led = held.base.restore if held.tool == "restore" else held.base.smooth
+            made = led(points, radius=radius, strength=parts, warn=False).strokes[-1]
+            if max(math.hypot(*by) for _, by in made.handles) > STILL:
+                document.preview(made, select=False)
 
     def _mask(self, held: Held) -> None:
         """Freeze or thaw what is under the pointer. Strokes are resolved anew at the end, as each depends on it."""
@@ -357,17 +391,6 @@ class Drawing(ABC):
                 mask = mask.painted(at, held.stroke.radius, steps, frozen=frozen)
         held.mask = mask
 
-    def _dab(self, held: Held, point: tuple[float, ...]) -> None:
-        """Add a stroke of a painting, if it moves anything."""
-        document = self.document
-        led = document.deformation.restore if held.tool == "restore" else document.deformation.smooth
-        part = max(self.strength * held.firmness, LIGHTEST)
-        made = led(point, radius=held.stroke.radius, strength=part, warn=False).strokes[-1]
-        if max(math.hypot(*by) for _, by in made.handles) > STILL:
-            held.made.append(made)
-            if not document.preview(*held.made, select=False):
-                held.made.pop()
-
     def _drawn(self, held: Held) -> tuple[Stroke, ...]:
         """Return the stroke of a drag, or those that make it symmetric."""
         stroke = held.stroke
@@ -382,12 +405,11 @@ class Drawing(ABC):
             return (self.paired(held.stroke, stroke),)
         if not self._has_image(held.point):
             return (stroke,)
-        here, normal = [0.0] * stroke.ndim, [0.0] * stroke.ndim
-        here[self.across], normal[self.across] = self.middle, 1.0
+        line = self.mirror(stroke.ndim)
         if held.item is None:
-            return stroke.symmetric(here, normal)
+            return stroke.symmetric(*line)
         *pairs, (at, by) = stroke.handles  # of which the last is new
-        (more,) = replace(stroke, at=at, by=by, also=()).symmetric(here, normal)
+        (more,) = replace(stroke, at=at, by=by, also=()).symmetric(*line)
         return (replace(stroke, also=(*pairs[1:], *more.handles)),)
 
     def grow(self, notches: float) -> None:

@@ -22,7 +22,7 @@ KNOB = 10.0  # the largest distance from a knob: of the split between before and
 _KEPT = "this frame is kept, as those at the ends are: choose another, or fewer in Export options, Keep ends"
 _STAYS = "this place is frozen, and no stroke moves it: thaw it first (V)"
 _LEFT = 1
-_CUT, _LINE = "cut", "line"
+_CUT, _LINE, _TILT = "cut", "line", "tilt"
 _MOST = 1e4  # the largest turn of the wheel at once: larger powers overflow
 _REQUESTS = {"s": "save", "o": "open", "e": "export"}
 COMMANDS = frozenset((*_REQUESTS, "z", "y"))  # letters that do something together with Control
@@ -131,6 +131,11 @@ class Tools(Drawing, Generic[V]):
         """The position of the knob of the line of symmetry in the view under the pointer; None where it has none."""
 
     @property
+    def tilt(self) -> Pair | None:
+        """The position of the knob that tilts that line; None where it stays upright."""
+        return None
+
+    @property
     def _beside(self) -> str:
         """The left button's effect on the view where there is nothing to grab."""
         return "click"
@@ -145,6 +150,9 @@ class Tools(Drawing, Generic[V]):
     @abstractmethod
     def _level(self, place: Pair) -> float:
         """Return the coordinate, along the axis across the line of symmetry, of a position of the canvas."""
+
+    def _tilted(self, place: Pair, about: Pair) -> None:
+        """Tilt the line of symmetry, so that it goes through two places of the canvas."""
 
     @abstractmethod
     def _led(self, how: str, view: V, dx: float, dy: float) -> V:
@@ -176,6 +184,8 @@ class Tools(Drawing, Generic[V]):
             how = _CUT
         elif how is None and button == _LEFT and self.grip is not None and math.dist(self.grip, (x, y)) <= KNOB:
             how = _LINE
+        elif how is None and button == _LEFT and self.tilt is not None and math.dist(self.tilt, (x, y)) <= KNOB:
+            how = _TILT
         elif how is None and button == _LEFT:
             self._gesture = self._taken(x, y)
             self._press(self._gesture, event)
@@ -242,6 +252,8 @@ class Tools(Drawing, Generic[V]):
             self.split = min(max((place[0] - left) / width, 0.0), 1.0)
         elif gesture.how == _LINE:
             self._lay(gesture, place)
+        elif gesture.how == _TILT and self.grip is not None:
+            self._tilted((place[0], gesture.start[1]), self.grip)
         else:
             (x, y), (a, b) = place, gesture.start
             self.view = self._led(gesture.how, gesture.base, x - a, y - b)
@@ -283,7 +295,7 @@ class Tools(Drawing, Generic[V]):
             if gesture.tool == "pin" and gesture.item is not None and self._takes(gesture.item):
                 self._unpin(gesture)
                 return True
-        elif gesture.button != _LEFT or gesture.how in (_CUT, _LINE) or gesture.moved:
+        elif gesture.button != _LEFT or gesture.how in (_CUT, _LINE, _TILT) or gesture.moved:
             return True
         found = nearest(self.handles(), gesture.start)
         self.document.select(None if found is None else found.item)
@@ -332,7 +344,7 @@ class Tools(Drawing, Generic[V]):
             self.grow(1 if key == "]" else -1)
         elif key == "\\":
             self.original = True
-        elif key.lower() in _BRUSHES:
+        elif key.lower() in _BRUSHES and _BRUSHES[key.lower()] not in self.lacks:
             self.brush = _BRUSHES[key.lower()]
         elif key in ("b", "B"):
             self.split = 0.5 if self.split is None else None

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-Tool = Literal["grab", "twist", "bloat", "pucker", "pinch", "path", "restore", "smooth", "pin", "freeze", "thaw"]
+Tool = Literal[
+    "grab", "twist", "bloat", "pucker", "pinch", "path", "restore", "smooth", "push", "pin", "freeze", "thaw", "level"
+]
 Rows = Mapping[str, str]
 
 BRUSHES: Mapping[Tool, tuple[str, str]] = {
@@ -16,6 +18,7 @@ BRUSHES: Mapping[Tool, tuple[str, str]] = {
     "pinch": ("N", "squeeze what is under the pointer along the drag, and stretch it across; with Shift, the reverse"),
     "path": ("F", "pull what is under the pointer along the way that you draw"),
     "restore": ("R", "bring back what is under the pointer to where it came from; a click does so once"),
+    "push": ("A", "push what is under the pointer to the left of the way that you draw; with Shift, to the right"),
     "smooth": ("S", "even out how far the surroundings have moved; a click does so once"),
     "pin": (
         "D",
@@ -23,11 +26,12 @@ BRUSHES: Mapping[Tool, tuple[str, str]] = {
     ),
     "freeze": ("C", "paint what no stroke moves, earlier ones neither; with Shift, thaw"),
     "thaw": ("V", "paint what strokes may move again; with Shift, freeze"),
+    "level": ("Y", "draw a line that shall be level, or upright: the picture is turned, in the same resampling"),
 }
 """For each brush, in the order of the tools' strip, its key, and what a drag with it does."""
 _ALWAYS: Rows = {
-    **{key: f"{name}: {what}" for name, (key, what) in BRUSHES.items()},
-    "M": "strokes are symmetric about the dashed line, whose knob moves it, or no longer",
+    **{key: f"{name}: {what}" for name, (key, what) in BRUSHES.items() if name not in ("level", "push")},
+    "M": "strokes are symmetric about the dashed line, or no longer; its lower knob moves it, the upper one tilts it",
     "click": "select the stroke whose handle is there, or none",
     "[  ]": "smaller and larger brush, or selected stroke",
     "Delete, Backspace": "remove the selected stroke",
@@ -49,10 +53,12 @@ _PICTURE: Rows = {
     "middle drag, Alt+drag": "move the view",
     "0  1": "fit the picture, or show it at 100 %",
 }
+_PUSH: Rows = {BRUSHES["push"][0]: f"push: {BRUSHES['push'][1]}"}
 KEYS: Mapping[str, Rows] = {
-    "image": {**_PICTURE, **_ALWAYS},
+    "image": {**_PICTURE, **_PUSH, BRUSHES["level"][0]: f"level: {BRUSHES['level'][1]}", **_ALWAYS},
     "video": {
         **_PICTURE,
+        **_PUSH,
         "wheel in a drag": "pull the pixel through time, up is later; also with the arrows Left and Right",
         "Space": "play and pause",
         "Left, Right": "the frame before, and after",

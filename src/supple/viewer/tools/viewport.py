@@ -83,7 +83,7 @@ class Viewport:
     def stretch(self) -> Pair:
         """The extent of a pixel of the image as it is shown, to the right and down: 1 where pixels are square."""
         a, b, c, d = self.turn
-        return abs(a + b), abs(c + d)  # of each two, one is 0
+        return math.hypot(a, b), math.hypot(c, d)
 
     @property
     def _fit(self) -> float:
@@ -121,9 +121,9 @@ class Viewport:
         """
         width, height = (n / ratio for n in size)
         inset = 0.5 / ratio
-        near, far = self.to_image(inset, inset), self.to_image(width - inset, height - inset)
-        origin = min(near[0], far[0]), min(near[1], far[1])
-        extent = abs(far[0] - near[0]), abs(far[1] - near[1])
+        ends = [self.to_image(x, y) for x in (inset, width - inset) for y in (inset, height - inset)]
+        origin, far = (tuple(map(of, *ends)) for of in (min, max))
+        extent = far[0] - origin[0], far[1] - origin[1]
         scale = max(1.0 / (self.zoom * ratio * max(self.stretch)), max(extent) / (_MOST - 1))
         columns, rows = (math.ceil(e / scale - 1e-3) + 1 for e in extent)
 

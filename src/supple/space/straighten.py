@@ -1,0 +1,214 @@
+"""Pictures straightened: turned, sheared, freed of perspective, and framed; one map of the plane, and its output."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Literal, Self, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.errors import SuppleError
+from supple.space.affine import Affine, Projective
+from supple.space.checks import choice, integer, items, number, point, refuse
+
+Floats = npt.NDArray[np.float64]
+Frame = Literal["crop", "pad", "keep"]
+FRAMES: tuple[str, ...] = get_args(Frame)
+
+MOST_SHEAR = 60.0  # degrees
+_LONGEST = 1 << 20  # pixels on a side: beyond them, a size is a slip
+_STEEPEST = 20.0  # times that a picture is stretched more at one place than in the middle
+_ROUNDING = 1e-6  # pixels
+_CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
+
+
+@dataclass(frozen=True, slots=True)
+class Straighten:
+    """How a picture is straightened, after all strokes: by the keystone, the turn and the shear, in this order.
+
+    Parameters
+    ----------
+    rotate : float
+        Degrees, clockwise on a screen, about the middle of the picture.
+    shear : float or (float, float)
+        Degrees by which verticals lean, and horizontals, if there are two numbers: x becomes x + y tan(first), y
+        becomes y + x tan(second), from the middle of the picture.
+    keystone : sequence of four points
+        The corners of what shall be an upright rectangle, in pixels: top left, top right, bottom right, bottom left.
+        Its sides are as long as opposite sides are on average, and its middle stays where it is.
+    scale_to : sequence of int
+        The width of the result in pixels, or its width and height: nothing is distorted, and the frame gets their
+        proportions. Empty: pixels keep their size.
+    fit : str
+        The frame of the result. ``"crop"``: the largest with the proportions of the picture (or of its nearest quarter
+        turn) without empty corners. ``"pad"``: all of the picture, and around it what is empty. ``"keep"``: that of the
+        picture.
+    """
+
+    rotate: float = 0.0
+    shear: tuple[float, float] = (0.0, 0.0)
+    keystone: tuple[tuple[float, ...], ...] = ()
+    scale_to: tuple[int, ...] = ()
+    fit: Frame = "crop"
+
+    def __post_init__(self) -> None:
+        given: object = self.shear
+        shears = [given, 0.0] if isinstance(given, int | float) else items("shear", given, "one number or two", (1, 2))
+        wanted = f"one number of degrees or two, from {-MOST_SHEAR:g} to {MOST_SHEAR:g}"
+        x, y = (number("shear", s, wanted, -MOST_SHEAR, MOST_SHEAR) for s in [*shears, 0.0][:2])
+        if math.tan(math.radians(x)) * math.tan(math.radians(y)) > 0.9:
+            refuse("shear", "two angles that leave the picture upright", self.shear)
+        what = "four points: top left, top right, bottom right, bottom left"
+        corners = items("keystone", self.keystone, what, (0, 4))
+        quad = tuple(point(f"keystone[{i}]", p, (2,)) for i, p in enumerate(corners))
+        if quad and not _is_convex(np.array(quad)):
+            refuse("keystone", f"{what} of a frame without notches", self.keystone)
+        sizes = items("scale_to", self.scale_to, "a width, or a width and a height", (0, 1, 2))
+        most = f"a number of pixels from 1 to {_LONGEST}"
+        choice("fit", self.fit, FRAMES)
+        checked = {
+            "rotate": number("rotate", self.rotate, "a number of degrees from -360 to 360", -360.0, 360.0),
+            "shear": (x, y),
+            "keystone": quad,
+            "scale_to": tuple(integer("scale_to", n, most, 1, _LONGEST) for n in sizes),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether the result may have empty parts."""
+        return self.fit != "crop"
+
+    def mapped(self, place: Callable[[tuple[float, ...]], tuple[float, ...]]) -> Self:
+        """Return the same for a picture in which points are where a function sends them."""
+        return replace(self, keystone=tuple(map(place, self.keystone)))
+
+    def on(self, sizes: tuple[int, ...]) -> tuple[Affine | Projective, tuple[int, int]]:
+        """Return the map of a picture, from pixels of the result to its own (pull), and the size of the result.
+
+        ``sizes`` are the picture's width and height. SuppleError if the keystone is too steep for it.
+        """
+        whole = np.array(sizes, np.float64)
+        push = self._push((whole - 1) / 2)
+        corners = _CORNERS * whole - 0.5
+        depth = np.column_stack([corners, np.ones(4)]) @ push[2]
+        if not depth.min() * _STEEPEST > (np.append((whole - 1) / 2, 1.0) @ push[2]):
+            self._refuse_steep()
+        seen = _through(push, corners)
+        turned = self.fit != "keep" and abs(math.sin(math.radians(self.rotate))) > math.sqrt(0.5) + 1e-12
+        natural = whole[::-1] if turned else whole
+        wanted = np.array(self.scale_to, np.float64)
+        shape = wanted if len(wanted) == 2 else natural
+        if self.fit == "crop":
+            middle, scale = _largest(seen, shape)
+            extent = scale * shape
+        else:
+            low, high = (-0.5, whole - 0.5) if self.fit == "keep" else (seen.min(axis=0), seen.max(axis=0))
+            middle, extent = (low + high) / 2, high - low
+            if len(wanted) == 2:
+                extent = shape * (extent / shape).max()
+        crops, step = self.fit == "crop", 1.0
+        if len(wanted):
+            size = wanted if len(wanted) == 2 else np.maximum(np.rint(wanted[0] * extent / extent[0]), 1.0)
+            step = float((extent / size).min() if crops else (extent / size).max())
+        else:
+            size = np.maximum(np.floor(extent + _ROUNDING) if crops else np.ceil(extent - _ROUNDING), 1.0)
+        if size.max() > min(_LONGEST, math.inf if len(wanted) else _STEEPEST * whole.max()):
+            self._refuse_steep()
+        first = middle - step * (size - 1) / 2
+        near = np.rint(first * 2) / 2
+        first = np.where(np.abs(first - near) < _ROUNDING, near, first)
+        pull = np.linalg.inv(push) @ np.array([[step, 0.0, first[0]], [0.0, step, first[1]], [0.0, 0.0, 1.0]])
+        if not self.keystone:
+            exact = np.rint(pull * 2) / 2  # of quarter turns
+            pull = np.where(np.abs(pull - exact) < 1e-11, exact, pull)
+            pull[2] = (0.0, 0.0, 1.0)
+        depth = np.column_stack([_CORNERS * size - 0.5, np.ones(4)]) @ pull[2]
+        if not depth.min() * _STEEPEST > np.append((size - 1) / 2, 1.0) @ pull[2]:
+            self._refuse_steep()
+        made = Projective(pull) if self.keystone else Affine(pull)
+        return made, (int(size[0]), int(size[1]))
+
+    @property
+    def linear(self) -> Floats:
+        """The matrix (2, 2) of displacements that is the turn and the shear."""
+        quarters, angle = self.rotate / 90, math.radians(self.rotate)
+        k = int(quarters) % 4
+        exact = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[k]
+        c, s = exact if quarters.is_integer() else (math.cos(angle), math.sin(angle))
+        x, y = (math.tan(math.radians(a)) for a in self.shear)
+        return np.asarray(np.array([[1.0, x], [y, 1.0]]) @ np.array([[c, -s], [s, c]]))
+
+    def levelled(self, one: Sequence[float], other: Sequence[float]) -> Self:
+        """Return the same with the turn that makes a line between two points of the picture level, or upright."""
+        flat = replace(self, rotate=0.0, shear=(0.0, 0.0))
+        dx, dy = np.diff(_through(flat._push(np.zeros(2)), np.array([one, other])), axis=0)[0].tolist()
+        return replace(self, rotate=round(-math.remainder(math.degrees(math.atan2(dy, dx)), 90.0), 3) + 0.0)
+
+    def _push(self, centre: Floats) -> Floats:
+        """Return the homogeneous matrix from pixels of a picture to the straightened plane."""
+        made = np.eye(3)
+        made[:2, :2] = self.linear
+        made[:2, 2] = centre - made[:2, :2] @ centre
+        return made @ _rectified(np.array(self.keystone)) if self.keystone else made
+
+    def _refuse_steep(self) -> None:
+        refuse("keystone", "a frame of less perspective: its horizon is in the picture or near it", self.keystone)
+
+
+def _is_convex(quad: Floats) -> bool:
+    """Return whether four points go round a convex frame, clockwise on a screen."""
+    sides = np.roll(quad, -1, axis=0) - quad
+    after = np.roll(sides, -1, axis=0)
+    cross = sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0]
+    lengths = np.hypot(*sides.T)
+    return bool((lengths > 1.0).all() and (cross > 1e-3 * lengths * np.roll(lengths, -1)).all())
+
+
+def _rectified(quad: Floats) -> Floats:
+    """Return the homography from four corners to those of an upright rectangle about their middle (Heckbert 1989)."""
+    lengths = np.hypot(*(np.roll(quad, -1, axis=0) - quad).T)
+    size = np.array([lengths[0] + lengths[2], lengths[1] + lengths[3]]) / 2
+    goal = quad.mean(axis=0) + (_CORNERS - 0.5) * size
+    rows = []
+    for (x, y), (u, v) in zip(quad.tolist(), goal.tolist(), strict=True):
+        rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
+    made = np.append(np.linalg.solve(np.array(rows, np.float64), goal.ravel()), 1.0).reshape(3, 3)
+    return np.asarray(made * np.sign(np.append(quad.mean(axis=0), 1.0) @ made[2]))
+
+
+def _through(matrix: Floats, points: Floats) -> Floats:
+    """Return points (N, 2) as a homography sends them."""
+    found = points @ matrix[:, :2].T + matrix[:, 2]
+    return np.asarray(found[:, :2] / found[:, 2:])
+
+
+def _largest(corners: Floats, shape: Floats) -> tuple[Floats, float]:
+    """Return the middle of the largest upright rectangle of given proportions in a convex frame, and its scale.
+
+    For each side n·x + d ≥ 0, the middle m and the scale s satisfy n·m + d ≥ s (|n_x| w + |n_y| h) / 2: a linear
+    program of three unknowns, solved at its vertices, each of three sides. Of several solutions, their mean.
+    """
+    sides = np.roll(corners, -1, axis=0) - corners
+    normals = np.column_stack([-sides[:, 1], sides[:, 0]])
+    normals /= np.hypot(*normals.T)[:, None]
+    normals *= np.sign(((corners.mean(axis=0) - corners) * normals).sum(axis=1))[:, None]
+    rows = np.column_stack([normals, -np.abs(normals) @ shape / 2])
+    shift = -(normals * corners).sum(axis=1)
+    found = []
+    for chosen in combinations(range(len(rows)), 3):
+        some = rows[list(chosen)]
+        if abs(np.linalg.det(some)) > 1e-12 * np.abs(some).max():
+            x = np.linalg.solve(some, -shift[list(chosen)])
+            if (rows @ x + shift >= -1e-9 * np.abs(corners).max()).all():
+                found.append(x)
+    if not found:
+        raise SuppleError("the straightened picture has no part that a frame fits in")
+    best = max(x[2] for x in found)
+    mean = np.mean([x for x in found if x[2] > best * (1 - 1e-9)], axis=0)
+    return mean[:2], float(best)
