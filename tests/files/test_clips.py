@@ -302,14 +302,14 @@ def test_odd_sizes(run: Run, size: tuple[int, int], border: str) -> None:
 def test_a_miscounted_clip_is_read_once_more(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Clips whose packets promise other numbers of frames than decoding gives."""
     frames = stack(noisy("in.mkv", "yuv444p"))
-    true = supple.media.video.survey
+    true = supple.media.video.demux.survey
 
     def survey(container: Any, film: Any) -> Any:
         found = true(container, film)
         return replace(found, count=found.count + off)
 
     off = 0
-    monkeypatch.setattr(supple.media.video, "survey", survey)
+    monkeypatch.setattr(supple.media.video.demux, "survey", survey)
     d = supple.Deformation.from_recipe(TIMED, frames.shape[:3], time=True)
     sheet, cut, grid = ["sheet"], ["slice", "--x", "3"], ["grid", "--frame", "9"]
     for off, whats in ((-2, [sheet, grid]), (3, [cut])):  # noqa: B007
