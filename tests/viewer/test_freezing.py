@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from supple.deformation import Deformation
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu
 from supple.media import image as images
 from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke
-from supple.viewer.document.words import described, frozen, step
+from supple.viewer.document.words import described, frozen, listed, step
 from supple.viewer.panels.overlay import status
 from supple.viewer.tools.gestures import Tools
 from tests.viewer.sessions import recipe_in, warped
@@ -33,7 +35,7 @@ def state(tools: Tools[Any]) -> tuple[object, bytes]:
 
 def mask(tools: Tools[Any]) -> np.ndarray:
     """m at all samples."""
-    found = tools.document.state.rest.freeze
+    found = tools.document.frozen
     assert found is not None
     return found.shown(tools.document.shape[-found.ndim :])
 
@@ -99,9 +101,26 @@ class TestPictures:
         assert state(tools) == after
         rng = np.random.default_rng(1)
         source = rng.integers(0, 256, (200, 300, 3), dtype=np.uint8)
-        made, frozen = tools.document.deformation.warp(source), mask(tools) == 0
-        np.testing.assert_array_equal(made[frozen], source[frozen])
-        assert (made != source).any()
+        # It stays as it is now, whatever follows; and painting on changes the same item of the list.
+        press(tools, "g")
+        drag(tools, (321, 181), (331, 131))
+        made, held = tools.document.deformation.warp(source), mask(tools) == 0
+        np.testing.assert_array_equal(made[held], bent.warp(source)[held])
+        assert (made[held] != source[held]).any()
+        assert (made != bent.warp(source)).any()
+        assert [stroke.brush for stroke in tools.document.strokes] == ["grab", "freeze", "grab"]
+        assert listed(tools.document.strokes[1]) == f"Freeze: {frozen(tools.document.freeze)}"
+        press(tools, "c")
+        drag(tools, (101, 121), (121, 121))
+        drag(tools, (101, 131), (121, 131))
+        assert [stroke.brush for stroke in tools.document.strokes] == ["grab", "freeze", "grab", "freeze"]
+        assert names(tools) == ["Freeze", "Grab at (160, 90)", "Freeze", "Freeze"]
+        tools.document.hide(1)
+        free = tools.document.deformation.warp(source)
+        assert (free[held] != made[held]).any()
+        tools.document.hide(3)
+        assert tools.mask is None
+        assert tools.document.recipe == Recipe.from_json(tools.document.recipe.to_json())
 
     def test_a_click_freezes_and_thawing_brings_all_back(self) -> None:
         tools = image(Stroke.grab((100, 50), by=(20, 5), radius=30))
@@ -185,11 +204,12 @@ class TestPictures:
         assert "30 short: what is frozen holds it back" in described(document.strokes[0], document.arrival(0))
 
     def test_what_is_frozen_lets_go_of_one_of_several_points(self) -> None:
-        tools = image(Stroke(at=(100, 50), by=(20, 0), radius=20, also=(((200, 100), (0, 10)),)), on_fold="flow")
+        tools = image(on_fold="flow")
         document = tools.document
         press(tools, "c")
         drag(tools, (201, 101), (203, 101))
         assert tools.status is None
+        document.add(Stroke(at=(100, 50), by=(20, 0), radius=20, also=(((200, 100), (0, 10)),)))
         assert arrived(tools, 0) == (100, 50)
         assert "(100, 50), is let go" in (document.deformation.warnings[0] or "")
         np.testing.assert_allclose(document.deformation.forward((200, 100)), (200, 110), atol=1e-6)
@@ -226,13 +246,18 @@ def test_a_clip_is_frozen_in_all_frames() -> None:
     up(tools, 221, 101)
     assert mask(tools).shape == tools.document.shape[1:]
     points = np.array([(x, 50.0, t) for x in (100, 105, 110) for t in range(0, 20, 5)])
-    np.testing.assert_array_equal(tools.document.deformation.forward(points), points)
-    assert recipe_round(tools) == tools.document.state.rest.freeze
+    before = tools.document.deformation
+    tools.document.add(Stroke.grab((130, 50, 10), by=(-20, 5, 2), radius=30))
+    after = tools.document.deformation
+    np.testing.assert_array_equal(after.inverse(points).points, before.inverse(points).points)
+    assert np.abs(after.inverse((130, 50, 10)).points - before.inverse((130, 50, 10)).points).max() > 1
+    assert recipe_round(tools) == tools.document.frozen
 
 
 def recipe_round(tools: Tools[Any]) -> Freeze | None:
     """The freeze mask after the recipe was saved and read."""
-    return Recipe.from_json(tools.document.recipe.to_json()).freeze
+    read = Recipe.from_json(tools.document.recipe.to_json())
+    return next((stroke.matte for stroke in read.strokes if stroke.brush == "freeze"), read.freeze)
 
 
 def test_a_ball_of_a_volume_is_frozen_in_a_plane() -> None:
@@ -247,7 +272,7 @@ def test_a_ball_of_a_volume_is_frozen_in_a_plane() -> None:
     assert (mask(tools)[ball] == 0).all()
     assert ball.any(axis=(1, 2)).sum() > 1
     assert mask(tools).max() == 1
-    assert recipe_round(tools) == tools.document.state.rest.freeze
+    assert recipe_round(tools) == tools.document.frozen
 
 
 def red(seen: np.ndarray, at: tuple[int, int]) -> bool:
@@ -301,10 +326,22 @@ def test_a_photograph_is_frozen_by_hand(gpu: Gpu, grey_photo: Path) -> None:
     bent, wanted = both(view, grey_photo, "wanted.png")
     made, source = images.read(bent).pixels, images.read(grey_photo).pixels
     np.testing.assert_array_equal(made, images.read(wanted).pixels)
-    frozen = view.recipe.freeze.shown(made.shape[:2]) == 0
+    frozen = view.document.freeze.shown(made.shape[:2]) == 0
     assert frozen.sum() > 2000
-    np.testing.assert_array_equal(made[frozen], source[frozen])
-    assert (made != source).any()
+    state = Deformation.from_recipe(replace(view.recipe, strokes=view.recipe.strokes[:1]), made.shape[:2])
+    np.testing.assert_array_equal(made[frozen], state.warp(source)[frozen])
+    assert [stroke.brush for stroke in view.recipe.strokes] == ["grab", "freeze"]
+    # Then a stroke across its edge.
+    view.overlay = ""
+    hand.key("g")
+    view.tools.radius = 50
+    hand.drag((330, 280), (300, 250))
+    hand.move(20, 20)
+    screen(hand)
+    made = view.document.deformation.warp(source)
+    np.testing.assert_array_equal(made[frozen], state.warp(source)[frozen])
+    assert (made != state.warp(source)).any()
+    assert view._gui.trouble == view.stage.trouble == ""
     # What is on screen is what is exported.
     view.overlay = ""
     left, top = (round(v) for v in view.tools.view.to_canvas(0, 0))
@@ -378,6 +415,9 @@ def test_what_takes_long_is_announced(gpu: Gpu, volume: Path, monkeypatch: pytes
     hand.canvas.draw()
     assert view.stage._seconds[True] == np.inf  # what the mask costs is not known yet
     hand.release(205, 150)
+    hand.canvas.draw()
+    assert not view.computing  # it moves nothing yet
+    view.document.add(Stroke.grab(tuple(view.tools.sight.cross), by=(5, 0, 0), radius=30))
     hand.canvas.draw()
     assert view.computing
     assert status(view) == "computing \u2026"

@@ -34,7 +34,7 @@ _NAMES = (
     "error field_of_view fill filter first_frame fit flat force frame frames freeze freeze_width from hold labels "
     "linear_light lossless map memory mode on_fold outside pixel_format poisson preset quality radius reach "
     "refer_to reference resample roll save_field scales scheduler series shape size source spacing status step "
-    "target time time_filter time_radius time_scale to tolerance track_frame track_turn transfer turntable up "
+    "strength target time time_filter time_radius time_scale to tolerance track_frame track_turn transfer turntable up "
     "workers world x y"
 )
 _OPTIONS = {name: f"--{name.replace('_', '-')}" for name in _NAMES.split()}

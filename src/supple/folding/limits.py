@@ -76,6 +76,37 @@ def resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     return _resolved(stroke, domain, on_fold, current_spelling())  # which its warning follows
 
 
+def farthest(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> tuple[Stroke, Resolved]:
+    """Return a stroke at its strength, and its safe rows: beyond 1, or below 0, as much of it as is possible.
+
+    The part that is carried out, within a hundredth of the stroke, is in the warning, with the reason. Errors are those
+    of `resolve`, under ``"error"`` and of strengths from 0 to 1.
+    """
+
+    def carried(part: float) -> tuple[Stroke, Resolved]:
+        whole = stroke if part == stroke.strength == 1 else stroke.weakened(part)
+        return whole, resolve(whole, domain, on_fold)
+
+    wanted = stroke.strength
+    low, high = 0.0, wanted
+    try:
+        return carried(wanted)
+    except SuppleError as error:
+        if on_fold == "error" or 0 <= wanted <= 1:
+            raise
+        reason = str(error)
+    made, resolved = carried(low)
+    while abs(high - low) > 0.01:
+        middle = (low + high) / 2
+        try:
+            made, resolved = carried(middle)
+            low = middle
+        except SuppleError:
+            high = middle
+    warning = f"{wanted:.0%} of {described(stroke)} is carried out at {low:.0%}, as far as is possible: {reason}"
+    return made, replace(resolved, alpha=resolved.alpha * low / wanted, cause="fold", warning=warning)
+
+
 # A stroke does not depend on those before it: after an edit, the rows of the others are reused.
 @lru_cache(maxsize=4096)
 def _resolved(stroke: Stroke, domain: Domain, on_fold: FoldPolicy, spelling: Spelling) -> Resolved:
