@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from supple import Deformation, Freeze, Recipe, Stroke, SuppleError, warp_file
 from supple.engine.work import Mattes, refuse_mattes
-from supple.errors import FoldError, FoldWarning
+from supple.errors import FoldError, FoldWarning, MissWarning
 from supple.folding.resolved import described
 from supple.strokes import pack
 from tests.clips import decoded, make
@@ -213,6 +213,11 @@ def test_other_devices_refuse_it_and_say_so() -> None:
 
     with pytest.raises(SuppleError, match="a freeze stands between strokes, which PyTorch does not take"):
         supple.torch.forward(torch.zeros(1, 2), whole)
+    first = Deformation(SHAPE).freeze(disc(85, 62, 24)).grab((40, 60), by=(4, 3), radius=24)
+    points = torch.tensor([[40.0, 60.0], [85.0, 62.0]], dtype=torch.float64)
+    np.testing.assert_allclose(supple.torch.forward(points, first), first.forward(points.numpy()), atol=1e-9)
+    with pytest.raises(SuppleError, match="gradients need one freeze mask for all strokes"):
+        supple.torch.forward(points, first, radius=torch.tensor([3.0, 24.0], requires_grad=True))
 
 
 @pytest.mark.parametrize("part", [-1.0, -0.4, 0.0, 0.7, 1.5, 2.0])
@@ -252,12 +257,11 @@ def test_beyond_what_is_possible_it_is_as_far_as_that_and_said() -> None:
         d = Deformation(SHAPE).add(replace(near, strength=2.0))
     assert 158 < d.forward((130, 60))[0] < 159.5
     assert d.report().damping[0] == pytest.approx(0.735, abs=0.01)
+    assert (d.arrivals[0].target, d.arrivals[0].cause) == ((170, 60), "fold")
     assert d.report().margin > 0
     with pytest.warns(FoldWarning, match="stroke 1 of 2: 200% of"):
         Deformation.from_recipe(Recipe(strokes=(near, near), amount=2.0), SHAPE)
-    with pytest.warns(
-        FoldWarning, match="200% of a scale by 50 .* at 1[0-9][0-9]%, as far as is possible: factor must be"
-    ):
+    with pytest.warns(MissWarning, match="200% of a scale by 50 .* at 117%, as far as is possible: factor must be"):
         d = Deformation(SHAPE).add(Stroke.scale((80, 60), factor=50, radius=10, strength=2.0))
     assert 95 < d.jacobian((80, 60))[0, 0] <= 100
     left = Stroke.grab((20, 60), by=(30, 0), radius=20, strength=-1.0)

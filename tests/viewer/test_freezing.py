@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from tests.viewer.sessions import recipe_in, warped
 from tests.viewer.test_tools_slices import bench, middle
 from tests.viewer.test_window_brushes import both
 from tests.viewer.tools import arrived, clip, down, drag, image, move, press, up, wheel
-from tests.viewer.windows import Hand, opened
+from tests.viewer.windows import Hand, opened, watch
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
@@ -464,3 +465,155 @@ def test_a_volume_is_frozen_in_a_plane_and_rendered(gpu: Gpu, volume: Path) -> N
     view.document.set_freeze(None)
     screen(hand)
     assert view._gui.trouble == ""
+
+
+def crossed(shape: tuple[int, int]) -> tuple[Stroke, Stroke, Stroke]:
+    """A stroke, a freeze of a part of what it moves, and a stroke across its edge, of a picture of a shape."""
+    y, x = np.indices(shape)
+    mask = Freeze.of(np.hypot(x - 0.4 * shape[1], y - 0.5 * shape[0]) < 0.15 * shape[0])
+    at = 0.4 * shape[1], 0.45 * shape[0]
+    radius = 0.2 * shape[0]
+    first = Stroke.grab(at, by=(0.1 * shape[0], 0), radius=radius)
+    return first, Stroke.freeze(mask), Stroke.grab((at[0] + radius, at[1]), by=(0, -0.1 * shape[0]), radius=radius)
+
+
+def test_a_gpu_leaves_several_masks_to_the_cpu(gpu: Gpu) -> None:
+    from supple.gpu.plate import Sight
+    from supple.gpu.screen import canvas_texture, pixels_of
+    from supple.viewer.panels.stages import ImageStage
+
+    source = np.random.default_rng(4).integers(0, 256, (150, 210, 4), np.uint8)
+    source[..., 3] = 255
+    stage = ImageStage(replace(gpu, software=False), "a.png", source)
+    d, sight = (
+        Deformation.from_recipe(Recipe(strokes=crossed((150, 210))), (150, 210)),
+        Sight((0.0, 0.0), 1.0, (210, 150)),
+    )
+    texture = canvas_texture(gpu, sight.size)
+    wanted = d.warp(source, alpha=False).astype(int)
+    for one, off in ((d.without_strokes().grab((50, 50), by=(9, 3), radius=20), None), (d, 1)):
+        stage.expect((one,), sight)
+        assert stage.draw(one, sight, texture)
+        apart = np.abs(pixels_of(gpu, texture).astype(int)[..., :3] - wanted[..., :3])
+        assert (apart.max() <= 1) == (off == 1)
+        assert stage.trouble == ""
+    stage.expect((d,), replace(sight, overlay="grid"))
+    assert stage.trouble == "the overlay leaves out freezes after the first stroke, and mattes"
+
+
+def test_frames_of_a_clip_show_a_freeze_among_strokes(gpu: Gpu, clip: Path) -> None:
+    from tests.viewer.windows import wait_for
+
+    view, hand = opened(clip)
+    wait_for(lambda: hand.canvas.draw() is not None and view.painter.ready, 60)
+    hand.key("1")
+    view.document.timed = False
+    for stroke in crossed(view.stage.shape[1:]):
+        view.document.add(stroke)
+    view.document.select(None)
+    for _ in range(3):
+        hand.canvas.draw()
+    assert view._gui.trouble == view.stage.trouble == ""
+    wanted = view.document.deformation.warp(view.stage.film.get(view.tools.playback.frame)[..., :3]).astype(int)
+    shown = view.pixels().astype(int)
+    left, top = (math.floor(v) for v in view.tools.view.to_canvas(0, 0))
+    assert min(left, top) >= 0
+    part = shown[top : top + wanted.shape[0], left : left + wanted.shape[1], :3]
+    assert np.abs(part - wanted[: part.shape[0], : part.shape[1]]).max() <= 1
+    # In time, that is not shown, and said.
+    timed, _ = opened(clip)
+    for stroke in crossed(view.stage.shape[1:]):
+        timed.document.add(replace(stroke, at=(*stroke.at, 2.0), by=(*stroke.by, 0.0)[: 3 * bool(any(stroke.by))]))
+    timed.canvas.draw()
+    assert "are not shown: export has them" in timed.stage.trouble
+
+
+def test_a_freeze_in_the_list(gpu: Gpu, grey_photo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    strokes = crossed((380, 560))
+    view, hand = opened(grey_photo, Recipe(strokes=strokes))
+    view.document.select(1)
+    for _ in range(2):
+        hand.canvas.draw()
+    assert view._gui.trouble == ""
+    assert described(strokes[1], None) == (
+        f"Freeze: {frozen(view.document.freeze)}\nlater strokes move nothing there, earlier ones keep their effect"
+    )
+    assert {i for i, _ in view.document.tracks()} == {0, 2}
+    view.document.move(1, 0)  # now it holds the original
+    first = view.document.deformation.warp(images.read(grey_photo).pixels)
+    mask = view.document.freeze.shown(first.shape[:2]) == 0
+    np.testing.assert_array_equal(first[mask], images.read(grey_photo).pixels[mask])
+    view.document.set_freeze(None)  # at the end of the list
+    assert [stroke.brush for stroke in view.document.strokes] == ["freeze", "grab", "grab", "freeze"]
+    assert listed(view.document.strokes[-1]) == "Thaw everything"
+    assert view.document.frozen is None
+    assert names(view.tools) == ["Move stroke 1 later", "Thaw everything"]
+    view.document.set_freeze(None)
+    assert len(view.document.steps) == 3
+
+
+class TestAmounts:
+    def test_one_drag_of_all_strokes_is_one_step(self) -> None:
+        tools = image(Stroke.grab((100, 50), by=(20, 5), radius=30), Stroke.grab((120, 55), by=(0, 10), radius=20))
+        document = tools.document
+        document.begin_drag()
+        for part in (0.5, 1.7, -1.0):
+            assert document.preview_amount(part)
+            np.testing.assert_allclose(
+                document.deformation.forward((100, 50)), (100 + 20 * part, 50 + 15 * part), atol=1e-6
+            )
+        document.commit()
+        assert names(tools) == ["Amount -100%"]
+        assert document.recipe.amount == -1
+        document.undo()
+        assert document.recipe.amount == 1
+        document.begin_drag()
+        document.preview_amount(1.5)
+        document.abandon()
+        assert document.recipe.amount == 1
+
+    @pytest.mark.parametrize("part", [2.0, 0.5, -1.0])
+    def test_what_is_drawn_at_an_amount_is_what_is_seen(self, part: float) -> None:
+        tools = image(Stroke.grab((100, 50), by=(10, 5), radius=30))
+        document = tools.document
+        document.begin_drag()
+        document.preview_amount(part)
+        document.commit()
+        press(tools, "g")
+        drag(tools, (401, 201), (421, 211))
+        np.testing.assert_allclose(document.deformation.forward((200, 100)), (210, 105), atol=0.05)
+        assert document.strokes[1].by == pytest.approx((10 / part, 5 / part), rel=0.01)
+
+    def test_the_sliders(self, gpu: Gpu, grey_photo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        found: dict[str, tuple[float, ...]] = {}
+        watch(
+            monkeypatch,
+            "slider_float",
+            lambda name, label, low, high: found.update({label: (low.x, low.y, high.x, high.y)}),
+        )
+        view, hand = opened(
+            grey_photo, Recipe(strokes=(Stroke.grab((400, 190), by=(100, 0), radius=60),)), size=(900, 1300)
+        )
+        view.document.select(0)
+        for _ in range(2):
+            hand.canvas.draw()
+
+        def at(name: str, part: float) -> tuple[float, float]:
+            left, top, right, bottom = found[name]
+            return left + (part + 1) / 3 * (right - left), 0.5 * (top + bottom)
+
+        hand.drag(at("##strength own", 1.0), at("##strength own", -0.5))
+        assert view.document.strokes[0].strength == pytest.approx(-0.5, abs=0.2)
+        hand.drag(at("##strength own", -0.5), at("##strength own", 2.0))
+        assert view.document.strokes[0].strength == pytest.approx(2.0, abs=0.05)
+        assert view.document.warning(0).startswith("200% of a drag by (100, 0) at (400, 190)")
+        assert view._gui.trouble == ""
+        hand.drag(at("##amount", 1.0), at("##amount", 0.5))
+        assert view.document.recipe.amount == pytest.approx(0.5, abs=0.2)
+        assert view.document.warning(0) is None
+        assert not view.document.dragging
+        assert [step(a, b).partition(" ")[0] for a, b in itertools.pairwise(view.document.steps)] == [
+            "Strength",
+            "Strength",
+            "Amount",
+        ]

@@ -82,29 +82,28 @@ def farthest(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> tuple[Strok
     The part that is carried out, within a hundredth of the stroke, is in the warning, with the reason. Errors are those
     of `resolve`, under ``"error"`` and of strengths from 0 to 1.
     """
-
-    def carried(part: float) -> tuple[Stroke, Resolved]:
-        whole = stroke if part == stroke.strength == 1 else stroke.weakened(part)
-        return whole, resolve(whole, domain, on_fold)
-
-    wanted = stroke.strength
-    low, high = 0.0, wanted
+    whole, part, low, high = stroke, stroke.strength, 0.0, stroke.strength
     try:
-        return carried(wanted)
+        if part != 1:
+            whole = stroke.weakened(part)
+        return whole, resolve(whole, domain, on_fold)
     except SuppleError as error:
-        if on_fold == "error" or 0 <= wanted <= 1:
+        if on_fold == "error" or 0 <= part <= 1:
             raise
         reason = str(error)
-    made, resolved = carried(low)
+    made = stroke.weakened(low)
     while abs(high - low) > 0.01:
         middle = (low + high) / 2
         try:
-            made, resolved = carried(middle)
-            low = middle
+            resolve(tried := stroke.weakened(middle), domain, on_fold)
+            made, low = tried, middle
         except SuppleError:
             high = middle
-    warning = f"{wanted:.0%} of {described(stroke)} is carried out at {low:.0%}, as far as is possible: {reason}"
-    return made, replace(resolved, alpha=resolved.alpha * low / wanted, cause="fold", warning=warning)
+    resolved = resolve(made, domain, on_fold)
+    warning = f"{part:.0%} of {described(stroke)} is carried out at {low:.0%}, as far as is possible: {reason}"
+    if whole is stroke:  # beyond what strokes can be
+        return made, replace(resolved, warning=warning)
+    return whole, replace(resolved, alpha=resolved.alpha * low / part, cause="fold", warning=warning)
 
 
 # A stroke does not depend on those before it: after an edit, the rows of the others are reused.
